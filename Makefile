@@ -1,0 +1,50 @@
+# Two commands on a fresh machine with Python 3.11 and make:
+#   make compare   set up and run the main job
+#   make test      set up and check everything
+# Both build .venv from constraints.txt. The plain pip lines are in the README.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+WORKERS ?= auto
+
+.PHONY: compare test lint types imports tests constraints clean
+
+compare: $(VENV)/ready
+	$(BIN)/cmf compare
+
+test: lint types imports tests
+
+lint: $(VENV)/ready-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/ready-dev
+	$(BIN)/mypy
+
+imports: $(VENV)/ready-dev
+	$(BIN)/lint-imports
+
+tests: $(VENV)/ready-dev
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/ready: $(VENV)/bin/python pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+	touch $@
+
+$(VENV)/ready-dev: $(VENV)/ready
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+# Pin what the newest allowed versions resolve to today.
+constraints:
+	$(PYTHON) -m venv $(VENV)-fresh
+	$(VENV)-fresh/bin/python -m pip install --quiet '.[dev]'
+	$(VENV)-fresh/bin/python -m pip freeze --exclude cmf-mj > constraints.txt
+	rm -rf $(VENV)-fresh
+
+clean:
+	rm -rf $(VENV) out build dist
