@@ -1,0 +1,269 @@
+"""Pose to leg extensions and back, Jacobians and the excursion envelope.
+
+With A_j the upper gimbals in platform axes and B_j the lower gimbals in inertial axes
+(Appendix A of the report), the platform centroid at p and T of Eq 2.2,
+
+    l_j = p + T(roll, pitch, yaw) A_j - B_j,    leg_j = |l_j| - |A_j - B_j|        (Eq C.6)
+
+Axes are the report's everywhere here: x forward, y right, z **down**; a pose is
+(surge, sway, heave, roll, pitch, yaw) in m and rad, a leg is its extension from neutral in m.
+The geometry itself is read from the MJCF, which owns it, and turned from MuJoCo's z-up axes,
+(x, y, z)_mj = (x, -y, -z)_report, in this module only.
+"""
+
+import xml.etree.ElementTree as ElementTree
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+
+from cmf_mj import models, units
+
+DOFS = ("surge", "sway", "heave", "roll", "pitch", "yaw")
+"""Names of the six degrees of freedom, in the order of a pose."""
+
+WORKING_STROKE = 37.5 * units.INCH
+"""Half of the leg travel the control law works in [m]: -37.5 in to +37.5 in (section 3.2.1)."""
+
+FLIP = np.array([1.0, -1.0, -1.0])
+"""Report axes to MuJoCo axes and back, componentwise."""
+
+_NEWTON_ITERATIONS = 50
+_NEWTON_TOLERANCE = 1e-13
+
+
+class Geometry(NamedTuple):
+    """Gimbal positions of a Stewart platform, report axes."""
+
+    upper: NDArray[np.float64]
+    """Upper gimbals A in the platform frame [m], (6, 3)."""
+    lower: NDArray[np.float64]
+    """Lower gimbals B in the inertial frame [m], (6, 3)."""
+    neutral: NDArray[np.float64]
+    """Pin-to-pin leg lengths at the pose zero [m], (6,)."""
+
+
+def make_geometry(upper: ArrayLike, lower: ArrayLike) -> Geometry:
+    """Build a `Geometry` from upper (6, 3) and lower (6, 3) gimbals [m], report axes."""
+    a = np.ascontiguousarray(upper, dtype=float)
+    b = np.ascontiguousarray(lower, dtype=float)
+    if a.shape != (6, 3) or b.shape != (6, 3):
+        raise ValueError(f"upper, lower: shapes are {a.shape}, {b.shape}; both must be (6, 3)")
+    return Geometry(a, b, np.linalg.norm(a - b, axis=1))
+
+
+@lru_cache
+def read_geometry(path: Path | None = None) -> Geometry:
+    """Read the gimbal positions from an MJCF (default: the CMF hexapod).
+
+    Upper gimbals are the sites `upper_1`..`upper_6`, lower gimbals the bodies
+    `cylinder_1`..`cylinder_6`.
+    """
+    root = ElementTree.parse(path or models.hexapod_path()).getroot()
+
+    def positions(tag: str, prefix: str) -> NDArray[np.float64]:
+        elements = {e.get("name"): e.get("pos", "0 0 0") for e in root.iter(tag)}
+        return np.array([elements[f"{prefix}_{i}"].split() for i in range(1, 7)], dtype=float)
+
+    return make_geometry(positions("site", "upper") * FLIP, positions("body", "cylinder") * FLIP)
+
+
+@njit(cache=True)
+def rotation(roll, pitch, yaw):  # type: ignore[no-untyped-def]
+    """T of Eq 2.2, (3, 3): platform axes to inertial axes, Euler order yaw, pitch, roll."""
+    cf, sf = np.cos(roll), np.sin(roll)
+    ct, st = np.cos(pitch), np.sin(pitch)
+    cp, sp = np.cos(yaw), np.sin(yaw)
+    return np.array(
+        [
+            [ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp],
+            [ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp],
+            [-st, sf * ct, cf * ct],
+        ]
+    )
+
+
+@njit(cache=True)
+def euler_rate_matrix(pitch, yaw):  # type: ignore[no-untyped-def]
+    """E, (3, 3): inertial angular velocity = E (roll rate, pitch rate, yaw rate)."""
+    ct, st = np.cos(pitch), np.sin(pitch)
+    cp, sp = np.cos(yaw), np.sin(yaw)
+    return np.array([[ct * cp, -sp, 0.0], [ct * sp, cp, 0.0], [-st, 0.0, 1.0]])
+
+
+@njit(cache=True)
+def _legs(geometry, pose, legs):  # type: ignore[no-untyped-def]
+    turn = rotation(pose[3], pose[4], pose[5])
+    for j in range(6):
+        square = 0.0
+        for i in range(3):
+            upper = 0.0
+            for k in range(3):
+                upper += turn[i, k] * geometry.upper[j, k]
+            square += (pose[i] + upper - geometry.lower[j, i]) ** 2
+        legs[j] = np.sqrt(square) - geometry.neutral[j]
+
+
+@njit(cache=True)
+def _twist_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
+    arm = geometry.upper @ rotation(pose[3], pose[4], pose[5]).T
+    for j in range(6):
+        line = pose[:3] + arm[j] - geometry.lower[j]
+        line /= np.sqrt(line @ line)
+        jacobian[j, :3] = line
+        jacobian[j, 3] = arm[j, 1] * line[2] - arm[j, 2] * line[1]
+        jacobian[j, 4] = arm[j, 2] * line[0] - arm[j, 0] * line[2]
+        jacobian[j, 5] = arm[j, 0] * line[1] - arm[j, 1] * line[0]
+
+
+@njit(cache=True)
+def _pose_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
+    _twist_jacobian(geometry, pose, jacobian)
+    jacobian[:, 3:] = np.ascontiguousarray(jacobian[:, 3:]) @ euler_rate_matrix(pose[4], pose[5])
+
+
+@njit(cache=True, nogil=True)
+def _legs_history(geometry, poses, legs):  # type: ignore[no-untyped-def]
+    for row in range(poses.shape[0]):
+        _legs(geometry, poses[row], legs[row])
+
+
+@njit(cache=True, nogil=True)
+def _pose_history(geometry, legs, poses):  # type: ignore[no-untyped-def]
+    """Newton iteration a row, started from the row before; returns the first row that fails."""
+    guess = np.zeros(6)
+    found = np.empty(6)
+    jacobian = np.empty((6, 6))
+    for row in range(legs.shape[0]):
+        solved = False
+        for start in range(2):
+            if start == 1:
+                guess[:] = 0.0
+            for _ in range(_NEWTON_ITERATIONS):
+                _legs(geometry, guess, found)
+                error = legs[row] - found
+                if np.max(np.abs(error)) < _NEWTON_TOLERANCE:
+                    solved = True
+                    break
+                _pose_jacobian(geometry, guess, jacobian)
+                if abs(np.linalg.det(jacobian)) < 1e-9:
+                    break
+                guess += np.linalg.solve(jacobian, error)
+            # Round-off can hold the error a little above the tolerance: accept what the
+            # promised accuracy of 1e-9 m allows, refuse anything else.
+            if not solved:
+                _legs(geometry, guess, found)
+                solved = bool(np.max(np.abs(legs[row] - found)) < 1e-11)
+            if solved:
+                break
+        if not solved:
+            return row
+        poses[row] = guess
+    return -1
+
+
+def _rows(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    array = np.asarray(values, dtype=float)
+    if array.ndim == 0 or array.shape[-1] != 6:
+        raise ValueError(f"{name}: shape is {array.shape}; the last axis must have length 6")
+    if not np.isfinite(array).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise ValueError(f"{name}{list(where)}: {array[where]} is not a finite number")
+    return array
+
+
+def pose_to_legs(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
+    """Leg extensions from neutral [m] of platform poses, Eq C.6.
+
+    Args:
+        pose: (..., 6): surge, sway, heave [m], roll, pitch, yaw [rad], z down.
+        geometry: gimbals; default the CMF's.
+
+    Returns:
+        (..., 6) extensions [m]; zero at the pose zero.
+    """
+    poses = _rows("pose", pose)
+    legs = np.empty_like(poses)
+    _legs_history(geometry or read_geometry(), poses.reshape(-1, 6), legs.reshape(-1, 6))
+    return legs
+
+
+def legs_to_pose(legs: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
+    """Platform poses of leg extensions: Newton iteration on Eq C.6 with the exact Jacobian.
+
+    Along the leading axes each row starts from the solution before it, so a time history stays
+    on one assembly of the machine (the one that holds the pose zero).
+
+    Args:
+        legs: (..., 6) extensions from neutral [m].
+        geometry: gimbals; default the CMF's.
+
+    Returns:
+        (..., 6) poses: m and rad, z down. `pose_to_legs` gives the legs back within 1e-11 m.
+
+    Raises:
+        ValueError: no pose has these legs; the message names the row and its legs.
+    """
+    rows = _rows("legs", legs)
+    poses = np.empty_like(rows)
+    flat = np.ascontiguousarray(rows.reshape(-1, 6))
+    failed = _pose_history(geometry or read_geometry(), flat, poses.reshape(-1, 6))
+    if failed >= 0:
+        raise ValueError(
+            f"legs[{failed}]: no platform pose has the leg extensions "
+            f"{np.array2string(flat[failed], precision=4)} m"
+        )
+    return poses
+
+
+def leg_jacobian(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
+    """J of l_dot = J (v, w), (6, 6): centroid velocity and angular velocity in inertial axes.
+
+    Row j is (n_j, T A_j x n_j) with n_j the unit vector along leg j; its last three columns are
+    in m. J^-T M J^-1 turns a mass matrix of the platform into the reflected mass of the legs.
+    """
+    jacobian = np.empty((6, 6))
+    _twist_jacobian(geometry or read_geometry(), _rows("pose", pose), jacobian)
+    return jacobian
+
+
+def pose_jacobian(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
+    """d(legs)/d(pose), (6, 6): as `leg_jacobian`, but for the rates of the Euler angles."""
+    jacobian = np.empty((6, 6))
+    _pose_jacobian(geometry or read_geometry(), _rows("pose", pose), jacobian)
+    return jacobian
+
+
+def excursion_envelope(
+    travel: float = WORKING_STROKE, geometry: Geometry | None = None
+) -> NDArray[np.float64]:
+    """Single-axis excursions at which the first leg reaches its travel, (6, 2).
+
+    Args:
+        travel: largest leg extension and retraction from neutral [m].
+        geometry: gimbals; default the CMF's.
+
+    Returns:
+        Per degree of freedom the negative and the positive limit, m and rad, z down.
+    """
+    if not travel > 0.0:
+        raise ValueError(f"travel: {travel} m must be greater than 0")
+    shape = geometry or read_geometry()
+
+    def reserve(excursion: float, dof: int) -> float:
+        pose = np.zeros(6)
+        pose[dof] = excursion
+        return travel - float(np.abs(pose_to_legs(pose, shape)).max())
+
+    limits = np.empty((6, 2))
+    for dof in range(6):
+        for side, sign in enumerate((-1.0, 1.0)):
+            inner, outer = 0.0, sign * 0.01
+            while reserve(outer, dof) > 0.0:
+                inner, outer = outer, outer + sign * 0.01
+            limits[dof, side] = brentq(reserve, inner, outer, args=(dof,), xtol=1e-12)
+    return limits

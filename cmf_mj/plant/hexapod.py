@@ -1,0 +1,203 @@
+"""The hexapod: real cab inertia, gimbal geometry and prismatic legs, integrated by MuJoCo.
+
+Reflected mass (section 2.4.2). Let M be MuJoCo's full inertia matrix, J_c the Jacobian of the
+closed gimbals, N a basis of its null space and N_s the six rows of N that belong to the legs'
+slides. Then T = N N_s^-1 is the exact motion of the whole machine per unit leg velocity, and
+
+    M_leg = T' M T    reflected mass [kg],        F = T' c    static leg forces [N]
+
+with c MuJoCo's bias force. Leg masses are included; the soft closing of the gimbals is not, since
+T comes from their Jacobian alone.
+"""
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
+from scipy.spatial.transform import Rotation
+
+from cmf_mj import kinematics, models
+from cmf_mj.parameters import HydraulicParameters
+from cmf_mj.plant import cylinder
+from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.single_legs import set_timestep
+
+_LEGS = range(1, 7)
+
+
+class HydraulicModes(NamedTuple):
+    """Undamped modes of the reflected mass on the oil springs, lowest first."""
+
+    frequency: NDArray[np.float64]
+    """Natural frequencies [rad/s], (6,)."""
+    leg_shape: NDArray[np.float64]
+    """Leg motion of each mode, (6, 6), a column a mode, unit reflected mass."""
+    pose_shape: NDArray[np.float64]
+    """Platform motion of each mode, (6, 6), a column a mode: m and rad per unit of the mode."""
+
+
+class Hexapod(Plant):
+    """Plant A: the Cockpit Motion Facility with one of its cabs."""
+
+    name = "hexapod"
+
+    def __init__(
+        self,
+        cab: str = "gfd",
+        hydraulics: str | Path | HydraulicParameters = "hardware",
+        *,
+        timestep: float | None = None,
+    ) -> None:
+        """Load the machine, put a cab on it and attach the hydraulics.
+
+        Args:
+            cab: `gfd`, `rfd` or `ifd`.
+            hydraulics: `report`, `hardware`, a TOML file or a loaded set.
+            timestep: mechanical step [s]; default one control frame.
+
+        Raises:
+            ValueError: unknown cab, a step that is not positive, or refused hydraulics.
+        """
+        self.cab = cab
+        spec = hexapod_spec(cab)
+        set_timestep(spec, timestep)
+        super().__init__(spec.compile(), hydraulics)
+        self.geometry = kinematics.read_geometry()
+        self._platform = self.model.body("platform").id
+        self._slides = np.array([self.model.joint(f"leg_{i}").dofadr[0] for i in _LEGS])
+
+    @property
+    def sensors(self) -> dict[str, NDArray[np.int64]]:
+        """Platform gyro and accelerometer, and the accelerometers on the rods (axial part)."""
+        rods = [f"rod_acceleration_{i}" for i in _LEGS]
+        return {
+            "platform_gyro": self.sensor_indices(["platform_gyro"]),
+            "platform_accelerometer": self.sensor_indices(["platform_accelerometer"]),
+            "rod_accelerometer": self.sensor_indices(rods, component=2),
+        }
+
+    @property
+    def gimbal_sensors(self) -> NDArray[np.int64]:
+        """First indices of the `gimbal_error` vectors."""
+        return self.sensor_indices([f"gimbal_error_{i}" for i in _LEGS], component=0)
+
+    def derived_channels(
+        self, channels: Mapping[str, NDArray[np.float64]]
+    ) -> dict[str, tuple[NDArray[np.float64], str]]:
+        """The platform's true pose."""
+        return {"platform_pose": (self.pose_of(channels["generalised_position"]), "m, rad")}
+
+    def place(self, pose: ArrayLike) -> None:
+        """Set platform, gimbals and rods to a pose, all gimbals closed.
+
+        Args:
+            pose: (6,) surge, sway, heave [m], roll, pitch, yaw [rad], z down.
+
+        Raises:
+            ValueError: a leg would leave its mechanical stroke.
+        """
+        target = np.asarray(pose, dtype=float)
+        legs = kinematics.pose_to_legs(target, self.geometry)
+        stroke = self.parameters.half_stroke.si
+        if np.abs(legs).max() >= stroke:
+            leg = int(np.abs(legs).argmax())
+            raise ValueError(
+                f"pose: puts leg {leg + 1} at {legs[leg]:.4f} m; allowed: +-{stroke:.4f} m"
+            )
+        turn = kinematics.FLIP[:, None] * kinematics.rotation(*target[3:]) * kinematics.FLIP
+        qpos = self.data.qpos
+        free = self.model.joint("platform").qposadr[0]
+        qpos[free : free + 3] = target[:3] * kinematics.FLIP
+        qpos[free + 3 : free + 7] = Rotation.from_matrix(turn).as_quat(scalar_first=True)
+        upper = target[:3] + self.geometry.upper @ kinematics.rotation(*target[3:]).T
+        for i in _LEGS:
+            # Leg direction in the frame of its lower gimbal: Rx(a) Ry(b) z = (sin b, -sin a cos b,
+            # cos a cos b).
+            body = self.model.body(f"cylinder_{i}")
+            line = (upper[i - 1] - self.geometry.lower[i - 1]) * kinematics.FLIP
+            frame = Rotation.from_quat(body.quat, scalar_first=True)
+            x, y, z = frame.inv().apply(line / np.linalg.norm(line))
+            qpos[self.model.joint(f"gimbal_{i}_x").qposadr[0]] = np.arctan2(-y, z)
+            qpos[self.model.joint(f"gimbal_{i}_y").qposadr[0]] = np.arcsin(x)
+            qpos[self.model.joint(f"leg_{i}").qposadr[0]] = legs[i - 1]
+        mujoco.mj_forward(self.model, self.data)
+
+    def pose_of(self, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Platform pose (..., 6), report axes, of generalised positions (..., nq)."""
+        free = self.model.joint("platform").qposadr[0]
+        where = qpos[..., free : free + 3] * kinematics.FLIP
+        quaternion = qpos[..., free + 3 : free + 7] * np.array([1.0, 1.0, -1.0, -1.0])
+        turn = Rotation.from_quat(quaternion.reshape(-1, 4), scalar_first=True)
+        angles = turn.as_euler("ZYX").reshape((*qpos.shape[:-1], 3))[..., ::-1]
+        return np.concatenate([where, angles], axis=-1)
+
+    def _leg_motion(self) -> NDArray[np.float64]:
+        """T, (nv, 6): motion of all joints per unit leg velocity, at the present state."""
+        rows = self.data.nefc
+        kind = self.data.efc_type[:rows]
+        if mujoco.mj_isSparse(self.model):
+            jacobian = np.zeros((rows, self.model.nv))
+            mujoco.mju_sparse2dense(
+                jacobian,
+                self.data.efc_J.ravel(),
+                self.data.efc_J_rownnz,
+                self.data.efc_J_rowadr,
+                self.data.efc_J_colind,
+            )
+        else:
+            jacobian = self.data.efc_J.reshape(rows, self.model.nv).copy()
+        closed = jacobian[kind == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
+        null = linalg.null_space(closed, rcond=1e-9)
+        return null @ np.linalg.inv(null[self._slides])
+
+    def static_load(self) -> NDArray[np.float64]:
+        """Axial leg forces T'c (6,) [N] that hold the present configuration."""
+        mujoco.mj_forward(self.model, self.data)
+        return self._leg_motion().T @ self.data.qfrc_bias
+
+    def reflected_mass(self, pose: ArrayLike | None = None) -> NDArray[np.float64]:
+        """Reflected mass of the legs, (6, 6) [kg], leg masses included.
+
+        M_leg = T' M T; row i, column j is the force on leg i per acceleration of leg j, all
+        velocities zero (section 2.4.2: force over acceleration of an actuator).
+
+        Args:
+            pose: (6,) [m, rad], z down; default neutral.
+        """
+        self.start(pose)
+        full = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, self.data, full)
+        motion = self._leg_motion()
+        return motion.T @ full @ motion
+
+    def hydraulic_modes(self, pose: ArrayLike | None = None) -> HydraulicModes:
+        """Modes of M_leg d2l/dt2 + K(l) l = 0, valves closed and no leakage.
+
+        Args:
+            pose: (6,) [m, rad], z down; default neutral.
+        """
+        target = np.zeros(6) if pose is None else np.asarray(pose, dtype=float)
+        mass = self.reflected_mass(target)
+        legs = kinematics.pose_to_legs(target, self.geometry)
+        spring = np.diag(cylinder.stiffness(self.hydraulics.cylinder, legs))
+        squares, shapes = linalg.eigh(spring, mass)
+        to_pose = np.linalg.inv(kinematics.pose_jacobian(target, self.geometry))
+        return HydraulicModes(np.sqrt(squares), shapes, to_pose @ shapes)
+
+
+def hexapod_spec(cab: str = "gfd") -> mujoco.MjSpec:
+    """The editable MuJoCo model of the machine with a cab, for users who extend it.
+
+    Raises:
+        ValueError: unknown cab.
+    """
+    root = ElementTree.parse(models.hexapod_path()).getroot()
+    attached = root.find("asset/model")
+    assert attached is not None
+    attached.set("file", str(models.cab_path(cab)))
+    return mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))

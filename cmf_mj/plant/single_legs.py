@@ -1,0 +1,82 @@
+"""The report's original mechanics: six single legs, each a static load and an effective mass.
+
+    m d2x/dt2 = F - W,    m = 7200 lbm,  W = 7200 lbf    (section 2.4.2, Eq 4.1)
+
+The legs share neither payload nor inertia. In `models/single_legs.xml` they are six vertical slide
+joints whose weight at standard gravity is exactly the stated load.
+"""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmf_mj import models, units
+from cmf_mj.kinematics import pose_to_legs
+from cmf_mj.parameters import HydraulicParameters
+from cmf_mj.plant.plant import Plant
+
+EFFECTIVE_MASS = 7200.0 * units.POUND_MASS
+"""Effective mass of a leg at the design point [kg] (section 4.1)."""
+
+STATIC_LOAD = 7200.0 * units.POUND_FORCE
+"""Static load of a leg at the design point [N] (section 4.1)."""
+
+
+class SingleLegs(Plant):
+    """Plant B: six uncoupled legs behind the same contract as the hexapod."""
+
+    name = "single_legs"
+
+    def __init__(
+        self,
+        hydraulics: str | Path | HydraulicParameters = "hardware",
+        *,
+        effective_mass: float = EFFECTIVE_MASS,
+        static_load: float = STATIC_LOAD,
+        timestep: float | None = None,
+    ) -> None:
+        """Build the six legs.
+
+        Args:
+            hydraulics: `report`, `hardware`, a TOML file or a loaded set.
+            effective_mass: inertia each leg moves [kg].
+            static_load: constant axial load pressing each leg together [N].
+            timestep: mechanical step [s]; default one control frame.
+
+        Raises:
+            ValueError: a mass or step that is not positive, or refused hydraulics.
+        """
+        if not effective_mass > 0.0:
+            raise ValueError(f"effective_mass: {effective_mass} kg must be greater than 0")
+        spec = mujoco.MjSpec.from_file(str(models.single_legs_path()))
+        set_timestep(spec, timestep)
+        gravity = -float(spec.option.gravity[2])
+        for leg in range(1, 7):
+            body = spec.body(f"leg_{leg}")
+            body.mass = effective_mass
+            body.gravcomp = 1.0 - static_load / (effective_mass * gravity)
+        super().__init__(spec.compile(), hydraulics)
+
+    def place(self, pose: ArrayLike) -> None:
+        """Set each leg to its extension at the pose."""
+        self.data.qpos[:] = pose_to_legs(pose)
+
+    def static_load(self) -> NDArray[np.float64]:
+        """The same load on every leg [N]."""
+        mujoco.mj_forward(self.model, self.data)
+        return self.data.qfrc_bias - self.data.qfrc_passive
+
+
+def set_timestep(spec: mujoco.MjSpec, timestep: float | None) -> None:
+    """Set the mechanical step of a model about to be compiled.
+
+    Raises:
+        ValueError: the step is not positive.
+    """
+    if timestep is None:
+        return
+    if not timestep > 0.0:
+        raise ValueError(f"timestep: {timestep} s must be greater than 0")
+    spec.option.timestep = timestep

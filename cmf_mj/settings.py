@@ -1,0 +1,68 @@
+"""Reading settings files: TOML in, validated immutable models out, one clear error if not."""
+
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+
+class Settings(BaseModel):
+    """A table of a settings file: immutable, no unknown keys, no infinities or NaN."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+
+Model = TypeVar("Model", bound=Settings)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises:
+        ValueError: the file is missing or is not TOML; the message gives line and column.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: is not valid TOML: {error}") from error
+
+
+def validated(model: type[Model], table: object, where: str) -> Model:
+    """Build `model` from a table of a file.
+
+    Args:
+        model: the settings class.
+        table: what the file holds there.
+        where: how the table is called in errors, e.g. `my.toml: stiff`.
+
+    Raises:
+        ValueError: one line per fault, each naming field, value and what is allowed.
+    """
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        raise ValueError("\n".join(_explain(model, e, where) for e in error.errors())) from None
+
+
+def _explain(model: type[BaseModel], error: Any, where: str) -> str:
+    location = [str(part) for part in error["loc"]]
+    field = ".".join(location) or "table"
+    allowed = error["msg"][0].lower() + error["msg"][1:]
+    if error["type"] == "extra_forbidden":
+        names = _field_names(model, location[:-1])
+        return f"{where}: {field}: is not a known field; allowed: {', '.join(names)}"
+    if error["type"] == "missing":
+        return f"{where}: {field}: is missing"
+    return f"{where}: {field}: {error['input']!r} is refused: {allowed}"
+
+
+def _field_names(model: type[BaseModel], path: list[str]) -> list[str]:
+    for part in path:
+        annotation = model.model_fields[part].annotation
+        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+            break
+        model = annotation
+    return sorted(field.alias or name for name, field in model.model_fields.items())
