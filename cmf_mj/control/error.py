@@ -1,0 +1,59 @@
+"""Error calculations: position error, its integral and its filtered rate (Figures 3-1, 3-5, 3-7).
+
+With e = reference - position and T the frame:
+
+    integral:   I[k+1] = clip(I[k] + T e_i[k], +-limit),  e_i = reference - position above the
+                trigger, reference - (-37.5 in) below it
+    rates:      d = p (s - z),  z[k+1] = z[k] + T d[k]   for s = e and for s = reference
+
+The rate of s is thus s p / (s + p), built from an integrator as in Figure 3-6. The velocity error
+subtracts the measured velocity unfiltered.
+"""
+
+from typing import NamedTuple
+
+from numba import njit
+
+from cmf_mj import kinematics, units
+from cmf_mj.control.law import FRAME, Law
+
+
+class ErrorCalculations(NamedTuple):
+    """Compiled parameters of the error block."""
+
+    frame: float
+    """T [s]."""
+    derivative_pole: float
+    """p [rad/s]."""
+    integrator_limit: float
+    """Saturation of the integral [m s]."""
+    integrator_trigger: float
+    """Position above which the integrator sees the true position [m]."""
+    bottom: float
+    """Position it sees below [m]."""
+
+
+def make_error_calculations(law: Law) -> ErrorCalculations:
+    """Take the error block's parameters from a law."""
+    return ErrorCalculations(
+        frame=FRAME,
+        derivative_pole=law.derivative_pole,
+        integrator_limit=law.integrator_limit * units.INCH,
+        integrator_trigger=law.integrator_trigger * units.INCH,
+        bottom=-kinematics.WORKING_STROKE,
+    )
+
+
+@njit(cache=True)
+def filtered_rate(error, signal, state):  # type: ignore[no-untyped-def]
+    """Rate of `signal` [1/s] and the filter's next state."""
+    rate = error.derivative_pole * (signal - state)
+    return rate, state + error.frame * rate
+
+
+@njit(cache=True)
+def integrate(error, integral, reference, position):  # type: ignore[no-untyped-def]
+    """Next value of the error integral of one leg [m s]."""
+    seen = position if position > error.integrator_trigger else error.bottom
+    moved = integral + error.frame * (reference - seen)
+    return min(max(moved, -error.integrator_limit), error.integrator_limit)

@@ -1,0 +1,156 @@
+"""Control laws as data: the gain tables of the report and a user's own.
+
+Every law is the same block with other gains (Eqs 2.3 and 2.4 as the DCL runs them),
+
+    x[k+1] = A x[k] + B u[k],    y[k] = C x[k] + D u[k],
+
+with one scalar state a leg and u the ten `SIGNALS`. Nothing in the code knows a law by name.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import ConfigDict, Field
+
+from cmf_mj import units
+from cmf_mj.settings import Settings, read_toml, validated
+
+FRAME = 1.0 / 2048.0
+"""Control frame of the DCL [s] (section 2.3.1)."""
+
+SIGNALS = (
+    "reference",
+    "cap_pressure",
+    "rod_pressure",
+    "position",
+    "velocity",
+    "position_error_rate",
+    "velocity_error",
+    "error_integral",
+    "acceleration",
+    "force",
+)
+"""Inputs u of the compensator, in order."""
+
+SIGNAL_UNITS = {
+    "reference": units.INCH,
+    "cap_pressure": 1.0,
+    "rod_pressure": 1.0,
+    "position": units.INCH,
+    "velocity": units.INCH,
+    "position_error_rate": units.INCH,
+    "velocity_error": units.INCH,
+    "error_integral": units.INCH,
+    "acceleration": units.INCH,
+    "force": units.POUND_FORCE,
+}
+"""SI size of the unit each signal's gain counts in (in, Pa, in/s, in s, in/s^2, lbf)."""
+
+_FILE = Path(__file__).with_name("laws.toml")
+
+
+class Gains(Settings):
+    """Gains of the ten signals, in per cent per published unit; absent ones are 0."""
+
+    model_config = ConfigDict(strict=False)
+
+    reference: float = 0.0
+    cap_pressure: float = 0.0
+    rod_pressure: float = 0.0
+    position: float = 0.0
+    velocity: float = 0.0
+    position_error_rate: float = 0.0
+    velocity_error: float = 0.0
+    error_integral: float = 0.0
+    acceleration: float = 0.0
+    force: float = 0.0
+
+
+class Law(Settings):
+    """One control law: compensator gains and the filters of its signals.
+
+    Gains are as published, per cent of valve command per inch, pascal, in/s, in s, in/s^2, lbf.
+    """
+
+    model_config = ConfigDict(strict=False)
+
+    name: str
+    """Name of the table."""
+    title: str = Field(min_length=1)
+    """Name for figures and tables."""
+    source: str = ""
+    """Where the gains come from."""
+    state_gain: Annotated[float, Field(gt=-1.0, lt=1.0)] = 0.0
+    """A; the compensator's own state is stable for -1 < A < 1."""
+    output_gain: float = 0.0
+    """C [% per unit of state]."""
+    input_gain: Gains = Gains()
+    """B."""
+    direct_gain: Gains
+    """D."""
+    derivative_pole: Annotated[float, Field(gt=0.0, lt=2.0 / FRAME)] = 90.0
+    """Corner p of the derivative filter s p / (s + p) [rad/s]; calibrated, the report prints
+    none. Below 4096 rad/s, where the filter's forward integration is stable."""
+    integrator_limit: Annotated[float, Field(gt=0.0)] = 50.0
+    """Saturation of the error integral [in s] (section 3.2.1)."""
+    integrator_trigger: Annotated[float, Field(ge=-37.5, le=37.5)] = -37.0
+    """Leg position below which the integrator takes -37.5 in for it [in]: half an inch above
+    the bottom stop (section 3.2.1)."""
+    accelerometer_pole: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.9924
+    """Pole of the accelerometer filter gain / (z - pole), Eq 3.6."""
+    accelerometer_gain: float = 0.007588
+    """Gain of the accelerometer filter, Eq 3.6."""
+
+    @property
+    def uses_integral(self) -> bool:
+        """Whether the error integral acts on the command."""
+        return self.direct_gain.error_integral != 0.0 or self.input_gain.error_integral != 0.0
+
+
+def _laws_of(path: Path) -> dict[str, Law]:
+    tables = read_toml(path)
+    laws = {}
+    for name, table in tables.items():
+        if not isinstance(table, dict):
+            raise ValueError(f"{path.name}: {name}: {table!r} is refused: a law is a table [name]")
+        laws[name] = validated(Law, table | {"name": name}, f"{path.name}: {name}")
+    if not laws:
+        raise ValueError(f"{path.name}: holds no law; a law is a table [name]")
+    return laws
+
+
+def law_names() -> tuple[str, ...]:
+    """Names of the shipped laws, in the report's order."""
+    return tuple(read_toml(_FILE))
+
+
+def load_law(source: str | Path | Law) -> Law:
+    """Load a control law.
+
+    Args:
+        source: name of a shipped law, path of a TOML file holding one law, `file.toml:name` for
+            one of several, or a law already loaded.
+
+    Raises:
+        ValueError: no such law, unreadable file, or a refused field with its valid range.
+    """
+    if isinstance(source, Law):
+        return source
+    text = str(source)
+    if text in law_names():
+        return _laws_of(_FILE)[text]
+    stem, found, name = text.rpartition(".toml")
+    if not found or (name and not name.startswith(":")):
+        raise ValueError(
+            f"law: {text!r} is neither a .toml file nor one of {', '.join(law_names())}"
+        )
+    laws = _laws_of(Path(stem + ".toml"))
+    if name:
+        if name[1:] not in laws:
+            raise ValueError(f"law: {name[1:]!r} is not in {stem}.toml; it has {', '.join(laws)}")
+        return laws[name[1:]]
+    if len(laws) > 1:
+        raise ValueError(
+            f"law: {text} holds {', '.join(laws)}; choose one with {text}:{next(iter(laws))}"
+        )
+    return next(iter(laws.values()))
