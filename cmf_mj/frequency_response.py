@@ -1,0 +1,179 @@
+"""Frequency responses from records, and the bandwidths read off them.
+
+A response goes from the DCL's leg demand to the leg feedback, both transformed to the degree of
+freedom by `legs_to_pose`, as the report does; host delay and DCU are outside. The estimator is H1,
+
+    H1 = S_xy / S_xx,    coherence = |S_xy|^2 / (S_xx S_yy)
+
+unbiased here because the demand is free of noise: periodic records are averaged over their whole
+periods after the first, others by Welch's method.
+"""
+
+from typing import Any, NamedTuple
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from cmf_mj.kinematics import legs_to_pose
+from cmf_mj.record import Record
+from cmf_mj.signals import dof_index
+
+SEGMENT = 20.0
+"""Length of Welch's segments [s]: lines every 0.05 Hz."""
+
+
+class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]
+    """A python-control frequency response that also carries its coherence."""
+
+    def __init__(
+        self,
+        response: NDArray[np.complex128],
+        omega: NDArray[np.float64],
+        coherence: NDArray[np.float64],
+        **keywords: Any,
+    ) -> None:
+        """Wrap a SISO response at angular frequencies `omega` [rad/s], (K,)."""
+        super().__init__(response, omega, **keywords)
+        self.coherence = coherence
+        """Coherence of each line, 0 to 1, (K,)."""
+
+    @property
+    def frequency(self) -> NDArray[np.float64]:
+        """Frequencies [Hz], (K,)."""
+        return np.asarray(self.omega) / (2.0 * np.pi)
+
+    @property
+    def response(self) -> NDArray[np.complex128]:
+        """Complex response, (K,)."""
+        return np.asarray(self.frdata[0, 0])
+
+    @property
+    def gain_db(self) -> NDArray[np.float64]:
+        """Gain [dB], (K,)."""
+        return 20.0 * np.log10(np.abs(self.response))
+
+    @property
+    def phase_deg(self) -> NDArray[np.float64]:
+        """Phase unwrapped from the lowest line, which lies within +-180 deg, [deg], (K,)."""
+        return np.degrees(np.unwrap(np.angle(self.response)))
+
+
+class Bandwidths(NamedTuple):
+    """Where a response leaves its pass band; NaN where it does not within the measured lines."""
+
+    phase_hz: float
+    """First frequency at which the phase falls through -90 deg [Hz]."""
+    gain_hz: float
+    """First frequency at which the gain falls through -3 dB, from absolute 0 dB [Hz]."""
+    peak_db: float
+    """Largest gain [dB]."""
+
+
+def dof_history(record: Record, channel: str, dof: str) -> NDArray[np.float64]:
+    """A leg channel (N, 6) transformed to one degree of freedom, (N,) [m or rad]."""
+    return legs_to_pose(record[channel])[:, dof_index(dof)]
+
+
+def frequency_response(
+    record: Record, dof: str | None = None, *, segment: float = SEGMENT
+) -> FrequencyResponse:
+    """Estimate the response from leg demand to leg feedback in one degree of freedom.
+
+    Args:
+        record: of a chirp, multisine or any other broad excitation.
+        dof: degree of freedom; default the one the command moved.
+        segment: length of Welch's segments [s], for records that are not periodic.
+
+    Returns:
+        Lines within the excited band, with coherence.
+
+    Raises:
+        ValueError: no excitation in this degree of freedom, a record shorter than a segment, or
+            legs that no pose has.
+    """
+    chosen = dof if dof is not None else str(record.metadata["command"].get("dof"))
+    demand = dof_history(record, "leg_reference", chosen)
+    feedback = dof_history(record, "leg_position", chosen)
+    command = record.metadata["command"]
+    if np.ptp(demand) == 0.0:
+        raise ValueError(f"dof: the record holds no demand in {chosen}; it moved {command['dof']}")
+    if command.get("kind") == "multisine":
+        return _periodic(record, demand, feedback)
+    # The rest before the excitation is the base line; it also lets the start-up settle.
+    begin = max(round(float(command.get("settle", 0.0)) * record.rate) - 1, 0)
+    x = demand[begin:] - demand[begin]
+    y = feedback[begin:] - feedback[begin]
+    samples = round(segment * record.rate)
+    if x.size < samples:
+        raise ValueError(
+            f"segment: {segment} s must not exceed the record's {x.size / record.rate:.3f} s"
+        )
+    options: dict[str, Any] = {
+        "fs": record.rate,
+        "window": "hann",
+        "nperseg": samples,
+        "noverlap": 3 * samples // 4,
+        "detrend": False,
+    }
+    frequency, cross = signal.csd(x, y, **options)
+    _, power_in = signal.welch(x, **options)
+    _, power_out = signal.welch(y, **options)
+    low = max(float(command.get("start", 0.0)), 2.0 / segment)
+    high = float(command.get("stop", record.rate / 4.0))
+    band = (frequency >= low) & (frequency <= high)
+    coherence = np.abs(cross[band]) ** 2 / (power_in[band] * power_out[band])
+    return FrequencyResponse(cross[band] / power_in[band], 2.0 * np.pi * frequency[band], coherence)
+
+
+def _periodic(
+    record: Record, demand: NDArray[np.float64], feedback: NDArray[np.float64]
+) -> FrequencyResponse:
+    command = record.metadata["command"]
+    samples = round(command["period"] * record.rate)
+    if abs(samples - command["period"] * record.rate) > 1e-9:
+        raise ValueError(
+            f"record_every: a period is not a whole number of samples at {record.rate}"
+        )
+    measured = slice(samples, command["periods"] * samples)
+    x = np.fft.rfft(demand[measured].reshape(-1, samples), axis=1)
+    y = np.fft.rfft(feedback[measured].reshape(-1, samples), axis=1)
+    frequency = np.fft.rfftfreq(samples, 1.0 / record.rate)
+    orders = np.arange(frequency.size)
+    lines = (orders % 2 == 1) & (frequency >= command["start"] - 1e-9)
+    lines &= frequency <= command["stop"] + 1e-9
+    cross = np.mean(np.conj(x) * y, axis=0)[lines]
+    power_in = np.mean(np.abs(x) ** 2, axis=0)[lines]
+    power_out = np.mean(np.abs(y) ** 2, axis=0)[lines]
+    return FrequencyResponse(
+        cross / power_in, 2.0 * np.pi * frequency[lines], np.abs(cross) ** 2 / power_in / power_out
+    )
+
+
+def bandwidths(response: control.FrequencyResponseData) -> Bandwidths:
+    """Read -90 deg and -3 dB bandwidth and peak gain off a SISO response.
+
+    Crossings are interpolated linearly between lines; -3 dB counts from absolute 0 dB, so a law
+    with a static error starts below it.
+    """
+    values = np.asarray(response.frdata[0, 0])
+    frequency = np.asarray(response.omega) / (2.0 * np.pi)
+    gain = 20.0 * np.log10(np.abs(values))
+    phase = np.degrees(np.unwrap(np.angle(values)))
+    return Bandwidths(
+        _falls_through(frequency, phase, -90.0),
+        _falls_through(frequency, gain, -3.0),
+        float(gain.max()),
+    )
+
+
+def _falls_through(
+    frequency: NDArray[np.float64], values: NDArray[np.float64], level: float
+) -> float:
+    below = np.flatnonzero((values[1:] < level) & (values[:-1] >= level))
+    if below.size == 0:
+        return float("nan")
+    i = int(below[0])
+    share = (level - values[i]) / (values[i + 1] - values[i])
+    return float(frequency[i] + share * (frequency[i + 1] - frequency[i]))

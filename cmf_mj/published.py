@@ -1,0 +1,54 @@
+"""The report's result tables, to compare with. Published values never enter a computation."""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+from pydantic import ConfigDict
+
+from cmf_mj.settings import Settings, read_toml, validated
+
+_FILE = Path(__file__).with_name("published.toml")
+
+_READ_AS = {"acceleration_opposing": "acceleration", "original_as_printed": "original"}
+"""Laws that are other readings of a published one, and are compared with its results."""
+
+
+class Published(Settings):
+    """One published result."""
+
+    model_config = ConfigDict(strict=False)
+
+    table: str
+    """Table or section of the report."""
+    law: str
+    dof: str
+    of: Literal["hardware", "nonlinear", "linear_1", "linear_2", "linear_3"]
+    """What was measured: the machine, the report's non-linear model or a linear model."""
+    phase_bandwidth_hz: float | None = None
+    gain_bandwidth_hz: float | None = None
+    damping_ratio: float | None = None
+
+
+@lru_cache
+def published_results() -> tuple[Published, ...]:
+    """All rows, in the report's order."""
+    rows = read_toml(_FILE)["result"]
+    return tuple(
+        validated(Published, row, f"{_FILE.name}: result {i}") for i, row in enumerate(rows)
+    )
+
+
+def published(law: str, dof: str, hydraulics: str) -> Published | None:
+    """The published result to set beside a run, or None.
+
+    Runs with the `report` hydraulics stand beside the report's non-linear model; others stand
+    beside the hardware where it was measured, beside the non-linear model where it was not.
+    """
+    name = _READ_AS.get(law, law)
+    rows = {row.of: row for row in published_results() if row.law == name and row.dof == dof}
+    wanted = ("nonlinear",) if hydraulics == "report" else ("hardware", "nonlinear")
+    for of in wanted:
+        if of in rows and rows[of].phase_bandwidth_hz is not None:
+            return rows[of]
+    return None

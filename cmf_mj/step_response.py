@@ -1,0 +1,118 @@
+"""Measures of a step response, and the stability verdict.
+
+With y0 the rest before the step, y1 the mean of the last second and r the demanded step,
+
+    overshoot           OS = max((y - y1) / (y1 - y0))
+    damping ratio       zeta = -ln OS / sqrt(pi^2 + ln^2 OS)     second order, from overshoot
+    steady-state error  (r - (y1 - y0)) / r
+    rise time           10 % to 90 % of y1 - y0,   settling time into 2 % of it
+
+A run is *stable* when no leg is still oscillating at its end: over the last second the legs swing
+less than 2 % of the largest leg step, or less than 0.8 times their swing a second earlier.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.frequency_response import dof_history
+from cmf_mj.record import Record
+
+TAIL = 1.0
+"""Length of the window that gives the final value and the verdict [s]."""
+
+RESIDUAL = 0.02
+"""Swing over the last window, relative to the leg step, that counts as settled."""
+
+DECAY = 0.8
+"""Swing of the last window over that of the one before that counts as decaying."""
+
+
+class StepMetrics(NamedTuple):
+    """Measures of one step; fractions of the step unless a unit is given."""
+
+    overshoot: float
+    """Largest excess over the final value."""
+    damping_ratio: float
+    """From the overshoot; NaN without overshoot."""
+    steady_state_error: float
+    """Demanded minus reached."""
+    rise_time: float
+    """10 to 90 % [s]."""
+    settling_time: float
+    """From the step to staying within 2 % of the final value [s]."""
+    residual: float
+    """Largest leg swing of the last second over the largest leg step."""
+    stable: bool
+    """The verdict."""
+
+
+def damping_from_overshoot(overshoot: float) -> float:
+    """Damping ratio of the second-order system with this overshoot; NaN without one."""
+    if not 0.0 < overshoot < 1.0:
+        return 0.0 if overshoot >= 1.0 else float("nan")
+    logarithm = np.log(overshoot)
+    return float(-logarithm / np.hypot(np.pi, logarithm))
+
+
+def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
+    """Measure a step response from leg demand to leg feedback in one degree of freedom.
+
+    Where the legs have gone so far apart that no pose has them, the run is unstable and the
+    measures of shape are NaN.
+
+    Args:
+        record: of a `signals.step`, at least two seconds longer than the step's time.
+        dof: degree of freedom; default the one the command moved.
+
+    Raises:
+        ValueError: the record is not of a step, or too short.
+    """
+    command = record.metadata["command"]
+    if command.get("kind") != "step":
+        raise ValueError(f"record: its command is a {command.get('kind')}; a step is needed")
+    if command["duration"] - command["at"] < 2.0 * TAIL:
+        raise ValueError(f"record: must go on for {2.0 * TAIL} s after the step")
+    residual, stable = _verdict(record)
+    chosen = dof if dof is not None else str(command["dof"])
+    demand = dof_history(record, "leg_reference", chosen)
+    try:
+        feedback = dof_history(record, "leg_position", chosen)
+    except ValueError:
+        nan = float("nan")
+        return StepMetrics(nan, nan, nan, nan, nan, residual, False)
+    at = int(np.searchsorted(record.time, command["at"] - 1e-9))
+    tail = round(TAIL * record.rate)
+    rest = float(feedback[at - 1])
+    final = float(feedback[-tail:].mean())
+    size = final - rest
+    demanded = float(demand[-1] - demand[at - 1])
+    if demanded == 0.0:
+        raise ValueError(f"dof: the record holds no step in {chosen}; it moved {command['dof']}")
+    shape = (feedback[at:] - rest) / size
+    overshoot = float(shape.max() - 1.0)
+    ten = int(np.argmax(shape >= 0.1))
+    ninety = int(np.argmax(shape >= 0.9))
+    outside = np.flatnonzero(np.abs(shape - 1.0) > 0.02)
+    settled = int(outside[-1]) + 1 if outside.size else 0
+    return StepMetrics(
+        overshoot=overshoot,
+        damping_ratio=damping_from_overshoot(overshoot),
+        steady_state_error=1.0 - size / demanded,
+        rise_time=(ninety - ten) / record.rate,
+        settling_time=settled / record.rate,
+        residual=residual,
+        stable=stable,
+    )
+
+
+def _verdict(record: Record) -> tuple[float, bool]:
+    legs: NDArray[np.float64] = record["leg_position"]
+    reference = record["leg_reference"]
+    size = float(np.abs(reference[-1] - reference[0]).max())
+    tail = round(TAIL * record.rate)
+    last = float(np.ptp(legs[-tail:], axis=0).max())
+    earlier = float(np.ptp(legs[-2 * tail : -tail], axis=0).max())
+    residual = last / size
+    return residual, bool(residual < RESIDUAL or last < DECAY * earlier)

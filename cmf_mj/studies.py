@@ -1,0 +1,270 @@
+"""Studies: many runs of the closed loop, compared.
+
+A case is one law on one plant in one degree of freedom. It is run twice: with the report's chirp,
+for the frequency response, and with a step, for damping, steady-state error and stability. Cases
+share nothing, so they run on threads (the compiled loop releases the interpreter lock) and their
+results do not depend on how many there are.
+"""
+
+import csv
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from cmf_mj import models, signals, units
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.frequency_response import (
+    Bandwidths,
+    FrequencyResponse,
+    bandwidths,
+    frequency_response,
+)
+from cmf_mj.kinematics import DOFS
+from cmf_mj.parameters import HydraulicParameters, load_hydraulics
+from cmf_mj.plant import Hexapod, Plant, SingleLegs
+from cmf_mj.published import published
+from cmf_mj.record import Record
+from cmf_mj.simulation import simulate
+from cmf_mj.step_response import StepMetrics, step_metrics
+
+DEFAULT_LAWS = ("velocity", "position_error_rate", "acceleration")
+"""The law flown, and the report's two advances on it."""
+
+PLANTS = ("hexapod", "single_legs")
+"""The faithful plant and the report's original one."""
+
+AMPLITUDE = 0.33 * units.INCH
+"""Translational amplitude of the report's frequency responses [m]."""
+
+ROTATION_PER_TRANSLATION = 0.2 * units.DEGREE / AMPLITUDE
+"""The report takes 0.2 deg in rotation to 0.33 in in translation (Appendix D) [rad/m]."""
+
+STEP_PER_AMPLITUDE = 1.0 * units.INCH / AMPLITUDE
+"""The report steps 1 in and sweeps 0.33 in."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One law on one plant in one degree of freedom; everything needed to run it anywhere."""
+
+    plant: str
+    cab: str
+    hydraulics: HydraulicParameters
+    law: Law
+    dof: str
+    amplitude: float
+    """Of the chirp [m or rad]."""
+    quick: bool = False
+
+    @property
+    def label(self) -> str:
+        """Name for files."""
+        parts = (self.plant, self.cab, self.hydraulics.name, self.law.name, self.dof)
+        return "-".join(part for part in parts if part)
+
+    def build(self) -> Plant:
+        """A plant of its own for this case."""
+        if self.plant == "hexapod":
+            return Hexapod(self.cab, self.hydraulics)
+        return SingleLegs(self.hydraulics)
+
+
+class CaseResult(NamedTuple):
+    """What a case gave."""
+
+    case: Case
+    response: FrequencyResponse | None
+    """None where the legs left what a platform pose can have."""
+    bandwidths: Bandwidths
+    metrics: StepMetrics
+    step: Record
+    """The step run at 256 Hz."""
+    gimbal_error: float
+    """Largest gap of a closed gimbal over both runs [m]."""
+
+
+class ComparisonRow(NamedTuple):
+    """One line of `comparison.csv`; NaN where a measure does not exist."""
+
+    plant: str
+    cab: str
+    hydraulics: str
+    law: str
+    dof: str
+    phase_bandwidth_hz: float
+    gain_bandwidth_hz: float
+    peak_gain_db: float
+    damping_ratio: float
+    overshoot: float
+    steady_state_error: float
+    stable: bool
+    published_phase_bandwidth_hz: float
+    published_gain_bandwidth_hz: float
+    published_damping_ratio: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All cases of a comparison, in the order asked for."""
+
+    results: tuple[CaseResult, ...]
+
+    @property
+    def rows(self) -> list[ComparisonRow]:
+        """One row a case, published values beside ours."""
+        return [_row(result) for result in self.results]
+
+    def save_csv(self, path: str | Path) -> Path:
+        """Write the rows as CSV; missing measures are empty."""
+        target = Path(path)
+        with target.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(ComparisonRow._fields)
+            for row in self.rows:
+                writer.writerow("" if value != value else _printed(value) for value in row)
+        return target
+
+
+def _printed(value: object) -> object:
+    return f"{value:.6g}" if isinstance(value, float) else value
+
+
+def _row(result: CaseResult) -> ComparisonRow:
+    case = result.case
+    beside = published(case.law.name, case.dof, case.hydraulics.name)
+
+    def print_of(field: str) -> float:
+        value = getattr(beside, field) if beside is not None else None
+        return float("nan") if value is None else value
+
+    return ComparisonRow(
+        plant=case.plant,
+        cab=case.cab,
+        hydraulics=case.hydraulics.name,
+        law=case.law.name,
+        dof=case.dof,
+        phase_bandwidth_hz=result.bandwidths.phase_hz,
+        gain_bandwidth_hz=result.bandwidths.gain_hz,
+        peak_gain_db=result.bandwidths.peak_db,
+        damping_ratio=result.metrics.damping_ratio,
+        overshoot=result.metrics.overshoot,
+        steady_state_error=result.metrics.steady_state_error,
+        stable=result.metrics.stable,
+        published_phase_bandwidth_hz=print_of("phase_bandwidth_hz"),
+        published_gain_bandwidth_hz=print_of("gain_bandwidth_hz"),
+        published_damping_ratio=print_of("damping_ratio"),
+    )
+
+
+def run_case(case: Case, records: Path | None = None) -> CaseResult:
+    """Run chirp and step of a case; keep both records in the folder `records` if one is given.
+
+    `quick` sweeps in 30 s instead of 100 s: the same band at three times the rate, bandwidths
+    within about 2 %.
+    """
+    plant = case.build()
+    duration = 30.0 if case.quick else 100.0
+    sweep = simulate(
+        plant,
+        case.law,
+        signals.chirp(case.dof, case.amplitude, duration=duration),
+        record_every=16,
+    )
+    step = simulate(
+        plant,
+        case.law,
+        signals.step(case.dof, case.amplitude * STEP_PER_AMPLITUDE),
+        record_every=8,
+    )
+    if records is not None:
+        sweep.save(records / f"{case.label}-chirp.parquet")
+        step.save(records / f"{case.label}-step.parquet")
+    response: FrequencyResponse | None
+    try:
+        response = frequency_response(sweep, segment=10.0 if case.quick else 20.0)
+        widths = bandwidths(response)
+    except ValueError:
+        # Single legs can swing to where no platform joins them; the step's verdict says unstable.
+        response, widths = None, Bandwidths(float("nan"), float("nan"), float("nan"))
+    gap = max(float(sweep["gimbal_error"].max()), float(step["gimbal_error"].max()))
+    return CaseResult(case, response, widths, step_metrics(step), step, gap)
+
+
+def compare(
+    laws: Sequence[str | Path | Law] = DEFAULT_LAWS,
+    dofs: Sequence[str] = DOFS,
+    *,
+    plants: Sequence[str] = PLANTS,
+    cab: str = "gfd",
+    hydraulics: str | Path | HydraulicParameters = "hardware",
+    amplitude: float = AMPLITUDE,
+    jobs: int | None = None,
+    quick: bool = False,
+    records: str | Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Comparison:
+    """Compare control laws in several degrees of freedom on both plants.
+
+    Args:
+        laws: names, TOML files or loaded laws.
+        dofs: degrees of freedom.
+        plants: `hexapod`, `single_legs` or both; both get the same hydraulics.
+        cab: `gfd`, `rfd` or `ifd`, for the hexapod.
+        hydraulics: `report`, `hardware`, a TOML file or a loaded set.
+        amplitude: of the chirp in translation [m]; rotations and steps keep the report's
+            proportions to it, 0.2 deg and 1 in to 0.33 in.
+        jobs: threads; default one per core. Results do not depend on it.
+        quick: shorter sweeps.
+        records: folder for the records of all runs.
+        progress: called with (cases done, cases in all) after each case.
+
+    Raises:
+        ValueError: an argument out of range, named; nothing has been run or written then.
+    """
+    loaded = [load_law(law) for law in laws]
+    for field, chosen, known in (("dofs", dofs, DOFS), ("plants", plants, PLANTS)):
+        for name in chosen:
+            if name not in known:
+                raise ValueError(f"{field}: {name!r} is not one of {', '.join(known)}")
+        if not chosen:
+            raise ValueError(f"{field}: is empty; choose from {', '.join(known)}")
+    if not loaded:
+        raise ValueError("laws: is empty; name at least one law")
+    models.cab_path(cab)
+    parameters = load_hydraulics(hydraulics)
+    if not (np.isfinite(amplitude) and 0.0 < amplitude <= 0.5):
+        raise ValueError(f"amplitude: {amplitude} m must be greater than 0 and at most 0.5")
+    workers = jobs if jobs is not None else (os.cpu_count() or 1)
+    if workers < 1:
+        raise ValueError(f"jobs: {workers} must be at least 1")
+    cases = [
+        Case(
+            plant,
+            cab if plant == "hexapod" else "",
+            parameters,
+            law,
+            dof,
+            amplitude * (1.0 if DOFS.index(dof) < 3 else ROTATION_PER_TRANSLATION),
+            quick,
+        )
+        for plant in plants
+        for law in loaded
+        for dof in dofs
+    ]
+    folder = Path(records) if records is not None else None
+
+    def numbered(index: int) -> tuple[int, CaseResult]:
+        return index, run_case(cases[index], folder)
+
+    found: dict[int, CaseResult] = {}
+    pool = Parallel(n_jobs=workers, backend="threading", return_as="generator_unordered")
+    for index, result in pool(delayed(numbered)(index) for index in range(len(cases))):
+        found[index] = result
+        if progress is not None:
+            progress(len(found), len(cases))
+    return Comparison(tuple(found[index] for index in range(len(cases))))

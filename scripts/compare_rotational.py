@@ -1,0 +1,44 @@
+"""What does acceleration feedback do in rotation? Roll, pitch and yaw on both plants.
+
+The question the 2014 report could not answer: its model had no moments of inertia. Runs position
+error rate feedback with no, positive and opposing acceleration feedback.
+"""
+
+import argparse
+from pathlib import Path
+
+from cmf_mj.cli import refuse, run_comparison
+from cmf_mj.models import CABS
+from cmf_mj.studies import PLANTS
+
+LAWS = ["position_error_rate", "acceleration", "acceleration_opposing"]
+
+
+def main() -> None:
+    """Parse the arguments and run the study."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--cab", choices=CABS, default="gfd")
+    parser.add_argument("--hydraulics", default="hardware", help="report, hardware or a TOML file")
+    parser.add_argument("--jobs", type=int, help="threads; default one a core")
+    parser.add_argument("--out", type=Path, default=Path("out/compare_rotational"))
+    parser.add_argument("--quick", action="store_true", help="sweep in 30 s instead of 100 s")
+    parser.add_argument("--no-records", action="store_true", help="do not keep the records")
+    options = parser.parse_args()
+    try:
+        run_comparison(
+            LAWS,
+            ["roll", "pitch", "yaw"],
+            list(PLANTS),
+            options.out,
+            cab=options.cab,
+            hydraulics=options.hydraulics,
+            jobs=options.jobs,
+            quick=options.quick,
+            records=not options.no_records,
+        )
+    except (ValueError, OSError) as error:
+        refuse(error)
+
+
+if __name__ == "__main__":
+    main()
