@@ -24,6 +24,10 @@ SEGMENT = 20.0
 """Length of Welch's segments [s]: lines every 0.05 Hz."""
 
 
+NO_DEMAND = 1e-9
+"""Demand [m or rad] that is round-off of the transformation to a degree of freedom."""
+
+
 class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]
     """A python-control frequency response that also carries its coherence."""
 
@@ -97,7 +101,7 @@ def frequency_response(
     demand = dof_history(record, "leg_reference", chosen)
     feedback = dof_history(record, "leg_position", chosen)
     command = record.metadata["command"]
-    if np.ptp(demand) == 0.0:
+    if np.ptp(demand) < NO_DEMAND:
         raise ValueError(f"dof: the record holds no demand in {chosen}; it moved {command['dof']}")
     if command.get("kind") == "multisine":
         return _periodic(record, demand, feedback)
@@ -110,6 +114,9 @@ def frequency_response(
         raise ValueError(
             f"segment: {segment} s must not exceed the record's {x.size / record.rate:.3f} s"
         )
+    # A segment of rest at both ends: every instant then has the same weight over the segments, and
+    # a response that lags its swept demand is not weighted differently from it.
+    x, y = np.pad(x, samples), np.pad(y, samples)
     options: dict[str, Any] = {
         "fs": record.rate,
         "window": "hann",

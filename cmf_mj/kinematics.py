@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
 from cmf_mj import models, units
+from cmf_mj.compiled import compiled
 
 DOFS = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 """Names of the six degrees of freedom, in the order of a pose."""
@@ -34,6 +34,8 @@ FLIP = np.array([1.0, -1.0, -1.0])
 
 _NEWTON_ITERATIONS = 50
 _NEWTON_TOLERANCE = 1e-13
+_CLOSE = 0.02
+"""Leg change from row to row [m] up to which the solution before is a safe start."""
 
 
 class Geometry(NamedTuple):
@@ -72,7 +74,7 @@ def read_geometry(path: Path | None = None) -> Geometry:
     return make_geometry(positions("site", "upper") * FLIP, positions("body", "cylinder") * FLIP)
 
 
-@njit(cache=True)
+@compiled
 def rotation(roll, pitch, yaw):  # type: ignore[no-untyped-def]
     """T of Eq 2.2, (3, 3): platform axes to inertial axes, Euler order yaw, pitch, roll."""
     cf, sf = np.cos(roll), np.sin(roll)
@@ -87,7 +89,7 @@ def rotation(roll, pitch, yaw):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True)
+@compiled
 def euler_rate_matrix(pitch, yaw):  # type: ignore[no-untyped-def]
     """E, (3, 3): inertial angular velocity = E (roll rate, pitch rate, yaw rate)."""
     ct, st = np.cos(pitch), np.sin(pitch)
@@ -95,7 +97,7 @@ def euler_rate_matrix(pitch, yaw):  # type: ignore[no-untyped-def]
     return np.array([[ct * cp, -sp, 0.0], [ct * sp, cp, 0.0], [-st, 0.0, 1.0]])
 
 
-@njit(cache=True)
+@compiled
 def _legs(geometry, pose, legs):  # type: ignore[no-untyped-def]
     turn = rotation(pose[3], pose[4], pose[5])
     for j in range(6):
@@ -108,7 +110,7 @@ def _legs(geometry, pose, legs):  # type: ignore[no-untyped-def]
         legs[j] = np.sqrt(square) - geometry.neutral[j]
 
 
-@njit(cache=True)
+@compiled
 def _twist_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
     arm = geometry.upper @ rotation(pose[3], pose[4], pose[5]).T
     for j in range(6):
@@ -120,60 +122,81 @@ def _twist_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
         jacobian[j, 5] = arm[j, 0] * line[1] - arm[j, 1] * line[0]
 
 
-@njit(cache=True)
+@compiled
 def _pose_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
     _twist_jacobian(geometry, pose, jacobian)
     jacobian[:, 3:] = np.ascontiguousarray(jacobian[:, 3:]) @ euler_rate_matrix(pose[4], pose[5])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _legs_history(geometry, poses, legs):  # type: ignore[no-untyped-def]
     for row in range(poses.shape[0]):
         _legs(geometry, poses[row], legs[row])
 
 
-@njit(cache=True, nogil=True)
-def _pose_history(geometry, legs, poses):  # type: ignore[no-untyped-def]
-    """Newton iteration a row, started from the row before; returns the first row that fails."""
-    guess = np.zeros(6)
+@compiled
+def _newton(geometry, legs, pose):  # type: ignore[no-untyped-def]
+    """Newton iteration from `pose`, in place; whether it ended on the assembly of the pose zero.
+
+    The assemblies are separated by singular poses, so theirs is told by the determinant's sign.
+    """
     found = np.empty(6)
     jacobian = np.empty((6, 6))
+    _pose_jacobian(geometry, np.zeros(6), jacobian)
+    sense = np.linalg.det(jacobian)
+    error = legs.copy()
+    for _ in range(_NEWTON_ITERATIONS):
+        _legs(geometry, pose, found)
+        error[:] = legs - found
+        if np.max(np.abs(error)) < _NEWTON_TOLERANCE:
+            break
+        _pose_jacobian(geometry, pose, jacobian)
+        if abs(np.linalg.det(jacobian)) < 1e-9 * abs(sense):
+            return False
+        pose += np.linalg.solve(jacobian, error)
+    # Round-off can hold the error a little above the tolerance, never above the accuracy promised.
+    _pose_jacobian(geometry, pose, jacobian)
+    turned = np.max(np.abs(pose[3:])) < 0.5 * np.pi
+    return turned and np.max(np.abs(error)) < 1e-11 and np.linalg.det(jacobian) * sense > 0.0
+
+
+@compiled
+def _pose_history(geometry, legs, poses):  # type: ignore[no-untyped-def]
+    """Solve row by row; returns the first row that fails, or -1.
+
+    A row close to the one before starts from its solution, any other from the pose zero.
+    """
     for row in range(legs.shape[0]):
-        solved = False
-        for start in range(2):
-            if start == 1:
-                guess[:] = 0.0
-            for _ in range(_NEWTON_ITERATIONS):
-                _legs(geometry, guess, found)
-                error = legs[row] - found
-                if np.max(np.abs(error)) < _NEWTON_TOLERANCE:
-                    solved = True
-                    break
-                _pose_jacobian(geometry, guess, jacobian)
-                if abs(np.linalg.det(jacobian)) < 1e-9:
-                    break
-                guess += np.linalg.solve(jacobian, error)
-            # Round-off can hold the error a little above the tolerance: accept what the
-            # promised accuracy of 1e-9 m allows, refuse anything else.
-            if not solved:
-                _legs(geometry, guess, found)
-                solved = bool(np.max(np.abs(legs[row] - found)) < 1e-11)
-            if solved:
-                break
-        if not solved:
+        if row > 0 and np.max(np.abs(legs[row] - legs[row - 1])) < _CLOSE:
+            poses[row] = poses[row - 1]
+            if _newton(geometry, legs[row], poses[row]):
+                continue
+        poses[row] = 0.0
+        if not _newton(geometry, legs[row], poses[row]):
             return row
-        poses[row] = guess
     return -1
 
 
 def _rows(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    array = np.asarray(values, dtype=float)
+    array = np.array(values, dtype=float, order="C")
     if array.ndim == 0 or array.shape[-1] != 6:
         raise ValueError(f"{name}: shape is {array.shape}; the last axis must have length 6")
     if not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise ValueError(f"{name}{list(where)}: {array[where]} is not a finite number")
     return array
+
+
+def one_pose(values: ArrayLike) -> NDArray[np.float64]:
+    """A single pose (6,), checked.
+
+    Raises:
+        ValueError: another shape, or a number that is not finite.
+    """
+    pose = _rows("pose", values)
+    if pose.ndim != 1:
+        raise ValueError(f"pose: shape is {pose.shape}; one pose of shape (6,) is needed")
+    return pose
 
 
 def pose_to_legs(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
@@ -187,7 +210,7 @@ def pose_to_legs(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[n
         (..., 6) extensions [m]; zero at the pose zero.
     """
     poses = _rows("pose", pose)
-    legs = np.empty_like(poses)
+    legs = np.empty(poses.shape)
     _legs_history(geometry or read_geometry(), poses.reshape(-1, 6), legs.reshape(-1, 6))
     return legs
 
@@ -195,8 +218,8 @@ def pose_to_legs(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[n
 def legs_to_pose(legs: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
     """Platform poses of leg extensions: Newton iteration on Eq C.6 with the exact Jacobian.
 
-    Along the leading axes each row starts from the solution before it, so a time history stays
-    on one assembly of the machine (the one that holds the pose zero).
+    Of the several assemblies a Stewart platform has, the solution is the one that holds the pose
+    zero; its angles lie within +-90 deg.
 
     Args:
         legs: (..., 6) extensions from neutral [m].
@@ -209,12 +232,13 @@ def legs_to_pose(legs: ArrayLike, geometry: Geometry | None = None) -> NDArray[n
         ValueError: no pose has these legs; the message names the row and its legs.
     """
     rows = _rows("legs", legs)
-    poses = np.empty_like(rows)
-    flat = np.ascontiguousarray(rows.reshape(-1, 6))
+    poses = np.empty(rows.shape)
+    flat = rows.reshape(-1, 6)
     failed = _pose_history(geometry or read_geometry(), flat, poses.reshape(-1, 6))
     if failed >= 0:
+        where = [int(i) for i in np.unravel_index(failed, rows.shape[:-1])]
         raise ValueError(
-            f"legs[{failed}]: no platform pose has the leg extensions "
+            f"legs{where or ''}: no platform pose has the leg extensions "
             f"{np.array2string(flat[failed], precision=4)} m"
         )
     return poses
@@ -227,14 +251,14 @@ def leg_jacobian(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[n
     in m. J^-T M J^-1 turns a mass matrix of the platform into the reflected mass of the legs.
     """
     jacobian = np.empty((6, 6))
-    _twist_jacobian(geometry or read_geometry(), _rows("pose", pose), jacobian)
+    _twist_jacobian(geometry or read_geometry(), one_pose(pose), jacobian)
     return jacobian
 
 
 def pose_jacobian(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
     """d(legs)/d(pose), (6, 6): as `leg_jacobian`, but for the rates of the Euler angles."""
     jacobian = np.empty((6, 6))
-    _pose_jacobian(geometry or read_geometry(), _rows("pose", pose), jacobian)
+    _pose_jacobian(geometry or read_geometry(), one_pose(pose), jacobian)
     return jacobian
 
 

@@ -6,12 +6,11 @@ flown). Symbols: Ac, Ar cap and rod area, h half stroke, beta effective bulk mod
 pressure.
 """
 
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from cmf_mj import units
 from cmf_mj.settings import Settings, read_toml, validated
@@ -24,8 +23,6 @@ _FILE = Path(__file__).with_name("hydraulics.toml")
 
 class Quantity(Settings):
     """One number as a source gives it."""
-
-    model_config = ConfigDict(strict=False)
 
     value: float
     """Value in `unit`."""
@@ -76,8 +73,8 @@ class HydraulicParameters(Settings):
     leg_speed: Quantity
     """Steady leg speed per command with half the supply pressure across each port."""
     leak_rate: Quantity
-    """Rate lambda at which piston leakage relaxes the cylinder force of a held leg at neutral;
-    the leg mode of frequency w has the damping ratio lambda / (2 w)."""
+    """Rate lambda at which piston leakage relaxes a force built up by displacing the leg at
+    neutral; the leg mode of frequency w has the damping ratio lambda / (2 w)."""
 
     @field_validator("*")
     @classmethod
@@ -96,36 +93,41 @@ class HydraulicParameters(Settings):
 
     @model_validator(mode="after")
     def _consistent(self) -> "HydraulicParameters":
-        if self.rod_diameter.si >= self.bore_diameter.si:
-            raise ValueError(f"rod_diameter must be less than {self.bore_diameter.value:g} in")
-        if self.minimum_gap.si >= self.half_stroke.si:
-            raise ValueError("minimum_gap must be less than half_stroke")
-        if self.return_pressure.si >= self.supply_pressure.si:
-            raise ValueError("return_pressure must be less than supply_pressure")
+        for small, large in (
+            ("rod_diameter", "bore_diameter"),
+            ("minimum_gap", "half_stroke"),
+            ("return_pressure", "supply_pressure"),
+        ):
+            less, more = getattr(self, small), getattr(self, large)
+            if less.si >= more.si:
+                raise ValueError(
+                    f"{small}: {less.value:g} {less.unit} must be less than {large}, "
+                    f"{more.value:g} {more.unit}"
+                )
         return self
 
-    @cached_property
+    @property
     def cap_area(self) -> float:
         """Ac, area of the piston on the cap side [m^2]."""
         return np.pi / 4.0 * self.bore_diameter.si**2
 
-    @cached_property
+    @property
     def rod_area(self) -> float:
         """Ar, annulus on the rod side [m^2]."""
         return np.pi / 4.0 * (self.bore_diameter.si**2 - self.rod_diameter.si**2)
 
-    @cached_property
+    @property
     def speed_gain(self) -> float:
         """Gain k of leg speed = k u sqrt(dp) [m/s/sqrt(Pa)]: leg_speed at dp = (Ps - Pt) / 2."""
         half_drop = 0.5 * (self.supply_pressure.si - self.return_pressure.si)
         return self.leg_speed.si / float(np.sqrt(half_drop))
 
-    @cached_property
+    @property
     def leakage(self) -> float:
         """Laminar piston leakage L [m^3/s/Pa], flow = L (p_cap - p_rod).
 
-        With the leg held at neutral the cylinder force F obeys dF/dt = -lambda F + ..., where
-        lambda = 4 beta L / (h (Ac + Ar)) is `leak_rate`.
+        A force built up by displacing the leg at neutral begins to relax at the rate
+        4 beta L / (h (Ac + Ar)), which is `leak_rate` and damps the leg mode.
         """
         area = self.cap_area + self.rod_area
         return self.leak_rate.si * self.half_stroke.si * area / (4.0 * self.bulk_modulus.si)
@@ -183,5 +185,7 @@ def load_hydraulics(source: str | Path | HydraulicParameters = "hardware") -> Hy
     if len(own) != 1 or not isinstance(next(iter(own.values())), dict):
         raise ValueError(f"{path}: has the tables {sorted(own)}; exactly one is allowed")
     name, changes = next(iter(own.items()))
+    if "name" in changes:
+        raise ValueError(f"{path}: {name}: name: is taken from the table; leave it out")
     table = shipped["common"] | shipped[base] | changes | {"name": name}
     return validated(HydraulicParameters, table, f"{path}: {name}")

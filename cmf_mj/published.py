@@ -4,8 +4,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
-from pydantic import ConfigDict
-
 from cmf_mj.settings import Settings, read_toml, validated
 
 _FILE = Path(__file__).with_name("published.toml")
@@ -16,8 +14,6 @@ _READ_AS = {"acceleration_opposing": "acceleration", "original_as_printed": "ori
 
 class Published(Settings):
     """One published result."""
-
-    model_config = ConfigDict(strict=False)
 
     table: str
     """Table or section of the report."""

@@ -35,8 +35,10 @@ class Record:
     """Plant, law, command, seed, versions and model digest; plain JSON values."""
 
     def __post_init__(self) -> None:
-        """Freeze the arrays and check that they belong together."""
-        for name, values in {"time": self.time, **self.channels}.items():
+        """Take copies, freeze them and check that they belong together."""
+        own = {name: np.array(values) for name, values in self.channels.items()}
+        object.__setattr__(self, "time", np.array(self.time))
+        for name, values in {"time": self.time, **own}.items():
             if values.shape[0] != self.time.shape[0]:
                 raise ValueError(
                     f"{name}: has {values.shape[0]} samples; time has {self.time.shape[0]}"
@@ -45,7 +47,7 @@ class Record:
         if set(self.units) != set(self.channels):
             odd = sorted(set(self.units) ^ set(self.channels))
             raise ValueError(f"units: every channel needs one unit; check {', '.join(odd)}")
-        object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
+        object.__setattr__(self, "channels", MappingProxyType(own))
         object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
 
@@ -69,10 +71,15 @@ class Record:
         target = Path(path)
         columns = {"time": self.time}
         for name, values in self.channels.items():
-            if values.ndim == 1:
-                columns[name] = values
-            else:
-                columns |= {f"{name}_{i + 1}": values[:, i] for i in range(values.shape[1])}
+            parts = (
+                {name: values}
+                if values.ndim == 1
+                else {f"{name}_{i + 1}": values[:, i] for i in range(values.shape[1])}
+            )
+            taken = sorted(set(parts) & set(columns))
+            if taken:
+                raise ValueError(f"{name}: its column {taken[0]} belongs to another channel")
+            columns |= parts
         header = {
             "units": dict(self.units),
             "widths": {n: v.shape[1] if v.ndim > 1 else 0 for n, v in self.channels.items()},

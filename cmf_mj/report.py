@@ -24,8 +24,8 @@ _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#
 
 LEGEND = (
     "-90, -3 dB: bandwidths in Hz from DCL leg demand to leg feedback, -3 dB from absolute 0 dB; "
-    "peak in dB; zeta: damping ratio from the step's overshoot; unstable: a leg still swings "
-    "when the step run ends. Published: h measured on the hardware, m from the report's "
+    "peak in dB; zeta: damping ratio from the step's overshoot; unstable: the legs ring on "
+    "undiminished 12 s after the step. Published: h measured on the hardware, m from the report's "
     "non-linear model of six single legs."
 )
 """What the columns of the table mean."""

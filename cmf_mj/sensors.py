@@ -9,16 +9,16 @@ The acceleration is the one of the step just completed: one mechanical step old.
 extensions alone, so that joints and tendons are sensed alike.
 """
 
-from numba import njit
+from cmf_mj.compiled import compiled
 
 
-@njit(cache=True)
+@compiled
 def velocity(mean, mean_before):  # type: ignore[no-untyped-def]
     """v[k] [m/s] from the mean velocities of the last two steps."""
     return 1.5 * mean - 0.5 * mean_before
 
 
-@njit(cache=True)
+@compiled
 def acceleration(mean, mean_before, step):  # type: ignore[no-untyped-def]
     """a[k-1] [m/s^2] from the mean velocities of the last two steps."""
     return (mean - mean_before) / step

@@ -49,8 +49,11 @@ def validated(model: type[Model], table: object, where: str) -> Model:
 
 def _explain(model: type[BaseModel], error: Any, where: str) -> str:
     location = [str(part) for part in error["loc"]]
-    field = ".".join(location) or "table"
-    allowed = error["msg"][0].lower() + error["msg"][1:]
+    field = ".".join(location)
+    message = error["msg"].removeprefix("Value error, ")
+    allowed = message[0].lower() + message[1:]
+    if not field:
+        return f"{where}: {message}"
     if error["type"] == "extra_forbidden":
         names = _field_names(model, location[:-1])
         return f"{where}: {field}: is not a known field; allowed: {', '.join(names)}"

@@ -1,6 +1,7 @@
 """Excitations: commands of platform pose at 2048 Hz that know how they were made.
 
-Every command starts and ends at rest. Amplitudes are in m or rad along one degree of freedom of
+Steps, sines and chirps start at rest and end at rest; a multisine repeats without a gap, and its
+first period is the transient. Amplitudes are in m or rad along one degree of freedom of
 the report's axes (z down: a positive heave step lowers the platform).
 """
 
@@ -33,13 +34,14 @@ class Command:
         """Check the shape and freeze."""
         if self.pose.ndim != 2 or self.pose.shape[1] != 6 or self.pose.shape[0] < 1:
             raise ValueError(f"command: shape is {self.pose.shape}; allowed: (N, 6) with N >= 1")
+        object.__setattr__(self, "pose", np.array(self.pose, dtype=float))
         self.pose.setflags(write=False)
         object.__setattr__(self, "description", MappingProxyType(dict(self.description)))
 
     @staticmethod
     def from_pose(pose: ArrayLike) -> "Command":
         """A command from an array (N, 6) of poses at 2048 Hz."""
-        return Command(np.array(pose, dtype=float), {"kind": "array"})
+        return Command(np.asarray(pose, dtype=float), {"kind": "array"})
 
     @property
     def duration(self) -> float:
@@ -64,6 +66,14 @@ def _positive(**values: float) -> None:
             raise ValueError(f"{name}: {value} must be a finite number greater than 0")
 
 
+def _bounded(amplitude: float, **frequencies: float) -> None:
+    if not np.isfinite(amplitude):
+        raise ValueError(f"amplitude: {amplitude} must be a finite number")
+    for name, value in frequencies.items():
+        if value > RATE / 2:
+            raise ValueError(f"{name}: {value} Hz must be at most {RATE / 2} Hz")
+
+
 def _command(
     dof: str, history: NDArray[np.float64], description: dict[str, object], seed: int | None = None
 ) -> Command:
@@ -76,8 +86,9 @@ def _time(duration: float) -> NDArray[np.float64]:
     return np.arange(round(duration * RATE)) / RATE
 
 
-def step(dof: str, amplitude: float, *, at: float = 1.0, duration: float = 8.0) -> Command:
+def step(dof: str, amplitude: float, *, at: float = 1.0, duration: float = 13.0) -> Command:
     """A step of `amplitude` at the time `at` [s]; the run lasts `duration` [s]."""
+    _bounded(amplitude)
     _positive(duration=duration, at=at)
     if at >= duration:
         raise ValueError(f"at: {at} s must be less than the duration of {duration} s")
@@ -92,6 +103,7 @@ def sine(
 ) -> Command:
     """A sine of whole or part `cycles`, faded in and out by raised cosines of `fade` [s]."""
     _positive(frequency=frequency, cycles=cycles, fade=fade)
+    _bounded(amplitude, frequency=frequency)
     duration = cycles / frequency
     fade = min(fade, 0.5 * duration)
     time = _time(duration)
@@ -119,13 +131,16 @@ def chirp(
         dof: degree of freedom.
         amplitude: of the sine [m or rad]; the report takes 0.33 in and 0.2 deg.
         start: first frequency [Hz].
-        stop: last frequency [Hz]; at most half the frame rate.
+        stop: last frequency [Hz], at most half the frame rate; moved by at most 0.5 / duration so
+            that the sweep ends on a zero crossing, as the report's does.
         duration: length of the sweep [s].
         settle: rest before and after, so that the record starts and ends still [s].
     """
     _positive(start=start, stop=stop, duration=duration, settle=settle)
-    if not start < stop <= RATE / 2:
-        raise ValueError(f"stop: {stop} Hz must be above start, {start} Hz, and at most {RATE / 2}")
+    _bounded(amplitude, stop=stop)
+    if stop <= start:
+        raise ValueError(f"stop: {stop} Hz must be above start, {start} Hz")
+    stop = max(round((start + stop) * duration), 1) / duration - start
     time = _time(duration)
     sweep = amplitude * signal.chirp(time, start, duration, stop, method="linear", phi=-90.0)
     rest = np.zeros(round(settle * RATE))
@@ -169,6 +184,7 @@ def multisine(
         seed: of the phases.
     """
     _positive(start=start, stop=stop, period=period)
+    _bounded(amplitude, stop=stop)
     if periods < 2:
         raise ValueError(f"periods: {periods} must be at least 2: one transient, one measured")
     samples = round(period * RATE)
@@ -183,7 +199,7 @@ def multisine(
     spectrum[orders] = np.exp(1j * phases)
     once = np.fft.irfft(spectrum, samples)
     once *= amplitude / np.abs(once).max()
-    once -= once[0]
+    once = np.roll(once, -int(np.abs(once).argmin()))
     return _command(
         dof,
         np.tile(once, periods),

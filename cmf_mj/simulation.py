@@ -16,10 +16,10 @@ from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj import sensors
+from cmf_mj.compiled import compiled
 from cmf_mj.control import dcl as control
 from cmf_mj.control.demand import leg_demand
 from cmf_mj.control.law import FRAME, SIGNALS, Law, load_law
@@ -56,7 +56,7 @@ class _Layout(NamedTuple):
     """First indices of the gimbal error vectors."""
 
 
-@njit(nogil=True, cache=True)
+@compiled
 def _loop(  # type: ignore[no-untyped-def]
     mechanics,
     hydraulics,
@@ -234,20 +234,18 @@ def _to_record(
     delay: int,
 ) -> Record:
     legs, nq = plant.legs, plant.model.nq
-    channels: dict[str, NDArray[np.float64]] = {
-        "demand_pose": np.ascontiguousarray(command.pose[::every])
-    }
+    channels: dict[str, NDArray[np.float64]] = {"demand_pose": command.pose[::every]}
     channel_units = {"demand_pose": "m, rad"}
     for index, (name, unit) in enumerate(_LEG_CHANNELS.items()):
-        channels[name] = out[:, index * legs : (index + 1) * legs].copy()
+        channels[name] = out[:, index * legs : (index + 1) * legs]
         channel_units[name] = unit
     base = len(_LEG_CHANNELS) * legs
-    channels["gimbal_error"] = out[:, base].copy()
-    channels["generalised_position"] = out[:, base + 1 : base + 1 + nq].copy()
+    channels["gimbal_error"] = out[:, base]
+    channels["generalised_position"] = out[:, base + 1 : base + 1 + nq]
     channel_units |= {"gimbal_error": "m", "generalised_position": "m, rad, 1"}
     base += 1 + nq
     for name, indices in groups.items():
-        channels[name] = out[:, base : base + indices.size].copy()
+        channels[name] = out[:, base : base + indices.size]
         channel_units[name] = "rad/s" if name.endswith("gyro") else "m/s^2"
         base += indices.size
     for name, (values, unit) in plant.derived_channels(channels).items():

@@ -7,8 +7,9 @@ With y0 the rest before the step, y1 the mean of the last second and r the deman
     steady-state error  (r - (y1 - y0)) / r
     rise time           10 % to 90 % of y1 - y0,   settling time into 2 % of it
 
-A run is *stable* when no leg is still oscillating at its end: over the last second the legs swing
-less than 2 % of the largest leg step, or less than 0.8 times their swing a second earlier.
+A run is *stable* when its ringing ends or is ending: over the last second no leg swings more than
+2 % of the largest leg step, or the swing is less than 0.75 of that three seconds earlier. A mode at
+3 Hz then has a damping ratio of at least 0.005; a limit cycle has a ratio of 1.
 """
 
 from typing import NamedTuple
@@ -16,17 +17,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.frequency_response import dof_history
+from cmf_mj.frequency_response import NO_DEMAND, dof_history
 from cmf_mj.record import Record
 
 TAIL = 1.0
 """Length of the window that gives the final value and the verdict [s]."""
 
+NO_OVERSHOOT = 1e-3
+"""Overshoot below which a step response counts as having none (damping ratio 0.91)."""
+
 RESIDUAL = 0.02
 """Swing over the last window, relative to the leg step, that counts as settled."""
 
-DECAY = 0.8
-"""Swing of the last window over that of the one before that counts as decaying."""
+DECAY = 0.75
+"""Swing of the last window over that of `DECAY_TIME` earlier that counts as ending."""
+
+DECAY_TIME = 3.0
+"""Distance of the two windows of the verdict [s]."""
 
 
 class StepMetrics(NamedTuple):
@@ -35,7 +42,7 @@ class StepMetrics(NamedTuple):
     overshoot: float
     """Largest excess over the final value."""
     damping_ratio: float
-    """From the overshoot; NaN without overshoot."""
+    """From the overshoot; NaN below an overshoot of 0.001."""
     steady_state_error: float
     """Demanded minus reached."""
     rise_time: float
@@ -49,7 +56,7 @@ class StepMetrics(NamedTuple):
 
 
 def damping_from_overshoot(overshoot: float) -> float:
-    """Damping ratio of the second-order system with this overshoot; NaN without one."""
+    """Damping ratio of the second-order system with this overshoot; 0 from 1, NaN without one."""
     if not 0.0 < overshoot < 1.0:
         return 0.0 if overshoot >= 1.0 else float("nan")
     logarithm = np.log(overshoot)
@@ -63,7 +70,7 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
     measures of shape are NaN.
 
     Args:
-        record: of a `signals.step`, at least two seconds longer than the step's time.
+        record: of a `signals.step` that goes on for at least five seconds after the step.
         dof: degree of freedom; default the one the command moved.
 
     Raises:
@@ -72,8 +79,8 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
     command = record.metadata["command"]
     if command.get("kind") != "step":
         raise ValueError(f"record: its command is a {command.get('kind')}; a step is needed")
-    if command["duration"] - command["at"] < 2.0 * TAIL:
-        raise ValueError(f"record: must go on for {2.0 * TAIL} s after the step")
+    if command["duration"] - command["at"] < DECAY_TIME + 2.0 * TAIL:
+        raise ValueError(f"record: must go on for {DECAY_TIME + 2.0 * TAIL} s after the step")
     residual, stable = _verdict(record)
     chosen = dof if dof is not None else str(command["dof"])
     demand = dof_history(record, "leg_reference", chosen)
@@ -88,7 +95,7 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
     final = float(feedback[-tail:].mean())
     size = final - rest
     demanded = float(demand[-1] - demand[at - 1])
-    if demanded == 0.0:
+    if abs(demanded) < NO_DEMAND:
         raise ValueError(f"dof: the record holds no step in {chosen}; it moved {command['dof']}")
     shape = (feedback[at:] - rest) / size
     overshoot = float(shape.max() - 1.0)
@@ -98,7 +105,7 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
     settled = int(outside[-1]) + 1 if outside.size else 0
     return StepMetrics(
         overshoot=overshoot,
-        damping_ratio=damping_from_overshoot(overshoot),
+        damping_ratio=damping_from_overshoot(overshoot if overshoot >= NO_OVERSHOOT else 0.0),
         steady_state_error=1.0 - size / demanded,
         rise_time=(ninety - ten) / record.rate,
         settling_time=settled / record.rate,
@@ -111,8 +118,8 @@ def _verdict(record: Record) -> tuple[float, bool]:
     legs: NDArray[np.float64] = record["leg_position"]
     reference = record["leg_reference"]
     size = float(np.abs(reference[-1] - reference[0]).max())
-    tail = round(TAIL * record.rate)
+    tail, back = round(TAIL * record.rate), round(DECAY_TIME * record.rate)
     last = float(np.ptp(legs[-tail:], axis=0).max())
-    earlier = float(np.ptp(legs[-2 * tail : -tail], axis=0).max())
+    earlier = float(np.ptp(legs[-tail - back : -back], axis=0).max())
     residual = last / size
     return residual, bool(residual < RESIDUAL or last < DECAY * earlier)

@@ -3,10 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cmf_mj import units
+from cmf_mj.compiled import compiled
 from cmf_mj.control.law import SIGNAL_UNITS, SIGNALS, Gains, Law
 
 
@@ -38,7 +38,7 @@ def make_compensator(law: Law, legs: int) -> Compensator:
     )
 
 
-@njit(cache=True)
+@compiled
 def compensate(compensator, leg, state, signals):  # type: ignore[no-untyped-def]
     """Output of one leg and its next state.
 

@@ -7,9 +7,9 @@ demand -> limits -> error -> compensator -> valve command
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmf_mj.compiled import compiled
 from cmf_mj.control.compensator import Compensator, compensate, make_compensator
 from cmf_mj.control.error import (
     ErrorCalculations,
@@ -113,7 +113,7 @@ def engaged(
     return state
 
 
-@njit(cache=True)
+@compiled
 def _fill(dcl, state, leg, reference, feedback, signals):  # type: ignore[no-untyped-def]
     """Write the compensator's inputs of one leg; return the next filter states."""
     position = feedback.position[leg]
@@ -137,7 +137,7 @@ def _fill(dcl, state, leg, reference, feedback, signals):  # type: ignore[no-unt
     return error_filter, reference_filter
 
 
-@njit(cache=True)
+@compiled
 def step(dcl, state, demand, feedback, signals, output, command):  # type: ignore[no-untyped-def]
     """One frame of the DCL.
 

@@ -12,9 +12,8 @@ subtracts the measured velocity unfiltered.
 
 from typing import NamedTuple
 
-from numba import njit
-
 from cmf_mj import kinematics, units
+from cmf_mj.compiled import compiled
 from cmf_mj.control.law import FRAME, Law
 
 
@@ -44,14 +43,14 @@ def make_error_calculations(law: Law) -> ErrorCalculations:
     )
 
 
-@njit(cache=True)
+@compiled
 def filtered_rate(error, signal, state):  # type: ignore[no-untyped-def]
     """Rate of `signal` [1/s] and the filter's next state."""
     rate = error.derivative_pole * (signal - state)
     return rate, state + error.frame * rate
 
 
-@njit(cache=True)
+@compiled
 def integrate(error, integral, reference, position):  # type: ignore[no-untyped-def]
     """Next value of the error integral of one leg [m s]."""
     seen = position if position > error.integrator_trigger else error.bottom

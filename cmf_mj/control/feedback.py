@@ -8,9 +8,8 @@ Eq 3.5 prints a time constant of 0.2 s; Eq 3.6 is the zero-order hold of 0.02 s 
 
 from typing import NamedTuple
 
-from numba import njit
-
 from cmf_mj import units
+from cmf_mj.compiled import compiled
 from cmf_mj.control.law import Law
 
 FORCE_AREA = 11.97 * units.INCH**2
@@ -33,13 +32,13 @@ def make_feedback(law: Law) -> Feedback:
     return Feedback(law.accelerometer_pole, law.accelerometer_gain, FORCE_AREA)
 
 
-@njit(cache=True)
+@compiled
 def filter_acceleration(feedback, filtered, measured):  # type: ignore[no-untyped-def]
     """Next state of the accelerometer filter [m/s^2]; its output is the state itself."""
     return feedback.accelerometer_pole * filtered + feedback.accelerometer_gain * measured
 
 
-@njit(cache=True)
+@compiled
 def pressure_force(feedback, cap_pressure, rod_pressure):  # type: ignore[no-untyped-def]
     """Force feedback of Eq 3.7 [N]."""
     return (cap_pressure - rod_pressure) * feedback.force_area

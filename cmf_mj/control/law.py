@@ -10,7 +10,7 @@ with one scalar state a leg and u the ten `SIGNALS`. Nothing in the code knows a
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from cmf_mj import units
 from cmf_mj.settings import Settings, read_toml, validated
@@ -52,8 +52,6 @@ _FILE = Path(__file__).with_name("laws.toml")
 class Gains(Settings):
     """Gains of the ten signals, in per cent per published unit; absent ones are 0."""
 
-    model_config = ConfigDict(strict=False)
-
     reference: float = 0.0
     cap_pressure: float = 0.0
     rod_pressure: float = 0.0
@@ -71,8 +69,6 @@ class Law(Settings):
 
     Gains are as published, per cent of valve command per inch, pascal, in/s, in s, in/s^2, lbf.
     """
-
-    model_config = ConfigDict(strict=False)
 
     name: str
     """Name of the table."""

@@ -2,9 +2,8 @@
 
 from typing import NamedTuple
 
-from numba import njit
-
 from cmf_mj import kinematics
+from cmf_mj.compiled import compiled
 
 
 class Limits(NamedTuple):
@@ -19,7 +18,7 @@ def make_limits() -> Limits:
     return Limits(kinematics.WORKING_STROKE)
 
 
-@njit(cache=True)
+@compiled
 def limit(limits, demand):  # type: ignore[no-untyped-def]
     """The demand of one leg [m], clamped."""
     return min(max(demand, -limits.travel), limits.travel)

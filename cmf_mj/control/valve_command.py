@@ -1,9 +1,9 @@
 """Valve calculations: the compensator's output, clamped to +-100 % (section 2.3.3)."""
 
-from numba import njit
+from cmf_mj.compiled import compiled
 
 
-@njit(cache=True)
+@compiled
 def clamp(output):  # type: ignore[no-untyped-def]
     """Valve command of one leg as a fraction, -1 to 1."""
     return min(max(output, -1.0), 1.0)

@@ -12,9 +12,9 @@ so the oil is a spring of stiffness K(x) = beta (A_cap / (h + x) + A_rod / (h - 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from cmf_mj.compiled import compiled
 from cmf_mj.parameters import HydraulicParameters
 
 
@@ -47,13 +47,13 @@ def make_cylinder(parameters: HydraulicParameters) -> Cylinder:
     )
 
 
-@njit(cache=True)
+@compiled
 def force(cylinder, cap_pressure, rod_pressure):  # type: ignore[no-untyped-def]
     """Axial force on the rod, positive extending [N]."""
     return cylinder.cap_area * cap_pressure - cylinder.rod_area * rod_pressure
 
 
-@njit(cache=True)
+@compiled
 def volumes(cylinder, extension):  # type: ignore[no-untyped-def]
     """Chamber volumes (V_cap, V_rod) [m^3] at an extension from neutral [m]."""
     cap = max(cylinder.half_stroke + extension, cylinder.minimum_gap)

@@ -101,7 +101,7 @@ class Hexapod(Plant):
         Raises:
             ValueError: a leg would leave its mechanical stroke.
         """
-        target = np.asarray(pose, dtype=float)
+        target = kinematics.one_pose(pose)
         legs = kinematics.pose_to_legs(target, self.geometry)
         stroke = self.parameters.half_stroke.si
         if np.abs(legs).max() >= stroke:

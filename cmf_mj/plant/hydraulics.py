@@ -19,9 +19,9 @@ State, (n, 4): drive output, opening (fractions), cap pressure, rod pressure [Pa
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmf_mj.compiled import compiled
 from cmf_mj.parameters import HydraulicParameters
 from cmf_mj.plant.cylinder import Cylinder, force, holding_pressures, make_cylinder, volumes
 from cmf_mj.plant.supply import Supply, make_supply
@@ -59,7 +59,7 @@ def rest(hydraulics: Hydraulics, load: NDArray[np.float64]) -> NDArray[np.float6
     return state
 
 
-@njit(cache=True)
+@compiled
 def _stage(hydraulics, opening, cap_volume, rod_volume, cap_known, rod_known, weight, cap, rod):  # type: ignore[no-untyped-def]
     """Solve p - known = weight (beta / V) Q(p) for both chambers, from the guess (cap, rod).
 
@@ -91,7 +91,7 @@ def _stage(hydraulics, opening, cap_volume, rod_volume, cap_known, rod_known, we
     return cap, rod, (cap - cap_known) / weight, (rod - rod_known) / weight
 
 
-@njit(cache=True)
+@compiled
 def advance(hydraulics, state, command, before, after, step):  # type: ignore[no-untyped-def]
     """Advance all actuators by one mechanical step, in place.
 
@@ -141,7 +141,7 @@ def advance(hydraulics, state, command, before, after, step):  # type: ignore[no
         state[leg, 2], state[leg, 3] = cap, rod
 
 
-@njit(cache=True)
+@compiled
 def forces(hydraulics, state, out):  # type: ignore[no-untyped-def]
     """Axial forces of all actuators [N], (n,), written to `out`."""
     for leg in range(state.shape[0]):

@@ -137,7 +137,7 @@ class Plant:
         """SHA-256 of the compiled MuJoCo model, taken once: the model is not to be edited."""
         buffer = np.empty(mujoco.mj_sizeModel(self.model), dtype=np.uint8)
         mujoco.mj_saveModel(self.model, None, buffer)
-        return hashlib.sha256(buffer).hexdigest()
+        return hashlib.sha256(buffer.tobytes()).hexdigest()
 
     def describe(self) -> Mapping[str, object]:
         """What a record keeps of the plant."""

@@ -20,8 +20,8 @@ which is sqrt(|dp|) sign(dp) well above the transition pressure ptr and linear b
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from cmf_mj.compiled import compiled
 from cmf_mj.parameters import HydraulicParameters
 
 
@@ -51,7 +51,7 @@ def make_valve(parameters: HydraulicParameters) -> Valve:
     )
 
 
-@njit(cache=True)
+@compiled
 def lag_weights(valve, time):  # type: ignore[no-untyped-def]
     """Weights (drive, mixed, spool) of the exact lag solution after `time` [s]."""
     a, b = valve.drive_rate, valve.spool_rate
@@ -61,7 +61,7 @@ def lag_weights(valve, time):  # type: ignore[no-untyped-def]
     return drive, mixed, spool
 
 
-@njit(cache=True)
+@compiled
 def lags(weights, command, drive, opening):  # type: ignore[no-untyped-def]
     """Advance drive output and opening under a held command.
 
@@ -81,7 +81,7 @@ def lags(weights, command, drive, opening):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True)
+@compiled
 def orifice(drop, transition):  # type: ignore[no-untyped-def]
     """phi(dp) [sqrt(Pa)] and its derivative [1/sqrt(Pa)]."""
     square = drop * drop + transition * transition
@@ -89,7 +89,7 @@ def orifice(drop, transition):  # type: ignore[no-untyped-def]
     return drop / root, (0.5 * drop * drop + transition * transition) / (square * root)
 
 
-@njit(cache=True)
+@compiled
 def port_flows(valve, opening, supply, cap_pressure, rod_pressure):  # type: ignore[no-untyped-def]
     """Flows into the chambers and their slopes.
 

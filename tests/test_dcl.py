@@ -1,0 +1,422 @@
+"""The digital control law: the compiled frame against an independent linear system, block by block.
+
+The oracle is a discrete state-space model in the report's own units (in, Pa, s, lbf, per cent),
+assembled here from the printed equations and run by python-control.
+"""
+
+import control
+import numpy as np
+import pytest
+
+from cmf_mj import Law, law_names, load_law
+from cmf_mj.control import dcl as blocks
+from cmf_mj.control.compensator import compensate, make_compensator
+from cmf_mj.control.dcl import Dcl, DclState, LegFeedback, engaged, make_dcl
+from cmf_mj.control.error import filtered_rate, integrate, make_error_calculations
+from cmf_mj.control.feedback import filter_acceleration, make_feedback, pressure_force
+from cmf_mj.control.law import SIGNALS
+from cmf_mj.control.limits import limit, make_limits
+from cmf_mj.control.valve_command import clamp
+
+FRAME = 1.0 / 2048.0
+INCH = 0.0254
+POUND_FORCE = 0.45359237 * 9.80665
+LEGS = 3
+
+
+def feedback_at_rest(position: np.ndarray, cap: float = 4e6, rod: float = 4e6) -> LegFeedback:
+    still = np.zeros(position.size)
+    return LegFeedback(
+        position,
+        still.copy(),
+        still.copy(),
+        np.full(position.size, cap),
+        np.full(position.size, rod),
+    )
+
+
+def run(
+    dcl: Dcl, state: DclState, demand: np.ndarray, feedback: LegFeedback
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Outputs, commands (N, n) and signals (N, n, 10) of histories (N, n)."""
+    frames, legs = demand.shape
+    signals_out = np.zeros((frames, legs, len(SIGNALS)))
+    output, command = np.zeros((frames, legs)), np.zeros((frames, legs))
+    for k in range(frames):
+        now = LegFeedback(*(np.ascontiguousarray(channel[k]) for channel in feedback))
+        blocks.step(dcl, state, demand[k], now, signals_out[k], output[k], command[k])
+    return output, command, signals_out
+
+
+def published_system(law: Law) -> control.StateSpace:
+    """Inputs (reference, position in in, velocity, acceleration, p_cap, p_rod in Pa), output %.
+
+    States: compensator x, error integral, derivative filters of error and reference, filtered
+    acceleration. Eqs 2.3 and 2.4; Figures 3-1, 3-5 to 3-7; Eqs 3.6 and 3.7.
+    """
+    pole, frame = law.derivative_pole, FRAME
+    r, s, v, a, pc, pr = np.eye(6)
+    x, integral, zf, zr, af = np.eye(5)
+
+    def row(state: np.ndarray | float, inputs: np.ndarray | float) -> np.ndarray:
+        return np.concatenate([np.zeros(5) + state, np.zeros(6) + inputs])
+
+    error_rate = row(-pole * zf, pole * (r - s))
+    reference_rate = row(-pole * zr, pole * r)
+    readings = {
+        "reference": row(0, r),
+        "cap_pressure": row(0, pc),
+        "rod_pressure": row(0, pr),
+        "position": row(0, s),
+        "velocity": row(0, v),
+        "position_error_rate": error_rate,
+        "velocity_error": reference_rate - row(0, v),
+        "error_integral": row(integral, 0),
+        "acceleration": row(af, 0),
+        # Eq 3.7 in lbf: 11.97 in^2 times a pressure difference in psi.
+        "force": row(0, (pc - pr) * 11.97 * INCH**2 / POUND_FORCE),
+    }
+    following = row(law.state_gain * x, 0)
+    output = row(law.output_gain * x, 0)
+    for name, reading in readings.items():
+        following = following + getattr(law.input_gain, name) * reading
+        output = output + getattr(law.direct_gain, name) * reading
+    rows = np.array(
+        [
+            following,
+            row(integral, frame * (r - s)),
+            row(zf, 0) + frame * error_rate,
+            row(zr, 0) + frame * reference_rate,
+            row(0.9924 * af, 0.007588 * a),
+        ]
+    )
+    return control.ss(rows[:, :5], rows[:, 5:], output[None, :5], output[None, 5:], FRAME)
+
+
+def random_histories(seed: int, frames: int = 400) -> tuple[np.ndarray, LegFeedback]:
+    """Demands within +-20 in and feedbacks of the size the machine has, SI."""
+    rng = np.random.default_rng(seed)
+
+    def noise(size: float) -> np.ndarray:
+        return size * rng.uniform(-1.0, 1.0, (frames, LEGS))
+
+    return noise(20 * INCH), LegFeedback(
+        noise(20 * INCH), noise(1.0), noise(10.0), 5e6 + noise(5e6), 5e6 + noise(5e6)
+    )
+
+
+def zeros(legs: int) -> DclState:
+    return DclState(*(np.zeros(legs) for _ in DclState._fields))
+
+
+@pytest.mark.parametrize("name", law_names())
+def test_every_law_is_its_published_linear_system(name: str) -> None:
+    """400 frames of random demand and feedback, every leg. 1e-12 of the largest output: round-off,
+    units included."""
+    law = load_law(name)
+    demand, feedback = random_histories(11)
+    output, command, _ = run(make_dcl(law, LEGS), zeros(LEGS), demand, feedback)
+    system = published_system(law)
+    for leg in range(LEGS):
+        inputs = [
+            demand[:, leg] / INCH,
+            feedback.position[:, leg] / INCH,
+            feedback.velocity[:, leg] / INCH,
+            feedback.acceleration[:, leg] / INCH,
+            feedback.cap_pressure[:, leg],
+            feedback.rod_pressure[:, leg],
+        ]
+        time = np.arange(demand.shape[0]) * FRAME
+        expected = np.ravel(control.forced_response(system, time, np.array(inputs)).outputs)
+        size = np.abs(expected).max()
+        assert size > 100.0
+        np.testing.assert_allclose(100 * output[:, leg], expected, rtol=0, atol=1e-12 * size)
+        np.testing.assert_allclose(
+            100 * command[:, leg], np.clip(expected, -100, 100), rtol=0, atol=1e-12 * size
+        )
+
+
+def test_a_law_using_every_gain_is_its_linear_system() -> None:
+    """Gains of B and D on all ten signals at once, which no shipped law has."""
+    rng = np.random.default_rng(12)
+    sizes = dict(zip(SIGNALS, [20, 1e-6, 1e-6, 20, 2, 2, 2, 50, 0.1, 1e-3], strict=True))
+    gains = {name: float(size * rng.normal()) for name, size in sizes.items()}
+    law = Law.model_validate(
+        {
+            "name": "all",
+            "title": "All gains",
+            "state_gain": -0.7,
+            "output_gain": 3.0,
+            "input_gain": {name: 0.1 * value for name, value in gains.items()},
+            "direct_gain": gains,
+            "derivative_pole": 200.0,
+        }
+    )
+    demand, feedback = random_histories(13, 200)
+    output, _, _ = run(make_dcl(law, LEGS), zeros(LEGS), demand, feedback)
+    inputs = np.array([demand / INCH, *(f / INCH for f in feedback[:3]), *feedback[3:]])
+    time = np.arange(200) * FRAME
+    for leg in range(LEGS):
+        system = published_system(law)
+        expected = np.ravel(control.forced_response(system, time, inputs[:, :, leg]).outputs)
+        size = np.abs(expected).max()
+        np.testing.assert_allclose(100 * output[:, leg], expected, rtol=0, atol=1e-12 * size)
+
+
+def test_the_frame_is_linear_inside_its_limits() -> None:
+    """Superposition: the output of two histories is the sum of their outputs. 1e-12: round-off."""
+    dcl = make_dcl(load_law("force"), LEGS)
+    (one, first), (two, second) = random_histories(1, 100), random_histories(2, 100)
+    both = LegFeedback(*(a + 0.5 * b for a, b in zip(first, second, strict=True)))
+    sizes = [
+        run(dcl, zeros(LEGS), d, f)[0]
+        for d, f in ((one, first), (two, second), (one + 0.5 * two, both))
+    ]
+    scale = np.abs(sizes[2]).max()
+    np.testing.assert_allclose(sizes[2], sizes[0] + 0.5 * sizes[1], rtol=0, atol=1e-12 * scale)
+
+
+def test_the_state_path_sees_a_position_one_frame_late() -> None:
+    """x+ = A x + B u, y = C x + D u: an impulse of 1 in gives D, then C B, C A B, C A^2 B, ..."""
+    law = load_law("velocity")
+    compensator = make_compensator(law, 1)
+    x, found = 0.0, []
+    for k in range(30):
+        u = np.zeros(len(SIGNALS))
+        u[SIGNALS.index("position")] = INCH if k == 0 else 0.0
+        y, x = compensate(compensator, 0, x, u)
+        found.append(100 * y)
+    path = -37.1759 * 0.914 ** np.arange(29)
+    np.testing.assert_allclose(found, [381.8, *path], rtol=1e-13)
+
+
+def test_the_derivative_filter_is_s_p_over_s_plus_p_by_forward_euler() -> None:
+    """Figure 3-6's integrator in forward Euler form, T/(z - 1): s p/(s + p) becomes
+    p (z - 1)/(z - 1 + p T). Oracle: python-control on random signals; 1e-12: round-off."""
+    law = load_law("position_error_rate")
+    error, pole = make_error_calculations(law), law.derivative_pole
+    values = np.random.default_rng(4).normal(size=300)
+    state, found = 0.0, []
+    for value in values:
+        rate, state = filtered_rate(error, value, state)
+        found.append(rate)
+    system = control.tf([pole, -pole], [1.0, pole * FRAME - 1.0], FRAME)
+    time = np.arange(300) * FRAME
+    expected = control.forced_response(system, time, values).outputs
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_the_derivative_filter_settles_on_the_rate_of_a_ramp() -> None:
+    """DC gain of s p/(s + p) over s is 1: after 1 s the rate of 0.3 m/s is read to e^-90."""
+    error = make_error_calculations(load_law("velocity_error"))
+    state = 0.0
+    for k in range(2048):
+        rate, state = filtered_rate(error, 0.3 * k * FRAME, state)
+    assert rate == pytest.approx(0.3, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", law_names())
+def test_the_accelerometer_filter_is_eq_3_6(name: str) -> None:
+    """0.007588 / (z - 0.9924): the zero-order hold at 2048 Hz of 0.312 / (0.02 s + 0.312), time
+    constant 0.02 / 0.312 = 0.064 s, unit DC gain.
+
+    0.5 %: the printed pole and gain have four digits, the pole's distance from 1 only two.
+    """
+    filtering = make_feedback(load_law(name))
+    state, response = 0.0, []
+    for _ in range(8 * 2048):
+        response.append(state)
+        state = filter_acceleration(filtering, state, 1.0)
+    response = np.array(response)
+    assert response[0] == 0.0
+    assert response[1] == 0.007588
+    assert response[-1] == pytest.approx(0.007588 / (1 - 0.9924), rel=1e-9)
+    assert response[-1] == pytest.approx(1.0, rel=2e-3)
+    constant = -FRAME / np.log(filtering.accelerometer_pole)
+    assert constant == pytest.approx(0.02 / 0.312, rel=5e-3)
+    held = control.sample_system(control.tf([0.312], [0.02, 0.312]), FRAME, method="zoh")
+    time = np.arange(2048) * FRAME
+    expected = control.step_response(held, time).outputs
+    np.testing.assert_allclose(response[:2048], expected, rtol=0, atol=5e-3)
+
+
+def test_the_acceleration_acts_one_frame_late_through_its_filter() -> None:
+    """1/(z - pole) has no direct path: an impulse of acceleration is absent in its own frame."""
+    dcl, state = make_dcl(load_law("acceleration"), 1), zeros(1)
+    acceleration = np.zeros((4, 1))
+    acceleration[0] = INCH  # 1 in/s^2, gain 0.01 %/(in/s^2)
+    still = np.zeros((4, 1))
+    output, _, _ = run(
+        dcl, state, still, LegFeedback(still, still, acceleration, still.copy(), still.copy())
+    )
+    expected = 0.01 * 0.007588 * np.array([0.0, 1.0, 0.9924, 0.9924**2])
+    np.testing.assert_allclose(100 * output[:, 0], expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_integral_saturates_at_50_in_s(sign: float) -> None:
+    """Section 3.2.1: limits of +-50. 30 in of error for 4 s would be 120 in s; 1e-12: round-off of
+    the sum. It unwinds from the limit at once."""
+    error = make_error_calculations(load_law("velocity_integral"))
+    integral, path = 0.0, []
+    for _ in range(4 * 2048):
+        integral = integrate(error, integral, sign * 15 * INCH, sign * -15 * INCH)
+        path.append(integral / INCH)
+    expected = np.minimum(30.0 * FRAME * np.arange(1, 4 * 2048 + 1), 50.0)
+    np.testing.assert_allclose(path, sign * expected, rtol=1e-12)
+    unwound = integrate(error, integral, 0.0, sign * 10 * INCH) / INCH
+    assert unwound == pytest.approx(sign * (50.0 - 10.0 * FRAME), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("position", "seen"),
+    [(-37.4, -37.5), (-37.1, -37.5), (-37.01, -37.5), (-36.99, -36.99), (0.0, 0.0), (30.0, 30.0)],
+)
+def test_below_the_trigger_the_integrator_sees_the_bottom(position: float, seen: float) -> None:
+    """Half an inch above the bottom stop at -37.5 in the true position is switched in (section
+    3.2.1); below, -37.5 in stands for it, so that a parked leg told to be there has no error."""
+    error = make_error_calculations(load_law("velocity_integral"))
+    for reference in (-37.5, -30.0):
+        moved = integrate(error, 0.0, reference * INCH, position * INCH) / INCH
+        assert moved == pytest.approx(FRAME * (reference - seen), rel=1e-12, abs=1e-15)
+
+
+def test_only_the_integrator_sees_the_bottom_below_the_trigger() -> None:
+    """Position and error rate use the true position at any leg position."""
+    dcl, state = make_dcl(load_law("position_error_rate"), 1), zeros(1)
+    at = np.full((1, 1), -37.2 * INCH)
+    still = np.zeros((1, 1))
+    _, _, read = run(dcl, state, at, LegFeedback(at, still, still, still.copy(), still.copy()))
+    assert read[0, 0, SIGNALS.index("position")] == at[0, 0]
+    assert read[0, 0, SIGNALS.index("position_error_rate")] == 0.0
+    assert state.integral[0] / INCH == pytest.approx(FRAME * 0.3, rel=1e-9)
+
+
+def test_demands_are_limited_to_the_working_stroke() -> None:
+    """+-37.5 in (section 3.2.1); inside they pass unchanged."""
+    limits = make_limits()
+    for inches in (-37.5, -3.0, 0.0, 37.4):
+        assert limit(limits, inches * INCH) == inches * INCH
+    assert limit(limits, 45 * INCH) == pytest.approx(37.5 * INCH, rel=1e-15)
+    assert limit(limits, -45 * INCH) == pytest.approx(-37.5 * INCH, rel=1e-15)
+    dcl, far = make_dcl(load_law("velocity_error"), 2), np.array([[50.0, -50.0]]) * INCH
+    _, _, read = run(
+        dcl, zeros(2), far, LegFeedback(*(np.zeros((1, 2)) for _ in LegFeedback._fields))
+    )
+    found = read[0, :, SIGNALS.index("reference")] / INCH
+    np.testing.assert_allclose(found, [37.5, -37.5], rtol=1e-14)
+    rates = read[0, :, SIGNALS.index("velocity_error")] / INCH
+    np.testing.assert_allclose(rates, np.array([37.5, -37.5]) * dcl.error.derivative_pole)
+
+
+def test_commands_are_clamped_to_full_opening() -> None:
+    """+-100 % (section 2.3.3); the compensator's own state is not."""
+    for value, expected in [(-7.0, -1.0), (-1.0, -1.0), (0.25, 0.25), (1.0, 1.0), (1.5, 1.0)]:
+        assert clamp(value) == expected
+
+
+@pytest.mark.parametrize("name", law_names())
+@pytest.mark.parametrize("inches", [-20.0, 0.0, 15.0])
+def test_engaged_filters_have_settled(name: str, inches: float) -> None:
+    """Held at rest, the state that `engaged` returns does not move: neither compensator nor
+    filters. 1e-12 of the signals: round-off."""
+    dcl = make_dcl(load_law(name), LEGS)
+    reference = np.array([inches, inches + 1.0, inches - 2.0]) * INCH
+    feedback = feedback_at_rest(reference.copy(), 4.2e6, 4.1e6)
+    state = engaged(dcl, reference, feedback)
+    start = DclState(*(values.copy() for values in state))
+    frames = np.repeat(reference[None], 50, axis=0)
+    held = LegFeedback(*(np.repeat(channel[None], 50, axis=0) for channel in feedback))
+    output, _, _ = run(dcl, state, frames, held)
+    for before, after in zip(start, state, strict=True):
+        np.testing.assert_allclose(after, before, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(output, np.repeat(output[:1], 50, axis=0), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", [n for n in law_names() if load_law(n).uses_integral])
+@pytest.mark.parametrize("inches", [-20.0, 0.0, 15.0])
+def test_engaged_laws_with_an_integral_command_nothing(name: str, inches: float) -> None:
+    """The integral has taken up the static offset of pressures and position gains, also with a
+    standing position error in the filters. 1e-12: round-off."""
+    dcl = make_dcl(load_law(name), LEGS)
+    reference = np.array([inches, inches + 1.0, inches - 2.0]) * INCH
+    feedback = feedback_at_rest(reference + 0.001, 4.2e6, 4.1e6)
+    state = engaged(dcl, reference, feedback)
+    output, command, _ = run(
+        dcl, state, reference[None], LegFeedback(*(channel[None] for channel in feedback))
+    )
+    np.testing.assert_allclose(output, 0.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(command, 0.0, rtol=0, atol=1e-12)
+    assert np.abs(state.integral).max() > 0.0
+
+
+def test_engaged_integral_through_the_state_commands_nothing() -> None:
+    """The same for a law whose integral acts through B, with DC gain C B / (1 - A)."""
+    law = Law.model_validate(
+        {
+            "name": "through",
+            "title": "Through the state",
+            "state_gain": 0.8,
+            "output_gain": 3.0,
+            "input_gain": {"error_integral": 5.0, "position": 1.0},
+            "direct_gain": {"reference": 30.0, "position": -31.0, "error_integral": 2.0},
+        }
+    )
+    dcl = make_dcl(law, 1)
+    reference = np.array([4 * INCH])
+    feedback = feedback_at_rest(np.array([4 * INCH]))
+    state = engaged(dcl, reference, feedback)
+    held = LegFeedback(*(np.repeat(channel[None], 20, axis=0) for channel in feedback))
+    output, _, _ = run(dcl, state, np.repeat(reference[None], 20, axis=0), held)
+    np.testing.assert_allclose(output, 0.0, rtol=0, atol=1e-12)
+
+
+def test_engaged_laws_without_an_integral_give_their_dc_command() -> None:
+    """velocity at 2 in on target, equal pressures of 4 MPa: (47 - 50.478) * 2 % and the pressure
+    gains (9.816e-8 - 1.949e-7) * 4e6 %. 1e-12: round-off."""
+    dcl = make_dcl(load_law("velocity"), 1)
+    reference = np.array([2 * INCH])
+    feedback = feedback_at_rest(reference.copy())
+    output, _, _ = run(
+        dcl,
+        engaged(dcl, reference, feedback),
+        reference[None],
+        LegFeedback(*(channel[None] for channel in feedback)),
+    )
+    net = 47.0 + 381.8 - 37.1759 / (1 - 0.914)
+    expected = 2 * net + (9.816e-8 - 1.949e-7) * 4e6
+    assert 100 * output[0, 0] == pytest.approx(expected, rel=1e-11)
+
+
+def test_force_feedback_is_eq_3_7() -> None:
+    """F = (p_cap - p_rod) 11.97 in^2: 100 psi are 1197 lbf."""
+    psi = POUND_FORCE / INCH**2
+    found = pressure_force(make_feedback(load_law("force")), 900 * psi, 800 * psi)
+    assert found / POUND_FORCE == pytest.approx(1197.0, rel=1e-12)
+
+
+def test_force_feedback_opposes_the_force() -> None:
+    """0.01 %/lbf opposing. More pressure difference must close the valve more
+    than the same pressures do under the law's own pressure gains alone."""
+    psi = POUND_FORCE / INCH**2
+    outputs = {}
+    for name in ("force", "position_error_rate"):
+        dcl = make_dcl(load_law(name), 1)
+        at = np.zeros((1, 1))
+        for cap in (0.0, 100.0 * psi):
+            feedback = LegFeedback(at, at, at, np.full((1, 1), cap), np.zeros((1, 1)))
+            outputs[name, cap > 0] = 100 * run(dcl, zeros(1), at, feedback)[0][0, 0]
+    change = {name: outputs[name, True] - outputs[name, False] for name, _ in outputs}
+    assert change["force"] - change["position_error_rate"] == pytest.approx(-11.97, rel=1e-12)
+
+
+def test_acceleration_laws_differ_in_the_sign_alone() -> None:
+    """Table 3-3's + and Eq 3.4's -: outputs differ by twice the acceleration term."""
+    demand, feedback = random_histories(21, 100)
+    plus, minus, base = (
+        run(make_dcl(load_law(name), LEGS), zeros(LEGS), demand, feedback)[0]
+        for name in ("acceleration", "acceleration_opposing", "position_error_rate")
+    )
+    scale = np.abs(plus).max()
+    np.testing.assert_allclose(plus - base, base - minus, rtol=0, atol=1e-12 * scale)
+    assert np.abs(plus - base).max() > 1e-3

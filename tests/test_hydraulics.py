@@ -1,0 +1,323 @@
+"""Hydraulics: `advance` against independent equations, its order and its stiff limits."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hydraulic_equations import (
+    FRAME,
+    MASS,
+    WEIGHT,
+    jacobian,
+    neutral,
+    one_step,
+    rates,
+    with_leak_rate,
+    without_leakage,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import integrate
+
+from cmf_mj.parameters import HYDRAULICS, HydraulicParameters, load_hydraulics
+from cmf_mj.plant.hydraulics import CAP, DRIVE, OPENING, advance, forces, make_hydraulics, rest
+
+# -- against scipy ------------------------------------------------------------------------------
+
+
+class Motion(NamedTuple):
+    """x(t) = 0.2 m + drift t + 1 mm sin(2 pi 20 Hz t): keeps pace with the valve on average."""
+
+    drift: float
+
+    def position(self, time: float) -> float:
+        return 0.2 + self.drift * time + 1e-3 * float(np.sin(2 * np.pi * 20 * time))
+
+    def speed(self, time: float) -> float:
+        return self.drift + 1e-3 * 2 * np.pi * 20 * float(np.cos(2 * np.pi * 20 * time))
+
+
+def advanced(
+    p: HydraulicParameters, start: np.ndarray, commands: np.ndarray, motion: Motion, cuts: int
+) -> np.ndarray:
+    """States (N, 4) of `advance` at the ends of the frames, each in `cuts` steps."""
+    hydraulics = make_hydraulics(p)
+    state = start[None, :].copy()
+    path = []
+    for frame, command in enumerate(commands):
+        for cut in range(cuts):
+            begin, end = (frame + cut / cuts) * FRAME, (frame + (cut + 1) / cuts) * FRAME
+            positions = np.array([motion.position(begin)]), np.array([motion.position(end)])
+            advance(hydraulics, state, np.array([command]), *positions, FRAME / cuts)
+        path.append(state[0].copy())
+    return np.array(path)
+
+
+def integrated(
+    p: HydraulicParameters, start: np.ndarray, commands: np.ndarray, motion: Motion
+) -> np.ndarray:
+    """States (N, 4) at the ends of the frames by scipy's Radau, restarted at command changes."""
+    state, path = start, []
+    edges = [0, *(np.flatnonzero(np.diff(commands)) + 1), commands.size]
+    for first, last in zip(edges[:-1], edges[1:], strict=True):
+        command = commands[first]
+
+        def field(time: float, y: np.ndarray, command: float = command) -> np.ndarray:
+            return rates(p, y, command, motion.position(time), motion.speed(time))
+
+        solution = integrate.solve_ivp(
+            field,
+            (first * FRAME, last * FRAME),
+            state,
+            method="Radau",
+            t_eval=np.arange(first + 1, last + 1) * FRAME,
+            rtol=1e-10,
+            atol=np.array([1e-12, 1e-12, 1e-3, 1e-3]),
+        )
+        assert solution.success
+        path.append(solution.y.T)
+        state = solution.y[:, -1]
+    return np.concatenate(path)
+
+
+@pytest.mark.parametrize("name", HYDRAULICS)
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_advance_is_second_order_against_radau(name: str, sign: float) -> None:
+    """64 frames of a held command and a moving leg; one step a frame errs by less than 2e-5 Ps.
+
+    Both pressures stay between the ports', as they do in service: checked, since the orifice's
+    corner at zero drop has no order.
+    """
+    p = load_hydraulics(name)
+    supply, motion = p.supply_pressure.si, Motion(0.14 * sign)
+    start = np.array([0.1 * sign, 0.05 * sign, 0.4 * supply, 0.5 * supply])
+    commands = np.full(64, 0.5 * sign)
+    exact = integrated(p, start, commands, motion)
+    assert 0.1 * supply < exact[:, CAP:].min() < exact[:, CAP:].max() < 0.9 * supply
+    errors = [np.abs(advanced(p, start, commands, motion, n) - exact) for n in (1, 2, 4)]
+    assert max(e[:, :CAP].max() for e in errors) < 1e-9  # lags are exact in any step
+    sizes = [e[:, CAP:].max() for e in errors]
+    assert sizes[0] < 2e-5 * supply
+    orders = np.log2(np.array(sizes[:-1]) / np.array(sizes[1:]))
+    assert orders.min() >= 1.8
+
+
+def test_advance_follows_radau_through_reversing_commands() -> None:
+    """The opening passes zero at each reversal, where the flow has a corner; one step a frame
+    stays within 1e-4 of supply pressure."""
+    p = load_hydraulics("hardware")
+    supply, motion = p.supply_pressure.si, Motion(0.0)
+    start = np.array([0.0, 0.0, 0.4 * supply, 0.5 * supply])
+    commands = np.repeat([0.6, -0.8, 0.9, -1.0, 1.0], 40)
+    found = advanced(p, start, commands, motion, 1)
+    exact = integrated(p, start, commands, motion)
+    assert 0.0 < exact[:, CAP:].min() < exact[:, CAP:].max() < supply
+    np.testing.assert_allclose(found[:, :CAP], exact[:, :CAP], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found[:, CAP:], exact[:, CAP:], rtol=0, atol=1e-4 * supply)
+
+
+def test_legs_do_not_know_each_other() -> None:
+    """Advancing five legs together or one by one gives the same bits."""
+    hydraulics = make_hydraulics(load_hydraulics("hardware"))
+    rng = np.random.default_rng(5)
+    together = np.column_stack([rng.uniform(-1, 1, (5, 2)), rng.uniform(1e6, 9e6, (5, 2))])
+    alone = together.copy()
+    command, before = rng.uniform(-1, 1, 5), rng.uniform(-0.8, 0.8, 5)
+    after = before + rng.uniform(-1e-3, 1e-3, 5)
+    advance(hydraulics, together, command, before, after, FRAME)
+    for leg in range(5):
+        one = slice(leg, leg + 1)
+        advance(hydraulics, alone[one], command[one], before[one], after[one], FRAME)
+    np.testing.assert_array_equal(alone, together)
+
+
+# -- limits ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("opening", [-1.0, 1.0])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_full_opening_without_pressure_difference_at_the_stop_stays_put(
+    opening: float, side: float
+) -> None:
+    """Both chambers on their port pressures and one on its minimum gap: the stiffest state, the
+    orifice rate times the frame is above 100. Nothing drives it, so it stays; without leakage
+    within 1 Pa (the Newton tolerance is 1e-3 Pa)."""
+    p = without_leakage(load_hydraulics("hardware"))
+    hydraulics = make_hydraulics(p)
+    high, low = p.supply_pressure.si, p.return_pressure.si
+    at = np.array([side * (p.half_stroke.si - 0.5 * p.minimum_gap.si)])
+    ports = [high, low] if opening > 0 else [low, high]
+    state = np.array([[opening, opening, *ports]])
+    for _ in range(200):
+        advance(hydraulics, state, np.array([opening]), at, at, FRAME)
+    np.testing.assert_allclose(state[0, CAP:], ports, rtol=0, atol=1.0)
+
+
+@pytest.mark.parametrize("name", HYDRAULICS)
+@pytest.mark.parametrize("opening", [-1.0, 1.0])
+@pytest.mark.parametrize("gap", [0.0, 0.0005, 0.0025, 0.01, 0.1])
+def test_stiff_chambers_stay_bounded_and_settle(name: str, opening: float, gap: float) -> None:
+    """Held legs at and near both stops, valve full open, any pressures between tank and supply.
+
+    The exact pressures never leave [Pt, Ps]. The method may overshoot for a step, at most by
+    (sqrt(2) - 1) / 2 = 0.207 of the way it goes: the least value of its stability function
+    R(z) = (1 + (1 - 2 g) z) / (1 - g z)^2, g = 1 - 1/sqrt(2), on the negative axis. After 2 s
+    nothing may be left outside: 1 Pa.
+    """
+    p = load_hydraulics(name)
+    hydraulics = make_hydraulics(p)
+    high, low = p.supply_pressure.si, p.return_pressure.si
+    grid = np.linspace(low, high, 6)
+    pairs = np.array([[a, b] for a in grid for b in grid])
+    pairs = np.vstack([pairs, pairs])
+    legs = pairs.shape[0]
+    extension = (p.half_stroke.si - gap) * np.repeat([-1.0, 1.0], legs // 2)
+    state = np.column_stack([np.full((legs, 2), opening), pairs])
+    command = np.full(legs, opening)
+    overshoot = 0.5 * (np.sqrt(2) - 1) * (high - low)
+    for _ in range(4096):
+        advance(hydraulics, state, command, extension, extension, FRAME)
+        assert state[:, CAP:].min() > low - overshoot
+        assert state[:, CAP:].max() < high + overshoot
+    assert state[:, CAP:].min() > low - 1.0
+    assert state[:, CAP:].max() < high + 1.0
+    # Where it settles the exact rates vanish: those that are left move it by less than 1 Pa in
+    # the chambers' time constant, which the largest slope of the rates gives.
+    for row, x in zip(state[:: legs // 8], extension[:: legs // 8], strict=True):
+
+        def field(pressures: np.ndarray, row: np.ndarray = row, x: float = x) -> np.ndarray:
+            return rates(p, np.array([*row[:CAP], *pressures]), opening, x, 0.0)[CAP:]
+
+        slopes = jacobian(field, row[CAP:], np.array([10.0, 10.0]))
+        assert np.abs(np.linalg.solve(slopes, field(row[CAP:]))).max() < 1.0
+
+
+@settings(max_examples=50, deadline=None, derandomize=True, database=None)
+@given(
+    path=st.lists(st.floats(-0.9, 0.9), min_size=2, max_size=30),
+    cap=st.floats(0.0, 1e7),
+    rod=st.floats(0.0, 1e7),
+)
+def test_closed_valve_conserves_the_oil_under_any_motion(
+    path: list[float], cap: float, rod: float
+) -> None:
+    """d/dt (p + beta ln V) = 0 without flow, however wild the motion.
+
+    1e-2 Pa: round-off of the logarithms times beta = 6.9e8 Pa, and of pressures up to 2e9 Pa.
+    """
+    p = without_leakage(load_hydraulics("hardware"))
+    hydraulics = make_hydraulics(p)
+    state = np.array([[0.0, 0.0, cap, rod]])
+
+    def oil(state: np.ndarray, x: float) -> np.ndarray:
+        lengths = np.log([p.half_stroke.si + x, p.half_stroke.si - x])
+        return state[0, CAP:] + p.bulk_modulus.si * lengths
+
+    start = oil(state, path[0])
+    for before, after in zip(path[:-1], path[1:], strict=True):
+        positions = np.array([before]), np.array([after])
+        advance(hydraulics, state, np.zeros(1), *positions, FRAME)
+        np.testing.assert_allclose(oil(state, after), start, rtol=0, atol=1e-2)
+    assert state[0, DRIVE] == state[0, OPENING] == 0.0
+
+
+def test_rest_state_does_not_move() -> None:
+    """A held load with closed valve keeps its pressures, leaking (equal pressures) or tight.
+    1e-2 Pa over 2 s: round-off."""
+    for p in (load_hydraulics("report"), without_leakage(load_hydraulics("report"))):
+        hydraulics = make_hydraulics(p)
+        loads = np.array([0.2 * WEIGHT, WEIGHT])
+        state = rest(hydraulics, loads)
+        start = state.copy()
+        here = np.array([-0.3, 0.5])
+        for _ in range(4096):
+            advance(hydraulics, state, np.zeros(2), here, here, FRAME)
+        np.testing.assert_allclose(state, start, rtol=0, atol=1e-2)
+        held = np.empty(2)
+        forces(hydraulics, state, held)
+        np.testing.assert_allclose(held, loads, rtol=1e-9)
+
+
+@pytest.mark.parametrize("opening", [-0.3, 0.2])
+def test_a_free_leg_reaches_its_steady_speed(opening: float) -> None:
+    """No load, no leakage: A_cap p_cap = A_rod p_rod and k u sqrt(Ps - p_cap) = k u sqrt(p_rod)
+    when extending give v = leg_speed u sqrt(2 A_cap / (A_cap + A_rod)); retracting, the chambers
+    exchange parts and the other area stands on top.
+
+    2e-4: the transition pressure, and oil compressed as the chambers change length.
+    """
+    p = without_leakage(load_hydraulics("hardware"))
+    hydraulics = make_hydraulics(p)
+    share = (p.cap_area if opening > 0 else p.rod_area) / (p.cap_area + p.rod_area)
+    expected = p.leg_speed.si * opening * np.sqrt(2 * share)
+    middle = 0.5 * p.supply_pressure.si
+    state = np.array([[opening, opening, middle * p.rod_area / p.cap_area, middle]])
+    x, v = np.array([-0.5 * np.sign(opening)]), np.zeros(1)
+    force = np.empty(1)
+    path = []
+    for _ in range(5 * 2048):
+        forces(hydraulics, state, force)
+        v = v + FRAME * force / 300.0  # a light rod: rings out in a second
+        moved = x + FRAME * v
+        advance(hydraulics, state, np.array([opening]), x, moved, FRAME)
+        x = moved
+        path.append(x[0])
+    assert (path[-1] - path[-513]) / (512 * FRAME) == pytest.approx(expected, rel=2e-4)
+
+
+@pytest.mark.parametrize("name", HYDRAULICS)
+@pytest.mark.parametrize("rate", [1.614, 15.0])
+def test_leakage_damps_the_leg_mode_at_half_the_leak_rate(name: str, rate: float) -> None:
+    """Damping ratio lambda / (2 w) of a 7200 lbm leg ringing on a closed valve, w = 71.00 rad/s.
+
+    From the swings between turning points, which shrink by exp(-pi zeta / sqrt(1 - zeta^2)).
+    3 %: the slow mode under the ringing and the second order of lambda / w.
+    """
+    p = with_leak_rate(load_hydraulics(name), rate)
+    z = neutral(p)
+    z[5] = 0.01  # m/s: 0.14 mm
+    path = [0.0]
+    for _ in range(1500):
+        z = one_step(p, FRAME / 4, z)
+        path.append(z[4])
+    x = np.array(path)
+    turns = 1 + np.flatnonzero((x[1:-1] - x[:-2]) * (x[2:] - x[1:-1]) < 0)
+    # Turning points to better than a step: vertex of the parabola through three samples.
+    left, middle, right = x[turns - 1], x[turns], x[turns + 1]
+    peaks = middle - (right - left) ** 2 / (8 * (left - 2 * middle + right))
+    swings = np.abs(np.diff(peaks))[:6]
+    decrement = np.log(swings[:-1] / swings[1:]).mean()
+    zeta = decrement / np.hypot(np.pi, decrement)
+    omega = np.pi / (np.diff(turns)[:6].mean() * FRAME / 4) / np.sqrt(1 - zeta**2)
+    assert omega == pytest.approx(71.00, rel=1e-2)
+    assert zeta == pytest.approx(rate / (2 * 71.00), rel=3e-2)
+
+
+@settings(max_examples=8, deadline=None, derandomize=True, database=None)
+@given(seed=st.integers(0, 2**31 - 1), hold=st.sampled_from([1, 20, 200]))
+def test_full_scale_noise_stays_finite(seed: int, hold: int) -> None:
+    """2000 frames of random full commands on six sprung masses that may run into their stops.
+
+    Openings follow the command's range exactly; pressures have no such bound (a chamber that is
+    pulled open cavitates in reality and goes below zero here), they only must stay finite, below
+    the bulk modulus.
+    """
+    p = load_hydraulics("hardware")
+    hydraulics = make_hydraulics(p)
+    rng = np.random.default_rng(seed)
+    state = rest(hydraulics, np.full(6, WEIGHT))
+    x, v = rng.uniform(-0.5, 0.5, 6), np.zeros(6)
+    force = np.empty(6)
+    for frame in range(2000):
+        if frame % hold == 0:
+            command = rng.uniform(-1.0, 1.0, 6)
+            command /= np.abs(command).max()
+        forces(hydraulics, state, force)
+        beyond = x - np.clip(x, -p.half_stroke.si, p.half_stroke.si)
+        v = v + FRAME * ((force - WEIGHT - 1e7 * beyond) / MASS - 60.0 * v * (beyond != 0))
+        moved = x + FRAME * v
+        advance(hydraulics, state, command, x, moved, FRAME)
+        x = moved
+        assert np.isfinite(state).all()
+        assert np.abs(state[:, :CAP]).max() <= 1.0
+        assert np.abs(state[:, CAP:]).max() < p.bulk_modulus.si

@@ -1,0 +1,333 @@
+"""Laws as data: the published tables, a user's own file, and every way to get one wrong."""
+
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from cmf_mj import law_names, load_law
+from cmf_mj.control.law import SIGNALS, Law
+
+NAMES = (
+    "original",
+    "original_as_printed",
+    "velocity",
+    "velocity_integral",
+    "position_error_rate",
+    "velocity_error",
+    "combined_rate",
+    "acceleration",
+    "acceleration_opposing",
+    "force",
+)
+
+PRESSURES = {"cap_pressure": -1.949e-7, "rod_pressure": 9.816e-8}
+
+INTEGRAL = {"error_integral": 50.0}
+"""Gain on the integral: 50 in Table 3-4; section 3.3 has all laws of section 3.3 and later
+run with it."""
+
+TABLES = {
+    # Table 2-2: A, C, B on position, D; B is 0.1079 (two digits transposed in print).
+    "original": (0.914, -149.8, 0.1079, {"reference": 21.91, "position": 166.0}),
+    "original_as_printed": (0.914, -149.8, 0.1709, {"reference": 21.91, "position": 166.0}),
+    # Table 2-5
+    "velocity": (
+        0.914,
+        -37.1759,
+        1.0,
+        {"reference": 47.0, "position": 381.8, "velocity": -2.3},
+    ),
+    "velocity_integral": (
+        0.914,
+        -37.1759,
+        1.0,
+        {"reference": 47.0, "position": 381.8, "velocity": -2.3, **INTEGRAL},
+    ),
+    # Table 3-1, three sets
+    "position_error_rate": (
+        0.914,
+        -37.1759,
+        1.0,
+        {"reference": 49.0, "position": 381.8, "position_error_rate": 2.2, **INTEGRAL},
+    ),
+    "velocity_error": (
+        0.914,
+        -37.1759,
+        1.0,
+        {"reference": 49.0, "position": 381.8, "velocity_error": 2.8, **INTEGRAL},
+    ),
+    "combined_rate": (
+        0.914,
+        -37.1759,
+        1.0,
+        {
+            "reference": 49.0,
+            "position": 381.8,
+            "position_error_rate": 2.2,
+            "velocity": -0.5,
+            **INTEGRAL,
+        },
+    ),
+    # Table 3-3: + as printed, - as Eq 3.4
+    "acceleration": (
+        0.914,
+        -37.1759,
+        1.0,
+        {
+            "reference": 49.0,
+            "position": 381.8,
+            "acceleration": 0.01,
+            "position_error_rate": 2.2,
+            **INTEGRAL,
+        },
+    ),
+    "acceleration_opposing": (
+        0.914,
+        -37.1759,
+        1.0,
+        {
+            "reference": 49.0,
+            "position": 381.8,
+            "acceleration": -0.01,
+            "position_error_rate": 2.2,
+            **INTEGRAL,
+        },
+    ),
+    # Table 3-4; force opposing
+    "force": (
+        0.914,
+        -37.1759,
+        1.0,
+        {
+            "reference": 48.8,
+            "position": 381.8,
+            "position_error_rate": 6.0,
+            "force": -0.01,
+            **INTEGRAL,
+        },
+    ),
+}
+
+OWN = """
+[mine]
+title = "My law"
+state_gain = 0.5
+output_gain = -2.0
+input_gain = { velocity = 0.25 }
+direct_gain = { reference = 30, position = -30.0 }
+derivative_pole = 60
+integrator_limit = 10.0
+integrator_trigger = -30.0
+accelerometer_pole = 0.9
+accelerometer_gain = 0.1
+"""
+
+
+def write(folder: Path, text: str, name: str = "mine.toml") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_all_laws_of_the_report_are_shipped_in_its_order() -> None:
+    assert law_names() == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gains_are_the_published_ones(name: str) -> None:
+    law = load_law(name)
+    state_gain, output_gain, input_gain, direct = TABLES[name]
+    assert (law.name, law.state_gain, law.output_gain) == (name, state_gain, output_gain)
+    assert law.input_gain.model_dump() == dict.fromkeys(SIGNALS, 0.0) | {"position": input_gain}
+    assert law.direct_gain.model_dump() == dict.fromkeys(SIGNALS, 0.0) | PRESSURES | direct
+    assert law.uses_integral == ("error_integral" in direct)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_filters_are_those_of_the_report(name: str) -> None:
+    """Eq 3.6: 0.007588 / (z - 0.9924). Section 3.2.1: integral within +-50, enabled half an inch
+    above the bottom stop at -37.5 in. Derivative pole: 80 to 90 rad/s fits.
+    """
+    law = load_law(name)
+    assert (law.accelerometer_gain, law.accelerometer_pole) == (0.007588, 0.9924)
+    assert law.integrator_limit == 50.0
+    assert law.integrator_trigger == -37.5 + 0.5
+    assert 80.0 <= law.derivative_pole <= 90.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_titles_and_sources_are_there_and_differ(name: str) -> None:
+    law = load_law(name)
+    assert law.source
+    assert [load_law(other).title for other in NAMES].count(law.title) == 1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_net_position_gain_at_dc(name: str) -> None:
+    """C B / (1 - A) + D: -21.95 %/in (original), -50.48 %/in (others). As
+    printed, Table 2-2 gives 21.91 / 131.7 = 0.166 instead of 0.998."""
+    law = load_law(name)
+    net = law.output_gain * law.input_gain.position / (1 - law.state_gain)
+    net += law.direct_gain.position
+    if name == "original_as_printed":
+        assert -law.direct_gain.reference / net == pytest.approx(0.166, abs=5e-4)
+    elif name == "original":
+        assert net == pytest.approx(-21.95, abs=5e-3)
+        assert -law.direct_gain.reference / net == pytest.approx(0.998, abs=5e-4)
+    else:
+        assert net == pytest.approx(-50.48, abs=5e-3)
+
+
+def test_a_law_of_ones_own(tmp_path: Path) -> None:
+    law = load_law(write(tmp_path, OWN))
+    assert (law.name, law.title, law.source) == ("mine", "My law", "")
+    assert (law.state_gain, law.output_gain, law.derivative_pole) == (0.5, -2.0, 60.0)
+    assert law.input_gain.model_dump() == dict.fromkeys(SIGNALS, 0.0) | {"velocity": 0.25}
+    assert law.direct_gain.reference == 30.0
+    assert (law.integrator_limit, law.integrator_trigger) == (10.0, -30.0)
+    assert (law.accelerometer_pole, law.accelerometer_gain) == (0.9, 0.1)
+    assert not law.uses_integral
+    assert load_law(str(tmp_path / "mine.toml")) == law
+    assert load_law(law) is law
+
+
+def test_left_out_settings_take_the_report_s_values(tmp_path: Path) -> None:
+    text = '[short]\ntitle = "Short"\ndirect_gain = { reference = 1.0 }\n'
+    law, shipped = load_law(write(tmp_path, text)), load_law("velocity")
+    for field in ("derivative_pole", "integrator_limit", "integrator_trigger"):
+        assert getattr(law, field) == getattr(shipped, field)
+    assert law.accelerometer_pole == shipped.accelerometer_pole
+    assert (law.state_gain, law.output_gain) == (0.0, 0.0)
+
+
+def test_one_law_of_several_is_chosen_by_name(tmp_path: Path) -> None:
+    path = write(tmp_path, OWN + OWN.replace("mine", "other").replace("-2.0", "-3.0"))
+    assert load_law(f"{path}:other").output_gain == -3.0
+    assert load_law(f"{path}:mine").output_gain == -2.0
+
+
+def test_an_integral_through_the_state_counts_as_used(tmp_path: Path) -> None:
+    assert load_law(write(tmp_path, OWN.replace("velocity =", "error_integral ="))).uses_integral
+
+
+def test_a_loaded_law_cannot_be_changed() -> None:
+    law = load_law("velocity")
+    with pytest.raises(ValidationError, match="frozen"):
+        law.state_gain = 0.5
+    with pytest.raises(ValidationError, match="frozen"):
+        law.direct_gain.position = 0.0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        # A signal that does not exist: the message lists those that do.
+        ("velocity = 0.25", "jerk = 0.25", ["mine", "input_gain.jerk", "allowed", *SIGNALS]),
+        ("velocity = 0.25", 'velocity = "fast"', ["mine", "input_gain.velocity", "'fast'"]),
+        # Numbers only: neither a number in quotes nor a truth value is one.
+        ("velocity = 0.25", 'velocity = "0.25"', ["input_gain.velocity", "'0.25'"]),
+        ("reference = 30", "reference = true", ["direct_gain.reference", "True"]),
+        ("state_gain = 0.5", 'state_gain = "0.5"', ["state_gain", "'0.5'"]),
+        ("reference = 30", "reference = nan", ["direct_gain.reference", "nan", "finite"]),
+        ("reference = 30", "reference = inf", ["direct_gain.reference", "inf", "finite"]),
+        ("state_gain = 0.5", "state_gain = 1.0", ["state_gain", "1.0", "less than 1"]),
+        ("state_gain = 0.5", "state_gain = -1.5", ["state_gain", "-1.5", "greater than -1"]),
+        ("state_gain = 0.5", "state_gain = nan", ["state_gain", "nan"]),
+        ("direct_gain = {", "direct = {", ["direct_gain", "is missing", "direct:", "allowed"]),
+        ("direct_gain = { reference = 30, position = -30.0 }", "", ["direct_gain", "is missing"]),
+        ('title = "My law"\n', "", ["title", "is missing"]),
+        ('"My law"', '""', ["title", "''", "at least 1"]),
+        ("derivative_pole = 60", "derivative_pole = 0", ["derivative_pole", "0", "greater than 0"]),
+        (
+            "derivative_pole = 60",
+            "derivative_pole = 4096",
+            ["derivative_pole", "4096", "less than 4096"],
+        ),
+        ("limit = 10.0", "limit = -1", ["integrator_limit", "-1", "greater than 0"]),
+        ("trigger = -30.0", "trigger = -38", ["integrator_trigger", "-38", "-37.5"]),
+        ("pole = 0.9\n", "pole = 1.0\n", ["accelerometer_pole", "1.0", "less than 1"]),
+        ("gain = 0.1\n", "gain = [1]\n", ["accelerometer_gain", "[1]", "number"]),
+        (
+            "input_gain = { velocity = 0.25 }",
+            "input_gain = 3",
+            ["input_gain", "3"],
+        ),
+    ],
+)
+def test_a_wrong_law_is_refused_naming_field_and_value(
+    tmp_path: Path, old: str, new: str, parts: list[str]
+) -> None:
+    assert OWN.count(old) == 1
+    path = write(tmp_path, OWN.replace(old, new))
+    with pytest.raises(ValueError) as caught:
+        load_law(path)
+    assert not isinstance(caught.value, ValidationError)
+    for part in (path.name, *parts):
+        assert part in str(caught.value)
+
+
+def test_an_unknown_setting_lists_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(ValueError) as caught:
+        load_law(write(tmp_path, OWN + "gain = 3.0\n"))
+    for part in ("mine: gain", "not a known field", *(set(Law.model_fields) - {"name"})):
+        assert part in str(caught.value)
+
+
+def test_every_fault_is_listed(tmp_path: Path) -> None:
+    text = OWN.replace("0.25", '"a"').replace("state_gain = 0.5", "state_gain = 2.0")
+    with pytest.raises(ValueError) as caught:
+        load_law(write(tmp_path, text))
+    assert "input_gain.velocity" in str(caught.value)
+    assert "state_gain" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("[mine\n", ["not valid TOML", "line 1"]),
+        ("", ["holds no law"]),
+        ("gain = 3\n" + OWN, ["gain", "3", "a law is a table"]),
+        (OWN + OWN, ["not valid TOML"]),
+    ],
+)
+def test_a_file_that_is_no_law_is_refused(tmp_path: Path, text: str, parts: list[str]) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(ValueError) as caught:
+        load_law(path)
+    for part in (path.name, *parts):
+        assert part in str(caught.value)
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "binary.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match=r"binary\.toml: is not valid TOML"):
+        load_law(path)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"absent\.toml: cannot be read: No such file"):
+        load_law(tmp_path / "absent.toml")
+
+
+def test_several_laws_without_a_choice_are_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, OWN + OWN.replace("mine", "other"))
+    with pytest.raises(ValueError) as caught:
+        load_law(path)
+    for part in ("mine, other", f"{path}:mine"):
+        assert part in str(caught.value)
+
+
+def test_an_unknown_choice_lists_the_laws_of_the_file(tmp_path: Path) -> None:
+    path = write(tmp_path, OWN + OWN.replace("mine", "other"))
+    with pytest.raises(ValueError, match="'third' is not in .*; it has mine, other"):
+        load_law(f"{path}:third")
+
+
+@pytest.mark.parametrize("name", ["PERFB", "", "velocity.txt", "velocity ", "a.tomlx"])
+def test_an_unknown_name_lists_the_shipped_ones(name: str) -> None:
+    with pytest.raises(ValueError) as caught:
+        load_law(name)
+    for part in (repr(name), *NAMES):
+        assert part in str(caught.value)

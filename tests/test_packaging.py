@@ -1,0 +1,43 @@
+"""The wheel works outside the checkout, models and data inside it."""
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+USE = """
+import cmf_mj, cmf_mj.models, numpy as np
+assert cmf_mj.__file__.startswith({site!r}), cmf_mj.__file__
+assert str(cmf_mj.models.directory()).startswith({site!r})
+for cab in cmf_mj.models.CABS:
+    plant = cmf_mj.Hexapod(cab)
+record = cmf_mj.simulate(plant, "velocity", np.zeros((20, 6)))
+assert record["leg_position"].shape == (20, 6)
+print(len(cmf_mj.law_names()))
+"""
+
+
+def test_an_installed_wheel_works_outside_the_checkout(tmp_path: Path) -> None:
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+    )
+    (wheel,) = tmp_path.glob("*.whl")
+    site = tmp_path / "site"
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    result = subprocess.run(
+        [sys.executable, "-c", USE.format(site=str(site))],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(site)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    assert int(result.stdout) >= 10
