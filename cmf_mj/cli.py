@@ -6,6 +6,7 @@ from typing import Annotated, NoReturn
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 from cmf_mj import report, units
 from cmf_mj.control import law_names, load_law
@@ -20,13 +21,17 @@ app = typer.Typer(
     help="NASA Langley's Cockpit Motion Facility: control laws on a faithful hexapod.",
 )
 
-_TABLE_WIDTH = 124
+_TEXT_WIDTH = 120
+"""Width for tables that fold their text, where the terminal is narrower or there is none."""
 
 
-def _console() -> Console:
-    """A console wide enough for the tables where the terminal or file is narrower."""
+def _print(*parts: Table | str, width: int = 0) -> None:
+    """Print tables and text, never narrower than `width`."""
     console = Console()
-    return console if console.width >= _TABLE_WIDTH else Console(width=_TABLE_WIDTH)
+    if console.width < width:
+        console = Console(width=width)
+    for part in parts:
+        console.print(part)
 
 
 def refuse(error: Exception) -> NoReturn:
@@ -49,7 +54,6 @@ def run_comparison(
     records: bool = True,
 ) -> Comparison:
     """Compare with a progress bar, print the table and write all files to `out`."""
-    console = _console()
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -77,12 +81,14 @@ def run_comparison(
     figures = report.save_figures(comparison, out)
     header, lines = report.comparison_cells(comparison.rows)
     (out / "comparison.md").write_text(report.markdown(header, lines), encoding="utf-8")
-    console.print(report.comparison_table(comparison.rows))
+    table = report.comparison_table(comparison.rows)
+    kept = ", records/" if records else ""
     gap = max(result.gimbal_error for result in comparison.results)
-    if gap > 0.0:
-        console.print(f"largest gap of a closed gimbal: {gap * 1e6:.2f} micrometres")
-    console.print(
-        f"written to {out}: comparison.csv, comparison.md, {len(figures)} figures, records/"
+    _print(
+        table,
+        f"largest gap of a closed gimbal: {gap * 1e6:.2f} micrometres",
+        f"written to {out}: comparison.csv, comparison.md, {len(figures)} figures{kept}",
+        width=Console(width=1000).measure(table).maximum,
     )
     return comparison
 
@@ -134,7 +140,7 @@ def compare_command(
 @app.command("laws")
 def laws_command() -> None:
     """List the shipped control laws with their sources."""
-    _console().print(report.law_table([load_law(name) for name in law_names()]))
+    _print(report.law_table([load_law(name) for name in law_names()]), width=_TEXT_WIDTH)
 
 
 @app.command("parameters")
@@ -143,7 +149,7 @@ def parameters_command(
 ) -> None:
     """Show a hydraulic parameter set: value, unit, status and source of every number."""
     try:
-        _console().print(report.parameter_table(load_hydraulics(hydraulics)))
+        _print(report.parameter_table(load_hydraulics(hydraulics)), width=_TEXT_WIDTH)
     except ValueError as error:
         refuse(error)
 

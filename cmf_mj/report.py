@@ -7,6 +7,7 @@ from typing import Literal
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from cmf_mj import units
@@ -77,9 +78,11 @@ def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
     first = rows[0]
     cab = next((row.cab for row in rows if row.cab), "")
     title = f"hydraulics: {first.hydraulics}" + (f", cab: {cab}" if cab else "")
-    table = Table(title=title, caption=LEGEND, caption_justify="left")
+    table = Table(
+        title=title, caption=LEGEND, caption_justify="left", box=SIMPLE_HEAD, pad_edge=False
+    )
     for index, name in enumerate(header):
-        table.add_column(name, justify="left" if index < 2 else "right", no_wrap=index < 2)
+        table.add_column(name, justify="left" if index < 2 else "right", no_wrap=True)
     law = ""
     for line in lines:
         if law and line[0] != law:
