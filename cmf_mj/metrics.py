@@ -1,0 +1,283 @@
+"""Motion-base measures in the terms of AGARD-AR-144, on plain signals.
+
+The names are AGARD's; the report that defines its procedures could not be read, so each measure is
+what its docstring says and no more. Nothing here passes or fails: no acceptance limit is applied.
+Amplitudes are peak values, `rms` is root mean square over whole cycles.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, signal
+
+Signal = NDArray[np.float64]
+
+
+class Harmonics(NamedTuple):
+    """Least-squares fit of a sine and its harmonics."""
+
+    amplitude: Signal
+    """Peak of each harmonic, the fundamental first, (n,)."""
+    phase: Signal
+    """Phase of each harmonic at the first sample [rad], sine convention, (n,)."""
+    offset: float
+    """Mean."""
+    remainder: Signal
+    """What no harmonic explains, (N,)."""
+
+
+class Noise(NamedTuple):
+    """Acceleration noise of a sinusoidal motion, as shares of the fundamental.
+
+    With A1 the peak of the fundamental, each share is sqrt(2) rms / A1: a signal whose only fault
+    is a third harmonic of 3 % has a `low_harmonics` of 0.03.
+    """
+
+    fundamental: float
+    """A1 [unit of the signal]."""
+    low_harmonics: float
+    """Harmonics 2 and 3."""
+    high_harmonics: float
+    """Harmonics 4 and up, to the highest below half the sampling rate or `highest`."""
+    stochastic: float
+    """What is left."""
+    total: float
+    """Root sum of squares of the three shares."""
+    peak: float
+    """Largest deviation from the fundamental over A1."""
+
+
+def harmonics(samples: Signal, rate: float, frequency: float, count: int) -> Harmonics:
+    """Fit offset + sum a_k sin(2 pi k f t + phi_k), k = 1..count, by least squares.
+
+    Args:
+        samples: (N,), at least one cycle.
+        rate: sampling rate [Hz].
+        frequency: of the fundamental [Hz].
+        count: number of harmonics.
+
+    Raises:
+        ValueError: less than a cycle, or a harmonic at or above half the sampling rate.
+    """
+    if frequency <= 0.0 or samples.size < rate / frequency:
+        raise ValueError(
+            f"frequency: {frequency} Hz needs a cycle of {rate / max(frequency, 1e-300):.0f} "
+            f"samples; there are {samples.size}"
+        )
+    if count < 1 or count * frequency >= rate / 2:
+        raise ValueError(
+            f"count: harmonic {count} of {frequency} Hz must be at least 1 and below {rate / 2} Hz"
+        )
+    angle = 2.0 * np.pi * frequency / rate * np.arange(samples.size)
+    orders = np.arange(1, count + 1)
+    waves = np.outer(angle, orders)
+    design = np.column_stack([np.ones(samples.size), np.sin(waves), np.cos(waves)])
+    solution, *_ = np.linalg.lstsq(design, samples, rcond=None)
+    sine, cosine = solution[1 : count + 1], solution[count + 1 :]
+    return Harmonics(
+        amplitude=np.hypot(sine, cosine),
+        phase=np.arctan2(cosine, sine),
+        offset=float(solution[0]),
+        remainder=samples - design @ solution,
+    )
+
+
+def acceleration_noise(
+    acceleration: Signal, rate: float, frequency: float, *, highest: int = 20
+) -> Noise:
+    """Split the acceleration of a sinusoidal motion into fundamental, harmonics and noise.
+
+    Cut to whole cycles from the end. Half-hertz noise is this at 0.5 Hz over amplitude.
+
+    Args:
+        acceleration: (N,).
+        rate: sampling rate [Hz].
+        frequency: of the motion [Hz].
+        highest: highest harmonic counted, less where the sampling rate allows less.
+
+    Raises:
+        ValueError: less than a cycle, or too low a rate for the third harmonic.
+    """
+    cycles = int(np.floor(acceleration.size * frequency / rate + 1e-9))
+    if cycles < 1:
+        raise ValueError(
+            f"frequency: {frequency} Hz has no whole cycle in {acceleration.size} samples"
+        )
+    cut = acceleration[-round(cycles * rate / frequency) :]
+    count = min(highest, int(np.ceil(rate / 2 / frequency)) - 1)
+    if count < 3:
+        raise ValueError(f"rate: {rate} Hz must exceed {6.0 * frequency} Hz to show harmonic 3")
+    fit = harmonics(cut, rate, frequency, count)
+    first = float(fit.amplitude[0])
+    low = float(np.linalg.norm(fit.amplitude[1:3]) / first)
+    high = float(np.linalg.norm(fit.amplitude[3:]) / first)
+    random = float(np.sqrt(2.0 * np.mean(fit.remainder**2)) / first)
+    angle = 2.0 * np.pi * frequency / rate * np.arange(cut.size)
+    rest = cut - fit.offset - first * np.sin(angle + fit.phase[0])
+    return Noise(
+        fundamental=first,
+        low_harmonics=low,
+        high_harmonics=high,
+        stochastic=random,
+        total=float(np.sqrt(low**2 + high**2 + random**2)),
+        peak=float(np.abs(rest).max() / first),
+    )
+
+
+def describing_function(
+    demand: Sequence[Signal], response: Sequence[Signal], rate: float, frequency: Sequence[float]
+) -> NDArray[np.complex128]:
+    """Fundamental gain and phase of sinusoidal runs, response over demand, (runs,).
+
+    Each run is fitted with its fundamental alone: N(A, f) = (fundamental of the response) /
+    (fundamental of the demand). Gather runs over amplitude and frequency into a table.
+
+    Args:
+        demand: one signal a run.
+        response: one signal a run, of the same lengths.
+        rate: sampling rate [Hz].
+        frequency: of each run [Hz].
+    """
+    found = []
+    for x, y, f in zip(demand, response, frequency, strict=True):
+        into, out = (harmonics(s, rate, f, 1) for s in (x, y))
+        turn = np.exp(1j * (out.phase[0] - into.phase[0]))
+        found.append(out.amplitude[0] / into.amplitude[0] * turn)
+    return np.array(found)
+
+
+def crosstalk(accelerations: NDArray[np.float64], driven: int) -> Signal:
+    """Undriven over driven acceleration, rms over rms, (6,); the driven entry is 1.
+
+    Between translations the figure is a ratio; between a rotation and a translation it is in
+    rad/s^2 per m/s^2 or the reverse. Six runs, one a row, make the crosstalk matrix.
+
+    Args:
+        accelerations: (N, 6) of one run, means removed here.
+        driven: index of the driven degree of freedom.
+    """
+    moving = accelerations - accelerations.mean(axis=0)
+    rms = np.sqrt(np.mean(moving**2, axis=0))
+    if rms[driven] == 0.0:
+        raise ValueError(f"driven: degree of freedom {driven} does not move in this run")
+    return rms / rms[driven]
+
+
+def hysteresis(demand: Signal, response: Signal, rate: float, frequency: float) -> float:
+    """Width of the response-over-demand loop of a very slow sine, over the demand's peak-to-peak.
+
+    The response is folded on one cycle by its harmonics and the widest gap between the rising and
+    the falling branch taken. A linear delay d opens the loop too, by sin(2 pi f d): take a
+    frequency at which that is negligible.
+
+    Args:
+        demand: (N,) sinusoidal, at least one cycle.
+        response: (N,).
+        rate: sampling rate [Hz].
+        frequency: of the sine [Hz].
+    """
+    count = min(40, int(np.ceil(rate / 2 / frequency)) - 1)
+    into, out = harmonics(demand, rate, frequency, 1), harmonics(response, rate, frequency, count)
+    # On the demand's own angle a, rising and falling branch meet at a and pi - a.
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 721)
+    orders = np.arange(1, count + 1)
+    phase = out.phase - orders * into.phase[0]
+
+    def branch(at: Signal) -> Signal:
+        return np.asarray(np.sin(np.outer(at, orders) + phase) @ out.amplitude)
+
+    gap = np.abs(branch(angle) - branch(np.pi - angle)).max()
+    return float(gap / (2.0 * into.amplitude[0]))
+
+
+def dynamic_threshold(acceleration: Signal, rate: float, size: float, at: float) -> float:
+    """Time from an acceleration step of `size` at the time `at` to 63 % of it [s]; NaN if never.
+
+    Interpolated between samples. Run over step sizes it gives the threshold curve.
+    """
+    start = round(at * rate)
+    share = (acceleration[start:] - acceleration[max(start - 1, 0)]) / size
+    reached = np.flatnonzero(share >= 1.0 - np.exp(-1.0))
+    if reached.size == 0:
+        return float("nan")
+    i = int(reached[0])
+    if i == 0:
+        return 0.0
+    level = (1.0 - np.exp(-1.0) - share[i - 1]) / (share[i] - share[i - 1])
+    return float((i - 1 + level) / rate)
+
+
+def transport_delay(
+    demand: Signal, response: Signal, rate: float, *, longest: float = 2.0
+) -> float:
+    """Delay of the response [s]: lag of the largest cross-correlation, parabola through the peak.
+
+    Means are removed. For a system with dynamics this is its mean delay over the band excited.
+
+    Args:
+        demand: (N,).
+        response: (N,).
+        rate: sampling rate [Hz].
+        longest: largest delay looked for [s], less than the period of a periodic demand.
+    """
+    x, y = demand - demand.mean(), response - response.mean()
+    correlation = signal.correlate(y, x, method="fft")
+    lags = signal.correlation_lags(y.size, x.size)
+    near = np.abs(lags) <= min(round(longest * rate), x.size // 2)
+    # Over the samples that overlap: the sum alone would pull the peak towards no lag.
+    values = correlation[near] / (x.size - np.abs(lags[near]))
+    peak = int(values.argmax())
+    shift = 0.0
+    if 0 < peak < values.size - 1:
+        before, top, after = values[peak - 1 : peak + 2]
+        bend = before - 2.0 * top + after
+        shift = 0.5 * (before - after) / bend if bend != 0.0 else 0.0
+    return float((lags[near][peak] + shift) / rate)
+
+
+class SecondOrder(NamedTuple):
+    """g w^2 / (s^2 + 2 z w s + w^2) e^(-s d), fitted to a frequency response."""
+
+    gain: float
+    natural_frequency_hz: float
+    damping_ratio: float
+    delay: float
+    """d [s]."""
+    residual: float
+    """Rms of the complex misfit over rms of the response."""
+
+
+def fit_second_order(
+    frequency: Signal, response: NDArray[np.complex128], *, highest: float | None = None
+) -> SecondOrder:
+    """Fit a second-order system with delay to a response by least squares on the complex misfit.
+
+    Args:
+        frequency: [Hz], (K,).
+        response: (K,).
+        highest: last frequency used [Hz]; default 1.5 times the first fall through -90 deg.
+    """
+    phase = np.degrees(np.unwrap(np.angle(response)))
+    late = np.flatnonzero(phase < -90.0)
+    turn = float(frequency[late[0]]) if late.size else float(frequency[-1])
+    used = frequency <= (highest if highest is not None else 1.5 * turn)
+    if np.count_nonzero(used) < 4:
+        raise ValueError(f"highest: only {np.count_nonzero(used)} lines lie below it; 4 are needed")
+    s = 2j * np.pi * frequency[used]
+    measured = response[used]
+
+    def misfit(p: Signal) -> Signal:
+        natural = 2.0 * np.pi * np.exp(p[1])
+        model = p[0] * natural**2 / (s * s + 2.0 * p[2] * natural * s + natural**2)
+        error = model * np.exp(-s * p[3]) - measured
+        return np.concatenate([error.real, error.imag])
+
+    start = [abs(measured[0]), np.log(turn), 0.5, 0.0]
+    found = optimize.least_squares(misfit, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    size = np.sqrt(2.0 * found.cost / measured.size) / np.sqrt(np.mean(np.abs(measured) ** 2))
+    gain, logarithm, damping, delay = found.x
+    return SecondOrder(
+        float(gain), float(np.exp(logarithm)), float(damping), float(delay), float(size)
+    )
