@@ -1,12 +1,13 @@
 """Frequency responses from records, and the bandwidths read off them.
 
 A response goes from the DCL's leg demand to the leg feedback, both transformed to the degree of
-freedom by `legs_to_pose`, as the report does; host delay and DCU are outside. The estimator is H1,
+freedom by `legs_to_pose`, as the report does, or of a single leg; host delay and DCU are outside.
+The estimator is H1,
 
     H1 = S_xy / S_xx,    coherence = |S_xy|^2 / (S_xx S_yy)
 
 unbiased here because the demand is free of noise: periodic records are averaged over their whole
-periods after the first, others by Welch's method.
+periods after the first, others by Welch's method (`cmf_mj.estimation`, which has the others).
 """
 
 from typing import Any, NamedTuple
@@ -14,34 +15,42 @@ from typing import Any, NamedTuple
 import control
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
+from cmf_mj.estimation import (
+    SEGMENT,
+    Estimate,
+    Estimator,
+    from_h1,
+    periodic_response,
+    report_response,
+    welch_response,
+)
 from cmf_mj.kinematics import legs_to_pose
 from cmf_mj.record import Record
 from cmf_mj.signals import dof_index
-
-SEGMENT = 20.0
-"""Length of Welch's segments [s]: lines every 0.05 Hz."""
-
 
 NO_DEMAND = 1e-9
 """Demand [m or rad] that is round-off of the transformation to a degree of freedom."""
 
 
 class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]
-    """A python-control frequency response that also carries its coherence."""
+    """A python-control frequency response that also carries its coherence and its bound."""
 
     def __init__(
         self,
         response: NDArray[np.complex128],
         omega: NDArray[np.float64],
         coherence: NDArray[np.float64],
+        bound: NDArray[np.float64] | None = None,
         **keywords: Any,
     ) -> None:
         """Wrap a SISO response at angular frequencies `omega` [rad/s], (K,)."""
         super().__init__(response, omega, **keywords)
         self.coherence = coherence
         """Coherence of each line, 0 to 1, (K,)."""
+        self.bound = bound if bound is not None else np.full(np.shape(coherence), np.nan)
+        """Radius of the circle about each line's response that holds the true one with 95 %
+        probability, (K,): random error only; infinite from one average, NaN where not known."""
 
     @property
     def frequency(self) -> NDArray[np.float64]:
@@ -76,22 +85,41 @@ class Bandwidths(NamedTuple):
 
 
 def dof_history(record: Record, channel: str, dof: str) -> NDArray[np.float64]:
-    """A leg channel (N, 6) transformed to one degree of freedom, (N,) [m or rad]."""
-    return legs_to_pose(record[channel])[:, dof_index(dof)]
+    """A leg channel (N, 6) transformed to one degree of freedom, or one leg of it, (N,) [m or rad].
+
+    Args:
+        record: holding the channel.
+        channel: name of a channel of leg positions.
+        dof: degree of freedom, or `leg_1` and so on.
+    """
+    if not dof.startswith("leg_"):
+        index = dof_index(dof)
+        return legs_to_pose(record[channel])[:, index]
+    legs = [f"leg_{i + 1}" for i in range(record[channel].shape[1])]
+    if dof not in legs:
+        raise ValueError(f"dof: {dof!r} is not one of {', '.join(legs)}")
+    return record[channel][:, legs.index(dof)]
 
 
 def frequency_response(
-    record: Record, dof: str | None = None, *, segment: float = SEGMENT
+    record: Record,
+    dof: str | None = None,
+    *,
+    segment: float = SEGMENT,
+    estimator: Estimator = "h1",
 ) -> FrequencyResponse:
     """Estimate the response from leg demand to leg feedback in one degree of freedom.
 
     Args:
         record: of a chirp, multisine or any other broad excitation.
-        dof: degree of freedom; default the one the command moved.
+        dof: degree of freedom, or a leg, `leg_1` and so on; default the degree of freedom the
+            command moved.
         segment: length of Welch's segments [s], for records that are not periodic.
+        estimator: `h1`, `h2`, `hv`, or `report`: Appendix A's, with its own segments, or over the
+            periods of a multisine the mean of H1 and H2.
 
     Returns:
-        Lines within the excited band, with coherence.
+        Lines within the excited band, with coherence and bound.
 
     Raises:
         ValueError: no excitation in this degree of freedom, a record shorter than a segment, or
@@ -104,57 +132,42 @@ def frequency_response(
     if np.ptp(demand) < NO_DEMAND:
         raise ValueError(f"dof: the record holds no demand in {chosen}; it moved {command['dof']}")
     if command.get("kind") == "multisine":
-        return _periodic(record, demand, feedback)
+        return _wrapped(from_h1(_periodic(record, demand, feedback), estimator))
     # The rest before the excitation is the base line; it also lets the start-up settle.
     begin = max(round(float(command.get("settle", 0.0)) * record.rate) - 1, 0)
     x = demand[begin:] - demand[begin]
     y = feedback[begin:] - feedback[begin]
-    samples = round(segment * record.rate)
-    if x.size < samples:
-        raise ValueError(
-            f"segment: {segment} s must not exceed the record's {x.size / record.rate:.3f} s"
-        )
-    # A segment of rest at both ends: every instant then has the same weight over the segments, and
-    # a response that lags its swept demand is not weighted differently from it.
-    x, y = np.pad(x, samples), np.pad(y, samples)
-    options: dict[str, Any] = {
-        "fs": record.rate,
-        "window": "hann",
-        "nperseg": samples,
-        "noverlap": 3 * samples // 4,
-        "detrend": False,
-    }
-    frequency, cross = signal.csd(x, y, **options)
-    _, power_in = signal.welch(x, **options)
-    _, power_out = signal.welch(y, **options)
     low = max(float(command.get("start", 0.0)), 2.0 / segment)
-    high = float(command.get("stop", record.rate / 4.0))
-    band = (frequency >= low) & (frequency <= high)
-    coherence = np.abs(cross[band]) ** 2 / (power_in[band] * power_out[band])
-    return FrequencyResponse(cross[band] / power_in[band], 2.0 * np.pi * frequency[band], coherence)
+    band = (low, float(command.get("stop", record.rate / 4.0)))
+    if estimator == "report":
+        return _wrapped(report_response(x, y, record.rate, band=band))
+    return _wrapped(
+        welch_response(x, y, record.rate, estimator=estimator, segment=segment, band=band, pad=True)
+    )
+
+
+def _wrapped(estimate: Estimate) -> FrequencyResponse:
+    return FrequencyResponse(
+        estimate.response, 2.0 * np.pi * estimate.frequency, estimate.coherence, estimate.radius
+    )
 
 
 def _periodic(
     record: Record, demand: NDArray[np.float64], feedback: NDArray[np.float64]
-) -> FrequencyResponse:
+) -> Estimate:
     command = record.metadata["command"]
     samples = round(command["period"] * record.rate)
     if abs(samples - command["period"] * record.rate) > 1e-9:
         raise ValueError(
             f"record_every: a period is not a whole number of samples at {record.rate}"
         )
-    measured = slice(samples, command["periods"] * samples)
-    x = np.fft.rfft(demand[measured].reshape(-1, samples), axis=1)
-    y = np.fft.rfft(feedback[measured].reshape(-1, samples), axis=1)
     frequency = np.fft.rfftfreq(samples, 1.0 / record.rate)
     orders = np.arange(frequency.size)
     lines = (orders % 2 == 1) & (frequency >= command["start"] - 1e-9)
     lines &= frequency <= command["stop"] + 1e-9
-    cross = np.mean(np.conj(x) * y, axis=0)[lines]
-    power_in = np.mean(np.abs(x) ** 2, axis=0)[lines]
-    power_out = np.mean(np.abs(y) ** 2, axis=0)[lines]
-    return FrequencyResponse(
-        cross / power_in, 2.0 * np.pi * frequency[lines], np.abs(cross) ** 2 / power_in / power_out
+    whole = slice(command["periods"] * samples)
+    return periodic_response(
+        demand[whole], feedback[whole], record.rate, command["period"], lines=orders[lines]
     )
 
 

@@ -6,7 +6,6 @@ JSON in the schema, so that any Parquet reader opens it.
 """
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
+
+from cmf_mj.files import whole_file
 
 _SCHEMA_KEY = b"cmf_mj"
 
@@ -87,9 +88,7 @@ class Record:
         }
         table = pa.table({name: np.ascontiguousarray(v) for name, v in columns.items()})
         table = table.replace_schema_metadata({_SCHEMA_KEY: json.dumps(header).encode()})
-        target.parent.mkdir(parents=True, exist_ok=True)
-        partial = target.with_name(f".{target.name}.{os.getpid()}.part")
-        try:
+        with whole_file(target) as partial:
             pq.write_table(
                 table,
                 partial,
@@ -97,9 +96,6 @@ class Record:
                 use_dictionary=False,
                 column_encoding="BYTE_STREAM_SPLIT",
             )
-            os.replace(partial, target)
-        finally:
-            partial.unlink(missing_ok=True)
         return target
 
     @staticmethod
