@@ -1,5 +1,6 @@
 """The command line, `cmf`."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -8,10 +9,15 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from cmf_mj import report, units
+from cmf_mj import measurement_report, models, report, units
 from cmf_mj.control import law_names, load_law
 from cmf_mj.kinematics import DOFS
+from cmf_mj.limits import peaks
+from cmf_mj.measurement import facility_session, measure, session_commands
 from cmf_mj.parameters import load_hydraulics
+from cmf_mj.plant import Hexapod, Plant, SingleLegs
+from cmf_mj.recording import write_facility_csv
+from cmf_mj.signals import dof_index
 from cmf_mj.studies import AMPLITUDE, DEFAULT_LAWS, PLANTS, Comparison, compare
 
 app = typer.Typer(
@@ -134,6 +140,95 @@ def compare_command(
             records=records,
         )
     except (ValueError, OSError, FloatingPointError) as error:
+        refuse(error)
+
+
+def _plant(plant: str, cab: str, hydraulics: str) -> Callable[[], Plant]:
+    """Builder of a plant named on the command line; refuses bad names at once."""
+    if plant not in PLANTS:
+        raise ValueError(f"plant: {plant!r} is not one of {', '.join(PLANTS)}")
+    parameters = load_hydraulics(hydraulics)
+    models.cab_path(cab)
+    return lambda: Hexapod(cab, parameters) if plant == "hexapod" else SingleLegs(parameters)
+
+
+def _size(dof: str, amplitude: float | None) -> float | None:
+    """An amplitude of the command line, in or deg, in SI."""
+    if amplitude is None:
+        return None
+    return units.to_si("in" if dof_index(dof) < 3 else "deg", amplitude)
+
+
+Dof = Annotated[str, typer.Option(help=f"degree of freedom: {', '.join(DOFS)}")]
+LawName = Annotated[str, typer.Option("--law", help="law by name or TOML file")]
+PlantName = Annotated[str, typer.Option("--plant", help="hexapod or single_legs")]
+Cab = Annotated[str, typer.Option(help="gfd, rfd or ifd")]
+HydraulicSet = Annotated[str, typer.Option(help="report, hardware or a TOML file")]
+Amplitude = Annotated[
+    float | None, typer.Option(help="amplitude [in or deg]; default 0.33 in or 0.2 deg")
+]
+
+
+@app.command("record")
+def record_command(
+    law: LawName = "velocity",
+    dof: Dof = "heave",
+    plant: PlantName = "hexapod",
+    cab: Cab = "gfd",
+    hydraulics: HydraulicSet = "hardware",
+    amplitude: Amplitude = None,
+    jobs: Annotated[int | None, typer.Option(help="threads; default one a core")] = None,
+    out: Annotated[Path, typer.Option(help="folder for the five files")] = Path("out/record"),
+) -> None:
+    """Run the facility's session, five rounds of seven sines, and write its five CSV files."""
+    try:
+        build = _plant(plant, cab, hydraulics)
+        largest = [peaks(command) for command in session_commands(dof, _size(dof, amplitude))]
+        index, unit = dof_index(dof), "in" if dof_index(dof) < 3 else "deg"
+        velocity, acceleration = (
+            units.from_si(unit, max(float(getattr(peak, kind)[index]) for peak in largest))
+            for kind in ("velocity", "acceleration")
+        )
+        _print(f"peak demand: {velocity:.3g} {unit}/s, {acceleration:.3g} {unit}/s^2")
+        session = facility_session(build, law, dof, amplitude=_size(dof, amplitude), jobs=jobs)
+        for number, record in enumerate(session, start=1):
+            name = f"{record.metadata['law']}_{dof}_{number}of{len(session)}.csv"
+            print(write_facility_csv(record, out / name))
+    except (ValueError, OSError, FloatingPointError) as error:
+        refuse(error)
+
+
+@app.command("measure")
+def measure_command(
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(help="recordings: facility CSV, UFF 58 or Parquet; rounds are joined"),
+    ] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="run a whole measuring session instead")
+    ] = False,
+    law: LawName = "velocity",
+    dof: Dof = "heave",
+    plant: PlantName = "hexapod",
+    cab: Cab = "gfd",
+    hydraulics: HydraulicSet = "hardware",
+    amplitude: Amplitude = None,
+    estimator: Annotated[str, typer.Option(help="h1, h2, hv or report; one recording")] = "h1",
+    out: Annotated[Path, typer.Option(help="folder for results")] = Path("out/measure"),
+) -> None:
+    """Measure recordings, or a simulated session, in the field's terms."""
+    try:
+        if simulate == bool(files):
+            raise ValueError("files: name recordings, or use --simulate, not both and not neither")
+        if simulate:
+            build = _plant(plant, cab, hydraulics)
+            measured = measure(build, law, dof, amplitude=_size(dof, amplitude))
+            paths = measurement_report.save_measurement(measured, out)
+            table = measurement_report.measurement_table(measured)
+        else:
+            paths, table = measurement_report.measure_files(files or [], dof, estimator, out)
+        _print(table, f"written: {', '.join(str(path) for path in paths)}", width=_TEXT_WIDTH)
+    except (ValueError, OSError, FloatingPointError, ModuleNotFoundError) as error:
         refuse(error)
 
 

@@ -10,24 +10,32 @@ unbiased here because the demand is free of noise: periodic records are averaged
 periods after the first, others by Welch's method (`cmf_mj.estimation`, which has the others).
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import control
 import numpy as np
 from numpy.typing import NDArray
+from scipy import signal
 
 from cmf_mj.estimation import (
     SEGMENT,
     Estimate,
     Estimator,
     from_h1,
+    matrix_response,
     periodic_response,
     report_response,
+    sine_response,
+    stitch,
     welch_response,
 )
-from cmf_mj.kinematics import legs_to_pose
+from cmf_mj.kinematics import DOFS, legs_to_pose
 from cmf_mj.record import Record
-from cmf_mj.signals import dof_index
+from cmf_mj.signals import RATE, dof_index
+
+DRIVEN_SHARE = 1e-2
+"""Demand power over its largest line from which on a line of single sines counts as driven."""
 
 NO_DEMAND = 1e-9
 """Demand [m or rad] that is round-off of the transformation to a degree of freedom."""
@@ -130,7 +138,9 @@ def frequency_response(
     feedback = dof_history(record, "leg_position", chosen)
     command = record.metadata["command"]
     if np.ptp(demand) < NO_DEMAND:
-        raise ValueError(f"dof: the record holds no demand in {chosen}; it moved {command['dof']}")
+        raise ValueError(
+            f"dof: the record holds no demand in {chosen}; it moved {command.get('dof', 'another')}"
+        )
     if command.get("kind") == "multisine":
         return _wrapped(from_h1(_periodic(record, demand, feedback), estimator))
     # The rest before the excitation is the base line; it also lets the start-up settle.
@@ -143,6 +153,98 @@ def frequency_response(
         return _wrapped(report_response(x, y, record.rate, band=band))
     return _wrapped(
         welch_response(x, y, record.rate, estimator=estimator, segment=segment, band=band, pad=True)
+    )
+
+
+def rounds_response(
+    records: Sequence[Record], dof: str | None = None, *, segment: float = SEGMENT
+) -> FrequencyResponse:
+    """One response from several records of single sines, such as the facility's five rounds.
+
+    Where a record carries its dwells, each is fitted by least squares over whole cycles. Records
+    without are put end to end, as the report does, estimated by Welch's method, and of its lines
+    those are kept that the demand drives.
+
+    Args:
+        records: of one degree of freedom.
+        dof: degree of freedom, or a leg; default the one the first command moved.
+        segment: length of Welch's segments [s].
+
+    Raises:
+        ValueError: no records, different rates, or no demand in this degree of freedom.
+    """
+    if not records:
+        raise ValueError("records: none given; at least one is needed")
+    rates = sorted({record.rate for record in records})
+    if len(rates) > 1:
+        raise ValueError(f"records: rates are {', '.join(map(str, rates))} Hz; must be one")
+    chosen = dof if dof is not None else str(records[0].metadata["command"].get("dof"))
+    pairs = [
+        tuple(dof_history(record, name, chosen) for name in ("leg_reference", "leg_position"))
+        for record in records
+    ]
+    if max(np.ptp(x) for x, _ in pairs) < NO_DEMAND:
+        raise ValueError(f"dof: the records hold no demand in {chosen}")
+    if all("dwells" in record.metadata["command"] for record in records):
+        found = []
+        for record, (x, y) in zip(records, pairs, strict=True):
+            per_frame = record.rate / RATE
+            for dwell in record.metadata["command"]["dwells"]:
+                # Inwards to whole samples; the fit takes the whole cycles that are left.
+                first = int(np.ceil(dwell["start"] * per_frame))
+                last = int((dwell["start"] + dwell["frames"]) * per_frame) + 1
+                found.append(
+                    sine_response(x[first:last], y[first:last], record.rate, dwell["frequency"])
+                )
+        return _wrapped(stitch(found))
+    x, y = (
+        np.concatenate([part - part[0] for part in parts]) for parts in zip(*pairs, strict=True)
+    )
+    estimate = welch_response(x, y, rates[0], segment=segment, band=(2.0 / segment, 10.5), pad=True)
+    _, power = signal.welch(x, rates[0], nperseg=round(segment * rates[0]))
+    spectrum = np.interp(estimate.frequency, np.arange(power.size) / segment, power)
+    kept = spectrum > DRIVEN_SHARE * spectrum.max()
+    return FrequencyResponse(
+        estimate.response[kept],
+        2.0 * np.pi * estimate.frequency[kept],
+        estimate.coherence[kept],
+        estimate.radius[kept],
+    )
+
+
+def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
+    """The full 6 by 6 response from pose demand to pose feedback, of one run.
+
+    Each column is measured at its own lines and interpolated to the lines of all, NaN outside its
+    own; m and rad per m and rad, outputs in rows.
+
+    Args:
+        record: of `excitations.orthogonal_multisines` in all six degrees of freedom.
+
+    Raises:
+        ValueError: another excitation, or a degree of freedom at rest.
+    """
+    command = record.metadata["command"]
+    if command.get("kind") != "orthogonal_multisines":
+        kind = command.get("kind")
+        raise ValueError(f"record: its command is {kind!r}; orthogonal multisines are needed")
+    whole = slice(round(command["period"] * record.rate) * command["periods"])
+    demand, feedback = (
+        legs_to_pose(record[name][whole]) for name in ("leg_reference", "leg_position")
+    )
+    estimate = matrix_response(
+        demand,
+        feedback,
+        record.rate,
+        period=command["period"],
+        band=(command["start"], command["stop"]),
+        interpolate=True,
+    )
+    return control.FrequencyResponseData(
+        np.moveaxis(estimate.response, 0, -1),
+        2.0 * np.pi * estimate.frequency,
+        inputs=[f"{dof}_demand" for dof in DOFS],
+        outputs=list(DOFS),
     )
 
 

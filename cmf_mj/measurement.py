@@ -89,7 +89,7 @@ class Measurement:
 
     def summary(self) -> dict[str, Any]:
         """Everything but the response curve as JSON values; NaN becomes None."""
-        return _plain(
+        return plain(
             {
                 "plant": self.plant,
                 "cab": self.cab,
@@ -112,11 +112,12 @@ class Measurement:
         )
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """JSON values of nested results: NumPy numbers become Python's, NaN becomes None."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, float | np.floating):
         return float(value) if np.isfinite(value) else None
     return bool(value) if isinstance(value, np.bool_) else value
@@ -131,6 +132,24 @@ def dof_accelerations(record: Record) -> NDArray[np.float64]:
     pose = legs_to_pose(record["leg_position"])
     legs = (record["leg_velocity"], record["leg_acceleration"])
     return leg_motion_to_pose(pose, *legs).acceleration
+
+
+def session_commands(dof: str, amplitude: float | None = None) -> list[signals.Command]:
+    """The five rounds of seven sines of Table 2-3, checked against the operational limits.
+
+    Args:
+        dof: degree of freedom.
+        amplitude: of each sine [m or rad]; default the report's 0.33 in or 0.2 deg.
+
+    Raises:
+        ValueError: an argument out of range, or a demand beyond the limits; each is named.
+    """
+    size = _amplitude(dof, amplitude)
+    numbers = range(1, len(excitations.ROUNDS) + 1)
+    commands = [excitations.seven_sines(dof, size, number) for number in numbers]
+    for command in commands:
+        limits.check_limits(command)
+    return commands
 
 
 def facility_session(
@@ -153,14 +172,8 @@ def facility_session(
     Raises:
         ValueError: an argument out of range, named, or a demand beyond the operational limits.
     """
-    size = _amplitude(dof, amplitude)
     loaded = load_law(law)
-    commands = [
-        excitations.seven_sines(dof, size, number)
-        for number in range(1, len(excitations.ROUNDS) + 1)
-    ]
-    for command in commands:
-        limits.check_limits(command)
+    commands = session_commands(dof, amplitude)
     workers = jobs if jobs is not None else (os.cpu_count() or 1)
     pool = Parallel(n_jobs=workers, backend="threading")
     return list(

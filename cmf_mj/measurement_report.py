@@ -2,9 +2,9 @@
 
 import csv
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,11 +12,19 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from cmf_mj import units
+from cmf_mj.estimation import Estimator
 from cmf_mj.files import whole_file
-from cmf_mj.frequency_response import FrequencyResponse, bandwidths
+from cmf_mj.frequency_response import (
+    FrequencyResponse,
+    bandwidths,
+    frequency_response,
+    rounds_response,
+)
 from cmf_mj.kinematics import DOFS
-from cmf_mj.measurement import Measurement
-from cmf_mj.metrics import SecondOrder
+from cmf_mj.measurement import Measurement, plain
+from cmf_mj.metrics import SecondOrder, fit_second_order
+from cmf_mj.record import Record
+from cmf_mj.recording import read_facility_csv, read_uff
 
 
 def _share(value: float) -> str:
@@ -166,3 +174,56 @@ def save_measurement(measured: Measurement, folder: Path) -> list[Path]:
     measures_figure(measured).savefig(paths[2], dpi=110)
     write_summary(measured.summary(), paths[3])
     return paths
+
+
+def read_recording(path: Path) -> Record:
+    """Read a recording by its ending: .csv (facility), .uff or .unv (UFF 58), .parquet.
+
+    Raises:
+        ValueError: another ending, or a broken file.
+    """
+    readers: dict[str, Callable[[Path], Record]] = {
+        ".csv": read_facility_csv,
+        ".uff": read_uff,
+        ".unv": read_uff,
+        ".parquet": Record.load,
+    }
+    if path.suffix not in readers:
+        raise ValueError(f"{path}: ending {path.suffix!r} is not one of {', '.join(readers)}")
+    return readers[path.suffix](path)
+
+
+def measure_files(
+    files: Sequence[Path], dof: str, estimator: str, folder: Path
+) -> tuple[list[Path], Table]:
+    """Measure the response in recordings: write CSV, figure and summary, return them and a table.
+
+    Several files, or one of single sines, are rounds and give one response.
+
+    Raises:
+        ValueError: a broken file, no demand in the degree of freedom, an unknown estimator;
+            nothing has been written then.
+    """
+    if estimator not in get_args(Estimator):
+        names = ", ".join(get_args(Estimator))
+        raise ValueError(f"estimator: {estimator!r} is not one of {names}")
+    records = [read_recording(path) for path in files]
+    if len(records) > 1 or "dwells" in records[0].metadata["command"]:
+        response = rounds_response(records, dof)
+    else:
+        response = frequency_response(records[0], dof, estimator=cast("Estimator", estimator))
+    fit = fit_second_order(response.frequency, response.response)
+    summary = {
+        "files": [str(path) for path in files],
+        "dof": dof,
+        "estimator": estimator,
+        "bandwidths": bandwidths(response)._asdict(),
+        "second_order": fit._asdict(),
+        "coherence_least": float(response.coherence.min()),
+    }
+    paths = [folder / name for name in ("response.csv", "response.png", "summary.json")]
+    folder.mkdir(parents=True, exist_ok=True)
+    write_response(response, paths[0])
+    response_figure(f"{dof}", {files[0].stem: response}).savefig(paths[1], dpi=110)
+    write_summary(plain(summary), paths[2])
+    return paths, response_table(f"{dof}: {', '.join(p.name for p in files)}", response, fit)

@@ -1,14 +1,20 @@
 """A measuring session against what is known of the plant without it."""
 
+import csv
+import io
 import json
+from pathlib import Path
 
+import matplotlib.image
 import numpy as np
 import pytest
+from rich.console import Console
 
 from cmf_mj import SingleLegs, signals, simulate
 from cmf_mj.excitations import acceleration_step
 from cmf_mj.kinematics import legs_to_pose
 from cmf_mj.measurement import Measurement, dof_accelerations, measure
+from cmf_mj.measurement_report import measurement_table, save_measurement
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +55,28 @@ def test_summary_is_json_with_every_measure(session: Measurement) -> None:
     assert [p["amplitude"] for p in summary["half_hertz_noise"]] == sorted(
         p["amplitude"] for p in summary["half_hertz_noise"]
     )
+
+
+def test_session_is_written_as_table_figures_and_files(
+    session: Measurement, tmp_path: Path
+) -> None:
+    paths = save_measurement(session, tmp_path / "out")
+    assert [path.name for path in paths] == [
+        "response.csv",
+        "response.png",
+        "measures.png",
+        "summary.json",
+    ]
+    with paths[0].open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == session.response.frequency.size
+    for path in paths[1:3]:
+        assert np.ptp(matplotlib.image.imread(path)) > 0.5
+    console = Console(width=120, record=True, file=io.StringIO())
+    console.print(measurement_table(session))
+    text = console.export_text()
+    for measure_name in ("-90 deg bandwidth", "half-hertz noise", "hysteresis", "crosstalk"):
+        assert measure_name in text
 
 
 def test_acceleration_step_moves_at_constant_acceleration() -> None:
