@@ -1,5 +1,6 @@
 """Runs the Python blocks of README and docs as tests, in an empty folder each."""
 
+import doctest
 import os
 import tempfile
 from typing import Any
@@ -20,7 +21,7 @@ def _leave(namespace: dict[str, Any]) -> None:
 
 
 pytest_collect_file = Sybil(
-    parsers=[PythonCodeBlockParser()],
+    parsers=[PythonCodeBlockParser(doctest_optionflags=doctest.ELLIPSIS)],
     patterns=["README.md", "docs/*.md", "models/README.md"],
     setup=_enter,
     teardown=_leave,
