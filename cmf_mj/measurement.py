@@ -85,7 +85,8 @@ class Measurement:
     """Loop width over peak-to-peak, fraction."""
     threshold: tuple[Threshold, ...]
     crosstalk: NDArray[np.float64]
-    """Accelerations over the driven one at 1 Hz, (6,), rad/s^2 per m/s^2 across kinds."""
+    """Accelerations over the driven one at 1 Hz, (6, 6), a row a driven degree of freedom; rad/s^2
+    per m/s^2 or the reverse across kinds."""
 
     def summary(self) -> dict[str, Any]:
         """Everything but the response curve as JSON values; NaN becomes None."""
@@ -107,7 +108,10 @@ class Measurement:
                 ],
                 "hysteresis": self.hysteresis,
                 "dynamic_threshold": [point._asdict() for point in self.threshold],
-                "crosstalk": dict(zip(DOFS, self.crosstalk, strict=True)),
+                "crosstalk": {
+                    driven: dict(zip(DOFS, row, strict=True))
+                    for driven, row in zip(DOFS, self.crosstalk, strict=True)
+                },
             }
         )
 
@@ -282,8 +286,14 @@ def measure(
             Threshold(step, metrics.dynamic_threshold(reached, record.rate, step, 1.0))
         )
 
-    crossed = run(signals.sine(dof, size, CROSSTALK, cycles=10.0))
-    moved = dof_accelerations(crossed)[_whole_cycles(crossed, CROSSTALK, 6)]
+    share = size / _amplitude(dof, None)
+    crosstalk = []
+    for index, driven in enumerate(DOFS):
+        crossed = run(
+            signals.sine(driven, share * _amplitude(driven, None), CROSSTALK, cycles=10.0)
+        )
+        moved = dof_accelerations(crossed)[_whole_cycles(crossed, CROSSTALK, 6)]
+        crosstalk.append(metrics.crosstalk(moved, index))
     return Measurement(
         plant=plant.name,
         cab=plant.cab,
@@ -300,5 +310,5 @@ def measure(
         half_hertz_noise=tuple(noise),
         hysteresis=loop,
         threshold=tuple(threshold),
-        crosstalk=metrics.crosstalk(moved, DOFS.index(dof)),
+        crosstalk=np.array(crosstalk),
     )

@@ -84,7 +84,7 @@ def measurement_table(measured: Measurement) -> Table:
         level = point.acceleration / (1.0 if turn == "m/s^2" else units.DEGREE)
         time = f"{1e3 * point.time:.1f} ms"
         rows.append((f"dynamic threshold, {level:.3g} {turn}", time, "to 63 % of the step"))
-    for dof, value in zip(DOFS, measured.crosstalk, strict=True):
+    for dof, value in zip(DOFS, measured.crosstalk[DOFS.index(measured.dof)], strict=True):
         if dof != measured.dof:
             same = (DOFS.index(dof) < 3) == (DOFS.index(measured.dof) < 3)
             text = _share(value) if same else f"{value:.4f} SI"
@@ -95,13 +95,19 @@ def measurement_table(measured: Measurement) -> Table:
 
 
 def response_figure(title: str, responses: Mapping[str, FrequencyResponse]) -> Figure:
-    """Gain, phase and coherence of measured responses."""
+    """Gain and phase with their 95 % bounds, and coherence, of measured responses."""
     figure = Figure(figsize=(8.0, 8.0), layout="constrained")
     gain, phase, coherence = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1))
     for name, response in responses.items():
         (line,) = gain.semilogx(response.frequency, response.gain_db, label=name)
         phase.semilogx(response.frequency, response.phase_deg, color=line.get_color())
         coherence.semilogx(response.frequency, response.coherence, color=line.get_color())
+        share = np.minimum(response.bound / np.abs(response.response), 0.99)
+        far, near = (response.gain_db + 20.0 * np.log10(1.0 + sign * share) for sign in (1, -1))
+        gain.fill_between(response.frequency, near, far, color=line.get_color(), alpha=0.2)
+        half = np.degrees(np.arcsin(share))
+        low, high = response.phase_deg - half, response.phase_deg + half
+        phase.fill_between(response.frequency, low, high, color=line.get_color(), alpha=0.2)
     gain.axhline(-3.0, color="0.6", linewidth=0.8)
     phase.axhline(-90.0, color="0.6", linewidth=0.8)
     gain.set(ylabel="gain [dB]", title=title)
@@ -138,8 +144,11 @@ def measures_figure(measured: Measurement) -> Figure:
     )
     threshold.set(title="dynamic threshold", xlabel=f"step [{turn}]", ylabel="time to 63 % [ms]")
     threshold.set_ylim(0.0, 1200.0 * max((p.time for p in measured.threshold), default=1.0))
-    cross.bar(DOFS, np.maximum(measured.crosstalk, 1e-6))
-    cross.set(title="crosstalk at 1 Hz", ylabel="acceleration ratio [SI]", yscale="log")
+    image = cross.imshow(np.log10(np.maximum(measured.crosstalk, 1e-6)), vmin=-3, vmax=0)
+    cross.set_xticks(range(6), DOFS, fontsize=8)
+    cross.set_yticks(range(6), DOFS, fontsize=8)
+    cross.set(title="crosstalk at 1 Hz", xlabel="moved", ylabel="driven")
+    figure.colorbar(image, ax=cross, label="log10 acceleration ratio [SI]")
     steps = [point.acceleration / scale for point in measured.threshold]
     for axis, ticks in ((gain, sizes), (noise, sizes), (threshold, steps)):
         axis.set_xticks(ticks, [f"{tick:.3g}" for tick in ticks])
@@ -149,11 +158,12 @@ def measures_figure(measured: Measurement) -> Figure:
 
 
 def write_response(response: FrequencyResponse, path: Path) -> None:
-    """Write a response as CSV: frequency, gain, phase, coherence."""
+    """Write a response as CSV: frequency, gain, phase, coherence, radius of the 95 % circle."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("frequency_hz", "gain_db", "phase_deg", "coherence"))
-        columns = (response.frequency, response.gain_db, response.phase_deg, response.coherence)
+        writer.writerow(("frequency_hz", "gain_db", "phase_deg", "coherence", "radius_95"))
+        curves = (response.frequency, response.gain_db, response.phase_deg)
+        columns = (*curves, response.coherence, response.bound)
         writer.writerows([f"{value:.9g}" for value in row] for row in zip(*columns, strict=True))
 
 
