@@ -43,7 +43,9 @@ def test_compare_rotational_covers_rotation_on_both_plants(tmp_path: Path) -> No
 
 def test_bench_prints_json_with_a_ratio(tmp_path: Path) -> None:
     figures = json.loads(run("bench.py", "--seconds", "2", "--repeat", "2", cwd=tmp_path))
-    assert figures["ratio"] == pytest.approx(figures["frame_us"] / figures["bare_us"], rel=1e-2)
+    least = figures["frame_us"] / figures["bare_us"]
+    assert figures["ratio_of_least"] == pytest.approx(least, rel=1e-2)
+    assert figures["ratio"] > 0.0
     assert figures["real_time_factor"] > 0.0
     assert figures["speed_up_two_threads"] > 0.0
 
