@@ -18,6 +18,8 @@ POUND_MASS = constants.pound
 PSI = constants.psi
 STANDARD_GRAVITY = constants.g
 PERCENT = 0.01
+GALLON = constants.gallon
+GALLON_PER_MINUTE = constants.gallon / constants.minute
 HERTZ = 2.0 * np.pi
 
 _FACTORS: dict[str, float] = {
@@ -30,7 +32,13 @@ _FACTORS: dict[str, float] = {
     "rad": 1.0,
     "rad/s": 1.0,
     "m^3": 1.0,
+    "m^2": 1.0,
     "s^2": 1.0,
+    "N s": 1.0,
+    "Pa s": 1.0,
+    "lbf s": POUND_FORCE,
+    "gal": GALLON,
+    "gpm": GALLON_PER_MINUTE,
     "in": INCH,
     "in^2": INCH**2,
     "deg": DEGREE,

@@ -1,21 +1,37 @@
-"""Double-acting cylinder: force, chamber volumes, stiffness and the pressures of a held load.
+"""Double-acting cylinders: force, chamber volumes, stiffness and the pressures of a held load.
 
-With x the leg extension from neutral and h the half stroke (no dead volume),
+With x the extension from neutral and h the half stroke (no dead volume),
 
     F = A_cap p_cap - A_rod p_rod,    V_cap = A_cap (h + x),    V_rod = A_rod (h - x)
-    V dp/dt = beta (q - dV/dt),       leakage q = L (p_cap - p_rod) from cap to rod
+    leakage L (p_cap - p_rod) from cap to rod, B (p_rod - Pt) from the rod bearing to the return
 
 so the oil is a spring of stiffness K(x) = beta (A_cap / (h + x) + A_rod / (h - x)), and K(0) over
 7200 lbm is (71.00 rad/s)^2, the leg mode of Eq 4.1.
+
+A cushion throttles what leaves a chamber over the last length c before the stop: an orifice of
+gain G_stop / e in series with the valve, e = (c - gap) / c from 0 at the cushion's edge to 1 at the
+stop. What enters passes a check valve.
+
+The settle valve of an emergency stop joins both chambers to the return past the servo-valves: the
+cap through an orifice that lowers the settle load at the settle speed, the rod wide open.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.compiled import compiled
-from cmf_mj.parameters import HydraulicParameters
+from cmf_mj.parameters import HydraulicParameters, Quantity
+from cmf_mj.parameters.hydraulics import cap_area, piston_leakage, rod_area
+from cmf_mj.plant.table import table
+
+CAP, ROD = 0, 1
+"""Columns of pressures, contents and volumes."""
+
+_WIDE_OPEN = 10.0
+"""Settle valve: flow gain of the rod's side over that of the cap's, per area."""
 
 
 class Cylinder(NamedTuple):
@@ -29,22 +45,48 @@ class Cylinder(NamedTuple):
     """h [m]."""
     minimum_gap: float
     """Chamber length below which the volume is held [m]."""
-    bulk_modulus: float
-    """beta [Pa]."""
     leakage: float
     """L [m^3/s/Pa]."""
+    bearing: float
+    """B [m^3/s/Pa]."""
+    cushion: float
+    """c [m]."""
+    cushion_opening: float
+    """G_stop over the gain of both valves."""
+    supply_hose: float
+    """Laminar resistance from the manifold to the valves [Pa s/m^3]."""
+    return_hose: float
+    """Laminar resistance from the valves to the return manifold [Pa s/m^3]."""
+    settle_gain: float
+    """Settle valve on the cap's side [m^3/s/sqrt(Pa)]."""
+    settle_rod_gain: float
+    """Settle valve on the rod's side [m^3/s/sqrt(Pa)]."""
 
 
-def make_cylinder(parameters: HydraulicParameters) -> Cylinder:
-    """Derive the cylinder from a parameter set."""
-    return Cylinder(
-        cap_area=parameters.cap_area,
-        rod_area=parameters.rod_area,
-        half_stroke=parameters.half_stroke.si,
-        minimum_gap=parameters.minimum_gap.si,
-        bulk_modulus=parameters.bulk_modulus.si,
-        leakage=parameters.leakage,
-    )
+def make_cylinders(parameters: HydraulicParameters, actuators: Sequence[str]) -> np.recarray:
+    """Derive the cylinders of all actuators from a parameter set, (n,) of `Cylinder`."""
+    network = parameters.supply == "network"
+
+    def one(own: dict[str, Quantity]) -> Cylinder:
+        cap, rod = cap_area(own), rod_area(own)
+        load = own["settle_load"].si
+        settle = own["settle_speed"].si * cap / np.sqrt(load / cap) if load > 0.0 else 0.0
+        return Cylinder(
+            cap_area=cap,
+            rod_area=rod,
+            half_stroke=own["half_stroke"].si,
+            minimum_gap=own["minimum_gap"].si,
+            leakage=piston_leakage(own),
+            bearing=own["bearing_leakage"].si,
+            cushion=own["cushion_length"].si,
+            cushion_opening=own["cushion_opening"].si,
+            supply_hose=own["supply_hose"].si * network,
+            return_hose=own["return_hose"].si * network,
+            settle_gain=settle,
+            settle_rod_gain=_WIDE_OPEN * settle * rod / cap,
+        )
+
+    return table(Cylinder, [one(parameters.actuator(name)) for name in actuators])
 
 
 @compiled
@@ -61,16 +103,42 @@ def volumes(cylinder, extension):  # type: ignore[no-untyped-def]
     return cylinder.cap_area * cap, cylinder.rod_area * rod
 
 
-def stiffness(cylinder: Cylinder, extension: ArrayLike) -> NDArray[np.float64]:
-    """K(x), stiffness of the enclosed oil [N/m], one value per extension [m]."""
+@compiled
+def throttled(cylinder, gap, gain, full):  # type: ignore[no-untyped-def]
+    """Outflow gain of a chamber behind its cushion.
+
+    Args:
+        cylinder: parameters.
+        gap: travel left before the stop [m].
+        gain: of the paths out of the chamber [m^3/s/sqrt(Pa)].
+        full: gain of both valves, fully open.
+    """
+    length = cylinder.cushion
+    if gap >= length or gain == 0.0:
+        return gain
+    depth = min((length - gap) / length, 1.0)
+    ratio = gain * depth / (cylinder.cushion_opening * full)
+    return gain / np.sqrt(1.0 + ratio * ratio)
+
+
+def stiffness(
+    cylinder: Cylinder | np.recarray, bulk_modulus: float, extension: ArrayLike
+) -> NDArray[np.float64]:
+    """K(x), stiffness of the enclosed oil [N/m], one value per extension [m].
+
+    Args:
+        cylinder: one, or one for each extension.
+        bulk_modulus: beta [Pa].
+        extension: from neutral [m].
+    """
     x = np.asarray(extension, dtype=float)
     cap = np.maximum(cylinder.half_stroke + x, cylinder.minimum_gap)
     rod = np.maximum(cylinder.half_stroke - x, cylinder.minimum_gap)
-    return cylinder.bulk_modulus * (cylinder.cap_area / cap + cylinder.rod_area / rod)
+    return bulk_modulus * (cylinder.cap_area / cap + cylinder.rod_area / rod)
 
 
 def holding_pressures(
-    cylinder: Cylinder, load: ArrayLike, supply: float, tank: float
+    cylinder: Cylinder | np.recarray, load: ArrayLike, supply: float, tank: float
 ) -> NDArray[np.float64]:
     """Pressures (n, 2) of cap and rod that hold static loads with the valve closed.
 
@@ -79,8 +147,8 @@ def holding_pressures(
     between return and supply pressure as far as the load allows.
 
     Args:
-        cylinder: parameters.
-        load: axial leg forces [N], (n,), positive pressing the leg together.
+        cylinder: one, or one for each load.
+        load: axial forces [N], (n,), positive pressing the leg together.
         supply: supply pressure [Pa].
         tank: return pressure [Pa].
 
@@ -91,16 +159,17 @@ def holding_pressures(
     cap_area, rod_area = cylinder.cap_area, cylinder.rod_area
     low = cap_area * tank - rod_area * supply
     high = cap_area * supply - rod_area * tank
-    for leg, value in enumerate(loads, start=1):
-        if not low <= value <= high:
-            raise ValueError(
-                f"static load of leg {leg}: {value:.0f} N cannot be held by a supply of "
-                f"{supply:.0f} Pa; allowed: {low:.0f} to {high:.0f} N"
-            )
-    if cylinder.leakage > 0.0:
-        rod = loads / (cap_area - rod_area)
-    else:
-        rod = (cap_area * (supply + tank) - loads) / (cap_area + rod_area)
+    low, high = np.broadcast_to(low, loads.shape), np.broadcast_to(high, loads.shape)
+    for leg in np.flatnonzero(~((low <= loads) & (loads <= high))):
+        raise ValueError(
+            f"static load of leg {leg + 1}: {loads[leg]:.0f} N cannot be held by a supply of "
+            f"{supply:.0f} Pa; allowed: {low[leg]:.0f} to {high[leg]:.0f} N"
+        )
+    rod = np.where(
+        cylinder.leakage > 0.0,
+        loads / (cap_area - rod_area),
+        (cap_area * (supply + tank) - loads) / (cap_area + rod_area),
+    )
     # p_rod must lie in [tank, supply] and so must p_cap = (F + A_rod p_rod) / A_cap.
     least = np.maximum(tank, (cap_area * tank - loads) / rod_area)
     most = np.minimum(supply, (cap_area * supply - loads) / rod_area)

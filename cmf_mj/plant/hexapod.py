@@ -1,13 +1,6 @@
 """The hexapod: real cab inertia, gimbal geometry and prismatic legs, integrated by MuJoCo.
 
-Reflected mass (section 2.4.2). Let M be MuJoCo's full inertia matrix, J_c the Jacobian of the
-closed gimbals, N a basis of its null space and N_s the six rows of N that belong to the legs'
-slides. Then T = N N_s^-1 is the exact motion of the whole machine per unit leg velocity, and
-
-    M_leg = T' M T    reflected mass [kg],        F = T' c    static leg forces [N]
-
-with c MuJoCo's bias force. Leg masses are included; the soft closing of the gimbals is not, since
-T comes from their Jacobian alone.
+Reflected mass (section 2.4.2) and static leg forces are those of `Plant`, leg masses included.
 """
 
 import xml.etree.ElementTree as ElementTree
@@ -66,10 +59,8 @@ class Hexapod(Plant):
         self.cab = cab
         spec = hexapod_spec(cab)
         set_timestep(spec, timestep)
-        super().__init__(spec.compile(), hydraulics)
+        super().__init__(spec.compile(), hydraulics, payload=["platform"])
         self.geometry = kinematics.read_geometry()
-        self._platform = self.model.body("platform").id
-        self._slides = np.array([self.model.joint(f"leg_{i}").dofadr[0] for i in _LEGS])
 
     @property
     def sensors(self) -> dict[str, NDArray[np.int64]]:
@@ -103,11 +94,10 @@ class Hexapod(Plant):
         """
         target = kinematics.one_pose(pose)
         legs = kinematics.pose_to_legs(target, self.geometry)
-        stroke = self.parameters.half_stroke.si
-        if np.abs(legs).max() >= stroke:
-            leg = int(np.abs(legs).argmax())
+        stroke = self.hydraulics.cylinder.half_stroke
+        for leg in np.flatnonzero(np.abs(legs) >= stroke):
             raise ValueError(
-                f"pose: puts leg {leg + 1} at {legs[leg]:.4f} m; allowed: +-{stroke:.4f} m"
+                f"pose: puts leg {leg + 1} at {legs[leg]:.4f} m; allowed: +-{stroke[leg]:.4f} m"
             )
         turn = kinematics.FLIP[:, None] * kinematics.rotation(*target[3:]) * kinematics.FLIP
         qpos = self.data.qpos
@@ -136,45 +126,6 @@ class Hexapod(Plant):
         angles = turn.as_euler("ZYX").reshape((*qpos.shape[:-1], 3))[..., ::-1]
         return np.concatenate([where, angles], axis=-1)
 
-    def _leg_motion(self) -> NDArray[np.float64]:
-        """T, (nv, 6): motion of all joints per unit leg velocity, at the present state."""
-        rows = self.data.nefc
-        kind = self.data.efc_type[:rows]
-        if mujoco.mj_isSparse(self.model):
-            jacobian = np.zeros((rows, self.model.nv))
-            mujoco.mju_sparse2dense(
-                jacobian,
-                self.data.efc_J.ravel(),
-                self.data.efc_J_rownnz,
-                self.data.efc_J_rowadr,
-                self.data.efc_J_colind,
-            )
-        else:
-            jacobian = self.data.efc_J.reshape(rows, self.model.nv).copy()
-        closed = jacobian[kind == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
-        null = linalg.null_space(closed, rcond=1e-9)
-        return null @ np.linalg.inv(null[self._slides])
-
-    def static_load(self) -> NDArray[np.float64]:
-        """Axial leg forces T'c (6,) [N] that hold the present configuration."""
-        mujoco.mj_forward(self.model, self.data)
-        return self._leg_motion().T @ self.data.qfrc_bias
-
-    def reflected_mass(self, pose: ArrayLike | None = None) -> NDArray[np.float64]:
-        """Reflected mass of the legs, (6, 6) [kg], leg masses included.
-
-        M_leg = T' M T; row i, column j is the force on leg i per acceleration of leg j, all
-        velocities zero (section 2.4.2: force over acceleration of an actuator).
-
-        Args:
-            pose: (6,) [m, rad], z down; default neutral.
-        """
-        self.start(pose)
-        full = np.zeros((self.model.nv, self.model.nv))
-        mujoco.mj_fullM(self.model, self.data, full)
-        motion = self._leg_motion()
-        return motion.T @ full @ motion
-
     def hydraulic_modes(self, pose: ArrayLike | None = None) -> HydraulicModes:
         """Modes of M_leg d2l/dt2 + K(l) l = 0, valves closed and no leakage.
 
@@ -184,7 +135,9 @@ class Hexapod(Plant):
         target = np.zeros(6) if pose is None else np.asarray(pose, dtype=float)
         mass = self.reflected_mass(target)
         legs = kinematics.pose_to_legs(target, self.geometry)
-        spring = np.diag(cylinder.stiffness(self.hydraulics.cylinder, legs))
+        spring = np.diag(
+            cylinder.stiffness(self.hydraulics.cylinder, self.hydraulics.oil.bulk_modulus, legs)
+        )
         squares, shapes = linalg.eigh(spring, mass)
         to_pose = np.linalg.inv(kinematics.pose_jacobian(target, self.geometry))
         return HydraulicModes(np.sqrt(squares), shapes, to_pose @ shapes)

@@ -1,21 +1,18 @@
-"""Composes valve, cylinder and supply into n actuators and advances them one mechanical step.
+"""Composes valves, cylinders and supply into n actuators and advances them one mechanical step.
 
-The mechanics hands over where the legs were at the two ends of the step. Since a chamber obeys
-
-    d/dt (p + beta ln V) = (beta / V) (q_port -+ q_leak),
-
-the displacement enters exactly, through the volumes, and only the flows are integrated: by the
-two-stage singly diagonally implicit Runge-Kutta method of Alexander (1977),
+The mechanics hands over where the legs were at the two ends of the step. The content of a volume
+changes by the flows into it alone, dC/dt = Q(p), and gives its pressure through C = V r(p); so the
+displacement enters exactly, and only the flows are integrated: by the two-stage singly diagonally
+implicit Runge-Kutta method of Alexander (1977),
 
     gamma = 1 - 1/sqrt(2),  stages at gamma t and t,
 
 second order and L-stable, so that a chamber near its stop or with no pressure across its port,
-whose rates reach 1e5 1/s, is as harmless as one in mid-stroke. Each stage solves the two chamber
-pressures by Newton iteration with the exact 2 by 2 Jacobian.
-
-State, (n, 4): drive output, opening (fractions), cap pressure, rod pressure [Pa].
+whose rates reach 1e5 1/s, is as harmless as one in mid-stroke. See `solver` for the stages. The
+method conserves what is linear in the state: oil, to rounding.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,126 +20,310 @@ from numpy.typing import NDArray
 
 from cmf_mj.compiled import compiled
 from cmf_mj.parameters import HydraulicParameters
-from cmf_mj.plant.cylinder import Cylinder, force, holding_pressures, make_cylinder, volumes
-from cmf_mj.plant.supply import Supply, make_supply
-from cmf_mj.plant.valve import Valve, lag_weights, lags, make_valve, port_flows
-
-DRIVE, OPENING, CAP, ROD = 0, 1, 2, 3
-"""Columns of the state."""
+from cmf_mj.plant.cylinder import (
+    CAP,
+    ROD,
+    force,
+    holding_pressures,
+    make_cylinders,
+    throttled,
+    volumes,
+)
+from cmf_mj.plant.faults import ACCUMULATORS_LOST, BURST_AREA, PUMP_LOST, STOPPED
+from cmf_mj.plant.friction import make_frictions, slide
+from cmf_mj.plant.oil import Oil, density, make_oil, stored
+from cmf_mj.plant.solver import FLOWS, Stage, make_stage, solve
+from cmf_mj.plant.supply import (
+    ACCUMULATOR,
+    CONTENTS,
+    GAS,
+    ISOLATION,
+    RETURN,
+    RETURN_PRESSURE,
+    SUPPLY,
+    SUPPLY_PRESSURE,
+    TANK,
+    Supply,
+    charged,
+    gas_pressure,
+    make_supply,
+)
+from cmf_mj.plant.valve import JAMMED, OVERRIDE, laminar_root, make_valves, opening, spool
 
 _GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
-_TOLERANCE = 1.0
-"""Last Newton change accepted [Pa]; convergence is quadratic, the error left is below 1e-6 Pa."""
-_ITERATIONS = 30
+
+ENERGIES = (*FLOWS, "mechanical", "friction")
+"""Columns of `HydraulicState.energy` [J]: work of pump and accumulators, losses in valves, lines,
+leakage, relief and burst hose, work on the pistons, and the part of it friction takes."""
+
+
+_MECHANICAL, _FRICTION = len(FLOWS), len(FLOWS) + 1
 
 
 class Hydraulics(NamedTuple):
-    """Compiled parameters of n equal actuators on one supply."""
+    """Compiled parameters of n actuators on one supply, for one length of step."""
 
-    valve: Valve
-    cylinder: Cylinder
+    valve: np.recarray
+    """(n, 2) of `valve.Valve`."""
+    cylinder: np.recarray
+    """(n,) of `cylinder.Cylinder`."""
+    friction: np.recarray
+    """(n,) of `friction.Friction`."""
+    oil: Oil
+    """One oil."""
     supply: Supply
+    """One supply."""
+    laminar: float
+    """s of all orifices [sqrt(Pa)]."""
+    step: float
+    """Length of a step [s]."""
+    proof_pressure: float
+    """Largest chamber pressure [Pa]."""
 
 
-def make_hydraulics(parameters: HydraulicParameters) -> Hydraulics:
-    """Derive all elements from a parameter set."""
-    return Hydraulics(make_valve(parameters), make_cylinder(parameters), make_supply(parameters))
+class HydraulicState(NamedTuple):
+    """State of n actuators and their supply."""
+
+    drive: NDArray[np.float64]
+    """Drive outputs, fractions, (n, 2)."""
+    play: NDArray[np.float64]
+    """Drive less spool command, fractions, (n, 2)."""
+    spool: NDArray[np.float64]
+    """Spool positions, fractions, (n, 2)."""
+    content: NDArray[np.float64]
+    """Oil in cap and rod chambers [m^3], (n, 2)."""
+    pressure: NDArray[np.float64]
+    """Pressures of cap and rod chambers [Pa], (n, 2)."""
+    bristle: NDArray[np.float64]
+    """Deflection of the friction contacts [m], (n,)."""
+    friction: NDArray[np.float64]
+    """Friction force [N], (n,)."""
+    supply: NDArray[np.float64]
+    """State of the supply, (9,), see `supply.SUPPLY`."""
+    energy: NDArray[np.float64]
+    """Energy passed since the start, see `ENERGIES`."""
+    stage: Stage
+    """Workspace."""
 
 
-def rest(hydraulics: Hydraulics, load: NDArray[np.float64]) -> NDArray[np.float64]:
-    """State (n, 4) that holds the static loads [N] with closed valves."""
-    supply = hydraulics.supply
-    state = np.zeros((load.shape[0], 4))
-    state[:, CAP:] = holding_pressures(
-        hydraulics.cylinder, load, supply.pressure, supply.return_pressure
-    )
-    return state
+def make_hydraulics(
+    parameters: HydraulicParameters, actuators: Sequence[str], step: float
+) -> Hydraulics:
+    """Derive all elements from a parameter set.
 
+    Args:
+        parameters: the set.
+        actuators: names of the actuators; those in `parameters.actuators` get their own numbers.
+        step: mechanical step [s].
 
-@compiled
-def _stage(hydraulics, opening, cap_volume, rod_volume, cap_known, rod_known, weight, cap, rod):  # type: ignore[no-untyped-def]
-    """Solve p - known = weight (beta / V) Q(p) for both chambers, from the guess (cap, rod).
-
-    Returns:
-        (p_cap, p_rod), and the rates (beta / V) Q of both chambers [Pa/s].
+    Raises:
+        ValueError: the set speaks of an actuator that is not there.
     """
-    cylinder = hydraulics.cylinder
-    cap_rate = cylinder.bulk_modulus / cap_volume
-    rod_rate = cylinder.bulk_modulus / rod_volume
-    leak = cylinder.leakage
-    for _ in range(_ITERATIONS):
-        cap_flow, rod_flow, cap_slope, rod_slope = port_flows(
-            hydraulics.valve, opening, hydraulics.supply, cap, rod
-        )
-        leakage = leak * (cap - rod)
-        cap_error = cap - cap_known - weight * cap_rate * (cap_flow - leakage)
-        rod_error = rod - rod_known - weight * rod_rate * (rod_flow + leakage)
-        cap_cross = weight * cap_rate * leak
-        rod_cross = weight * rod_rate * leak
-        cap_own = 1.0 - weight * cap_rate * cap_slope + cap_cross
-        rod_own = 1.0 - weight * rod_rate * rod_slope + rod_cross
-        determinant = cap_own * rod_own - cap_cross * rod_cross
-        cap_change = (rod_own * cap_error + cap_cross * rod_error) / determinant
-        rod_change = (cap_own * rod_error + rod_cross * cap_error) / determinant
-        cap -= cap_change
-        rod -= rod_change
-        if abs(cap_change) + abs(rod_change) < _TOLERANCE:
-            break
-    return cap, rod, (cap - cap_known) / weight, (rod - rod_known) / weight
+    for name in parameters.actuators:
+        if name not in actuators:
+            raise ValueError(
+                f"actuators: {name!r} is not an actuator; allowed: {', '.join(actuators)}"
+            )
+    return Hydraulics(
+        make_valves(parameters, actuators, _GAMMA * step, step),
+        make_cylinders(parameters, actuators),
+        make_frictions(parameters, actuators),
+        make_oil(parameters),
+        make_supply(parameters),
+        laminar_root(parameters),
+        step,
+        parameters.proof_pressure.si,
+    )
+
+
+def rest(
+    hydraulics: Hydraulics, load: NDArray[np.float64], extension: NDArray[np.float64]
+) -> HydraulicState:
+    """State that holds the static loads [N] at the extensions [m] with closed valves.
+
+    Raises:
+        ValueError: a load is beyond the stall forces.
+    """
+    supply, cylinder = hydraulics.supply, hydraulics.cylinder
+    legs = load.shape[0]
+    pressure = holding_pressures(cylinder, load, supply.pressure, supply.return_pressure)
+    content = np.empty_like(pressure)
+    for leg in range(legs):
+        for side, volume in enumerate(volumes(cylinder[leg], extension[leg])):
+            content[leg, side] = volume * density(hydraulics.oil, pressure[leg, side])[0]
+    return HydraulicState(
+        drive=np.zeros((legs, 2)),
+        play=np.zeros((legs, 2)),
+        spool=np.array(hydraulics.valve.null_bias),
+        content=content,
+        pressure=pressure,
+        bristle=np.zeros(legs),
+        friction=np.zeros(legs),
+        supply=charged(supply, hydraulics.oil),
+        energy=np.zeros(len(ENERGIES)),
+        stage=make_stage(legs),
+    )
 
 
 @compiled
-def advance(hydraulics, state, command, before, after, step):  # type: ignore[no-untyped-def]
-    """Advance all actuators by one mechanical step, in place.
+def _open(hydraulics, state, faults, last, command, before, after):  # type: ignore[no-untyped-def]
+    """Volumes and flow gains of all actuators at the end of a stage; the last moves the spools."""
+    head = state.supply[SUPPLY_PRESSURE] - state.supply[RETURN_PRESSURE]
+    closed = state.supply[ISOLATION]
+    part = 1.0 if last else _GAMMA
+    for leg in range(before.shape[0]):
+        own, cylinder = state.stage.chambers[leg], hydraulics.cylinder[leg]
+        extension = before[leg] + part * (after[leg] - before[leg])
+        own.cap_volume, own.rod_volume = volumes(cylinder, extension)
+        cap_in, cap_out, rod_in, rod_out = 0.0, 0.0, 0.0, 0.0
+        for index in range(2):
+            valve = hydraulics.valve[leg, index]
+            position = state.spool[leg, index]
+            mode = faults.valve[leg, index]
+            if mode != JAMMED:
+                drive, play, asked = state.drive[leg, index], state.play[leg, index], command[leg]
+                if mode == OVERRIDE:
+                    asked = faults.spool[leg, index]
+                    drive, play = asked, 0.0
+                drive, play, position = spool(valve, last, asked, drive, play, position)
+                if last:
+                    state.drive[leg, index] = drive
+                    state.play[leg, index] = play
+                    state.spool[leg, index] = position
+            if head >= valve.threshold:
+                size = (1.0 - closed) * opening(valve, position)
+                if size >= 0.0:
+                    cap_in += size * valve.cap_gain
+                    rod_out += size * valve.rod_gain
+                else:
+                    cap_out -= size * valve.cap_gain
+                    rod_in -= size * valve.rod_gain
+        if closed > 0.0:
+            cap_out += closed * cylinder.settle_gain
+            rod_out += closed * cylinder.settle_rod_gain
+        if cylinder.cushion > 0.0:
+            half = cylinder.half_stroke
+            both = hydraulics.valve[leg, 0], hydraulics.valve[leg, 1]
+            full_cap = both[0].cap_gain + both[1].cap_gain
+            full_rod = both[0].rod_gain + both[1].rod_gain
+            cap_out = throttled(cylinder, half + extension, cap_out, full_cap)
+            rod_out = throttled(cylinder, half - extension, rod_out, full_rod)
+        own.cap_in, own.cap_out, own.rod_in, own.rod_out = cap_in, cap_out, rod_in, rod_out
+
+
+@compiled
+def advance(hydraulics, state, faults, command, before, after):  # type: ignore[no-untyped-def]
+    """Advance all actuators and the supply by one mechanical step, in place.
 
     Args:
         hydraulics: parameters.
-        state: (n, 4), overwritten.
+        state: overwritten.
+        faults: what is broken.
         command: (n,) command fractions held over the step.
         before: (n,) extensions at the start [m].
         after: (n,) extensions at the end [m].
-        step: length of the step [s].
+
+    Returns:
+        Whether both stages converged.
     """
-    cylinder = hydraulics.cylinder
-    beta = cylinder.bulk_modulus
+    step, supply, stage = hydraulics.step, hydraulics.supply, state.stage
+    network, energy = state.supply, state.energy
+    chambers, manifolds = stage.chambers, stage.manifolds[0]
+    legs = before.shape[0]
     weight = _GAMMA * step
-    inner_lags = lag_weights(hydraulics.valve, weight)
-    outer_lags = lag_weights(hydraulics.valve, step)
-    for leg in range(state.shape[0]):
-        drive, opening = state[leg, 0], state[leg, 1]
-        cap, rod = state[leg, 2], state[leg, 3]
-        cap_start, rod_start = volumes(cylinder, before[leg])
+    gas, rise = gas_pressure(supply, network[ACCUMULATOR])
+    manifolds.gas, manifolds.gas_rise, manifolds.gas_oil = gas, rise, network[ACCUMULATOR]
+    manifolds.running = 0.0 if faults.plant[PUMP_LOST] > 0.0 else 1.0
+    manifolds.bank = max(supply.accumulators - faults.plant[ACCUMULATORS_LOST], 0.0)
+    manifolds.burst = supply.jet * faults.plant[BURST_AREA]
+    travel = supply.isolation_rate * step
+    closing = travel if faults.plant[STOPPED] > 0.0 else -travel
+    network[ISOLATION] = min(max(network[ISOLATION] + closing, 0.0), 1.0)
+    manifolds.high, manifolds.low = network[SUPPLY_PRESSURE], network[RETURN_PRESSURE]
 
-        _, opening_inner = lags(inner_lags, command[leg], drive, opening)
-        cap_inner, rod_inner = volumes(cylinder, before[leg] + _GAMMA * (after[leg] - before[leg]))
-        cap_known = cap + beta * np.log(cap_start / cap_inner)
-        rod_known = rod + beta * np.log(rod_start / rod_inner)
-        cap_guess, rod_guess, cap_rate, rod_rate = _stage(
-            hydraulics, opening_inner, cap_inner, rod_inner, cap_known, rod_known, weight, cap, rod
+    converged = True
+    for last in (False, True):
+        _open(hydraulics, state, faults, last, command, before, after)
+        # Known contents, and guesses: pressures go on changing as over the last step or stage.
+        for leg in range(legs):
+            own = chambers[leg]
+            cap, rod = state.pressure[leg, CAP], state.pressure[leg, ROD]
+            if last:
+                share = (step - weight) / weight
+                own.cap_known += share * (own.cap_content - own.cap_known)
+                own.rod_known += share * (own.rod_content - own.rod_known)
+                own.cap = cap + (own.cap - cap) / _GAMMA
+                own.rod = rod + (own.rod - rod) / _GAMMA
+            else:
+                own.cap_known, own.rod_known = state.content[leg, CAP], state.content[leg, ROD]
+                own.cap, own.rod = cap + _GAMMA * own.cap_change, rod + _GAMMA * own.rod_change
+        for node in range(CONTENTS + 1):
+            if last:
+                share = (step - weight) / weight
+                stage.known[node] += share * (stage.node[node] - stage.known[node])
+            else:
+                stage.known[node] = network[node]
+                stage.node[node] = network[node]
+        solved = solve(
+            hydraulics.cylinder, hydraulics.oil, supply, hydraulics.laminar, stage, weight
         )
+        converged &= solved >= 0
+        share = weight if last else step - weight
+        for i in range(len(FLOWS)):
+            energy[i] += share * stage.power[i]
+        for leg in range(legs):
+            load = force(hydraulics.cylinder[leg], chambers[leg].cap, chambers[leg].rod)
+            energy[_MECHANICAL] += share / step * load * (after[leg] - before[leg])
 
-        drive, opening = lags(outer_lags, command[leg], drive, opening)
-        cap_end, rod_end = volumes(cylinder, after[leg])
-        rest_of_step = step - weight
-        cap_known = cap + rest_of_step * cap_rate + beta * np.log(cap_start / cap_end)
-        rod_known = rod + rest_of_step * rod_rate + beta * np.log(rod_start / rod_end)
-        cap, rod, _, _ = _stage(
-            hydraulics,
-            opening,
-            cap_end,
-            rod_end,
-            cap_known,
-            rod_known,
-            weight,
-            cap_guess,
-            rod_guess,
+    for leg in range(legs):
+        own = chambers[leg]
+        own.cap_change = own.cap - state.pressure[leg, CAP]
+        own.rod_change = own.rod - state.pressure[leg, ROD]
+        state.pressure[leg, CAP], state.pressure[leg, ROD] = own.cap, own.rod
+        state.content[leg, CAP], state.content[leg, ROD] = own.cap_content, own.rod_content
+        moved = after[leg] - before[leg]
+        state.bristle[leg], state.friction[leg] = slide(
+            hydraulics.friction[leg], state.bristle[leg], moved / step, step
         )
-        state[leg, 0], state[leg, 1] = drive, opening
-        state[leg, 2], state[leg, 3] = cap, rod
+        energy[_FRICTION] += state.friction[leg] * moved
+    for node in range(CONTENTS + 1):
+        network[node] = stage.node[node]
+    network[SUPPLY_PRESSURE], network[RETURN_PRESSURE] = manifolds.high, manifolds.low
+    network[GAS] = gas
+    return converged
 
 
 @compiled
 def forces(hydraulics, state, out):  # type: ignore[no-untyped-def]
-    """Axial forces of all actuators [N], (n,), written to `out`."""
-    for leg in range(state.shape[0]):
-        out[leg] = force(hydraulics.cylinder, state[leg, 2], state[leg, 3])
+    """Axial forces of all actuators on their rods, friction taken off [N], (n,), to `out`."""
+    for leg in range(out.shape[0]):
+        out[leg] = (
+            force(hydraulics.cylinder[leg], state.pressure[leg, CAP], state.pressure[leg, ROD])
+            - state.friction[leg]
+        )
+
+
+def oil_content(hydraulics: Hydraulics, state: HydraulicState) -> float:
+    """All oil there is [m^3]: chambers, manifolds, accumulators, and what the tank has gained."""
+    supply = state.supply
+    kept = hydraulics.supply.accumulators * supply[ACCUMULATOR]
+    return float(state.content.sum() + supply[SUPPLY] + supply[RETURN] + supply[TANK] + kept)
+
+
+def stored_energy(
+    hydraulics: Hydraulics, state: HydraulicState, extension: NDArray[np.float64]
+) -> float:
+    """Energy of compression of the oil in chambers and manifolds [J], at the extensions [m]."""
+    total = 0.0
+    for leg in range(extension.shape[0]):
+        for side, volume in enumerate(volumes(hydraulics.cylinder[leg], extension[leg])):
+            total += stored(
+                hydraulics.oil, state.content[leg, side], state.pressure[leg, side], volume
+            )
+    supply = hydraulics.supply
+    for content, pressure, volume in (
+        (SUPPLY, SUPPLY_PRESSURE, supply.supply_volume),
+        (RETURN, RETURN_PRESSURE, supply.return_volume),
+    ):
+        total += stored(hydraulics.oil, state.supply[content], state.supply[pressure], volume)
+    return total

@@ -1,12 +1,21 @@
-"""A plant: hydraulic actuators on the motors of a MuJoCo model.
+"""A plant: hydraulic actuators on motors of a MuJoCo model.
 
 `Plant` owns one MjModel and one MjData. Each named motor (of a slide joint or a tendon) is driven
 by one cylinder: the cylinder force is written to the motor's `ctrl`, the motor's length, counted
-from its length at the neutral pose, is the leg extension. Nothing here assumes six legs.
+from its length at the neutral configuration, is the extension. Nothing here assumes six legs.
+
+Let M be MuJoCo's full inertia matrix, c its bias force less passive forces, N a basis of the
+motions that the closed loops (equality constraints) allow, and A the motors' moment arms. Where
+there are as many motors as free motions, T = N (A N)^-1 is the exact motion of the whole machine per
+unit actuator velocity, and
+
+    M_leg = T' M T    reflected mass [kg],        F = T' c    static forces [N]
+
+The soft closing of loops does not enter: T comes from their Jacobian alone.
 """
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -14,10 +23,11 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
 
 from cmf_mj.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant import native
-from cmf_mj.plant.hydraulics import Hydraulics, make_hydraulics, rest
+from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, make_hydraulics, rest
 
 
 class Mechanics(NamedTuple):
@@ -31,16 +41,22 @@ class Mechanics(NamedTuple):
     """Address of mj_step1: kinematics and position sensors at the present state."""
     force_stage: int
     """Address of mj_step2: forces, acceleration and integration."""
+    motors: NDArray[np.int64]
+    """Indices of the hydraulic motors, (n,)."""
     length: NDArray[np.float64]
-    """Motor lengths, fresh after the position stage, (n,)."""
+    """Lengths of all motors, fresh after the position stage, (nu,)."""
     ctrl: NDArray[np.float64]
-    """Motor forces [N], (n,)."""
+    """Forces of all motors [N], (nu,)."""
+    payload: NDArray[np.float64]
+    """External force and torque on each body in the world's axes, (nbody, 6)."""
+    payload_bodies: NDArray[np.int64]
+    """Bodies an overload rests on, in equal parts."""
     sensordata: NDArray[np.float64]
     """All sensors."""
     qpos: NDArray[np.float64]
     """Generalised positions."""
     neutral: NDArray[np.float64]
-    """Motor lengths at neutral, (n,)."""
+    """Lengths of the hydraulic motors at neutral, (n,)."""
 
 
 class Plant:
@@ -55,29 +71,47 @@ class Plant:
         self,
         model: mujoco.MjModel,
         hydraulics: str | Path | HydraulicParameters = "hardware",
+        *,
+        motors: Sequence[str] | None = None,
+        payload: Sequence[str] = (),
     ) -> None:
-        """Attach one cylinder to each motor of a compiled model.
+        """Attach one cylinder to each of some motors of a compiled model.
+
+        The configuration the model starts in, `qpos0`, is neutral: cylinders are at half stroke.
 
         Args:
-            model: its actuators are the legs; each must be a motor (force = ctrl).
-            hydraulics: `report`, `hardware`, a TOML file or a loaded set.
+            model: the machine.
+            hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
+            motors: names of the motors with a cylinder, each force = ctrl; default all actuators.
+            payload: names of the bodies an overload rests on.
 
         Raises:
-            ValueError: the model has no motors, or the hydraulics are refused.
+            ValueError: a motor that is not there or no motor, or the hydraulics are refused.
         """
-        if model.nu == 0:
-            raise ValueError("model: has no actuators; each leg needs a motor")
         self.model = model
         self.data = mujoco.MjData(model)
+        names = [model.actuator(i).name for i in range(model.nu)]
+        self.actuators = tuple(names if motors is None else motors)
+        """Names of the hydraulic motors, in the order of all arrays with a leg axis."""
+        if not self.actuators:
+            raise ValueError("motors: the model has no actuators; each cylinder needs a motor")
+        for name in self.actuators:
+            if name not in names:
+                raise ValueError(f"motors: {name!r} is not one of {', '.join(names)}")
+            _check_motor(model, name)
+        self._motors = np.array([model.actuator(name).id for name in self.actuators])
+        self._payload = np.array([model.body(name).id for name in payload], dtype=np.int64)
         self.parameters = load_hydraulics(hydraulics)
-        self.hydraulics: Hydraulics = make_hydraulics(self.parameters)
+        self.hydraulics: Hydraulics = make_hydraulics(
+            self.parameters, self.actuators, float(model.opt.timestep)
+        )
         mujoco.mj_forward(model, self.data)
-        self.neutral = self.data.actuator_length.copy()
+        self.neutral = self.data.actuator_length[self._motors].copy()
 
     @property
     def legs(self) -> int:
         """Number of actuators n."""
-        return int(self.model.nu)
+        return len(self.actuators)
 
     @property
     def sensors(self) -> dict[str, NDArray[np.int64]]:
@@ -105,18 +139,90 @@ class Plant:
         return np.array(indices, dtype=np.int64)
 
     def place(self, pose: ArrayLike) -> None:
-        """Put the mechanics at rest at a pose (6,) [m, rad]; to be given by the subclass."""
-        raise TypeError(f"{type(self).__name__} does not know platform poses")
+        """Put the mechanics at rest in a configuration.
+
+        Args:
+            pose: here generalised positions (nq,); a subclass may take a platform pose.
+        """
+        self.data.qpos[:] = np.asarray(pose, dtype=float)
+        mujoco.mj_forward(self.model, self.data)
+
+    def extensions(self) -> NDArray[np.float64]:
+        """Extensions from neutral in the present configuration [m], (n,)."""
+        return self.data.actuator_length[self._motors] - self.neutral
+
+    def leg_motion(self) -> NDArray[np.float64]:
+        """T, (nv, n): motion of all joints per unit actuator velocity, in the present state.
+
+        Raises:
+            ValueError: the machine has not as many free motions as actuators.
+        """
+        model, data = self.model, self.data
+        rows = data.nefc
+        jacobian = np.zeros((rows, model.nv))
+        if mujoco.mj_isSparse(model):
+            mujoco.mju_sparse2dense(
+                jacobian,
+                data.efc_J.ravel(),
+                data.efc_J_rownnz,
+                data.efc_J_rowadr,
+                data.efc_J_colind,
+            )
+        else:
+            jacobian[:] = data.efc_J.reshape(rows, model.nv)
+        closed = jacobian[data.efc_type[:rows] == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
+        null = linalg.null_space(closed, rcond=1e-9) if closed.size else np.eye(model.nv)
+        moment = np.zeros((model.nu, model.nv))
+        mujoco.mju_sparse2dense(
+            moment,
+            data.actuator_moment.ravel(),
+            data.moment_rownnz,
+            data.moment_rowadr,
+            data.moment_colind.ravel(),
+        )
+        arms = moment[self._motors] @ null
+        if arms.shape[0] != arms.shape[1] or np.linalg.cond(arms) > 1e12:
+            raise ValueError(
+                f"motors: {arms.shape[0]} cylinders do not determine the machine's "
+                f"{arms.shape[1]} free motions; there must be as many, independent"
+            )
+        return null @ np.linalg.inv(arms)
 
     def static_load(self) -> NDArray[np.float64]:
-        """Axial forces (n,) [N] that hold the present configuration, positive extending."""
-        raise TypeError(f"{type(self).__name__} does not know its static load")
+        """Axial forces T'c (n,) [N] that hold the present configuration, positive extending."""
+        self.data.qvel[:] = 0.0
+        mujoco.mj_forward(self.model, self.data)
+        return self.leg_motion().T @ (self.data.qfrc_bias - self.data.qfrc_passive)
 
-    def start(self, pose: ArrayLike | None = None) -> NDArray[np.float64]:
-        """Reset to rest at a pose and return the hydraulic state (n, 4) that holds it."""
+    def reflected_mass(self, pose: ArrayLike | None = None) -> NDArray[np.float64]:
+        """Reflected mass of the actuators, (n, n) [kg].
+
+        M_leg = T' M T; row i, column j is the force on leg i per acceleration of leg j, all
+        velocities zero (section 2.4.2: force over acceleration of an actuator).
+
+        Args:
+            pose: configuration as `place` takes it; default neutral.
+        """
+        self.start(pose)
+        full = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, self.data, full)
+        motion = self.leg_motion()
+        return motion.T @ full @ motion
+
+    def start(self, pose: ArrayLike | None = None) -> HydraulicState:
+        """Reset to rest in a configuration; the hydraulic state that holds it.
+
+        Args:
+            pose: as `place` takes it; default neutral.
+
+        Raises:
+            ValueError: the supply cannot hold the machine there.
+        """
         mujoco.mj_resetData(self.model, self.data)
-        self.place(np.zeros(6) if pose is None else pose)
-        return rest(self.hydraulics, self.static_load())
+        if pose is not None:
+            self.place(pose)
+        mujoco.mj_forward(self.model, self.data)
+        return rest(self.hydraulics, self.static_load(), self.extensions())
 
     def mechanics(self) -> Mechanics:
         """Views and addresses for the compiled loop; valid while this plant lives."""
@@ -125,8 +231,11 @@ class Plant:
             data=self.data._address,
             position_stage=native.address("mj_step1"),
             force_stage=native.address("mj_step2"),
+            motors=self._motors,
             length=self.data.actuator_length,
             ctrl=self.data.ctrl,
+            payload=self.data.xfrc_applied,
+            payload_bodies=self._payload,
             sensordata=self.data.sensordata,
             qpos=self.data.qpos,
             neutral=self.neutral,
@@ -145,7 +254,28 @@ class Plant:
             "plant": self.name,
             "cab": self.cab,
             "hydraulics": self.parameters.name,
-            "hydraulic_parameters": self.parameters.model_dump(),
+            "hydraulic_parameters": self.parameters.model_dump(exclude_none=True),
             "model_digest": self.digest,
             "mechanical_step": self.model.opt.timestep,
         }
+
+
+def _check_motor(model: mujoco.MjModel, name: str) -> None:
+    """Refuse an actuator whose force is not its control, or that turns.
+
+    Raises:
+        ValueError: names the actuator and what it is.
+    """
+    actuator = model.actuator(name)
+    slide = actuator.trntype[0] == mujoco.mjtTrn.mjTRN_TENDON or (
+        actuator.trntype[0] == mujoco.mjtTrn.mjTRN_JOINT
+        and model.jnt_type[actuator.trnid[0]] == mujoco.mjtJoint.mjJNT_SLIDE
+    )
+    if not slide:
+        raise ValueError(f"motors: {name!r} must drive a slide joint or a tendon")
+    fixed = actuator.gaintype[0] == mujoco.mjtGain.mjGAIN_FIXED
+    plain = fixed and actuator.biastype[0] == mujoco.mjtBias.mjBIAS_NONE
+    if not plain or actuator.gainprm[0] != 1.0 or actuator.dyntype[0] != mujoco.mjtDyn.mjDYN_NONE:
+        raise ValueError(f"motors: {name!r} must be a plain motor, force = ctrl")
+    if actuator.gear[0] != 1.0 or actuator.ctrllimited[0]:
+        raise ValueError(f"motors: {name!r} must have gear 1 and no ctrlrange")

@@ -9,8 +9,7 @@ joints whose weight at standard gravity is exactly the stated load.
 from pathlib import Path
 
 import mujoco
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cmf_mj import models, units
 from cmf_mj.kinematics import pose_to_legs
@@ -57,16 +56,12 @@ class SingleLegs(Plant):
             body = spec.body(f"leg_{leg}")
             body.mass = effective_mass
             body.gravcomp = 1.0 - static_load / (effective_mass * gravity)
-        super().__init__(spec.compile(), hydraulics)
+        bodies = [f"leg_{leg}" for leg in range(1, 7)]
+        super().__init__(spec.compile(), hydraulics, payload=bodies)
 
     def place(self, pose: ArrayLike) -> None:
         """Set each leg to its extension at the pose."""
-        self.data.qpos[:] = pose_to_legs(pose)
-
-    def static_load(self) -> NDArray[np.float64]:
-        """The same load on every leg [N]."""
-        mujoco.mj_forward(self.model, self.data)
-        return self.data.qfrc_bias - self.data.qfrc_passive
+        super().place(pose_to_legs(pose))
 
 
 def set_timestep(spec: mujoco.MjSpec, timestep: float | None) -> None:

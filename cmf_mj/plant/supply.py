@@ -1,19 +1,170 @@
-"""Hydraulic supply: constant supply and return pressure shared by all actuators."""
+"""Hydraulic supply: pump, accumulators, relief, two manifolds and the lines between them.
+
+The plumbing as an electrical circuit (section 2.4.2): pressures at nodes, flows Q through laminar
+lines (Ohm) that add to nothing at a node (Kirchhoff), oil stored by compression (capacitance).
+
+    tank -> pump -R-> supply manifold -hose-> actuators -hose-> return manifold -R-> tank
+                       |   |   |
+             accumulators  |   burst hose -> tank
+                        relief -> tank
+
+Pump, pressure-compensated, largest flow Qm, set pressure Ps, droop w, lag T, line Rp:
+
+    T dQ/dt = Qm clip((Ps - P_pump) / w, 0, 1) - Q,    P_pump = P_supply + Rp Q
+
+Accumulators, m of them, gas volume V at the precharge pressure pc, oil v in each, line Ra:
+
+    dv/dt = -q,    q = (p_gas - P_supply) / Ra,    p_gas + pa = (pc + pa) (V / (V - v))^n
+
+An empty one gives nothing. A `constant` supply holds the pressure of both manifolds.
+"""
 
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.compiled import compiled
 from cmf_mj.parameters import HydraulicParameters
+from cmf_mj.plant.oil import ATMOSPHERE, Oil, density
+
+SUPPLY, RETURN, ACCUMULATOR, PUMP, TANK, ISOLATION, SUPPLY_PRESSURE, RETURN_PRESSURE, GAS = range(9)
+"""State of the supply: contents of both manifolds, oil in one accumulator [m^3], pump flow
+[m^3/s], what the tank has received [m^3], how far an emergency stop has closed the actuators off
+(0 to 1), pressures of both manifolds and of the accumulators' gas [Pa]."""
+
+CONTENTS = 4
+"""The first four are integrated with the chambers."""
 
 
 class Supply(NamedTuple):
     """Compiled parameters of the supply."""
 
+    constant: bool
+    """Whether both manifolds hold their pressure."""
     pressure: float
     """Ps [Pa], gauge."""
     return_pressure: float
     """Pt [Pa], gauge."""
+    pump_flow: float
+    """Qm [m^3/s]."""
+    pump_droop: float
+    """w [Pa]."""
+    pump_lag: float
+    """T [s]."""
+    pump_line: float
+    """Rp [Pa s/m^3]."""
+    relief_pressure: float
+    """Pressure at which the relief opens [Pa]."""
+    relief_conductance: float
+    """Its slope [m^3/s/Pa]."""
+    accumulators: float
+    """m."""
+    gas_volume: float
+    """V [m^3]."""
+    precharge: float
+    """pc [Pa], gauge."""
+    exponent: float
+    """n."""
+    accumulator_line: float
+    """Ra [Pa s/m^3]."""
+    supply_volume: float
+    """Oil volume of the supply manifold [m^3]."""
+    return_volume: float
+    """Oil volume of the return manifold [m^3]."""
+    tank_line: float
+    """Resistance from the return manifold to the tank [Pa s/m^3]."""
+    isolation_rate: float
+    """Travel of the isolation valve [1/s]."""
+    jet: float
+    """Flow per hole area and sqrt(pressure) of a burst hose, 0.7 sqrt(2 / density)."""
 
 
 def make_supply(parameters: HydraulicParameters) -> Supply:
     """Derive the supply from a parameter set."""
-    return Supply(parameters.supply_pressure.si, parameters.return_pressure.si)
+    p = parameters
+    return Supply(
+        constant=p.supply == "constant",
+        pressure=p.supply_pressure.si,
+        return_pressure=p.return_pressure.si,
+        pump_flow=p.pump_flow.si,
+        pump_droop=p.pump_droop.si,
+        pump_lag=p.pump_lag.si,
+        pump_line=p.pump_line.si,
+        relief_pressure=p.relief_pressure.si,
+        relief_conductance=p.relief_conductance.si,
+        accumulators=p.accumulator_count.si,
+        gas_volume=p.accumulator_volume.si,
+        precharge=p.precharge_pressure.si,
+        exponent=p.accumulator_exponent.si,
+        accumulator_line=p.accumulator_line.si,
+        supply_volume=p.supply_volume.si,
+        return_volume=p.return_volume.si,
+        tank_line=p.tank_line.si,
+        isolation_rate=1.0 / p.isolation_time.si,
+        jet=0.7 * float(np.sqrt(2.0 / p.oil_density.si)),
+    )
+
+
+def charged(supply: Supply, oil: Oil) -> NDArray[np.float64]:
+    """State (9,) at rest: accumulators charged to the set pressure, no flow."""
+    state = np.zeros(9)
+    ratio = (supply.precharge + ATMOSPHERE) / (supply.pressure + ATMOSPHERE)
+    state[ACCUMULATOR] = supply.gas_volume * (1.0 - ratio ** (1.0 / supply.exponent))
+    state[GAS] = supply.pressure
+    state[SUPPLY_PRESSURE] = supply.pressure
+    state[RETURN_PRESSURE] = supply.return_pressure
+    state[SUPPLY] = supply.supply_volume * density(oil, supply.pressure)[0]
+    state[RETURN] = supply.return_volume * density(oil, supply.return_pressure)[0]
+    return state
+
+
+@compiled
+def gas_pressure(supply, oil_volume):  # type: ignore[no-untyped-def]
+    """Gauge pressure of an accumulator's gas [Pa] and its rise per oil volume [Pa/m^3]."""
+    left = supply.gas_volume - oil_volume
+    absolute = (supply.precharge + ATMOSPHERE) * (supply.gas_volume / left) ** supply.exponent
+    return absolute - ATMOSPHERE, supply.exponent * absolute / left
+
+
+@compiled
+def accumulator_flow(supply, gas, rise, known, start, pressure, weight):  # type: ignore[no-untyped-def]
+    """Flow out of one accumulator over an implicit stage.
+
+    Args:
+        supply: parameters.
+        gas: gas pressure at the oil volume `start` [Pa].
+        rise: its slope there [Pa/m^3].
+        known: oil volume the stage sets out from [m^3].
+        start: oil volume at the start of the step [m^3].
+        pressure: of the supply manifold [Pa].
+        weight: of the stage [s].
+
+    Returns:
+        flow [m^3/s] and its slope with the manifold's pressure.
+    """
+    resistance = supply.accumulator_line + weight * rise
+    flow = (gas + rise * (known - start) - pressure) / resistance
+    if known - weight * flow <= 0.0:
+        return known / weight, 0.0
+    return flow, -1.0 / resistance
+
+
+@compiled
+def pump_flow(supply, running, known, pressure, weight):  # type: ignore[no-untyped-def]
+    """Flow of the pump at the end of an implicit stage that sets out from `known`.
+
+    Returns:
+        flow [m^3/s] and its slope with the manifold's pressure; never negative, there is a check
+        valve.
+    """
+    ratio = weight / supply.pump_lag
+    gain = supply.pump_flow / supply.pump_droop
+    flow = (known + ratio * gain * (supply.pressure - pressure)) / (
+        1.0 + ratio * (1.0 + gain * supply.pump_line)
+    )
+    demand = (supply.pressure - pressure - supply.pump_line * flow) / supply.pump_droop
+    if running and 0.0 < demand < 1.0:
+        return flow, -ratio * gain / (1.0 + ratio * (1.0 + gain * supply.pump_line))
+    target = supply.pump_flow if running and demand >= 1.0 else 0.0
+    return max((known + ratio * target) / (1.0 + ratio), 0.0), 0.0

@@ -1,60 +1,110 @@
-"""Servo-valve: drive and spool lags, then four-way matched-port orifice flow.
+"""Servo-valve, two to an actuator: lags, play, lap, then four-way matched-port orifice flow.
 
-Lags, from the command fraction c (held over a step) to the opening u in -1..1:
+From the command fraction c, held over a step, to the spool position u, with the corners a and b of
+drive and spool, null bias n and the play p between drive and spool (hysteresis):
 
-    dd/dt = a (c - d),   du/dt = b (d - u),   a, b the drive and spool corners    (Eqs 4.1, 4.4)
+    dd/dt = a (c - d),    du/dt = b (d - p + n - u)                          (Eqs 4.1, 4.4)
 
-solved exactly. Flow into the chambers, u > 0 extending, k the speed gain, A the area of a port:
+solved exactly; p follows d where the two are further apart than half the hysteresis. The opening
+is u less the overlap o, e = sign(u) max(|u| - o, 0), at most 1. The flows into the chambers:
 
-    q_cap =  k A_cap (u+ phi(Ps - p_cap) - u- phi(p_cap - Pt))
-    q_rod = -k A_rod (u+ phi(p_rod - Pt) - u- phi(Ps - p_rod)),    u+ = max(u, 0), u- = max(-u, 0)
+    q_cap =  k A_cap (e+ phi(Ps - p_cap) - e- phi(p_cap - Pt)),    e+ = max(e, 0)
+    q_rod = -k A_rod (e+ phi(p_rod - Pt) - e- phi(Ps - p_rod)),    e- = max(-e, 0)
 
 The ports are *matched*: flow gains stand to each other as the areas, so that both chambers ask
-for the same leg speed. phi is the orifice law, smooth through zero,
+for the same leg speed. An orifice of gain G behind a line of laminar resistance R has the drop
 
-    phi(dp) = dp / (dp^2 + ptr^2)^(1/4),
+    dp = (q / G)^2 + (s / G + R) q,    so    q = G phi,  phi = 2 dp / (s' + sqrt(s'^2 + 4 |dp|)),
 
-which is sqrt(|dp|) sign(dp) well above the transition pressure ptr and linear below it.
+s' = s + R G: turbulent well above the transition pressure 2 s^2, laminar below. Where the supply
+stands less than the threshold pressure above the return, the pilot stage cannot hold the spool and
+nothing passes (section 2.4.2).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from cmf_mj.compiled import compiled
-from cmf_mj.parameters import HydraulicParameters
+from cmf_mj.parameters import VALVES, HydraulicParameters
+from cmf_mj.parameters.hydraulics import cap_area, rod_area
+from cmf_mj.plant.table import table
+
+NORMAL, OVERRIDE, JAMMED = 0.0, 1.0, 2.0
+"""What a valve obeys: its command, a value put on the spool by a fault, or nothing."""
 
 
 class Valve(NamedTuple):
-    """Compiled parameters of one actuator's valve."""
+    """Compiled parameters of one valve."""
 
-    drive_rate: float
-    """a, corner of the servo drive [rad/s]."""
-    spool_rate: float
-    """b, corner of the spool [rad/s]."""
+    inner_fade: float
+    """Weight of the drive's offset in itself after the first stage of a step."""
+    inner_mixed: float
+    """Weight of the drive's offset in the spool after the first stage."""
+    inner_spool: float
+    """Weight of the spool's offset in itself after the first stage."""
+    fade: float
+    """The same after a whole step."""
+    mixed: float
+    """The same after a whole step."""
+    spool: float
+    """The same after a whole step."""
     cap_gain: float
     """k A_cap, cap port flow at full opening [m^3/s/sqrt(Pa)]."""
     rod_gain: float
     """k A_rod, rod port flow at full opening [m^3/s/sqrt(Pa)]."""
-    transition_pressure: float
-    """ptr [Pa]."""
+    null_bias: float
+    """n, fraction."""
+    overlap: float
+    """o, fraction."""
+    play: float
+    """Half of the hysteresis, fraction."""
+    threshold: float
+    """Threshold pressure [Pa]."""
 
 
-def make_valve(parameters: HydraulicParameters) -> Valve:
-    """Derive the valve from a parameter set."""
-    return Valve(
-        drive_rate=parameters.drive_lag.si,
-        spool_rate=parameters.valve_lag.si,
-        cap_gain=parameters.speed_gain * parameters.cap_area,
-        rod_gain=parameters.speed_gain * parameters.rod_area,
-        transition_pressure=parameters.transition_pressure.si,
-    )
+def make_valves(
+    parameters: HydraulicParameters, actuators: Sequence[str], inner: float, outer: float
+) -> np.recarray:
+    """Derive the valves of all actuators from a parameter set, (n, 2) of `Valve`.
+
+    Args:
+        parameters: the set.
+        actuators: names of the actuators.
+        inner: length of the first stage of a step [s].
+        outer: length of a step [s].
+    """
+    half_drop = 0.5 * (parameters.supply_pressure.si - parameters.return_pressure.si)
+    half_flow = orifice(half_drop, laminar_root(parameters))[0]
+
+    def one(actuator: str, index: int) -> Valve:
+        own = parameters.actuator(actuator, index)
+        speed = own["leg_speed"].si / half_flow * own["valve_flow"].si / len(VALVES)
+        corners = own["drive_lag"].si, own["valve_lag"].si
+        return Valve(
+            *lag_weights(*corners, inner),
+            *lag_weights(*corners, outer),
+            cap_gain=speed * cap_area(own),
+            rod_gain=speed * rod_area(own),
+            null_bias=own["null_bias"].si,
+            overlap=own["overlap"].si,
+            play=0.5 * own["hysteresis"].si,
+            threshold=own["threshold_pressure"].si,
+        )
+
+    return table(Valve, [[one(name, i) for i in range(len(VALVES))] for name in actuators])
+
+
+def laminar_root(parameters: HydraulicParameters) -> float:
+    """S [sqrt(Pa)] of a parameter set's transition pressure."""
+    return float(np.sqrt(0.5 * parameters.transition_pressure.si))
 
 
 @compiled
-def lag_weights(valve, time):  # type: ignore[no-untyped-def]
+def lag_weights(drive_rate, spool_rate, time):  # type: ignore[no-untyped-def]
     """Weights (drive, mixed, spool) of the exact lag solution after `time` [s]."""
-    a, b = valve.drive_rate, valve.spool_rate
+    a, b = drive_rate, spool_rate
     drive = np.exp(-a * time)
     spool = np.exp(-b * time)
     mixed = b / (b - a) * (drive - spool) if abs(a - b) > 1e-9 * b else b * time * spool
@@ -62,50 +112,42 @@ def lag_weights(valve, time):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def lags(weights, command, drive, opening):  # type: ignore[no-untyped-def]
-    """Advance drive output and opening under a held command.
+def spool(valve, last, command, drive, play, position):  # type: ignore[no-untyped-def]
+    """Advance one valve under a held command.
 
     Args:
-        weights: of `lag_weights` for the time to advance.
+        valve: parameters.
+        last: to the end of the step; to the end of its first stage otherwise.
         command: command fraction, -1 to 1.
         drive: drive output at the start.
-        opening: opening at the start.
+        play: drive less spool command at the start.
+        position: spool position at the start.
 
     Returns:
-        (drive output, opening), fractions.
+        (drive output, play, spool position), fractions.
     """
+    fade = valve.fade if last else valve.inner_fade
+    mixed = valve.mixed if last else valve.inner_mixed
+    keep = valve.spool if last else valve.inner_spool
     offset = drive - command
-    return (
-        command + offset * weights[0],
-        command + offset * weights[1] + (opening - command) * weights[2],
-    )
+    following = command + offset * fade
+    if valve.play > 0.0:
+        play = min(max(play + following - drive, -valve.play), valve.play)
+    target = command + valve.null_bias - play
+    return following, play, target + offset * mixed + (position - target) * keep
 
 
 @compiled
-def orifice(drop, transition):  # type: ignore[no-untyped-def]
+def opening(valve, position):  # type: ignore[no-untyped-def]
+    """e, what a spool position opens, -1 to 1."""
+    size = min(max(abs(position) - valve.overlap, 0.0), 1.0)
+    return size if position >= 0.0 else -size
+
+
+@compiled
+def orifice(drop, laminar):  # type: ignore[no-untyped-def]
     """phi(dp) [sqrt(Pa)] and its derivative [1/sqrt(Pa)]."""
-    square = drop * drop + transition * transition
-    root = np.sqrt(np.sqrt(square))
-    return drop / root, (0.5 * drop * drop + transition * transition) / (square * root)
-
-
-@compiled
-def port_flows(valve, opening, supply, cap_pressure, rod_pressure):  # type: ignore[no-untyped-def]
-    """Flows into the chambers and their slopes.
-
-    Returns:
-        (q_cap, q_rod [m^3/s], dq_cap/dp_cap, dq_rod/dp_rod [m^3/s/Pa]); the slopes are negative.
-    """
-    if opening >= 0.0:
-        cap, cap_slope = orifice(supply.pressure - cap_pressure, valve.transition_pressure)
-        rod, rod_slope = orifice(rod_pressure - supply.return_pressure, valve.transition_pressure)
-    else:
-        cap, cap_slope = orifice(cap_pressure - supply.return_pressure, valve.transition_pressure)
-        rod, rod_slope = orifice(supply.pressure - rod_pressure, valve.transition_pressure)
-    size = abs(opening)
-    return (
-        valve.cap_gain * opening * cap,
-        -valve.rod_gain * opening * rod,
-        -valve.cap_gain * size * cap_slope,
-        -valve.rod_gain * size * rod_slope,
-    )
+    root = np.sqrt(laminar * laminar + 4.0 * abs(drop))
+    total = laminar + root
+    inverse = 1.0 / (root * total)
+    return 2.0 * drop * root * inverse, total * inverse

@@ -1,0 +1,103 @@
+"""Oil: how much of it a volume holds at a pressure, and the energy it carries.
+
+Content C is the volume the oil would fill at atmospheric pressure: C = V r(p), with p gauge and
+
+    1 / r(p) = 1 / (1 + z + z^2 / 2) + g(p),    z = p / beta
+    g(p) = e (pa / (p + pa))^(1/n)                       entrained gas, share e
+         + c pa (1 / (p + pa) - 1 / pa),   p < 0         gas released below the atmosphere, share c
+
+The first term is exp(-p / beta), a constant bulk modulus, to third order. The second is off by
+default. The third is the cavitation floor: a chamber torn open fills with gas and its absolute
+pressure stays above 0, whatever its volume.
+
+Oil that passes from p1 to p2 carries the enthalpy h per content, so that a loss is Q (h1 - h2):
+
+    h(p) = integral of 1 / r,    energy stored in a volume  U = C h - p V
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cmf_mj.compiled import compiled
+from cmf_mj.parameters import HydraulicParameters
+
+ATMOSPHERE = 101325.0
+"""Standard atmosphere [Pa]."""
+
+
+class Oil(NamedTuple):
+    """Compiled parameters of the oil."""
+
+    bulk_modulus: float
+    """beta [Pa]."""
+    compliance: float
+    """1 / beta [1/Pa]."""
+    entrained: float
+    """e, volume share at atmospheric pressure."""
+    exponent: float
+    """n."""
+    released: float
+    """c pa [Pa]; 0 without a cavitation floor."""
+
+
+def make_oil(parameters: HydraulicParameters) -> Oil:
+    """Derive the oil from a parameter set."""
+    return Oil(
+        parameters.bulk_modulus.si,
+        1.0 / parameters.bulk_modulus.si,
+        parameters.entrained_gas.si,
+        parameters.gas_exponent.si,
+        parameters.cavitation_gas.si * ATMOSPHERE,
+    )
+
+
+@compiled
+def density(oil, pressure):  # type: ignore[no-untyped-def]
+    """r(p), content per volume, and its slope [1/Pa]."""
+    z = pressure * oil.compliance
+    ratio = 1.0 + z + 0.5 * z * z
+    slope = (1.0 + z) * oil.compliance
+    if oil.entrained == 0.0 and (pressure >= 0.0 or oil.released == 0.0):
+        return ratio, slope
+    specific = 1.0 / ratio
+    specific_slope = -slope * specific * specific
+    absolute = pressure + ATMOSPHERE
+    if oil.entrained > 0.0:
+        gas = oil.entrained * (ATMOSPHERE / absolute) ** (1.0 / oil.exponent)
+        specific += gas
+        specific_slope -= gas / (oil.exponent * absolute)
+    if pressure < 0.0:
+        specific += oil.released * (1.0 / absolute - 1.0 / ATMOSPHERE)
+        specific_slope -= oil.released / (absolute * absolute)
+    ratio = 1.0 / specific
+    return ratio, -specific_slope * ratio * ratio
+
+
+@compiled
+def least_pressure(oil):  # type: ignore[no-untyped-def]
+    """Gauge pressure that no iteration may go below [Pa]: just above vacuum where gas fills it."""
+    if oil.entrained > 0.0 or oil.released > 0.0:
+        return -ATMOSPHERE + 1e-3
+    return -np.inf
+
+
+@compiled
+def enthalpy(oil, pressure):  # type: ignore[no-untyped-def]
+    """h(p) [J/m^3 of content]; the trace released in a vacuum, below 2 Pa, is left out."""
+    z = pressure * oil.compliance
+    value = pressure * (1.0 - z * (0.5 - z * (1.0 / 6.0)))
+    if oil.entrained > 0.0:
+        share = 1.0 - 1.0 / oil.exponent
+        ratio = (pressure + ATMOSPHERE) / ATMOSPHERE
+        if share < 1e-9:
+            value += oil.entrained * ATMOSPHERE * np.log(ratio)
+        else:
+            value += oil.entrained * ATMOSPHERE * (ratio**share - 1.0) / share
+    return value
+
+
+@compiled
+def stored(oil, content, pressure, volume):  # type: ignore[no-untyped-def]
+    """U [J], energy of the oil in a volume, 0 for oil at atmospheric pressure."""
+    return content * enthalpy(oil, pressure) - pressure * volume

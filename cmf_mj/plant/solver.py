@@ -1,0 +1,326 @@
+"""One implicit stage of all chambers and both manifolds at once.
+
+Unknown are the pressures p of the 2n chambers and P of supply and return manifold. With the known
+contents K, volumes V, the weight w of the stage and the flows Q into each volume,
+
+    V r(p) - K - w Q(p, P) = 0
+
+is solved by Newton's method with the exact Jacobian. Actuators meet at the manifolds only, so the
+Jacobian is an arrow: every actuator is eliminated by its own 2 by 2 block, the manifolds remain as
+one more 2 by 2 system. It is symmetric, a network of conductances.
+
+The content that goes on is the linearised one, V (r + r' dp), for which the last linear system
+balances the flows of all volumes to rounding: no oil is made or lost, however the iteration ends.
+
+The orifice's square root would send Newton's method back and forth across zero drop; a step that
+crosses it stops there. Pressures stay above vacuum where gas fills a torn chamber.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.compiled import compiled
+from cmf_mj.plant.oil import density, enthalpy, least_pressure
+from cmf_mj.plant.supply import ACCUMULATOR, PUMP, RETURN, SUPPLY, TANK, accumulator_flow, pump_flow
+from cmf_mj.plant.table import table
+from cmf_mj.plant.valve import orifice
+
+FLOWS = ("pump", "accumulators", "valves", "lines", "leakage", "relief", "burst")
+"""Powers of a stage [W]: given by pump and accumulators, lost in the others."""
+
+_TOLERANCE = 20.0
+"""Last Newton change accepted [Pa]; convergence is quadratic, the error left is far below 1 Pa."""
+_ITERATIONS = 60
+
+
+class Chambers(NamedTuple):
+    """Workspace of one actuator; contents and volumes [m^3], pressures [Pa]."""
+
+    cap_in: float
+    """Flow gain from the supply into the cap chamber [m^3/s/sqrt(Pa)]."""
+    cap_out: float
+    """From the cap chamber to the return."""
+    rod_in: float
+    """From the supply into the rod chamber."""
+    rod_out: float
+    """From the rod chamber to the return."""
+    cap_volume: float
+    """V."""
+    rod_volume: float
+    """V."""
+    cap_known: float
+    """K."""
+    rod_known: float
+    """K."""
+    cap_change: float
+    """Change of the pressure over the last step."""
+    rod_change: float
+    """The same."""
+    cap: float
+    """Pressure, guess and result."""
+    rod: float
+    """The same."""
+    cap_content: float
+    """Result."""
+    rod_content: float
+    """Result."""
+    cap_yield: float
+    """Slope of the content with pressure."""
+    rod_yield: float
+    """The same."""
+    cap_alone: float
+    """Newton change with the manifolds held."""
+    rod_alone: float
+    """The same."""
+    cap_high: float
+    """Newton change per change of the supply manifold."""
+    rod_high: float
+    """The same."""
+    cap_low: float
+    """Newton change per change of the return manifold."""
+    rod_low: float
+    """The same."""
+
+
+class Manifolds(NamedTuple):
+    """Workspace of the supply, one row."""
+
+    high: float
+    """Pressure of the supply manifold, guess and result [Pa]."""
+    low: float
+    """Pressure of the return manifold, guess and result [Pa]."""
+    gas: float
+    """Gas pressure at the start of the step [Pa]."""
+    gas_rise: float
+    """Its slope with the oil in an accumulator [Pa/m^3]."""
+    gas_oil: float
+    """Oil in an accumulator at the start of the step [m^3]."""
+    running: float
+    """Whether the pump runs."""
+    bank: float
+    """Accumulators in service."""
+    burst: float
+    """Gain of the burst hose [m^3/s/sqrt(Pa)]."""
+
+
+class Stage(NamedTuple):
+    """Workspace of a step."""
+
+    chambers: np.recarray
+    """(n,) of `Chambers`."""
+    manifolds: np.recarray
+    """(1,) of `Manifolds`."""
+    known: NDArray[np.float64]
+    """K of supply, return, accumulator, pump flow and tank, (5,)."""
+    node: NDArray[np.float64]
+    """Result of the same, (5,)."""
+    power: NDArray[np.float64]
+    """Powers of the stage, see `FLOWS`."""
+
+
+def make_stage(actuators: int) -> Stage:
+    """An empty workspace."""
+    return Stage(
+        table(Chambers, [(0.0,) * len(Chambers._fields)] * actuators),
+        table(Manifolds, [(0.0,) * len(Manifolds._fields)]),
+        np.zeros(5),
+        np.zeros(5),
+        np.zeros(len(FLOWS)),
+    )
+
+
+@compiled
+def _path(gain, hose, laminar, drop):  # type: ignore[no-untyped-def]
+    """Flow through an orifice behind a hose, and its slope."""
+    if gain == 0.0:
+        return 0.0, 0.0
+    ratio, slope = orifice(drop, laminar + hose * gain)
+    return gain * ratio, gain * slope
+
+
+@compiled
+def _held(pressure, change, inward, high, outward, low, least, narrow):  # type: ignore[no-untyped-def]
+    """A pressure after a Newton change, cut short where a drop would change sign, or at vacuum.
+
+    Args:
+        pressure: of the chamber [Pa].
+        change: proposed [Pa].
+        inward: flow gain from the supply; 0 if shut.
+        high: supply pressure [Pa].
+        outward: flow gain to the return; 0 if shut.
+        low: return pressure [Pa].
+        least: lower bound [Pa].
+        narrow: drop below which an orifice is as good as linear [Pa].
+    """
+    moved = pressure + change
+    if abs(change) > narrow:
+        if outward > 0.0 and (pressure - low) * (moved - low) < 0.0 and pressure != low:
+            moved = low
+        if inward > 0.0 and (pressure - high) * (moved - high) < 0.0 and pressure != high:
+            moved = high
+    return max(moved, least)
+
+
+@compiled
+def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-untyped-def]
+    """Solve a stage in place.
+
+    Args:
+        cylinders: (n,) of `Cylinder`.
+        oil: parameters.
+        supply: parameters.
+        laminar: s of the orifices [sqrt(Pa)].
+        stage: gains, volumes, known contents and guesses in; pressures, contents and powers out.
+        weight: w [s].
+
+    Returns:
+        Number of iterations, -1 if they did not converge.
+    """
+    least = least_pressure(oil)
+    narrow = laminar * laminar
+    node, known, power = stage.node, stage.known, stage.power
+    chambers, manifolds = stage.chambers, stage.manifolds[0]
+    tank = supply.return_pressure
+    legs = chambers.shape[0]
+    for iteration in range(_ITERATIONS):
+        high, low = manifolds.high, manifolds.low
+        h_high, h_low = enthalpy(oil, high), enthalpy(oil, low)
+        drawn, returned = 0.0, 0.0
+        own_high, own_low, cross = 0.0, 0.0, 0.0
+        pull_high, pull_low = 0.0, 0.0
+        lost, lost_hose, lost_leak = 0.0, 0.0, 0.0
+        for leg in range(legs):
+            own, cylinder = chambers[leg], cylinders[leg]
+            cap, rod = own.cap, own.rod
+            inward, outward = cylinder.supply_hose, cylinder.return_hose
+            leak, bearing = cylinder.leakage, cylinder.bearing
+            cap_in, cap_in_slope = _path(own.cap_in, inward, laminar, high - cap)
+            cap_out, cap_out_slope = _path(own.cap_out, outward, laminar, cap - low)
+            rod_in, rod_in_slope = _path(own.rod_in, inward, laminar, high - rod)
+            rod_out, rod_out_slope = _path(own.rod_out, outward, laminar, rod - low)
+            piston = leak * (cap - rod)
+            seep = bearing * (rod - low)
+            cap_density, cap_slope = density(oil, cap)
+            rod_density, rod_slope = density(oil, rod)
+            own.cap_content, own.cap_yield = (
+                own.cap_volume * cap_density,
+                own.cap_volume * cap_slope,
+            )
+            own.rod_content, own.rod_yield = (
+                own.rod_volume * rod_density,
+                own.rod_volume * rod_slope,
+            )
+            cap_residual = own.cap_content - own.cap_known - weight * (cap_in - cap_out - piston)
+            rod_residual = (
+                own.rod_content - own.rod_known - weight * (rod_in - rod_out - seep + piston)
+            )
+            # The actuator's own block and what ties it to the manifolds.
+            high_cap, high_rod = weight * cap_in_slope, weight * rod_in_slope
+            low_cap, low_rod = weight * cap_out_slope, weight * (rod_out_slope + bearing)
+            tie = weight * leak
+            a = own.cap_yield + high_cap + low_cap + tie
+            d = own.rod_yield + high_rod + low_rod + tie
+            inverse = 1.0 / (a * d - tie * tie)
+            own.cap_alone = -inverse * (d * cap_residual + tie * rod_residual)
+            own.rod_alone = -inverse * (tie * cap_residual + a * rod_residual)
+            if not supply.constant:
+                own.cap_high = inverse * (d * high_cap + tie * high_rod)
+                own.rod_high = inverse * (tie * high_cap + a * high_rod)
+                own.cap_low = inverse * (d * low_cap + tie * low_rod)
+                own.rod_low = inverse * (tie * low_cap + a * low_rod)
+                own_high += high_cap * (1.0 - own.cap_high) + high_rod * (1.0 - own.rod_high)
+                own_low += low_cap * (1.0 - own.cap_low) + low_rod * (1.0 - own.rod_low)
+                cross += high_cap * own.cap_low + high_rod * own.rod_low
+                pull_high += high_cap * own.cap_alone + high_rod * own.rod_alone
+                pull_low += low_cap * own.cap_alone + low_rod * own.rod_alone
+            drawn += cap_in + rod_in
+            returned += cap_out + rod_out + seep
+            h_cap, h_rod = enthalpy(oil, cap), enthalpy(oil, rod)
+            lost += (
+                cap_in * (h_high - h_cap)
+                + rod_in * (h_high - h_rod)
+                + cap_out * (h_cap - h_low)
+                + rod_out * (h_rod - h_low)
+            )
+            lost_hose += inward * (cap_in * cap_in + rod_in * rod_in)
+            lost_hose += outward * (cap_out * cap_out + rod_out * rod_out)
+            lost_leak += piston * (h_cap - h_rod) + seep * (h_rod - h_low)
+
+        rise, fall = 0.0, 0.0
+        power[2], power[3], power[4] = lost - lost_hose, lost_hose, lost_leak
+        if supply.constant:
+            power[0] = drawn * h_high - returned * h_low
+            node[TANK] = known[TANK] + weight * (returned - drawn)
+        else:
+            pump, pump_slope = pump_flow(supply, manifolds.running > 0.0, known[PUMP], high, weight)
+            flow, flow_slope = accumulator_flow(
+                supply,
+                manifolds.gas,
+                manifolds.gas_rise,
+                known[ACCUMULATOR],
+                manifolds.gas_oil,
+                high,
+                weight,
+            )
+            bank = manifolds.bank
+            over = high - supply.relief_pressure
+            relief = supply.relief_conductance * max(over, 0.0)
+            relief_slope = supply.relief_conductance if over > 0.0 else 0.0
+            burst, burst_slope = _path(manifolds.burst, 0.0, laminar, high - tank)
+            drain = (low - tank) / supply.tank_line
+            high_density, high_slope = density(oil, high)
+            low_density, low_slope = density(oil, low)
+            high_residual = (
+                supply.supply_volume * high_density
+                - known[SUPPLY]
+                - weight * (pump + bank * flow - relief - burst - drawn)
+            )
+            low_residual = (
+                supply.return_volume * low_density - known[RETURN] - weight * (returned - drain)
+            )
+            own_high += supply.supply_volume * high_slope + weight * (
+                relief_slope + burst_slope - pump_slope - bank * flow_slope
+            )
+            own_low += supply.return_volume * low_slope + weight / supply.tank_line
+            high_residual -= pull_high
+            low_residual -= pull_low
+            inverse = 1.0 / (own_high * own_low - cross * cross)
+            rise = -inverse * (own_low * high_residual + cross * low_residual)
+            fall = -inverse * (cross * high_residual + own_high * low_residual)
+            node[SUPPLY] = supply.supply_volume * (high_density + high_slope * rise)
+            node[RETURN] = supply.return_volume * (low_density + low_slope * fall)
+            flow += flow_slope * rise
+            pump += pump_slope * rise
+            relief += relief_slope * rise
+            burst += burst_slope * rise
+            drain += fall / supply.tank_line
+            node[ACCUMULATOR] = known[ACCUMULATOR] - weight * flow
+            node[PUMP] = pump
+            node[TANK] = known[TANK] + weight * (drain + relief + burst - pump)
+            manifolds.high = max(high + rise, least)
+            manifolds.low = max(low + fall, least)
+            h_tank = enthalpy(oil, tank)
+            h_pump = enthalpy(oil, high + supply.pump_line * pump)
+            h_gas = enthalpy(oil, high + supply.accumulator_line * flow)
+            power[0] = pump * (h_pump - h_tank)
+            power[1] = bank * flow * h_gas
+            power[3] += pump * (h_pump - h_high) + bank * flow * (h_gas - h_high)
+            power[3] += drain * (h_low - h_tank)
+            power[5] = relief * (h_high - h_tank)
+            power[6] = burst * (h_high - h_tank)
+
+        largest = max(abs(rise), abs(fall))
+        for leg in range(legs):
+            own = chambers[leg]
+            cap_change = own.cap_alone + rise * own.cap_high + fall * own.cap_low
+            rod_change = own.rod_alone + rise * own.rod_high + fall * own.rod_low
+            own.cap_content += own.cap_yield * cap_change
+            own.rod_content += own.rod_yield * rod_change
+            largest = max(largest, abs(cap_change), abs(rod_change))
+            own.cap = _held(own.cap, cap_change, own.cap_in, high, own.cap_out, low, least, narrow)
+            own.rod = _held(own.rod, rod_change, own.rod_in, high, own.rod_out, low, least, narrow)
+        if largest < _TOLERANCE:
+            return iteration + 1
+    return -1
