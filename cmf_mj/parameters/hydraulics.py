@@ -98,8 +98,7 @@ ValveChanges = create_model("ValveChanges", __base__=Settings, **_optional(_Valv
 ActuatorChanges = create_model(
     "ActuatorChanges",
     __base__=Settings,
-    **_optional(_Actuator),
-    **{name: (ValveChanges | None, None) for name in VALVES},
+    **_optional(_Actuator) | {name: (ValveChanges | None, None) for name in VALVES},
 )
 """What one actuator has different from the set, with tables `valve_1` and `valve_2`."""
 
@@ -111,7 +110,7 @@ class HydraulicParameters(_Actuator):
     """Name of the set."""
     supply: Literal["constant", "network"]
     """`constant` pressure at every valve, or a pump, accumulators, manifolds and hoses."""
-    actuators: Mapping[str, ActuatorChanges] = {}  # type: ignore[valid-type]
+    actuators: Mapping[str, ActuatorChanges] = {}
     """What single actuators, by the names of their motors, have different from the set."""
     bulk_modulus: kind.Pressure
     """Effective bulk modulus: the lumped compliance of oil, hoses and barrel."""
@@ -171,6 +170,11 @@ class HydraulicParameters(_Actuator):
             _ordered(own, where, "rod_diameter", "bore_diameter")
             _ordered(own, where, "minimum_gap", "half_stroke")
             _ordered(own, where, "coulomb_friction", "breakaway_friction", equal=True)
+            if own["coulomb_friction"].value == 0.0 < own["breakaway_friction"].value:
+                raise ValueError(
+                    f"{where}breakaway_friction: {own['breakaway_friction']} needs a "
+                    f"coulomb_friction greater than 0"
+                )
         quantities = self.quantities()
         _ordered(quantities, "", "return_pressure", "supply_pressure")
         _ordered(quantities, "", "precharge_pressure", "supply_pressure")

@@ -6,8 +6,8 @@ from its length at the neutral configuration, is the extension. Nothing here ass
 
 Let M be MuJoCo's full inertia matrix, c its bias force less passive forces, N a basis of the
 motions that the closed loops (equality constraints) allow, and A the motors' moment arms. Where
-there are as many motors as free motions, T = N (A N)^-1 is the exact motion of the whole machine per
-unit actuator velocity, and
+there are as many motors as free motions, T = N (A N)^-1 is the exact motion of the whole machine
+per unit actuator velocity, and
 
     M_leg = T' M T    reflected mass [kg],        F = T' c    static forces [N]
 

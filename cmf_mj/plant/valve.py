@@ -82,9 +82,14 @@ def make_valves(
         own = parameters.actuator(actuator, index)
         speed = own["leg_speed"].si / half_flow * own["valve_flow"].si / len(VALVES)
         corners = own["drive_lag"].si, own["valve_lag"].si
+        inner_weights, weights = lag_weights(*corners, inner), lag_weights(*corners, outer)
         return Valve(
-            *lag_weights(*corners, inner),
-            *lag_weights(*corners, outer),
+            inner_fade=inner_weights[0],
+            inner_mixed=inner_weights[1],
+            inner_spool=inner_weights[2],
+            fade=weights[0],
+            mixed=weights[1],
+            spool=weights[2],
             cap_gain=speed * cap_area(own),
             rod_gain=speed * rod_area(own),
             null_bias=own["null_bias"].si,
