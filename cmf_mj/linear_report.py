@@ -94,11 +94,14 @@ def misprint_table() -> Table:
 
 
 def table_4_1_table(rows: Sequence[TableRow]) -> Table:
-    """Table 4-1 published beside computed."""
+    """Table 4-1 published beside computed, the hardware under the same law in the caption."""
+    machine = next(r for r in published_results() if (r.table, r.of) == ("4-1", "hardware"))
     table = Table(
         title="Table 4-1: velocity law around linear models 1 to 3",
         caption="damping from the step's overshoot over its final value (step) or over the demand "
-        "(demand), or from the gain's peak over 0 dB (peak); the report does not say which",
+        "(demand), or from the gain's peak over 0 dB (peak); the report does not say which. Hardware: "
+        f"-90 deg {machine.phase_bandwidth_hz} Hz, -3 dB {machine.gain_bandwidth_hz} Hz, damping "
+        f"{machine.damping_ratio}",
         caption_justify="left",
         box=SIMPLE_HEAD,
         pad_edge=False,
@@ -219,13 +222,13 @@ def pole_zero_figure() -> Figure:
 
 
 def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
-    """Bode diagram (Figure 4-13) and step (Figures 4-6, 4-9, 4-12) of laws around the models."""
+    """Bode diagram (Figure 4-13) and step (Figures 4-6, 4-9, 4-12) of a law around the models."""
     bode, step = (Figure(figsize=(8.0, 7.0), layout="constrained") for _ in range(2))
     gain, phase = bode.subplots(2, 1, sharex=True)
     axis = step.subplots()
     printed = {str(row.of): row for row in published_results() if row.table == "4-1"}
     for item in loops:
-        label = f"{item.law.title}, linear model #{item.model}"
+        label = f"linear model #{item.model}, Eq {HARDWARE_MODELS[item.model]}"
         response = loop_response(item.loop, _LINES)
         _bode(gain, phase, response, label=label)
         colour = gain.lines[-1].get_color()
@@ -238,10 +241,12 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
             phase.plot(beside.phase_bandwidth_hz, -90.0, "o", color=colour, fillstyle="none")
     gain.axhline(-3.0, color="0.6", linewidth=0.8)
     phase.axhline(-90.0, color="0.6", linewidth=0.8)
-    gain.set(ylabel="gain [dB]", title="reference to leg position; circles: Table 4-1")
+    title = f"{loops[0].law.title}, reference to leg position"
+    circles = "; circles: Table 4-1" if len(gain.lines) > len(loops) + 1 else ""
+    gain.set(ylabel="gain [dB]", title=title + circles)
     phase.set(xlabel="frequency [Hz]", ylabel="phase [deg]")
     axis.axhline(1.0, color="0.6", linewidth=0.8)
-    axis.set(xlabel="time after the step [s]", ylabel="leg position over demand")
+    axis.set(xlabel="time after the step [s]", ylabel="leg position over demand", title=title)
     gain.legend(fontsize=8)
     axis.legend(fontsize=8)
     _dress(gain, phase, axis)
@@ -318,15 +323,15 @@ def _write(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) 
 def save_linear(loops: Sequence[LawLoop], rows: Sequence[TableRow], folder: Path) -> list[Path]:
     """Write the tables as CSV and all figures as PNG."""
     effects = gain_effects()
-    bode, step = loop_figures(loops)
     figures = {
         "models.png": models_figure(),
         "poles_zeros.png": pole_zero_figure(),
-        "loop_bode.png": bode,
-        "loop_step.png": step,
         "second_order.png": example_figure(),
         "gain_effects.png": gain_figure(effects),
     }
+    for law in dict.fromkeys(item.law.name for item in loops):
+        bode, step = loop_figures([item for item in loops if item.law.name == law])
+        figures |= {f"bode_{law}.png": bode, f"step_{law}.png": step}
     folder.mkdir(parents=True, exist_ok=True)
     _write(folder / "table_4_1.csv", TableRow._fields, rows)
     _write(

@@ -204,9 +204,11 @@ def test_a_continuous_plant_is_held_over_a_frame() -> None:
     names = {"inputs": ["valve"], "outputs": ["leg_position", "leg_velocity"]}
     continuous = control.ss(a, b, np.eye(2), np.zeros((2, 1)), **names)
     discrete = control.sample_system(continuous, FRAME, "zoh", copy_names=True)
-    same = (control.frequency_response(closed_loop("velocity", p), OMEGA[::100]).frdata
-            for p in (continuous, discrete))  # fmt: skip
-    np.testing.assert_array_equal(*same)
+    held, sampled = (
+        control.frequency_response(closed_loop("velocity", plant), OMEGA[::100]).frdata
+        for plant in (continuous, discrete)
+    )
+    np.testing.assert_array_equal(held, sampled)
 
 
 def test_legs_apart_are_single_legs() -> None:
