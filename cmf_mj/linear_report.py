@@ -99,9 +99,9 @@ def table_4_1_table(rows: Sequence[TableRow]) -> Table:
     table = Table(
         title="Table 4-1: velocity law around linear models 1 to 3",
         caption="damping from the step's overshoot over its final value (step) or over the demand "
-        "(demand), or from the gain's peak over 0 dB (peak); the report does not say which. Hardware: "
-        f"-90 deg {machine.phase_bandwidth_hz} Hz, -3 dB {machine.gain_bandwidth_hz} Hz, damping "
-        f"{machine.damping_ratio}",
+        "(demand), or from the gain's peak over 0 dB (peak); the report does not say which. "
+        f"Hardware: -90 deg {machine.phase_bandwidth_hz} Hz, -3 dB {machine.gain_bandwidth_hz} Hz, "
+        f"damping {machine.damping_ratio}",
         caption_justify="left",
         box=SIMPLE_HEAD,
         pad_edge=False,

@@ -62,6 +62,11 @@ def test_original_model_has_the_lags_and_the_leg_mode() -> None:
     assert -pair.real / abs(pair) == pytest.approx(0.0114, abs=5e-5)
 
 
+def test_gain_of_the_original_model_is_of_no_use() -> None:
+    """Leg speed per command between the slow poles and the lags, over that of Eq 4.4."""
+    assert abs(report_model("4.1")(2.0j) / report_model("4.4")(2.0j)) == pytest.approx(5800, abs=50)
+
+
 def test_linear_model_a_has_the_lags_but_not_the_leg_mode() -> None:
     poles = report_model("4.4").poles()
     for expected in (-18.85, -471.24):
