@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from cmf_mj import measurement_report, models, report, units
+from cmf_mj import linear_report, measurement_report, models, report, units
 from cmf_mj.control import law_names, load_law
 from cmf_mj.kinematics import DOFS
 from cmf_mj.limits import peaks
@@ -229,6 +229,20 @@ def measure_command(
             paths, table = measurement_report.measure_files(files or [], dof, estimator, out)
         _print(table, f"written: {', '.join(str(path) for path in paths)}", width=_TEXT_WIDTH)
     except (ValueError, OSError, FloatingPointError, ModuleNotFoundError) as error:
+        refuse(error)
+
+
+@app.command("linear")
+def linear_command(
+    laws: Annotated[
+        str, typer.Option(help="laws around the hardware models, or `all`")
+    ] = "velocity",
+    out: Annotated[Path, typer.Option(help="folder for results")] = Path("out/linear"),
+) -> None:
+    """Show the report's linear models, Table 4-1 beside its computation, section 3.4's analysis."""
+    try:
+        _print(*linear_report.linear_command(_names(laws, law_names()), out), width=_TEXT_WIDTH)
+    except (ValueError, OSError) as error:
         refuse(error)
 
 

@@ -63,6 +63,42 @@ def damping_from_overshoot(overshoot: float) -> float:
     return float(-logarithm / np.hypot(np.pi, logarithm))
 
 
+def resonant_damping(peak: float) -> float:
+    """Damping ratio of the second-order system whose gain peaks at `peak`: 1 / (2 z sqrt(1 - z^2)).
+
+    NaN for a peak of no more than 1, which every damping ratio above 0.707 has.
+    """
+    return float(np.sin(0.5 * np.arcsin(1.0 / peak))) if peak > 1.0 else float("nan")
+
+
+class StepShape(NamedTuple):
+    """Measures of a step response's shape, fractions of the step unless a unit is given."""
+
+    overshoot: float
+    """Largest excess over the final value."""
+    damping_ratio: float
+    """From the overshoot; NaN below an overshoot of 0.001."""
+    rise_time: float
+    """10 to 90 % [s]."""
+    settling_time: float
+    """From the step to staying within 2 % of the final value [s]."""
+
+
+def step_shape(shape: NDArray[np.float64], rate: float) -> StepShape:
+    """Measure a response scaled to a final value of 1, sampled from the step on, (N,)."""
+    overshoot = float(shape.max() - 1.0)
+    ten = int(np.argmax(shape >= 0.1))
+    ninety = int(np.argmax(shape >= 0.9))
+    outside = np.flatnonzero(np.abs(shape - 1.0) > 0.02)
+    settled = int(outside[-1]) + 1 if outside.size else 0
+    return StepShape(
+        overshoot=overshoot,
+        damping_ratio=damping_from_overshoot(overshoot if overshoot >= NO_OVERSHOOT else 0.0),
+        rise_time=(ninety - ten) / rate,
+        settling_time=settled / rate,
+    )
+
+
 def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
     """Measure a step response from leg demand to leg feedback in one degree of freedom.
 
@@ -97,18 +133,13 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
     demanded = float(demand[-1] - demand[at - 1])
     if abs(demanded) < NO_DEMAND:
         raise ValueError(f"dof: the record holds no step in {chosen}; it moved {command['dof']}")
-    shape = (feedback[at:] - rest) / size
-    overshoot = float(shape.max() - 1.0)
-    ten = int(np.argmax(shape >= 0.1))
-    ninety = int(np.argmax(shape >= 0.9))
-    outside = np.flatnonzero(np.abs(shape - 1.0) > 0.02)
-    settled = int(outside[-1]) + 1 if outside.size else 0
+    shape = step_shape((feedback[at:] - rest) / size, record.rate)
     return StepMetrics(
-        overshoot=overshoot,
-        damping_ratio=damping_from_overshoot(overshoot if overshoot >= NO_OVERSHOOT else 0.0),
+        overshoot=shape.overshoot,
+        damping_ratio=shape.damping_ratio,
         steady_state_error=1.0 - size / demanded,
-        rise_time=(ninety - ten) / record.rate,
-        settling_time=settled / record.rate,
+        rise_time=shape.rise_time,
+        settling_time=shape.settling_time,
         residual=residual,
         stable=stable,
     )

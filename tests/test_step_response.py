@@ -11,7 +11,7 @@ from scipy import optimize, signal
 
 from cmf_mj import Record, signals, step_metrics
 from cmf_mj.kinematics import DOFS, pose_to_legs
-from cmf_mj.step_response import damping_from_overshoot
+from cmf_mj.step_response import damping_from_overshoot, resonant_damping
 
 RATE = 2048
 STEP = -0.0254
@@ -99,6 +99,14 @@ def test_damping_at_the_ends_of_its_range() -> None:
     assert np.isnan(damping_from_overshoot(float("nan")))
     assert damping_from_overshoot(1.0) == 0.0
     assert damping_from_overshoot(1.5) == 0.0
+
+
+@pytest.mark.parametrize("zeta", [0.1, 0.4, 0.7])
+def test_damping_from_the_peak_of_the_gain(zeta: float) -> None:
+    gain = np.abs(second_order(zeta, 1.0)(2j * np.pi * np.linspace(0.0, 1.0, 20001)))
+    assert resonant_damping(float(gain.max())) == pytest.approx(zeta, abs=1e-4)
+    assert np.isnan(resonant_damping(1.0))
+    assert np.isnan(resonant_damping(0.9))
 
 
 @pytest.mark.parametrize("hertz", [1.0, 2.0, 4.0])
