@@ -56,7 +56,8 @@ class LegAxesState(NamedTuple):
 def make_leg_axes(geometry: Geometry | None = None) -> LegAxes:
     """Parameters of the tracker; default the CMF's gimbals."""
     shape = geometry or kinematics.read_geometry()
-    return LegAxes(shape, np.linalg.inv(kinematics.pose_jacobian(np.zeros(6), shape)))
+    jacobian = kinematics.pose_jacobian(np.zeros(6), shape)
+    return LegAxes(shape, np.array(np.linalg.inv(jacobian), dtype=np.float64))
 
 
 def leg_axes_state(axes: LegAxes, legs: NDArray[np.float64]) -> LegAxesState:
@@ -100,9 +101,9 @@ def track(axes, state, legs):  # type: ignore[no-untyped-def]
         state: overwritten.
         legs: (6,) extensions of this frame [m].
     """
-    for i in range(6):
-        for j in range(6):
-            error = legs[j] + axes.geometry.neutral[j] - state.length[j]
+    for j in range(6):
+        error = legs[j] + axes.geometry.neutral[j] - state.length[j]
+        for i in range(6):
             state.pose[i] += axes.inverse[i, j] * error
     sound = True
     for i in range(6):  # metres and radians; written so that NaN is unsound
