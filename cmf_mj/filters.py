@@ -33,7 +33,7 @@ def low_pass(order: int, corner: float, rate: float) -> NDArray[np.float64]:
     if order == 0:
         return np.empty((0, 6))
     if not 0.0 < corner < rate / 2.0:
-        raise ValueError(f"corner: {corner} Hz must be between 0 and {rate / 2.0:g} Hz")
+        raise ValueError(f"corner: {corner:g} Hz must be between 0 and {rate / 2.0:g} Hz")
     return np.ascontiguousarray(signal.butter(order, corner, output="sos", fs=rate))
 
 
