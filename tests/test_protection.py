@@ -257,6 +257,18 @@ def test_the_misprinted_law_is_stopped(hexapod: Hexapod) -> None:
     assert (speed[:-4] > 40.0 * INCH).sum() == 0
 
 
+def test_the_documented_table_is_the_default() -> None:
+    text = (Path(__file__).parents[1] / "docs" / "sensors.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1:-1] for line in text.splitlines() if line.startswith("| `")]
+    told = {name.strip(" `"): (size.strip(), int(frames)) for name, _, size, frames in rows}
+    assert list(told) == list(FAULTS[1:])
+    for name, (size, frames) in told.items():
+        check = getattr(SETTINGS, name)
+        unit = "" if check.threshold.unit == "1" else f" {check.threshold.unit}"
+        assert size == f"{check.threshold.value:g}{unit}"
+        assert frames == check.persistence
+
+
 def test_settings_of_ones_own_and_refusals(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     quantity = '{{ value = {}, unit = "{}", status = "assumed", source = "mine" }}'

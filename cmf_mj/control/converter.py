@@ -191,13 +191,26 @@ def converter_state(converters: Converters, feedback: NamedTuple) -> ConverterSt
 
 
 @compiled
-def convert(converter, state, value):  # type: ignore[no-untyped-def]
-    """Reading of one channel of one leg after filter, range and resolution [SI]."""
-    filtered = filters.filtered(converter.low_pass, state, value)
+def convert(converter, state, analogue, digital):  # type: ignore[no-untyped-def]
+    """One channel of all legs after filter, range and resolution [SI].
+
+    Args:
+        converter: parameters.
+        state: (n, s, 2) filter states, overwritten.
+        analogue: (n,) readings of the sensors.
+        digital: (n,) overwritten; may be `analogue` itself.
+    """
+    count = analogue.shape[0]
+    for leg in range(count):
+        digital[leg] = analogue[leg]
+    if converter.low_pass.shape[0] > 0:
+        for leg in range(count):
+            digital[leg] = filters.filtered(converter.low_pass, state[leg], digital[leg])
     if converter.quantise:
-        code = np.floor(filtered / converter.step + 0.5)
-        return min(max(code, -converter.codes), converter.codes - 1.0) * converter.step
-    return filtered
+        for leg in range(count):
+            code = np.floor(digital[leg] / converter.step + 0.5)
+            code = min(max(code, -converter.codes), converter.codes - 1.0)
+            digital[leg] = code * converter.step
 
 
 @compiled
@@ -210,22 +223,17 @@ def digitise(converters, state, analogue, digital):  # type: ignore[no-untyped-d
         analogue: `LegFeedback` of the sensors.
         digital: `LegFeedback` for the DCL, overwritten; may be `analogue` itself.
     """
-    for leg in range(analogue.position.shape[0]):
-        digital.position[leg] = convert(
-            converters.position, state.position[leg], analogue.position[leg]
-        )
-        digital.velocity[leg] = convert(
-            converters.velocity, state.velocity[leg], analogue.velocity[leg]
-        )
-        digital.acceleration[leg] = convert(
-            converters.acceleration, state.acceleration[leg], analogue.acceleration[leg]
-        )
-        digital.cap_pressure[leg] = convert(
-            converters.cap_pressure, state.cap_pressure[leg], analogue.cap_pressure[leg]
-        )
-        digital.rod_pressure[leg] = convert(
-            converters.rod_pressure, state.rod_pressure[leg], analogue.rod_pressure[leg]
-        )
+    convert(converters.position, state.position, analogue.position, digital.position)
+    convert(converters.velocity, state.velocity, analogue.velocity, digital.velocity)
+    convert(
+        converters.acceleration, state.acceleration, analogue.acceleration, digital.acceleration
+    )
+    convert(
+        converters.cap_pressure, state.cap_pressure, analogue.cap_pressure, digital.cap_pressure
+    )
+    convert(
+        converters.rod_pressure, state.rod_pressure, analogue.rod_pressure, digital.rod_pressure
+    )
 
 
 def aliased(frequency: float, settings: ConverterSettings) -> Alias:

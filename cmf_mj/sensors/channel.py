@@ -78,8 +78,12 @@ def read(channel, state, frame, truth, reading):  # type: ignore[no-untyped-def]
     """
     count = truth.shape[0]
     for i in range(count):
-        reading[i] = filters.filtered(channel.low_pass, state[i], truth[i])
-        if channel.bias != 0.0:
+        reading[i] = truth[i]
+    if channel.low_pass.shape[0] > 0:
+        for i in range(count):
+            reading[i] = filters.filtered(channel.low_pass, state[i], reading[i])
+    if channel.bias != 0.0:
+        for i in range(count):
             reading[i] += channel.bias
     if channel.deviation > 0.0:
         for group in range((count + 3) // 4):
