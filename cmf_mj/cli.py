@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from cmf_mj import linear_report, measurement_report, models, report, units
+from cmf_mj import linear_report, measurement_report, models, report, sensor_report, units
 from cmf_mj.control import law_names, load_law
 from cmf_mj.kinematics import DOFS
 from cmf_mj.limits import peaks
@@ -17,6 +17,8 @@ from cmf_mj.measurement import facility_session, measure, session_commands
 from cmf_mj.parameters import load_hydraulics
 from cmf_mj.plant import Hexapod, Plant, SingleLegs
 from cmf_mj.recording import write_facility_csv
+from cmf_mj.replay import replay
+from cmf_mj.sensors import load_sensors
 from cmf_mj.signals import dof_index
 from cmf_mj.studies import AMPLITUDE, DEFAULT_LAWS, PLANTS, Comparison, compare
 
@@ -243,6 +245,42 @@ def linear_command(
     try:
         _print(*linear_report.linear_command(_names(laws, law_names()), out), width=_TEXT_WIDTH)
     except (ValueError, OSError) as error:
+        refuse(error)
+
+
+@app.command("sensors")
+def sensors_command(
+    sensors: Annotated[str, typer.Argument(help="ideal, noisy or a TOML file")] = "noisy",
+    law: LawName = "acceleration_opposing",
+    seed: Annotated[int, typer.Option(help="of the noise")] = 0,
+    out: Annotated[Path, typer.Option(help="folder for the figures")] = Path("out/sensors"),
+) -> None:
+    """Show a sensor set, and what the accelerometer filter does to it (Figures 3-15, 3-16)."""
+    try:
+        settings = load_sensors(sensors)
+        effect = sensor_report.filter_effect(settings, law, seed=seed)
+        paths = sensor_report.save_sensor_figures(effect, out)
+        tables = (sensor_report.sensor_table(settings), sensor_report.effect_table(effect))
+        _print(*tables, f"written: {', '.join(str(path) for path in paths)}", width=_TEXT_WIDTH)
+    except (ValueError, OSError, FloatingPointError) as error:
+        refuse(error)
+
+
+@app.command("replay")
+def replay_command(
+    recording: Annotated[Path, typer.Argument(help="Parquet, facility CSV or UFF 58")],
+    law: Annotated[
+        str | None, typer.Option(help="law by name or TOML file; default the recording's")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="folder for the figure")] = Path("out/replay"),
+) -> None:
+    """Run the control law open loop on recorded feedback; compare the compensator's output."""
+    try:
+        record = measurement_report.read_recording(recording)
+        replayed = replay(record, law or sensor_report.law_of(record))
+        path = sensor_report.save_replay(replayed, out / f"{recording.stem}_{replayed.law}.png")
+        _print(sensor_report.replay_summary(replayed), f"written: {path}")
+    except (ValueError, OSError, ModuleNotFoundError) as error:
         refuse(error)
 
 

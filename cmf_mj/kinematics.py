@@ -75,18 +75,22 @@ def read_geometry(path: Path | None = None) -> Geometry:
 
 
 @compiled
-def rotation(roll, pitch, yaw):  # type: ignore[no-untyped-def]
-    """T of Eq 2.2, (3, 3): platform axes to inertial axes, Euler order yaw, pitch, roll."""
+def rotate(roll, pitch, yaw, turn):  # type: ignore[no-untyped-def]
+    """Write T of Eq 2.2, (3, 3): platform axes to inertial axes, Euler order yaw, pitch, roll."""
     cf, sf = np.cos(roll), np.sin(roll)
     ct, st = np.cos(pitch), np.sin(pitch)
     cp, sp = np.cos(yaw), np.sin(yaw)
-    return np.array(
-        [
-            [ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp],
-            [ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp],
-            [-st, sf * ct, cf * ct],
-        ]
-    )
+    turn[0, 0], turn[0, 1], turn[0, 2] = ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp
+    turn[1, 0], turn[1, 1], turn[1, 2] = ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp
+    turn[2, 0], turn[2, 1], turn[2, 2] = -st, sf * ct, cf * ct
+
+
+@compiled
+def rotation(roll, pitch, yaw):  # type: ignore[no-untyped-def]
+    """T of Eq 2.2, (3, 3), as a new array."""
+    turn = np.empty((3, 3))
+    rotate(roll, pitch, yaw, turn)
+    return turn
 
 
 @compiled

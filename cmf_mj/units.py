@@ -2,8 +2,9 @@
 
 `to_si("in/s/%", 0.35)` reads a compound unit from left to right: the first factor multiplies,
 each factor after a slash divides. Factors come from `scipy.constants` (CODATA and the
-international yard and pound agreement); the only additions are the per cent of valve command
-and the spelled-out unit of "no dimension".
+international yard and pound agreement); the only additions are the per cent of valve command,
+the spelled-out unit of "no dimension" and the root hertz of noise densities (per cycle, not per
+radian: a density d of one-sided power d^2 per Hz has the variance d^2 f over a band of f Hz).
 """
 
 from typing import TypeVar
@@ -48,6 +49,8 @@ _FACTORS: dict[str, float] = {
     "g": STANDARD_GRAVITY,
     "%": PERCENT,
     "Hz": HERTZ,
+    "rtHz": 1.0,
+    "V": 1.0,
 }
 
 Value = TypeVar("Value", float, np.ndarray)

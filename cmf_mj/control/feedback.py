@@ -4,13 +4,33 @@
     F = (p_cap - p_rod) A,  A = 11.97 in^2           force from pressures, Eq 3.7
 
 Eq 3.5 prints a time constant of 0.2 s; Eq 3.6 is the zero-order hold of 0.02 s and is what runs.
+
+White noise in the accelerometer leaves its filter smaller by gain / sqrt(1 - pole^2), which for a
+gain of 1 - pole is sqrt((1 - pole) / (1 + pole)).
+
+As an option the DCL takes gravity out of leg accelerations itself (Appendix C),
+
+    a = a_measured - g n . up,
+
+with the legs' directions n from the measured positions through its own kinematics.
 """
 
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cmf_mj import units
 from cmf_mj.compiled import compiled
 from cmf_mj.control.law import Law
+from cmf_mj.gravity import (
+    LegAxes,
+    LegAxesState,
+    leg_axes_state,
+    make_leg_axes,
+    track,
+    upward,
+)
 
 FORCE_AREA = 11.97 * units.INCH**2
 """Area the pressure difference acts on in Eq 3.7 [m^2]: the annulus, as the report states it."""
@@ -42,3 +62,50 @@ def filter_acceleration(feedback, filtered, measured):  # type: ignore[no-untype
 def pressure_force(feedback, cap_pressure, rod_pressure):  # type: ignore[no-untyped-def]
     """Force feedback of Eq 3.7 [N]."""
     return (cap_pressure - rod_pressure) * feedback.force_area
+
+
+def noise_gain(law: Law) -> float:
+    """Rms of white noise behind the accelerometer filter over that before it."""
+    return float(law.accelerometer_gain / np.sqrt(1.0 - law.accelerometer_pole**2))
+
+
+class GravityCompensation(NamedTuple):
+    """Compiled parameters of the gravity compensation."""
+
+    enabled: bool
+    """Whether gravity is taken out."""
+    axes: LegAxes
+
+
+def make_gravity_compensation(*, enabled: bool) -> GravityCompensation:
+    """The option of the DCL, on or off."""
+    return GravityCompensation(enabled, make_leg_axes())
+
+
+def gravity_compensation_state(
+    compensation: GravityCompensation, position: NDArray[np.float64]
+) -> LegAxesState:
+    """State that knows the pose of the measured leg positions (n,) [m].
+
+    Raises:
+        ValueError: switched on, and the legs are not six or no pose has them.
+    """
+    if compensation.enabled and position.shape != (6,):
+        raise ValueError(f"position: shape is {position.shape}; gravity along the legs needs (6,)")
+    return leg_axes_state(compensation.axes, position if compensation.enabled else np.zeros(6))
+
+
+@compiled
+def compensate_gravity(compensation, state, position, acceleration):  # type: ignore[no-untyped-def]
+    """Take gravity out of measured leg accelerations, one frame.
+
+    Args:
+        compensation: parameters.
+        state: overwritten.
+        position: (n,) measured extensions [m].
+        acceleration: (n,) measured accelerations [m/s^2], overwritten.
+    """
+    if compensation.enabled:
+        track(compensation.axes, state, position)
+        for leg in range(6):
+            acceleration[leg] -= units.STANDARD_GRAVITY * upward(state, leg)

@@ -1,0 +1,202 @@
+"""Replay: the DCL and its fault detection run open loop on recorded feedback.
+
+    recorded reference, feedback -> DCL -> compensator output, beside the recorded one
+
+The law starts engaged at the first sample, as a run does, so that at the control rate the output of
+the law that made a record comes back bit for bit. A recording at a lower rate, such as the
+facility's 128 Hz, is brought to 2048 Hz by cubic splines, which cannot be exact: what lay between
+the samples is lost.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from cmf_mj.compiled import compiled
+from cmf_mj.control import dcl as control
+from cmf_mj.control.law import FRAME, SIGNALS, Law, load_law
+from cmf_mj.control.protection import (
+    Fault,
+    Protection,
+    latched,
+    protect,
+    protection_state,
+)
+from cmf_mj.record import Record
+
+FEEDBACK = {
+    "position": "leg_position",
+    "velocity": "leg_velocity",
+    "acceleration": "leg_acceleration",
+    "cap_pressure": "cap_pressure",
+    "rod_pressure": "rod_pressure",
+}
+"""Feedback of the DCL and the channels it is recorded in."""
+
+_NEEDS = {
+    "velocity": ("velocity", "velocity_error"),
+    "acceleration": ("acceleration",),
+    "cap_pressure": ("cap_pressure", "force"),
+    "rod_pressure": ("rod_pressure", "force"),
+}
+"""Signals of the compensator that a feedback acts through; the position always acts."""
+
+
+class Replay(NamedTuple):
+    """A law's answer to recorded feedback."""
+
+    law: str
+    """Name of the law."""
+    time: NDArray[np.float64]
+    """Times of the record [s], (N,)."""
+    output: NDArray[np.float64]
+    """Compensator output, command fraction, (N, n)."""
+    recorded: NDArray[np.float64] | None
+    """The record's own, where it has one."""
+    interpolated: bool
+    """Whether the recording was below the control rate."""
+
+    @property
+    def difference(self) -> float:
+        """Largest difference of the two outputs; NaN where nothing was recorded."""
+        if self.recorded is None:
+            return float("nan")
+        return float(np.abs(self.output - self.recorded).max())
+
+    @property
+    def identical(self) -> bool:
+        """Whether the recorded output came back bit for bit."""
+        return self.recorded is not None and self.output.tobytes() == self.recorded.tobytes()
+
+
+@compiled
+def _run(dcl, state, reference, feedback, signals, command, output):  # type: ignore[no-untyped-def]
+    for frame in range(reference.shape[0]):
+        now = control.LegFeedback(
+            feedback.position[frame],
+            feedback.velocity[frame],
+            feedback.acceleration[frame],
+            feedback.cap_pressure[frame],
+            feedback.rod_pressure[frame],
+        )
+        control.step(dcl, state, reference[frame], now, signals, output[frame], command)
+
+
+@compiled
+def _watch(protection, state, reference, feedback, supply_pressure):  # type: ignore[no-untyped-def]
+    for frame in range(reference.shape[0]):
+        now = control.LegFeedback(
+            feedback.position[frame],
+            feedback.velocity[frame],
+            feedback.acceleration[frame],
+            feedback.cap_pressure[frame],
+            feedback.rod_pressure[frame],
+        )
+        protect(protection, state, frame, reference[frame], now, supply_pressure[frame])
+
+
+def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = None) -> Replay:
+    """Run a law on the recorded demand and feedback of a run.
+
+    Args:
+        record: with `leg_reference`, `leg_position` and whatever else the law reads, at the control
+            rate or a whole fraction of it.
+        law: name, TOML file or loaded `Law`.
+        feedback: recorded channel of each feedback in `FEEDBACK`, where it is another.
+
+    Raises:
+        ValueError: a channel that the law reads is missing, its shape is another, or the rate does
+            not divide the control rate.
+    """
+    loaded = load_law(law)
+    every = _every(record)
+    histories = _feedback(record, loaded, feedback or {})
+    reference = _legs(record, "leg_reference")
+    if every > 1:
+        reference = _raised(reference, every)
+        histories = control.LegFeedback(*(_raised(h, every) for h in histories))
+    frames, legs = reference.shape
+    dcl = control.make_dcl(loaded, legs)
+    first = control.LegFeedback(*(history[0].copy() for history in histories))
+    state = control.engaged(dcl, reference[0], first)
+    output = np.empty((frames, legs))
+    signals = np.zeros((legs, len(SIGNALS)))
+    _run(dcl, state, reference, histories, signals, np.zeros(legs), output)
+    known = "compensator_output" in record.channels
+    recorded = _legs(record, "compensator_output") if known else None
+    picked = np.ascontiguousarray(output[::every])
+    return Replay(loaded.name, record.time, picked, recorded, every > 1)
+
+
+def replay_protection(
+    record: Record,
+    protection: Protection,
+    supply_pressure: float | NDArray[np.float64],
+) -> Fault | None:
+    """The fault that the protection finds in a record, or none.
+
+    Args:
+        record: at the control rate, with all channels of `FEEDBACK` and `leg_reference`.
+        protection: of `make_protection`.
+        supply_pressure: constant, or (N,) [Pa].
+
+    Raises:
+        ValueError: a missing channel, or another rate.
+    """
+    if _every(record) != 1:
+        raise ValueError(f"sample_rate: {record.rate} Hz is refused; allowed: {1 / FRAME:g} Hz")
+    reference = _legs(record, "leg_reference")
+    histories = control.LegFeedback(*(_legs(record, name) for name in FEEDBACK.values()))
+    state = protection_state(histories.position[0])
+    supply = np.array(np.broadcast_to(supply_pressure, reference.shape[0]), dtype=float)
+    _watch(protection, state, reference, histories, supply)
+    return latched(state)
+
+
+def _every(record: Record) -> int:
+    every = 1.0 / (FRAME * record.rate)
+    if not (every >= 1.0 and every.is_integer()):
+        raise ValueError(
+            f"sample_rate: {record.rate} Hz is refused; allowed: {1 / FRAME:g} Hz over an integer"
+        )
+    return int(every)
+
+
+def _legs(record: Record, channel: str) -> NDArray[np.float64]:
+    values = record[channel]
+    legs = record["leg_position"].shape
+    if values.ndim != 2 or values.shape != legs or values.shape[0] < 2:
+        raise ValueError(f"{channel}: shape is {values.shape}; allowed: (N, n) with N >= 2")
+    return np.ascontiguousarray(values)
+
+
+def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> control.LegFeedback:
+    odd = sorted(set(names) - set(FEEDBACK))
+    if odd:
+        raise ValueError(f"feedback: {odd[0]!r} is not one of {', '.join(FEEDBACK)}")
+    histories = []
+    for field, channel in (FEEDBACK | dict(names)).items():
+        acting = field == "position" or any(
+            getattr(gains, signal) != 0.0
+            for signal in _NEEDS[field]
+            for gains in (law.direct_gain, law.input_gain)
+        )
+        if acting and channel not in record.channels:
+            raise ValueError(
+                f"{channel}: is not recorded, and the law {law.name} reads it; recorded: "
+                f"{', '.join(record.channels)}"
+            )
+        present = channel in record.channels
+        still = np.zeros(record["leg_position"].shape)
+        histories.append(_legs(record, channel) if present else still)
+    return control.LegFeedback(*histories)
+
+
+def _raised(values: NDArray[np.float64], every: int) -> NDArray[np.float64]:
+    """Values at `every` times the rate through the same samples, to the last one."""
+    coarse = np.arange(values.shape[0])
+    fine = np.arange((values.shape[0] - 1) * every + 1) / every
+    return np.ascontiguousarray(CubicSpline(coarse, values, axis=0)(fine))
