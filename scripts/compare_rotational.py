@@ -7,7 +7,8 @@ error rate feedback with no, positive and opposing acceleration feedback.
 import argparse
 from pathlib import Path
 
-from cmf_mj.cli import refuse, run_comparison
+from cmf_mj.cli.common import refuse
+from cmf_mj.cli.comparing import run_comparison
 from cmf_mj.models import CABS
 from cmf_mj.studies import PLANTS
 

@@ -1,0 +1,11 @@
+"""The command line, `cmf`: one module a family of commands."""
+
+from cmf_mj.cli import analysing, comparing, listing, measuring
+from cmf_mj.cli.common import app
+
+__all__ = ["analysing", "comparing", "listing", "main", "measuring"]
+
+
+def main() -> None:
+    """Entry point of the `cmf` command."""
+    app(prog_name="cmf")

@@ -1,0 +1,71 @@
+"""What all commands share: the application, its options, printing and refusing."""
+
+from collections.abc import Callable
+from typing import Annotated, NoReturn
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from cmf_mj import models, units
+from cmf_mj.kinematics import DOFS
+from cmf_mj.parameters import load_hydraulics
+from cmf_mj.plant import Hexapod, Plant, SingleLegs
+from cmf_mj.signals import dof_index
+from cmf_mj.studies import PLANTS
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="NASA Langley's Cockpit Motion Facility: control laws on a faithful hexapod.",
+)
+
+TEXT_WIDTH = 120
+"""Width for tables that fold their text, where the terminal is narrower or there is none."""
+
+
+def show(*parts: Table | str, width: int = 0) -> None:
+    """Print tables and text, never narrower than `width`."""
+    console = Console()
+    if console.width < width:
+        console = Console(width=width)
+    for part in parts:
+        console.print(part)
+
+
+def refuse(error: Exception) -> NoReturn:
+    """Print one clear error and leave with status 2."""
+    typer.secho(f"cmf: {error}", err=True, fg=typer.colors.RED)
+    raise SystemExit(2)
+
+
+def names_of(text: str, every: tuple[str, ...]) -> list[str]:
+    """Names of a comma-separated option, or all."""
+    return list(every) if text == "all" else [part.strip() for part in text.split(",") if part]
+
+
+def plant_builder(plant: str, cab: str, hydraulics: str) -> Callable[[], Plant]:
+    """Builder of a plant named on the command line; refuses bad names at once."""
+    if plant not in PLANTS:
+        raise ValueError(f"plant: {plant!r} is not one of {', '.join(PLANTS)}")
+    parameters = load_hydraulics(hydraulics)
+    models.cab_path(cab)
+    return lambda: Hexapod(cab, parameters) if plant == "hexapod" else SingleLegs(parameters)
+
+
+def in_si(dof: str, amplitude: float | None) -> float | None:
+    """An amplitude of the command line, in or deg, in SI."""
+    if amplitude is None:
+        return None
+    return units.to_si("in" if dof_index(dof) < 3 else "deg", amplitude)
+
+
+Dof = Annotated[str, typer.Option(help=f"degree of freedom: {', '.join(DOFS)}")]
+LawName = Annotated[str, typer.Option("--law", help="law by name or TOML file")]
+PlantName = Annotated[str, typer.Option("--plant", help="hexapod or single_legs")]
+Cab = Annotated[str, typer.Option(help="gfd, rfd or ifd")]
+HydraulicSet = Annotated[str, typer.Option(help="report, hardware or a TOML file")]
+Amplitude = Annotated[
+    float | None, typer.Option(help="amplitude [in or deg]; default 0.33 in or 0.2 deg")
+]

@@ -1,0 +1,27 @@
+"""`cmf laws` and `cmf parameters`."""
+
+from typing import Annotated
+
+import typer
+
+from cmf_mj import report
+from cmf_mj.cli.common import TEXT_WIDTH, app, refuse, show
+from cmf_mj.control import law_names, load_law
+from cmf_mj.parameters import load_hydraulics
+
+
+@app.command("laws")
+def laws_command() -> None:
+    """List the shipped control laws with their sources."""
+    show(report.law_table([load_law(name) for name in law_names()]), width=TEXT_WIDTH)
+
+
+@app.command("parameters")
+def parameters_command(
+    hydraulics: Annotated[str, typer.Argument(help="report, hardware or a TOML file")] = "hardware",
+) -> None:
+    """Show a hydraulic parameter set: value, unit, status and source of every number."""
+    try:
+        show(report.parameter_table(load_hydraulics(hydraulics)), width=TEXT_WIDTH)
+    except ValueError as error:
+        refuse(error)
