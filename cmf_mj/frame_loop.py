@@ -21,13 +21,15 @@ from cmf_mj import sensors
 from cmf_mj.compiled import compiled
 from cmf_mj.control import dcl as control
 from cmf_mj.control.law import SIGNALS
+from cmf_mj.control.protection import NO_FAULT, Protection, ProtectionState, protect
 from cmf_mj.events import Timeline, read_position, strike
 from cmf_mj.plant.cylinder import CAP, ROD
-from cmf_mj.plant.faults import OVERLOAD, Faults
+from cmf_mj.plant.faults import OVERLOAD, STOPPED, Faults
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, advance, forces
 from cmf_mj.plant.native import call
 from cmf_mj.plant.oil import ATMOSPHERE
 from cmf_mj.plant.plant import Mechanics
+from cmf_mj.plant.supply import SUPPLY_PRESSURE
 
 LEG_CHANNELS = {
     "leg_reference": "m",
@@ -77,6 +79,12 @@ class Controller(NamedTuple):
     """Leg demands [m], or valve commands as fractions, (N, n)."""
     delay: int
     """Frames from a DCL frame to its command at the valves."""
+    guarded: bool
+    """Whether a detected fault makes an emergency stop."""
+    protection: Protection
+    """Compiled thresholds."""
+    guard: ProtectionState
+    """What has been detected."""
 
 
 class Layout(NamedTuple):
@@ -185,6 +193,18 @@ def run(machine, controller, layout, out):  # type: ignore[no-untyped-def]
                     )
                 else:
                     command[0] = reference[frame]
+                if controller.guarded and faults.plant[STOPPED] == 0.0:
+                    supply = state.supply[SUPPLY_PRESSURE]
+                    code = protect(
+                        controller.protection,
+                        controller.guard,
+                        frame,
+                        signals[:, 0],
+                        feedback,
+                        supply,
+                    )
+                    if code != NO_FAULT:
+                        faults.plant[STOPPED] = 1.0
                 bound, leg = _bounds(machine, extension)
                 if bound >= 0:
                     return frame, bound, leg

@@ -6,6 +6,7 @@ it at the valves. Both are the one loop of `frame_loop`, whose docstring gives t
 
 from collections.abc import Sequence
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.control import dcl as control
 from cmf_mj.control.demand import leg_demand
 from cmf_mj.control.law import FRAME, Law, load_law
+from cmf_mj.control.protection import (
+    ProtectionSettings,
+    latched,
+    load_protection,
+    make_protection,
+    protection_state,
+)
 from cmf_mj.events import Event, make_timeline
 from cmf_mj.frame_loop import (
     FINITE,
@@ -63,6 +71,7 @@ def simulate(
     events: Sequence[Event] = (),
     start: ArrayLike | None = None,
     legs: bool = False,
+    protection: str | Path | ProtectionSettings | None = None,
     record_every: int = 1,
     command_delay: int = 1,
 ) -> Record:
@@ -81,6 +90,8 @@ def simulate(
         start: configuration to start from, as `plant.place` takes it; default the command's first
             pose, neutral with `legs`.
         legs: whether `command` are extensions.
+        protection: conditions that make an emergency stop, `default` or a TOML file; the metadata
+            tell the `fault` and its time. Default none.
         record_every: keep one frame in this many.
         command_delay: frames from a DCL frame to its command at the valves.
 
@@ -115,7 +126,15 @@ def simulate(
         "seed": demanded.seed if demanded else None,
     }
     time, channels, units, metadata = _run(
-        plant, loaded, reference, True, begin, events, record_every, command_delay, context
+        plant,
+        loaded,
+        reference,
+        begin,
+        events,
+        record_every,
+        command_delay,
+        context,
+        None if protection is None else load_protection(protection),
     )
     if demanded is not None:
         channels = {"demand_pose": demanded.pose[::record_every], **channels}
@@ -160,7 +179,7 @@ def drive(
         )
     context = {"law": "", "command": {"signal": "valve commands"}, "seed": None}
     time, channels, units, metadata = _run(
-        plant, None, table, False, start, events, record_every, command_delay, context
+        plant, None, table, start, events, record_every, command_delay, context
     )
     for name in ("leg_reference", "compensator_output"):
         del channels[name], units[name]
@@ -171,12 +190,12 @@ def _run(
     plant: Plant,
     law: Law | None,
     reference: NDArray[np.float64],
-    closed: bool,
     start: ArrayLike | None,
     events: Sequence[Event],
     every: int,
     delay: int,
     context: dict[str, Any],
+    protection: ProtectionSettings | None = None,
 ) -> _History:
     for field, value, least in (("record_every", every, 1), ("command_delay", delay, 0)):
         if value < least:
@@ -193,11 +212,14 @@ def _run(
         plant.extensions(), still, still, state.pressure[:, CAP], state.pressure[:, ROD]
     )
     controller = Controller(
-        closed,
-        dcl,
-        control.engaged(dcl, reference[0] if closed else begin.position, begin),
-        np.ascontiguousarray(reference),
-        delay,
+        closed=law is not None,
+        dcl=dcl,
+        state=control.engaged(dcl, begin.position if law is None else reference[0], begin),
+        reference=np.ascontiguousarray(reference),
+        delay=delay,
+        guarded=protection is not None,
+        protection=make_protection(protection or load_protection()),
+        guard=protection_state(begin.position),
     )
     machine = Machine(
         mechanics,
@@ -221,10 +243,14 @@ def _run(
     frame, bound, leg = run(machine, controller, layout, out)
     if frame >= 0:
         raise FloatingPointError(_left(plant, machine, context["law"], frame, bound, leg))
+    fault = latched(controller.guard)
     metadata = {
         **plant.describe(),
         **context,
         "events": [event.model_dump(exclude_none=True) for event in events],
+        "fault": None
+        if fault is None
+        else {"name": fault.name, "leg": fault.leg, "time": fault.frame * FRAME},
         "sample_rate": 1.0 / (FRAME * every),
         "command_delay": delay,
         "versions": dict(_VERSIONS),
