@@ -11,6 +11,7 @@ from rich.table import Table
 
 from cmf_mj import measurement_report, models, report, units
 from cmf_mj.control import law_names, load_law
+from cmf_mj.host import UdpSender, parse_target, read_stream, resample
 from cmf_mj.kinematics import DOFS
 from cmf_mj.limits import peaks
 from cmf_mj.measurement import facility_session, measure, session_commands
@@ -229,6 +230,31 @@ def measure_command(
             paths, table = measurement_report.measure_files(files or [], dof, estimator, out)
         _print(table, f"written: {', '.join(str(path) for path in paths)}", width=_TEXT_WIDTH)
     except (ValueError, OSError, FloatingPointError, ModuleNotFoundError) as error:
+        refuse(error)
+
+
+@app.command("host")
+def host_command(
+    file: Annotated[Path, typer.Argument(help="CSV or Parquet with time and six poses, SI")],
+    to: Annotated[str, typer.Option(help="ADDRESS:PORT of the receiver")],
+    rate: Annotated[
+        float | None, typer.Option(help="frames a second; default as stamped in the file")
+    ] = None,
+    derivatives: Annotated[
+        str, typer.Option(help="velocities of a file that has none: spline or zero")
+    ] = "spline",
+) -> None:
+    """Send a file of host frames over UDP in real time."""
+    try:
+        address, port = parse_target(to)
+        stream = read_stream(file, derivatives=derivatives)
+        with UdpSender(address, port) as sender:
+            sent = sender.play(stream if rate is None else resample(stream, rate))
+        _print(
+            f"{sent.frames} frames in {sent.duration:.3f} s, late by "
+            f"{1e3 * sent.mean_lateness:.2f} ms on average, {1e3 * sent.worst_lateness:.2f} at most"
+        )
+    except (ValueError, OSError) as error:
         refuse(error)
 
 
