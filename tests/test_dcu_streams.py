@@ -139,10 +139,9 @@ def test_numbers_without_any_sense(values: list[tuple[int, float, float, int]]) 
     check(arrivals, int(frame[-1]) + 600 if values else 600)
 
 
-def test_an_adversary_who_jumps_whenever_he_is_believed() -> None:
+def adversary(count: int) -> dcu.Arrivals:
     """Pairs of frames that confirm each other, each pair elsewhere, at the limits of a frame."""
     generator = np.random.default_rng(7)
-    count = 4000
     time = np.arange(count) / 80.0
     values = np.zeros((count, 3, 6))
     for pair in range(0, count, 2):
@@ -151,5 +150,23 @@ def test_an_adversary_who_jumps_whenever_he_is_believed() -> None:
         values[pair, 0], values[pair + 1, 0] = place, place + speed / 80.0
         values[pair : pair + 2, 1] = speed
     frame = np.ceil(time * RATE - 1e-6).astype(np.int64)
-    state = check(dcu.Arrivals(frame, np.arange(count), time, values), count * 26 + 2048)
+    return dcu.Arrivals(frame, np.arange(count), time, values)
+
+
+def test_an_adversary_who_jumps_whenever_he_is_believed() -> None:
+    state = check(adversary(4000), 4000 * 26 + 2048)
     assert state.counts["resynchronised"] > 1000
+
+
+def test_no_gap_is_taken_up_beyond_the_limits_of_a_frame() -> None:
+    """What the bounds rest on: reversals at full speed are waited out, not corrected away."""
+    arrivals = adversary(200)
+    state, demand, cursor = dcu.resting(DCU), np.empty((3, 6)), 0
+    largest = np.zeros((3, 6))
+    for frame in range(200 * 26):
+        cursor = dcu.feed(DCU, state, arrivals, cursor, frame)
+        dcu.step(DCU, state, demand)
+        np.maximum(largest, np.abs(state.gap), out=largest)
+    assert (largest[1] > 0.5 * DCU.velocity).all()
+    assert (largest[1] <= DCU.velocity).all()
+    assert (largest[2] <= DCU.acceleration).all()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.compiled import compiled
 from cmf_mj.control.dcu import Arrivals
+from cmf_mj.control.dcu.motion import copy
 from cmf_mj.host.stream import HostFrame
 
 NEVER = np.iinfo(np.int64).max
@@ -113,7 +114,7 @@ def collect(ring, log, filled, frame):  # type: ignore[no-untyped-def]
         if whole:
             log.sequence[filled] = ring.sequence[slot]
             log.time[filled] = ring.time[slot]
-            log.values[filled] = ring.values[slot]
+            copy(ring.values[slot], log.values[filled])
             whole = ring.mark[slot] == count
         if whole:
             log.frame[filled] = frame

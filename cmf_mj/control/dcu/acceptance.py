@@ -14,7 +14,7 @@ if not, it is refused as `unconfirmed`. So one wild frame never moves the platfo
 import numpy as np
 
 from cmf_mj.compiled import compiled
-from cmf_mj.control.dcu.motion import ACCELERATION, POSE, VELOCITY, evaluate, joins
+from cmf_mj.control.dcu.motion import ACCELERATION, POSE, VELOCITY, copy, evaluate, joins
 from cmf_mj.control.dcu.state import (
     ACCELERATION_RANGE,
     ACCEPTED,
@@ -30,6 +30,7 @@ from cmf_mj.control.dcu.state import (
     HOLDING,
     INTERVAL,
     LATE,
+    LATE_AGE,
     LATE_RUN,
     LATENESS,
     LOCAL,
@@ -57,9 +58,6 @@ from cmf_mj.control.dcu.state import (
     USED,
     VELOCITY_RANGE,
 )
-
-LATE_FRAMES = 3
-"""Late frames in a row after which the play clock is set anew."""
 
 SEQUENCE_GAP = 4096
 """Most by which a sequence number may run ahead."""
@@ -166,7 +164,7 @@ def _stream(dcu, state, sequence, time, values):  # type: ignore[no-untyped-def]
     drop_held(state)
     whole[HOLDING], whole[HELD_SEQUENCE] = 1, sequence
     real[HELD_TIME], real[HELD_AGE] = time, 0.0
-    state.held[:] = values
+    copy(values, state.held)
     return HELD
 
 
@@ -193,7 +191,7 @@ def stop_here(state):  # type: ignore[no-untyped-def]
         evaluate(state.polynomial, real[DURATION], real[LOCAL], state.origin)
         real[LOCAL] = 0.0
     elif whole[MOVING]:
-        state.origin[:] = state.frame[(whole[FIRST] + 1) % CAPACITY]
+        copy(state.frame[(whole[FIRST] + 1) % CAPACITY], state.origin)
         real[LOCAL] -= real[DURATION]
     whole[MOVING] = 0
 
@@ -214,7 +212,7 @@ def _take(state, sequence, relative, values, apart):  # type: ignore[no-untyped-
     place = (whole[FIRST] + whole[COUNT]) % CAPACITY
     whole[COUNT] += 1
     state.time[place] = relative
-    state.frame[place] = values
+    copy(values, state.frame[place])
     state.apart[place] = apart
     if whole[SYNCHRONISED]:
         state.events[MISSING] += max(sequence - whole[SEQUENCE] - 1 - whole[REFUSED], 0)
@@ -225,9 +223,11 @@ def _take(state, sequence, relative, values, apart):  # type: ignore[no-untyped-
 
 @compiled
 def _follow(dcu, state, relative, interval, ahead):  # type: ignore[no-untyped-def]
-    """Update the means of interval and lateness; set the clock anew if frames keep coming late.
+    """Update the means of interval and lateness; set the clock anew if the host stays late.
 
-    The interval is the host's own, so that a lost frame does not look like a slower host.
+    It does so once frame after frame has been late for the timeout: a host that stumbles and
+    catches up leaves the clock alone. The interval is the host's own, so that a lost
+    frame does not look like a slower host.
     """
     real, whole = state.real, state.whole
     weight = min(interval / AVERAGE, 1.0)
@@ -238,8 +238,10 @@ def _follow(dcu, state, relative, interval, ahead):  # type: ignore[no-untyped-d
         whole[LATE_RUN] = 0
         return
     state.events[LATE] += 1
-    whole[LATE_RUN] += 1
-    if whole[LATE_RUN] >= LATE_FRAMES:
+    if not whole[LATE_RUN]:
+        whole[LATE_RUN] = 1
+        real[LATE_AGE] = 0.0
+    elif real[LATE_AGE] > dcu.timeout:
         clear(state)
         real[INTERVAL] = interval
         real[LATENESS] = 0.0

@@ -43,6 +43,14 @@ FADE_PEAK_VELOCITY = 4.0 / 27.0
 
 
 @compiled
+def copy(source, target):  # type: ignore[no-untyped-def]
+    """Copy a motion; loops compile many times faster than an assignment of slices."""
+    for row in range(3):
+        for i in range(DOFS):
+            target[row, i] = source[row, i]
+
+
+@compiled
 def between(first, last, h, polynomial):  # type: ignore[no-untyped-def]
     """Coefficients c (6, 6), power by degree of freedom, of the quintic between two motions."""
     for i in range(DOFS):

@@ -19,6 +19,7 @@ from cmf_mj.control.dcu.motion import (
     add_correction,
     between,
     closing_time,
+    copy,
     evaluate,
     hold_within,
     stop,
@@ -31,6 +32,7 @@ from cmf_mj.control.dcu.state import (
     FIRST,
     HELD_AGE,
     HOLDING,
+    LATE_AGE,
     LATENESS,
     LOCAL,
     MOVING,
@@ -60,14 +62,14 @@ def step(dcu, state, demand):  # type: ignore[no-untyped-def]
     real, whole = state.real, state.whole
     _advance_segments(state)
     _base(dcu, state)
-    state.motion[:] = state.base
+    copy(state.base, state.motion)
     add_correction(dcu, state.gap, real[CLOSING], real[SINCE_GAP], state.motion)
     if whole[SYNCHRONISED] and not whole[MOVING]:
         _rejoin(dcu, state)
     slot = whole[SLOT]
     hold_within(dcu, state.motion, state.line[slot])
     whole[SLOT] = (slot + 1) % (dcu.line + 1)
-    demand[:] = state.line[whole[SLOT]]
+    copy(state.line[whole[SLOT]], demand)
     _advance_clocks(dcu, state)
 
 
@@ -109,7 +111,7 @@ def _advance_segments(state):  # type: ignore[no-untyped-def]
 @compiled
 def _stop_from_first(state):  # type: ignore[no-untyped-def]
     state.whole[MOVING], state.whole[USED] = 0, 1
-    state.origin[:] = state.frame[state.whole[FIRST]]
+    copy(state.frame[state.whole[FIRST]], state.origin)
 
 
 @compiled
@@ -190,6 +192,7 @@ def _advance_clocks(dcu, state):  # type: ignore[no-untyped-def]
     real[SINCE_GAP] += FRAME
     real[SILENCE] += FRAME
     real[HELD_AGE] += FRAME
+    real[LATE_AGE] += FRAME
     if whole[HOLDING] and real[HELD_AGE] > dcu.timeout:
         drop_held(state)
     if whole[SYNCHRONISED] and real[SILENCE] > dcu.timeout:

@@ -112,7 +112,8 @@ class DcuLimits(Settings):
     minimum_interval: Quantity
     """Least difference of host times between accepted frames."""
     timeout: Quantity
-    """Silence after which the stream is stale; also the longest gap between accepted frames."""
+    """Silence after which the stream is stale; longest gap between accepted frames; how long
+    frame after frame may be late before the play clock is set anew."""
     stop_time: Quantity
     """Time in which the velocity of an interrupted demand comes to rest."""
     acceleration_fade: Quantity

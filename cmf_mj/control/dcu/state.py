@@ -75,8 +75,9 @@ TAKEN, LATE, MISSING, RESYNCHRONISED, SILENT = range(len(EVENTS))
     CLOSING,  # time in which the gap of position closes [s]
     HELD_TIME,  # host time of the frame held [s]
     HELD_AGE,  # time since it came [s]
+    LATE_AGE,  # time since the first of the late frames in a row [s]
     REALS,
-) = range(15)
+) = range(16)
 
 # Whole numbers
 (
@@ -90,7 +91,7 @@ TAKEN, LATE, MISSING, RESYNCHRONISED, SILENT = range(len(EVENTS))
     REFUSED,  # frames refused since
     HOLDING,  # 1 while a frame waits for confirmation
     HELD_SEQUENCE,  # its number
-    LATE_RUN,  # late frames in a row
+    LATE_RUN,  # 1 while one frame after the other is late
     SLOT,  # place in the transport line
     WHOLES,
 ) = range(13)
@@ -103,7 +104,7 @@ class DcuState(NamedTuple):
     """State of a DCU; `real` and `whole` are indexed by the names of this module."""
 
     real: NDArray[np.float64]
-    """Clocks and times, (14,)."""
+    """Clocks and times, (15,)."""
     whole: NDArray[np.int64]
     """Flags and places, (12,)."""
     time: NDArray[np.float64]
