@@ -214,6 +214,12 @@ def test_missing_frames_are_waited_for_and_the_stream_is_rejoined_smoothly() -> 
     back = (error > 1e-9).nonzero()[0][-1] - (error > 1e-9).nonzero()[0][0]
     assert back * FRAME < 0.075 + SETTINGS.dcu.stop_time.si + 0.02
     assert_smooth(demand)
+    # Acceleration is continuous: its slope is that of sine, stop and correction, no more.
+    w, fade, stop = 2.0 * np.pi, SETTINGS.dcu.acceleration_fade.si, SETTINGS.dcu.stop_time.si
+    gap, closing = np.abs(state.gap[:, 2]), SETTINGS.dcu.rejoin_time.si
+    slope = 0.05 * (w**3 + 4.0 * w**2 / fade + 6.0 * w / stop**2)
+    slope += 60.0 * gap[0] / closing**3 + 36.0 * gap[1] / stop**2 + 9.0 * gap[2] / fade
+    assert np.abs(np.diff(demand[1400:, 2, 2])).max() < slope * FRAME < 0.25 * 0.05 * w**2
 
 
 def test_silence_ends_in_rest_with_a_flag() -> None:

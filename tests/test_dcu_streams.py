@@ -18,6 +18,7 @@ KINDS = (
     "metre_step",
     "not_finite",
     "huge",
+    "beyond",
     "denormal",
     "repeated",
     "out_of_order",
@@ -64,6 +65,10 @@ def stream(kinds: list[str], seed: int) -> tuple[dcu.Arrivals, int]:
             elif kind == "huge":
                 values = generator.choice([-1e308, 1e308, 1e12], size=(3, 6))
                 stamp = float(generator.choice([time, 1e308, -1e308]))
+            elif kind == "beyond":
+                row, dof = int(generator.integers(3)), int(generator.integers(6))
+                limit = (DCU.pose, DCU.velocity, DCU.acceleration)[row][dof]
+                values[row, dof] = np.nextafter(limit, np.inf) * generator.choice([-1.0, 1.0])
             elif kind == "denormal":
                 values = np.full((3, 6), 5e-324)
                 stamp = float(generator.choice([time, time + 5e-324]))

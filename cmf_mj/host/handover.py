@@ -21,7 +21,7 @@ NEVER = np.iinfo(np.int64).max
 
 
 class Ring(NamedTuple):
-    """The latest frames, as arrays shared by writer and reader."""
+    """The latest frames, as arrays that writer and reader both hold."""
 
     mark: NDArray[np.int64]
     """Count of the frame in each slot, -1 while it is written, (slots,)."""
