@@ -4,8 +4,10 @@ import socket
 import struct
 import time as clock
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -319,6 +321,36 @@ def test_a_slot_under_the_writers_hand_is_lost_not_torn() -> None:
     assert host.collect(ring, log, 0, 0) == 1
     assert ring.lost[0] == 1
     assert log.sequence[0] == 1
+
+
+@numba.njit(nogil=True)
+def _read_until(ring, log, last):  # type: ignore[no-untyped-def]
+    """Collect without pause until the writer's last frame is read or lost."""
+    filled, turns = 0, 0
+    while ring.read[0] < last and turns < 10**9:
+        filled = host.collect(ring, log, filled, turns)
+        turns += 1
+    return filled
+
+
+def test_writer_and_reader_at_once_tear_no_frame() -> None:
+    """A reader that never pauses beside a writer that never waits, on a ring of two slots."""
+    count = 20000
+    ring, log = host.make_ring(2), host.make_log(count)
+    _read_until(ring, log, 0)  # compiled before the race
+    frames = [host.HostFrame(n, float(n), *np.full((3, 6), float(n))) for n in range(count)]
+    with ThreadPoolExecutor(1) as pool:
+        reader = pool.submit(_read_until, ring, log, count)
+        for sent in frames:
+            host.put(ring, sent)
+        filled = reader.result(timeout=60)
+    kept = host.logged(log, filled)
+    assert filled + ring.lost[0] == count
+    assert filled > 0
+    assert (np.diff(kept.sequence) > 0).all()
+    assert (np.diff(kept.frame) >= 0).all()
+    assert (kept.time == kept.sequence).all()
+    assert (kept.values == kept.sequence[:, None, None]).all()
 
 
 # Sockets
