@@ -412,6 +412,8 @@ def test_a_host_may_change_its_rate(before: float, after: float) -> None:
     assert not state.rejected.any()
     tail = slice(110000, 120240)  # five cycles
     found = lag(demand[tail, 0, 2], 1.0, tail.start)
+    assert state.interval == pytest.approx(1.0 / after, rel=1e-6)
+    assert abs(state.lateness) < SETTINGS.dcu.clock_tolerance.si + FRAME
     wait = max(1.0 / after, DELAY.host_interval.si)
     total = wait + DELAY.interpolation_hold.si + DELAY.line_frames * FRAME
     assert found == pytest.approx(total, abs=SETTINGS.dcu.clock_tolerance.si + 2 * FRAME)

@@ -138,6 +138,16 @@ class DcuState(NamedTuple):
         return bool(self.whole[STALE])
 
     @property
+    def interval(self) -> float:
+        """Mean interval of the host's frames [s]; beyond `host_interval` it adds to the delay."""
+        return float(self.real[INTERVAL])
+
+    @property
+    def lateness(self) -> float:
+        """Mean time by which frames come later than the play clock expects [s]."""
+        return float(self.real[LATENESS])
+
+    @property
     def rejections(self) -> dict[str, int]:
         """Refused frames by reason."""
         return dict(zip(REASONS, self.rejected.tolist(), strict=True))
