@@ -1,0 +1,34 @@
+"""`cmf host`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cmf_mj.cli.common import app, refuse, show
+from cmf_mj.host import UdpSender, parse_target, read_stream, resample
+
+
+@app.command("host")
+def host_command(
+    file: Annotated[Path, typer.Argument(help="CSV or Parquet with time and six poses, SI")],
+    to: Annotated[str, typer.Option(help="ADDRESS:PORT of the receiver")],
+    rate: Annotated[
+        float | None, typer.Option(help="frames a second; default as stamped in the file")
+    ] = None,
+    derivatives: Annotated[
+        str, typer.Option(help="velocities of a file that has none: spline or zero")
+    ] = "spline",
+) -> None:
+    """Send a file of host frames over UDP in real time."""
+    try:
+        address, port = parse_target(to)
+        stream = read_stream(file, derivatives=derivatives)
+        with UdpSender(address, port) as sender:
+            sent = sender.play(stream if rate is None else resample(stream, rate))
+        show(
+            f"{sent.frames} frames in {sent.duration:.3f} s, late by "
+            f"{1e3 * sent.mean_lateness:.2f} ms on average, {1e3 * sent.worst_lateness:.2f} at most"
+        )
+    except (ValueError, OSError) as error:
+        refuse(error)

@@ -1,0 +1,84 @@
+"""Frames with the control frame they arrive in, and a whole stream upsampled at once."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.compiled import compiled
+from cmf_mj.control.dcu.acceptance import receive
+from cmf_mj.control.dcu.play import step
+from cmf_mj.control.dcu.settings import Dcu
+from cmf_mj.control.dcu.state import DcuState
+
+
+class Arrivals(NamedTuple):
+    """Host frames in the order in which they reach the DCU, good or bad."""
+
+    frame: NDArray[np.int64]
+    """Control frame of arrival, never falling, (N,)."""
+    sequence: NDArray[np.int64]
+    """Sequence numbers, (N,)."""
+    time: NDArray[np.float64]
+    """Host times [s], (N,)."""
+    values: NDArray[np.float64]
+    """Pose [m, rad], z down, and its two derivatives, (N, 3, 6)."""
+
+
+@compiled
+def feed(dcu, state, arrivals, cursor, frame):  # type: ignore[no-untyped-def]
+    """Hand the DCU all frames that have arrived by the control frame `frame`.
+
+    Args:
+        dcu: compiled parameters.
+        state: changed in place.
+        arrivals: `Arrivals`.
+        cursor: index of the first frame not yet handed over.
+        frame: index of the present control frame.
+
+    Returns:
+        The cursor for the next control frame.
+    """
+    while cursor < arrivals.sequence.shape[0] and arrivals.frame[cursor] <= frame:
+        receive(
+            dcu, state, arrivals.sequence[cursor], arrivals.time[cursor], arrivals.values[cursor]
+        )
+        cursor += 1
+    return cursor
+
+
+@compiled
+def _run(dcu, state, arrivals, demand):  # type: ignore[no-untyped-def]
+    cursor = 0
+    for frame in range(demand.shape[0]):
+        cursor = feed(dcu, state, arrivals, cursor, frame)
+        step(dcu, state, demand[frame])
+
+
+def upsample(dcu: Dcu, state: DcuState, arrivals: Arrivals, frames: int) -> NDArray[np.float64]:
+    """Run a DCU over a number of control frames.
+
+    Args:
+        dcu: compiled parameters.
+        state: changed in place; `resting` gives the first.
+        arrivals: what the host sends, frame 0 being the first control frame of this run.
+        frames: control frames to run.
+
+    Returns:
+        The demand (frames, 3, 6) at 2048 Hz: pose [m, rad], z down, and its two derivatives.
+
+    Raises:
+        ValueError: shapes do not fit, or the control frames of arrival fall.
+    """
+    count = arrivals.sequence.shape[0]
+    for name, shape in (("frame", (count,)), ("time", (count,)), ("values", (count, 3, 6))):
+        found = getattr(arrivals, name).shape
+        if found != shape:
+            raise ValueError(f"{name}: shape is {found}; allowed: {shape}")
+    if (np.diff(arrivals.frame) < 0).any():
+        raise ValueError("frame: control frames of arrival must not fall")
+    if frames < 1:
+        raise ValueError(f"frames: {frames} must be at least 1")
+    demand = np.empty((frames, 3, 6))
+    _run(dcu, state, arrivals, demand)
+    return demand

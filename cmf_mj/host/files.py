@@ -1,0 +1,179 @@
+"""Host streams and sessions in files: CSV and Parquet tables of the same columns, SI.
+
+time                                           [s]
+surge, sway, heave, roll, pitch, yaw           pose [m, rad], z down
+surge_velocity ... yaw_velocity                [m/s, rad/s]      both or neither
+surge_acceleration ... yaw_acceleration        [m/s^2, rad/s^2]
+sequence                                       optional
+control_frame                                  sessions only
+"""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+from numpy.typing import NDArray
+
+from cmf_mj.control.dcu import Arrivals, DcuSettings, load_dcu, make_dcu, resting, upsample
+from cmf_mj.files import whole_file
+from cmf_mj.host.stream import HostStream, make_stream
+from cmf_mj.kinematics import DOFS
+from cmf_mj.settings import validated
+
+_KINDS = ("", "_velocity", "_acceleration")
+_SCHEMA_KEY = b"cmf_mj_host"
+
+
+def read_stream(path: str | Path, *, derivatives: str = "spline") -> HostStream:
+    """Read a stream from a CSV or Parquet file.
+
+    Args:
+        path: ends in .csv or .parquet; columns by name in any order, others are ignored.
+        derivatives: how to make them where the file has only poses, as in `make_stream`.
+
+    Raises:
+        ValueError: file, column or frame that cannot be taken, named.
+    """
+    source = Path(path)
+    table = _read(source)
+    poses, first, second = (f"{DOFS[0]}{kind}" for kind in _KINDS)
+    if (first in table.column_names) != (second in table.column_names):
+        raise ValueError(f"{source}: velocity and acceleration columns: give both or neither")
+    time = _column(source, table, "time")
+    motion = [
+        np.column_stack([_column(source, table, f"{dof}{kind}") for dof in DOFS])
+        for kind in (_KINDS if first in table.column_names else _KINDS[:1])
+    ]
+    numbers = None
+    if "sequence" in table.column_names:
+        numbers = _column(source, table, "sequence", pa.int64())
+    try:
+        return make_stream(time, *motion, sequence=numbers, derivatives=derivatives)
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}") from error
+
+
+def write_stream(stream: HostStream, path: str | Path) -> Path:
+    """Write a stream as CSV or Parquet, by the name's end; it reads back bit for bit.
+
+    Raises:
+        ValueError: the name ends in neither.
+    """
+    target = Path(path)
+    table = _table(stream.sequence, stream.time, stream.values)
+    if target.suffix == ".csv":
+        with whole_file(target) as partial:
+            pyarrow.csv.write_csv(table, partial)
+    elif target.suffix == ".parquet":
+        _write_parquet(table, target)
+    else:
+        raise ValueError(f"{target}: must end in .csv or .parquet")
+    return target
+
+
+@dataclass(frozen=True)
+class HostSession:
+    """Everything a DCU got in a run, good or bad, and all it takes to run it again."""
+
+    arrivals: Arrivals
+    """Frames with the control frame in which they reached the DCU."""
+    frames: int
+    """Control frames of the run."""
+    start: NDArray[np.float64] = field(default_factory=lambda: np.zeros(6))
+    """Pose the demand rested at before [m, rad], (6,)."""
+    settings: DcuSettings = field(default_factory=load_dcu)
+    """The DCU."""
+
+    def replay(self) -> NDArray[np.float64]:
+        """The demand (frames, 3, 6) of the run, bit for bit."""
+        compiled = make_dcu(self.settings)
+        return upsample(compiled, resting(compiled, self.start), self.arrivals, self.frames)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the session as Parquet; the file appears only when it is complete."""
+        table = _table(self.arrivals.sequence, self.arrivals.time, self.arrivals.values)
+        table = table.append_column("control_frame", pa.array(self.arrivals.frame))
+        header = {
+            "frames": self.frames,
+            "start": np.asarray(self.start, dtype=float).tolist(),
+            "settings": self.settings.model_dump(),
+        }
+        table = table.replace_schema_metadata({_SCHEMA_KEY: json.dumps(header).encode()})
+        return _write_parquet(table, Path(path))
+
+    @staticmethod
+    def load(path: str | Path) -> "HostSession":
+        """Read a session written by `save`; numbers come back bit for bit.
+
+        Raises:
+            ValueError: the file is not a host session.
+        """
+        source = Path(path)
+        table = _read(source)
+        raw = (table.schema.metadata or {}).get(_SCHEMA_KEY)
+        if raw is None:
+            raise ValueError(f"{source}: is not a host session")
+        header = json.loads(raw)
+        values = np.stack(
+            [
+                np.column_stack([_column(source, table, f"{dof}{kind}") for dof in DOFS])
+                for kind in _KINDS
+            ],
+            axis=1,
+        )
+        arrivals = Arrivals(
+            _column(source, table, "control_frame", pa.int64()),
+            _column(source, table, "sequence", pa.int64()),
+            _column(source, table, "time"),
+            np.ascontiguousarray(values),
+        )
+        settings = validated(DcuSettings, header["settings"], str(source))
+        return HostSession(arrivals, header["frames"], np.array(header["start"]), settings)
+
+
+def _table(
+    sequence: NDArray[np.int64], time: NDArray[np.float64], values: NDArray[np.float64]
+) -> pa.Table:
+    columns: dict[str, NDArray[Any]] = {"sequence": sequence, "time": time}
+    for row, kind in enumerate(_KINDS):
+        for i, dof in enumerate(DOFS):
+            columns[f"{dof}{kind}"] = np.ascontiguousarray(values[:, row, i])
+    return pa.table({name: pa.array(column) for name, column in columns.items()})
+
+
+def _write_parquet(table: pa.Table, target: Path) -> Path:
+    with whole_file(target) as partial:
+        pyarrow.parquet.write_table(table, partial, compression="zstd", use_dictionary=False)
+    return target
+
+
+def _read(path: Path) -> pa.Table:
+    try:
+        if path.suffix == ".csv":
+            return pyarrow.csv.read_csv(path)
+        if path.suffix == ".parquet":
+            return pyarrow.parquet.read_table(path)
+    except (OSError, pa.ArrowInvalid) as error:
+        raise ValueError(f"{path}: cannot be read: {error}") from error
+    raise ValueError(f"{path}: must end in .csv or .parquet")
+
+
+def _column(
+    path: Path, table: pa.Table, name: str, kind: pa.DataType | None = None
+) -> NDArray[Any]:
+    if table.column_names.count(name) != 1:
+        found = "twice" if name in table.column_names else "missing"
+        raise ValueError(f"{path}: {name}: column is {found}; it has {table.column_names}")
+    column = table[name]
+    if column.null_count:
+        row = column.is_null().to_pylist().index(True)
+        raise ValueError(f"{path}: {name}: row {row + 1} is empty or not a number")
+    try:
+        return np.array(column.cast(kind or pa.float64()).to_numpy())
+    except pa.ArrowInvalid as error:
+        raise ValueError(f"{path}: {name}: is not a column of numbers: {error}") from error
