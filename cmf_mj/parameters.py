@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from cmf_mj import units
 from cmf_mj.settings import Settings, read_toml, validated
@@ -43,6 +43,19 @@ class Quantity(Settings):
     def si(self) -> float:
         """The value in SI."""
         return units.to_si(self.unit, self.value)
+
+
+def positive_in(*allowed: str) -> AfterValidator:
+    """Validator of an `Annotated` quantity greater than 0 in one of the units `allowed`."""
+
+    def check(quantity: Quantity) -> Quantity:
+        if quantity.unit not in allowed:
+            raise ValueError(f"unit must be one of {', '.join(allowed)}")
+        if quantity.value <= 0.0:
+            raise ValueError(f"must be greater than 0 {quantity.unit}")
+        return quantity
+
+    return AfterValidator(check)
 
 
 class HydraulicParameters(Settings):
