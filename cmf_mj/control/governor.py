@@ -157,13 +157,6 @@ def stopping_velocity(room, acceleration, frame):  # type: ignore[no-untyped-def
 
 
 @compiled
-def stopping_room(velocity, acceleration, frame):  # type: ignore[no-untyped-def]
-    """Travel of the frames after one of `velocity`, >= 0, when braking to rest."""
-    n = np.floor(velocity / (acceleration * frame))
-    return frame * (n * velocity - 0.5 * acceleration * frame * n * (n + 1.0))
-
-
-@compiled
 def _screened(governor, i, lag, position, demand):  # type: ignore[no-untyped-def]
     """The demand, at most one range beyond the limits; the last one for one that is no number."""
     if np.isnan(demand):
@@ -219,18 +212,27 @@ def step(governor, state, demand, out, rates, accelerations):  # type: ignore[no
         at, before = state.position[i], state.velocity[i]
         wanted = _screened(governor, i, state.lag[i], at, demand[i])
         position = wanted - _remaining(state.lag[i], governor.rejoin * limit, frame)
-        least = max(before - limit * frame, -speed)
-        most = min(before + limit * frame, speed)
-        # Round-off alone can part the two pairs of bounds; position then goes first.
-        least = max(min(least, speed), -stopping_velocity(at - governor.low[i], limit, frame))
-        most = min(max(most, -speed), stopping_velocity(governor.high[i] - at, limit, frame))
-        velocity = (position - at) / frame
-        if velocity > most:
-            position = at + frame * most
-        elif velocity < least:
-            position = at + frame * least
+        wish = (position - at) / frame
+        velocity = min(max(wish, before - limit * frame, -speed), before + limit * frame, speed)
+        # Ranges go last: where round-off parts the bounds, it does not add up to leave a range.
+        velocity = min(velocity, stopping_velocity(governor.high[i] - at, limit, frame))
+        velocity = max(velocity, -stopping_velocity(at - governor.low[i], limit, frame))
+        if velocity != wish:
+            position = at + frame * velocity
         position = min(max(position, governor.low[i]), governor.high[i])
         _accept(governor, state, i, wanted, position, out, rates, accelerations)
+
+
+@compiled
+def _reach(ratio, frame):  # type: ignore[no-untyped-def]
+    """Travel per velocity of one frame and of all after it, braking in proportion.
+
+    Every channel stops with that of the largest |v| / A, which is `ratio`.
+    """
+    n = np.floor(ratio / frame)
+    if n == 0.0:
+        return frame
+    return frame * (1.0 + n - 0.5 * frame * n * (n + 1.0) / ratio)
 
 
 @compiled
@@ -246,16 +248,12 @@ def _fits(governor, state, base, wish, share):  # type: ignore[no-untyped-def]
         if abs(velocity - state.velocity[i]) > limit * frame * (1.0 + 1e-12):
             return False
         ratio = max(ratio, abs(velocity) / limit)
+    reach = _reach(ratio, frame)
     for i in range(base.shape[0]):
         velocity = base[i] + share * (wish[i] - base[i])
-        if velocity == 0.0:
-            continue
-        # Braking in proportion: every channel stops with the one of the largest |v| / A.
-        travel = frame * abs(velocity)
-        travel += stopping_room(abs(velocity), abs(velocity) / ratio, frame)
         at = state.position[i]
         room = governor.high[i] - at if velocity > 0.0 else at - governor.low[i]
-        if travel > room:
+        if reach * abs(velocity) > room:
             return False
     return True
 
@@ -283,7 +281,8 @@ def step_together(governor, state, demand, out, rates, accelerations, base, wish
     for i in range(channels):
         ratio = max(ratio, abs(state.velocity[i]) / governor.acceleration[i])
         far = max(far, abs(state.lag[i]) / governor.acceleration[i])
-    brake = max(1.0 - frame / ratio, 0.0) if ratio > 0.0 else 0.0
+    brake = 1.0 - frame / ratio if ratio > frame else 0.0
+    reach = _reach(max(ratio - frame, 0.0), frame)
     # The lag closes in proportion too, in units of each channel's acceleration.
     closing = _remaining(far, governor.rejoin, frame) / far if far > 0.0 else 0.0
     for i in range(channels):
@@ -292,11 +291,9 @@ def step_together(governor, state, demand, out, rates, accelerations, base, wish
         out[i] = wanted
         wish[i] = (wanted - closing * state.lag[i] - at) / frame
         base[i] = brake * state.velocity[i]
-        if base[i] != 0.0:
-            # By induction within the range; the bound keeps round-off from adding up.
-            room = governor.high[i] - at if base[i] > 0.0 else at - governor.low[i]
-            most = stopping_velocity(room, abs(state.velocity[i]) / ratio, frame)
-            base[i] = min(max(base[i], -most), most)
+        # By induction within the range; the bound keeps round-off from adding up.
+        room = governor.high[i] - at if base[i] > 0.0 else at - governor.low[i]
+        base[i] = min(max(base[i], -room / reach), room / reach)
     share = 1.0
     if not _fits(governor, state, base, wish, 1.0):
         share, beyond = 0.0, 1.0
