@@ -1,5 +1,9 @@
 """Operating states: every request is reached, every handover is smooth, every fault ends safely."""
 
+import itertools
+import re
+from pathlib import Path
+
 import numba
 import numpy as np
 import pytest
@@ -168,6 +172,27 @@ def test_stop_beyond_the_stroke_holds_on_the_stroke():
     out, _, _ = run(at(State.ENGAGED), [Request.HOLD] * count, host)
     np.testing.assert_array_equal(out[0, -1], [top] * LEGS)
     assert_smooth(out)
+
+
+def test_the_diagram_of_the_documentation_has_every_change_and_no_other():
+    """From every state, every request, legs on the stops, at neutral and between, fade begun, ended
+    and long ended, valve faded in or out, hold at neutral or not."""
+    drawn = Path(__file__).resolve().parents[1].joinpath("docs", "limits.md").read_text()
+    diagram = set(re.findall(r"^    (\w+) --> (\w+)", drawn, re.MULTILINE))
+    still, found = np.zeros(LEGS), set()
+    for code, request, place, time, valve, hold in itertools.product(
+        State, Request, (-WORKING_STROKE, 0.0, 0.4), (0.0, 2.0, 50.0), (0.0, 1.0), (0.0, 0.4)
+    ):
+        machine = at(State.HOLD)
+        machine.code[0], machine.clock[:] = code, (time, 1.0, 0.5)
+        machine.valve[:], machine.hold[:] = valve, hold
+        out = np.zeros((3, LEGS))
+        after = block.step(
+            STATES, machine, request, still, still, still, np.full(LEGS, place), *out
+        )
+        if after != code:
+            found.add((code.name.lower(), State(after).name.lower()))
+    assert found == diagram
 
 
 @settings(max_examples=40, deadline=None)
