@@ -41,6 +41,8 @@ def _run(states, state, requests, host, rates, changes, stuck, out, codes, valve
             measured[0] = 0.3
         elif stuck == 2:
             measured[0] = np.nan
+        elif stuck == 3:
+            measured *= 0.931
         codes[k] = block.step(
             states, state, requests[k], host[k], rates[k], changes[k], measured,
             out[0, k], out[1, k], out[2, k],
@@ -233,6 +235,12 @@ def test_a_leg_that_does_not_arrive_is_a_fault(stuck, request_):
 def test_a_return_that_does_not_arrive_is_a_fault():
     _, codes, _ = run(at(State.ENGAGED), [Request.SETTLE] * TIME.size, stuck=1)
     assert passed(codes) == ["RETURN", "FAULT"]
+
+
+def test_a_law_that_stops_short_arrives_all_the_same():
+    """DC gain 47/50.48 = 0.931 of the velocity law: 2.6 in above the settled position."""
+    _, codes, _ = run(at(State.ENGAGED), [Request.SETTLE] * TIME.size, stuck=3)
+    assert passed(codes) == ["RETURN", "SETTLED"]
 
 
 def test_legs_off_the_stops_cannot_be_switched_on():

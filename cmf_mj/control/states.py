@@ -115,9 +115,9 @@ class StateSettings(Settings):
     acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
     """Largest leg acceleration of a fade, and of a stop."""
     settled_tolerance: _Length
-    """Distance from the settled position within which a leg counts as settled."""
+    """Distance from the settled position within which a leg without command lies on the stops."""
     arrival_tolerance: _Length
-    """Distance from neutral within which a leg counts as raised."""
+    """Distance from neutral or the settled position within which a leg has followed there."""
     arrival_timeout: _Time
     """Time after the end of raise or return in which the legs must arrive."""
 
@@ -315,7 +315,7 @@ def _next(states, state, request, measured):  # type: ignore[no-untyped-def]
     elif code == State.RETURN:
         if upwards:
             return State.RAISE.value
-        if done and settled:
+        if done and _near(measured, -states.travel, states.arrival_tolerance):
             return State.SETTLED.value
         if late:
             return State.FAULT.value
