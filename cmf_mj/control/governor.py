@@ -169,9 +169,9 @@ def _screened(governor, i, lag, position, demand):  # type: ignore[no-untyped-de
 def _remaining(lag, closing, frame):  # type: ignore[no-untyped-def]
     """e': the lag after one frame on the parabola of deceleration `closing`."""
     size = abs(lag)
-    left = size - frame * stopping_velocity(size, closing, frame)
-    if size <= closing * frame * frame or left <= 0.0:
+    if size <= closing * frame * frame:
         return 0.0
+    left = size - frame * stopping_velocity(size, closing, frame)
     return left if lag > 0.0 else -left
 
 
