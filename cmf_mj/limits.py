@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.kinematics import DOFS, WORKING_STROKE, pose_to_legs
+from cmf_mj.motion_limits import load_motion_limits
 from cmf_mj.signals import RATE, Command
-from cmf_mj.units import DEGREE, INCH
 
 _ALONE = 4.0
 """A difference this many times both neighbours together is a jump."""
@@ -28,6 +28,8 @@ _ALONE = 4.0
 _DOF_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 _UNLIMITED = (np.inf,) * 6
+
+_OPERATIONAL = tuple(axis.operational.si for axis in load_motion_limits().axes)
 
 
 class Peaks(NamedTuple):
@@ -50,19 +52,13 @@ class Peaks(NamedTuple):
 class Limits(NamedTuple):
     """What a command must stay within.
 
-    Velocity and acceleration limits of the facility are not published: unlimited unless set.
+    Velocity and acceleration limits of the facility are not published: unlimited unless set. The
+    assumed ones of `cmf_mj.motion_limits` bound what the control law does, not what may be tried.
     """
 
-    displacement: Sequence[tuple[float, float]] = (
-        (-55.0 * INCH, 67.0 * INCH),
-        (-55.0 * INCH, 55.0 * INCH),
-        (-41.0 * INCH, 41.0 * INCH),
-        (-28.0 * DEGREE, 28.0 * DEGREE),
-        (-25.0 * DEGREE, 28.0 * DEGREE),
-        (-38.0 * DEGREE, 38.0 * DEGREE),
-    )
+    displacement: Sequence[tuple[float, float]] = _OPERATIONAL
     """Lowest and highest of each degree of freedom [m, rad], (6, 2), z down: the operational limits
-    of Table 2-1 (stated; the table prints inches for yaw, read as degrees)."""
+    of Table 2-1, from `motion_limits.toml`."""
     leg_displacement: float = WORKING_STROKE
     """Largest leg extension and retraction from neutral [m]."""
     velocity: Sequence[float] = _UNLIMITED

@@ -47,6 +47,30 @@ def validated(model: type[Model], table: object, where: str) -> Model:
         raise ValueError("\n".join(_explain(model, e, where) for e in error.errors())) from None
 
 
+def overlaid(model: type[Model], shipped: Path, source: Path | None) -> Model:
+    """Build `model` from the shipped file, with the entries of a user's file in their place.
+
+    Tables are merged one level deep: an entry `key` of a user's table replaces that of the shipped
+    table of the same name and leaves its other entries.
+
+    Args:
+        model: the settings class.
+        shipped: file of the package that holds every entry.
+        source: file that repeats what it changes; None for the shipped values.
+
+    Raises:
+        ValueError: a file cannot be read, or one line per refused field.
+    """
+    table = read_toml(shipped)
+    if source is None:
+        return validated(model, table, shipped.name)
+    for name, change in read_toml(source).items():
+        before = table.get(name)
+        merge = isinstance(before, dict) and isinstance(change, dict)
+        table[name] = before | change if merge else change
+    return validated(model, table, str(source))
+
+
 def _explain(model: type[BaseModel], error: Any, where: str) -> str:
     location = [str(part) for part in error["loc"]]
     field = ".".join(location)

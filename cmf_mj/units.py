@@ -30,6 +30,7 @@ _FACTORS: dict[str, float] = {
     "kg": 1.0,
     "N": 1.0,
     "Pa": 1.0,
+    "V": 1.0,
     "rad": 1.0,
     "rad/s": 1.0,
     "m^3": 1.0,
@@ -50,7 +51,6 @@ _FACTORS: dict[str, float] = {
     "%": PERCENT,
     "Hz": HERTZ,
     "rtHz": 1.0,
-    "V": 1.0,
 }
 
 Value = TypeVar("Value", float, np.ndarray)

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import matplotlib.image
+import numpy as np
 import pytest
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
@@ -58,3 +59,14 @@ def test_render_model_draws_each_cab(cab: str, tmp_path: Path) -> None:
     picture = matplotlib.image.imread(tmp_path / "cab.png")
     assert picture.shape[:2] == (240, 320)
     assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
+
+
+def test_show_limits_draws_its_figure(tmp_path: Path) -> None:
+    limits = '[leg]\nvelocity = {value = 12.0, unit = "in/s", status = "assumed", source = "test"}'
+    (tmp_path / "slow.toml").write_text(limits)
+    run("show_limits.py", "--out", "shipped.png", cwd=tmp_path)
+    run("show_limits.py", "--limits", "slow.toml", "--out", "slow.png", cwd=tmp_path)
+    shipped, slow = (matplotlib.image.imread(tmp_path / f"{n}.png") for n in ("shipped", "slow"))
+    assert shipped.shape == slow.shape
+    assert shipped[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
+    assert np.abs(shipped - slow).max() > 0.5

@@ -1,17 +1,144 @@
-"""Demand calculations: platform pose demand to leg demand, Eq C.6 (first block of Figure 2-6).
+"""Demand calculations: platform pose demand to leg demand (first block of Figure 2-6).
 
-The demand does not depend on feedback, so a whole time history is transformed at once before the
-frame loop starts.
+With the centroid at p, T of Eq 2.2, E the Euler rate matrix, r_j = T (A_j + dA_j) and
+omega = E (roll, pitch, yaw rate), one leg is (Eqs 2.1 and C.6, here in inertial axes)
+
+    l_j = p + r_j - B_j,    n_j = l_j / |l_j|,    leg_j = |l_j| - |A_j - B_j|
+    w_j = dp/dt + omega x r_j
+    d leg_j/dt = n_j . w_j
+    d2 leg_j/dt2 = n_j . (d2p/dt2 + domega/dt x r_j + omega x (omega x r_j))
+                   + (|w_j|^2 - (n_j . w_j)^2) / |l_j|
+
+the second derivative being J d2x/dt2 + dJ/dt dx/dt, exact.
+
+**Flexible body.** dA_j of Eq 2.1 is where the upper gimbal sits under load, in platform axes. The
+report gives no values; it is off by default. Here
+
+    dA_j = deflection_j + C_j f,    f = T' (d2p/dt2 - g),    g = (0, 0, 9.80665) m/s^2, z down
+
+with f the specific force of the centroid, (0, 0, -9.80665) m/s^2 level and at rest, and C_j a
+compliance in m per m/s^2. The deflection is quasi-static: its own rates, C_j df/dt and on, are left
+out of leg velocity and acceleration (they would need the jerk, which no host sends).
 """
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import NamedTuple
 
-from cmf_mj import kinematics
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmf_mj import kinematics, units
+from cmf_mj.compiled import compiled
+
+
+class Demand(NamedTuple):
+    """Compiled parameters of the demand block."""
+
+    geometry: kinematics.Geometry
+    """Gimbals and neutral lengths of the unloaded platform."""
+    deflection: NDArray[np.float64]
+    """Constant part of dA, platform axes [m], (6, 3)."""
+    compliance: NDArray[np.float64]
+    """dA per specific force, platform axes [m/(m/s^2)], (6, 3, 3)."""
+
+
+def make_demand(
+    geometry: kinematics.Geometry | None = None,
+    deflection: ArrayLike | None = None,
+    compliance: ArrayLike | None = None,
+) -> Demand:
+    """Parameters of the demand block.
+
+    Args:
+        geometry: gimbals; default the CMF's.
+        deflection: constant displacement of the upper gimbals [m], (6, 3), platform axes.
+        compliance: their displacement per specific force [m/(m/s^2)], (6, 3, 3), platform axes.
+
+    Raises:
+        ValueError: another shape, or a number that is not finite.
+    """
+
+    def checked(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.float64]:
+        array = np.zeros(shape) if values is None else np.array(values, dtype=float, order="C")
+        if array.shape != shape:
+            raise ValueError(f"{name}: shape is {array.shape}; it must be {shape}")
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name}: {array[~np.isfinite(array)][0]} is not a finite number")
+        return array
+
+    return Demand(
+        geometry or kinematics.read_geometry(),
+        checked("deflection", deflection, (6, 3)),
+        checked("compliance", compliance, (6, 3, 3)),
+    )
+
+
+@compiled
+def step(  # type: ignore[no-untyped-def]
+    demand, pose, velocity, acceleration, leg_position, leg_velocity, leg_acceleration
+):
+    """One frame: leg demands of a platform demand.
+
+    Args:
+        demand: parameters.
+        pose: (6,) [m, rad], z down.
+        velocity: (6,) its rates.
+        acceleration: (6,) its second derivatives.
+        leg_position: (6,) receives the extensions from neutral [m].
+        leg_velocity: (6,) receives their rates [m/s].
+        leg_acceleration: (6,) receives their second derivatives [m/s^2].
+    """
+    upper, lower, neutral = demand.geometry
+    cf, sf = np.cos(pose[3]), np.sin(pose[3])
+    ct, st = np.cos(pose[4]), np.sin(pose[4])
+    cp, sp = np.cos(pose[5]), np.sin(pose[5])
+    # Rows of T, Eq 2.2.
+    xx, xy, xz = ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp
+    yx, yy, yz = ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp
+    zx, zy, zz = -st, sf * ct, cf * ct
+    # omega = E rates and its derivative, inertial axes.
+    roll, pitch, yaw = velocity[3], velocity[4], velocity[5]
+    ox, oy, oz = ct * cp * roll - sp * pitch, ct * sp * roll + cp * pitch, yaw - st * roll
+    bx = ct * cp * acceleration[3] - sp * acceleration[4]
+    bx += (-st * cp * pitch - ct * sp * yaw) * roll - cp * yaw * pitch
+    by = ct * sp * acceleration[3] + cp * acceleration[4]
+    by += (-st * sp * pitch + ct * cp * yaw) * roll - sp * yaw * pitch
+    bz = acceleration[5] - st * acceleration[3] - ct * pitch * roll
+    # Specific force of the centroid, platform axes.
+    ax, ay, az = acceleration[0], acceleration[1], acceleration[2] - units.STANDARD_GRAVITY
+    fx = xx * ax + yx * ay + zx * az
+    fy = xy * ax + yy * ay + zy * az
+    fz = xz * ax + yz * ay + zz * az
+    for j in range(6):
+        bend, give = demand.deflection[j], demand.compliance[j]
+        ux = upper[j, 0] + bend[0] + give[0, 0] * fx + give[0, 1] * fy + give[0, 2] * fz
+        uy = upper[j, 1] + bend[1] + give[1, 0] * fx + give[1, 1] * fy + give[1, 2] * fz
+        uz = upper[j, 2] + bend[2] + give[2, 0] * fx + give[2, 1] * fy + give[2, 2] * fz
+        rx = xx * ux + xy * uy + xz * uz
+        ry = yx * ux + yy * uy + yz * uz
+        rz = zx * ux + zy * uy + zz * uz
+        lx = pose[0] + rx - lower[j, 0]
+        ly = pose[1] + ry - lower[j, 1]
+        lz = pose[2] + rz - lower[j, 2]
+        length = np.sqrt(lx * lx + ly * ly + lz * lz)
+        lx, ly, lz = lx / length, ly / length, lz / length
+        # omega x r, then omega x (omega x r) + domega/dt x r.
+        sx, sy, sz = oy * rz - oz * ry, oz * rx - ox * rz, ox * ry - oy * rx
+        tx = oy * sz - oz * sy + by * rz - bz * ry + acceleration[0]
+        ty = oz * sx - ox * sz + bz * rx - bx * rz + acceleration[1]
+        tz = ox * sy - oy * sx + bx * ry - by * rx + acceleration[2]
+        wx, wy, wz = velocity[0] + sx, velocity[1] + sy, velocity[2] + sz
+        along = lx * wx + ly * wy + lz * wz
+        leg_position[j] = length - neutral[j]
+        leg_velocity[j] = along
+        across = wx * wx + wy * wy + wz * wz - along * along
+        leg_acceleration[j] = lx * tx + ly * ty + lz * tz + across / length
 
 
 def leg_demand(
     pose: NDArray[np.float64], geometry: kinematics.Geometry | None = None
 ) -> NDArray[np.float64]:
-    """Leg demands from neutral [m], (N, 6), of a pose demand (N, 6) [m, rad], z down."""
+    """Leg demands from neutral [m], (N, 6), of a pose demand (N, 6) [m, rad], z down.
+
+    Positions alone, for a history known before the loop starts; rigid platform.
+    """
     return kinematics.pose_to_legs(pose, geometry)

@@ -9,7 +9,7 @@ from cmf_mj.parameters.hydraulics import (
     ValveChanges,
 )
 from cmf_mj.parameters.loading import HYDRAULICS, load_hydraulics
-from cmf_mj.parameters.quantity import Quantity
+from cmf_mj.parameters.quantity import Quantity, positive_in
 
 __all__ = [
     "ACTUATOR_FIELDS",
@@ -21,4 +21,5 @@ __all__ = [
     "Quantity",
     "ValveChanges",
     "load_hydraulics",
+    "positive_in",
 ]

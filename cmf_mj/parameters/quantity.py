@@ -37,6 +37,11 @@ class Quantity(Settings):
         return f"{self.value:g} {self.unit}"
 
 
+def positive_in(*allowed: str) -> AfterValidator:
+    """Validator of an `Annotated` quantity greater than 0 in one of the units `allowed`."""
+    return AfterValidator(Kind(allowed).check)
+
+
 class Kind(NamedTuple):
     """What a quantity may be."""
 

@@ -1,0 +1,375 @@
+"""Limit calculations with graceful deceleration: a demand made feasible, frame by frame.
+
+One channel (a leg or a degree of freedom) has the position range [low, high], the largest speed V
+and the largest acceleration A. With T the frame, p the output and v[k] = (p[k] - p[k-1]) / T:
+
+**Bounds.** Braking at A from v leaves the positions p + T (v - A T) + T (v - 2 A T) + ... Within
+the room R to a limit the next velocity may be at most
+
+    b(R) = (R / T + A T n (n + 1) / 2) / (n + 1),    n = floor((sqrt(1 + 8 R / (A T^2)) - 1) / 2),
+
+the braking parabola in discrete time: from b(R) at A the channel stops on the limit exactly. So
+
+    max(v - A T, -V, -b(p - low)) <= v' <= min(v + A T, V, b(high - p))
+
+is never empty once it holds, and a channel in it keeps all three limits for ever, whatever the
+demand does.
+
+**Demand.** With d the demand and the lag e = d - p, the wish is
+
+    p'[k+1] = d[k+1] - e',    e' = e - sgn(e) T c(|e|),
+
+where c is b with a share of A, `rejoin` A. It follows the demand's own motion and closes in on it
+along a parabola that ends, after a finite number of frames, at e' = 0 to the bit; a demand
+that accelerates by less than the other share, and moves slower than V, is then rejoined without
+overshoot. With e = 0 the wish is the demand itself: while the demand keeps the bounds the output
+*is* the demand, bit by bit, with no lag. The output is the wish, moved into the bounds. There is no
+integral that could wind up: the lag is the difference of two positions. A demand outside the range
+is left behind at the limit and met on its way back, at its own speed.
+
+`step` bounds each channel alone. Legs limited alone distort the pose. `step_together` shares one
+scale: from rest all channels follow one straight line between old and new demand, and when one
+can go no further all brake together and wait. It brakes in proportion, v - s v with
+s = A T / max |v| (the least over channels with their own A), and takes the largest share of the way
+from there to the wish that all bounds allow and from which braking in proportion still ends within
+all ranges. That needs more room than braking alone: a slow channel near its limit beside a fast one
+is held back earlier. Do not change between the two in motion.
+
+Not limited: jerk. Parabolas are those of Zanasi, Guarino Lo Bianco and Tonielli (Automatica 36,
+2000) in the deadbeat form of discrete time.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmf_mj.compiled import compiled
+from cmf_mj.control.law import FRAME
+from cmf_mj.motion_limits import MotionLimits, load_motion_limits
+
+_HALVINGS = 40
+"""Bisections for the shared scale, resolving it to 1e-12."""
+
+
+class Governor(NamedTuple):
+    """Compiled limits, every array (n,), SI."""
+
+    low: NDArray[np.float64]
+    """Lowest position [m or rad]."""
+    high: NDArray[np.float64]
+    """Highest position [m or rad]."""
+    velocity: NDArray[np.float64]
+    """V [1/s of the position]."""
+    acceleration: NDArray[np.float64]
+    """A [1/s^2 of the position]."""
+    rejoin: float
+    """Share of A that closes in on the demand, above 0, at most 1."""
+    frame: float
+    """T [s]."""
+
+
+class GovernorState(NamedTuple):
+    """State of the governor, every array (n,)."""
+
+    position: NDArray[np.float64]
+    """p, the position put out last."""
+    velocity: NDArray[np.float64]
+    """v, the change of the last two positions over T."""
+    lag: NDArray[np.float64]
+    """e, the last demand less p; exactly 0 while the demand is followed."""
+
+
+def make_governor(
+    low: ArrayLike,
+    high: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    rejoin: float = 0.5,
+    frame: float = FRAME,
+) -> Governor:
+    """Governor of any channels.
+
+    Args:
+        low: lowest positions (n,).
+        high: highest positions (n,).
+        velocity: largest speeds (n,).
+        acceleration: largest accelerations (n,).
+        rejoin: share of the acceleration that closes in on the demand.
+        frame: control frame [s].
+
+    Raises:
+        ValueError: shapes that differ, or a value out of range, named.
+    """
+    given = {"low": low, "high": high, "velocity": velocity, "acceleration": acceleration}
+    arrays = {name: np.array(values, dtype=float) for name, values in given.items()}
+    for name, array in arrays.items():
+        if array.ndim != 1 or array.shape != arrays["low"].shape:
+            raise ValueError(f"{name}: shape is {array.shape}; low has {arrays['low'].shape}")
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name}: {array[~np.isfinite(array)][0]} is not a finite number")
+    for name in ("velocity", "acceleration"):
+        if (arrays[name] <= 0.0).any():
+            raise ValueError(f"{name}: {arrays[name].min()} must be greater than 0")
+    if (arrays["low"] >= arrays["high"]).any():
+        raise ValueError("low: must be less than high in every channel")
+    if not 0.0 < rejoin <= 1.0:
+        raise ValueError(f"rejoin: {rejoin} must be greater than 0 and at most 1")
+    if not (np.isfinite(frame) and frame > 0.0):
+        raise ValueError(f"frame: {frame} s must be greater than 0")
+    return Governor(**arrays, rejoin=rejoin, frame=frame)
+
+
+def make_leg_governor(limits: MotionLimits | None = None, legs: int = 6) -> Governor:
+    """Governor of leg demands: working stroke, leg speed and acceleration; default the shipped."""
+    leg = (limits or load_motion_limits()).leg
+    travel = np.full(legs, leg.position.si)
+    return make_governor(
+        -travel,
+        travel,
+        np.full(legs, leg.velocity.si),
+        np.full(legs, leg.acceleration.si),
+        leg.rejoin.si,
+    )
+
+
+def make_pose_governor(limits: MotionLimits | None = None) -> Governor:
+    """Governor of pose demands: operational limits of Table 2-1 and the rates assumed with them."""
+    given = limits or load_motion_limits()
+    low, high = given.operational.T
+    return make_governor(low, high, given.velocity, given.acceleration, given.leg.rejoin.si)
+
+
+def start(governor: Governor, position: ArrayLike) -> GovernorState:
+    """State of a governor at rest at `position` (n,), moved into the range."""
+    at = np.clip(np.array(position, dtype=float), governor.low, governor.high)
+    return GovernorState(at, np.zeros(at.size), np.zeros(at.size))
+
+
+@compiled
+def stopping_velocity(room, acceleration, frame):  # type: ignore[no-untyped-def]
+    """b(room): largest velocity of the next frame after which braking stops within `room`."""
+    if room <= 0.0:
+        return 0.0
+    unit = acceleration * frame * frame
+    n = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * room / unit) - 1.0))
+    return (room / frame + 0.5 * acceleration * frame * n * (n + 1.0)) / (n + 1.0)
+
+
+@compiled
+def _screened(governor, i, lag, position, demand):  # type: ignore[no-untyped-def]
+    """The demand, at most one range beyond the limits; the last one for one that is no number."""
+    if np.isnan(demand):
+        return position + lag
+    reach = governor.high[i] - governor.low[i]
+    return min(max(demand, governor.low[i] - reach), governor.high[i] + reach)
+
+
+@compiled
+def _remaining(lag, closing, frame):  # type: ignore[no-untyped-def]
+    """e': the lag after one frame on the parabola of deceleration `closing`."""
+    size = abs(lag)
+    if size <= closing * frame * frame:
+        return 0.0
+    left = size - frame * stopping_velocity(size, closing, frame)
+    return left if lag > 0.0 else -left
+
+
+@compiled
+def _accept(governor, state, i, wanted, position, out, rates, accelerations):  # type: ignore[no-untyped-def]
+    """Put a position out and renew the state; demanded rates pass only with their position."""
+    frame, speed, limit = governor.frame, governor.velocity[i], governor.acceleration[i]
+    before = state.velocity[i]
+    now = (position - state.position[i]) / frame
+    change = (now - before) / frame
+    state.position[i] = position
+    state.velocity[i] = now
+    state.lag[i] = wanted - position
+    out[i] = position
+    if state.lag[i] != 0.0 or not np.isfinite(rates[i] + accelerations[i]):
+        rates[i] = now + 0.5 * frame * change
+        accelerations[i] = change
+    rates[i] = min(max(rates[i], -speed), speed)
+    accelerations[i] = min(max(accelerations[i], -limit), limit)
+
+
+@compiled
+def step(governor, state, demand, out, rates, accelerations):  # type: ignore[no-untyped-def]
+    """One frame, each channel alone.
+
+    Args:
+        governor: limits.
+        state: overwritten by the state of the next frame.
+        demand: (n,) demanded positions. NaN repeats the last demand.
+        out: (n,) receives the positions; may be `demand` itself.
+        rates: (n,) demanded velocities; unchanged but for a clamp to V while the demand is
+            followed, else overwritten by those of `out`.
+        accelerations: (n,) demanded accelerations, treated alike.
+    """
+    frame = governor.frame
+    for i in range(demand.shape[0]):
+        limit, speed = governor.acceleration[i], governor.velocity[i]
+        at, before = state.position[i], state.velocity[i]
+        wanted = _screened(governor, i, state.lag[i], at, demand[i])
+        position = wanted - _remaining(state.lag[i], governor.rejoin * limit, frame)
+        wish = (position - at) / frame
+        velocity = min(max(wish, before - limit * frame, -speed), before + limit * frame, speed)
+        # Ranges go last: where round-off parts the bounds, it does not add up to leave a range.
+        velocity = min(velocity, stopping_velocity(governor.high[i] - at, limit, frame))
+        velocity = max(velocity, -stopping_velocity(at - governor.low[i], limit, frame))
+        if velocity != wish:
+            position = at + frame * velocity
+        position = min(max(position, governor.low[i]), governor.high[i])
+        _accept(governor, state, i, wanted, position, out, rates, accelerations)
+
+
+@compiled
+def _reach(ratio, frame):  # type: ignore[no-untyped-def]
+    """Travel per velocity of one frame and of all after it, braking in proportion.
+
+    Every channel stops with that of the largest |v| / A, which is `ratio`.
+    """
+    n = np.floor(ratio / frame)
+    if n == 0.0:
+        return frame
+    return frame * (1.0 + n - 0.5 * frame * n * (n + 1.0) / ratio)
+
+
+@compiled
+def _fits(governor, state, base, wish, share):  # type: ignore[no-untyped-def]
+    """Whether all channels may move `share` of the way from `base` to `wish`."""
+    frame = governor.frame
+    ratio = 0.0
+    for i in range(base.shape[0]):
+        velocity = base[i] + share * (wish[i] - base[i])
+        limit = governor.acceleration[i]
+        if abs(velocity) > governor.velocity[i]:
+            return False
+        if abs(velocity - state.velocity[i]) > limit * frame * (1.0 + 1e-12):
+            return False
+        ratio = max(ratio, abs(velocity) / limit)
+    reach = _reach(ratio, frame)
+    for i in range(base.shape[0]):
+        velocity = base[i] + share * (wish[i] - base[i])
+        at = state.position[i]
+        room = governor.high[i] - at if velocity > 0.0 else at - governor.low[i]
+        if reach * abs(velocity) > room:
+            return False
+    return True
+
+
+@compiled
+def step_together(governor, state, demand, out, rates, accelerations, base, wish):  # type: ignore[no-untyped-def]
+    """One frame, all channels on one scale.
+
+    Args:
+        governor: limits.
+        state: overwritten by the state of the next frame.
+        demand: (n,) demanded positions. NaN repeats the last demand.
+        out: as for `step`.
+        rates: as for `step`.
+        accelerations: as for `step`.
+        base: (n,) workspace.
+        wish: (n,) workspace.
+
+    Returns:
+        The share of the way from braking to the wish, 0 to 1; 1 while the demand is followed.
+    """
+    frame = governor.frame
+    channels = demand.shape[0]
+    ratio, far = 0.0, 0.0
+    for i in range(channels):
+        ratio = max(ratio, abs(state.velocity[i]) / governor.acceleration[i])
+        far = max(far, abs(state.lag[i]) / governor.acceleration[i])
+    brake = 1.0 - frame / ratio if ratio > frame else 0.0
+    reach = _reach(max(ratio - frame, 0.0), frame)
+    # The lag closes in proportion too, in units of each channel's acceleration.
+    closing = _remaining(far, governor.rejoin, frame) / far if far > 0.0 else 0.0
+    for i in range(channels):
+        at = state.position[i]
+        wanted = _screened(governor, i, state.lag[i], at, demand[i])
+        out[i] = wanted
+        wish[i] = (wanted - closing * state.lag[i] - at) / frame
+        base[i] = brake * state.velocity[i]
+        # By induction within the range; the bound keeps round-off from adding up.
+        room = governor.high[i] - at if base[i] > 0.0 else at - governor.low[i]
+        base[i] = min(max(base[i], -room / reach), room / reach)
+    share = 1.0
+    if not _fits(governor, state, base, wish, 1.0):
+        share, beyond = 0.0, 1.0
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (share + beyond)
+            if _fits(governor, state, base, wish, middle):
+                share = middle
+            else:
+                beyond = middle
+    for i in range(channels):
+        at, wanted = state.position[i], out[i]
+        if share == 1.0:
+            position = wanted - closing * state.lag[i]
+        else:
+            position = at + frame * (base[i] + share * (wish[i] - base[i]))
+        position = min(max(position, governor.low[i]), governor.high[i])
+        _accept(governor, state, i, wanted, position, out, rates, accelerations)
+    return share
+
+
+class Governed(NamedTuple):
+    """A limited motion, every array (N, n) but the share."""
+
+    position: NDArray[np.float64]
+    """p [m or rad]."""
+    velocity: NDArray[np.float64]
+    """Velocity at the frames, as handed on with p."""
+    acceleration: NDArray[np.float64]
+    """Acceleration at the frames, as handed on with p."""
+    share: NDArray[np.float64]
+    """What `step_together` returned (N,); 1 throughout for channels limited alone."""
+
+
+@compiled
+def _govern(governor, state, position, velocity, acceleration, share, together):  # type: ignore[no-untyped-def]
+    base, wish = np.zeros(position.shape[1]), np.zeros(position.shape[1])
+    for k in range(position.shape[0]):
+        row, rates, accelerations = position[k], velocity[k], acceleration[k]
+        if together:
+            share[k] = step_together(governor, state, row, row, rates, accelerations, base, wish)
+        else:
+            step(governor, state, row, row, rates, accelerations)
+
+
+def govern(
+    governor: Governor,
+    demand: ArrayLike,
+    velocity: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+    *,
+    together: bool = False,
+) -> Governed:
+    """Limit a whole history, starting at rest at its first row.
+
+    Args:
+        governor: limits of n channels.
+        demand: demanded positions (N, n).
+        velocity: demanded velocities (N, n); default the changes of the output.
+        acceleration: demanded accelerations (N, n); default the changes of the output.
+        together: whether all channels share one scale.
+
+    Raises:
+        ValueError: another shape, named.
+    """
+    position = np.array(demand, dtype=float, order="C")
+    if position.ndim != 2 or position.shape[1] != governor.low.size:
+        raise ValueError(
+            f"demand: shape is {position.shape}; it must be (frames, {governor.low.size})"
+        )
+    rates = []
+    for name, given in (("velocity", velocity), ("acceleration", acceleration)):
+        values = np.full(position.shape, np.nan) if given is None else np.array(given, dtype=float)
+        if values.shape != position.shape:
+            raise ValueError(f"{name}: shape is {values.shape}; demand has {position.shape}")
+        rates.append(np.ascontiguousarray(values))
+    found = Governed(position, rates[0], rates[1], np.ones(position.shape[0]))
+    if position.shape[0]:
+        _govern(governor, start(governor, position[0]), *found, together)
+    return found
