@@ -1,66 +1,25 @@
 """Runs: a control law, or a table of valve commands, on a plant -> Record.
 
 `simulate` closes the loop of command, DCL, valves, cylinders, mechanics and sensors; `drive` opens
-it at the valves. Both are the one loop of `frame_loop`, whose docstring gives the order.
+it at the valves. Both are the one loop of `loop.run`, whose docstring gives the order.
 """
 
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from cmf_mj.control import dcl as control
 from cmf_mj.control.demand import leg_demand
-from cmf_mj.control.law import FRAME, Law, load_law
-from cmf_mj.control.protection import (
-    ProtectionSettings,
-    latched,
-    load_protection,
-    make_protection,
-    protection_state,
-)
-from cmf_mj.events import Event, make_timeline
-from cmf_mj.frame_loop import (
-    FINITE,
-    LEG_CHANNELS,
-    PROOF,
-    SOLUTION,
-    STROKE,
-    VACUUM,
-    Controller,
-    Layout,
-    Machine,
-    run,
-)
-from cmf_mj.plant.cylinder import CAP, ROD
-from cmf_mj.plant.faults import no_faults
-from cmf_mj.plant.hydraulics import ENERGIES
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.control.protection import ProtectionSettings, load_protection
+from cmf_mj.events import Event
+from cmf_mj.loop.electronics import ElectronicsSettings
+from cmf_mj.loop.session import Session
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record import Record
 from cmf_mj.signals import Command
-
-_VERSIONS = {name: version(name) for name in ("cmf-mj", "mujoco", "numpy", "numba")}
-
-_SUPPLY_CHANNELS = {
-    "supply_content": "m^3",
-    "return_content": "m^3",
-    "accumulator_oil": "m^3",
-    "pump_flow": "m^3/s",
-    "tank_content": "m^3",
-    "isolation": "1",
-    "supply_pressure": "Pa",
-    "return_pressure": "Pa",
-    "accumulator_pressure": "Pa",
-}
-"""State of the supply, in the order of `plant.supply`."""
-
-_History = tuple[
-    NDArray[np.float64], dict[str, NDArray[np.float64]], dict[str, str], dict[str, Any]
-]
-"""What a `Record` is made of."""
 
 
 def simulate(
@@ -72,6 +31,7 @@ def simulate(
     start: ArrayLike | None = None,
     legs: bool = False,
     protection: str | Path | ProtectionSettings | None = None,
+    electronics: ElectronicsSettings | None = None,
     record_every: int = 1,
     command_delay: int = 1,
 ) -> Record:
@@ -92,6 +52,7 @@ def simulate(
         legs: whether `command` are extensions.
         protection: conditions that make an emergency stop, `default` or a TOML file; the metadata
             tell the `fault` and its time. Default none.
+        electronics: sensors, converters and servo electronics; default ideal, to the bit.
         record_every: keep one frame in this many.
         command_delay: frames from a DCL frame to its command at the valves.
 
@@ -119,27 +80,27 @@ def simulate(
         demanded = command if isinstance(command, Command) else Command.from_pose(command)
         reference = leg_demand(demanded.pose)
         begin = demanded.pose[0] if start is None else start
-    context = {
-        "law": loaded.name,
-        "law_parameters": loaded.model_dump(),
+    context: dict[str, Any] = {
         "command": dict(demanded.description) if demanded else {"signal": "leg extensions"},
         "seed": demanded.seed if demanded else None,
     }
-    time, channels, units, metadata = _run(
+    session = Session(
         plant,
         loaded,
         reference,
-        begin,
-        events,
-        record_every,
-        command_delay,
-        context,
-        None if protection is None else load_protection(protection),
+        start=begin,
+        events=events,
+        protection=None if protection is None else load_protection(protection),
+        electronics=electronics,
+        record_every=record_every,
+        command_delay=command_delay,
     )
+    session.run()
+    time, channels, units = session.history()
     if demanded is not None:
         channels = {"demand_pose": demanded.pose[::record_every], **channels}
         units = {"demand_pose": "m, rad", **units}
-    return Record(time, channels, units, metadata)
+    return Record(time, channels, units, session.describe() | context)
 
 
 def drive(
@@ -177,135 +138,18 @@ def drive(
         raise ValueError(
             f"valves: {table[row, leg]} of leg {leg + 1} in row {row} is not between -1 and 1"
         )
-    context = {"law": "", "command": {"signal": "valve commands"}, "seed": None}
-    time, channels, units, metadata = _run(
-        plant, None, table, start, events, record_every, command_delay, context
+    session = Session(
+        plant,
+        None,
+        table,
+        start=start,
+        events=events,
+        record_every=record_every,
+        command_delay=command_delay,
     )
+    session.run()
+    time, channels, units = session.history()
     for name in ("leg_reference", "compensator_output"):
         del channels[name], units[name]
-    return Record(time, channels, units, metadata)
-
-
-def _run(
-    plant: Plant,
-    law: Law | None,
-    reference: NDArray[np.float64],
-    start: ArrayLike | None,
-    events: Sequence[Event],
-    every: int,
-    delay: int,
-    context: dict[str, Any],
-    protection: ProtectionSettings | None = None,
-) -> _History:
-    for field, value, least in (("record_every", every, 1), ("command_delay", delay, 0)):
-        if value < least:
-            raise ValueError(f"{field}: {value} frames must be at least {least}")
-    step = float(plant.model.opt.timestep)
-    steps = round(FRAME / step)
-    if steps < 1 or abs(steps * step - FRAME) > 1e-12:
-        raise ValueError(f"timestep: {step} s must divide the control frame of {FRAME} s")
-    state = plant.start(start)
-    mechanics = plant.mechanics()
-    dcl = control.make_dcl(law or load_law("original"), plant.legs)
-    still = np.zeros(plant.legs)
-    begin = control.LegFeedback(
-        plant.extensions(), still, still, state.pressure[:, CAP], state.pressure[:, ROD]
-    )
-    controller = Controller(
-        closed=law is not None,
-        dcl=dcl,
-        state=control.engaged(dcl, begin.position if law is None else reference[0], begin),
-        reference=np.ascontiguousarray(reference),
-        delay=delay,
-        guarded=protection is not None,
-        protection=make_protection(protection or load_protection()),
-        guard=protection_state(begin.position),
-    )
-    machine = Machine(
-        mechanics,
-        plant.hydraulics,
-        state,
-        no_faults(plant.legs),
-        make_timeline(events, plant.legs),
-    )
-    groups = plant.sensors
-    indices = [*groups.values(), np.empty(0, dtype=np.int64)]
-    layout = Layout(np.concatenate(indices), plant.gimbal_sensors, steps, every)
-    columns = (
-        len(LEG_CHANNELS) * plant.legs
-        + 1
-        + len(_SUPPLY_CHANNELS)
-        + len(ENERGIES)
-        + mechanics.qpos.size
-        + layout.sensors.size
-    )
-    out = np.empty((-(-reference.shape[0] // every), columns))
-    frame, bound, leg = run(machine, controller, layout, out)
-    if frame >= 0:
-        raise FloatingPointError(_left(plant, machine, context["law"], frame, bound, leg))
-    fault = latched(controller.guard)
-    metadata = {
-        **plant.describe(),
-        **context,
-        "events": [event.model_dump(exclude_none=True) for event in events],
-        "fault": None
-        if fault is None
-        else {"name": fault.name, "leg": fault.leg, "time": fault.frame * FRAME},
-        "sample_rate": 1.0 / (FRAME * every),
-        "command_delay": delay,
-        "versions": dict(_VERSIONS),
-    }
-    return _history(plant, groups, out, every, metadata)
-
-
-def _left(plant: Plant, machine: Machine, law: str, frame: int, bound: int, leg: int) -> str:
-    """What to say of a state beyond its physical bounds."""
-    cap, rod = machine.state.pressure[leg]
-    extension = plant.extensions()[leg]
-    pressures = f"cap {cap:.4g} Pa, rod {rod:.4g} Pa gauge"
-    half, proof = machine.hydraulics.cylinder.half_stroke[leg], machine.hydraulics.proof_pressure
-    said = {
-        FINITE: f"is not finite: {pressures}, extension {extension:.4g} m",
-        VACUUM: f"has a chamber below vacuum ({pressures}); cavitation_gas sets a floor",
-        PROOF: f"has a chamber beyond the proof pressure of {proof:.4g} Pa ({pressures})",
-        STROKE: f"is at {extension:.4f} m, beyond its stops at +-{half:.4f} m",
-        SOLUTION: "and its supply have no solution for this step",
-    }[bound]
-    with_law = f" with law {law}" if law else ""
-    name = plant.actuators[leg]
-    return f"{plant.name}{with_law}: {name} {said} at {frame * FRAME:.4f} s"
-
-
-def _history(
-    plant: Plant,
-    groups: dict[str, NDArray[np.int64]],
-    out: NDArray[np.float64],
-    every: int,
-    metadata: dict[str, Any],
-) -> _History:
-    legs = plant.legs
-    channels: dict[str, NDArray[np.float64]] = {}
-    units: dict[str, str] = {}
-    base = 0
-
-    def take(name: str, unit: str, width: int | None) -> None:
-        nonlocal base
-        size = 1 if width is None else width
-        values = out[:, base : base + size]
-        channels[name] = values[:, 0] if width is None else values
-        units[name] = unit
-        base += size
-
-    for name, unit in LEG_CHANNELS.items():
-        take(name, unit, legs)
-    take("gimbal_error", "m", None)
-    for name, unit in _SUPPLY_CHANNELS.items():
-        take(name, unit, None)
-    take("energy", "J", len(ENERGIES))
-    take("generalised_position", "m, rad, 1", plant.model.nq)
-    for name, indices in groups.items():
-        take(name, "rad/s" if name.endswith("gyro") else "m/s^2", indices.size)
-    for name, (values, unit) in plant.derived_channels(channels).items():
-        channels[name], units[name] = values, unit
-    time = np.arange(out.shape[0], dtype=np.float64) * (every * FRAME)
-    return time, channels, units, metadata
+    context = {"command": {"signal": "valve commands"}, "seed": None}
+    return Record(time, channels, units, session.describe() | context)

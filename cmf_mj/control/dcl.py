@@ -96,6 +96,8 @@ def engaged(
     limited = np.clip(reference, -dcl.limits.travel, dcl.limits.travel)
     state.error_filter[:] = limited - feedback.position
     state.reference_filter[:] = limited
+    passed = dcl.feedback.accelerometer_gain / (1.0 - dcl.feedback.accelerometer_pole)
+    state.acceleration[:] = passed * feedback.acceleration
     gains = dcl.compensator
     signals = np.zeros(len(SIGNALS))
     for leg in range(legs):

@@ -1,0 +1,1 @@
+"""The compiled frame loop and the blocks around the control law."""

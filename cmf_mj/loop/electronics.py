@@ -1,0 +1,213 @@
+"""What stands between the machine and the control law: sensors, converters, servo electronics.
+
+    truth -> sensors -> (faults) -> anti-alias filter, ADC -> gravity compensation -> DCL's feedback
+    DCL's command -> DAC, limit switches, velocity clamp, rate limiter -> valves
+
+A run without electronics passes None: readings and commands go through to the bit, at no cost.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+from numba.extending import overload
+from numpy.typing import NDArray
+
+from cmf_mj import servo_electronics as servo
+from cmf_mj.compiled import compiled
+from cmf_mj.control.converter import (
+    Converters,
+    ConverterSettings,
+    ConverterState,
+    converter_state,
+    digitise,
+    load_converters,
+    make_converters,
+)
+from cmf_mj.control.dcl import LegFeedback
+from cmf_mj.control.feedback import (
+    GravityCompensation,
+    compensate_gravity,
+    gravity_compensation_state,
+    make_gravity_compensation,
+)
+from cmf_mj.control.law import FRAME
+from cmf_mj.events import read_position
+from cmf_mj.gravity import LegAxesState
+from cmf_mj.sensors import (
+    Sensors,
+    SensorSettings,
+    SensorState,
+    Truth,
+    load_sensors,
+    make_sensors,
+    sense,
+    sensor_state,
+)
+from cmf_mj.servo_electronics import ServoElectronics, ServoSettings, ServoState
+
+
+class ElectronicsSettings(NamedTuple):
+    """Choice of the electronics of a run; sets by name, TOML files, or loaded settings."""
+
+    sensors: str | Path | SensorSettings = "noisy"
+    """`ideal` or `noisy`."""
+    converters: str | Path | ConverterSettings = "sixteen_bit"
+    """`off` or `sixteen_bit`."""
+    gravity_compensation: bool = True
+    """Whether the DCL takes gravity out of the leg accelerometers."""
+    servo: str | Path | ServoSettings | None = None
+    """File of changes to the servo electronics; default the shipped ones."""
+    seed: int = 0
+    """Of the sensors' noise."""
+
+    def describe(self) -> dict[str, Any]:
+        """What a record keeps of the electronics."""
+        return {
+            "sensors": load_sensors(self.sensors).model_dump(mode="json"),
+            "converters": load_converters(self.converters).model_dump(mode="json"),
+            "gravity_compensation": self.gravity_compensation,
+            "servo": servo.load_servo_settings(self.servo).model_dump(mode="json"),
+            "sensor_seed": self.seed,
+        }
+
+
+class Electronics(NamedTuple):
+    """Compiled parameters, states and workspace."""
+
+    sensors: Sensors
+    sensor_state: SensorState
+    converters: Converters
+    converter_state: ConverterState
+    compensation: GravityCompensation
+    compensation_state: LegAxesState
+    servo: ServoElectronics
+    servo_state: ServoState
+    reading: LegFeedback
+    """What the sensors put out."""
+    counts: NDArray[np.float64]
+    """At the DAC, (n,)."""
+    volts: NDArray[np.float64]
+    """At the DAC [V], (n,)."""
+
+
+def make_electronics(settings: ElectronicsSettings, at_rest: LegFeedback) -> Electronics:
+    """Electronics that have seen a machine at rest for a long time.
+
+    Args:
+        settings: which.
+        at_rest: true motion and pressures at the start.
+
+    Raises:
+        ValueError: a refused setting, or gravity on other than six legs.
+    """
+    legs = at_rest.position.shape[0]
+    truth = Truth(*(np.array(values, dtype=float) for values in at_rest))
+    sensors = make_sensors(load_sensors(settings.sensors), 1.0 / FRAME, settings.seed)
+    converters = make_converters(load_converters(settings.converters))
+    compensation = make_gravity_compensation(enabled=settings.gravity_compensation)
+    state = sensor_state(sensors, truth)
+    reading = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
+    sense(sensors, state, 0, truth, reading)
+    return Electronics(
+        sensors,
+        state,
+        converters,
+        converter_state(converters, reading),
+        compensation,
+        gravity_compensation_state(compensation, reading.position),
+        servo.make_servo_electronics(servo.load_servo_settings(settings.servo)),
+        servo.start(legs),
+        reading,
+        np.zeros(legs),
+        np.zeros(legs),
+    )
+
+
+@compiled
+def _copy(faults, truth, feedback):  # type: ignore[no-untyped-def]
+    for leg in range(truth.position.shape[0]):
+        feedback.position[leg] = read_position(faults, leg, truth.position[leg])
+        feedback.velocity[leg] = truth.velocity[leg]
+        feedback.acceleration[leg] = truth.acceleration[leg]
+        feedback.cap_pressure[leg] = truth.cap_pressure[leg]
+        feedback.rod_pressure[leg] = truth.rod_pressure[leg]
+
+
+@compiled
+def _measure(electronics, faults, frame, truth, feedback):  # type: ignore[no-untyped-def]
+    reading = electronics.reading
+    sense(electronics.sensors, electronics.sensor_state, frame, truth, reading)
+    for leg in range(truth.position.shape[0]):
+        reading.position[leg] = read_position(faults, leg, reading.position[leg])
+    digitise(electronics.converters, electronics.converter_state, reading, feedback)
+    compensate_gravity(
+        electronics.compensation,
+        electronics.compensation_state,
+        feedback.position,
+        feedback.acceleration,
+    )
+
+
+def measure(electronics, faults, frame, truth, feedback):  # type: ignore[no-untyped-def]
+    """What the DCL reads of the truth.
+
+    Args:
+        electronics: `Electronics`, or None to read the truth itself.
+        faults: broken position sensors.
+        frame: number of the control frame, chooses the noise.
+        truth: `LegFeedback`.
+        feedback: `LegFeedback`, overwritten.
+    """
+    if electronics is None:
+        _copy(faults, truth, feedback)
+    else:
+        _measure(electronics, faults, frame, truth, feedback)
+
+
+@overload(measure)
+def _compiled_measure(electronics, faults, frame, truth, feedback):  # type: ignore[no-untyped-def]
+    if isinstance(electronics, types.NoneType):
+        return lambda electronics, faults, frame, truth, feedback: _copy(faults, truth, feedback)
+    return lambda electronics, faults, frame, truth, feedback: _measure(
+        electronics, faults, frame, truth, feedback
+    )
+
+
+@compiled
+def _deliver(electronics, raised, position, command):  # type: ignore[no-untyped-def]
+    return servo.step(
+        electronics.servo,
+        electronics.servo_state,
+        raised,
+        command,
+        position,
+        electronics.counts,
+        electronics.volts,
+        command,
+    )
+
+
+def deliver(electronics, raised, position, command):  # type: ignore[no-untyped-def]
+    """Pass the DCL's commands on to the valves, in place.
+
+    Args:
+        electronics: `Electronics`, or None to pass them as they are.
+        raised: whether the lower limit switches are watched.
+        position: true extensions [m], (n,).
+        command: fractions, (n,), overwritten.
+
+    Returns:
+        Whether a limit switch has tripped.
+    """
+    return False if electronics is None else _deliver(electronics, raised, position, command)
+
+
+@overload(deliver)
+def _compiled_deliver(electronics, raised, position, command):  # type: ignore[no-untyped-def]
+    if isinstance(electronics, types.NoneType):
+        return lambda electronics, raised, position, command: False
+    return lambda electronics, raised, position, command: _deliver(
+        electronics, raised, position, command
+    )
