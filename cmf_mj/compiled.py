@@ -42,11 +42,27 @@ class UserWide(_PackageStamp, caching.UserWideCacheLocator):  # type: ignore[mis
 _LOCATORS = ",".join(f"{__name__}.{c.__name__}" for c in (UserProvided, InTree, UserWide))
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function in nopython mode, without the interpreter lock, cached on disk."""
+def _cached(function: Callable[..., Any], **options: bool) -> Callable[..., Any]:
     before = numba.config.CACHE_LOCATOR_CLASSES
     numba.config.CACHE_LOCATOR_CLASSES = _LOCATORS
     try:
-        return numba.njit(nogil=True, cache=True, error_model="numpy")(function)
+        return numba.njit(nogil=True, cache=True, error_model="numpy", **options)(function)
     finally:
         numba.config.CACHE_LOCATOR_CLASSES = before
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function in nopython mode, without the interpreter lock, cached on disk.
+
+    Division by zero gives infinity or NaN, as in NumPy: testing for it costs more than dividing.
+    """
+    return _cached(function)
+
+
+def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function into its callers, as `compiled` otherwise.
+
+    For functions that take many arrays and are called each frame from one place: handing the
+    arrays over would cost more than the work done with them.
+    """
+    return _cached(function, forceinline=True)

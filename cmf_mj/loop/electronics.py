@@ -15,7 +15,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from cmf_mj import servo_electronics as servo
-from cmf_mj.compiled import compiled
+from cmf_mj.compiled import compiled, inlined
 from cmf_mj.control.converter import (
     Converters,
     ConverterSettings,
@@ -125,7 +125,7 @@ def make_electronics(settings: ElectronicsSettings, at_rest: LegFeedback) -> Ele
     )
 
 
-@compiled
+@inlined
 def _copy(faults, truth, feedback):  # type: ignore[no-untyped-def]
     for leg in range(truth.position.shape[0]):
         feedback.position[leg] = read_position(faults, leg, truth.position[leg])
@@ -166,7 +166,7 @@ def measure(electronics, faults, frame, truth, feedback):  # type: ignore[no-unt
         _measure(electronics, faults, frame, truth, feedback)
 
 
-@overload(measure)
+@overload(measure, jit_options={"forceinline": True})
 def _compiled_measure(electronics, faults, frame, truth, feedback):  # type: ignore[no-untyped-def]
     if isinstance(electronics, types.NoneType):
         return lambda electronics, faults, frame, truth, feedback: _copy(faults, truth, feedback)
@@ -204,7 +204,7 @@ def deliver(electronics, raised, position, command):  # type: ignore[no-untyped-
     return False if electronics is None else _deliver(electronics, raised, position, command)
 
 
-@overload(deliver)
+@overload(deliver, jit_options={"forceinline": True})
 def _compiled_deliver(electronics, raised, position, command):  # type: ignore[no-untyped-def]
     if isinstance(electronics, types.NoneType):
         return lambda electronics, raised, position, command: False

@@ -191,7 +191,7 @@ def follow(chain, frame, table, position, fault, tripped, row, reference):  # ty
     return _follow(chain, frame, position, fault, tripped, row, reference)
 
 
-@overload(follow)
+@overload(follow, jit_options={"forceinline": True})
 def _compiled_follow(chain, frame, table, position, fault, tripped, row, reference):  # type: ignore[no-untyped-def]
     if isinstance(chain, types.NoneType):
 
@@ -217,7 +217,7 @@ def watched(chain):  # type: ignore[no-untyped-def]
     return True if chain is None else _watched(chain)
 
 
-@overload(watched)
+@overload(watched, jit_options={"forceinline": True})
 def _compiled_watched(chain):  # type: ignore[no-untyped-def]
     if isinstance(chain, types.NoneType):
         return lambda chain: True

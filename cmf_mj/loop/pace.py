@@ -102,7 +102,7 @@ def begin(pace, frame):  # type: ignore[no-untyped-def]
         _begin(pace, frame)
 
 
-@overload(begin)
+@overload(begin, jit_options={"forceinline": True})
 def _compiled_begin(pace, frame):  # type: ignore[no-untyped-def]
     if isinstance(pace, types.NoneType):
         return lambda pace, frame: None
@@ -115,7 +115,7 @@ def end(pace, frame):  # type: ignore[no-untyped-def]
         _end(pace, frame)
 
 
-@overload(end)
+@overload(end, jit_options={"forceinline": True})
 def _compiled_end(pace, frame):  # type: ignore[no-untyped-def]
     if isinstance(pace, types.NoneType):
         return lambda pace, frame: None

@@ -175,80 +175,41 @@ def make_memory(machine: Machine, delay: int) -> Memory:
 
 
 @compiled
-def _bounds(machine, extension):  # type: ignore[no-untyped-def]
+def _bounds(cylinders, proof_pressure, pressures, extension):  # type: ignore[no-untyped-def]
     """Which bound (-1: none) which leg is beyond."""
-    hydraulics, state = machine.hydraulics, machine.state
     for leg in range(extension.shape[0]):
         for side in range(2):
-            pressure = state.pressure[leg, side]
+            pressure = pressures[leg, side]
             if not np.isfinite(pressure):
                 return FINITE, leg
             if pressure < -ATMOSPHERE:
                 return VACUUM, leg
-            if pressure > hydraulics.proof_pressure:
+            if pressure > proof_pressure:
                 return PROOF, leg
-        if not abs(extension[leg]) < hydraulics.cylinder[leg].half_stroke + _BEYOND_STOP:
+        if not abs(extension[leg]) < cylinders[leg].half_stroke + _BEYOND_STOP:
             return STROKE if np.isfinite(extension[leg]) else FINITE, leg
     return -1, 0
 
 
 @compiled
-def _strike(machine, memory, frame):  # type: ignore[no-untyped-def]
-    """Let the events of a frame happen."""
-    timeline, faults, mechanics = machine.timeline, machine.faults, machine.mechanics
-    while memory.marks[0] < timeline.frame.shape[0] and timeline.frame[memory.marks[0]] <= frame:
-        strike(timeline, memory.marks[0], faults, memory.feedback.position)
-        memory.marks[0] += 1
-        for body in mechanics.payload_bodies:
-            share = faults.plant[OVERLOAD] / mechanics.payload_bodies.shape[0]
-            mechanics.payload[body, 2] = -share
+def _strike(timeline, faults, payload, bodies, marks, position):  # type: ignore[no-untyped-def]
+    """Let the next event happen."""
+    strike(timeline, marks[0], faults, position)
+    marks[0] += 1
+    for body in bodies:
+        payload[body, 2] = -faults.plant[OVERLOAD] / bodies.shape[0]
 
 
 @compiled
-def _control(machine, controller, memory, frame, row):  # type: ignore[no-untyped-def]
-    """One frame of sensors, reference, protection, DCL and servo electronics."""
-    faults, feedback, command = machine.faults, memory.feedback, memory.command
-    measure(controller.electronics, faults, frame, memory.truth, feedback)
-    gain = follow(
-        controller.chain,
-        frame,
-        controller.table,
-        feedback.position,
-        controller.guard.fault[0],
-        memory.marks[1] != 0,
-        row,
-        memory.reference,
-    )
-    if controller.closed:
-        control.step(
-            controller.dcl,
-            controller.state,
-            memory.reference,
-            feedback,
-            memory.signals,
-            memory.output,
-            command[0],
-        )
-        for leg in range(command.shape[1]):
-            command[0, leg] *= gain
-    else:
-        command[0] = memory.reference
-    if deliver(
-        controller.electronics, watched(controller.chain), memory.truth.position, command[0]
-    ):
-        memory.marks[1] = 1
-    if controller.guarded and faults.plant[STOPPED] == 0.0:
-        supply = machine.state.supply[SUPPLY_PRESSURE]
-        limited = memory.signals[:, 0] if controller.closed else feedback.position
-        code = protect(controller.protection, controller.guard, frame, limited, feedback, supply)
-        if code != NO_FAULT and (_UNTRUSTED[code] or not controller.closed):
-            faults.plant[STOPPED] = 1.0
+def _stops(protection, guard, frame, reference, feedback, supply, closed):  # type: ignore[no-untyped-def]
+    """Whether this frame's readings call for an emergency stop."""
+    code = protect(protection, guard, frame, reference, feedback, supply)
+    return code != NO_FAULT and (_UNTRUSTED[code] or not closed)
 
 
 @compiled
-def _record(machine, memory, layout, row):  # type: ignore[no-untyped-def]
+def _record(row, memory, feedback, state, qpos, sensordata, indices):  # type: ignore[no-untyped-def]
     """Write a row."""
-    state, mechanics, feedback = machine.state, machine.mechanics, memory.feedback
     legs = memory.extension.shape[0]
     for leg in range(legs):
         row[leg] = memory.signals[leg, 0]
@@ -266,13 +227,13 @@ def _record(machine, memory, layout, row):  # type: ignore[no-untyped-def]
     row[base] = memory.closure[0]
     memory.closure[0] = 0.0
     base += 1
-    for source in (state.supply, state.energy, mechanics.qpos):
+    for source in (state.supply, state.energy, qpos):
         size = source.shape[0]
         for i in range(size):
             row[base + i] = source[i]
         base += size
-    for i in range(layout.sensors.shape[0]):
-        row[base + i] = mechanics.sensordata[layout.sensors[i]]
+    for i in range(indices.shape[0]):
+        row[base + i] = sensordata[indices[i]]
 
 
 @compiled
@@ -290,28 +251,45 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
     Returns:
         (frame, bound, leg) where the state left its physical bounds; frame -1 if it did not.
     """
+    # Everything is taken out of the tuples here, once: in the loop it would be counted each frame.
     mechanics, hydraulics, state = machine.mechanics, machine.hydraulics, machine.state
-    step, motors, delay = hydraulics.step, mechanics.motors, controller.delay
-    extension, before = memory.extension, memory.before
-    mean, mean_before, load, truth = memory.mean, memory.mean_before, memory.load, memory.truth
-    legs = extension.shape[0]
+    faults, timeline = machine.faults, machine.timeline
+    model, data = mechanics.model, mechanics.data
+    motors, length, neutral, ctrl = (
+        mechanics.motors,
+        mechanics.length,
+        mechanics.neutral,
+        mechanics.ctrl,
+    )
+    sensordata, qpos, bodies = mechanics.sensordata, mechanics.qpos, mechanics.payload_bodies
+    cylinders, step, delay = hydraulics.cylinder, hydraulics.step, controller.delay
+    dcl, dcl_state, table = controller.dcl, controller.state, controller.table
+    protection, guard, closed = controller.protection, controller.guard, controller.closed
+    electronics, chain, pace = controller.electronics, controller.chain, controller.pace
+    extension, before, mean = memory.extension, memory.before, memory.mean
+    mean_before, load, truth = memory.mean_before, memory.load, memory.truth
+    feedback, reference, signals = memory.feedback, memory.reference, memory.signals
+    output, command, marks, closure = memory.output, memory.command, memory.marks, memory.closure
+    plant_faults, supply = faults.plant, state.supply
+    newest, oldest, limited = command[0], command[delay], signals[:, 0]
+    legs, events = extension.shape[0], timeline.frame
     for frame in range(first, last):
-        begin(controller.pace, frame)
+        begin(pace, frame)
         row = frame // layout.every if frame % layout.every == 0 else -1
         for inner in range(layout.steps):
-            call(mechanics.position_stage, mechanics.model, mechanics.data)
+            call(mechanics.position_stage, model, data)
             for leg in range(legs):
                 before[leg] = extension[leg]
-                extension[leg] = mechanics.length[motors[leg]] - mechanics.neutral[leg]
+                extension[leg] = length[motors[leg]] - neutral[leg]
                 mean_before[leg] = mean[leg]
                 mean[leg] = (extension[leg] - before[leg]) / step
-            if (frame > 0 or inner > 0) and not advance(
-                hydraulics, state, machine.faults, memory.command[delay], before, extension
-            ):
-                return frame, SOLUTION, 0
-            forces(hydraulics, state, load)
+            if frame > 0 or inner > 0:
+                if not advance(hydraulics, state, faults, oldest, before, extension):
+                    return frame, SOLUTION, 0
+            forces(cylinders, state.pressure, state.friction, load)
             if inner == 0:
-                _strike(machine, memory, frame)
+                while marks[0] < events.shape[0] and events[marks[0]] <= frame:
+                    _strike(timeline, faults, mechanics.payload, bodies, marks, feedback.position)
                 for leg in range(legs):
                     truth.position[leg] = extension[leg]
                     truth.velocity[leg] = sensors.velocity(mean[leg], mean_before[leg])
@@ -322,18 +300,38 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
                     truth.rod_pressure[leg] = state.pressure[leg, ROD]
                 for age in range(delay, 0, -1):
                     for leg in range(legs):
-                        memory.command[age, leg] = memory.command[age - 1, leg]
-                _control(machine, controller, memory, frame, row)
-                bound, leg = _bounds(machine, extension)
+                        command[age, leg] = command[age - 1, leg]
+                measure(electronics, faults, frame, truth, feedback)
+                fault, tripped = guard.fault[0], marks[1] != 0
+                gain = follow(
+                    chain, frame, table, feedback.position, fault, tripped, row, reference
+                )
+                if closed:
+                    control.step(dcl, dcl_state, reference, feedback, signals, output, newest)
+                    for leg in range(legs):
+                        newest[leg] *= gain
+                else:
+                    for leg in range(legs):
+                        newest[leg] = reference[leg]
+                if deliver(electronics, watched(chain), truth.position, newest):
+                    marks[1] = 1
+                if controller.guarded and plant_faults[STOPPED] == 0.0:
+                    wanted = limited if closed else feedback.position
+                    pressure = supply[SUPPLY_PRESSURE]
+                    if _stops(protection, guard, frame, wanted, feedback, pressure, closed):
+                        plant_faults[STOPPED] = 1.0
+                bound, leg = _bounds(
+                    cylinders, hydraulics.proof_pressure, state.pressure, extension
+                )
                 if bound >= 0:
                     return frame, bound, leg
             for i in layout.gimbals:
-                x, y, z = mechanics.sensordata[i : i + 3]
-                memory.closure[0] = max(memory.closure[0], np.sqrt(x * x + y * y + z * z))
+                x, y, z = sensordata[i], sensordata[i + 1], sensordata[i + 2]
+                closure[0] = max(closure[0], np.sqrt(x * x + y * y + z * z))
             if inner == 0 and row >= 0:
-                _record(machine, memory, layout, layout.out[row])
+                _record(layout.out[row], memory, feedback, state, qpos, sensordata, layout.sensors)
             for leg in range(legs):
-                mechanics.ctrl[motors[leg]] = load[leg]
-            call(mechanics.force_stage, mechanics.model, mechanics.data)
-        end(controller.pace, frame)
+                ctrl[motors[leg]] = load[leg]
+            call(mechanics.force_stage, model, data)
+        end(pace, frame)
     return -1, -1, 0

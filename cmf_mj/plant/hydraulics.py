@@ -294,13 +294,18 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
 
 
 @compiled
-def forces(hydraulics, state, out):  # type: ignore[no-untyped-def]
-    """Axial forces of all actuators on their rods, friction taken off [N], (n,), to `out`."""
+def forces(cylinders, pressure, friction, out):  # type: ignore[no-untyped-def]
+    """Axial forces of all actuators on their rods, friction taken off [N], (n,), to `out`.
+
+    Args:
+        cylinders: `Hydraulics.cylinder`.
+        pressure: cap and rod pressures [Pa], (n, 2).
+        friction: [N], (n,).
+        out: overwritten.
+    """
     for leg in range(out.shape[0]):
-        out[leg] = (
-            force(hydraulics.cylinder[leg], state.pressure[leg, CAP], state.pressure[leg, ROD])
-            - state.friction[leg]
-        )
+        load = force(cylinders[leg], pressure[leg, CAP], pressure[leg, ROD])
+        out[leg] = load - friction[leg]
 
 
 def oil_content(hydraulics: Hydraulics, state: HydraulicState) -> float:

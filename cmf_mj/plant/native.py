@@ -51,6 +51,6 @@ def _call(typing_context: Any, function: Any, model: Any, data: Any) -> Any:
     return signature, generate
 
 
-@overload(call)
+@overload(call, jit_options={"forceinline": True})
 def _compiled_call(function, model, data):  # type: ignore[no-untyped-def]
     return lambda function, model, data: _call(function, model, data)
