@@ -2,7 +2,7 @@
 
 from cmf_mj.host.datagram import DATAGRAM_REASONS, LAYOUT, DatagramError, decode, encode
 from cmf_mj.host.files import HostSession, read_stream, write_stream
-from cmf_mj.host.handover import Ring, collect, logged, make_log, make_ring, put
+from cmf_mj.host.handover import NEVER, Ring, collect, logged, make_log, make_ring, put
 from cmf_mj.host.stream import (
     HostFrame,
     HostStream,
@@ -17,6 +17,7 @@ from cmf_mj.host.udp import SendReport, UdpReceiver, UdpSender, parse_target
 __all__ = [
     "DATAGRAM_REASONS",
     "LAYOUT",
+    "NEVER",
     "DatagramError",
     "HostFrame",
     "HostSession",

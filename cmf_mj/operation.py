@@ -1,0 +1,303 @@
+"""The facility in operation: host frames to the legs through the whole chain of Figures 2-5 to 2-7.
+
+    host -> DCU -> platform limits -> demand -> operating states -> leg limits -> DCL
+         -> servo electronics -> valves -> machine -> sensors -> ADC -> DCL
+
+`operate` runs recorded or made-up frames as fast as it can; `serve` runs the machine in real time
+on frames from the network. Both give an `Operation`: the record, what became of the host's frames,
+and the session, which run again gives the same demand bit for bit.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj import host as hosts
+from cmf_mj import kinematics, units
+from cmf_mj.control import governor, states
+from cmf_mj.control.dcu import Arrivals, DcuSettings, load_dcu, make_dcu
+from cmf_mj.control.demand import Demand, make_demand
+from cmf_mj.control.law import FRAME, Law, load_law
+from cmf_mj.control.protection import ProtectionSettings, load_protection
+from cmf_mj.control.states import Request, State, StateSettings
+from cmf_mj.events import Event
+from cmf_mj.loop.electronics import ElectronicsSettings
+from cmf_mj.loop.front import LOG, Chain, make_chain
+from cmf_mj.loop.pace import Pace, make_pace
+from cmf_mj.loop.session import Session
+from cmf_mj.motion_limits import MotionLimits, load_motion_limits
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.record import Record
+from cmf_mj.signals import RATE
+
+_RESTING = -37.95 * units.INCH
+"""Leg position on the stops: a little above the mechanical end at -38 in [m]."""
+
+_LOG_CAPACITY = 200.0
+"""Host frames a second to keep room for; the DCU refuses what comes faster."""
+
+
+class FacilitySettings(NamedTuple):
+    """Choice of everything between host and valves; names, TOML files or loaded settings."""
+
+    dcu: str | Path | DcuSettings = "default"
+    """Digital Control Unit."""
+    limits: str | Path | MotionLimits | None = None
+    """Limits of platform and legs; default Table 2-1 with the assumed rates."""
+    states: str | Path | StateSettings | None = None
+    """Operating states."""
+    demand: Demand | None = None
+    """Leg demand, with body flexibility if wanted; default rigid."""
+    electronics: ElectronicsSettings | None = ElectronicsSettings()
+    """Sensors, converters, servo electronics; None for ideal ones."""
+    protection: str | Path | ProtectionSettings | None = "default"
+    """Fault detection; None for none."""
+
+
+class Timing(NamedTuple):
+    """How a run in real time kept up."""
+
+    busy: NDArray[np.float64]
+    """Computing time of each control frame [s], (N,)."""
+    late: NDArray[np.float64]
+    """How late each began [s], (N,)."""
+
+    @property
+    def over(self) -> int:
+        """Frames that computed for longer than a control frame."""
+        return int((self.busy > FRAME).sum())
+
+    def percentile(self, share: float) -> float:
+        """Computing time that a share of the frames, in per cent, stays below [s]."""
+        return float(np.percentile(self.busy, share))
+
+
+class Operation(NamedTuple):
+    """What a run of the facility gave."""
+
+    record: Record
+    """All signals; `demand_pose`, its derivatives, `operating_state`, `host_stale` and
+    `valve_gain` besides those of `simulate`."""
+    session: hosts.HostSession
+    """The host's frames as they arrived."""
+    counts: dict[str, int]
+    """What the DCU made of the frames: accepted, late, missing and so on."""
+    rejections: dict[str, int]
+    """Frames the DCU refused, by reason."""
+    timing: Timing | None
+    """Of a run in real time."""
+
+
+def operate(
+    plant: Hexapod,
+    law: str | Path | Law,
+    frames: hosts.HostStream | Arrivals,
+    *,
+    seconds: float | None = None,
+    begin: State = State.ENGAGED,
+    requests: Sequence[tuple[float, Request]] = (),
+    events: Sequence[Event] = (),
+    facility: FacilitySettings | None = None,
+    record_every: int = 1,
+) -> Operation:
+    """Run the facility on host frames.
+
+    Args:
+        plant: the hexapod.
+        law: name, TOML file or loaded `Law`.
+        frames: a `HostStream`, or frames with the control frame they arrive in.
+        seconds: length of the run; default until a second after the last frame.
+        begin: operating state to begin in: off, settled, hold or engaged. Off and settled begin on
+            the stops, the others at the first frame's pose.
+        requests: operator's requests and their times [s].
+        events: failures on the time line.
+        facility: everything between host and valves.
+        record_every: keep one frame in this many.
+
+    Raises:
+        ValueError: an argument out of range, named.
+        FloatingPointError: the state left its physical bounds; leg, time and value are named.
+    """
+    arrivals = hosts.arrivals(frames) if isinstance(frames, hosts.HostStream) else frames
+    if not arrivals.frame.size:
+        raise ValueError("frames: the host sends none; give at least one")
+    last = arrivals.frame[-1] / RATE + 1.0
+    count = _count(last if seconds is None else seconds)
+    pose = np.array(arrivals.values[0, 0])
+    session, unit = _prepare(
+        plant,
+        load_law(law),
+        arrivals,
+        hosts.make_ring(2),
+        False,
+        count,
+        begin,
+        pose,
+        requests,
+        events,
+        facility or FacilitySettings(),
+        None,
+        record_every,
+    )
+    session.run()
+    return _operation(session, arrivals, unit, pose, None)
+
+
+def serve(
+    plant: Hexapod,
+    law: str | Path | Law,
+    ring: hosts.Ring,
+    seconds: float,
+    *,
+    begin: State = State.ENGAGED,
+    requests: Sequence[tuple[float, Request]] = (),
+    events: Sequence[Event] = (),
+    facility: FacilitySettings | None = None,
+    record_every: int = 16,
+    progress: Callable[[float], None] | None = None,
+) -> Operation:
+    """Run the facility in real time on frames that a receiver puts into a ring.
+
+    Compiles and warms up first; the clock starts after that.
+
+    Args:
+        plant: the hexapod.
+        law: name, TOML file or loaded `Law`.
+        ring: of `host.UdpReceiver`, or filled by `host.put`.
+        seconds: length of the run.
+        begin: operating state to begin in.
+        requests: operator's requests and their times [s].
+        events: failures on the time line.
+        facility: everything between host and valves.
+        record_every: keep one frame in this many.
+        progress: called with the seconds run, about once a second.
+
+    Raises:
+        ValueError: an argument out of range, named.
+        OSError: no monotonic clock to keep time by.
+        FloatingPointError: the state left its physical bounds; leg, time and value are named.
+    """
+    settings, loaded, neutral = facility or FacilitySettings(), load_law(law), np.zeros(6)
+
+    def prepared(count: int, source: hosts.Ring, pace: Pace) -> tuple[Session, DcuSettings]:
+        log = hosts.make_log(int(count / RATE * _LOG_CAPACITY) + 256)
+        return _prepare(
+            plant, loaded, log, source, True, count, begin, neutral, requests, events, settings,
+            pace, record_every,
+        )  # fmt: skip
+
+    prepared(8, hosts.make_ring(2), make_pace(8))[0].run()
+    count = _count(seconds)
+    pace = make_pace(count)
+    session, unit = prepared(count, ring, pace)
+    ring.read[0] = ring.written[0]
+    while session.frame < count:
+        session.run(RATE)
+        if progress is not None:
+            progress(session.frame / RATE)
+    log = _chain(session).arrivals
+    arrivals = hosts.logged(log, int((log.frame < hosts.NEVER).sum()))
+    return _operation(session, arrivals, unit, neutral, Timing(pace.busy, pace.late))
+
+
+def _chain(session: Session) -> Chain:
+    chain = session.controller.chain
+    if chain is None:
+        raise TypeError("session: runs on a table, not on a chain")
+    return chain
+
+
+def _count(seconds: float) -> int:
+    if not (np.isfinite(seconds) and seconds > 0.0):
+        raise ValueError(f"seconds: {seconds} must be greater than 0")
+    return max(round(seconds * RATE), 1)
+
+
+def _prepare(
+    plant: Hexapod,
+    law: Law,
+    arrivals: Arrivals,
+    ring: hosts.Ring,
+    live: bool,
+    count: int,
+    begin: State,
+    pose: NDArray[np.float64],
+    requests: Sequence[tuple[float, Request]],
+    events: Sequence[Event],
+    facility: FacilitySettings,
+    pace: Pace | None,
+    every: int,
+) -> tuple[Session, DcuSettings]:
+    if every < 1:
+        raise ValueError(f"record_every: {every} frames must be at least 1")
+    settings = load_dcu(facility.dcu)
+    limits = load_motion_limits(facility.limits)
+    shown = states.make_states(states.load_state_settings(facility.states))
+    down = begin in (State.OFF, State.SETTLED)
+    legs = np.full(6, _RESTING) if down else kinematics.pose_to_legs(pose)
+    start = kinematics.legs_to_pose(legs) if down else pose
+    chain = make_chain(
+        make_dcu(settings),
+        arrivals,
+        sorted((round(at * RATE), code) for at, code in requests),
+        -(-count // every),
+        begin=begin,
+        ring=ring,
+        live=live,
+        limits=(governor.make_pose_governor(limits), governor.make_leg_governor(limits)),
+        shown=shown,
+        geometry=facility.demand or make_demand(),
+        position=legs,
+        pose=pose,
+    )
+    protection = facility.protection
+    session = Session(
+        plant,
+        law,
+        chain.reference[:1].copy(),
+        frames=count,
+        start=start,
+        events=events,
+        protection=None if protection is None else load_protection(protection),
+        electronics=facility.electronics,
+        chain=chain,
+        pace=pace,
+        record_every=every,
+    )
+    if down:
+        session.controller.state.integral[:] = 0.0
+    return session, settings
+
+
+def _operation(
+    session: Session,
+    arrivals: Arrivals,
+    unit: DcuSettings,
+    pose: NDArray[np.float64],
+    timing: Timing | None,
+) -> Operation:
+    time, channels, channel_units = session.history()
+    chain = _chain(session)
+    log = chain.log[: time.size]
+    shapes = ("m, rad", "m/s, rad/s", "m/s^2, rad/s^2")
+    named: dict[str, NDArray[np.float64]] = {}
+    for index, (name, unit_name) in enumerate(zip(LOG[:3], shapes, strict=True)):
+        named[name] = log[:, 6 * index : 6 * index + 6]
+        channel_units[name] = unit_name
+    for index, name in enumerate(LOG[3:]):
+        named[name] = log[:, 18 + index]
+        channel_units[name] = "1"
+    counts, rejections = chain.dcu_state.counts, chain.dcu_state.rejections
+    context: dict[str, Any] = {
+        "command": {"signal": "host frames", "frames": int(arrivals.frame.size)},
+        "seed": None,
+        "dcu": unit.model_dump(mode="json"),
+        "host_counts": counts,
+        "host_rejections": rejections,
+    }
+    record = Record(time, named | channels, channel_units, session.describe() | context)
+    played = hosts.HostSession(arrivals, session.frame, pose, unit)
+    return Operation(record, played, counts, rejections, timing)
