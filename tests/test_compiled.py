@@ -15,11 +15,13 @@ from cmf_mj import SingleLegs, signals, simulate
 FORCES = """
 import numpy as np
 from cmf_mj.parameters import load_hydraulics
-from cmf_mj.plant.hydraulics import forces, make_hydraulics
-hydraulics = make_hydraulics(load_hydraulics("report"))
+from cmf_mj.plant.hydraulics import forces, make_hydraulics, rest
+hydraulics = make_hydraulics(load_hydraulics("report"), ["leg"], 1 / 2048)
+state = rest(hydraulics, np.zeros(1), np.zeros(1))
+state.pressure[0] = 2.0e6, 0.0
 out = np.zeros(1)
-forces(hydraulics, np.array([[0.0, 0.0, 2.0e6, 0.0]]), out)
-print(out[0] / hydraulics.cylinder.cap_area)
+forces(hydraulics, state, out)
+print(out[0] / hydraulics.cylinder.cap_area[0])
 """
 
 

@@ -9,10 +9,13 @@ from cmf_mj.plant.cylinder import (
     Cylinder,
     force,
     holding_pressures,
-    make_cylinder,
+    make_cylinders,
     stiffness,
+    throttled,
     volumes,
 )
+
+BETA = units.to_si("psi", 100000.0)
 
 SUPPLY = units.to_si("psi", 1500.0)
 TANK = units.to_si("psi", 40.0)
@@ -21,7 +24,7 @@ MASS = units.to_si("lbm", 7200.0)
 
 @pytest.fixture(params=HYDRAULICS)
 def cylinder(request: pytest.FixtureRequest) -> Cylinder:
-    return make_cylinder(load_hydraulics(request.param))
+    return Cylinder(*make_cylinders(load_hydraulics(request.param), ["leg"])[0])
 
 
 @pytest.fixture
@@ -83,7 +86,7 @@ def test_force_is_pressure_times_area(cylinder: Cylinder) -> None:
 def test_stiffness_gives_the_leg_mode_of_eq_4_1(cylinder: Cylinder) -> None:
     """sqrt(beta (A_cap + A_rod) / h / 7200 lbm): hand calculation gives 71.00 rad/s, Eq 4.1's
     printed denominator has the pair -0.807 +- 70.999j, modulus 71.0035 rad/s."""
-    found = float(np.sqrt(stiffness(cylinder, 0.0) / MASS))
+    found = float(np.sqrt(stiffness(cylinder, BETA, 0.0) / MASS))
     assert found == pytest.approx(71.00, rel=5e-4)
     roots = np.roots([1, 491.9, 1.481e4, 2.488e6, 4.526e7, 8.755e6, 4.32e4])
     pair = roots[roots.imag > 0]
@@ -92,10 +95,8 @@ def test_stiffness_gives_the_leg_mode_of_eq_4_1(cylinder: Cylinder) -> None:
 
 
 def test_stiffness_at_neutral_is_its_formula(cylinder: Cylinder) -> None:
-    expected = (
-        cylinder.bulk_modulus * (cylinder.cap_area + cylinder.rod_area) / cylinder.half_stroke
-    )
-    assert float(stiffness(cylinder, 0.0)) == pytest.approx(expected, rel=1e-14)
+    expected = BETA * (cylinder.cap_area + cylinder.rod_area) / cylinder.half_stroke
+    assert float(stiffness(cylinder, BETA, 0.0)) == pytest.approx(expected, rel=1e-14)
 
 
 def test_stiffness_is_the_slope_of_the_force_of_enclosed_oil(cylinder: Cylinder) -> None:
@@ -108,18 +109,18 @@ def test_stiffness_is_the_slope_of_the_force_of_enclosed_oil(cylinder: Cylinder)
         start = np.array(volumes(cylinder, extension))
 
         def held(moved: float, start: np.ndarray = start) -> float:
-            pressures = cylinder.bulk_modulus * np.log(start / np.array(volumes(cylinder, moved)))
+            pressures = BETA * np.log(start / np.array(volumes(cylinder, moved)))
             return float(force(cylinder, *pressures))
 
         slope = -(held(extension + step) - held(extension - step)) / (2 * step)
-        assert float(stiffness(cylinder, extension)) == pytest.approx(slope, rel=1e-7)
+        assert float(stiffness(cylinder, BETA, extension)) == pytest.approx(slope, rel=1e-7)
 
 
 def test_stiffness_keeps_one_value_per_leg(cylinder: Cylinder) -> None:
     extensions = np.array([-0.5, 0.0, 0.3])
-    found = stiffness(cylinder, extensions)
+    found = stiffness(cylinder, BETA, extensions)
     assert found.shape == (3,)
-    assert list(found) == [float(stiffness(cylinder, x)) for x in extensions]
+    assert list(found) == [float(stiffness(cylinder, BETA, x)) for x in extensions]
 
 
 @pytest.mark.parametrize("leaky", [True, False])
@@ -191,13 +192,27 @@ def test_leakage_relaxes_the_force_of_a_displaced_leg_at_the_leak_rate() -> None
     """dF/dt = -lambda F right after a displacement at neutral: there p_cap : p_rod = 1 : -1, so
     dF/dt = -2 beta L / h (p_cap - p_rod) with F = (A_cap + A_rod) p_cap."""
     parameters = load_hydraulics("hardware")
-    cylinder = make_cylinder(parameters)
+    cylinder = Cylinder(*make_cylinders(parameters, ["leg"])[0])
     pressure = 1e6
     held = force(cylinder, pressure, -pressure)
     cap_volume, rod_volume = volumes(cylinder, 0.0)
-    flow = cylinder.leakage * 2 * pressure
-    cap_rate = -cylinder.bulk_modulus * flow / cap_volume
-    rod_rate = cylinder.bulk_modulus * flow / rod_volume
+    # L counts content, of which a volume at mid pressure, 750 psi, holds exp(750 psi / beta).
+    flow = cylinder.leakage * 2 * pressure / np.exp(750.0 / 100000.0)
+    cap_rate = -BETA * flow / cap_volume
+    rod_rate = BETA * flow / rod_volume
     assert force(cylinder, cap_rate, rod_rate) == pytest.approx(
-        -parameters.leak_rate.si * held, rel=1e-12
+        -parameters.leak_rate.si * held, rel=1e-7
     )
+
+
+def test_cushion_is_an_orifice_in_series_with_the_valve() -> None:
+    """1/G^2 = 1/g^2 + (e/G_stop)^2, e = 0 at the cushion's edge and 1 at the stop."""
+    parameters = load_hydraulics("lossy")
+    cylinder = Cylinder(*make_cylinders(parameters, ["leg"])[0])
+    length, full = parameters.cushion_length.si, 3.0
+    stop = parameters.cushion_opening.si * full
+    for gap, e in ((length, 0.0), (0.5 * length, 0.5), (0.0, 1.0), (-0.01, 1.0)):
+        found = throttled(cylinder, gap, 2.0, full)
+        assert 1 / found**2 == pytest.approx(1 / 4.0 + (e / stop) ** 2, rel=1e-12)
+    assert throttled(cylinder, 2 * length, 2.0, full) == 2.0
+    assert throttled(cylinder, 0.0, 0.0, full) == 0.0

@@ -70,7 +70,8 @@ def test_leak_rate_of_the_report_set_damps_the_pole_pair():
 @pytest.mark.parametrize("name", HYDRAULICS)
 def test_every_quantity_has_unit_status_and_source(name):
     quantities = load_hydraulics(name).quantities()
-    assert set(quantities) == set(HydraulicParameters.model_fields) - {"name"}
+    others = {"name", "supply", "actuators"}
+    assert set(quantities) == set(HydraulicParameters.model_fields) - others
     for entry in quantities.values():
         assert entry.status in ("stated", "derived", "calibrated", "assumed")
         assert len(entry.source) > 10
@@ -78,9 +79,31 @@ def test_every_quantity_has_unit_status_and_source(name):
 
 
 def test_sets_differ_only_in_what_is_calibrated():
-    """Leg speed and leakage; the rest is the same machine."""
-    report, hardware = (load_hydraulics(name).quantities() for name in ("report", "hardware"))
-    assert {n for n in report if report[n] != hardware[n]} == {"leg_speed", "leak_rate"}
+    """Leg speed and leakage; the rest is the same machine, the report's on a constant supply."""
+    report, hardware = (load_hydraulics(name) for name in ("report", "hardware"))
+    mine, other = report.quantities(), hardware.quantities()
+    assert {n for n in mine if mine[n] != other[n]} == {"leg_speed", "leak_rate"}
+    assert (report.supply, hardware.supply) == ("constant", "network")
+
+
+def test_lossy_is_hardware_with_losses():
+    """Nothing but losses differs, each off in the hardware set."""
+    hardware, lossy = (load_hydraulics(name) for name in ("hardware", "lossy"))
+    mine, other = hardware.quantities(), lossy.quantities()
+    differ = {n for n in mine if mine[n].si != other[n].si}
+    assert differ == {
+        "null_bias",
+        "overlap",
+        "hysteresis",
+        "bearing_leakage",
+        "coulomb_friction",
+        "breakaway_friction",
+        "viscous_friction",
+        "entrained_gas",
+        "cushion_length",
+    }
+    assert all(mine[n].value == 0.0 < other[n].value for n in differ)
+    assert hardware.supply == lossy.supply == "network"
 
 
 def test_leg_speeds_lie_in_the_published_range():
@@ -257,6 +280,12 @@ def test_all_faults_are_reported_at_once(own):
         ("rod_diameter", 6.25, "in"),
         ("minimum_gap", 60.5, "in"),
         ("return_pressure", 1600.5, "psi"),
+        ("precharge_pressure", 1500.5, "psi"),
+        ("supply_pressure", 1700.5, "psi"),
+        ("relief_pressure", 6000.5, "psi"),
+        ("coulomb_friction", 10.5, "lbf"),
+        ("accumulator_count", 2.5, "1"),
+        ("gas_exponent", 0.95, "1"),
     ],
 )
 def test_quantities_that_contradict_name_field_and_value(own, field, value, unit):
@@ -306,7 +335,9 @@ def test_missing_file_is_named(tmp_path):
 @pytest.mark.parametrize("name", ["hardwar", "", "set.json"])
 def test_unknown_set_lists_the_sets(name):
     message = refusal(name)
-    assert message == f"hydraulics: {name!r} is neither report nor hardware nor a .toml file"
+    assert message == (
+        f"hydraulics: {name!r} is not one of report, hardware, lossy nor a .toml file"
+    )
 
 
 def test_published_units_convert() -> None:
@@ -316,3 +347,43 @@ def test_published_units_convert() -> None:
     assert p.leg_speed.si == pytest.approx(0.35 * 0.0254 / 0.01, rel=1e-14)
     assert p.drive_lag.si == pytest.approx(6 * np.pi, rel=1e-14)
     assert p.supply_pressure.si == pytest.approx(1500 * 6894.757, rel=1e-7)
+
+
+# Actuators and valves of their own
+
+
+def test_an_actuator_and_a_valve_may_differ(own):
+    """Each number comes from the valve, else the actuator, else the set."""
+    table = f"""
+    [mine.actuators.leg_3]
+    leak_rate = {quantity(25.0, "1/s")}
+    null_bias = {quantity(2.0, "%")}
+    [mine.actuators.leg_3.valve_2]
+    null_bias = {quantity(-1.0, "%")}
+    """
+    p = load_hydraulics(own(table))
+    assert p.actuator("leg_1") == p.quantities() == load_hydraulics(own()).quantities()
+    assert p.actuator("leg_3")["leak_rate"].value == 25.0
+    assert p.actuator("leg_3", 0)["null_bias"].value == 2.0
+    assert p.actuator("leg_3", 1)["null_bias"].value == -1.0
+    assert p.actuator("leg_3", 1)["leak_rate"].value == 25.0
+    assert p.actuator("leg_3")["bore_diameter"] == p.bore_diameter
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("[mine.actuators.leg_3]\nrod_diameter = {q}", "actuators.leg_3.rod_diameter: 7 in must"),
+        ("[mine.actuators.leg_3]\npump_flow = {q}", "actuators.leg_3.pump_flow: is not a known"),
+        ("[mine.actuators.leg_3.valve_1]\nleak_rate = {q}", "leg_3.valve_1.leak_rate: is not a"),
+        ("[mine.actuators.leg_3.valve_3]\nnull_bias = {q}", "leg_3.valve_3: is not a known"),
+        ("[mine.actuators.leg_3.valve_1]\nnull_bias = {q}", "leg_3.valve_1.null_bias: "),
+    ],
+)
+def test_refusals_of_an_actuators_numbers_say_where(own, table, message):
+    assert message in refusal(own(table.format(q=quantity(7.0, "in"))))
+
+
+def test_friction_needs_a_coulomb_force(own):
+    message = refusal(own(f"breakaway_friction = {quantity(20.0, 'lbf')}"))
+    assert "breakaway_friction: 20 lbf needs a coulomb_friction greater than 0" in message

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.compiled import compiled
 from cmf_mj.parameters import HydraulicParameters, Quantity
 from cmf_mj.parameters.hydraulics import cap_area, piston_leakage, rod_area
+from cmf_mj.plant.oil import density, make_oil
 from cmf_mj.plant.table import table
 
 CAP, ROD = 0, 1
@@ -66,6 +67,9 @@ class Cylinder(NamedTuple):
 def make_cylinders(parameters: HydraulicParameters, actuators: Sequence[str]) -> np.recarray:
     """Derive the cylinders of all actuators from a parameter set, (n,) of `Cylinder`."""
     network = parameters.supply == "network"
+    # Flows count content; leak_rate is what a volume at mid pressure loses.
+    middle = 0.5 * (parameters.supply_pressure.si + parameters.return_pressure.si)
+    content = density(make_oil(parameters), middle)[0]
 
     def one(own: dict[str, Quantity]) -> Cylinder:
         cap, rod = cap_area(own), rod_area(own)
@@ -76,7 +80,7 @@ def make_cylinders(parameters: HydraulicParameters, actuators: Sequence[str]) ->
             rod_area=rod,
             half_stroke=own["half_stroke"].si,
             minimum_gap=own["minimum_gap"].si,
-            leakage=piston_leakage(own),
+            leakage=piston_leakage(own) * content,
             bearing=own["bearing_leakage"].si,
             cushion=own["cushion_length"].si,
             cushion_opening=own["cushion_opening"].si,

@@ -10,6 +10,10 @@ implicit Runge-Kutta method of Alexander (1977),
 second order and L-stable, so that a chamber near its stop or with no pressure across its port,
 whose rates reach 1e5 1/s, is as harmless as one in mid-stroke. See `solver` for the stages. The
 method conserves what is linear in the state: oil, to rounding.
+
+The method is not contractive where flows are not linear: a chamber torn to vacuum, which takes oil
+back at one atmosphere only, would swing between vacuum and pressure for ever. A step in which a
+chamber is below half an atmosphere is taken by the implicit Euler method, which is.
 """
 
 from collections.abc import Sequence
@@ -31,7 +35,7 @@ from cmf_mj.plant.cylinder import (
 )
 from cmf_mj.plant.faults import ACCUMULATORS_LOST, BURST_AREA, PUMP_LOST, STOPPED
 from cmf_mj.plant.friction import make_frictions, slide
-from cmf_mj.plant.oil import Oil, density, make_oil, stored
+from cmf_mj.plant.oil import ATMOSPHERE, Oil, density, least_pressure, make_oil, stored
 from cmf_mj.plant.solver import FLOWS, Stage, make_stage, solve
 from cmf_mj.plant.supply import (
     ACCUMULATOR,
@@ -51,6 +55,9 @@ from cmf_mj.plant.supply import (
 from cmf_mj.plant.valve import JAMMED, OVERRIDE, laminar_root, make_valves, opening, spool
 
 _GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
+
+_TORN = -0.5 * ATMOSPHERE
+"""Gauge pressure below which a chamber counts as torn [Pa]."""
 
 ENERGIES = (*FLOWS, "mechanical", "friction")
 """Columns of `HydraulicState.energy` [J]: work of pump and accumulators, losses in valves, lines,
@@ -212,6 +219,25 @@ def _open(hydraulics, state, faults, last, command, before, after):  # type: ign
 
 
 @compiled
+def _lowest(pressure):  # type: ignore[no-untyped-def]
+    lowest = pressure[0, CAP]
+    for leg in range(pressure.shape[0]):
+        lowest = min(lowest, pressure[leg, CAP], pressure[leg, ROD])
+    return lowest
+
+
+@compiled
+def _count(hydraulics, energy, stage, time, part, before, after):  # type: ignore[no-untyped-def]
+    """Add to the energies what a stage passes in its time, over its part of the motion."""
+    for i in range(len(FLOWS)):
+        energy[i] += time * stage.power[i]
+    for leg in range(before.shape[0]):
+        own = stage.chambers[leg]
+        load = force(hydraulics.cylinder[leg], own.cap, own.rod)
+        energy[_MECHANICAL] += part * load * (after[leg] - before[leg])
+
+
+@compiled
 def advance(hydraulics, state, faults, command, before, after):  # type: ignore[no-untyped-def]
     """Advance all actuators and the supply by one mechanical step, in place.
 
@@ -230,7 +256,7 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
     network, energy = state.supply, state.energy
     chambers, manifolds = stage.chambers, stage.manifolds[0]
     legs = before.shape[0]
-    weight = _GAMMA * step
+    weight, least = _GAMMA * step, least_pressure(hydraulics.oil)
     gas, rise = gas_pressure(supply, network[ACCUMULATOR])
     manifolds.gas, manifolds.gas_rise, manifolds.gas_oil = gas, rise, network[ACCUMULATOR]
     manifolds.running = 0.0 if faults.plant[PUMP_LOST] > 0.0 else 1.0
@@ -241,6 +267,9 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
     network[ISOLATION] = min(max(network[ISOLATION] + closing, 0.0), 1.0)
     manifolds.high, manifolds.low = network[SUPPLY_PRESSURE], network[RETURN_PRESSURE]
 
+    for i in range(energy.shape[0]):
+        stage.energy[i] = energy[i]
+    torn = _lowest(state.pressure) < _TORN
     converged = True
     for last in (False, True):
         _open(hydraulics, state, faults, last, command, before, after)
@@ -252,11 +281,12 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
                 share = (step - weight) / weight
                 own.cap_known += share * (own.cap_content - own.cap_known)
                 own.rod_known += share * (own.rod_content - own.rod_known)
-                own.cap = cap + (own.cap - cap) / _GAMMA
-                own.rod = rod + (own.rod - rod) / _GAMMA
+                own.cap = max(cap + (own.cap - cap) / _GAMMA, least)
+                own.rod = max(rod + (own.rod - rod) / _GAMMA, least)
             else:
                 own.cap_known, own.rod_known = state.content[leg, CAP], state.content[leg, ROD]
-                own.cap, own.rod = cap + _GAMMA * own.cap_change, rod + _GAMMA * own.rod_change
+                own.cap = max(cap + _GAMMA * own.cap_change, least)
+                own.rod = max(rod + _GAMMA * own.rod_change, least)
         for node in range(CONTENTS + 1):
             if last:
                 share = (step - weight) / weight
@@ -269,11 +299,20 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
         )
         converged &= solved >= 0
         share = weight if last else step - weight
-        for i in range(len(FLOWS)):
-            energy[i] += share * stage.power[i]
+        _count(hydraulics, energy, stage, share, share / step, before, after)
         for leg in range(legs):
-            load = force(hydraulics.cylinder[leg], chambers[leg].cap, chambers[leg].rod)
-            energy[_MECHANICAL] += share / step * load * (after[leg] - before[leg])
+            torn |= chambers[leg].cap < _TORN or chambers[leg].rod < _TORN
+    if torn:
+        for i in range(energy.shape[0]):
+            energy[i] = stage.energy[i]
+        for leg in range(legs):
+            own = chambers[leg]
+            own.cap_known, own.rod_known = state.content[leg, CAP], state.content[leg, ROD]
+        for node in range(CONTENTS + 1):
+            stage.known[node] = network[node]
+        solved = solve(hydraulics.cylinder, hydraulics.oil, supply, hydraulics.laminar, stage, step)
+        converged = solved >= 0
+        _count(hydraulics, energy, stage, step, 1.0, before, after)
 
     for leg in range(legs):
         own = chambers[leg]

@@ -31,7 +31,9 @@ FLOWS = ("pump", "accumulators", "valves", "lines", "leakage", "relief", "burst"
 """Powers of a stage [W]: given by pump and accumulators, lost in the others."""
 
 _TOLERANCE = 20.0
-"""Last Newton change accepted [Pa]; convergence is quadratic, the error left is far below 1 Pa."""
+"""Last Newton change accepted [Pa]; convergence is quadratic, the error left is far below 1 Pa. In
+a torn chamber, where gas makes a Pascal mean much content, that content counts, as compression of
+oil."""
 _ITERATIONS = 60
 
 
@@ -118,6 +120,8 @@ class Stage(NamedTuple):
     """Result of the same, (5,)."""
     power: NDArray[np.float64]
     """Powers of the stage, see `FLOWS`."""
+    energy: NDArray[np.float64]
+    """Energies at the start of the step."""
 
 
 def make_stage(actuators: int) -> Stage:
@@ -128,6 +132,7 @@ def make_stage(actuators: int) -> Stage:
         np.zeros(5),
         np.zeros(5),
         np.zeros(len(FLOWS)),
+        np.zeros(len(FLOWS) + 2),
     )
 
 
@@ -233,8 +238,8 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
                 own_high += high_cap * (1.0 - own.cap_high) + high_rod * (1.0 - own.rod_high)
                 own_low += low_cap * (1.0 - own.cap_low) + low_rod * (1.0 - own.rod_low)
                 cross += high_cap * own.cap_low + high_rod * own.rod_low
-                pull_high += high_cap * own.cap_alone + high_rod * own.rod_alone
-                pull_low += low_cap * own.cap_alone + low_rod * own.rod_alone
+            pull_high += high_cap * own.cap_alone + high_rod * own.rod_alone
+            pull_low += low_cap * own.cap_alone + low_rod * own.rod_alone
             drawn += cap_in + rod_in
             returned += cap_out + rod_out + seep
             h_cap, h_rod = enthalpy(oil, cap), enthalpy(oil, rod)
@@ -248,11 +253,11 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
             lost_hose += outward * (cap_out * cap_out + rod_out * rod_out)
             lost_leak += piston * (h_cap - h_rod) + seep * (h_rod - h_low)
 
-        rise, fall = 0.0, 0.0
+        rise, fall, largest = 0.0, 0.0, 0.0
         power[2], power[3], power[4] = lost - lost_hose, lost_hose, lost_leak
         if supply.constant:
             power[0] = drawn * h_high - returned * h_low
-            node[TANK] = known[TANK] + weight * (returned - drawn)
+            node[TANK] = known[TANK] + weight * (returned - drawn) + pull_low + pull_high
         else:
             pump, pump_slope = pump_flow(supply, manifolds.running > 0.0, known[PUMP], high, weight)
             flow, flow_slope = accumulator_flow(
@@ -301,6 +306,10 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
             node[TANK] = known[TANK] + weight * (drain + relief + burst - pump)
             manifolds.high = max(high + rise, least)
             manifolds.low = max(low + fall, least)
+            largest = max(
+                abs(rise) * max(1.0, high_slope * oil.bulk_modulus),
+                abs(fall) * max(1.0, low_slope * oil.bulk_modulus),
+            )
             h_tank = enthalpy(oil, tank)
             h_pump = enthalpy(oil, high + supply.pump_line * pump)
             h_gas = enthalpy(oil, high + supply.accumulator_line * flow)
@@ -311,14 +320,15 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
             power[5] = relief * (h_high - h_tank)
             power[6] = burst * (h_high - h_tank)
 
-        largest = max(abs(rise), abs(fall))
         for leg in range(legs):
             own = chambers[leg]
             cap_change = own.cap_alone + rise * own.cap_high + fall * own.cap_low
             rod_change = own.rod_alone + rise * own.rod_high + fall * own.rod_low
             own.cap_content += own.cap_yield * cap_change
             own.rod_content += own.rod_yield * rod_change
-            largest = max(largest, abs(cap_change), abs(rod_change))
+            cap_stretch = max(1.0, own.cap_yield * oil.bulk_modulus / own.cap_volume)
+            rod_stretch = max(1.0, own.rod_yield * oil.bulk_modulus / own.rod_volume)
+            largest = max(largest, abs(cap_change) * cap_stretch, abs(rod_change) * rod_stretch)
             own.cap = _held(own.cap, cap_change, own.cap_in, high, own.cap_out, low, least, narrow)
             own.rod = _held(own.rod, rod_change, own.rod_in, high, own.rod_out, low, least, narrow)
         if largest < _TOLERANCE:

@@ -29,6 +29,7 @@ import numpy as np
 from cmf_mj.compiled import compiled
 from cmf_mj.parameters import VALVES, HydraulicParameters
 from cmf_mj.parameters.hydraulics import cap_area, rod_area
+from cmf_mj.plant.oil import density, make_oil
 from cmf_mj.plant.table import table
 
 NORMAL, OVERRIDE, JAMMED = 0.0, 1.0, 2.0
@@ -76,11 +77,13 @@ def make_valves(
         outer: length of a step [s].
     """
     half_drop = 0.5 * (parameters.supply_pressure.si - parameters.return_pressure.si)
-    half_flow = orifice(half_drop, laminar_root(parameters))[0]
+    # Flows count content: what fills the chamber at mid pressure, where leg_speed is defined.
+    middle = density(make_oil(parameters), parameters.return_pressure.si + half_drop)[0]
+    unit_flow = orifice(half_drop, laminar_root(parameters))[0] / middle
 
     def one(actuator: str, index: int) -> Valve:
         own = parameters.actuator(actuator, index)
-        speed = own["leg_speed"].si / half_flow * own["valve_flow"].si / len(VALVES)
+        speed = own["leg_speed"].si / unit_flow * own["valve_flow"].si / len(VALVES)
         corners = own["drive_lag"].si, own["valve_lag"].si
         inner_weights, weights = lag_weights(*corners, inner), lag_weights(*corners, outer)
         return Valve(
