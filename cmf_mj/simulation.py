@@ -57,10 +57,22 @@ _SUPPLY_CHANNELS = {
 }
 """State of the supply, in the order of `plant.supply`."""
 
+_SENSOR_UNITS = {"gyro": "rad/s", "force": "N"}
+"""Units of MuJoCo's sensors by the last word of their channel; m/s^2 for all others."""
+
 _History = tuple[
     NDArray[np.float64], dict[str, NDArray[np.float64]], dict[str, str], dict[str, Any]
 ]
 """What a `Record` is made of."""
+
+
+class OutOfBounds(FloatingPointError):
+    """The state of a run left its physical bounds."""
+
+    def __init__(self, message: str, frame: int) -> None:
+        """Keep what to say and the control frame it happened in."""
+        super().__init__(message)
+        self.frame = frame
 
 
 def simulate(
@@ -104,7 +116,7 @@ def simulate(
 
     Raises:
         ValueError: an argument out of range, named.
-        FloatingPointError: the state left its physical bounds; leg, time and value are named.
+        OutOfBounds: the state left its physical bounds; leg, time and value are named.
     """
     loaded = load_law(law)
     if legs:
@@ -167,7 +179,7 @@ def drive(
 
     Raises:
         ValueError: an argument out of range, named.
-        FloatingPointError: the state left its physical bounds; leg, time and value are named.
+        OutOfBounds: the state left its physical bounds; leg, time and value are named.
     """
     table = np.atleast_2d(np.asarray(valves, dtype=float))
     if table.ndim != 2 or table.shape[1] != plant.legs:
@@ -242,7 +254,7 @@ def _run(
     out = np.empty((-(-reference.shape[0] // every), columns))
     frame, bound, leg = run(machine, controller, layout, out)
     if frame >= 0:
-        raise FloatingPointError(_left(plant, machine, context["law"], frame, bound, leg))
+        raise OutOfBounds(_left(plant, machine, context["law"], frame, bound, leg), frame)
     fault = latched(controller.guard)
     metadata = {
         **plant.describe(),
@@ -304,7 +316,7 @@ def _history(
     take("energy", "J", len(ENERGIES))
     take("generalised_position", "m, rad, 1", plant.model.nq)
     for name, indices in groups.items():
-        take(name, "rad/s" if name.endswith("gyro") else "m/s^2", indices.size)
+        take(name, _SENSOR_UNITS.get(name.split("_")[-1], "m/s^2"), indices.size)
     for name, (values, unit) in plant.derived_channels(channels).items():
         channels[name], units[name] = values, unit
     time = np.arange(out.shape[0], dtype=np.float64) * (every * FRAME)
