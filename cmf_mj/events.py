@@ -37,7 +37,7 @@ from cmf_mj.plant.faults import (
     STUCK,
 )
 from cmf_mj.plant.valve import JAMMED, OVERRIDE
-from cmf_mj.settings import Settings
+from cmf_mj.settings import Settings, validated
 
 KINDS = (
     "pump_lost",
@@ -123,6 +123,31 @@ class Event(Settings):
         if self.size is None:
             return _SIZES.get(self.kind, (0.0, ()))[0]
         return units.to_si(self.size[1], self.size[0])
+
+
+def default_event(
+    kind: str,
+    at: float,
+    *,
+    leg: int | None = None,
+    valve: int | None = None,
+    size: tuple[float, str] | None = None,
+) -> Event:
+    """An event of a kind, on leg 1 where it needs a leg and none is given.
+
+    Args:
+        kind: one of `KINDS`.
+        at: when [s].
+        leg: as in `Event`.
+        valve: as in `Event`.
+        size: as in `Event`.
+
+    Raises:
+        ValueError: as for `Event`; the message names the field.
+    """
+    chosen = 1 if leg is None and kind in _VALVES + _SENSORS else leg
+    found = {"at": at, "kind": kind, "leg": chosen, "valve": valve, "size": size}
+    return validated(Event, found, "event")
 
 
 class Timeline(NamedTuple):

@@ -119,7 +119,7 @@ def operate(
 
     Raises:
         ValueError: an argument out of range, named.
-        FloatingPointError: the state left its physical bounds; leg, time and value are named.
+        OutOfBounds: the state left its physical bounds; leg, time and value are named.
     """
     arrivals = hosts.arrivals(frames) if isinstance(frames, hosts.HostStream) else frames
     if not arrivals.frame.size:
@@ -178,7 +178,7 @@ def serve(
     Raises:
         ValueError: an argument out of range, named.
         OSError: no monotonic clock to keep time by.
-        FloatingPointError: the state left its physical bounds; leg, time and value are named.
+        OutOfBounds: the state left its physical bounds; leg, time and value are named.
     """
     settings, loaded, neutral = facility or FacilitySettings(), load_law(law), np.zeros(6)
 

@@ -16,10 +16,12 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
 from cmf_mj.events import Event
 from cmf_mj.loop.electronics import ElectronicsSettings
-from cmf_mj.loop.session import Session
+from cmf_mj.loop.session import OutOfBounds, Session
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record import Record
 from cmf_mj.signals import Command
+
+__all__ = ["OutOfBounds", "drive", "simulate"]
 
 
 def simulate(
@@ -65,7 +67,7 @@ def simulate(
 
     Raises:
         ValueError: an argument out of range, named.
-        FloatingPointError: the state left its physical bounds; leg, time and value are named.
+        OutOfBounds: the state left its physical bounds; leg, time and value are named.
     """
     loaded = load_law(law)
     if legs:
@@ -128,7 +130,7 @@ def drive(
 
     Raises:
         ValueError: an argument out of range, named.
-        FloatingPointError: the state left its physical bounds; leg, time and value are named.
+        OutOfBounds: the state left its physical bounds; leg, time and value are named.
     """
     table = np.atleast_2d(np.asarray(valves, dtype=float))
     if table.ndim != 2 or table.shape[1] != plant.legs:

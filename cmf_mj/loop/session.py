@@ -54,6 +54,19 @@ SUPPLY_CHANNELS = {
 """State of the supply, in the order of `plant.supply`."""
 
 
+_SENSOR_UNITS = {"gyro": "rad/s", "force": "N"}
+"""Units of MuJoCo's sensors by the last word of their channel; m/s^2 for all others."""
+
+
+class OutOfBounds(FloatingPointError):
+    """The state of a run left its physical bounds."""
+
+    def __init__(self, message: str, frame: int) -> None:
+        """Keep what to say and the control frame it happened in."""
+        super().__init__(message)
+        self.frame = frame
+
+
 class Session:
     """Plant, controller and record of one run."""
 
@@ -158,7 +171,7 @@ class Session:
         """Run a number of control frames, by default all that are left.
 
         Raises:
-            FloatingPointError: the state left its physical bounds; leg, time and value are named.
+            OutOfBounds: the state left its physical bounds; leg, time and value are named.
         """
         end = self.frames if frames is None else min(self.frame + frames, self.frames)
         frame, bound, leg = run(
@@ -166,7 +179,7 @@ class Session:
         )
         self.frame = end if frame < 0 else frame
         if frame >= 0:
-            raise FloatingPointError(self._left(frame, bound, leg))
+            raise OutOfBounds(self._left(frame, bound, leg), frame)
 
     def _left(self, frame: int, bound: int, leg: int) -> str:
         """What to say of a state beyond its physical bounds."""
@@ -230,7 +243,7 @@ class Session:
         take("energy", "J", len(ENERGIES))
         take("generalised_position", "m, rad, 1", self.plant.model.nq)
         for name, indices in self._groups.items():
-            take(name, "rad/s" if name.endswith("gyro") else "m/s^2", indices.size)
+            take(name, _SENSOR_UNITS.get(name.split("_")[-1], "m/s^2"), indices.size)
         for name, (values, unit) in self.plant.derived_channels(channels).items():
             channels[name], units[name] = values, unit
         return np.arange(rows, dtype=np.float64) * (self.every * FRAME), channels, units

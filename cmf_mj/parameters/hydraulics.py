@@ -49,7 +49,7 @@ class _Actuator(_Valve):
     half_stroke: kind.Length
     """Half of the mechanical stroke, the chamber lengths at neutral."""
     minimum_gap: kind.Length
-    """Chamber length below which its volume is held constant."""
+    """Length of a chamber at its stop; approached over the last twenty times of it."""
     leg_speed: kind.LegSpeed
     """Steady leg speed per command with half the supply pressure across each port."""
     leak_rate: kind.Rate

@@ -8,6 +8,10 @@ With x the extension from neutral and h the half stroke (no dead volume),
 so the oil is a spring of stiffness K(x) = beta (A_cap / (h + x) + A_rod / (h - x)), and K(0) over
 7200 lbm is (71.00 rad/s)^2, the leg mode of Eq 4.1.
 
+Near a stop a chamber keeps the minimum gap g of oil, so that no volume vanishes. With s the travel
+left, it is s + g (1 - s / e)^2 long over the last e = 20 g: it goes on displacing nine tenths of
+its oil to the stop, and a leg does not drop onto it. Beyond the stop the length stays g.
+
 A cushion throttles what leaves a chamber over the last length c before the stop: an orifice of
 gain G_stop / e in series with the valve, e = (c - gap) / c from 0 at the cushion's edge to 1 at the
 stop. What enters passes a check valve.
@@ -35,6 +39,10 @@ _WIDE_OPEN = 10.0
 """Settle valve: flow gain of the rod's side over that of the cap's, per area."""
 
 
+_END = 20.0
+"""Travel before the stop over which a chamber approaches the minimum gap, in gaps."""
+
+
 class Cylinder(NamedTuple):
     """Compiled parameters of one cylinder."""
 
@@ -45,7 +53,7 @@ class Cylinder(NamedTuple):
     half_stroke: float
     """h [m]."""
     minimum_gap: float
-    """Chamber length below which the volume is held [m]."""
+    """g, length of a chamber at its stop [m]."""
     leakage: float
     """L [m^3/s/Pa]."""
     bearing: float
@@ -100,10 +108,21 @@ def force(cylinder, cap_pressure, rod_pressure):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _length(cylinder, travel):  # type: ignore[no-untyped-def]
+    """Length of a chamber with this travel left before its stop [m]."""
+    end = _END * cylinder.minimum_gap
+    if travel >= end:
+        return travel
+    left = max(travel, 0.0)
+    share = 1.0 - left / end
+    return left + cylinder.minimum_gap * share * share
+
+
+@compiled
 def volumes(cylinder, extension):  # type: ignore[no-untyped-def]
     """Chamber volumes (V_cap, V_rod) [m^3] at an extension from neutral [m]."""
-    cap = max(cylinder.half_stroke + extension, cylinder.minimum_gap)
-    rod = max(cylinder.half_stroke - extension, cylinder.minimum_gap)
+    cap = _length(cylinder, cylinder.half_stroke + extension)
+    rod = _length(cylinder, cylinder.half_stroke - extension)
     return cylinder.cap_area * cap, cylinder.rod_area * rod
 
 
@@ -128,7 +147,7 @@ def throttled(cylinder, gap, gain, full):  # type: ignore[no-untyped-def]
 def stiffness(
     cylinder: Cylinder | np.recarray, bulk_modulus: float, extension: ArrayLike
 ) -> NDArray[np.float64]:
-    """K(x), stiffness of the enclosed oil [N/m], one value per extension [m].
+    """K(x), stiffness of the enclosed oil -dF/dx [N/m], one value per extension [m].
 
     Args:
         cylinder: one, or one for each extension.
@@ -136,9 +155,19 @@ def stiffness(
         extension: from neutral [m].
     """
     x = np.asarray(extension, dtype=float)
-    cap = np.maximum(cylinder.half_stroke + x, cylinder.minimum_gap)
-    rod = np.maximum(cylinder.half_stroke - x, cylinder.minimum_gap)
-    return bulk_modulus * (cylinder.cap_area / cap + cylinder.rod_area / rod)
+    gap, half = np.asarray(cylinder.minimum_gap), cylinder.half_stroke
+    end = _END * gap
+
+    def column(travel: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Relative fall of a chamber's volume per travel [1/m]; none beyond the stop."""
+        left = np.clip(travel, 0.0, end)
+        share = 1.0 - left / end
+        length = np.maximum(travel, 0.0) + gap * share * share
+        return (1.0 - 2.0 * gap / end * share) * (travel >= 0.0) / length
+
+    return bulk_modulus * (
+        cylinder.cap_area * column(half + x) + cylinder.rod_area * column(half - x)
+    )
 
 
 def holding_pressures(

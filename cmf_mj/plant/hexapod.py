@@ -64,12 +64,14 @@ class Hexapod(Plant):
 
     @property
     def sensors(self) -> dict[str, NDArray[np.int64]]:
-        """Platform gyro and accelerometer, and the accelerometers on the rods (axial part)."""
+        """Gyro, accelerometers of platform and crew, rod accelerometers (axial part), stops."""
         rods = [f"rod_acceleration_{i}" for i in _LEGS]
         return {
             "platform_gyro": self.sensor_indices(["platform_gyro"]),
             "platform_accelerometer": self.sensor_indices(["platform_accelerometer"]),
+            "crew_accelerometer": self.sensor_indices(["cab/crew_accelerometer"]),
             "rod_accelerometer": self.sensor_indices(rods, component=2),
+            "stop_force": self.sensor_indices([f"stop_force_{i}" for i in _LEGS]),
         }
 
     @property

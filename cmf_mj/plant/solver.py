@@ -189,6 +189,9 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
     chambers, manifolds = stage.chambers, stage.manifolds[0]
     tank = supply.return_pressure
     legs = chambers.shape[0]
+    for leg in range(legs):
+        chambers[leg].cap = max(chambers[leg].cap, least)
+        chambers[leg].rod = max(chambers[leg].rod, least)
     for iteration in range(_ITERATIONS):
         high, low = manifolds.high, manifolds.low
         h_high, h_low = enthalpy(oil, high), enthalpy(oil, low)
