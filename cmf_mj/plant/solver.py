@@ -251,7 +251,7 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
         rise, fall = 0.0, 0.0
         power[2], power[3], power[4] = lost - lost_hose, lost_hose, lost_leak
         if supply.constant:
-            power[0] = drawn * h_high - returned * h_low
+            power[0] = drawn * (h_high - h_low)
             node[TANK] = known[TANK] + weight * (returned - drawn)
         else:
             pump, pump_slope = pump_flow(supply, manifolds.running > 0.0, known[PUMP], high, weight)
