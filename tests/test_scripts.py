@@ -58,3 +58,16 @@ def test_render_model_draws_each_cab(cab: str, tmp_path: Path) -> None:
     picture = matplotlib.image.imread(tmp_path / "cab.png")
     assert picture.shape[:2] == (240, 320)
     assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
+
+
+def test_excavator_digs_and_obeys_a_lever(tmp_path: Path) -> None:
+    text = run("excavator.py", "--out", "dig", cwd=tmp_path)
+    assert "supply 320 bar, least 279 bar; pump at most 368 l/min" in text
+    assert (tmp_path / "dig" / "excavator.parquet").is_file()
+    picture = matplotlib.image.imread(tmp_path / "dig" / "excavator.png")
+    assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
+    text = run("excavator.py", "--lever=50,0,0", "--seconds", "1", cwd=tmp_path)
+    raised = next(line for line in text.splitlines() if line.startswith("boom_cylinder"))
+    assert raised.split()[1] == "2.67"
+    assert float(raised.split()[3]) > 2.8
+    assert (tmp_path / "out" / "excavator" / "excavator.png").is_file()
