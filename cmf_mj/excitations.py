@@ -12,7 +12,7 @@ cycles / frequency to the nearest frame, so fit a sine and a cosine to it, not F
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.kinematics import DOFS
 from cmf_mj.signals import (
@@ -293,3 +293,33 @@ def _dwells(
         pieces += [tone, rest]
         length += samples + rest.size
     return np.concatenate(pieces), dwells
+
+
+def waypoints(times: ArrayLike, values: ArrayLike) -> NDArray[np.float64]:
+    """A path at rest at each of its points, of least jerk between them, for `legs=True`.
+
+    From a to b, with s from 0 to 1 over the stretch: a + (b - a) (10 s^3 - 15 s^4 + 6 s^5), whose
+    peak speed is 1.875 times the mean (Flash and Hogan, 1985).
+
+    Args:
+        times: of the points [s], from 0 upwards, (m,).
+        values: at the points, e.g. extensions [m], (m, n).
+
+    Returns:
+        (N, n) at 2048 Hz, the last point included.
+
+    Raises:
+        ValueError: fewer than two points, times that do not rise from 0, or values that are not
+            one finite row a point.
+    """
+    when = np.asarray(times, dtype=float)
+    points = np.atleast_2d(np.asarray(values, dtype=float))
+    if when.ndim != 1 or when.size < 2 or when[0] != 0.0 or not (np.diff(when) > 0.0).all():
+        raise ValueError(f"times: {times!r} must be at least two numbers that rise from 0 s")
+    if points.shape[0] != when.size or points.ndim != 2 or not np.isfinite(points).all():
+        raise ValueError(f"values: must be {when.size} finite rows, one a time")
+    time = np.arange(round(when[-1] * RATE) + 1) / RATE
+    index = np.clip(np.searchsorted(when, time, side="right") - 1, 0, when.size - 2)
+    s = np.clip((time - when[index]) / np.diff(when)[index], 0.0, 1.0)[:, None]
+    blend = s**3 * (10.0 - s * (15.0 - 6.0 * s))
+    return points[index] + (points[index + 1] - points[index]) * blend

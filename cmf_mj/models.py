@@ -24,6 +24,26 @@ def single_legs_path() -> Path:
     return directory() / "single_legs.xml"
 
 
+def excavator_path() -> Path:
+    """An excavator with boom, stick and bucket; no motors, see `attach_hydraulics`."""
+    return directory() / "excavator.xml"
+
+
+def excavator_hydraulics_path() -> Path:
+    """The excavator's hydraulic parameters."""
+    return directory() / "excavator_hydraulics.toml"
+
+
+def excavator_laws_path() -> Path:
+    """The excavator's control law."""
+    return directory() / "excavator_laws.toml"
+
+
+def excavator_cycle_path() -> Path:
+    """A digging cycle: time [s] and cylinder lengths [m] as CSV with a header."""
+    return directory() / "excavator_cycle.csv"
+
+
 def cab_path(cab: str) -> Path:
     """The MJCF of one cab.
 

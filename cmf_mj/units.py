@@ -21,6 +21,7 @@ STANDARD_GRAVITY = constants.g
 PERCENT = 0.01
 GALLON = constants.gallon
 GALLON_PER_MINUTE = constants.gallon / constants.minute
+LITRE_PER_MINUTE = constants.liter / constants.minute
 HERTZ = 2.0 * np.pi
 
 _FACTORS: dict[str, float] = {
@@ -41,6 +42,12 @@ _FACTORS: dict[str, float] = {
     "lbf s": POUND_FORCE,
     "gal": GALLON,
     "gpm": GALLON_PER_MINUTE,
+    "l": constants.liter,
+    "l/min": LITRE_PER_MINUTE,
+    "lpm": LITRE_PER_MINUTE,
+    "mm": constants.milli,
+    "kN": constants.kilo,
+    "bar": constants.bar,
     "in": INCH,
     "in^2": INCH**2,
     "deg": DEGREE,

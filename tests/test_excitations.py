@@ -354,3 +354,32 @@ def test_combine_refuses_two_commands_of_one_degree_of_freedom():
 def test_combine_refuses_nothing():
     with pytest.raises(ValueError, match="commands: none is given"):
         excitations.combine()
+
+
+# Waypoints
+
+
+def test_a_path_of_least_jerk_rests_at_its_points_and_peaks_at_1875_times_the_mean():
+    times, values = [0.0, 2.0, 5.0], np.array([[0.0, 1.0], [0.6, 1.0], [-0.3, 0.4]])
+    path = excitations.waypoints(times, values)
+    assert path.shape == (5 * 2048 + 1, 2)
+    for time, value in zip(times, values, strict=True):
+        assert path[round(time * 2048)] == pytest.approx(value, abs=1e-15)
+    speed = np.gradient(path, 1 / 2048, axis=0)
+    assert np.abs(speed[[0, 2 * 2048, -1]]).max() < 1e-5
+    assert np.abs(speed[: 2 * 2048]).max(axis=0) == pytest.approx([1.875 * 0.3, 0.0], rel=1e-6)
+    assert np.abs(speed[2 * 2048 :]).max(axis=0) == pytest.approx([1.875 * 0.3, 1.875 * 0.2])
+    sixth = np.diff(path[: 2 * 2048 : 64, 0], 6)
+    assert np.abs(sixth).max() < 1e-12  # the jerk-optimal path is a quintic
+
+
+@pytest.mark.parametrize("times", [[0.0], [0.5, 1.0], [0.0, 1.0, 1.0], [[0.0, 1.0]]])
+def test_waypoints_need_times_that_rise_from_zero(times):
+    with pytest.raises(ValueError, match="times: .* at least two numbers that rise from 0 s"):
+        excitations.waypoints(times, np.zeros((len(times), 1)))
+
+
+@pytest.mark.parametrize("values", [[[0.0]], [[0.0], [np.nan]], [[0.0], [1.0], [2.0]]])
+def test_waypoints_need_a_finite_row_a_time(values):
+    with pytest.raises(ValueError, match="values: must be 2 finite rows, one a time"):
+        excitations.waypoints([0.0, 1.0], values)

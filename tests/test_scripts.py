@@ -70,3 +70,16 @@ def test_show_limits_draws_its_figure(tmp_path: Path) -> None:
     assert shipped.shape == slow.shape
     assert shipped[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
     assert np.abs(shipped - slow).max() > 0.5
+
+
+def test_excavator_digs_and_obeys_a_lever(tmp_path: Path) -> None:
+    text = run("excavator.py", "--out", "dig", cwd=tmp_path)
+    assert "supply 320 bar, least 279 bar; pump at most 368 l/min" in text
+    assert (tmp_path / "dig" / "excavator.parquet").is_file()
+    picture = matplotlib.image.imread(tmp_path / "dig" / "excavator.png")
+    assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
+    text = run("excavator.py", "--lever=50,0,0", "--seconds", "1", cwd=tmp_path)
+    raised = next(line for line in text.splitlines() if line.startswith("boom_cylinder"))
+    assert raised.split()[1] == "2.67"
+    assert float(raised.split()[3]) > 2.8
+    assert (tmp_path / "out" / "excavator" / "excavator.png").is_file()

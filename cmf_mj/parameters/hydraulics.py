@@ -143,7 +143,7 @@ class HydraulicParameters(_Actuator):
     relief_conductance: kind.Conductance
     """Flow of the relief valve per excess of pressure."""
     accumulator_count: kind.Count
-    """Accumulators on the supply manifold, a whole number."""
+    """Accumulators on the supply manifold, a whole number; 0 for none."""
     accumulator_volume: kind.Volume
     """Gas volume of one accumulator at precharge."""
     precharge_pressure: kind.Pressure

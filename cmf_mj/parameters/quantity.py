@@ -77,9 +77,10 @@ class Kind(NamedTuple):
         return quantity
 
 
-_LENGTH, _PRESSURE = ("in", "m"), ("psi", "Pa")
-_FORCE, _VOLUME, _FLOW = ("lbf", "N"), ("gal", "m^3"), ("gpm", "m^3/s")
-_CONDUCTANCE, _RESISTANCE = ("gpm/psi", "m^3/s/Pa"), ("psi/gpm", "Pa s/m^3")
+_LENGTH, _PRESSURE = ("in", "m", "mm"), ("psi", "Pa", "bar")
+_FORCE, _VOLUME, _FLOW = ("lbf", "N", "kN"), ("gal", "m^3", "l"), ("gpm", "m^3/s", "l/min", "lpm")
+_CONDUCTANCE = ("gpm/psi", "m^3/s/Pa", "lpm/bar")
+_RESISTANCE = ("psi/gpm", "Pa s/m^3", "bar/lpm")
 
 Length = Annotated[Quantity, AfterValidator(Kind(_LENGTH).check)]
 Travel = Annotated[Quantity, AfterValidator(Kind(_LENGTH, zero=True).check)]
@@ -87,8 +88,8 @@ Area = Annotated[Quantity, AfterValidator(Kind(("in^2", "m^2")).check)]
 Pressure = Annotated[Quantity, AfterValidator(Kind(_PRESSURE).check)]
 Gauge = Annotated[Quantity, AfterValidator(Kind(_PRESSURE, zero=True).check)]
 Corner = Annotated[Quantity, AfterValidator(Kind(("Hz", "rad/s")).check)]
-LegSpeed = Annotated[Quantity, AfterValidator(Kind(("in/s/%", "m/s/%")).check)]
-Speed = Annotated[Quantity, AfterValidator(Kind(("in/s", "m/s")).check)]
+LegSpeed = Annotated[Quantity, AfterValidator(Kind(("in/s/%", "m/s/%", "mm/s/%")).check)]
+Speed = Annotated[Quantity, AfterValidator(Kind(("in/s", "m/s", "mm/s")).check)]
 Rate = Annotated[Quantity, AfterValidator(Kind(("1/s",), zero=True).check)]
 Time = Annotated[Quantity, AfterValidator(Kind(("s",)).check)]
 Force = Annotated[Quantity, AfterValidator(Kind(_FORCE, zero=True).check)]
@@ -103,7 +104,7 @@ Share = Annotated[Quantity, AfterValidator(Kind(("1", "%"), zero=True, below=1.0
 Bias = Annotated[Quantity, AfterValidator(Kind(("1", "%"), signed=True, below=1.0).check)]
 Opening = Annotated[Quantity, AfterValidator(Kind(("1", "%"), at_most=1.0).check)]
 Exponent = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=1.67).check)]
-Count = Annotated[Quantity, AfterValidator(Kind(("1",)).check)]
+Count = Annotated[Quantity, AfterValidator(Kind(("1",), zero=True).check)]
 Density = Annotated[Quantity, AfterValidator(Kind(("kg/m^3",)).check)]
 
 

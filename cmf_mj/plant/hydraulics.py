@@ -35,7 +35,15 @@ from cmf_mj.plant.cylinder import (
 )
 from cmf_mj.plant.faults import ACCUMULATORS_LOST, BURST_AREA, PUMP_LOST, STOPPED
 from cmf_mj.plant.friction import make_frictions, slide
-from cmf_mj.plant.oil import ATMOSPHERE, Oil, density, least_pressure, make_oil, stored
+from cmf_mj.plant.oil import (
+    ATMOSPHERE,
+    Oil,
+    density,
+    enthalpy,
+    least_pressure,
+    make_oil,
+    stored,
+)
 from cmf_mj.plant.solver import FLOWS, Stage, make_stage, solve
 from cmf_mj.plant.supply import (
     ACCUMULATOR,
@@ -357,8 +365,12 @@ def oil_content(hydraulics: Hydraulics, state: HydraulicState) -> float:
 def stored_energy(
     hydraulics: Hydraulics, state: HydraulicState, extension: NDArray[np.float64]
 ) -> float:
-    """Energy of compression of the oil in chambers and manifolds [J], at the extensions [m]."""
-    total = 0.0
+    """Energy of compression of the oil in chambers and manifolds [J], at the extensions [m].
+
+    What the tank has received counts with the return pressure it stands under: pump and lines
+    reckon from there.
+    """
+    total = state.supply[TANK] * enthalpy(hydraulics.oil, hydraulics.supply.return_pressure)
     for leg in range(extension.shape[0]):
         for side, volume in enumerate(volumes(hydraulics.cylinder[leg], extension[leg])):
             total += stored(
@@ -370,4 +382,4 @@ def stored_energy(
         (RETURN, RETURN_PRESSURE, supply.return_volume),
     ):
         total += stored(hydraulics.oil, state.supply[content], state.supply[pressure], volume)
-    return total
+    return float(total)

@@ -74,19 +74,23 @@ class Plant:
         *,
         motors: Sequence[str] | None = None,
         payload: Sequence[str] = (),
+        neutral: ArrayLike | None = None,
     ) -> None:
         """Attach one cylinder to each of some motors of a compiled model.
 
-        The configuration the model starts in, `qpos0`, is neutral: cylinders are at half stroke.
+        `attach_hydraulics` does so for a model that has no motors yet.
 
         Args:
             model: the machine.
             hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
             motors: names of the motors with a cylinder, each force = ctrl; default all actuators.
             payload: names of the bodies an overload rests on.
+            neutral: lengths of the motors with the cylinders at half stroke [m], (n,); default
+                those of the configuration the model starts in, `qpos0`.
 
         Raises:
-            ValueError: a motor that is not there or no motor, or the hydraulics are refused.
+            ValueError: a motor that is not there or no motor, lengths that are not one finite
+                number a motor, or the hydraulics are refused.
         """
         self.model = model
         self.data = mujoco.MjData(model)
@@ -106,7 +110,14 @@ class Plant:
             self.parameters, self.actuators, float(model.opt.timestep)
         )
         mujoco.mj_forward(model, self.data)
-        self.neutral = self.data.actuator_length[self._motors].copy()
+        if neutral is None:
+            neutral = self.data.actuator_length[self._motors]
+        self.neutral = np.array(neutral, dtype=float)
+        """Lengths of the motors with the cylinders at half stroke [m], (n,)."""
+        if self.neutral.shape != (self.legs,) or not np.isfinite(self.neutral).all():
+            raise ValueError(
+                f"neutral: {neutral!r} must be {self.legs} finite lengths, one a motor"
+            )
 
     @property
     def legs(self) -> int:
@@ -151,12 +162,16 @@ class Plant:
         """Extensions from neutral in the present configuration [m], (n,)."""
         return self.data.actuator_length[self._motors] - self.neutral
 
-    def leg_motion(self) -> NDArray[np.float64]:
-        """T, (nv, n): motion of all joints per unit actuator velocity, in the present state.
+    def _free_motions(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """N (nv, m), the motions closed loops allow, and A N (n, m), what the cylinders see."""
+        closed, _, moment = self._jacobians()
+        null = linalg.null_space(closed, rcond=1e-9) if closed.size else np.eye(self.model.nv)
+        return null, moment @ null
 
-        Raises:
-            ValueError: the machine has not as many free motions as actuators.
-        """
+    def _jacobians(
+        self,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Jacobian (rows, nv) and gaps (rows,) of the closed loops; moment arms (n, nv)."""
         model, data = self.model, self.data
         rows = data.nefc
         jacobian = np.zeros((rows, model.nv))
@@ -170,8 +185,6 @@ class Plant:
             )
         else:
             jacobian[:] = data.efc_J.reshape(rows, model.nv)
-        closed = jacobian[data.efc_type[:rows] == mujoco.mjtConstraint.mjCNSTR_EQUALITY]
-        null = linalg.null_space(closed, rcond=1e-9) if closed.size else np.eye(model.nv)
         moment = np.zeros((model.nu, model.nv))
         mujoco.mju_sparse2dense(
             moment,
@@ -180,7 +193,16 @@ class Plant:
             data.moment_rowadr,
             data.moment_colind.ravel(),
         )
-        arms = moment[self._motors] @ null
+        loops = data.efc_type[:rows] == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        return jacobian[loops], data.efc_pos[:rows][loops], moment[self._motors]
+
+    def leg_motion(self) -> NDArray[np.float64]:
+        """T, (nv, n): motion of all joints per unit actuator velocity, in the present state.
+
+        Raises:
+            ValueError: the machine has not as many free motions as actuators.
+        """
+        null, arms = self._free_motions()
         if arms.shape[0] != arms.shape[1] or np.linalg.cond(arms) > 1e12:
             raise ValueError(
                 f"motors: {arms.shape[0]} cylinders do not determine the machine's "
@@ -188,11 +210,56 @@ class Plant:
             )
         return null @ np.linalg.inv(arms)
 
+    def configuration(self, extensions: ArrayLike) -> NDArray[np.float64]:
+        """Generalised positions (nq,) with given extensions and all loops closed, for `start`.
+
+        Newton's method from `qpos0`, in steps of at most 0.1 m so as to stay on its branch; what
+        the cylinders do not determine moves least. Leaves the mechanics there.
+
+        Args:
+            extensions: from half stroke [m], (n,).
+
+        Raises:
+            ValueError: the machine cannot be put together so, or an extension is beyond the stroke.
+        """
+        target = np.asarray(extensions, dtype=float)
+        if target.shape != (self.legs,):
+            raise ValueError(f"extensions: has shape {target.shape}; allowed: ({self.legs},)")
+        half = self.hydraulics.cylinder.half_stroke
+        for leg in np.flatnonzero(~(np.abs(target) <= half)):
+            raise ValueError(
+                f"extensions: {self.actuators[leg]} at {target[leg]:.4f} m; "
+                f"allowed: +-{half[leg]:.4f} m"
+            )
+        mujoco.mj_resetData(self.model, self.data)
+        for _ in range(200):
+            mujoco.mj_forward(self.model, self.data)
+            closed, gap, moment = self._jacobians()
+            missing = target - self.extensions()
+            wrong = float(np.abs(np.concatenate([gap, missing])).max())
+            if wrong < 1e-12:
+                return self.data.qpos.copy()
+            missing *= min(1.0, 0.1 / max(float(np.abs(missing).max()), 1e-12))
+            move = np.linalg.lstsq(
+                np.vstack([closed, moment]), np.concatenate([-gap, missing]), rcond=1e-9
+            )[0]
+            mujoco.mj_integratePos(self.model, self.data.qpos, move, 1.0)
+        raise ValueError(f"extensions: the machine cannot be closed at {target.tolist()} m")
+
     def static_load(self) -> NDArray[np.float64]:
-        """Axial forces T'c (n,) [N] that hold the present configuration, positive extending."""
+        """Axial forces (n,) [N] that hold the present configuration, positive extending.
+
+        N' A' F = N' c, the T'c of the module where the cylinders determine all motions. A motion
+        no cylinder holds, a hanging load, does not count; cylinders that share a motion share its
+        load with the least sum of squares. Other actuators hold what they hold without control.
+        """
         self.data.qvel[:] = 0.0
+        self.data.ctrl[self._motors] = 0.0
         mujoco.mj_forward(self.model, self.data)
-        return self.leg_motion().T @ (self.data.qfrc_bias - self.data.qfrc_passive)
+        null, arms = self._free_motions()
+        data = self.data
+        held = null.T @ (data.qfrc_bias - data.qfrc_passive - data.qfrc_actuator)
+        return np.linalg.lstsq(arms.T, held, rcond=1e-9)[0]
 
     def reflected_mass(self, pose: ArrayLike | None = None) -> NDArray[np.float64]:
         """Reflected mass of the actuators, (n, n) [kg].
@@ -279,3 +346,8 @@ def _check_motor(model: mujoco.MjModel, name: str) -> None:
         raise ValueError(f"motors: {name!r} must be a plain motor, force = ctrl")
     if actuator.gear[0] != 1.0 or actuator.ctrllimited[0]:
         raise ValueError(f"motors: {name!r} must have gear 1 and no ctrlrange")
+    target = actuator.trnid[0]
+    tendon = actuator.trntype[0] == mujoco.mjtTrn.mjTRN_TENDON
+    limited = model.tendon_actfrclimited if tendon else model.jnt_actfrclimited
+    if actuator.forcelimited[0] or limited[target]:
+        raise ValueError(f"motors: {name!r} must have no forcerange and no actuatorfrcrange")

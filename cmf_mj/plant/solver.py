@@ -259,7 +259,7 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
         rise, fall, largest = 0.0, 0.0, 0.0
         power[2], power[3], power[4] = lost - lost_hose, lost_hose, lost_leak
         if supply.constant:
-            power[0] = drawn * h_high - returned * h_low
+            power[0] = drawn * (h_high - h_low)
             node[TANK] = known[TANK] + weight * (returned - drawn) + pull_low + pull_high
         else:
             pump, pump_slope = pump_flow(supply, manifolds.running > 0.0, known[PUMP], high, weight)

@@ -1,0 +1,176 @@
+"""Hydraulics for any MuJoCo model: cylinders on named slide joints or tendons of an MJCF.
+
+A cylinder's length l is the position of its slide joint or the length of its tendon, and
+
+    extension = l - (retracted length + half stroke)
+
+so that a machine may start with its cylinders anywhere in their stroke. The retracted length is
+given, or follows from a range [a, b] of the joint or tendon: (a + b) / 2 is then half stroke. The
+range is the machine's own stops and must lie within the cylinder's; a joint or tendon without one
+gets the cylinder's stroke as its range.
+
+Bores, strokes, valves, hoses and the supply come from the parameter set, where the table
+`actuators` gives each cylinder, by the name of its joint or tendon, what differs.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from cmf_mj.parameters import HydraulicParameters, load_hydraulics
+from cmf_mj.plant.plant import Plant
+
+CONTROL_FRAME = 1.0 / 2048.0
+"""Largest mechanical step of a run [s]."""
+
+_STOP_TIME = 0.01
+"""Time constant of the stops given to joints and tendons without a range [s]."""
+
+_TOLERANCE = 1e-9
+"""Lengths this close are equal [m]."""
+
+
+def attach_hydraulics(
+    model: str | Path | mujoco.MjSpec,
+    cylinders: Sequence[str] | Mapping[str, float | None],
+    hydraulics: str | Path | HydraulicParameters = "hardware",
+    *,
+    payload: Sequence[str] = (),
+    timestep: float = CONTROL_FRAME,
+) -> Plant:
+    """Drive slide joints or tendons of a MuJoCo model by hydraulic cylinders.
+
+    Args:
+        model: path of an MJCF file, or an `MjSpec`, which is left as it is.
+        cylinders: names of the slide joints or tendons, or a mapping from them to the length at
+            which the cylinder is fully retracted [m], None for the middle of the range at half
+            stroke. Their order is that of all arrays with a leg axis.
+        hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
+        payload: names of the bodies an `overload` rests on.
+        timestep: mechanical step [s], in place of the model's own; divides 1/2048 s.
+
+    Returns:
+        A `Plant` for `simulate(..., legs=True)` and `drive`, named like the model. It starts in
+        the model's `qpos0`; `Plant.configuration` finds others.
+
+    Raises:
+        ValueError: a name that is not there, or is both a joint and a tendon; a hinge or another
+            joint that does not slide; a joint or tendon with an actuator already; neither range nor
+            retracted length; a range or a start beyond the stroke; an integrator or a step the loop
+            cannot run; an unreadable model or refused hydraulics.
+    """
+    spec = _read(model)
+    parameters = load_hydraulics(hydraulics)
+    given = dict(cylinders) if isinstance(cylinders, Mapping) else dict.fromkeys(cylinders)
+    if isinstance(cylinders, str) or not given:
+        raise ValueError(f"cylinders: {cylinders!r} names no joints or tendons; allowed: a list")
+    if not timestep > 0.0:
+        raise ValueError(f"timestep: {timestep} s must be greater than 0")
+    if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        raise ValueError("integrator: RK4 cannot take its step in two halves; use implicitfast")
+    spec.option.timestep = timestep
+    neutral = [_fit(spec, name, retracted, parameters) for name, retracted in given.items()]
+    for name in payload:
+        if spec.body(name) is None:
+            raise ValueError(f"payload: {name!r} is not one of {_names(spec.bodies)}")
+    plant = Plant(spec.compile(), parameters, motors=list(given), payload=payload, neutral=neutral)
+    plant.name = spec.modelname
+    stroke = plant.hydraulics.cylinder.half_stroke
+    extensions = plant.extensions()
+    for leg in np.flatnonzero(np.abs(extensions) > stroke + _TOLERANCE):
+        middle = plant.neutral[leg]
+        raise ValueError(
+            f"cylinders: {plant.actuators[leg]!r} starts at a length of "
+            f"{middle + extensions[leg]:.4f} m; allowed: {middle - stroke[leg]:.4f} to "
+            f"{middle + stroke[leg]:.4f} m"
+        )
+    return plant
+
+
+def _read(model: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
+    if isinstance(model, mujoco.MjSpec):
+        return model.copy()
+    try:
+        return mujoco.MjSpec.from_file(str(model))
+    except (ValueError, OSError) as error:
+        raise ValueError(f"model: {model} cannot be read: {error}") from None
+
+
+def _fit(
+    spec: mujoco.MjSpec, name: str, retracted: float | None, parameters: HydraulicParameters
+) -> float:
+    """Give one joint or tendon its motor and stops.
+
+    Returns:
+        Length at half stroke [m].
+    """
+    joint, tendon = spec.joint(name), spec.tendon(name)
+    if joint is not None and tendon is not None:
+        raise ValueError(f"cylinders: {name!r} is a joint and a tendon; rename one")
+    element = joint if tendon is None else tendon
+    if element is None:
+        slides = [j for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_SLIDE]
+        raise ValueError(
+            f"cylinders: {name!r} is not one of the slide joints ({_names(slides)}) or tendons "
+            f"({_names(spec.tendons)})"
+        )
+    if tendon is None and joint.type != mujoco.mjtJoint.mjJNT_SLIDE:
+        kind = joint.type.name.removeprefix("mjJNT_").lower()
+        raise ValueError(
+            f"cylinders: {name!r} is a {kind} joint; a cylinder needs a slide joint or a tendon"
+        )
+    kinds = (
+        (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+        if tendon is None
+        else (mujoco.mjtTrn.mjTRN_TENDON,)
+    )
+    for actuator in spec.actuators:
+        if actuator.target == name and actuator.trntype in kinds:
+            raise ValueError(
+                f"cylinders: {name!r} has the actuator {actuator.name!r} already; remove it"
+            )
+        if actuator.name == name:
+            raise ValueError(f"cylinders: an actuator is already named {name!r}; rename it")
+    motor = spec.add_actuator(name=name, target=name, trntype=kinds[0])
+    motor.set_to_motor()
+    # The model's defaults for actuators may say otherwise.
+    motor.gear = np.eye(6)[0]
+    motor.ctrllimited = motor.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    half = parameters.actuator(name)["half_stroke"].si
+    return _stops(element, name, retracted, half)
+
+
+def _stops(
+    element: mujoco.MjsJoint | mujoco.MjsTendon, name: str, retracted: float | None, half: float
+) -> float:
+    """Check a range against the stroke, or make it the stroke; the length at half stroke [m]."""
+    low, high = (float(end) for end in element.range)
+    limited = low < high and element.limited != mujoco.mjtLimited.mjLIMITED_FALSE
+    if retracted is None:
+        if not limited:
+            raise ValueError(
+                f"cylinders: {name!r} has no range; give the cylinder's retracted length, "
+                f"{{{name!r}: length in m}}"
+            )
+        middle = 0.5 * (low + high)
+    else:
+        middle = retracted + half
+    if not np.isfinite(middle):
+        raise ValueError(f"cylinders: {name!r}: {retracted} m must be a finite retracted length")
+    least, most = middle - half, middle + half
+    if not limited:
+        element.range = np.array([least, most])
+        element.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        element.solref_limit[:] = (_STOP_TIME, 1.0)
+    elif low < least - _TOLERANCE or high > most + _TOLERANCE:
+        raise ValueError(
+            f"cylinders: {name!r} ranges from {low:.4f} to {high:.4f} m, its cylinder with half a "
+            f"stroke of {half:.4f} m from {least:.4f} to {most:.4f} m only"
+        )
+    return middle
+
+
+def _names(elements: Sequence[object]) -> str:
+    return ", ".join(sorted(str(e.name) for e in elements if e.name)) or "none"  # type: ignore[attr-defined]
