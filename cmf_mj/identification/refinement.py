@@ -15,12 +15,13 @@ instruments the noise-free regressors of the model before, which makes it effici
 
     Z = 1/A (-x[k-i], w[k-l]),   x = B/A w,   cov theta = s^2 (Z^T phi)^-1 Z^T Z (phi^T Z)^-1
 
-Closed loop: where the law feeds the noise of the outputs back to the valves, the input knows v and
-output error is biased too, the more the weaker the excitation. With `instrument="reference"` w is
-the part of the input that the external reference explains, from a long ARX model of reference to
-input; Z then depends on the reference alone and the estimate is consistent under any feedback
-(Gilson and Van den Hof, Automatica 41 (2005) 241-249). Records of simulated runs hold no noise, so
-there both agree; measured ones do.
+Closed loop: where the law feeds the noise of the outputs back to the valves, the input knows v, and
+output error is biased unless v is white; so are instruments made of the input. With
+`instrument="reference"` w is the part of the input that the external reference explains, from a
+long ARX model of reference to input; Z then depends on the reference alone and the estimate is
+consistent under any feedback and noise (Gilson and Van den Hof, Automatica 41 (2005) 241-249).
+Records of simulated runs hold no noise, only the distortion of orifices; records of the machine
+hold both.
 """
 
 from collections.abc import Sequence
