@@ -7,6 +7,8 @@ s that has this response. Where the input was held between the samples, as the v
 between control frames at 2048 Hz, `from_zero_order_hold` inverts the hold exactly.
 """
 
+import warnings
+
 import control
 import numpy as np
 from scipy import linalg
@@ -19,6 +21,9 @@ BAND = (0.1, 10.0)
 """Band in which a band-limited model is believed [Hz]: the report's of interest (section 4.2)."""
 
 _LINES = 200
+
+_LOST = 1e-8
+"""Relative error of a matrix logarithm from which on it is refused."""
 
 
 def to_continuous(
@@ -92,7 +97,13 @@ def from_zero_order_hold(model: control.StateSpace) -> control.StateSpace:
         raise ValueError(f"model: pole {bad[0].real:.4f} has no continuous counterpart")
     order, inputs = b.shape
     whole = np.block([[a, b], [np.zeros((inputs, order)), np.eye(inputs)]])
-    log = np.real(linalg.logm(whole)) / step
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # it judges by a bound; we check
+        log = np.real(linalg.logm(whole))
+    lost = float(np.abs(linalg.expm(log) - whole).max() / np.abs(whole).max())
+    if lost > _LOST:
+        raise ValueError(f"model: its hold cannot be inverted; the logarithm is off by {lost:.1e}")
+    log = log / step
     return control.ss(
         log[:order, :order],
         log[:order, order:],
