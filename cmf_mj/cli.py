@@ -9,8 +9,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from cmf_mj import measurement_report, models, report, units
+from cmf_mj import identification_report, measurement_report, models, report, units
 from cmf_mj.control import law_names, load_law
+from cmf_mj.identification_study import Method, Signal, identify, identify_matrix, simulated_records
 from cmf_mj.kinematics import DOFS
 from cmf_mj.limits import peaks
 from cmf_mj.measurement import facility_session, measure, session_commands
@@ -228,6 +229,63 @@ def measure_command(
         else:
             paths, table = measurement_report.measure_files(files or [], dof, estimator, out)
         _print(table, f"written: {', '.join(str(path) for path in paths)}", width=_TEXT_WIDTH)
+    except (ValueError, OSError, FloatingPointError, ModuleNotFoundError) as error:
+        refuse(error)
+
+
+@app.command("identify")
+def identify_command(
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(help="recordings: facility CSV, UFF 58 or Parquet; the last one validates"),
+    ] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="identify from simulated runs instead")
+    ] = False,
+    law: Annotated[
+        str | None, typer.Option(help="law by name or TOML file; default velocity, or the file's")
+    ] = None,
+    dof: Annotated[str, typer.Option(help="degree of freedom, leg_1 to leg_6, or all")] = "heave",
+    plant: PlantName = "hexapod",
+    cab: Cab = "gfd",
+    hydraulics: HydraulicSet = "hardware",
+    amplitude: Amplitude = None,
+    signal: Annotated[
+        Signal, typer.Option(help="what the simulated machine is excited with")
+    ] = "multisine",
+    method: Annotated[
+        Method, typer.Option(help="least squares, instruments or output error")
+    ] = "oe",
+    orders: Annotated[
+        str | None, typer.Option(help="na,nb,nk; default by validation fit on a grid")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="folder for results")] = Path("out/identify"),
+) -> None:
+    """Identify a linear model of leg velocity per valve command, or of all dofs (--dof all)."""
+    try:
+        if simulate == bool(files):
+            raise ValueError("files: name recordings, or use --simulate, not both and not neither")
+        chosen = identification_report.parse_orders(orders)
+        build = _plant(plant, cab, hydraulics)
+        name = law or "velocity"
+        if dof == "all":
+            if not simulate:
+                raise ValueError("dof: all needs --simulate")
+            _print(identification_report.matrix_table(identify_matrix(build, name)), width=100)
+            return
+        if simulate:
+            records = simulated_records(build, name, dof, signal, _size(dof, amplitude))
+            found = identify(records, dof, method=method, orders=chosen, law=name)
+        else:
+            found = identification_report.identify_files(
+                files or [], dof, method=method, orders=chosen, law=law
+            )
+        paths = identification_report.save_identification(found, out)
+        tables = (
+            identification_report.orders_table(found),
+            identification_report.model_table(found),
+        )
+        _print(*tables, f"written: {', '.join(str(path) for path in paths)}", width=_TEXT_WIDTH)
     except (ValueError, OSError, FloatingPointError, ModuleNotFoundError) as error:
         refuse(error)
 

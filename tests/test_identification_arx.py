@@ -148,7 +148,8 @@ def test_orders_are_found_by_bic_and_by_validation() -> None:
     assert found.best("bic").orders == Orders(3, 3, 1)
     assert found.best("aic").bic >= found.best("bic").bic
     best = found.best("validation")
-    assert best.fit == max(c.fit for c in found.candidates)
+    assert best.fit >= max(c.fit for c in found.candidates) - 0.2
+    assert best.parameters <= found.best("validation", slack=0.0).parameters
     true = next(c for c in found.candidates if c.orders == Orders(3, 3, 1))
     alone = arx(estimation, (3, 3, 1))
     assert true.fit == pytest.approx(float(simulation_fit(alone, validation)[0]), abs=0.05)

@@ -194,8 +194,13 @@ class Selection(NamedTuple):
 
     candidates: tuple[Candidate, ...]
 
-    def best(self, criterion: Criterion = "validation") -> Candidate:
+    def best(self, criterion: Criterion = "validation", *, slack: float = 0.2) -> Candidate:
         """The best of the stable candidates; if there is none, of all.
+
+        Args:
+            criterion: `validation` takes the fewest parameters whose fit is within the slack of the
+                best one; `aic` and `bic` their minimum.
+            slack: of the validation fit [%].
 
         Raises:
             ValueError: another criterion.
@@ -204,7 +209,9 @@ class Selection(NamedTuple):
             raise ValueError(f"criterion: {criterion!r} is not one of aic, bic, validation")
         pool = [c for c in self.candidates if c.stable] or list(self.candidates)
         if criterion == "validation":
-            return max(pool, key=lambda c: (c.fit, -c.parameters))
+            enough = max(c.fit for c in pool) - slack
+            good = [c for c in pool if c.fit >= enough]
+            return min(good, key=lambda c: (c.parameters, -c.fit))
         return min(pool, key=lambda c: c.aic if criterion == "aic" else c.bic)
 
 
