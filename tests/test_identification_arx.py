@@ -47,12 +47,12 @@ def test_without_noise_the_parameters_are_exact() -> None:
 
 
 def test_covariance_is_that_of_repeated_experiments() -> None:
-    """theta^T cov^-1 theta of 200 experiments follows chi-squared: Kolmogorov-Smirnov, 1 %."""
+    """theta^T cov^-1 theta of 100 experiments follows chi-squared: Kolmogorov-Smirnov, 1 %."""
     system = lag(3.0) * pair(11.0, 0.11)
     b, a = sampled(system)
     true = np.concatenate([a[1:], b[1:]])
     distance = []
-    for seed in range(200):
+    for seed in range(100):
         model = arx(noisy(system, seed, samples=800, where="equation"), (3, 3, 1))
         off = model.parameters() - true
         distance.append(off @ np.linalg.solve(model.covariances[0], off))
@@ -187,10 +187,10 @@ def test_residuals_of_the_right_model_are_white_and_of_a_small_one_are_not() -> 
 
 
 def test_share_of_residual_correlations_outside_their_bounds_is_one_per_cent() -> None:
-    """Two hundred true models: 1 % of 20 lags outside, within 0.5 %."""
+    """A hundred true models: 1 % of 20 lags outside, within 0.7 %."""
     system = lag(3.0)
     outside, crossed = [], []
-    for seed in range(200):
+    for seed in range(100):
         run = noisy(system, seed, samples=1000, noise=0.5)
         model = replace(
             arx(noisy(system, seed, samples=1000, noise=0.0), (1, 1, 1)), noise="output"
@@ -198,8 +198,8 @@ def test_share_of_residual_correlations_outside_their_bounds_is_one_per_cent() -
         found = residual_analysis(model, run, lags=20)
         outside.append(found.auto_outside)
         crossed.append(found.cross_outside[0])
-    assert np.mean(outside) == pytest.approx(0.01, abs=0.005)
-    assert np.mean(crossed) == pytest.approx(0.01, abs=0.005)
+    assert np.mean(outside) == pytest.approx(0.01, abs=0.007)
+    assert np.mean(crossed) == pytest.approx(0.01, abs=0.007)
 
 
 def test_fit_is_the_normalised_rms_error() -> None:

@@ -11,8 +11,8 @@ velocities and pressures and H = e^(-s d T0) (1 - e^(-s T0)) / (s T0) delay and 
 to the front since they commute. The accelerometer is one frame late, as in the simulation.
 
 The report's zero pressures are nearly right for a leg of its own and in heave, where the law's
-pressure terms move the -90 deg bandwidth by 0.3 %. On the hexapod they are not in surge and sway:
-these legs swing the largest mass. Models of the pressures belong into their loop.
+pressure terms move the -90 deg bandwidth by 0.3 %. In surge and sway of the hexapod, whose legs
+swing the largest mass, they slow it by about 2 %: models of the pressures belong into that loop.
 """
 
 from typing import NamedTuple
