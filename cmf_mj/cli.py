@@ -11,7 +11,14 @@ from rich.table import Table
 
 from cmf_mj import identification_report, measurement_report, models, report, units
 from cmf_mj.control import law_names, load_law
-from cmf_mj.identification_study import Method, Signal, identify, identify_matrix, simulated_records
+from cmf_mj.identification_study import (
+    Method,
+    Signal,
+    identify,
+    identify_matrix,
+    simulated_records,
+    simulated_step,
+)
 from cmf_mj.kinematics import DOFS
 from cmf_mj.limits import peaks
 from cmf_mj.measurement import facility_session, measure, session_commands
@@ -245,7 +252,9 @@ def identify_command(
     law: Annotated[
         str | None, typer.Option(help="law by name or TOML file; default velocity, or the file's")
     ] = None,
-    dof: Annotated[str, typer.Option(help="degree of freedom, leg_1 to leg_6, or all")] = "heave",
+    dof: Annotated[
+        str, typer.Option(help="degree of freedom; leg_1 to leg_6 of files; all")
+    ] = "heave",
     plant: PlantName = "hexapod",
     cab: Cab = "gfd",
     hydraulics: HydraulicSet = "hardware",
@@ -275,7 +284,8 @@ def identify_command(
             return
         if simulate:
             records = simulated_records(build, name, dof, signal, _size(dof, amplitude))
-            found = identify(records, dof, method=method, orders=chosen, law=name)
+            step = simulated_step(build, name, dof, _size(dof, amplitude))
+            found = identify(records, dof, method=method, orders=chosen, law=name, step=step)
         else:
             found = identification_report.identify_files(
                 files or [], dof, method=method, orders=chosen, law=law

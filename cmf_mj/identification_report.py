@@ -98,6 +98,12 @@ def model_table(found: Identified) -> Table:
                 "",
                 f"measured {theirs:.3f} Hz, error {100.0 * off:+.1f} %, law {found.law}",
             )
+        if loop.step is not None:
+            for label, name in (("damping ratio", "damping_ratio"), ("rise time", "rise_time")):
+                mine, theirs = getattr(loop, name), getattr(loop.step, name)
+                unit = " s" if name == "rise_time" else ""
+                note = f"measured {theirs:.3f}{unit}, of the step"
+                table.add_row(f"closed loop, {label}", f"{mine:.3f}{unit}", "", note)
     return table
 
 
@@ -304,6 +310,9 @@ def save_identification(found: Identified, folder: Path) -> list[Path]:
                     "measured": loop.measured._asdict(),
                     "phase_error": loop.phase_error,
                     "gain_error": loop.gain_error,
+                    "damping_ratio": loop.damping_ratio,
+                    "rise_time": loop.rise_time,
+                    "measured_step": None if loop.step is None else loop.step._asdict(),
                 },
             }
         ),

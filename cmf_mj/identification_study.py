@@ -44,6 +44,8 @@ from cmf_mj.measurement import dof_amplitude
 from cmf_mj.plant import Plant
 from cmf_mj.record import Record
 from cmf_mj.simulation import simulate
+from cmf_mj.step_response import step_metrics
+from cmf_mj.studies import STEP_PER_AMPLITUDE
 
 Method = Literal["arx", "iv", "oe"]
 Signal = Literal["multisine", "chirp", "noise", "pulse", "sine"]
@@ -98,6 +100,7 @@ def identify(
     orders: Orders | tuple[int, int, int] | None = None,
     rate: float = RATE,
     law: str | Law | None = None,
+    step: Record | None = None,
 ) -> Identified:
     """Identify leg velocity from valve command along a leg or degree of freedom.
 
@@ -111,6 +114,7 @@ def identify(
             validation fit.
         rate: of the series [Hz].
         law: that drove the records; default the one they name, if it is a shipped one.
+        step: run of a step under that law, to compare the loop's damping with.
 
     Raises:
         ValueError: an argument out of range, or records that cannot be fitted.
@@ -134,7 +138,8 @@ def identify(
     loop = None
     if broad and name is not None:
         measured = frequency_response(broad[-1], axis)
-        loop = loop_errors(in_field_units(continuous.rational), name, measured)
+        stepped = None if step is None else step_metrics(step, axis)
+        loop = loop_errors(in_field_units(continuous.rational), name, measured, stepped)
     return Identified(
         axis,
         name.name if isinstance(name, Law) else (name or ""),
@@ -216,6 +221,18 @@ def simulated_records(
         excitation("multisine", dof, amplitude, seed=1),
     )
     return [simulate(build(), law, command, record_every=RECORD_EVERY) for command in commands]
+
+
+def simulated_step(
+    build: Callable[[], Plant], law: str | Law, dof: str, amplitude: float | None = None
+) -> Record:
+    """The step beside `simulated_records`: 1 in or 0.6 deg by default, the report's.
+
+    Raises:
+        ValueError: an argument out of range, named.
+    """
+    size = dof_amplitude(dof, amplitude) * STEP_PER_AMPLITUDE
+    return simulate(build(), law, signals.step(dof, size), record_every=RECORD_EVERY)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,13 @@ from typer.testing import CliRunner
 from cmf_mj import SingleLegs
 from cmf_mj.cli import app
 from cmf_mj.identification_report import model_table, orders_table, save_identification
-from cmf_mj.identification_study import Identified, excitation, identify, simulated_records
+from cmf_mj.identification_study import (
+    Identified,
+    excitation,
+    identify,
+    simulated_records,
+    simulated_step,
+)
 from cmf_mj.record import Record
 from cmf_mj.recording import write_facility_csv
 
@@ -25,7 +31,8 @@ def records() -> list[Record]:
 
 @pytest.fixture(scope="module")
 def found(records: list[Record]) -> Identified:
-    return identify(records, "heave")
+    step = simulated_step(SingleLegs, "velocity", "heave")
+    return identify(records, "heave", step=step)
 
 
 def text(*tables) -> str:
@@ -44,6 +51,9 @@ def test_orders_found_on_the_grid_are_those_of_lag_mode_and_leakage(found: Ident
     assert found.loop is not None
     assert abs(found.loop.phase_error) < 0.03
     assert found.law == "velocity"
+    assert found.loop.step is not None
+    assert found.loop.damping_ratio == pytest.approx(found.loop.step.damping_ratio, abs=0.03)
+    assert (found.continuous.input_unit, found.continuous.output_unit) == ("1", "m/s")
     lags = [np.log(r.value.real) * 64.0 for r in found.model.poles() if r.value.imag == 0.0]
     assert min(lags) == pytest.approx(-2.0 * np.pi * 3.0, rel=0.03)
 

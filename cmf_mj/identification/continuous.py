@@ -64,6 +64,8 @@ def to_continuous(
         count - 1 if zeros is None else zeros,
         input_name=model.input_names[column],
         output_name=model.output_names[row],
+        input_unit=model.input_units[column],
+        output_unit=model.output_units[row],
     )
 
 

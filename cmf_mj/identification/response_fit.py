@@ -54,6 +54,8 @@ class ResponseFit(NamedTuple):
     bic: float
     reflected: int
     """Poles of the vector fitting's last sweep that had to be reflected."""
+    input_unit: str = ""
+    output_unit: str = ""
 
     def response(self, frequency: ArrayLike) -> Complex:
         """H at `frequency` [Hz], (K,)."""
@@ -87,6 +89,8 @@ def fit_response(
     fit_delay: bool = False,
     input_name: str = "u",
     output_name: str = "y",
+    input_unit: str = "",
+    output_unit: str = "",
 ) -> ResponseFit:
     """Fit a stable rational transfer function, with a pure delay on demand, to a response.
 
@@ -101,6 +105,8 @@ def fit_response(
         fit_delay: whether the delay is fitted too; it stays at or above 0.
         input_name: label.
         output_name: label.
+        input_unit: kept in the result.
+        output_unit: kept in the result.
 
     Raises:
         ValueError: bad lines, orders out of range, too few lines.
@@ -157,6 +163,8 @@ def fit_response(
         float(count * np.log(loss / count) + 2.0 * unknowns),
         float(count * np.log(loss / count) + unknowns * np.log(count)),
         reflected,
+        input_unit,
+        output_unit,
     )
 
 
