@@ -148,7 +148,7 @@ def session_commands(dof: str, amplitude: float | None = None) -> list[signals.C
     Raises:
         ValueError: an argument out of range, or a demand beyond the limits; each is named.
     """
-    size = _amplitude(dof, amplitude)
+    size = dof_amplitude(dof, amplitude)
     numbers = range(1, len(excitations.ROUNDS) + 1)
     commands = [excitations.seven_sines(dof, size, number) for number in numbers]
     for command in commands:
@@ -188,8 +188,12 @@ def facility_session(
     )
 
 
-def _amplitude(dof: str, amplitude: float | None) -> float:
-    """The given amplitude, or the report's: 0.33 in or 0.2 deg."""
+def dof_amplitude(dof: str, amplitude: float | None) -> float:
+    """The given amplitude [m or rad], or the report's: 0.33 in or 0.2 deg.
+
+    Raises:
+        ValueError: an amplitude that is not a finite number above 0.
+    """
     size = amplitude
     if size is None:
         translation = signals.dof_index(dof) < 3
@@ -230,7 +234,7 @@ def measure(
         ValueError: an argument out of range, named.
     """
     translation = signals.dof_index(dof) < 3
-    size = _amplitude(dof, amplitude)
+    size = dof_amplitude(dof, amplitude)
     plant = build()
 
     def run(command: signals.Command, every: int = RECORD_EVERY) -> Record:
@@ -286,11 +290,11 @@ def measure(
             Threshold(step, metrics.dynamic_threshold(reached, record.rate, step, 1.0))
         )
 
-    share = size / _amplitude(dof, None)
+    share = size / dof_amplitude(dof, None)
     crosstalk = []
     for index, driven in enumerate(DOFS):
         crossed = run(
-            signals.sine(driven, share * _amplitude(driven, None), CROSSTALK, cycles=10.0)
+            signals.sine(driven, share * dof_amplitude(driven, None), CROSSTALK, cycles=10.0)
         )
         moved = dof_accelerations(crossed)[_whole_cycles(crossed, CROSSTALK, 6)]
         crosstalk.append(metrics.crosstalk(moved, index))

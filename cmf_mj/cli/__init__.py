@@ -1,9 +1,18 @@
 """The command line, `cmf`: one module a family of commands."""
 
-from cmf_mj.cli import analysing, comparing, failing, hosting, listing, measuring
+from cmf_mj.cli import analysing, comparing, failing, hosting, identifying, listing, measuring
 from cmf_mj.cli.common import app
 
-__all__ = ["analysing", "comparing", "failing", "hosting", "listing", "main", "measuring"]
+__all__ = [
+    "analysing",
+    "comparing",
+    "failing",
+    "hosting",
+    "identifying",
+    "listing",
+    "main",
+    "measuring",
+]
 
 
 def main() -> None:

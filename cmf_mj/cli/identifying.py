@@ -1,0 +1,88 @@
+"""`cmf identify`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cmf_mj import identification_report
+from cmf_mj.cli.common import (
+    TEXT_WIDTH,
+    Amplitude,
+    Cab,
+    HydraulicSet,
+    PlantName,
+    app,
+    in_si,
+    plant_builder,
+    refuse,
+    show,
+)
+from cmf_mj.identification_study import (
+    Method,
+    Signal,
+    identify,
+    identify_matrix,
+    simulated_records,
+    simulated_step,
+)
+
+
+@app.command("identify")
+def identify_command(
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(help="recordings: facility CSV, UFF 58 or Parquet; the last one validates"),
+    ] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="identify from simulated runs instead")
+    ] = False,
+    law: Annotated[
+        str | None, typer.Option(help="law by name or TOML file; default velocity, or the file's")
+    ] = None,
+    dof: Annotated[
+        str, typer.Option(help="degree of freedom; leg_1 to leg_6 of files; all")
+    ] = "heave",
+    plant: PlantName = "hexapod",
+    cab: Cab = "gfd",
+    hydraulics: HydraulicSet = "hardware",
+    amplitude: Amplitude = None,
+    signal: Annotated[
+        Signal, typer.Option(help="what the simulated machine is excited with")
+    ] = "multisine",
+    method: Annotated[
+        Method, typer.Option(help="least squares, instruments or output error")
+    ] = "oe",
+    orders: Annotated[
+        str | None, typer.Option(help="na,nb,nk; default by validation fit on a grid")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="folder for results")] = Path("out/identify"),
+) -> None:
+    """Identify a linear model of leg velocity per valve command, or of all dofs (--dof all)."""
+    try:
+        if simulate == bool(files):
+            raise ValueError("files: name recordings, or use --simulate, not both and not neither")
+        chosen = identification_report.parse_orders(orders)
+        build = plant_builder(plant, cab, hydraulics)
+        name = law or "velocity"
+        if dof == "all":
+            if not simulate:
+                raise ValueError("dof: all needs --simulate")
+            show(identification_report.matrix_table(identify_matrix(build, name)), width=100)
+            return
+        if simulate:
+            records = simulated_records(build, name, dof, signal, in_si(dof, amplitude))
+            step = simulated_step(build, name, dof, in_si(dof, amplitude))
+            found = identify(records, dof, method=method, orders=chosen, law=name, step=step)
+        else:
+            found = identification_report.identify_files(
+                files or [], dof, method=method, orders=chosen, law=law
+            )
+        paths = identification_report.save_identification(found, out)
+        tables = (
+            identification_report.orders_table(found),
+            identification_report.model_table(found),
+        )
+        show(*tables, f"written: {', '.join(str(path) for path in paths)}", width=TEXT_WIDTH)
+    except (ValueError, OSError, FloatingPointError, ModuleNotFoundError) as error:
+        refuse(error)
