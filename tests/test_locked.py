@@ -107,9 +107,9 @@ def no_load_speed(p: HydraulicParameters) -> float:
     return p.leg_speed.si * np.sqrt(2 * cap_area / (cap_area + rod_area))
 
 
-@pytest.mark.parametrize("load", [-0.95, -0.5, 0.2, 0.95])
+@pytest.mark.parametrize("load", [-0.9, -0.5, 0.2, 0.9])
 def test_a_leg_moves_under_any_load_short_of_stall(load: float) -> None:
-    """Stall force Ac Ps = 35 637 lbf pushing, Ar Ps = 17 948 lbf pulling: at 95 % of it the leg
+    """Stall force Ac Ps = 35 637 lbf pushing, Ar Ps = 17 948 lbf pulling: at 90 % of it the leg
     still extends (retracts), at a speed of the square root of what is left of the force.
 
     Both ports carry the same leg speed, so both have the drop d: d (Ac + Ar) is the force left, and
@@ -123,9 +123,9 @@ def test_a_leg_moves_under_any_load_short_of_stall(load: float) -> None:
     stall = cap_area * supply if load > 0 else rod_area * supply
     sign = 1.0 if load > 0 else -1.0
     machine = SingleLegs(p, static_load=load * stall)
-    record = drive(machine, np.full((5 * 512, 6), 0.3 * sign), record_every=16)
+    record = drive(machine, np.full((4096, 6), 0.3 * sign), record_every=16)
     x, t = record["leg_extension"][:, 0], record.time
-    speed = sign * (x[-1] - x[-20]) / (t[-1] - t[-20])
+    speed = sign * (x[-1] - x[-128]) / (t[-1] - t[-128])
     left = (stall - abs(load) * stall) / (cap_area + rod_area)
     expected = 0.3 * p.leg_speed.si * np.sqrt(left / (supply / 2))
     assert speed == pytest.approx(expected, rel=1.5e-2)
