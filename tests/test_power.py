@@ -88,9 +88,8 @@ def test_work_on_the_pistons_is_what_mujoco_gains(
     plant: str, hydraulics: str, command: str
 ) -> None:
     """Mechanical less friction = kinetic and potential energy by MuJoCo's own account, to 0.1 % of
-    the throughput; 1e-4 is met, 1e-6 without torn chambers. The run
-    ends at rest but for a little: half a step's difference
-    between positions and velocities does not tell."""
+    the throughput; 1e-4 is met, 1e-6 without torn chambers. The run ends at rest but for a
+    little: half a step's difference between positions and velocities does not tell."""
     machine, record = run(plant, hydraulics, command)
     model = machine.model
     data = mujoco.MjData(model)
