@@ -130,7 +130,7 @@ def port_flows(
 
     def out(gain: float, full: float, gap: float) -> float:
         """Gain of valve and cushion in series: 1/G^2 = 1/g^2 + (e / G_stop)^2."""
-        if gap >= length or gain == 0.0:
+        if length == 0.0 or gap >= length or gain == 0.0:
             return gain
         e = min((length - gap) / length, 1.0)
         stop = p.cushion_opening.value / 100 * full

@@ -416,6 +416,14 @@ def test_single_legs_take_load_and_mass_apart():
     np.testing.assert_allclose(single.data.qacc, 1.0, rtol=1e-12, atol=0.0)
 
 
+@pytest.mark.parametrize("load", [-70e3, 0.0, 1e3, 32e3, 150e3])
+def test_single_legs_carry_any_load(load):
+    """More than their weight, or a pull, too."""
+    single = SingleLegs(static_load=load)
+    single.start()
+    np.testing.assert_allclose(single.static_load(), load, rtol=1e-12, atol=1e-9)
+
+
 @pytest.mark.parametrize("mass", [0.0, -1.0, np.nan])
 def test_effective_mass_must_be_positive(mass):
     with pytest.raises(ValueError, match="effective_mass: .* must be greater than 0"):

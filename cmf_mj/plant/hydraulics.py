@@ -320,7 +320,12 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
             stage.known[node] = network[node]
         solved = solve(hydraulics.cylinder, hydraulics.oil, supply, hydraulics.laminar, stage, step)
         converged = solved >= 0
-        _count(hydraulics, energy, stage, step, 1.0, before, after)
+        # Work by the mean of both ends, as the mechanics does it.
+        _count(hydraulics, energy, stage, step, 0.5, before, after)
+        for leg in range(legs):
+            pressure = state.pressure[leg]
+            load = force(hydraulics.cylinder[leg], pressure[CAP], pressure[ROD])
+            energy[_MECHANICAL] += 0.5 * load * (after[leg] - before[leg])
 
     for leg in range(legs):
         own = chambers[leg]
