@@ -77,7 +77,7 @@ _REST = 2.0
 _FADE = 1.0
 """Fade of the manoeuvre at both ends [s]."""
 _STILL = 1e-3
-"""Swing of a leg over the last second that counts as none [m]."""
+"""Swing of a leg over the last second, or distance from its demand, that counts as none [m]."""
 _AT_STOP = 2e-3
 """Distance from a stop that counts as on it [m]."""
 _KEEP = 8
@@ -110,10 +110,14 @@ class FailureResult(NamedTuple):
     """Largest axial leg load [N] before the event, by size."""
     load_after: Peak
     """The same from the event on; negative pulls."""
+    load_free: Peak
+    """The same from the event until the first leg meets a stop."""
     acceleration_before: Peak
     """Largest crew acceleration before the event [m/s^2]."""
     acceleration_after: Peak
     """The same from the event on."""
+    acceleration_free: Peak
+    """The same from the event until the first leg meets a stop."""
     specific_force_before: Peak
     """Largest specific force on the crew before the event [m/s^2]; 1 g at rest."""
     specific_force_after: Peak
@@ -301,10 +305,11 @@ def _measure(
     chambers = np.stack([record["cap_pressure"][:-1], record["rod_pressure"][:-1]], axis=2)
     fault = record.metadata["fault"]
     contact, impact = _contacts(time, extension, half)
+    free = after & (time < contact.time) if contact is not None else after
     state = "out_of_bounds" if message else _final_state(record, event.at, half, contact)
     load_peaks = [
-        peak._replace(value=float(load[_row(time, peak.time), (peak.leg or 1) - 1]))
-        for peak in (_largest(time, size, where) for where in (before, after))
+        peak._replace(value=_signed(peak, time, load))
+        for peak in (_largest(time, size, where) for where in (before, after, free))
     ]
     return FailureResult(
         event=event,
@@ -313,8 +318,10 @@ def _measure(
         static_load=record["leg_force"][0].copy(),
         load_before=load_peaks[0],
         load_after=load_peaks[1],
+        load_free=load_peaks[2],
         acceleration_before=_largest(time, felt, before),
         acceleration_after=_largest(time, felt, after),
+        acceleration_free=_largest(time, felt, free),
         specific_force_before=_largest(time, whole, before),
         specific_force_after=_largest(time, whole, after),
         detected_by=fault and fault["name"],
@@ -339,8 +346,11 @@ def _without_gravity(
     return turn.apply(force.copy()) + plant.model.opt.gravity
 
 
-def _row(time: NDArray[np.float64], at: float) -> int:
-    return int(np.searchsorted(time, at - 0.5 * FRAME))
+def _signed(peak: Peak, time: NDArray[np.float64], load: NDArray[np.float64]) -> float:
+    """The load (N, n) at a peak of its size."""
+    if peak.leg is None:
+        return peak.value
+    return float(load[np.searchsorted(time, peak.time), peak.leg - 1])
 
 
 def _largest(
@@ -393,7 +403,7 @@ def _final_state(record: Record, at: float, half: NDArray[np.float64], contact: 
     error = np.abs(record["leg_reference"] - extension)
     usual = float(error[time < at].max(initial=0.0))
     final = float(error[time >= max(time[-1] - 2.0 * _REST - _FADE, at)].max())
-    if final <= 2.0 * usual:
+    if final <= 2.0 * usual + _STILL:
         return "running"
     if final <= FOLLOWING:
         return "degraded"

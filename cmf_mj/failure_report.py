@@ -16,10 +16,11 @@ from cmf_mj.files import whole_file
 from cmf_mj.report import markdown
 
 LEGEND = (
-    "load: largest axial leg load before and after the event, in kN and times the leg's static "
-    "load, negative pulls; crew: largest acceleration at the crew's heads, gravity removed, in g; "
-    "found: time to detect in s; pressures in psi gauge: least supply, least and largest of all "
-    "chambers; stops: speed of the first and of the fastest leg to meet one, in/s."
+    "load: largest axial leg load before the event, after it until a leg meets a stop, and in all "
+    "the time after it, in kN and times the leg's static load, negative pulls; crew: largest "
+    "acceleration at the crew's heads, gravity removed, in g; found: time to detect in s; "
+    "pressures in psi gauge: least supply, least and largest of all chambers; stops: speed of the "
+    "first and of the fastest leg to meet one, in/s."
 )
 """What the columns of the table mean."""
 
@@ -43,22 +44,24 @@ def _speed(peak: Peak | None) -> str:
 
 def failure_cells(results: Sequence[FailureResult]) -> tuple[list[str], list[list[str]]]:
     """Header and lines: a line an event."""
-    header = ["event", "load\nbefore", "\nx", "load\nafter", "\nx", "crew\nbefore", "\nafter"]
-    header += ["found\nby", "\nafter", "ends", "supply\nleast", "chamber\nleast", "\nmost"]
-    header += ["stops\nfirst", "\nfastest"]
+    header = ["event", "load\nbefore", "\nx", "\nafter", "\nx", "\nall", "\nx"]
+    header += ["crew\nbefore", "\nafter", "\nall", "found\nby", "\nafter", "ends"]
+    header += ["supply\nleast", "chamber\nleast", "\nmost", "stops\nfirst", "\nfastest"]
     lines = []
     for result in results:
         found = result.detection_time
+        loads = (result.load_before, result.load_free, result.load_after)
+        felt = (result.acceleration_before, result.acceleration_free, result.acceleration_after)
         pressures = (result.supply_least, result.pressure_least, result.pressure_peak)
         lines.append(
             [
                 label(result).replace("-", " "),
-                f"{1e-3 * result.load_before.value:.1f}",
-                f"{result.multiple(result.load_before):.2f}",
-                f"{1e-3 * result.load_after.value:.1f}",
-                f"{result.multiple(result.load_after):.2f}",
-                f"{units.from_si('g', result.acceleration_before.value):.2f}",
-                f"{units.from_si('g', result.acceleration_after.value):.2f}",
+                *(
+                    text
+                    for load in loads
+                    for text in (f"{1e-3 * load.value:.1f}", f"{result.multiple(load):.2f}")
+                ),
+                *(f"{units.from_si('g', peak.value):.2f}" for peak in felt),
                 result.detected_by or "-",
                 "-" if found is None else f"{found:.4f}",
                 result.state,
@@ -85,7 +88,7 @@ def failure_table(results: Sequence[FailureResult]) -> Table:
     )
     header, lines = failure_cells(results)
     for index, name in enumerate(header):
-        left = index in (0, 7, 9)
+        left = index in (0, 10, 12)
         table.add_column(name, justify="left" if left else "right", no_wrap=True)
     for line in lines:
         table.add_row(*line)
@@ -107,12 +110,17 @@ def _columns(result: FailureResult) -> dict[str, object]:
         "dof": result.dof,
         "protected": result.protected,
     }
-    for name, load in (("before", result.load_before), ("after", result.load_after)):
+    for name, load in (
+        ("before", result.load_before),
+        ("free", result.load_free),
+        ("after", result.load_after),
+    ):
         row[f"load_{name}_n"] = load.value
         row[f"load_{name}_multiple"] = result.multiple(load)
         row[f"load_{name}_leg"] = load.leg
     for name, peak in (
         ("crew_acceleration_before_m_s2", result.acceleration_before),
+        ("crew_acceleration_free_m_s2", result.acceleration_free),
         ("crew_acceleration_after_m_s2", result.acceleration_after),
         ("crew_specific_force_before_m_s2", result.specific_force_before),
         ("crew_specific_force_after_m_s2", result.specific_force_after),

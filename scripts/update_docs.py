@@ -1,7 +1,7 @@
-"""Refresh the generated tables and pictures of README and docs from finished comparisons.
+"""Refresh the generated tables and pictures of README and docs from finished studies.
 
 A table stands between `<!-- table: NAME -->` and `<!-- end -->`; NAME is a folder below --results
-that `cmf compare --out` wrote. Figures of the folder `compare` are copied to docs/images.
+that `cmf compare --out` or `cmf failure --out` wrote. Figures of the folder `compare` are copied to docs/images.
 """
 
 import argparse
@@ -10,19 +10,21 @@ import shutil
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "docs/model.md")
+PAGES = ("README.md", "docs/model.md", "docs/failures.md")
+TABLES = ("comparison.md", "failures.md")
 FIGURES = ("bode_surge.png", "bode_heave.png", "step_surge.png")
 _TABLE = re.compile(r"(<!-- table: ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def refresh(text: str, results: Path) -> str:
-    """Replace every table whose comparison lies below `results`."""
+    """Replace every table whose study lies below `results`."""
 
     def replace(match: re.Match[str]) -> str:
-        source = results / match[2] / "comparison.md"
-        if not source.is_file():
-            return match[0]
-        return f"{match[1]}\n{source.read_text(encoding='utf-8')}\n{match[3]}"
+        for name in TABLES:
+            source = results / match[2] / name
+            if source.is_file():
+                return f"{match[1]}\n{source.read_text(encoding='utf-8')}\n{match[3]}"
+        return match[0]
 
     return _TABLE.sub(replace, text)
 

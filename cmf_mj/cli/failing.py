@@ -25,9 +25,14 @@ def read_size(text: str) -> tuple[float, str]:
         raise ValueError(f"size: {text!r} is not a number and a unit, such as '1 in^2'") from error
 
 
-def _events(
+def events_of(
     event: str, at: float, leg: int | None, valve: int | None, size: str | None
 ) -> list[Event]:
+    """Events of the command line; `all` is every kind, valves once both and once the first.
+
+    Raises:
+        ValueError: names what is refused.
+    """
     kinds = names_of(event, KINDS)
     for kind in kinds:
         if kind not in KINDS:
@@ -70,7 +75,7 @@ def failure_command(
     """Let something fail during a manoeuvre: leg loads, what the crew feels, how it ends."""
     try:
         results = run_failures(
-            _events(event, at, leg, valve, size),
+            events_of(event, at, leg, valve, size),
             cab=cab,
             hydraulics=hydraulics,
             law=law,
