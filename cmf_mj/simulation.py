@@ -79,7 +79,7 @@ def simulate(
             extensions of the actuators (N, n) [m].
         events: failures on the time line.
         start: configuration to start from, as `plant.place` takes it; default the command's first
-            pose, neutral with `legs`.
+            pose, with `legs` the model's `qpos0`; `plant.configuration` finds that of extensions.
         legs: whether `command` are extensions.
         record_every: keep one frame in this many.
         command_delay: frames from a DCL frame to its command at the valves.
