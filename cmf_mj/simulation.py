@@ -50,7 +50,7 @@ def simulate(
             extensions of the actuators (N, n) [m].
         events: failures on the time line.
         start: configuration to start from, as `plant.place` takes it; default the command's first
-            pose, neutral with `legs`.
+            pose, with `legs` the model's `qpos0`; `plant.configuration` finds that of extensions.
         legs: whether `command` are extensions.
         protection: conditions that make an emergency stop, `default` or a TOML file; the metadata
             tell the `fault` and its time. Default none.

@@ -51,12 +51,12 @@ def test_bench_prints_json_with_a_ratio(tmp_path: Path) -> None:
     assert figures["speed_up_two_threads"] > 0.0
 
 
-@pytest.mark.parametrize("cab", ["gfd", "rfd", "ifd"])
-def test_render_model_draws_each_cab(cab: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("model", [["--cab", c] for c in ("gfd", "rfd", "ifd")] + [["--excavator"]])
+def test_render_model_draws_each_machine(model: list[str], tmp_path: Path) -> None:
     """Off-screen, in software: the picture is neither empty nor of one colour."""
-    arguments = ("--cab", cab, "--out", "cab.png", "--width", "320", "--height", "240")
-    run("render_model.py", *arguments, cwd=tmp_path)
-    picture = matplotlib.image.imread(tmp_path / "cab.png")
+    arguments = ("--out", "machine.png", "--width", "320", "--height", "240")
+    run("render_model.py", *model, *arguments, cwd=tmp_path)
+    picture = matplotlib.image.imread(tmp_path / "machine.png")
     assert picture.shape[:2] == (240, 320)
     assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
 
