@@ -122,11 +122,11 @@ def envelope_table(envelope: Envelope) -> Table:
         title=f"largest sustained sine: {envelope.law}, {envelope.cab}, "
         f"{envelope.hydraulics} hydraulics, manifold above {_psi(envelope.allowed_pressure)}",
         caption="Displacement, velocity, acceleration: amplitudes of the response's fundamental; "
-        "in, in/s, g or deg, deg/s, deg/s^2. Closed: smallest of the closed forms.",
+        "in, in/s, g or deg, deg/s, deg/s^2. Closed form: smallest of the velocity limits.",
         caption_justify="left",
         box=SIMPLE_HEAD,
     )
-    names = ("dof", "Hz", "demand", "displ.", "velocity", "accel.", "closed\nvelocity")
+    names = ("dof", "Hz", "demand", "displ.", "velocity", "accel.", "closed\nform")
     for name in (*names, "manifold\npsi", "drawn\ngpm", "distort.\n%"):
         table.add_column(name, justify="left" if name == "dof" else "right", no_wrap=True)
     table.add_column("bound by", no_wrap=True)
@@ -178,16 +178,39 @@ def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Fi
     )
     _motion(motion, result)
     pressure.plot(time, record["supply_pressure"] / _PSI, color="#0072b2", label="supply manifold")
-    pressure.plot(
-        time, record["accumulator_pressure"] / _PSI, "--", color="#e69f00", label="accumulator gas"
-    )
     pressure.axhline(result.allowed_pressure / _PSI, color="#d55e00", label="least allowed")
-    pressure.axhline(
-        parameters.precharge_pressure.si / _PSI, color="0.6", linestyle=":", label="precharge"
-    )
     pressure.set_ylabel("pressure [psi]")
-    pump = record["pump_flow"] / _GPM
-    flow.plot(time, pump, color="#009e73", label="pump")
+    largest = 100.0 * np.abs(record["valve_command"]).max(axis=1)
+    valve.plot(time, largest, color="0.2", label="largest valve command")
+    valve.axhline(100.0, color="0.6", linestyle=":")
+    valve.set(ylabel="valve command\nof the busiest leg [%]", ylim=(0.0, 110.0), xlabel="time [s]")
+    if parameters.supply == "constant":
+        flow.remove()
+        oil.remove()
+        legends, others = [motion, pressure], [valve]
+    else:
+        _network(pressure, flow, oil, result, parameters)
+        legends, others = [motion, pressure, flow], [oil, valve]
+    for axis in legends:
+        axis.legend(fontsize=8, loc="upper right", ncols=4, framealpha=0.9)
+        low, high = axis.get_ylim()
+        axis.set_ylim(low, high + 0.3 * (high - low))
+    for axis in [*legends, *others]:
+        axis.grid(True, color="0.9", linewidth=0.6)
+    motion.set_xlim(time[0], time[-1])
+    return figure
+
+
+def _network(
+    pressure: Axes, flow: Axes, oil: Axes, result: CapacityResult, parameters: HydraulicParameters
+) -> None:
+    """Pump, accumulators and relief over time."""
+    record, time = result.record, result.record.time
+    gas = record["accumulator_pressure"] / _PSI
+    pressure.plot(time, gas, "--", color="#e69f00", label="accumulator gas")
+    precharge = parameters.precharge_pressure.si / _PSI
+    pressure.axhline(precharge, color="0.6", linestyle=":", label="precharge")
+    flow.plot(time, record["pump_flow"] / _GPM, color="#009e73", label="pump")
     bank = parameters.accumulator_count.si * record["accumulator_oil"]
     given = -np.gradient(bank, time) / _GPM
     flow.plot(time, given, color="#e69f00", linewidth=0.9, label="accumulators")
@@ -198,18 +221,6 @@ def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Fi
     flow.set_ylabel("flow [gpm]")
     oil.plot(time, bank / _GALLON, color="#e69f00")
     oil.set(ylabel="oil in accumulators\n[gal]", ylim=(0.0, 1.1 * float(bank.max()) / _GALLON))
-    largest = 100.0 * np.abs(record["valve_command"]).max(axis=1)
-    valve.plot(time, largest, color="0.2", label="largest valve command")
-    valve.axhline(100.0, color="0.6", linestyle=":")
-    valve.set(ylabel="valve command\nof the busiest leg [%]", ylim=(0.0, 110.0), xlabel="time [s]")
-    for axis in (motion, pressure, flow):
-        axis.legend(fontsize=8, loc="upper right", ncols=4, framealpha=0.9)
-        low, high = axis.get_ylim()
-        axis.set_ylim(low, high + 0.3 * (high - low))
-    for axis in (motion, pressure, flow, oil, valve):
-        axis.grid(True, color="0.9", linewidth=0.6)
-    motion.set_xlim(time[0], time[-1])
-    return figure
 
 
 def _motion(axis: Axes, result: CapacityResult) -> None:
@@ -337,7 +348,7 @@ def _label(axis: Axes, values: np.ndarray, label: str, *, rising: bool) -> None:
         label,
         fontsize=6.5,
         color="0.45",
-        rotation=45.0 * slope,
+        rotation=float(np.degrees(np.arctan2(slope * np.exp(y), np.exp(x)))),
         rotation_mode="anchor",
         transform_rotates_text=True,
         ha="center",

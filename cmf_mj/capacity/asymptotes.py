@@ -20,9 +20,10 @@ Leg speed v with valves fully open, between constant manifolds, out:
     A_cap Ps - A_rod Pt - F
         = (A_cap + A_rod) ((v / k)^2 + s v / k) + (R_in A_cap^2 + R_out A_rod^2) v
 
-and in with the sign of the load and the manifolds exchanged; k is the speed gain of both valves, s
-the laminar root, R the hoses. Inertia forces, the fall of the manifold and bends of the kinematics
-are left out of v: the limits are asymptotes of the envelope, not the envelope.
+and in with A_rod Ps - A_cap Pt + F on the left and the areas exchanged in the last term; k is the
+speed gain of both valves, s the laminar root, R the hoses. Inertia forces, the fall of the
+manifold, bends of the kinematics and piston leakage (about 1 %) are left out of v: the limits are
+asymptotes of the envelope, not the envelope.
 """
 
 from dataclasses import dataclass

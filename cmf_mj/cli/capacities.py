@@ -30,6 +30,9 @@ from cmf_mj.cli.common import (
 from cmf_mj.kinematics import DOFS
 from cmf_mj.parameters import load_hydraulics
 
+_ENVELOPE_WIDTH = 132
+"""Width of the envelope's table."""
+
 
 @app.command("capacity")
 def capacity_command(
@@ -86,7 +89,7 @@ def capacity_command(
                     progress=update,
                 )
             paths += capacity_report.save_envelope(found, out)
-            show(capacity_report.envelope_table(found), width=TEXT_WIDTH)
+            show(capacity_report.envelope_table(found), width=_ENVELOPE_WIDTH)
         show(f"written: {', '.join(str(path) for path in paths)}", width=TEXT_WIDTH)
     except (ValueError, OSError, FloatingPointError) as error:
         refuse(error)
