@@ -169,8 +169,10 @@ def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Fi
     """A manoeuvre over time: motion, pressures, flows, oil in the accumulators, valves."""
     record = result.record
     time = record.time
-    figure = Figure(figsize=(8.5, 9.5), layout="constrained")
-    motion, pressure, flow, oil, valve = figure.subplots(5, 1, sharex=True)
+    network = parameters.supply == "network"
+    count = 5 if network else 3
+    figure = Figure(figsize=(8.5, 1.9 * count), layout="constrained")
+    motion, pressure, *between, valve = figure.subplots(count, 1, sharex=True)
     verdict = "holds" if result.holds else "does NOT hold"
     motion.set_title(
         f"the supply {verdict}: least manifold pressure {_psi(result.least_pressure)}, "
@@ -184,13 +186,12 @@ def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Fi
     valve.plot(time, largest, color="0.2", label="largest valve command")
     valve.axhline(100.0, color="0.6", linestyle=":")
     valve.set(ylabel="valve command\nof the busiest leg [%]", ylim=(0.0, 110.0), xlabel="time [s]")
-    if parameters.supply == "constant":
-        flow.remove()
-        oil.remove()
-        legends, others = [motion, pressure], [valve]
-    else:
+    legends, others = [motion, pressure], [valve]
+    if network:
+        flow, oil = between
         _network(pressure, flow, oil, result, parameters)
-        legends, others = [motion, pressure, flow], [oil, valve]
+        legends.append(flow)
+        others.append(oil)
     for axis in legends:
         axis.legend(fontsize=8, loc="upper right", ncols=4, framealpha=0.9)
         low, high = axis.get_ylim()

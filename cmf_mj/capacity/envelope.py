@@ -207,13 +207,14 @@ def _nothing(dof: str, frequency: float, command: float) -> EnvelopePoint:
 def _next(below: _Run | None, above: _Run | None, *, halve: bool) -> float:
     """The next amplitude to try."""
     aim = np.log(_AIM)
-    if below is None or above is None:
-        known = below or above
-        assert known is not None
-        change = np.clip(aim - np.log(known.largest), *(np.log(_LARGEST_STEP) * np.array([-1, 1])))
-        return float(known.point.command * np.exp(change))
-    low, high = np.log(below.point.command), np.log(above.point.command)
-    g_low, g_high = np.log(below.largest), np.log(above.largest)
+    ends = [run for run in (below, above) if run is not None]
+    if len(ends) < 2:
+        change = np.clip(
+            aim - np.log(ends[0].largest), *(np.log(_LARGEST_STEP) * np.array([-1, 1]))
+        )
+        return float(ends[0].point.command * np.exp(change))
+    low, high = (np.log(run.point.command) for run in ends)
+    g_low, g_high = (np.log(run.largest) for run in ends)
     share = 0.5 if halve else np.clip((aim - g_low) / (g_high - g_low), 0.1, 0.9)
     return float(np.exp(low + share * (high - low)))
 
