@@ -1,10 +1,20 @@
 """The command line, `cmf`: one module a family of commands."""
 
-from cmf_mj.cli import analysing, comparing, failing, hosting, identifying, listing, measuring
+from cmf_mj.cli import (
+    analysing,
+    capacities,
+    comparing,
+    failing,
+    hosting,
+    identifying,
+    listing,
+    measuring,
+)
 from cmf_mj.cli.common import app
 
 __all__ = [
     "analysing",
+    "capacities",
     "comparing",
     "failing",
     "hosting",

@@ -1,10 +1,12 @@
 """What all commands share: the application, its options, printing and refusing."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Annotated, NoReturn
 
 import typer
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from cmf_mj import models, units
@@ -40,6 +42,22 @@ def refuse(error: Exception) -> NoReturn:
     raise SystemExit(2)
 
 
+@contextmanager
+def progress_bar() -> Iterator[Callable[[int, int], None]]:
+    """A bar on the error stream; call what it gives with (done, in all)."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("compiling and running", total=None)
+        yield lambda done, total: bar.update(
+            task, completed=done, total=total, description="running"
+        )
+
+
 def names_of(text: str, every: tuple[str, ...]) -> list[str]:
     """Names of a comma-separated option, or all."""
     return list(every) if text == "all" else [part.strip() for part in text.split(",") if part]
@@ -65,7 +83,7 @@ Dof = Annotated[str, typer.Option(help=f"degree of freedom: {', '.join(DOFS)}")]
 LawName = Annotated[str, typer.Option("--law", help="law by name or TOML file")]
 PlantName = Annotated[str, typer.Option("--plant", help="hexapod or single_legs")]
 Cab = Annotated[str, typer.Option(help="gfd, rfd or ifd")]
-HydraulicSet = Annotated[str, typer.Option(help="report, hardware or a TOML file")]
+HydraulicSet = Annotated[str, typer.Option(help="report, hardware, lossy or a TOML file")]
 Amplitude = Annotated[
     float | None, typer.Option(help="amplitude [in or deg]; default 0.33 in or 0.2 deg")
 ]

@@ -5,10 +5,9 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from cmf_mj import report, units
-from cmf_mj.cli.common import app, names_of, refuse, show
+from cmf_mj.cli.common import app, names_of, progress_bar, refuse, show
 from cmf_mj.control import law_names
 from cmf_mj.kinematics import DOFS
 from cmf_mj.studies import AMPLITUDE, DEFAULT_LAWS, PLANTS, Comparison, compare
@@ -28,14 +27,7 @@ def run_comparison(
     records: bool = True,
 ) -> Comparison:
     """Compare with a progress bar, print the table and write all files to `out`."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("compiling and running", total=None)
+    with progress_bar() as update:
         comparison = compare(
             laws,
             dofs,
@@ -46,9 +38,7 @@ def run_comparison(
             jobs=jobs,
             quick=quick,
             records=out / "records" if records else None,
-            progress=lambda done, total: bar.update(
-                task, completed=done, total=total, description="running"
-            ),
+            progress=update,
         )
     out.mkdir(parents=True, exist_ok=True)
     comparison.save_csv(out / "comparison.csv")
