@@ -1,7 +1,7 @@
 """State space of a plant with its hydraulics about rest, assembled from the slopes of its parts.
 
-With d, u drive and spool of a valve, l, v extensions and speeds, p chamber pressures, r(p) the oil's
-content per volume, q the port flows, and M_leg, D, G of the mechanics,
+With d, u drive and spool of a valve, l, v extensions and speeds, p chamber pressures, r(p) what the
+oil holds per volume, q the port flows, and M_leg, D, G of the mechanics,
 
     dd/dt = a (c - d)                                      du/dt = b (d - u)
     dl/dt = v                  M_leg dv/dt = A_cap p_cap - A_rod p_rod - (D + b) v - G l
@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.linear_models.dcl import FEEDBACK, labels
+from cmf_mj.linearization.describing import Excitation
 from cmf_mj.linearization.operating_point import OperatingPoint, operating_point
 from cmf_mj.linearization.ports import CAP, DRAWN, HIGH, LOW, RETURNED, ROD, port_slopes
 from cmf_mj.parameters import VALVES
@@ -53,7 +54,11 @@ class _Rows:
 
 
 def linearize(
-    plant: Plant, pose: ArrayLike | None = None, *, at: OperatingPoint | None = None
+    plant: Plant,
+    pose: ArrayLike | None = None,
+    *,
+    excitation: Excitation = "noise",
+    at: OperatingPoint | None = None,
 ) -> control.StateSpace:
     """Linearise a plant with its hydraulics at rest in a configuration; the plant is left there.
 
@@ -63,7 +68,8 @@ def linearize(
     Args:
         plant: `Hexapod`, `SingleLegs`, or any `Plant` whose cylinders determine its motion.
         pose: configuration as `plant.place` takes it; default neutral.
-        at: the operating point there, where it is known.
+        excitation: what moves the valves, `noise` or `sine`, see `describing`.
+        at: the operating point, where it is known, instead of both.
 
     Returns:
         Inputs `command_1` and on, fractions; outputs `leg_position` [m], `leg_velocity`,
@@ -78,7 +84,7 @@ def linearize(
         ValueError: what has no linearisation (overlap, hysteresis, dry friction), named with the
             set and the actuator; a configuration on a stop or beyond what the supply can hold.
     """
-    point = at if at is not None else operating_point(plant, pose)
+    point = at if at is not None else operating_point(plant, pose, excitation=excitation)
     legs = plant.legs
     valves = [_valve_states(plant, name) for name in plant.actuators]
     number = [f"_{leg + 1}" if legs > 1 else "" for leg in range(legs)]
@@ -183,7 +189,9 @@ def _fill_hydraulics(
     extension = point.mechanics.extension[leg]
     ends = np.array([point.supply_pressure, point.return_pressure])
     pressures = np.append(point.pressure[leg], ends)
-    slopes = port_slopes(hydraulics, leg, point.spool[leg], pressures, extension)
+    slopes = port_slopes(
+        hydraulics, leg, point.spool[leg], pressures, extension, point.outward[leg]
+    )
     cap, rod, speed = f"cap_pressure{number}", f"rod_pressure{number}", f"leg_velocity{number}"
     position = f"leg_position{number}"
 
@@ -238,6 +246,8 @@ def _fill_supply(
     rise = gas_pressure(supply, point.accumulator_oil)[1]
     one, line = supply.accumulators, supply.accumulator_line
     system.add(
-        "supply_pressure", accumulator_oil=high * one * rise / line, supply_pressure=-high * one / line
+        "supply_pressure",
+        accumulator_oil=high * one * rise / line,
+        supply_pressure=-high * one / line,
     )
     system.add("accumulator_oil", accumulator_oil=-rise / line, supply_pressure=1.0 / line)

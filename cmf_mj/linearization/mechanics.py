@@ -59,7 +59,9 @@ def linear_mechanics(plant: Plant, pose: ArrayLike | None = None) -> Mechanics:
         sides = []
         for sign in (1.0, -1.0):
             data.qpos[:] = rest
-            mujoco.mj_integratePos(model, data.qpos, np.ascontiguousarray(direction), sign * _TRAVEL)
+            mujoco.mj_integratePos(
+                model, data.qpos, np.ascontiguousarray(direction), sign * _TRAVEL
+            )
             sides.append(plant.static_load())
         stiffness[:, leg] = (sides[0] - sides[1]) / (2.0 * _TRAVEL)
         data.qpos[:] = rest

@@ -1,9 +1,11 @@
 """The operating point: openings and pressures that hold a plant still.
 
 With valves that have no bias and bearings that do not leak the valves are closed, and piston
-leakage ends at p_cap = p_rod = F / (A_cap - A_rod). Where that is not between return and supply
-pressure, where a bearing leaks or where the two valves of an actuator stand apart, the opening is
-the one at which no oil gathers in either chamber:
+leakage ends at p_cap = p_rod = F / (A_cap - A_rod). Between the loads at which opening a valve by a
+trace, either way, fills both chambers together in the direction of opening, this is the rest of a
+leg under control (about 3600 to 14 100 lbf at 1500 psi). A leg loaded less or more, one with a
+leaking bearing, or one whose two valves stand apart, rests at the opening at which no oil gathers
+in either chamber:
 
     q_cap(c, p) = q_rod(c, p) = 0,    A_cap p_cap - A_rod p_rod = F
 
@@ -18,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 
+from cmf_mj.linearization.describing import Excitation, outward_share
 from cmf_mj.linearization.mechanics import Mechanics, linear_mechanics
 from cmf_mj.linearization.ports import CAP, DRAWN, RETURNED, ROD, port_slopes
 from cmf_mj.plant.cylinder import holding_pressures
@@ -50,14 +53,19 @@ class OperatingPoint(NamedTuple):
     """[m^3/s]."""
     accumulator_oil: float
     """In one accumulator [m^3]."""
+    outward: NDArray[np.float64]
+    """Share of outward motion in the gains of closed valves, see `describing`, (n,)."""
 
 
-def operating_point(plant: Plant, pose: ArrayLike | None = None) -> OperatingPoint:
+def operating_point(
+    plant: Plant, pose: ArrayLike | None = None, *, excitation: Excitation = "noise"
+) -> OperatingPoint:
     """Find the rest of a plant in a configuration; the plant is left there.
 
     Args:
         plant: any plant.
         pose: configuration as `plant.place` takes it; default neutral.
+        excitation: what moves the valves, `noise` or `sine`, see `describing`.
 
     Raises:
         ValueError: what has no linearisation (overlap, hysteresis, dry friction), named with the
@@ -71,8 +79,8 @@ def operating_point(plant: Plant, pose: ArrayLike | None = None) -> OperatingPoi
     high, low = supply.pressure, supply.return_pressure
     for _ in range(_ROUNDS):
         held = [_hold(plant, leg, mechanics, high, low) for leg in range(plant.legs)]
-        command = np.array([c for c, _ in held])
-        pressure = np.array([p for _, p in held])
+        command = np.array([rest.command for rest in held])
+        pressure = np.array([rest.pressure for rest in held])
         spool = command[:, None] + hydraulics.valve.null_bias
         ends = np.array([high, low])
         flows = [
@@ -98,20 +106,35 @@ def operating_point(plant: Plant, pose: ArrayLike | None = None) -> OperatingPoi
             break
     _check_supply(plant, supply, high, low)
     oil = _accumulator_oil(supply, high)
-    return OperatingPoint(mechanics, command, spool, pressure, high, low, drawn, oil)
+    outward = np.array([outward_share(rest.ratio, excitation) for rest in held])
+    return OperatingPoint(mechanics, command, spool, pressure, high, low, drawn, oil, outward)
 
 
-def _hold(
-    plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float
-) -> tuple[float, NDArray[np.float64]]:
-    """Command and pressures (2,) that hold one leg at given pressures of the manifolds."""
+class _Rest(NamedTuple):
+    """What holds one leg."""
+
+    command: float
+    pressure: NDArray[np.float64]
+    """Of cap and rod [Pa], (2,)."""
+    ratio: float = 1.0
+    """Openings outward over openings inward of a valve that is closed on average."""
+
+
+def _hold(plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float) -> _Rest:
+    """The rest of one leg at given pressures of the manifolds."""
     hydraulics = plant.hydraulics
     cylinder, load = hydraulics.cylinder[leg], float(mechanics.load[leg])
     bias = hydraulics.valve[leg].null_bias
     closed = holding_pressures(cylinder, load, high, low)[0]
     null = cylinder.leakage == 0.0 or abs(closed[0] - closed[1]) < 1e-6 * high
     if bias[0] == bias[1] and cylinder.bearing == 0.0 and null:
-        return -float(bias[0]), closed
+        at = (np.zeros(2), np.append(closed, [high, low]), mechanics.extension[leg])
+        fills = [
+            float(port_slopes(hydraulics, leg, *at, way).opening[[CAP, ROD]].sum())
+            for way in (0.0, 1.0)
+        ]
+        if min(fills) > 0.0:
+            return _Rest(-float(bias[0]), closed, fills[0] / fills[1])
     areas = cylinder.cap_area, cylinder.rod_area
     reach = 1.0 + float(np.abs(bias).max())
 
@@ -149,7 +172,7 @@ def _hold(
             f"that holds {load:.0f} N still"
         )
     rod = min(found, key=lambda p: abs(command_at(p) + float(bias.mean())))
-    return command_at(rod), pressures(rod)[:2]
+    return _Rest(command_at(rod), pressures(rod)[:2])
 
 
 def _accumulator_oil(supply: Supply, pressure: float) -> float:

@@ -1,12 +1,12 @@
 """Flows of one actuator and their slopes, at given openings and pressures.
 
 The flows are those of `cmf_mj.plant`: orifices behind hoses, piston and bearing leakage, cushions.
-The slope of a port's gain with the opening differs for opening one way or the other,
+The slope of a port's flow with the opening differs for opening one way or the other,
 
     dq_cap / de = k A_cap phi(Ps - p_cap)  (e > 0),    k A_cap phi(p_cap - Pt)  (e < 0)
 
-At a closed valve the mean of the two is taken. That is its describing function: the gain a|e| + b e
-answers to any excitation that is as often positive as negative with b e and what is even in e.
+At a closed valve the describing function is their mean, weighted with the share of outward motion;
+`describing` has the share.
 """
 
 from typing import NamedTuple
@@ -51,7 +51,7 @@ class Path(NamedTuple):
 
 
 def path(gain: float, hose: float, laminar: float, drop: float) -> Path:
-    """q = G phi(dp; s + R G) and its slopes; phi falls by phi / root with s + R G."""
+    """Flow q = G phi(dp; s + R G) and its slopes; phi falls by phi / root with s + R G."""
     resistance = laminar + hose * gain
     phi, slope = orifice(drop, resistance)
     root = np.sqrt(resistance**2 + 4.0 * abs(drop))
@@ -59,7 +59,12 @@ def path(gain: float, hose: float, laminar: float, drop: float) -> Path:
 
 
 def port_slopes(
-    hydraulics: Hydraulics, leg: int, spools: Matrix, pressures: Matrix, extension: float
+    hydraulics: Hydraulics,
+    leg: int,
+    spools: Matrix,
+    pressures: Matrix,
+    extension: float,
+    outward: float = 0.5,
 ) -> Slopes:
     """Flows and slopes of one actuator.
 
@@ -69,6 +74,7 @@ def port_slopes(
         spools: positions of its two spools, fractions, (2,).
         pressures: of cap, rod, supply and return [Pa], (4,).
         extension: from neutral [m].
+        outward: weight of the slopes to e > 0 where a valve is closed.
     """
     cylinder, valves = hydraulics.cylinder[leg], hydraulics.valve[leg]
     # Gains of cap in, cap out, rod in, rod out, and what an opening adds to each.
@@ -78,7 +84,8 @@ def port_slopes(
         out = np.array([valve.cap_gain, 0.0, 0.0, valve.rod_gain])
         back = np.array([0.0, valve.cap_gain, valve.rod_gain, 0.0])
         gains += max(size, 0.0) * out + max(-size, 0.0) * back
-        rises[:, index] = 0.5 * ((1.0 + np.sign(size)) * out - (1.0 - np.sign(size)) * back)
+        share = outward if size == 0.0 else float(size > 0.0)
+        rises[:, index] = share * out - (1.0 - share) * back
     cushions = np.zeros(4)
     if cylinder.cushion > 0.0:
         full = valves.cap_gain.sum(), valves.rod_gain.sum()
