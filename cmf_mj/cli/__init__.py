@@ -1,9 +1,9 @@
 """The command line, `cmf`: one module a family of commands."""
 
-from cmf_mj.cli import analysing, comparing, listing, measuring
+from cmf_mj.cli import analysing, comparing, linearizing, listing, measuring
 from cmf_mj.cli.common import app
 
-__all__ = ["analysing", "comparing", "listing", "main", "measuring"]
+__all__ = ["analysing", "comparing", "linearizing", "listing", "main", "measuring"]
 
 
 def main() -> None:

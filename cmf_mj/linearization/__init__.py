@@ -9,6 +9,7 @@ systems, `modes` what its poles are. `linear_models.closed_loop` puts a law arou
 from cmf_mj.linearization.assembly import linearize
 from cmf_mj.linearization.comparison import Comparison, compare_with_simulation, loop_between
 from cmf_mj.linearization.describing import Excitation, outward_share
+from cmf_mj.linearization.files import load_system, save_system
 from cmf_mj.linearization.mechanics import Mechanics, linear_mechanics
 from cmf_mj.linearization.modes import Mode, modes
 from cmf_mj.linearization.operating_point import OperatingPoint, operating_point
@@ -25,6 +26,7 @@ __all__ = [
     "leg_model",
     "linear_mechanics",
     "linearize",
+    "load_system",
     "loop_between",
     "minimal",
     "modes",
@@ -32,4 +34,5 @@ __all__ = [
     "outward_share",
     "pose_loop",
     "reduced",
+    "save_system",
 ]

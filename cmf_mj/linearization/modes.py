@@ -100,7 +100,9 @@ def modes(
                 size,
                 float(-poles[i].real / size) if size > _STILL else float("nan"),
                 {
-                    name: float(sum(f for f, own in zip(factors[:, i], family, strict=True) if own == name))
+                    name: float(
+                        sum(f for f, own in zip(factors[:, i], family, strict=True) if own == name)
+                    )
                     for name in FAMILIES
                 },
                 shape,
