@@ -133,21 +133,35 @@ def _title(found: Linearized) -> str:
     return f"{name}, {plant.parameters.name}, {pose_text(found.pose)}"
 
 
-def _mode_cells(mode: Mode) -> list[str]:
+def _mode_cells(alike: Sequence[Mode]) -> list[str]:
+    """A line of the table: a mode, or several whose poles coincide."""
+    mode = alike[0]
     pole = mode.pole
     text = f"{pole.real:.4g}" + (f" ± {pole.imag:.4g}j" if pole.imag > 0.0 else "")
-    shares = sorted(mode.shares.items(), key=lambda item: -item[1])
-    dofs = sorted(zip(DOFS, mode.dof_shares, strict=True), key=lambda item: -item[1])
-    legs = " ".join(f"{size:.2f}" for size in np.abs(mode.leg_shape))
-    moving = mode.shares["motion"] + mode.shares["oil"] >= _NAMED
-    return [
-        text if mode.frequency > 1e-6 else "0",
-        f"{mode.frequency / (2.0 * np.pi):.3g}",
-        "-" if np.isnan(mode.damping_ratio) else f"{mode.damping_ratio:.3f}",
-        ", ".join(f"{name} {share:.2f}" for name, share in shares if share >= _NAMED),
-        ", ".join(f"{dof} {share:.2f}" for dof, share in dofs if share >= _NAMED) if moving else "",
-        legs if moving else "",
+    still = np.isnan(mode.damping_ratio)
+    cells = [
+        "0" if still else text,
+        str(len(alike)),
+        "0" if still else f"{mode.frequency / (2.0 * np.pi):.3g}",
+        "-" if still else f"{mode.damping_ratio:.3f}",
     ]
+    shares = sorted(mode.shares.items(), key=lambda item: -item[1])
+    cells.append(", ".join(f"{name} {share:.2f}" for name, share in shares if share >= _NAMED))
+    if len(alike) > 1 or mode.shares["motion"] + mode.shares["oil"] < _NAMED:
+        return [*cells, "", ""]
+    dofs = sorted(zip(DOFS, mode.dof_shares, strict=True), key=lambda item: -item[1])
+    cells.append(", ".join(f"{dof} {share:.2f}" for dof, share in dofs if share >= _NAMED))
+    return [*cells, " ".join(f"{size:.2f}" for size in np.abs(mode.leg_shape))]
+
+
+def _alike(found: Sequence[Mode]) -> list[list[Mode]]:
+    groups: list[list[Mode]] = []
+    for mode in found:
+        if groups and np.isclose(mode.pole, groups[-1][0].pole, rtol=1e-6, atol=1e-6):
+            groups[-1].append(mode)
+        else:
+            groups.append([mode])
+    return groups
 
 
 def mode_table(found: Linearized) -> Table:
@@ -155,15 +169,16 @@ def mode_table(found: Linearized) -> Table:
     table = Table(
         title=f"modes: {_title(found)}",
         caption="shares of states by participation factors, of degrees of freedom in the leg "
-        "motion; legs: size of their motion. Of equal poles only the space of all is determined.",
+        "motion; legs: size of their motion. Poles that coincide share a line and have no shapes.",
         caption_justify="left",
         box=SIMPLE_HEAD,
         pad_edge=False,
     )
-    for name in ("pole [rad/s]", "Hz", "damping", "states", "degrees of freedom", "legs"):
-        table.add_column(name, justify="right" if name in ("Hz", "damping") else "left")
-    for mode in found.modes:
-        table.add_row(*_mode_cells(mode))
+    numbers = ("times", "Hz", "damping")
+    for name in ("pole [rad/s]", *numbers, "states", "degrees of freedom", "legs"):
+        table.add_column(name, justify="right" if name in numbers else "left")
+    for alike in _alike(found.modes):
+        table.add_row(*_mode_cells(alike))
     return table
 
 
@@ -172,7 +187,7 @@ def loop_table(found: Linearized) -> Table:
     table = Table(
         title=f"{found.law} around the linearised plant",
         caption="measured less linear, largest from "
-        f"{_band(found)}; a bandwidth '-' is not reached below {_LINES[-1]:g} Hz",
+        f"{_band(found)}; '-': not reached below {_LINES[-1]:g} Hz",
         caption_justify="left",
         box=SIMPLE_HEAD,
         pad_edge=False,
@@ -257,7 +272,8 @@ def pole_zero_figure(found: Linearized) -> Figure:
         axis.axvline(0.0, color="0.6", linewidth=0.8)
         # Linear about the origin, logarithmic beyond: poles lie from 0.1 to 500 rad/s.
         axis.set_xscale("symlog", linthresh=1.0)
-        axis.set_xlim(-2e3, 2.0)
+        highest = 1.3 * max(float(np.abs(model.poles().imag).max(initial=0.0)), 1.0)
+        axis.set(xlim=(-2e3, 2.0), ylim=(-highest, highest))
         axis.set_xticks([-1e3, -1e2, -1e1, -1.0, 0.0, 1.0])
         axis.set(title=name, xlabel="real [rad/s]", ylabel="imaginary [rad/s]")
         axis.tick_params(labelsize=7)

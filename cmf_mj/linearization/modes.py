@@ -79,6 +79,7 @@ def modes(
     family = [_family(name) for name in system.state_labels]
     matrix, (scale, _) = linalg.matrix_balance(np.asarray(system.A), permute=False, separate=True)
     poles, right = np.linalg.eig(matrix)
+    poles = np.where(np.abs(poles) < _STILL, 0.0, poles)
     factors = np.abs(right * np.linalg.inv(right).T)
     factors /= factors.sum(axis=0)
     right = right * scale[:, None]

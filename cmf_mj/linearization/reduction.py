@@ -18,6 +18,15 @@ from cmf_mj.signals import dof_index
 
 Matrix = NDArray[np.float64]
 
+_SAME = 1e-6
+"""Distance of poles that coincide, over 1 rad/s and their size."""
+_RANK = 1e-9
+"""Singular value of a residue that counts, over the largest."""
+_DEFECTIVE = 1e12
+"""Condition of the eigenvectors of a system with defective poles."""
+_AXIS = (1e-3, 1e5)
+"""Frequencies at which modes are weighed [rad/s]."""
+
 
 def reduced(
     system: control.StateSpace,
@@ -79,52 +88,72 @@ def _spread(links: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bo
         reached = after
 
 
-def minimal(system: control.StateSpace, tolerance: float = 1e-9) -> control.StateSpace:
-    """A minimal realisation: only what the inputs reach and the outputs show.
+def minimal(system: control.StateSpace, tolerance: float = 1e-4) -> control.StateSpace:
+    """A system of the modes that matter, poles that coincide taken together.
 
-    Staircase of orthogonal transformations of the balanced system, first of what is reached, then
-    of what is shown. The states lose their meaning and their names. For sums of like parts, such
-    as the six valves behind one degree of freedom, that `reduced` cannot see through.
+    H(s) = D + sum of M_i / (s - p_i): of coinciding poles only the rank of M_i remains, which is
+    one between one input and one output, and a mode is dropped that nowhere on the imaginary axis
+    makes up `tolerance` of any entry of H. For sums of like parts, such as six valves behind one
+    degree of freedom, which `reduced` cannot see through. The states lose their names.
 
     Args:
-        system: continuous or discrete.
-        tolerance: what counts as nothing, over the largest entry of the balanced matrices.
+        system: continuous, without defective poles.
+        tolerance: share of the response at which a mode is worth keeping; 0 keeps all that are
+            reached and shown.
+
+    Raises:
+        ValueError: a discrete system, or one whose poles are defective.
     """
-    a, b, c, d = (np.asarray(m) for m in (system.A, system.B, system.C, system.D))
-    a, scaling = linalg.matrix_balance(a, permute=False, separate=True)
-    scale = scaling[0]
-    a, b, c = _reached(a, b / scale[:, None], c * scale, tolerance)
-    at, ct, bt = _reached(a.T, c.T, b.T, tolerance)
+    if not system.isctime():
+        raise ValueError("system: is discrete; a continuous one is needed")
+    direct = np.asarray(system.D)
+    matrix, (scale, _) = linalg.matrix_balance(np.asarray(system.A), permute=False, separate=True)
+    poles, right = np.linalg.eig(matrix)
+    if poles.size and np.linalg.cond(right) > _DEFECTIVE:
+        raise ValueError("system: has defective poles, which have no modes of their own")
+    b = np.linalg.solve(right, np.asarray(system.B) / scale[:, None])
+    c = np.asarray(system.C) * scale @ right
+    omega = np.geomspace(*_AXIS, 2000)
+    groups = [np.flatnonzero(np.abs(poles - p) < _SAME * (1.0 + abs(p))) for p in poles]
+    groups = [g for i, g in enumerate(groups) if g[0] == i and poles[i].imag > -_SAME]
+    parts = []
+    for group in groups:
+        pole, residue = poles[group].mean(), c[:, group] @ b[group]
+        real = abs(pole.imag) < _SAME * (1.0 + abs(pole))
+        part = residue / (1j * omega[:, None, None] - pole)
+        if not real:
+            part = part + np.conj(residue) / (1j * omega[:, None, None] - np.conj(pole))
+        parts.append((complex(pole), residue, real, part))
+    whole = np.abs(direct + sum((part for *_, part in parts), np.zeros(direct.shape)))
+    floor = np.finfo(float).tiny
+    blocks: list[tuple[Matrix, Matrix, Matrix]] = []
+    for pole, residue, real, part in parts:
+        if (np.abs(part) <= tolerance * whole + floor).all():
+            continue
+        u, size, v = np.linalg.svd(residue.real if real else residue, full_matrices=False)
+        rank = int((size > _RANK * size[0]).sum())
+        root = np.sqrt(size[:rank])
+        shown, reached, eye = u[:, :rank] * root, root[:, None] * v[:rank], np.eye(rank)
+        if real:
+            blocks.append((pole.real * eye, reached, shown))
+            continue
+        turn = np.array([[pole.real, -pole.imag], [pole.imag, pole.real]])
+        blocks.append(
+            (
+                np.kron(turn, eye),
+                np.vstack([reached.real, reached.imag]),
+                2.0 * np.hstack([shown.real, -shown.imag]),
+            )
+        )
     return control.ss(
-        at.T,
-        bt.T,
-        ct.T,
-        d,
-        system.dt,
+        linalg.block_diag(*(block[0] for block in blocks)),
+        np.vstack([block[1] for block in blocks]),
+        np.hstack([block[2] for block in blocks]),
+        direct,
         inputs=system.input_labels,
         outputs=system.output_labels,
         name=system.name,
     )
-
-
-def _reached(a: Matrix, b: Matrix, c: Matrix, tolerance: float) -> tuple[Matrix, Matrix, Matrix]:
-    """The part of (A, B, C) that B reaches; signals are scaled to the size of A first."""
-    order = a.shape[0]
-    size = np.abs(a).max()
-    columns = np.linalg.norm(b, axis=0)
-    basis = np.zeros((order, 0))
-    new = b / np.where(columns > 0.0, columns, 1.0)
-    while basis.shape[1] < order:
-        # Twice: one projection leaves round-off of the size of what it took away.
-        for _ in range(2):
-            new = new - basis @ (basis.T @ new)
-        u, values, _ = np.linalg.svd(new, full_matrices=False)
-        fresh = u[:, values > tolerance]
-        if fresh.shape[1] == 0:
-            break
-        basis = np.linalg.qr(np.hstack([basis, fresh]))[0]
-        new = a @ basis[:, -fresh.shape[1] :] / size
-    return basis.T @ a @ basis, basis.T @ b, c @ basis
 
 
 def leg_model(system: control.StateSpace, leg: int) -> control.StateSpace:
