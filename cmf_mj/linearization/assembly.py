@@ -68,7 +68,7 @@ def linearize(
     Args:
         plant: `Hexapod`, `SingleLegs`, or any `Plant` whose cylinders determine its motion.
         pose: configuration as `plant.place` takes it; default neutral.
-        excitation: what moves the valves, `noise` or `sine`, see `describing`.
+        excitation: what moves the valves, `noise`, `sine` or `mean`, see `describing`.
         at: the operating point, where it is known, instead of both.
 
     Returns:

@@ -20,8 +20,9 @@ from typing import Literal
 import numpy as np
 from scipy import optimize, special
 
-Excitation = Literal["noise", "sine"]
-"""What moves the valves: Gaussian, as a multisine of many lines nearly is, or one sine."""
+Excitation = Literal["noise", "sine", "mean"]
+"""What moves the valves: Gaussian, as a multisine of many lines nearly is, or one sine; `mean` is
+f = 1/2, the plain mean of both slopes that numerical differences give."""
 
 _FARTHEST = 8.0
 """Largest mean over standard deviation that is looked for."""
@@ -32,15 +33,17 @@ def outward_share(ratio: float, excitation: Excitation = "noise") -> float:
 
     Args:
         ratio: <e+> / <e-> = S- / S+, greater than 0.
-        excitation: `noise` or `sine`.
+        excitation: `noise`, `sine` or `mean`.
 
     Raises:
         ValueError: a ratio that is not greater than 0, or another excitation.
     """
     if not 0.0 < ratio < np.inf:
         raise ValueError(f"ratio: {ratio} must be greater than 0 and finite")
-    if excitation not in ("noise", "sine"):
-        raise ValueError(f"excitation: {excitation!r} is not one of noise, sine")
+    if excitation not in ("noise", "sine", "mean"):
+        raise ValueError(f"excitation: {excitation!r} is not one of noise, sine, mean")
+    if excitation == "mean":
+        return 0.5
     if excitation == "sine":
         mean = optimize.brentq(lambda r: _sine_part(r) - ratio * _sine_part(-r), -1.0, 1.0)
         return float(0.5 + (np.arcsin(mean) + mean * np.sqrt(1.0 - mean**2)) / np.pi)

@@ -65,7 +65,7 @@ def operating_point(
     Args:
         plant: any plant.
         pose: configuration as `plant.place` takes it; default neutral.
-        excitation: what moves the valves, `noise` or `sine`, see `describing`.
+        excitation: what moves the valves, `noise`, `sine` or `mean`, see `describing`.
 
     Raises:
         ValueError: what has no linearisation (overlap, hysteresis, dry friction), named with the
