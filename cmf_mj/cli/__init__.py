@@ -7,6 +7,7 @@ from cmf_mj.cli import (
     failing,
     hosting,
     identifying,
+    linearizing,
     listing,
     measuring,
 )
@@ -19,6 +20,7 @@ __all__ = [
     "failing",
     "hosting",
     "identifying",
+    "linearizing",
     "listing",
     "main",
     "measuring",

@@ -1,0 +1,134 @@
+"""Flows of one actuator and their slopes, at given openings and pressures.
+
+The flows are those of `cmf_mj.plant`: orifices behind hoses, piston and bearing leakage, cushions.
+The slope of a port's flow with the opening differs for opening one way or the other,
+
+    dq_cap / de = k A_cap phi(Ps - p_cap)  (e > 0),    k A_cap phi(p_cap - Pt)  (e < 0)
+
+At a closed valve the describing function is their mean, weighted with the share of outward motion;
+`describing` has the share.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.plant.cylinder import throttled
+from cmf_mj.plant.hydraulics import Hydraulics
+from cmf_mj.plant.valve import opening, orifice
+
+CAP, ROD, DRAWN, RETURNED = range(4)
+"""Rows: flows into the chambers, out of the supply manifold and into the return manifold."""
+
+HIGH, LOW = 2, 3
+"""Columns of pressure slopes: cap, rod, supply and return manifold."""
+
+Matrix = NDArray[np.float64]
+
+
+class Slopes(NamedTuple):
+    """Flows of an actuator [m^3/s] and their slopes, rows as `CAP` to `RETURNED`."""
+
+    flow: Matrix
+    """(4,)."""
+    pressure: Matrix
+    """With the pressures of cap, rod, supply and return [m^3/s/Pa], (4, 4)."""
+    opening: Matrix
+    """With the openings of both valves [m^3/s], (4, 2)."""
+    extension: Matrix
+    """With the extension, through a cushion [m^2/s], (4,)."""
+
+
+class Path(NamedTuple):
+    """Flow through an orifice behind a hose."""
+
+    flow: float
+    drop: float
+    """Slope with the pressure drop."""
+    gain: float
+    """Slope with the orifice's gain."""
+
+
+def path(gain: float, hose: float, laminar: float, drop: float) -> Path:
+    """Flow q = G phi(dp; s + R G) and its slopes; phi falls by phi / root with s + R G."""
+    resistance = laminar + hose * gain
+    phi, slope = orifice(drop, resistance)
+    root = np.sqrt(resistance**2 + 4.0 * abs(drop))
+    return Path(gain * phi, gain * slope, phi * (1.0 - hose * gain / root))
+
+
+def port_slopes(
+    hydraulics: Hydraulics,
+    leg: int,
+    spools: Matrix,
+    pressures: Matrix,
+    extension: float,
+    outward: float = 0.5,
+) -> Slopes:
+    """Flows and slopes of one actuator.
+
+    Args:
+        hydraulics: parameters of all.
+        leg: index of the actuator.
+        spools: positions of its two spools, fractions, (2,).
+        pressures: of cap, rod, supply and return [Pa], (4,).
+        extension: from neutral [m].
+        outward: weight of the slopes to e > 0 where a valve is closed.
+    """
+    cylinder, valves = hydraulics.cylinder[leg], hydraulics.valve[leg]
+    # Gains of cap in, cap out, rod in, rod out, and what an opening adds to each.
+    gains, rises = np.zeros(4), np.zeros((4, 2))
+    for index in range(2):
+        valve, size = valves[index], opening(valves[index], spools[index])
+        out = np.array([valve.cap_gain, 0.0, 0.0, valve.rod_gain])
+        back = np.array([0.0, valve.cap_gain, valve.rod_gain, 0.0])
+        gains += max(size, 0.0) * out + max(-size, 0.0) * back
+        share = outward if size == 0.0 else float(size > 0.0)
+        rises[:, index] = share * out - (1.0 - share) * back
+    cushions = np.zeros(4)
+    if cylinder.cushion > 0.0:
+        full = valves.cap_gain.sum(), valves.rod_gain.sum()
+        half = cylinder.half_stroke
+        for row, gap, sign, whole in (
+            (1, half + extension, 1.0, full[0]),
+            (3, half - extension, -1.0, full[1]),
+        ):
+            gains[row], through, narrowing = _cushioned(cylinder, gap, gains[row], whole)
+            rises[row] *= through
+            cushions[row] = sign * narrowing
+    cap, rod, high, low = pressures
+    laminar, supply, tank = hydraulics.laminar, cylinder.supply_hose, cylinder.return_hose
+    paths = (
+        path(gains[0], supply, laminar, high - cap),
+        path(gains[1], tank, laminar, cap - low),
+        path(gains[2], supply, laminar, high - rod),
+        path(gains[3], tank, laminar, rod - low),
+    )
+    # What each path, and the two leakages, add to the four rows; drops by pressures.
+    into = np.array([[1, -1, 0, 0], [0, 0, 1, -1], [1, 0, 1, 0], [0, 1, 0, 1]], dtype=float)
+    drops = np.array([[-1, 0, 1, 0], [1, 0, 0, -1], [0, -1, 1, 0], [0, 1, 0, -1]], dtype=float)
+    leaks = np.array([[-1.0, 1.0, 0.0, 0.0], [0.0, -1.0, 0.0, 1.0]]).T
+    across = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
+    conductance = np.array([cylinder.leakage, cylinder.bearing])
+    by_gain = into * np.array([p.gain for p in paths])
+    return Slopes(
+        into @ np.array([p.flow for p in paths]) + leaks @ (conductance * (across @ pressures)),
+        (into * np.array([p.drop for p in paths])) @ drops + (leaks * conductance) @ across,
+        by_gain @ rises,
+        by_gain @ cushions,
+    )
+
+
+def _cushioned(
+    cylinder: np.record, gap: float, gain: float, full: float
+) -> tuple[float, float, float]:
+    """An outflow gain behind the cushion, its slope with the gain and with the gap."""
+    length = cylinder.cushion
+    if gap >= length:
+        return gain, 1.0, 0.0
+    depth = min((length - gap) / length, 1.0)
+    share = depth / (cylinder.cushion_opening * full)
+    cube = (1.0 + (gain * share) ** 2) ** -1.5
+    slope = gain**3 * share * cube / (length * cylinder.cushion_opening * full)
+    return float(throttled(cylinder, gap, gain, full)), float(cube), float(slope)
