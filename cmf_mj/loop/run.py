@@ -28,7 +28,7 @@ from cmf_mj.loop.front import Chain, follow, watched
 from cmf_mj.loop.pace import Pace, begin, end
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.faults import OVERLOAD, STOPPED, Faults
-from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, advance, forces
+from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, advance, loads
 from cmf_mj.plant.native import call
 from cmf_mj.plant.oil import ATMOSPHERE
 from cmf_mj.plant.plant import Mechanics
@@ -286,7 +286,7 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
             if frame > 0 or inner > 0:
                 if not advance(hydraulics, state, faults, oldest, before, extension):
                     return frame, SOLUTION, 0
-            forces(cylinders, state.pressure, state.friction, load)
+            loads(cylinders, state.pressure, state.friction, load)
             if inner == 0:
                 while marks[0] < events.shape[0] and events[marks[0]] <= frame:
                     _strike(timeline, faults, mechanics.payload, bodies, marks, feedback.position)

@@ -346,7 +346,7 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
 
 
 @compiled
-def forces(cylinders, pressure, friction, out):  # type: ignore[no-untyped-def]
+def loads(cylinders, pressure, friction, out):  # type: ignore[no-untyped-def]
     """Axial forces of all actuators on their rods, friction taken off [N], (n,), to `out`.
 
     Args:
@@ -358,6 +358,12 @@ def forces(cylinders, pressure, friction, out):  # type: ignore[no-untyped-def]
     for leg in range(out.shape[0]):
         load = force(cylinders[leg], pressure[leg, CAP], pressure[leg, ROD])
         out[leg] = load - friction[leg]
+
+
+@compiled
+def forces(hydraulics, state, out):  # type: ignore[no-untyped-def]
+    """The `loads` of a state [N], (n,), to `out`."""
+    loads(hydraulics.cylinder, state.pressure, state.friction, out)
 
 
 def oil_content(hydraulics: Hydraulics, state: HydraulicState) -> float:
