@@ -88,6 +88,8 @@ def changed(name="hardware", **values):
         (["ram"], "'ram' has no range; give the cylinder's retracted length"),
         (["wide"], "'wide' ranges from -1.0000 to 1.0000 m"),
         (["wide"], "from -0.9652 to 0.9652 m only"),
+        ({"wide": -0.9}, "from -0.9000 to 1.0304 m only"),
+        ({"wide": -1.03}, "from -1.0300 to 0.9004 m only"),
         (["far"], "'far' starts at a length of 1.0000 m; allowed: -0.9652 to 0.9652 m"),
         (["weak"], "'weak' must have no forcerange and no actuatorfrcrange"),
         ({"ram": float("nan")}, "'ram': nan m must be a finite retracted length"),
@@ -217,6 +219,23 @@ def test_a_load_is_shared_by_parallel_cylinders_and_a_hanging_load_is_carried():
     with pytest.raises(ValueError, match="2 cylinders do not determine the machine's 2 free"):
         plant.leg_motion()
     record = drive(plant, np.zeros((2048, 2)))
+    assert np.abs(record["leg_extension"] - record["leg_extension"][0]).max() < 1e-9
+
+
+def test_what_springs_and_other_actuators_hold_is_taken_off_the_load():
+    text = """
+    <mujoco><worldbody><body>
+      <joint name="ram" type="slide" axis="0 0 1" range="-0.9 0.9"
+             stiffness="2000" springref="0.4"/>
+      <geom size="0.1" mass="800"/><site name="top"/>
+    </body><site name="hook" pos="0 0 2"/></worldbody>
+    <tendon><spatial name="rope"><site site="hook"/><site site="top"/></spatial></tendon>
+    <actuator><general tendon="rope" biastype="affine" biasprm="-1500 0 0"/></actuator></mujoco>
+    """
+    plant = attach_hydraulics(spec(text), ["ram"], changed(leak_rate=(0.0, "1/s")))
+    held = 2000.0 * 0.4 + 1500.0
+    assert plant.static_load() == pytest.approx([800.0 * GRAVITY - held], rel=1e-12)
+    record = drive(plant, np.zeros((1024, 1)))
     assert np.abs(record["leg_extension"] - record["leg_extension"][0]).max() < 1e-9
 
 
