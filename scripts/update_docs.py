@@ -1,8 +1,8 @@
 """Refresh the generated tables and pictures of README and docs from finished studies.
 
 A table stands between `<!-- table: NAME -->` and `<!-- end -->`; NAME is a folder below --results
-that `cmf compare --out` or `cmf failure --out` wrote. Figures of the folder `compare` are copied
-to docs/images.
+that `cmf compare --out` or
+`cmf failure --out` wrote. Figures of the folder `compare` are copied to docs/images.
 """
 
 import argparse

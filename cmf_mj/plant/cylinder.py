@@ -10,7 +10,8 @@ so the oil is a spring of stiffness K(x) = beta (A_cap / (h + x) + A_rod / (h - 
 
 Near a stop a chamber keeps the minimum gap g of oil, so that no volume vanishes. With s the travel
 left, it is s + g (1 - s / e)^2 long over the last e = 20 g: it goes on displacing nine tenths of
-its oil to the stop, and a leg does not drop onto it. Beyond the stop the length stays g.
+its oil to the stop, and a leg does not drop onto it. Beyond the stop this fades over another g, to
+a length of 0.55 g: a sudden end would let a leg pressed on its stop chatter.
 
 A cushion throttles what leaves a chamber over the last length c before the stop: an orifice of
 gain G_stop / e in series with the valve, e = (c - gap) / c from 0 at the cushion's edge to 1 at the
@@ -113,9 +114,12 @@ def _length(cylinder, travel):  # type: ignore[no-untyped-def]
     end = _END * cylinder.minimum_gap
     if travel >= end:
         return travel
-    left = max(travel, 0.0)
-    share = 1.0 - left / end
-    return left + cylinder.minimum_gap * share * share
+    gap = cylinder.minimum_gap
+    if travel < 0.0:
+        beyond = min(-travel, gap)
+        return gap - (1.0 - 2.0 / _END) * (beyond - 0.5 * beyond * beyond / gap)
+    share = 1.0 - travel / end
+    return travel + gap * share * share
 
 
 @compiled
@@ -159,11 +163,13 @@ def stiffness(
     end = _END * gap
 
     def column(travel: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Relative fall of a chamber's volume per travel [1/m]; none beyond the stop."""
-        left = np.clip(travel, 0.0, end)
-        share = 1.0 - left / end
+        """Relative fall of a chamber's volume per travel [1/m]."""
+        share = 1.0 - np.clip(travel, 0.0, end) / end
+        beyond = np.clip(-travel, 0.0, gap)
+        last = 1.0 - 2.0 * gap / end
         length = np.maximum(travel, 0.0) + gap * share * share
-        return (1.0 - 2.0 * gap / end * share) * (travel >= 0.0) / length
+        length = length - last * (beyond - 0.5 * beyond * beyond / gap)
+        return (1.0 - 2.0 * gap / end * share) * (1.0 - beyond / gap) / length
 
     return bulk_modulus * (
         cylinder.cap_area * column(half + x) + cylinder.rod_area * column(half - x)
