@@ -51,11 +51,10 @@ class SingleLegs(Plant):
             raise ValueError(f"effective_mass: {effective_mass} kg must be greater than 0")
         spec = mujoco.MjSpec.from_file(str(models.single_legs_path()))
         set_timestep(spec, timestep)
-        gravity = -float(spec.option.gravity[2])
+        # The load is the weight under a gravity of its own: MuJoCo ignores a negative `gravcomp`.
+        spec.option.gravity[2] = -static_load / effective_mass
         for leg in range(1, 7):
-            body = spec.body(f"leg_{leg}")
-            body.mass = effective_mass
-            body.gravcomp = 1.0 - static_load / (effective_mass * gravity)
+            spec.body(f"leg_{leg}").mass = effective_mass
         bodies = [f"leg_{leg}" for leg in range(1, 7)]
         super().__init__(spec.compile(), hydraulics, payload=bodies)
 
