@@ -91,10 +91,9 @@ def test_single_leg_has_the_leg_mode_and_lags_of_eq_4_1() -> None:
 
 @pytest.mark.parametrize("cab", ["gfd", "ifd"])
 def test_hexapod_modes_are_the_hydraulic_modes_damped_by_leakage(cab: str) -> None:
-    """Each undamped mode w with the relaxing spring K (s + z) / (s + z + rate), with the zero
-    z = rate (Ac - Ar)^2
-    / (4 Ac Ar): s^2 (s + z + rate) + w^2 (s + z) = 0. Within 1 %: gravity's stiffness is 0.1 % of
-    the oil's, and the loaded oil is 0.5 % denser."""
+    """Each undamped mode w with the relaxing spring K (s + z) / (s + z + rate), where
+    z = rate (Ac - Ar)^2 / (4 Ac Ar): s^2 (s + z + rate) + w^2 (s + z) = 0. Within 1 %: gravity's
+    stiffness is 0.1 % of the oil's, and the loaded oil is 0.5 % denser."""
     plant = Hexapod(cab)
     poles = linearize(plant).poles()
     p = plant.parameters
@@ -226,18 +225,20 @@ def step_matrices(plant: Plant, pose: np.ndarray | None) -> control.StateSpace:
 
 
 @pytest.mark.parametrize(
-    ("build", "pose"),
+    ("build", "pose", "tolerance"),
     [
-        (lambda step: SingleLegs("report", timestep=step), None),
-        (lambda step: Hexapod("gfd", timestep=step), POSES["turned"]),
+        (lambda step: SingleLegs("report", timestep=step), None, 4e-3),
+        (lambda step: Hexapod("gfd", timestep=step), POSES["turned"], 1.5e-2),
     ],
     ids=["single_legs", "hexapod"],
 )
 def test_the_compiled_step_has_the_same_response(
-    build: Callable[[float], Plant], pose: np.ndarray | None
+    build: Callable[[float], Plant], pose: np.ndarray | None, tolerance: float
 ) -> None:
     """Central differences across the closed valve see the mean of its slopes, share 1/2. The step
-    is a leapfrog of 1/65536 s: what is left is first order in the step, w h < 0.2 %."""
+    is a leapfrog of 1/65536 s: what is left is first order in the step, w h < 0.2 %. On the hexapod
+    the soft closing of the gimbals takes 0.2 % of the acceleration in the first step, at any step,
+    and the resonance at 5 Hz five times that."""
     plant = build(1.0 / 65536.0)
     stepped = step_matrices(plant, pose)
     legs = [f"leg_position_{i + 1}" for i in range(plant.legs)]
@@ -247,7 +248,7 @@ def test_the_compiled_step_has_the_same_response(
         expected = system(1j * omega)
         found = stepped(np.exp(1j * omega / 65536.0))
         size = np.abs(expected).max()
-        np.testing.assert_allclose(found, expected, atol=4e-3 * size)
+        np.testing.assert_allclose(found, expected, atol=tolerance * size)
 
 
 def test_slopes_are_those_of_the_flows() -> None:
@@ -290,13 +291,23 @@ def biased() -> HydraulicParameters:
 
 
 @pytest.mark.parametrize(
-    "hydraulics", [changed("hardware", bearing_leakage=7e-4), biased()], ids=["bearing", "bias"]
+    ("hydraulics", "load"),
+    [
+        (changed("hardware", bearing_leakage=7e-4), 7200.0),
+        (biased(), 7200.0),
+        (load_hydraulics("hardware"), 2000.0),
+        (load_hydraulics("hardware"), -3000.0),
+        (load_hydraulics("hardware"), 16000.0),
+    ],
+    ids=["bearing", "bias", "light", "pulled", "heavy"],
 )
-def test_the_operating_point_stays_when_it_is_driven(hydraulics: HydraulicParameters) -> None:
+def test_the_operating_point_stays_when_it_is_driven(
+    hydraulics: HydraulicParameters, load: float
+) -> None:
     """The simulation held at the command found ends in the pressures found, no leg moving: within
     2e-4 of the supply and 2e-5 m/s, for what the legs drift on the way there changes the loads of
     no single leg."""
-    plant = SingleLegs(hydraulics)
+    plant = SingleLegs(hydraulics, static_load=load * units.POUND_FORCE)
     point = operating_point(plant)
     assert np.abs(point.command).max() > 1e-4
     record = drive(plant, np.tile(point.command, (5 * 2048, 1)))
@@ -306,6 +317,14 @@ def test_the_operating_point_stays_when_it_is_driven(hydraulics: HydraulicParame
     assert np.abs(record["leg_velocity"][-1]).max() < 2e-5
     assert record["supply_pressure"][-1] == pytest.approx(point.supply_pressure, rel=2e-4)
     assert record["return_pressure"][-1] == pytest.approx(point.return_pressure, rel=2e-2)
+
+
+@pytest.mark.parametrize("load", [-3000.0, 0.0, 7200.0, 16000.0])
+def test_static_load_of_a_single_leg_may_be_any(load: float) -> None:
+    """More than the weight of the mass, too."""
+    force = load * units.POUND_FORCE
+    found = linear_mechanics(SingleLegs(static_load=force)).load
+    np.testing.assert_allclose(found, force, rtol=1e-12, atol=1e-9)
 
 
 def test_closed_valves_rest_at_the_leakage_null() -> None:
@@ -341,7 +360,7 @@ def test_share_is_the_describing_function_of_a_kink(excitation: str, ratio: floa
 
 
 CASES = [("single_legs", name, "leg_1") for name in POSES]
-CASES += [("hexapod", "neutral", dof) for dof in ("surge", "heave", "leg_1")]
+CASES += [("hexapod", "neutral", dof) for dof in ("surge", "leg_1")]
 CASES += [("hexapod", "offset", dof) for dof in ("surge", "pitch")]
 CASES += [("hexapod", "turned", dof) for dof in DOFS]
 

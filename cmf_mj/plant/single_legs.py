@@ -51,8 +51,8 @@ class SingleLegs(Plant):
             raise ValueError(f"effective_mass: {effective_mass} kg must be greater than 0")
         spec = mujoco.MjSpec.from_file(str(models.single_legs_path()))
         set_timestep(spec, timestep)
-        # Gravity makes the load: compensation of it, MuJoCo leaves out where it is negative.
-        spec.option.gravity = [0.0, 0.0, -static_load / effective_mass]
+        # The load is the weight under a gravity of its own: MuJoCo ignores a negative `gravcomp`.
+        spec.option.gravity[2] = -static_load / effective_mass
         for leg in range(1, 7):
             spec.body(f"leg_{leg}").mass = effective_mass
         bodies = [f"leg_{leg}" for leg in range(1, 7)]
