@@ -112,12 +112,6 @@ def test_leg_speeds_lie_in_the_published_range():
         assert 0.27 <= load_hydraulics(name).leg_speed.value <= 0.352
 
 
-def test_speed_gain_gives_the_leg_speed_at_half_the_supply():
-    p = load_hydraulics("hardware")
-    speed = p.speed_gain * 0.01 * np.sqrt(750.0 * units.PSI)
-    assert abs(speed / (p.leg_speed.value * units.INCH) - 1.0) < 1e-12
-
-
 def test_leakage_relaxes_the_force_of_a_held_leg_at_the_leak_rate():
     """By hand: dF/dt = -L (pc - pr) beta (1 + 1) / h with pc = -pr = F / (Ac + Ar)."""
     p = load_hydraulics("hardware")

@@ -200,12 +200,6 @@ class HydraulicParameters(_Actuator):
         return rod_area(self.quantities())
 
     @property
-    def speed_gain(self) -> float:
-        """Gain k of leg speed = k u sqrt(dp) [m/s/sqrt(Pa)]: leg_speed at dp = (Ps - Pt) / 2."""
-        half_drop = 0.5 * (self.supply_pressure.si - self.return_pressure.si)
-        return self.leg_speed.si / float(np.sqrt(half_drop))
-
-    @property
     def leakage(self) -> float:
         """Laminar piston leakage L [m^3/s/Pa], see `piston_leakage`."""
         return piston_leakage(self.quantities())
