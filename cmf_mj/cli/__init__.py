@@ -1,9 +1,9 @@
 """The command line, `cmf`: one module a family of commands."""
 
-from cmf_mj.cli import analysing, comparing, hosting, listing, measuring
+from cmf_mj.cli import analysing, comparing, hosting, listing, measuring, operating
 from cmf_mj.cli.common import app
 
-__all__ = ["analysing", "comparing", "hosting", "listing", "main", "measuring"]
+__all__ = ["analysing", "comparing", "hosting", "listing", "main", "measuring", "operating"]
 
 
 def main() -> None:
