@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from cmf_mj import report, units
-from cmf_mj.cli.common import app, names_of, refuse, show
+from cmf_mj.cli.common import Noise, app, names_of, noise_choice, refuse, show
 from cmf_mj.control import law_names
 from cmf_mj.kinematics import DOFS
 from cmf_mj.studies import AMPLITUDE, DEFAULT_LAWS, PLANTS, Comparison, compare
@@ -26,6 +26,7 @@ def run_comparison(
     jobs: int | None = None,
     quick: bool = False,
     records: bool = True,
+    noise: bool = False,
 ) -> Comparison:
     """Compare with a progress bar, print the table and write all files to `out`."""
     columns = (
@@ -46,6 +47,7 @@ def run_comparison(
             jobs=jobs,
             quick=quick,
             records=out / "records" if records else None,
+            electronics=noise_choice(noise),
             progress=lambda done, total: bar.update(
                 task, completed=done, total=total, description="running"
             ),
@@ -88,6 +90,7 @@ def compare_command(
     records: Annotated[
         bool, typer.Option(help="keep the records of all runs, about 8 MB a case")
     ] = True,
+    noise: Noise = False,
 ) -> None:
     """Compare control laws in six degrees of freedom on the hexapod and on single legs."""
     try:
@@ -102,6 +105,7 @@ def compare_command(
             jobs=jobs,
             quick=quick,
             records=records,
+            noise=noise,
         )
     except (ValueError, OSError, FloatingPointError) as error:
         refuse(error)
