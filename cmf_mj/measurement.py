@@ -24,6 +24,7 @@ from cmf_mj.frequency_response import (
     frequency_response,
 )
 from cmf_mj.kinematics import DOFS, leg_motion_to_pose, legs_to_pose
+from cmf_mj.loop.electronics import ElectronicsSettings
 from cmf_mj.plant import Plant
 from cmf_mj.record import Record
 from cmf_mj.simulation import simulate
@@ -162,6 +163,7 @@ def facility_session(
     dof: str,
     *,
     amplitude: float | None = None,
+    electronics: ElectronicsSettings | None = None,
     jobs: int | None = None,
 ) -> list[Record]:
     """The facility's frequency-response session: five rounds of seven sines, at 128 Hz.
@@ -171,6 +173,7 @@ def facility_session(
         law: name, TOML file or loaded law.
         dof: degree of freedom.
         amplitude: of each sine [m or rad]; default the report's 0.33 in or 0.2 deg.
+        electronics: sensors, converters and servo electronics; default ideal.
         jobs: threads; default one per core. Records do not depend on it.
 
     Raises:
@@ -182,7 +185,9 @@ def facility_session(
     pool = Parallel(n_jobs=workers, backend="threading")
     return list(
         pool(
-            delayed(simulate)(build(), loaded, command, record_every=RECORD_EVERY)
+            delayed(simulate)(
+                build(), loaded, command, electronics=electronics, record_every=RECORD_EVERY
+            )
             for command in commands
         )
     )
@@ -219,6 +224,7 @@ def measure(
     amplitude: float | None = None,
     frequencies: Sequence[float] = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0),
     shares: Sequence[float] = (0.25, 1.0, 4.0),
+    electronics: ElectronicsSettings | None = None,
 ) -> Measurement:
     """Run a whole measuring session.
 
@@ -229,6 +235,7 @@ def measure(
         amplitude: of the sweep [m or rad]; default the report's 0.33 in or 0.2 deg.
         frequencies: of the describing function [Hz].
         shares: amplitudes of describing function and half-hertz noise, in `amplitude`.
+        electronics: sensors, converters and servo electronics; default ideal.
 
     Raises:
         ValueError: an argument out of range, named.
@@ -238,7 +245,7 @@ def measure(
     plant = build()
 
     def run(command: signals.Command, every: int = RECORD_EVERY) -> Record:
-        return simulate(plant, law, command, record_every=every)
+        return simulate(plant, law, command, electronics=electronics, record_every=every)
 
     sweep = run(signals.chirp(dof, size))
     response = frequency_response(sweep)

@@ -87,6 +87,9 @@ class Operation(NamedTuple):
     """What the DCU made of the frames: accepted, late, missing and so on."""
     rejections: dict[str, int]
     """Frames the DCU refused, by reason."""
+    unused: dict[str, int]
+    """Frames received that never came to the DCU, of a run in real time: `early` before the clock
+    started, `lost` between receiver and loop."""
     timing: Timing | None
     """Of a run in real time."""
 
@@ -109,9 +112,12 @@ def operate(
         plant: the hexapod.
         law: name, TOML file or loaded `Law`.
         frames: a `HostStream`, or frames with the control frame they arrive in.
-        seconds: length of the run; default until a second after the last frame.
+        seconds: length of the run; default until the last frame has had its turn. The host's
+            silence trips the host watchdog soon after.
         begin: operating state to begin in: off, settled, hold or engaged. Off and settled begin on
-            the stops, the others at the first frame's pose.
+            the stops, the others at the first frame's pose, or neutral if that is beyond the
+            operational limits or the legs' working stroke. Settled has its valves open from the
+            first frame, so that a law whose balance is elsewhere jumps; off fades them in.
         requests: operator's requests and their times [s].
         events: failures on the time line.
         facility: everything between host and valves.
@@ -124,9 +130,10 @@ def operate(
     arrivals = hosts.arrivals(frames) if isinstance(frames, hosts.HostStream) else frames
     if not arrivals.frame.size:
         raise ValueError("frames: the host sends none; give at least one")
-    last = arrivals.frame[-1] / RATE + 1.0
+    settings = facility or FacilitySettings()
+    last = arrivals.frame[-1] / RATE + load_dcu(settings.dcu).delay.total
     count = _count(last if seconds is None else seconds)
-    pose = np.array(arrivals.values[0, 0])
+    pose = _within(arrivals.values[0, 0], load_motion_limits(settings.limits))
     session, unit = _prepare(
         plant,
         load_law(law),
@@ -138,12 +145,12 @@ def operate(
         pose,
         requests,
         events,
-        facility or FacilitySettings(),
+        settings,
         None,
         record_every,
     )
     session.run()
-    return _operation(session, arrivals, unit, pose, None)
+    return _operation(session, arrivals, unit, pose, {}, None)
 
 
 def serve(
@@ -173,7 +180,7 @@ def serve(
         events: failures on the time line.
         facility: everything between host and valves.
         record_every: keep one frame in this many.
-        progress: called with the seconds run, about once a second.
+        progress: called with the seconds run, 0 when the clock starts and about once a second.
 
     Raises:
         ValueError: an argument out of range, named.
@@ -193,14 +200,28 @@ def serve(
     count = _count(seconds)
     pace = make_pace(count)
     session, unit = prepared(count, ring, pace)
-    ring.read[0] = ring.written[0]
+    if progress is not None:
+        progress(0.0)
+    started, lost = int(ring.written[0]), int(ring.lost[0])
+    unused = {"early": started - int(ring.read[0])}
+    ring.read[0] = started
     while session.frame < count:
         session.run(RATE)
         if progress is not None:
             progress(session.frame / RATE)
     log = _chain(session).arrivals
     arrivals = hosts.logged(log, int((log.frame < hosts.NEVER).sum()))
-    return _operation(session, arrivals, unit, neutral, Timing(pace.busy, pace.late))
+    unused["lost"] = int(ring.lost[0]) - lost
+    return _operation(session, arrivals, unit, neutral, unused, Timing(pace.busy, pace.late))
+
+
+def _within(pose: NDArray[np.float64], limits: MotionLimits) -> NDArray[np.float64]:
+    """The pose, or neutral where the limits forbid it."""
+    low, high = limits.operational.T
+    inside = bool(((pose >= low) & (pose <= high)).all())
+    if inside and np.abs(kinematics.pose_to_legs(pose)).max() <= limits.leg.position.si:
+        return np.array(pose)
+    return np.zeros(6)
 
 
 def _chain(session: Session) -> Chain:
@@ -277,6 +298,7 @@ def _operation(
     arrivals: Arrivals,
     unit: DcuSettings,
     pose: NDArray[np.float64],
+    unused: dict[str, int],
     timing: Timing | None,
 ) -> Operation:
     time, channels, channel_units = session.history()
@@ -300,4 +322,4 @@ def _operation(
     }
     record = Record(time, named | channels, channel_units, session.describe() | context)
     played = hosts.HostSession(arrivals, session.frame, pose, unit)
-    return Operation(record, played, counts, rejections, timing)
+    return Operation(record, played, counts, rejections, unused, timing)

@@ -2,8 +2,9 @@
 
     recorded reference, feedback -> DCL -> compensator output, beside the recorded one
 
-The law starts engaged at the first sample, as a run does, so that at the control rate the output of
-the law that made a record comes back bit for bit. A recording at a lower rate, such as the
+The law that made a record starts in the state in which the record says it began, so that at the
+control rate its output comes back bit for bit. Any other starts engaged at the first sample.
+A recording at a lower rate, such as the
 facility's 128 Hz, is brought to 2048 Hz by cubic splines, which cannot be exact: what lay between
 the samples is lost.
 """
@@ -121,7 +122,7 @@ def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = 
     frames, legs = reference.shape
     dcl = control.make_dcl(loaded, legs)
     first = control.LegFeedback(*(history[0].copy() for history in histories))
-    state = control.engaged(dcl, reference[0], first)
+    state = _begun(record, loaded, legs) or control.engaged(dcl, reference[0], first)
     output = np.empty((frames, legs))
     signals = np.zeros((legs, len(SIGNALS)))
     _run(dcl, state, reference, histories, signals, np.zeros(legs), output)
@@ -154,6 +155,17 @@ def replay_protection(
     supply = np.array(np.broadcast_to(supply_pressure, reference.shape[0]), dtype=float)
     _watch(protection, state, reference, histories, supply)
     return latched(state)
+
+
+def _begun(record: Record, law: Law, legs: int) -> control.DclState | None:
+    """The state in which the law began; none where the record does not say, or of another law."""
+    said = record.metadata.get("law_state")
+    if not said or record.metadata.get("law_parameters") != law.model_dump():
+        return None
+    state = control.DclState(
+        **{name: np.array(values, dtype=float) for name, values in said.items()}
+    )
+    return state if all(values.shape == (legs,) for values in state) else None
 
 
 def _every(record: Record) -> int:

@@ -25,6 +25,7 @@ from cmf_mj.frequency_response import (
     frequency_response,
 )
 from cmf_mj.kinematics import DOFS
+from cmf_mj.loop.electronics import ElectronicsSettings
 from cmf_mj.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant import Hexapod, Plant, SingleLegs
 from cmf_mj.published import published
@@ -60,6 +61,8 @@ class Case:
     amplitude: float
     """Of the chirp [m or rad]."""
     quick: bool = False
+    electronics: ElectronicsSettings | None = None
+    """Sensors, converters, servo electronics; None for ideal ones."""
 
     @property
     def label(self) -> str:
@@ -173,12 +176,14 @@ def run_case(case: Case, records: Path | None = None) -> CaseResult:
         plant,
         case.law,
         signals.chirp(case.dof, case.amplitude, duration=duration),
+        electronics=case.electronics,
         record_every=16,
     )
     step = simulate(
         plant,
         case.law,
         signals.step(case.dof, case.amplitude * STEP_PER_AMPLITUDE),
+        electronics=case.electronics,
         record_every=8,
     )
     if records is not None:
@@ -206,6 +211,7 @@ def compare(
     jobs: int | None = None,
     quick: bool = False,
     records: str | Path | None = None,
+    electronics: ElectronicsSettings | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Compare control laws in several degrees of freedom on both plants.
@@ -221,6 +227,7 @@ def compare(
         jobs: threads; default one per core. Results do not depend on it.
         quick: shorter sweeps.
         records: folder for the records of all runs.
+        electronics: sensors, converters and servo electronics; default ideal.
         progress: called with (cases done, cases in all) after each case.
 
     Raises:
@@ -251,6 +258,7 @@ def compare(
             dof,
             amplitude * (1.0 if DOFS.index(dof) < 3 else ROTATION_PER_TRANSLATION),
             quick,
+            electronics,
         )
         for plant in plants
         for law in loaded

@@ -1,8 +1,8 @@
 """Refresh the generated tables and pictures of README and docs from finished studies.
 
 A table stands between `<!-- table: NAME -->` and `<!-- end -->`; NAME is a folder below --results
-that `cmf compare --out` or
-`cmf failure --out` wrote. Figures of the folder `compare` are copied to docs/images.
+that `cmf compare --out`, `cmf failure --out` or `scripts/electronics_effect.py --out` wrote.
+Figures of the folder `compare` are copied to docs/images.
 """
 
 import argparse
@@ -11,7 +11,7 @@ import shutil
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "docs/model.md", "docs/failures.md")
+PAGES = ("README.md", "docs/model.md", "docs/failures.md", "docs/operation.md")
 TABLES = ("comparison.md", "failures.md")
 FIGURES = ("bode_surge.png", "bode_heave.png", "step_surge.png")
 _TABLE = re.compile(r"(<!-- table: ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)

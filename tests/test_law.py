@@ -245,7 +245,7 @@ def test_a_loaded_law_cannot_be_changed() -> None:
             ["derivative_pole", "4096", "less than 4096"],
         ),
         ("limit = 10.0", "limit = -1", ["integrator_limit", "-1", "greater than 0"]),
-        ("trigger = -30.0", "trigger = -38", ["integrator_trigger", "-38", "-37.5"]),
+        ("trigger = -30.0", "trigger = -41", ["integrator_trigger", "-41", "-40"]),
         ("pole = 0.9\n", "pole = 1.0\n", ["accelerometer_pole", "1.0", "less than 1"]),
         ("gain = 0.1\n", "gain = [1]\n", ["accelerometer_gain", "[1]", "number"]),
         (

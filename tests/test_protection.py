@@ -188,6 +188,26 @@ def test_the_first_fault_stays_until_reset() -> None:
     assert machine.found(200) is None
 
 
+@pytest.mark.parametrize("watchdog", ["host_watchdog", "frame_watchdog"])
+def test_a_watchdog_gives_way_to_a_fault_of_the_machine(watchdog: str) -> None:
+    """It only lowers the machine; what fails on the way down must still close the valves."""
+    machine = Machine()
+    machine.found(10)
+    if watchdog == "host_watchdog":
+        machine.age = 0.2
+    else:
+        machine.frame += 3
+    assert machine.found(5).name == watchdog
+    assert machine.found(5) == (watchdog, None, 10 if watchdog == "host_watchdog" else 13)
+    machine.feedback.velocity[2] = 2.0
+    frame = machine.frame
+    fault = machine.found(SETTINGS.over_speed.persistence)
+    assert fault == ("over_speed", 3, frame + SETTINGS.over_speed.persistence - 1)
+    machine.age = 0.3
+    machine.feedback.acceleration[:] = np.nan
+    assert machine.found(20) == fault
+
+
 def test_of_several_in_one_frame_the_first_name_and_leg_win() -> None:
     changed = {
         name: getattr(SETTINGS, name).model_copy(update={"persistence": 1}) for name in FAULTS[1:]

@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 from cmf_mj import Hexapod, Record, SingleLegs, law_names, load_law, signals, simulate
 from cmf_mj.cli import app
 from cmf_mj.control.protection import load_protection, make_protection
+from cmf_mj.loop.electronics import ElectronicsSettings
 from cmf_mj.recording import read_facility_csv, write_facility_csv
 from cmf_mj.replay import replay, replay_protection
 from cmf_mj.sensor_report import law_of
@@ -30,6 +31,29 @@ def test_every_law_comes_back_bit_for_bit(law: str) -> None:
     assert replayed.output.tobytes() == record["compensator_output"].tobytes()
     assert replayed.identical
     assert replayed.difference == 0.0
+
+
+@pytest.mark.parametrize("law", ["velocity_integral", "acceleration", "force"])
+def test_noise_and_converters_come_back_bit_for_bit(law: str, tmp_path: Path) -> None:
+    """The record holds what the law read, and its output before clamp and servo electronics."""
+    command = signals.step("pitch", 0.01, at=0.1, duration=0.6)
+    record = simulate(Hexapod(), law, command, electronics=ElectronicsSettings(seed=3))
+    assert (record["leg_position"] != record["leg_extension"]).any()
+    assert (record["valve_command"] != record["compensator_output"]).any()
+    loaded = Record.load(record.save(tmp_path / "run.parquet"))
+    assert replay(loaded, law_of(loaded)).identical
+
+
+def test_the_law_starts_as_the_record_says(run: Record) -> None:
+    """An integral of its own is lost without: another law or another state is not identical."""
+    record = simulate(Hexapod(), "velocity_integral", np.zeros((64, 6)))
+    said = dict(record.metadata["law_state"])
+    assert replay(record, "velocity_integral").identical
+    wound = dict(record.metadata) | {"law_state": said | {"integral": [0.01] * 6}}
+    other = Record(record.time, dict(record.channels), dict(record.units), wound)
+    shift = replay(other, "velocity_integral").output - record["compensator_output"]
+    expected = 50.0 * 0.01 / INCH * (0.01 - np.array(said["integral"]))
+    np.testing.assert_allclose(shift[0], expected, rtol=1e-9)
 
 
 def test_a_run_that_starts_away_from_its_demand_and_from_neutral() -> None:

@@ -83,3 +83,23 @@ def test_excavator_digs_and_obeys_a_lever(tmp_path: Path) -> None:
     assert raised.split()[1] == "2.67"
     assert float(raised.split()[3]) > 2.8
     assert (tmp_path / "out" / "excavator" / "excavator.png").is_file()
+
+
+def test_runs_of_the_facility_draw_their_figures(tmp_path: Path) -> None:
+    told = run("show_lurch.py", "--wait", "1", "--out", "lurch.png", cwd=tmp_path)
+    assert "with the trigger" in told
+    run("show_cycle.py", "--seconds", "3", "--out", "cycle.png", cwd=tmp_path)
+    for name in ("lurch.png", "cycle.png"):
+        picture = matplotlib.image.imread(tmp_path / name)
+        assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
+
+
+def test_electronics_effect_writes_its_table(tmp_path: Path) -> None:
+    arguments = ("--laws", "velocity", "--dofs", "heave", "--quick", "--out", "effect")
+    run("electronics_effect.py", *arguments, cwd=tmp_path)
+    with (tmp_path / "effect" / "comparison.csv").open(newline="") as file:
+        (row,) = list(csv.reader(file))[1:]
+    assert row[:2] == ["velocity", "heave"]
+    assert row[-1] == "stable"
+    ideal, real = float(row[2]), float(row[3])
+    assert 0.0 < abs(real / ideal - 1.0) < 0.05

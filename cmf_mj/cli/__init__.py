@@ -10,6 +10,7 @@ from cmf_mj.cli import (
     linearizing,
     listing,
     measuring,
+    operating,
 )
 from cmf_mj.cli.common import app
 
@@ -24,6 +25,7 @@ __all__ = [
     "listing",
     "main",
     "measuring",
+    "operating",
 ]
 
 

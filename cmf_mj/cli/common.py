@@ -11,6 +11,7 @@ from rich.table import Table
 
 from cmf_mj import models, units
 from cmf_mj.kinematics import DOFS
+from cmf_mj.loop.electronics import ElectronicsSettings
 from cmf_mj.parameters import load_hydraulics
 from cmf_mj.plant import Hexapod, Plant, SingleLegs
 from cmf_mj.signals import dof_index
@@ -79,6 +80,11 @@ def in_si(dof: str, amplitude: float | None) -> float | None:
     return units.to_si("in" if dof_index(dof) < 3 else "deg", amplitude)
 
 
+def noise_choice(noise: bool) -> ElectronicsSettings | None:
+    """Noisy sensors, converters and servo electronics, or ideal ones."""
+    return ElectronicsSettings() if noise else None
+
+
 Dof = Annotated[str, typer.Option(help=f"degree of freedom: {', '.join(DOFS)}")]
 LawName = Annotated[str, typer.Option("--law", help="law by name or TOML file")]
 PlantName = Annotated[str, typer.Option("--plant", help="hexapod or single_legs")]
@@ -86,4 +92,10 @@ Cab = Annotated[str, typer.Option(help="gfd, rfd or ifd")]
 HydraulicSet = Annotated[str, typer.Option(help="report, hardware, lossy or a TOML file")]
 Amplitude = Annotated[
     float | None, typer.Option(help="amplitude [in or deg]; default 0.33 in or 0.2 deg")
+]
+Noise = Annotated[
+    bool,
+    typer.Option(
+        "--noise/--ideal", help="noisy sensors, converters and servo electronics, or ideal ones"
+    ),
 ]

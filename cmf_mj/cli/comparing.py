@@ -7,7 +7,15 @@ import typer
 from rich.console import Console
 
 from cmf_mj import report, units
-from cmf_mj.cli.common import app, names_of, progress_bar, refuse, show
+from cmf_mj.cli.common import (
+    Noise,
+    app,
+    names_of,
+    noise_choice,
+    progress_bar,
+    refuse,
+    show,
+)
 from cmf_mj.control import law_names
 from cmf_mj.kinematics import DOFS
 from cmf_mj.studies import AMPLITUDE, DEFAULT_LAWS, PLANTS, Comparison, compare
@@ -25,6 +33,7 @@ def run_comparison(
     jobs: int | None = None,
     quick: bool = False,
     records: bool = True,
+    noise: bool = False,
 ) -> Comparison:
     """Compare with a progress bar, print the table and write all files to `out`."""
     with progress_bar() as update:
@@ -38,6 +47,7 @@ def run_comparison(
             jobs=jobs,
             quick=quick,
             records=out / "records" if records else None,
+            electronics=noise_choice(noise),
             progress=update,
         )
     out.mkdir(parents=True, exist_ok=True)
@@ -78,6 +88,7 @@ def compare_command(
     records: Annotated[
         bool, typer.Option(help="keep the records of all runs, about 8 MB a case")
     ] = True,
+    noise: Noise = False,
 ) -> None:
     """Compare control laws in six degrees of freedom on the hexapod and on single legs."""
     try:
@@ -92,6 +103,7 @@ def compare_command(
             jobs=jobs,
             quick=quick,
             records=records,
+            noise=noise,
         )
     except (ValueError, OSError, FloatingPointError) as error:
         refuse(error)

@@ -13,9 +13,11 @@ from cmf_mj.cli.common import (
     Dof,
     HydraulicSet,
     LawName,
+    Noise,
     PlantName,
     app,
     in_si,
+    noise_choice,
     plant_builder,
     refuse,
     show,
@@ -34,6 +36,7 @@ def record_command(
     cab: Cab = "gfd",
     hydraulics: HydraulicSet = "hardware",
     amplitude: Amplitude = None,
+    noise: Noise = False,
     jobs: Annotated[int | None, typer.Option(help="threads; default one a core")] = None,
     out: Annotated[Path, typer.Option(help="folder for the five files")] = Path("out/record"),
 ) -> None:
@@ -47,7 +50,14 @@ def record_command(
             for kind in ("velocity", "acceleration")
         )
         show(f"peak demand: {velocity:.3g} {unit}/s, {acceleration:.3g} {unit}/s^2")
-        session = facility_session(build, law, dof, amplitude=in_si(dof, amplitude), jobs=jobs)
+        session = facility_session(
+            build,
+            law,
+            dof,
+            amplitude=in_si(dof, amplitude),
+            electronics=noise_choice(noise),
+            jobs=jobs,
+        )
         for number, record in enumerate(session, start=1):
             name = f"{record.metadata['law']}_{dof}_{number}of{len(session)}.csv"
             print(write_facility_csv(record, out / name))
@@ -70,6 +80,7 @@ def measure_command(
     cab: Cab = "gfd",
     hydraulics: HydraulicSet = "hardware",
     amplitude: Amplitude = None,
+    noise: Noise = False,
     estimator: Annotated[str, typer.Option(help="h1, h2, hv or report; one recording")] = "h1",
     out: Annotated[Path, typer.Option(help="folder for results")] = Path("out/measure"),
 ) -> None:
@@ -79,7 +90,13 @@ def measure_command(
             raise ValueError("files: name recordings, or use --simulate, not both and not neither")
         if simulate:
             build = plant_builder(plant, cab, hydraulics)
-            measured = measure(build, law, dof, amplitude=in_si(dof, amplitude))
+            measured = measure(
+                build,
+                law,
+                dof,
+                amplitude=in_si(dof, amplitude),
+                electronics=noise_choice(noise),
+            )
             paths = measurement_report.save_measurement(measured, out)
             table = measurement_report.measurement_table(measured)
         else:

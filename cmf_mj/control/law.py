@@ -89,9 +89,10 @@ class Law(Settings):
     none. Below 4096 rad/s, where the filter's forward integration is stable."""
     integrator_limit: Annotated[float, Field(gt=0.0)] = 50.0
     """Saturation of the error integral [in s] (section 3.2.1)."""
-    integrator_trigger: Annotated[float, Field(ge=-37.5, le=37.5)] = -37.0
+    integrator_trigger: Annotated[float, Field(ge=-40.0, le=37.5)] = -37.0
     """Leg position below which the integrator takes -37.5 in for it [in]: half an inch above
-    the bottom stop (section 3.2.1)."""
+    the bottom stop (section 3.2.1). No leg comes below the mechanical stop at -38 in: a trigger
+    there is none at all."""
     accelerometer_pole: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.9924
     """Pole of the accelerometer filter gain / (z - pole), Eq 3.6."""
     accelerometer_gain: float = 0.007588

@@ -10,7 +10,8 @@
     frame_watchdog       control frames missed between two calls
 
 A condition that holds for `persistence` frames in a row is a fault; NaN holds. Of several in one
-frame the first in `FAULTS`, then the lowest leg, is taken; it stays until `reset`.
+frame the first in `FAULTS`, then the lowest leg, is taken; it stays until `reset`, but a watchdog's
+gives way to a fault of the machine, which asks for more.
 
 Six legs give six degrees of freedom: their positions cannot check one another. So each position
 sensor is checked against the integral of its own velocity sensor, washed out at the rate r: a jump
@@ -199,7 +200,7 @@ def _judge(protection, state, code, leg, column, value, frame):  # type: ignore[
         return
     state.counts[code, column] += 1
     new = state.counts[code, column] >= protection.persistence[code]
-    first = state.fault[0] == NO_FAULT
+    first = state.fault[0] == NO_FAULT or code < _HOST <= state.fault[0]
     earlier = state.fault[2] == frame and code < state.fault[0]
     if new and (first or earlier):
         state.fault[0], state.fault[1], state.fault[2] = code, leg, frame

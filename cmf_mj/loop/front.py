@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.compiled import compiled
 from cmf_mj.control import dcu, demand, governor, states
-from cmf_mj.control.dcu.state import STALE
+from cmf_mj.control.dcu.state import SILENCE, STALE, TAKEN
 from cmf_mj.control.protection import NO_FAULT
 from cmf_mj.control.states import Request, State
 from cmf_mj.host import Ring, collect
@@ -222,3 +222,26 @@ def _compiled_watched(chain):  # type: ignore[no-untyped-def]
     if isinstance(chain, types.NoneType):
         return lambda chain: True
     return lambda chain: _watched(chain)
+
+
+@compiled
+def _host_age(chain):  # type: ignore[no-untyped-def]
+    engaged = chain.marks[_STATE] == State.ENGAGED.value
+    if engaged and chain.dcu_state.events[TAKEN] > 0:
+        return chain.dcu_state.real[SILENCE]
+    return 0.0
+
+
+def host_age(chain):  # type: ignore[no-untyped-def]
+    """Time since the DCU accepted a frame [s], for the host watchdog.
+
+    It counts while engaged, from the first frame on; 0 otherwise, and without a chain.
+    """
+    return 0.0 if chain is None else _host_age(chain)
+
+
+@overload(host_age, jit_options={"forceinline": True})
+def _compiled_host_age(chain):  # type: ignore[no-untyped-def]
+    if isinstance(chain, types.NoneType):
+        return lambda chain: 0.0
+    return lambda chain: _host_age(chain)

@@ -1,7 +1,8 @@
 """Real time: each control frame begins when its time has come, and its computing time is logged.
 
 The compiled loop reads the system's monotonic clock and sleeps through the C library, called like
-MuJoCo by its address. A run that is not paced passes None.
+MuJoCo by its address. A run that is not paced passes None, or the `idle_pace` where both kinds of
+run are to share one compilation.
 """
 
 import ctypes
@@ -68,6 +69,13 @@ def make_pace(frames: int) -> Pace:
     )
 
 
+def idle_pace() -> Pace:
+    """A pace that neither waits nor logs; needs no clock."""
+    spec, rest = np.zeros((2, 2), dtype=np.int64)
+    busy, late = np.zeros((2, 0))
+    return Pace(0, 0, 0, spec, rest, np.zeros(1), busy, late)
+
+
 @compiled
 def _now(pace):  # type: ignore[no-untyped-def]
     call(pace.gettime, pace.clock, pace.spec.ctypes.data)
@@ -76,6 +84,8 @@ def _now(pace):  # type: ignore[no-untyped-def]
 
 @compiled
 def _begin(pace, frame):  # type: ignore[no-untyped-def]
+    if pace.busy.shape[0] == 0:
+        return
     now = _now(pace)
     if np.isnan(pace.origin[0]):
         pace.origin[0] = now - frame * FRAME
@@ -93,11 +103,13 @@ def _begin(pace, frame):  # type: ignore[no-untyped-def]
 
 @compiled
 def _end(pace, frame):  # type: ignore[no-untyped-def]
+    if pace.busy.shape[0] == 0:
+        return
     pace.busy[frame] += _now(pace)
 
 
 def begin(pace, frame):  # type: ignore[no-untyped-def]
-    """Wait for a frame's time; None does not wait."""
+    """Wait for a frame's time; None and the idle pace do not wait."""
     if pace is not None:
         _begin(pace, frame)
 
@@ -110,7 +122,7 @@ def _compiled_begin(pace, frame):  # type: ignore[no-untyped-def]
 
 
 def end(pace, frame):  # type: ignore[no-untyped-def]
-    """Log a frame's computing time."""
+    """Log a frame's computing time; None and the idle pace do not."""
     if pace is not None:
         _end(pace, frame)
 

@@ -24,7 +24,7 @@ from cmf_mj.control.law import SIGNALS
 from cmf_mj.control.protection import FAULTS, NO_FAULT, Protection, ProtectionState, protect
 from cmf_mj.events import Timeline, strike
 from cmf_mj.loop.electronics import Electronics, deliver, measure
-from cmf_mj.loop.front import Chain, follow, watched
+from cmf_mj.loop.front import Chain, follow, host_age, watched
 from cmf_mj.loop.pace import Pace, begin, end
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.faults import OVERLOAD, STOPPED, Faults
@@ -201,9 +201,9 @@ def _strike(timeline, faults, payload, bodies, marks, position):  # type: ignore
 
 
 @compiled
-def _stops(protection, guard, frame, reference, feedback, supply, closed):  # type: ignore[no-untyped-def]
+def _stops(protection, guard, frame, reference, feedback, supply, age, closed):  # type: ignore[no-untyped-def]
     """Whether this frame's readings call for an emergency stop."""
-    code = protect(protection, guard, frame, reference, feedback, supply)
+    code = protect(protection, guard, frame, reference, feedback, supply, age)
     return code != NO_FAULT and (_UNTRUSTED[code] or not closed)
 
 
@@ -317,8 +317,8 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
                     marks[1] = 1
                 if controller.guarded and plant_faults[STOPPED] == 0.0:
                     wanted = limited if closed else feedback.position
-                    pressure = supply[SUPPLY_PRESSURE]
-                    if _stops(protection, guard, frame, wanted, feedback, pressure, closed):
+                    pressure, age = supply[SUPPLY_PRESSURE], host_age(chain)
+                    if _stops(protection, guard, frame, wanted, feedback, pressure, age, closed):
                         plant_faults[STOPPED] = 1.0
                 bound, leg = _bounds(
                     cylinders, hydraulics.proof_pressure, state.pressure, extension

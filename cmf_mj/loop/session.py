@@ -20,7 +20,7 @@ from cmf_mj.control.protection import (
 from cmf_mj.events import Event, make_timeline
 from cmf_mj.loop.electronics import ElectronicsSettings, make_electronics, measure
 from cmf_mj.loop.front import Chain
-from cmf_mj.loop.pace import Pace
+from cmf_mj.loop.pace import Pace, idle_pace
 from cmf_mj.loop.run import (
     FINITE,
     LEG_CHANNELS,
@@ -147,8 +147,10 @@ class Session:
             guard=protection_state(feedback.position),
             electronics=parts,
             chain=chain,
-            pace=pace,
+            # One compilation for runs of the chain in real time and without.
+            pace=pace if chain is None or pace is not None else idle_pace(),
         )
+        self._begun: dict[str, list[float]] = {}
         self._groups = plant.sensors
         indices = np.concatenate([*self._groups.values(), np.empty(0, dtype=np.int64)])
         widths = (
@@ -173,6 +175,9 @@ class Session:
         Raises:
             OutOfBounds: the state left its physical bounds; leg, time and value are named.
         """
+        if self.frame == 0:
+            state = self.controller.state._asdict()
+            self._begun = {name: values.tolist() for name, values in state.items()}
         end = self.frames if frames is None else min(self.frame + frames, self.frames)
         frame, bound, leg = run(
             self.machine, self.controller, self.memory, self.layout, self.frame, end
@@ -209,6 +214,7 @@ class Session:
             **self.plant.describe(),
             "law": law.name if law else "",
             "law_parameters": law.model_dump() if law else {},
+            "law_state": self._begun if law else {},
             "events": [event.model_dump(exclude_none=True) for event in self._events],
             "fault": found,
             "electronics": self._electronics.describe() if self._electronics else None,

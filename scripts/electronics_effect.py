@@ -1,0 +1,85 @@
+"""What do sensors, converters and servo electronics cost? Bandwidths of every law with and without.
+
+Writes `comparison.md` and `comparison.csv`: -90 deg and -3 dB bandwidths and peak gain on the
+hexapod, ideal and with the shipped noisy electronics, and the changes between.
+"""
+
+import argparse
+import csv
+from pathlib import Path
+
+from cmf_mj.cli.common import names_of, refuse
+from cmf_mj.control import law_names
+from cmf_mj.loop.electronics import ElectronicsSettings
+from cmf_mj.report import markdown
+from cmf_mj.studies import ComparisonRow, compare
+
+HEADER = (
+    "law",
+    "dof",
+    "-90 deg ideal [Hz]",
+    "with electronics",
+    "change",
+    "-3 dB ideal [Hz]",
+    "with electronics",
+    "change",
+    "peak ideal [dB]",
+    "with electronics",
+    "step",
+)
+
+
+def _cells(before: float, after: float) -> list[str]:
+    """Both bandwidths and the change; a dash where there is none below 10 Hz."""
+    change = f"{100.0 * (after / before - 1.0):+.1f} %"
+    numbers = (f"{before:.2f}", f"{after:.2f}", change)
+    return ["-" if "nan" in number else number for number in numbers]
+
+
+def line(ideal: ComparisonRow, real: ComparisonRow) -> list[str]:
+    """A row of the table."""
+    cells = [ideal.law, ideal.dof]
+    for before, after in (
+        (ideal.phase_bandwidth_hz, real.phase_bandwidth_hz),
+        (ideal.gain_bandwidth_hz, real.gain_bandwidth_hz),
+    ):
+        cells += _cells(before, after)
+    cells += [f"{ideal.peak_gain_db:.1f}", f"{real.peak_gain_db:.1f}"]
+    verdicts = ["stable" if row.stable else "unstable" for row in (ideal, real)]
+    return [*cells, " to ".join(dict.fromkeys(verdicts))]
+
+
+def main() -> None:
+    """Parse the arguments, run both and write the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--laws", default="all")
+    parser.add_argument("--dofs", default="heave,surge")
+    parser.add_argument("--quick", action="store_true", help="sweep in 30 s instead of 100 s")
+    parser.add_argument("--jobs", type=int)
+    parser.add_argument("--out", type=Path, default=Path("out/electronics"))
+    options = parser.parse_args()
+    try:
+        laws = names_of(options.laws, law_names())
+        ideal, real = (
+            compare(
+                laws,
+                names_of(options.dofs, ()),
+                plants=["hexapod"],
+                quick=options.quick,
+                jobs=options.jobs,
+                electronics=electronics,
+            ).rows
+            for electronics in (None, ElectronicsSettings())
+        )
+    except (ValueError, OSError, FloatingPointError) as error:
+        refuse(error)
+    lines = [line(before, after) for before, after in zip(ideal, real, strict=True)]
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / "comparison.md").write_text(markdown(HEADER, lines), encoding="utf-8")
+    with (options.out / "comparison.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([HEADER, *lines])
+    print(options.out / "comparison.md")
+
+
+if __name__ == "__main__":
+    main()
