@@ -4,8 +4,9 @@ A leg is to move as its reference model does, driven by the leg demand r,
 
     a_m = w^2 (r - p_m) - 2 zeta w v_m,   w = 2 pi natural_frequency,
 
-advanced from frame to frame exactly for a held demand. With the position p and velocity v of the
-leg and e = p_m - p, the model adds to the compensator's output
+advanced from frame to frame exactly for a held demand; a_m below is its mean over the frame ahead.
+With the position p and velocity v of the leg and e = p_m - p, the model adds to the compensator's
+output
 
     u_m = (1 + d) f + K_p e + K_r (v_m - v),   f = K_v v_m + K_a a_m.
 
@@ -41,7 +42,7 @@ have V' = -x' Q x for a constant N without leak and dead zone: the error goes to
 where f does not. Leak and dead zone leave an offset and prevent a drift.
 
 The leg is more than that: second lag, leg mode, frame of delay. For a slow adaptation averaging
-applies: a sine of angular frequency w in f pulls D by -rate K_v k D |H|^2 Re W(jw) |f|^2 / 2 N, with
+applies: a sine of angular frequency w in f moves D at -rate K_v k D |H|^2 Re W(jw) |f|^2 / 2 N, by
 the W of the whole plant. So D converges where the sum over the demand's spectrum is positive, and
 drifts to a bound where it is negative: beyond the frequency where a leg lags its feed-forward by
 90 deg. H is there to keep that small. An error integral of gain K_i needs K_i < c K_p besides.
@@ -66,10 +67,6 @@ class CompiledModel(NamedTuple):
 
     active: bool = False
     """Whether the law has a reference model; all else is unused if not."""
-    stiffness: float = 0.0
-    """w^2 [1/s^2]."""
-    damping: float = 0.0
-    """2 zeta w [1/s]."""
     position_stays: float = 1.0
     """Next p_m of p_m."""
     position_of_velocity: float = 0.0
@@ -115,15 +112,12 @@ def make_model(settings: ReferenceModel | None) -> CompiledModel:
     if settings is None:
         return CompiledModel()
     omega = 2.0 * np.pi * settings.natural_frequency
-    damping = 2.0 * settings.damping_ratio * omega
-    a = np.array([[0.0, 1.0], [-(omega**2), -damping]])
+    a = np.array([[0.0, 1.0], [-(omega**2), -2.0 * settings.damping_ratio * omega]])
     b = np.array([[0.0], [omega**2]])
     a, b, *_ = signal.cont2discrete((a, b, np.eye(2), np.zeros((2, 1))), FRAME, method="zoh")
     scale = units.PERCENT / units.INCH
     fixed = CompiledModel(
         active=True,
-        stiffness=float(omega**2),
-        damping=float(damping),
         position_stays=float(a[0, 0]),
         position_of_velocity=float(a[0, 1]),
         position_of_reference=float(b[0, 0]),
@@ -189,7 +183,12 @@ def follow(model, state, leg, reference, feedback, output):  # type: ignore[no-u
         output: compensator output, fraction.
     """
     position, velocity = state.model_position[leg], state.model_velocity[leg]
-    acceleration = model.stiffness * (reference - position) - model.damping * velocity
+    next_velocity = (
+        model.velocity_of_position * position
+        + model.velocity_stays * velocity
+        + model.velocity_of_reference * reference
+    )
+    acceleration = (next_velocity - velocity) / FRAME
     feed_forward = model.velocity_gain * velocity + model.acceleration_gain * acceleration
     error = position - feedback.position[leg]
     rate = velocity - feedback.velocity[leg]
@@ -202,9 +201,5 @@ def follow(model, state, leg, reference, feedback, output):  # type: ignore[no-u
         + model.position_of_velocity * velocity
         + model.position_of_reference * reference
     )
-    state.model_velocity[leg] = (
-        model.velocity_of_position * position
-        + model.velocity_stays * velocity
-        + model.velocity_of_reference * reference
-    )
+    state.model_velocity[leg] = next_velocity
     return total

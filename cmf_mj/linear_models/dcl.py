@@ -81,11 +81,11 @@ def _model(dcl: Dcl) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     model = dcl.model
     of_states, of_inputs = np.zeros(len(_STATES)), np.zeros(len(DCL_INPUTS))
     position, velocity = _STATES.index("model_position"), _STATES.index("model_velocity")
-    push = model.acceleration_gain * model.stiffness
-    slow = model.acceleration_gain * model.damping
-    of_states[position] = model.position_gain - push
-    of_states[velocity] = model.velocity_gain + model.rate_gain - slow
-    of_inputs[DCL_INPUTS.index("reference")] = push
+    push = model.acceleration_gain / FRAME
+    of_states[position] = model.position_gain + push * model.velocity_of_position
+    of_states[velocity] = model.velocity_gain + model.rate_gain
+    of_states[velocity] += push * (model.velocity_stays - 1.0)
+    of_inputs[DCL_INPUTS.index("reference")] = push * model.velocity_of_reference
     of_inputs[DCL_INPUTS.index("leg_position")] = -model.position_gain
     of_inputs[DCL_INPUTS.index("leg_velocity")] = -model.rate_gain
     return of_states, of_inputs
