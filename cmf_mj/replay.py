@@ -59,6 +59,8 @@ class Replay(NamedTuple):
     """The record's own, where it has one."""
     interpolated: bool
     """Whether the recording was below the control rate."""
+    factor: NDArray[np.float64]
+    """Factor of an adapting law on its feed-forward, (N, n); 1 for any other."""
 
     @property
     def difference(self) -> float:
@@ -74,8 +76,10 @@ class Replay(NamedTuple):
 
 
 @compiled
-def _run(dcl, state, reference, feedback, signals, command, output):  # type: ignore[no-untyped-def]
+def _run(dcl, state, reference, feedback, signals, command, output, factor):  # type: ignore[no-untyped-def]
     for frame in range(reference.shape[0]):
+        for leg in range(reference.shape[1]):
+            factor[frame, leg] = 1.0 + state.adaptation[leg]
         now = control.LegFeedback(
             feedback.position[frame],
             feedback.velocity[frame],
@@ -125,11 +129,12 @@ def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = 
     state = _begun(record, loaded, legs) or control.engaged(dcl, reference[0], first)
     output = np.empty((frames, legs))
     signals = np.zeros((legs, len(SIGNALS)))
-    _run(dcl, state, reference, histories, signals, np.zeros(legs), output)
+    factor = np.empty((frames, legs))
+    _run(dcl, state, reference, histories, signals, np.zeros(legs), output, factor)
     known = "compensator_output" in record.channels
     recorded = _legs(record, "compensator_output") if known else None
     picked = np.ascontiguousarray(output[::every])
-    return Replay(loaded.name, record.time, picked, recorded, every > 1)
+    return Replay(loaded.name, record.time, picked, recorded, every > 1, factor[::every])
 
 
 def replay_protection(
@@ -191,10 +196,16 @@ def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> control.Leg
         raise ValueError(f"feedback: {odd[0]!r} is not one of {', '.join(FEEDBACK)}")
     histories = []
     for field, channel in (FEEDBACK | dict(names)).items():
-        acting = field == "position" or any(
-            getattr(gains, signal) != 0.0
-            for signal in _NEEDS[field]
-            for gains in (law.direct_gain, law.input_gain)
+        model = law.reference_model
+        followed = field == "velocity" and model is not None and model.reads_velocity
+        acting = (
+            followed
+            or field == "position"
+            or any(
+                getattr(gains, signal) != 0.0
+                for signal in _NEEDS[field]
+                for gains in (law.direct_gain, law.input_gain)
+            )
         )
         if acting and channel not in record.channels:
             raise ValueError(

@@ -42,6 +42,25 @@ def test_compare_rotational_covers_rotation_on_both_plants(tmp_path: Path) -> No
     assert not (tmp_path / "rotation" / "records").exists()
 
 
+def test_compare_model_reference_draws_the_adaptation(tmp_path: Path) -> None:
+    laws = ("--laws", "model_following", "model_reference_adaptive")
+    run(
+        "compare_model_reference.py",
+        "--quick",
+        "--dofs",
+        "heave",
+        *laws,
+        "--out",
+        "m",
+        cwd=tmp_path,
+    )
+    with (tmp_path / "m" / "comparison.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["law"], row["dof"]) for row in rows] == [(law, "heave") for law in laws[1:]]
+    picture = matplotlib.image.imread(tmp_path / "m" / "adaptation.png")
+    assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
+
+
 def test_bench_prints_json_with_a_ratio(tmp_path: Path) -> None:
     figures = json.loads(run("bench.py", "--seconds", "2", "--repeat", "2", cwd=tmp_path))
     least = figures["frame_us"] / figures["bare_us"]

@@ -2,6 +2,11 @@
 
 demand -> limits -> error -> compensator -> valve command
                       ^ feedback
+
+With a reference model the errors are those from the model, and its own part joins the output:
+
+demand -> limits -> reference model -> error -> compensator -> + -> valve command
+                          |______ feed-forward, adaptation ____^
 """
 
 from typing import NamedTuple
@@ -25,6 +30,7 @@ from cmf_mj.control.feedback import (
 )
 from cmf_mj.control.law import SIGNALS, Law
 from cmf_mj.control.limits import Limits, limit, make_limits
+from cmf_mj.control.reference_model import CompiledModel, follow, make_model
 from cmf_mj.control.valve_command import clamp
 
 _INTEGRAL = SIGNALS.index("error_integral")
@@ -37,6 +43,7 @@ class Dcl(NamedTuple):
     limits: Limits
     error: ErrorCalculations
     compensator: Compensator
+    model: CompiledModel
 
 
 class DclState(NamedTuple):
@@ -52,6 +59,18 @@ class DclState(NamedTuple):
     """Derivative filter of the reference [m]."""
     acceleration: NDArray[np.float64]
     """Filtered leg acceleration [m/s^2]."""
+    model_position: NDArray[np.float64]
+    """Position of the reference model [m]."""
+    model_velocity: NDArray[np.float64]
+    """Its velocity [m/s]."""
+    adaptation: NDArray[np.float64]
+    """Factor of its feed-forward, less 1."""
+    learned_error: NDArray[np.float64]
+    """Filtered error that the adaptation learns from [m/s]."""
+    learned_feed_forward: NDArray[np.float64]
+    """Filtered feed-forward, fraction."""
+    feed_forward_power: NDArray[np.float64]
+    """Filtered square of the feed-forward."""
 
 
 class LegFeedback(NamedTuple):
@@ -72,7 +91,11 @@ class LegFeedback(NamedTuple):
 def make_dcl(law: Law, legs: int) -> Dcl:
     """Compile a law for a number of legs."""
     return Dcl(
-        make_feedback(law), make_limits(), make_error_calculations(law), make_compensator(law, legs)
+        make_feedback(law),
+        make_limits(),
+        make_error_calculations(law),
+        make_compensator(law, legs),
+        make_model(law.reference_model),
     )
 
 
@@ -83,8 +106,8 @@ def engaged(
 ) -> DclState:
     """State of a DCL that has held `reference` at rest for a long time.
 
-    Filters have settled on the present error and position. Where the law has an integral, it has
-    taken up the static offset, so that the valve command is zero.
+    Filters and reference model have settled on the present error and position. Where the law has an
+    integral, it has taken up the static offset, so that the valve command is zero.
 
     Args:
         dcl: compiled law.
@@ -96,14 +119,17 @@ def engaged(
     limited = np.clip(reference, -dcl.limits.travel, dcl.limits.travel)
     state.error_filter[:] = limited - feedback.position
     state.reference_filter[:] = limited
+    state.model_position[:] = limited
     passed = dcl.feedback.accelerometer_gain / (1.0 - dcl.feedback.accelerometer_pole)
     state.acceleration[:] = passed * feedback.acceleration
     gains = dcl.compensator
     signals = np.zeros(len(SIGNALS))
     for leg in range(legs):
-        _fill(dcl, state, leg, limited[leg], feedback, signals)
+        _fill(dcl, state, leg, limited[leg], limited[leg], feedback, signals)
         still = (gains.input_gain[leg] @ signals) / (1.0 - gains.state_gain[leg])
         output = gains.output_gain[leg] * still + gains.direct_gain[leg] @ signals
+        output += dcl.model.position_gain * (limited[leg] - feedback.position[leg])
+        output -= dcl.model.rate_gain * feedback.velocity[leg]
         through = gains.output_gain[leg] * gains.input_gain[leg, _INTEGRAL]
         gain = gains.direct_gain[leg, _INTEGRAL] + through / (1.0 - gains.state_gain[leg])
         if gain != 0.0:
@@ -116,15 +142,11 @@ def engaged(
 
 
 @compiled
-def _fill(dcl, state, leg, reference, feedback, signals):  # type: ignore[no-untyped-def]
+def _fill(dcl, state, leg, reference, target, feedback, signals):  # type: ignore[no-untyped-def]
     """Write the compensator's inputs of one leg; return the next filter states."""
     position = feedback.position[leg]
-    error_rate, error_filter = filtered_rate(
-        dcl.error, reference - position, state.error_filter[leg]
-    )
-    reference_rate, reference_filter = filtered_rate(
-        dcl.error, reference, state.reference_filter[leg]
-    )
+    error_rate, error_filter = filtered_rate(dcl.error, target - position, state.error_filter[leg])
+    reference_rate, reference_filter = filtered_rate(dcl.error, target, state.reference_filter[leg])
     cap, rod = feedback.cap_pressure[leg], feedback.rod_pressure[leg]
     signals[0] = reference
     signals[1] = cap
@@ -154,14 +176,19 @@ def step(dcl, state, demand, feedback, signals, output, command):  # type: ignor
     """
     for leg in range(demand.shape[0]):
         reference = limit(dcl.limits, demand[leg])
-        error_filter, reference_filter = _fill(dcl, state, leg, reference, feedback, signals[leg])
+        target = state.model_position[leg] if dcl.model.active else reference
+        error_filter, reference_filter = _fill(
+            dcl, state, leg, reference, target, feedback, signals[leg]
+        )
         output[leg], following = compensate(
             dcl.compensator, leg, state.compensator[leg], signals[leg]
         )
+        if dcl.model.active:
+            output[leg] = follow(dcl.model, state, leg, reference, feedback, output[leg])
         command[leg] = clamp(output[leg])
         state.compensator[leg] = following
         state.integral[leg] = integrate(
-            dcl.error, state.integral[leg], reference, feedback.position[leg]
+            dcl.error, state.integral[leg], target, feedback.position[leg]
         )
         state.error_filter[leg] = error_filter
         state.reference_filter[leg] = reference_filter

@@ -4,7 +4,8 @@ Every law is the same block with other gains (Eqs 2.3 and 2.4 as the DCL runs th
 
     x[k+1] = A x[k] + B u[k],    y[k] = C x[k] + D u[k],
 
-with one scalar state a leg and u the ten `SIGNALS`. Nothing in the code knows a law by name.
+with one scalar state a leg and u the ten `SIGNALS`, and where a law has one, a reference model
+beside it. Nothing in the code knows a law by name.
 """
 
 from pathlib import Path
@@ -64,6 +65,58 @@ class Gains(Settings):
     force: float = 0.0
 
 
+class Adaptation(Settings):
+    """Adaptation of a reference model's feed-forward to the speed of the leg.
+
+    `cmf_mj.control.reference_model` gives the equations and what bounds the values.
+    """
+
+    rate: Annotated[float, Field(ge=0.0)]
+    """Adaptation rate [1/s]: a leg that is slow by a part of its speed, and is not corrected,
+    raises the factor by that part times this; 0 leaves the fixed law."""
+    slope: Annotated[float, Field(gt=0.0)]
+    """Weight of the position error beside its rate [1/s]."""
+    corner: Annotated[float, Field(gt=0.0)]
+    """Corner of the low-pass filters of what is learned from [Hz]."""
+    level: Annotated[float, Field(gt=0.0)]
+    """Feed-forward, root mean square, at which the normalisation halves the correction [%]."""
+    dead_zone: Annotated[float, Field(ge=0.0)] = 0.0
+    """Error below which nothing is learned [in/s]."""
+    leak: Annotated[float, Field(ge=0.0, lt=1.0 / FRAME)] = 0.0
+    """Rate at which the factor returns to 1 [1/s]."""
+    lowest: Annotated[float, Field(gt=0.0, le=1.0)]
+    """Least factor."""
+    highest: Annotated[float, Field(ge=1.0)]
+    """Largest factor."""
+
+
+class ReferenceModel(Settings):
+    """A model that the leg is to follow, and the gains that make it.
+
+    With it, position error rate, velocity error and error integral are errors from the model.
+    """
+
+    natural_frequency: Annotated[float, Field(gt=0.0, le=50.0)]
+    """Undamped natural frequency [Hz]."""
+    damping_ratio: Annotated[float, Field(gt=0.0)]
+    """Damping ratio."""
+    position: float = 0.0
+    """Gain of model position less position [%/in]."""
+    rate: float = 0.0
+    """Gain of model velocity less velocity [%/(in/s)]."""
+    velocity: float = 0.0
+    """Feed-forward of the model's velocity [%/(in/s)]."""
+    acceleration: float = 0.0
+    """Feed-forward of the model's acceleration [%/(in/s^2)]."""
+    adaptation: Adaptation | None = None
+    """Absent: the fixed law."""
+
+    @property
+    def reads_velocity(self) -> bool:
+        """Whether the measured velocity acts on the command."""
+        return self.rate != 0.0 or (self.adaptation is not None and self.adaptation.rate > 0.0)
+
+
 class Law(Settings):
     """One control law: compensator gains and the filters of its signals.
 
@@ -97,6 +150,8 @@ class Law(Settings):
     """Pole of the accelerometer filter gain / (z - pole), Eq 3.6."""
     accelerometer_gain: float = 0.007588
     """Gain of the accelerometer filter, Eq 3.6."""
+    reference_model: ReferenceModel | None = None
+    """A model to follow, `[name.reference_model]`; absent: the demand itself."""
 
     @property
     def uses_integral(self) -> bool:
