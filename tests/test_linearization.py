@@ -361,26 +361,32 @@ def test_share_is_the_describing_function_of_a_kink(excitation: str, ratio: floa
 
 CASES = [("single_legs", name, "leg_1") for name in POSES]
 CASES += [("hexapod", "neutral", dof) for dof in ("surge", "leg_1")]
-CASES += [("hexapod", "offset", dof) for dof in ("surge", "pitch")]
+CASES += [("hexapod", "offset", dof) for dof in ("surge", "sway", "pitch")]
 CASES += [("hexapod", "turned", dof) for dof in DOFS]
+
+MAGNIFIED = ("hexapod", "offset", "sway")
+"""A loop with a resonance of 16 dB, which magnifies the plant's error."""
 
 
 @pytest.mark.parametrize(("plant", "pose", "signal"), CASES)
 def test_agrees_with_the_simulation(plant: str, pose: str, signal: str, hexapod: Hexapod) -> None:
-    """Closed loop of the velocity law at 0.004 in or 0.0024 deg, 0.5 to 8 Hz: 0.5 dB, 3 deg."""
+    """Plant and closed loop of the velocity law at 0.004 in or 0.0024 deg, 0.5 to 8 Hz: 0.5 dB and
+    3 deg; the loop that magnifies, 4.5 deg."""
     machine = hexapod if plant == "hexapod" else SingleLegs()
     found = compare_with_simulation(
         machine,
         "velocity",
         POSES[pose],
         signal,
-        frequencies=(0.5, 1.5, 2.8, 4.0, 8.0),
-        cycles=3,
-        transient=1.5,
-        settle=3.0,
+        frequencies=(0.5, 1.5, 3.0, 4.0, 8.0),
+        cycles=5,
+        transient=3.0,
+        settle=4.0,
     )
+    assert np.abs(found.plant_gain_error).max() < 0.5
+    assert np.abs(found.plant_phase_error).max() < 3.0
     assert np.abs(found.gain_error).max() < 0.5
-    assert np.abs(found.phase_error).max() < 3.0
+    assert np.abs(found.phase_error).max() < (4.5 if (plant, pose, signal) == MAGNIFIED else 3.0)
 
 
 def test_mean_of_the_slopes_would_not_agree(hexapod: Hexapod) -> None:

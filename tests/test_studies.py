@@ -78,7 +78,10 @@ def test_published_values_stand_beside_ours(tmp_path: Path) -> None:
         ({"laws": []}, "laws: is empty"),
         ({"plants": ["boat"]}, "plants: 'boat' is not one of hexapod, single_legs"),
         ({"cab": "bus"}, "cab: 'bus' is not one of gfd, rfd, ifd"),
-        ({"hydraulics": "water"}, "hydraulics: 'water' is not one of report, hardware, lossy nor a .toml"),
+        (
+            {"hydraulics": "water"},
+            "hydraulics: 'water' is not one of report, hardware, lossy nor a .toml",
+        ),
         ({"amplitude": -1.0}, "amplitude: -1.0 m must be greater than 0"),
         ({"jobs": 0}, "jobs: 0 must be at least 1"),
     ],

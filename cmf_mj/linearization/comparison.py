@@ -1,9 +1,11 @@
 """A linearised plant under a law beside the simulation of the same loop, sine by sine.
 
-The comparison is of closed loops, from leg demand to leg position: open loop the extensions drift.
 Both are at rest in the same configuration; each sine is small, has settled, and is fitted over
-whole cycles. What is left over falls with the amplitude: the valves' mean opening damps what the
-linearisation, which is about closed valves, leaves undamped.
+whole cycles. Two things are compared. The plant: what the valve commands of the run, as they were,
+make of the linearised plant beside the legs' own motion. The closed loop, from leg demand to leg
+position: it magnifies an error of the plant by its own resonance. What is left over falls with the
+amplitude: the valves' mean opening damps what the linearisation, about closed valves, leaves
+undamped.
 """
 
 from collections.abc import Sequence
@@ -17,10 +19,10 @@ from cmf_mj import excitations, units
 from cmf_mj.control.law import Law
 from cmf_mj.estimation import sine_response
 from cmf_mj.frequency_response import dof_history
-from cmf_mj.kinematics import DOFS
+from cmf_mj.kinematics import DOFS, pose_jacobian
 from cmf_mj.linear_models import closed_loop
 from cmf_mj.linearization.assembly import linearize
-from cmf_mj.linearization.reduction import pose_loop
+from cmf_mj.linearization.reduction import pose_loop, reduced
 from cmf_mj.plant.plant import Plant
 from cmf_mj.signals import RATE, Command, dof_index
 from cmf_mj.simulation import simulate
@@ -43,6 +45,19 @@ class Comparison(NamedTuple):
     """Position over demand of the simulation, (K,)."""
     linear: NDArray[np.complex128]
     """The same of the linearised loop, (K,)."""
+    plant: NDArray[np.complex128]
+    """Position of the simulation over that of the linearised plant under the same valve commands,
+    (K,); 1 where they agree."""
+
+    @property
+    def plant_gain_error(self) -> NDArray[np.float64]:
+        """The plant, measured over linear [dB], (K,)."""
+        return 20.0 * np.log10(np.abs(self.plant))
+
+    @property
+    def plant_phase_error(self) -> NDArray[np.float64]:
+        """The plant, measured less linear [deg], (K,)."""
+        return np.degrees(np.angle(self.plant))
 
     @property
     def gain_error(self) -> NDArray[np.float64]:
@@ -145,14 +160,42 @@ def compare_with_simulation(
         centre = np.zeros(6) if pose is None else np.asarray(pose, dtype=float)
         record = simulate(plant, law, Command(pose_demand + centre), start=pose)
     x, y = (dof_history(record, name, signal) for name in ("leg_reference", "leg_position"))
-    found = []
+    positions = reduced(system, outputs=[f"leg_position_{i + 1}" for i in range(plant.legs)])
+    along = _along(plant, pose, signal)
+    # The command of a row reaches the valves one frame later and is held over that frame.
+    at_valves = np.roll(record["valve_command"], record.metadata["command_delay"], axis=0)
+    found, plants = [], []
     for dwell in command.description["dwells"]:  # type: ignore[attr-defined]
         first = rest + dwell["start"]
         part = slice(first, first + dwell["frames"] + 1)
         found.append(sine_response(x[part], y[part], record.rate, dwell["frequency"]).response[0])
+        whole = slice(first, first + dwell["frames"])
+        omega = 2.0 * np.pi * dwell["frequency"]
+        turn = np.exp(-1j * omega * np.arange(dwell["frames"]) / record.rate)
+        moved = _fundamental(record["leg_extension"][whole], turn)
+        valves = _fundamental(at_valves[whole], turn) * np.exp(-0.5j * omega / record.rate)
+        plants.append((along @ moved) / (along @ (positions(1j * omega) @ valves)))
     frequency = np.asarray(frequencies, dtype=float)
     linear = control.frequency_response(loop, 2.0 * np.pi * frequency).frdata[0, 0]
-    return Comparison(signal, frequency, np.array(found), np.asarray(linear))
+    return Comparison(signal, frequency, np.array(found), np.asarray(linear), np.array(plants))
+
+
+def _fundamental(
+    values: NDArray[np.float64], turn: NDArray[np.complex128]
+) -> NDArray[np.complex128]:
+    """Amplitudes of the sine in columns (N, n), beside a mean and a drift, (n,)."""
+    ramp = np.linspace(-1.0, 1.0, turn.size)
+    basis = np.column_stack([turn.real, turn.imag, np.ones_like(ramp), ramp])
+    cosine, sine = np.linalg.lstsq(basis, values)[0][:2]
+    return cosine + 1j * sine
+
+
+def _along(plant: Plant, pose: ArrayLike | None, signal: str) -> NDArray[np.float64]:
+    """Row (n,) that reads a degree of freedom, or a leg, off the leg positions."""
+    if signal.startswith("leg_"):
+        return np.eye(plant.legs)[int(signal[4:]) - 1]
+    at = np.zeros(6) if pose is None else np.asarray(pose, dtype=float)
+    return np.linalg.inv(pose_jacobian(at))[dof_index(signal)]
 
 
 def _extensions(plant: Plant, pose: ArrayLike | None) -> NDArray[np.float64]:
