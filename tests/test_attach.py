@@ -243,7 +243,8 @@ def test_the_lift_rises_at_the_speed_of_its_orifices():
     """Both chambers take in or give off A v of oil under pressure, no leakage.
 
     v exp(p_cap / beta) = k u sqrt(Ps - p_cap), v exp(p_rod / beta) = k u sqrt(p_rod - Pt),
-    A_cap p_cap - A_rod p_rod = W, and k u sqrt((Ps - Pt) / 2) is u times the leg speed.
+    A_cap p_cap - A_rod p_rod = W, and k u sqrt((Ps - Pt) / 2) is u times the leg speed in oil of
+    mid pressure.
     """
     hydraulics = changed("report", leak_rate=(0.0, "1/s"))
     plant = attach_hydraulics(spec(), ["ram"], hydraulics)
@@ -258,7 +259,7 @@ def test_the_lift_rises_at_the_speed_of_its_orifices():
         ) / np.exp(rod_pressure / beta)
 
     rod_pressure = optimize.brentq(excess, 0.0, 0.9 * supply)
-    gain = hydraulics.leg_speed.si / np.sqrt(0.5 * supply)
+    gain = hydraulics.leg_speed.si / np.sqrt(0.5 * supply) * np.exp(0.5 * supply / beta)
     for opening in (0.2, 0.4):
         record = drive(plant, np.full((4096, 1), opening))
         speed = gain * opening * np.sqrt(rod_pressure) / np.exp(rod_pressure / beta)

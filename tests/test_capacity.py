@@ -161,8 +161,8 @@ def test_full_speed_solves_the_orifices_and_hoses(plant, sense):
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_full_speed_is_what_a_leg_reaches_at_full_command(sense):
-    """Without leakage, with the manifolds of the run; flows count oil at atmospheric pressure,
-    which is 0.7 % thinner than at 700 psi."""
+    """Without leakage, with the manifolds of the run; flows count content, and the formula takes
+    the oil of mid pressure for that of either chamber."""
     legs = SingleLegs(changed(leak_rate=(0.0, "1/s")))
     run = drive(legs, np.full((2048, 6), sense))
     row = np.argmax(np.abs(run["leg_extension"][:, 0]) > 0.5)
@@ -172,7 +172,6 @@ def test_full_speed_is_what_a_leg_reaches_at_full_command(sense):
     )
     reached = abs(run["leg_velocity"][row, 0])
     assert reached == pytest.approx(speeds[0, 0 if sense > 0 else 1], rel=0.01)
-    assert reached < speeds[0, 0 if sense > 0 else 1]
 
 
 def test_full_speed_of_a_stalled_leg_is_zero(plant):

@@ -176,8 +176,9 @@ def test_a_settling_leg_meets_its_stop_at_the_settle_speed(hardware) -> None:
 
 
 def test_cushions_slow_the_legs_at_their_stops(hardware, lossy) -> None:
+    """A throttle of 10 % of the valves' opening at the stop."""
     soft, hard = (results["emergency_stop"].contact_speed for results in (lossy, hardware))
-    assert soft.value < 0.4 * hard.value
+    assert soft.value < 0.6 * hard.value
 
 
 def test_legs_on_their_stops_carry_the_platform(hardware) -> None:

@@ -10,6 +10,7 @@ from cmf_mj.control import governor
 from cmf_mj.control.dcu import Arrivals, load_dcu
 from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import Request, State
+from cmf_mj.events import Event
 from cmf_mj.loop.electronics import ElectronicsSettings
 from cmf_mj.operation import FacilitySettings, Operation, operate, serve
 from cmf_mj.replay import replay
@@ -129,6 +130,34 @@ def test_the_silence_of_the_host_brings_the_machine_down() -> None:
     assert np.abs(speed).max() <= 8.0 * INCH * (1 + 1e-6) + 0.05 * np.pi * 1.0
     assert (record["leg_extension"][-1] < -36.5 * INCH).all()
     assert operation.counts["silent"] == 1
+
+
+def test_a_reset_leaves_the_fault_and_the_machine_rises_again() -> None:
+    """A sensor that jumps shuts the valves off; the legs settle, and RESET gives the supply back.
+
+    The offset stays, but the detection starts anew at what it reads; integral law, so that the
+    legs arrive at neutral by their sensors.
+    """
+    operation = operate(
+        Hexapod(),
+        "velocity_integral",
+        sine(50.0),
+        begin=State.ENGAGED,
+        events=[Event(at=1.0, kind="sensor_offset", leg=2, size=(0.4, "in"))],
+        requests=[(20.0, Request.RESET), (27.0, Request.ENGAGE)],
+        seconds=46.0,
+        record_every=16,
+    )
+    record = operation.record
+    names = [name for name, _ in entered(record)]
+    assert names == ["ENGAGED", "FAULT", "OFF", "SETTLED", "RAISE", "ENGAGED"]
+    assert record.metadata["fault"]["name"] == "sensor_disagreement"
+    assert record.metadata["fault"]["time"] == pytest.approx(1.0, abs=0.01)
+    isolated = record["isolation"] > 0.5
+    assert isolated[(record.time > 1.2) & (record.time < 19.0)].all()
+    assert not isolated[record.time > 27.5].any()
+    assert (record["leg_extension"][record.time < 19.5][-1] < -37.0 * INCH).all()
+    assert np.abs(record["leg_position"][-1]).max() < 3.0 * INCH
 
 
 def test_no_watchdog_before_the_first_frame_or_below_engaged() -> None:

@@ -36,6 +36,7 @@ from cmf_mj.limits import Limits
 from cmf_mj.plant import Hexapod
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hydraulics import Hydraulics
+from cmf_mj.plant.oil import density
 from cmf_mj.signals import dof_index
 
 
@@ -109,7 +110,9 @@ def full_speed(
     """
     own = hydraulics.cylinder
     cap, rod = own.cap_area, own.rod_area
-    gain = hydraulics.valve.cap_gain.sum(axis=1) / cap
+    # Valves count content; a leg speed is what it fills at mid pressure.
+    middle = 0.5 * (hydraulics.supply.pressure + hydraulics.supply.return_pressure)
+    gain = hydraulics.valve.cap_gain.sum(axis=1) / cap / density(hydraulics.oil, middle)[0]
     speeds = []
     for drive, into, out in (
         (cap * high - rod * low - load, cap, rod),

@@ -16,6 +16,7 @@ from scipy import linalg
 from cmf_mj import units
 from cmf_mj.identification.model import PolynomialModel
 from cmf_mj.identification.response_fit import ResponseFit, fit_response
+from cmf_mj.linear_models import UnitTransferFunction
 
 BAND = (0.1, 10.0)
 """Band in which a band-limited model is believed [Hz]: the report's of interest (section 4.2)."""
@@ -69,13 +70,19 @@ def to_continuous(
     )
 
 
-def in_field_units(velocity: control.TransferFunction) -> control.TransferFunction:
-    """Leg velocity per command in in/s per %, of one in m/s per full command."""
-    return control.tf(
+def in_field_units(velocity: control.TransferFunction) -> UnitTransferFunction:
+    """Leg velocity per command in in/s per %, of one in m/s per full command.
+
+    Its output is named `leg_velocity`, as `linear_models.closed_loop` wants it: a degree of freedom
+    is closed with the law like a leg.
+    """
+    return UnitTransferFunction(
         units.from_si("in/s/%", velocity.num[0][0]),
         velocity.den[0][0],
+        input_unit="%",
+        output_unit="in/s",
         inputs=velocity.input_labels,
-        outputs=velocity.output_labels,
+        outputs=["leg_velocity"],
         name=velocity.name,
     )
 

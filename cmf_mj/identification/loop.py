@@ -25,7 +25,7 @@ from cmf_mj.control.law import FRAME, Law
 from cmf_mj.frequency_response import Bandwidths, FrequencyResponse, bandwidths
 from cmf_mj.identification.data import Real
 from cmf_mj.identification.model import Complex
-from cmf_mj.linear_models import DCL_INPUTS, closed_loop, dcl_state_space
+from cmf_mj.linear_models import DCL_INPUTS, UnitTransferFunction, closed_loop, dcl_state_space
 from cmf_mj.step_response import StepMetrics, damping_from_overshoot
 
 STEP_TIME = 12.0
@@ -63,7 +63,7 @@ def closed_loop_response(
     gain = {name: row[:, None, None] for name, row in zip(DCL_INPUTS, dcl, strict=True)}
     held = (1.0 - np.exp(-s * FRAME)) / (s * FRAME) * np.exp(-s * FRAME * command_delay)
     late = s * np.exp(-s * FRAME)
-    back = (gain["position"] / s + gain["velocity"] + gain["acceleration"] * late) * v
+    back = (gain["leg_position"] / s + gain["leg_velocity"] + gain["leg_acceleration"] * late) * v
     if pressures is not None:
         for name, values in zip(("cap_pressure", "rod_pressure"), pressures, strict=True):
             back = back + gain[name] * _square(name, values, f.size)
@@ -107,7 +107,7 @@ class LoopErrors(NamedTuple):
 
 
 def loop_errors(
-    velocity: control.TransferFunction,
+    velocity: UnitTransferFunction,
     law: str | Law,
     measured: FrequencyResponse,
     step: StepMetrics | None = None,

@@ -211,3 +211,21 @@ def _compiled_deliver(electronics, raised, position, command):  # type: ignore[n
     return lambda electronics, raised, position, command: _deliver(
         electronics, raised, position, command
     )
+
+
+@compiled
+def _release(electronics):  # type: ignore[no-untyped-def]
+    servo.reset(electronics.servo_state)
+
+
+def release(electronics):  # type: ignore[no-untyped-def]
+    """Release latched limit switches."""
+    if electronics is not None:
+        _release(electronics)
+
+
+@overload(release, jit_options={"forceinline": True})
+def _compiled_release(electronics):  # type: ignore[no-untyped-def]
+    if isinstance(electronics, types.NoneType):
+        return lambda electronics: None
+    return lambda electronics: _release(electronics)

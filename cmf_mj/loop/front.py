@@ -31,7 +31,7 @@ LOG = (
 
 LOG_COLUMNS = 21
 
-_CURSOR, _FILLED, _REQUEST, _STATE = range(4)
+_CURSOR, _FILLED, _REQUEST, _STATE, _CLEARED = range(5)
 
 
 class Chain(NamedTuple):
@@ -57,7 +57,8 @@ class Chain(NamedTuple):
     leg_governor: governor.Governor
     leg_state: governor.GovernorState
     marks: NDArray[np.int64]
-    """Next arrival, arrivals collected, request in force, operating state, (4,)."""
+    """Next arrival, arrivals collected, request in force, operating state, whether a fault has
+    just been left, (5,)."""
     motion: NDArray[np.float64]
     """Platform demand within its limits and its derivatives, (3, 6)."""
     legs: NDArray[np.float64]
@@ -118,7 +119,7 @@ def make_chain(
         operating,
         limits[1],
         governor.start(limits[1], reference[0]),
-        np.array([0, 0, int(Request.NONE), int(begin)], dtype=np.int64),
+        np.array([0, 0, int(Request.NONE), int(begin), 0], dtype=np.int64),
         np.zeros((3, 6)),
         np.zeros((3, 6)),
         reference,
@@ -132,8 +133,9 @@ def _follow(chain, frame, position, fault, tripped, row, reference):  # type: ig
     for i in range(chain.request_frame.shape[0]):
         if chain.request_frame[i] == frame:
             marks[_REQUEST] = chain.request[i]
-    request = marks[_REQUEST]
-    if fault != NO_FAULT or tripped:
+    request, before = marks[_REQUEST], marks[_STATE]
+    leaving = request == Request.RESET.value and before == State.FAULT.value
+    if (fault != NO_FAULT or tripped) and not leaving:
         request = Request.TRIP.value
     if chain.live:
         marks[_FILLED] = collect(chain.ring, chain.arrivals, marks[_FILLED], frame)
@@ -154,6 +156,8 @@ def _follow(chain, frame, position, fault, tripped, row, reference):  # type: ig
         out[1],
         out[2],
     )
+    if before == State.FAULT.value and marks[_STATE] == State.OFF.value:
+        marks[_CLEARED] = 1
     governor.step(chain.leg_governor, chain.leg_state, out[0], out[0], out[1], out[2])
     gain = chain.operating.valve[1]
     for leg in range(6):
@@ -245,3 +249,22 @@ def _compiled_host_age(chain):  # type: ignore[no-untyped-def]
     if isinstance(chain, types.NoneType):
         return lambda chain: 0.0
     return lambda chain: _host_age(chain)
+
+
+@compiled
+def _cleared(chain):  # type: ignore[no-untyped-def]
+    found = chain.marks[_CLEARED] != 0
+    chain.marks[_CLEARED] = 0
+    return found
+
+
+def cleared(chain):  # type: ignore[no-untyped-def]
+    """Whether the operator has just reset a fault, told once; never without a chain."""
+    return False if chain is None else _cleared(chain)
+
+
+@overload(cleared, jit_options={"forceinline": True})
+def _compiled_cleared(chain):  # type: ignore[no-untyped-def]
+    if isinstance(chain, types.NoneType):
+        return lambda chain: False
+    return lambda chain: _cleared(chain)

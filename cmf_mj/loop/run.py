@@ -21,10 +21,17 @@ from cmf_mj import sensors
 from cmf_mj.compiled import compiled
 from cmf_mj.control import dcl as control
 from cmf_mj.control.law import SIGNALS
-from cmf_mj.control.protection import FAULTS, NO_FAULT, Protection, ProtectionState, protect
+from cmf_mj.control.protection import (
+    FAULTS,
+    NO_FAULT,
+    Protection,
+    ProtectionState,
+    protect,
+    reset,
+)
 from cmf_mj.events import Timeline, strike
-from cmf_mj.loop.electronics import Electronics, deliver, measure
-from cmf_mj.loop.front import Chain, follow, host_age, watched
+from cmf_mj.loop.electronics import Electronics, deliver, measure, release
+from cmf_mj.loop.front import Chain, cleared, follow, host_age, watched
 from cmf_mj.loop.pace import Pace, begin, end
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.faults import OVERLOAD, STOPPED, Faults
@@ -143,7 +150,8 @@ class Memory(NamedTuple):
     closure: NDArray[np.float64]
     """Largest gimbal error since the last row [m], (1,)."""
     marks: NDArray[np.int64]
-    """Next event; whether a limit switch has tripped, (2,)."""
+    """Next event; whether a limit switch has tripped; code, leg and frame of the last fault that
+    was reset, (5,)."""
 
 
 def make_memory(machine: Machine, delay: int) -> Memory:
@@ -170,7 +178,7 @@ def make_memory(machine: Machine, delay: int) -> Memory:
         np.zeros(legs),
         np.zeros((delay + 1, legs)),
         np.zeros(1),
-        np.zeros(2, dtype=np.int64),
+        np.zeros(5, dtype=np.int64),
     )
 
 
@@ -205,6 +213,21 @@ def _stops(protection, guard, frame, reference, feedback, supply, age, closed): 
     """Whether this frame's readings call for an emergency stop."""
     code = protect(protection, guard, frame, reference, feedback, supply, age)
     return code != NO_FAULT and (_UNTRUSTED[code] or not closed)
+
+
+@compiled
+def _reset(electronics, guard, marks, plant_faults, integral, position):  # type: ignore[no-untyped-def]
+    """Forget a fault the operator has reset, after noting it; the supply is open again.
+
+    The error integral starts anew: it has wound up while the valves could not answer.
+    """
+    if guard.fault[0] != NO_FAULT:
+        marks[2:] = guard.fault
+    reset(guard, position)
+    release(electronics)
+    integral[:] = 0.0
+    marks[1] = 0
+    plant_faults[STOPPED] = 0.0
 
 
 @compiled
@@ -306,6 +329,15 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
                 gain = follow(
                     chain, frame, table, feedback.position, fault, tripped, row, reference
                 )
+                if cleared(chain):
+                    _reset(
+                        electronics,
+                        guard,
+                        marks,
+                        plant_faults,
+                        dcl_state.integral,
+                        feedback.position,
+                    )
                 if closed:
                     control.step(dcl, dcl_state, reference, feedback, signals, output, newest)
                     for leg in range(legs):

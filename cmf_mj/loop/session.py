@@ -166,8 +166,12 @@ class Session:
 
     @property
     def fault(self) -> Fault | None:
-        """The fault detected, if there is one."""
-        return latched(self.controller.guard)
+        """The fault detected, also one that was reset, if there is one."""
+        found = latched(self.controller.guard)
+        if found is None and self.memory.marks[2] != 0:
+            guard = self.controller.guard
+            found = latched(guard._replace(fault=self.memory.marks[2:]))
+        return found
 
     def run(self, frames: int | None = None) -> None:
         """Run a number of control frames, by default all that are left.
