@@ -26,7 +26,8 @@ imports: $(VENV)/ready-dev
 	$(BIN)/lint-imports
 
 tests: $(VENV)/ready-dev
-	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal tests
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile README.md docs models
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
