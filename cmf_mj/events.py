@@ -17,7 +17,7 @@ what its size means, and its size if none is given:
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ from cmf_mj.plant.faults import (
 from cmf_mj.plant.valve import JAMMED, OVERRIDE
 from cmf_mj.settings import Settings, validated
 
-KINDS = (
+Kind = Literal[
     "pump_lost",
     "accumulator_lost",
     "supply_hose_burst",
@@ -51,8 +51,11 @@ KINDS = (
     "sensor_open",
     "overload",
     "emergency_stop",
-)
+]
 """What can fail."""
+
+KINDS: tuple[str, ...] = get_args(Kind)
+"""The same, in order."""
 
 _SIZES: dict[str, tuple[float, tuple[str, ...]]] = {
     "accumulator_lost": (1.0, ("1",)),
@@ -73,19 +76,7 @@ class Event(Settings):
 
     at: Annotated[float, Field(ge=0.0)]
     """When [s]."""
-    kind: Literal[
-        "pump_lost",
-        "accumulator_lost",
-        "supply_hose_burst",
-        "valve_hard_over",
-        "valve_jammed",
-        "valve_dead",
-        "sensor_stuck",
-        "sensor_offset",
-        "sensor_open",
-        "overload",
-        "emergency_stop",
-    ]
+    kind: Kind
     """What fails."""
     leg: Annotated[int, Field(ge=1)] | None = None
     """Leg of a valve or sensor, from 1."""
