@@ -22,7 +22,8 @@ from cmf_mj.control.dcu import Arrivals, DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.demand import Demand, make_demand
 from cmf_mj.control.law import FRAME, Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
-from cmf_mj.control.states import Request, State, StateSettings
+from cmf_mj.control.state_settings import StateSettings, load_state_settings
+from cmf_mj.control.states import Request, State
 from cmf_mj.events import Event
 from cmf_mj.loop.electronics import ElectronicsSettings
 from cmf_mj.loop.front import LOG, Chain, make_chain
@@ -256,7 +257,7 @@ def _prepare(
         raise ValueError(f"record_every: {every} frames must be at least 1")
     settings = load_dcu(facility.dcu)
     limits = load_motion_limits(facility.limits)
-    shown = states.make_states(states.load_state_settings(facility.states))
+    shown = states.make_states(load_state_settings(facility.states))
     down = begin in (State.OFF, State.SETTLED)
     legs = np.full(6, _RESTING) if down else kinematics.pose_to_legs(pose)
     start = kinematics.legs_to_pose(legs) if down else pose

@@ -29,19 +29,15 @@ become faults.
 """
 
 from enum import IntEnum
-from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.compiled import compiled
 from cmf_mj.control.law import FRAME
+from cmf_mj.control.state_settings import StateSettings, load_state_settings
 from cmf_mj.kinematics import WORKING_STROKE
-from cmf_mj.parameters import Quantity, positive_in
-from cmf_mj.settings import Settings, overlaid
-
-_FILE = Path(__file__).with_suffix(".toml")
 
 _SPEED_PEAK = 1.875
 """Largest s'."""
@@ -87,54 +83,6 @@ class Request(IntEnum):
     """Fault."""
     RESET = 7
     """From fault to off."""
-
-
-_Time = Annotated[Quantity, positive_in("s")]
-_Length = Annotated[Quantity, positive_in("in", "m")]
-
-
-class StateSettings(Settings):
-    """Times, rates and tolerances of the operating states."""
-
-    raise_time: _Time
-    """Least fade from the stops to neutral."""
-    engage_time: _Time
-    """Least fade to the host's demand."""
-    hold_time: _Time
-    """Least fade to hold, where the legs would otherwise come to rest beyond the stroke."""
-    return_time: _Time
-    """Least fade to the stops."""
-    fault_time: _Time
-    """Least fade to the stops after a fault."""
-    stop_time: _Time
-    """Least time in which a difference in velocity is taken out."""
-    valve_time: _Time
-    """Time in which the valve command is faded in or out."""
-    speed: Annotated[Quantity, positive_in("in/s", "m/s")]
-    """Largest leg speed of a fade."""
-    acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
-    """Largest leg acceleration of a fade, and of a stop."""
-    settled_tolerance: _Length
-    """Distance from the settled position within which a leg without command lies on the stops."""
-    arrival_tolerance: _Length
-    """Distance from neutral or the settled position within which a leg has followed there."""
-    arrival_timeout: _Time
-    """Time after the end of raise or return in which the legs must arrive."""
-
-
-def load_state_settings(source: str | Path | StateSettings | None = None) -> StateSettings:
-    """Load the settings of the operating states.
-
-    Args:
-        source: path of a TOML file that repeats what it changes, or settings already loaded;
-            default the shipped ones.
-
-    Raises:
-        ValueError: unreadable file or a refused field; each is named.
-    """
-    if isinstance(source, StateSettings):
-        return source
-    return overlaid(StateSettings, _FILE, None if source is None else Path(source))
 
 
 class States(NamedTuple):
