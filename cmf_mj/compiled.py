@@ -2,10 +2,12 @@
 
 Numba's cache asks whether the *file* of a function has changed, not the files of the functions it
 calls. The frame loop inlines blocks from a dozen modules, so an edited valve would go on running
-as it was. Here the stamp of every cached function is a digest of all sources of the package.
+as it was. Here the stamp of every cached function is a digest of all sources that compiled code can
+take anything from: the modules that import this one, and all they import.
 """
 
 import hashlib
+import re
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -14,16 +16,43 @@ from typing import Any
 import numba
 from numba.core import caching
 
+_PACKAGE = Path(__file__).parent
+_IMPORT = re.compile(
+    r"^\s*from (cmf_mj(?:\.\w+)*) import (\([^)]*\)|.*)|^\s*import (cmf_mj(?:\.\w+)*)", re.MULTILINE
+)
+
+
+def _imported(source: str) -> set[Path]:
+    """Files of the package, its root aside, that a source imports from."""
+    found = set()
+    for module, names, plain in _IMPORT.findall(source):
+        parts = (module or plain).split(".")[1:]
+        for name in ["", *re.findall(r"\w+", names)]:
+            path = _PACKAGE.joinpath(*parts, *([name] if name else []))
+            found |= {path.with_suffix(".py"), path / "__init__.py"}
+    return {path for path in found if path.is_file()} - {_PACKAGE / "__init__.py"}
+
+
+def kernel_sources() -> list[Path]:
+    """Files that compiled functions stand in or can take a constant or a function from."""
+    texts = {path: path.read_text(encoding="utf-8") for path in _PACKAGE.rglob("*.py")}
+    pending = {path for path, text in texts.items() if Path(__file__) in _imported(text)}
+    reached = set()
+    while pending:
+        path = pending.pop()
+        reached.add(path)
+        pending |= _imported(texts[path]) - reached
+    return sorted(reached)
+
 
 @lru_cache
 def _digest() -> str:
-    sources = sorted(Path(__file__).parent.rglob("*.py"))
-    return hashlib.sha256(b"\0".join(path.read_bytes() for path in sources)).hexdigest()
+    return hashlib.sha256(b"\0".join(path.read_bytes() for path in kernel_sources())).hexdigest()
 
 
 class _PackageStamp:
     def get_source_stamp(self) -> str:
-        """Digest of all sources of the package."""
+        """Digest of all sources that compiled code depends on."""
         return _digest()
 
 

@@ -5,12 +5,15 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
+from numba.core.dispatcher import Dispatcher
 
 import cmf_mj
 from cmf_mj import SingleLegs, signals, simulate
+from cmf_mj.compiled import kernel_sources
 
 FORCES = """
 import numpy as np
@@ -48,6 +51,23 @@ def test_editing_a_called_block_recompiles_its_callers(tmp_path: Path) -> None:
     assert line in text
     block.write_text(text.replace(line, "    return 2.0 * cylinder.cap_area * cap_pressure - "))
     assert run() == 4.0e6
+
+
+def test_the_stamp_covers_every_module_compiled_code_can_come_from() -> None:
+    """What the imports of the running package say, against what the sources say."""
+    inside = {Path(m.__file__) for m in map(sys.modules.get, sys.modules) if is_kernel(m)}
+    sources = set(kernel_sources())
+    assert inside and inside <= sources
+    package = Path(cmf_mj.__file__).parent
+    assert {package / "plant" / "valve.py", package / "units.py"} <= sources
+    assert not {package / "report.py", package / "cli" / "__init__.py"} & sources
+
+
+def is_kernel(module: ModuleType | None) -> bool:
+    """Whether a module of the package holds a compiled function of its own."""
+    name = getattr(module, "__name__", "")
+    members = list(vars(module).values()) if name.startswith("cmf_mj.") else []
+    return any(isinstance(m, Dispatcher) and m.py_func.__module__ == name for m in members)
 
 
 PROGRAM = """
