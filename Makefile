@@ -1,6 +1,7 @@
 # Two commands on a fresh machine with Python 3.11 and make:
 #   make compare   set up and run the main job
 #   make test      set up and check everything
+#   make site      the documentation as a site in build/site
 # Both build .venv from constraints.txt. The plain pip lines are in the README.
 
 PYTHON ?= python3
@@ -8,12 +9,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 WORKERS ?= auto
 
-.PHONY: compare test lint types imports tests constraints clean
+.PHONY: compare test lint types imports tests site constraints clean
 
 compare: $(VENV)/ready
 	$(BIN)/cmf compare
 
-test: lint types imports tests
+test: lint types imports site tests
 
 lint: $(VENV)/ready-dev
 	$(BIN)/ruff check .
@@ -28,6 +29,11 @@ imports: $(VENV)/ready-dev
 tests: $(VENV)/ready-dev
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal tests
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile README.md docs models
+
+# Afresh each time, so that no page or module that is gone can satisfy a link.
+site: $(VENV)/ready-dev
+	rm -rf docs/api build/site
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going docs build/site
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

@@ -99,13 +99,23 @@ def markdown(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
     return "".join("| " + " | ".join(row) + " |\n" for row in rows)
 
 
+def parameter_cells(parameters: HydraulicParameters) -> tuple[list[str], list[list[str]]]:
+    """Header and lines of a hydraulic set: value, unit, status and source of every number."""
+    lines = [
+        [name, f"{quantity.value:g}", quantity.unit, quantity.status, quantity.source]
+        for name, quantity in parameters.quantities().items()
+    ]
+    return ["parameter", "value", "unit", "status", "source"], lines
+
+
 def parameter_table(parameters: HydraulicParameters) -> Table:
-    """A hydraulic set with the unit, status and source of every number."""
+    """A hydraulic set as a terminal table."""
     table = Table(title=f"hydraulics: {parameters.name}")
-    for name in ("parameter", "value", "unit", "status", "source"):
+    header, lines = parameter_cells(parameters)
+    for name in header:
         table.add_column(name, justify="right" if name == "value" else "left", overflow="fold")
-    for name, quantity in parameters.quantities().items():
-        table.add_row(name, f"{quantity.value:g}", quantity.unit, quantity.status, quantity.source)
+    for line in lines:
+        table.add_row(*line)
     return table
 
 

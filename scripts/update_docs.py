@@ -1,26 +1,51 @@
-"""Refresh the generated tables and pictures of README and docs from finished studies.
+"""Refresh the generated tables and pictures of README and docs from data and finished studies.
 
-A table stands between `<!-- table: NAME -->` and `<!-- end -->`; NAME is a folder below --results
-that `cmf compare --out`, `cmf failure --out` or `scripts/electronics_effect.py --out` wrote.
-Figures of the folder `compare` are copied to docs/images.
+A table stands between `<!-- table: NAME -->` and `<!-- end -->`. NAME is one of `GENERATED`, made
+from the project's data, or a folder below --results that `cmf compare --out`, `cmf failure --out`
+or `scripts/electronics_effect.py --out` wrote. Figures of the folder `compare` are copied to
+docs/images.
 """
 
 import argparse
 import re
 import shutil
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
+from cmf_mj import load_hydraulics
+from cmf_mj.report import markdown, parameter_cells
+
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "docs/model.md", "docs/failures.md", "docs/operation.md")
+PAGES = (
+    "README.md",
+    "docs/model.md",
+    "docs/failures.md",
+    "docs/operation.md",
+    "docs/parameters.md",
+)
 TABLES = ("comparison.md", "failures.md")
 FIGURES = ("bode_surge.png", "bode_heave.png", "step_surge.png")
 _TABLE = re.compile(r"(<!-- table: ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
+def parameters(name: str) -> str:
+    """A hydraulic set as a Markdown table."""
+    return markdown(*parameter_cells(load_hydraulics(name)))
+
+
+GENERATED: dict[str, Callable[[], str]] = {
+    f"parameters-{name}": partial(parameters, name) for name in ("report", "hardware", "lossy")
+}
+"""Tables made from the project's data."""
+
+
 def refresh(text: str, results: Path) -> str:
-    """Replace every table whose study lies below `results`."""
+    """Replace every table of the project's data or whose study lies below `results`."""
 
     def replace(match: re.Match[str]) -> str:
+        if match[2] in GENERATED:
+            return f"{match[1]}\n{GENERATED[match[2]]()}\n{match[3]}"
         for name in TABLES:
             source = results / match[2] / name
             if source.is_file():

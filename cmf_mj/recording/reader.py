@@ -72,8 +72,8 @@ def read_facility_csv(path: str | Path) -> Record:
     without the line `# cmf_mj` a column filled from another one is not noticed.
 
     Returns:
-        Channels in SI at 128 Hz. `metadata["command"]` is the writer's, or `{"kind": "recording"}`;
-        `metadata["recording"]` names the file and says how its columns were found.
+        Channels in SI at 128 Hz. In the metadata `command` is the writer's, or of the kind
+        `recording`; `recording` names the file and says how its columns were found.
 
     Raises:
         ValueError: the file is not a whole recording; row, column and value are named.

@@ -1,0 +1,101 @@
+"""The documentation site: Sphinx over the Markdown pages beside this file.
+
+    make site    # builds it in build/site; a broken link or reference is an error
+
+Overview, machine and changes are README.md, models/README.md and CHANGELOG.md, whose links are
+turned to where they lie from here.
+
+The reference is read from the docstrings. They are plain text, equations set in by four columns,
+while Sphinx reads reStructuredText: `as_restructured` stands between. With the compiler switched
+off Numba leaves functions as they are, so that compiled ones are found as well.
+"""
+
+import os
+import re
+from importlib.metadata import version as installed
+from pathlib import Path
+from typing import Any
+
+from pygments.lexers.special import TextLexer
+
+os.environ["NUMBA_DISABLE_JIT"] = "1"
+
+project = "cmf-mj"
+release = version = installed("cmf-mj")
+copyright = "the authors of cmf-mj, MIT licence"
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+]
+templates_path = ["_templates"]
+exclude_patterns = ["_templates", "data"]
+myst_heading_anchors = 4
+html_theme = "furo"
+html_title = f"cmf-mj {release}"
+default_role = "code"
+highlight_language = "text"
+autodoc_typehints = "description"
+autodoc_member_order = "bysource"
+suppress_warnings = ["ref.python"]  # a word before a colon under Returns is taken for a type
+autodoc_default_options = {"members": True, "ignore-module-all": True, "show-inheritance": True}
+
+_HERE = Path(__file__).parent
+_BORROWED = {"index": "README.md", "machine": "models/README.md", "changes": "CHANGELOG.md"}
+_LINK = re.compile(r"(?<=\]\()(?!\w+:|#)([^)#]+)")
+_SECTION = re.compile(r"(Args|Returns|Raises|Yields|Attributes):$")
+_ITEM = re.compile(r"\s*(- |\* |\d+\. )")
+
+
+def as_restructured(lines: list[str]) -> list[str]:
+    """Plain docstring as reStructuredText: what is set in is literal, lone | and * stand."""
+    out: list[str] = []
+    literal = listed = False
+    for number, line in enumerate(lines):
+        if _SECTION.match(line):
+            return [*out, *(_escaped(rest) for rest in lines[number:])]
+        inside = line.startswith(" ")
+        listed = bool(_ITEM.match(line)) or (listed and (inside or not line))
+        if inside and not literal and not listed:
+            out += ["", "::", ""]
+        elif literal and line and not inside:
+            out += [""]
+        literal = (inside or (literal and not line)) and not listed
+        out.append(line if literal else _escaped(line))
+    return out
+
+
+_MARKED = re.compile(r"(`[^`]*`|\*\*[^*]+\*\*|(?<!\w)\*\w[^*]*[\w.]\*(?!\w))")
+
+
+def _escaped(line: str) -> str:
+    parts = _MARKED.split(line)
+    parts[::2] = [re.sub(r"([|*]|_\b)", r"\\\1", plain) for plain in parts[::2]]
+    return "".join(parts)
+
+
+def _process(_app: Any, _kind: str, _name: str, _it: Any, _options: Any, lines: list[str]) -> None:
+    lines[:] = as_restructured(lines)
+
+
+def _read(_app: Any, page: str, source: list[str]) -> None:
+    """Put the borrowed text before a page's own and turn all links between pages to the site's."""
+    borrowed = _HERE.parent / _BORROWED.get(page, f"docs/{page}.md")
+    pages = {_HERE.parent / path: f"{name}.md" for name, path in _BORROWED.items()}
+
+    def turned(match: re.Match[str]) -> str:
+        target = Path(os.path.normpath(borrowed.parent / match[1]))
+        return pages.get(target, os.path.relpath(target, _HERE))
+
+    if page in _BORROWED:
+        source[0] = _LINK.sub(turned, borrowed.read_text(encoding="utf-8")) + "\n" + source[0]
+    elif borrowed.is_file():
+        source[0] = _LINK.sub(turned, source[0])
+
+
+def setup(app: Any) -> None:
+    """Put `as_restructured` before the reader of Google sections; read the borrowed pages."""
+    app.connect("autodoc-process-docstring", _process, priority=400)
+    app.connect("source-read", _read)
+    app.add_lexer("mermaid", TextLexer)
