@@ -1,9 +1,9 @@
 """Refresh the generated tables and pictures of README and docs from data and finished studies.
 
 A table stands between `<!-- table: NAME -->` and `<!-- end -->`. NAME is one of `GENERATED`, made
-from the project's data, or a folder below --results that `cmf compare --out`, `cmf failure --out`
-or `scripts/electronics_effect.py --out` wrote. Figures of the folder `compare` are copied to
-docs/images.
+from the project's data, or a folder below --results that `cmf compare`, `cmf failure`,
+`cmf modes` or `scripts/electronics_effect.py` wrote there with `--out`. Figures of the folders
+`compare` and `modes` are copied to docs/images.
 """
 
 import argparse
@@ -22,10 +22,14 @@ PAGES = (
     "docs/model.md",
     "docs/failures.md",
     "docs/operation.md",
+    "docs/modes.md",
     "docs/parameters.md",
 )
-TABLES = ("comparison.md", "failures.md")
-FIGURES = ("bode_surge.png", "bode_heave.png", "step_surge.png")
+TABLES = ("comparison.md", "failures.md", "modes.md")
+FIGURES = {
+    "compare": ("bode_surge.png", "bode_heave.png", "step_surge.png"),
+    "modes": ("modes_sweep.png", "modes_map.png"),
+}
 _TABLE = re.compile(r"(<!-- table: ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -64,10 +68,11 @@ def main() -> None:
     for name in PAGES:
         page = options.root / name
         page.write_text(refresh(page.read_text(encoding="utf-8"), options.results), "utf-8")
-    for figure in FIGURES:
-        source = options.results / "compare" / figure
-        if source.is_file():
-            shutil.copyfile(source, options.root / "docs" / "images" / figure)
+    for study, figures in FIGURES.items():
+        for figure in figures:
+            source = options.results / study / figure
+            if source.is_file():
+                shutil.copyfile(source, options.root / "docs" / "images" / figure)
     print(f"refreshed {', '.join(PAGES)}")
 
 

@@ -9,6 +9,7 @@ from cmf_mj.cli import (
     identifying,
     linearizing,
     listing,
+    mapping,
     measuring,
     operating,
 )
@@ -24,6 +25,7 @@ __all__ = [
     "linearizing",
     "listing",
     "main",
+    "mapping",
     "measuring",
     "operating",
 ]

@@ -4,7 +4,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Annotated, NoReturn
 
+import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -78,6 +80,21 @@ def in_si(dof: str, amplitude: float | None) -> float | None:
     if amplitude is None:
         return None
     return units.to_si("in" if dof_index(dof) < 3 else "deg", amplitude)
+
+
+def pose_option(text: str) -> NDArray[np.float64]:
+    """A pose of the command line, six numbers in in and deg, in SI.
+
+    Raises:
+        ValueError: not six numbers.
+    """
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise ValueError(f"pose: {text!r} must be six numbers with commas between") from error
+    if len(values) != len(DOFS):
+        raise ValueError(f"pose: {text!r} has {len(values)} numbers; six are needed")
+    return np.array([units.to_si("in" if i < 3 else "deg", v) for i, v in enumerate(values)])
 
 
 def noise_choice(noise: bool) -> ElectronicsSettings | None:

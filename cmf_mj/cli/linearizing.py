@@ -3,11 +3,9 @@
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 
-from cmf_mj import linearization_report, units
+from cmf_mj import linearization_report
 from cmf_mj.cli.common import (
     TEXT_WIDTH,
     Cab,
@@ -17,25 +15,11 @@ from cmf_mj.cli.common import (
     app,
     names_of,
     plant_builder,
+    pose_option,
     refuse,
     show,
 )
 from cmf_mj.kinematics import DOFS
-
-
-def pose_option(text: str) -> NDArray[np.float64]:
-    """A pose of the command line, six numbers in in and deg, in SI.
-
-    Raises:
-        ValueError: not six numbers.
-    """
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError as error:
-        raise ValueError(f"pose: {text!r} must be six numbers with commas between") from error
-    if len(values) != len(DOFS):
-        raise ValueError(f"pose: {text!r} has {len(values)} numbers; six are needed")
-    return np.array([units.to_si("in" if i < 3 else "deg", v) for i, v in enumerate(values)])
 
 
 @app.command("linearize")
