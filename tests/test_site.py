@@ -65,8 +65,8 @@ def test_every_page_is_in_the_contents() -> None:
 def test_generated_tables_are_current(tmp_path: Path) -> None:
     """What the page says is what the data say; tables of studies are left alone."""
     script = loaded(ROOT / "scripts" / "update_docs.py")
-    for name in script.PAGES:
-        page = (ROOT / name).read_text(encoding="utf-8")
-        assert script.refresh(page, tmp_path) == page, f"run scripts/update_docs.py: {name}"
+    for path in script.pages(ROOT):
+        page = path.read_text(encoding="utf-8")
+        assert script.refresh(page, tmp_path) == page, f"run scripts/update_docs.py: {path.name}"
     page = (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8")
     assert script.refresh(page.replace("0.277", "0.278"), tmp_path) == page
