@@ -64,8 +64,10 @@ CoordinateName = Literal["legs", "hydraulic_modes"]
 
 
 class Gains(Settings):
-    """Gains of the ten signals, in per cent per published unit; absent ones are 0. In
-    hydraulic modes a gain may be a list of six."""
+    """Gains of the ten signals, in per cent per published unit; absent ones are 0.
+
+    In hydraulic modes a gain may be a list of six.
+    """
 
     reference: PerMode = 0.0
     cap_pressure: PerMode = 0.0

@@ -67,9 +67,10 @@ def make_load_feedback(
 
 @compiled
 def load(block, mode, feedback, acceleration):  # type: ignore[no-untyped-def]
-    """h of one mode [N]; `acceleration` is the planned one."""
-    force = block.cap_area * feedback.cap_pressure[mode] - block.rod_area * feedback.rod_pressure[mode]
-    return force - block.mass[mode] * acceleration
+    """Force h of one mode [N]; `acceleration` is the planned one."""
+    push = block.cap_area * feedback.cap_pressure[mode]
+    pull = block.rod_area * feedback.rod_pressure[mode]
+    return push - pull - block.mass[mode] * acceleration
 
 
 @compiled

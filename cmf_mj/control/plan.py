@@ -232,4 +232,3 @@ def advance(plan, state, mode, command):  # type: ignore[no-untyped-def]
     state.model_jerk[mode] = jerk
     state.model_snap[mode] = snap
     state.model_command[mode] = command
-

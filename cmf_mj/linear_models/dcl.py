@@ -20,6 +20,8 @@ DCL_INPUTS = ("reference", *FEEDBACK)
 
 Matrix = NDArray[np.float64]
 
+_STATES = tuple("error_integral" if name == "integral" else name for name in DclState._fields)
+
 _SIZE = 2.0**-30
 """Size of states and inputs that the law is asked with: no clamp acts, and no digit is lost."""
 
@@ -63,8 +65,8 @@ def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
     if legs < 1:
         raise ValueError(f"legs: {legs} must be at least 1")
     dcl = make_dcl(load_law(law), legs)
-    names, wide = DclState._fields, len(DCL_INPUTS)
-    count = len(names) * legs
+    wide = len(DCL_INPUTS)
+    count = len(_STATES) * legs
     rows = []
     for i in range(count + wide * legs):
         unit = np.zeros(count + wide * legs)
@@ -87,7 +89,7 @@ def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
         FRAME,
         inputs=labels(DCL_INPUTS, legs),
         outputs=labels(("command",), legs),
-        states=[labels(names, legs)[i] for i in kept],
+        states=[labels(_STATES, legs)[i] for i in kept],
         name="DCL",
     )
 
