@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from cmf_mj.cli.common import app, progress_bar, refuse, show
+from cmf_mj.cli.common import app, names_of, progress_bar, refuse, show
 from cmf_mj.tuning.files import save_law
+from cmf_mj.tuning.nominal import CABS
 from cmf_mj.tuning.search import Limits, make_template, search
 
 
@@ -17,6 +18,7 @@ def tune_command(
     peak: Annotated[float, typer.Option(help="largest peak gain [dB]")] = Limits().peak_db,
     overshoot: Annotated[float, typer.Option(help="largest overshoot of a step [%]")] = 100.0
     * Limits().overshoot,
+    cabs: Annotated[str, typer.Option(help="cabs it is for, comma-separated, or `all`")] = "all",
     evaluations: Annotated[int, typer.Option(help="laws to try, about")] = 96,
     seed: Annotated[int, typer.Option(help="of the search")] = 1,
     out: Annotated[Path, typer.Option(help="law file to write")] = Path("out/tune/law.toml"),
@@ -26,15 +28,15 @@ def tune_command(
     try:
         with progress_bar() as update:
             found = search(
-                make_template(name, title),
+                make_template(name, title, names_of(cabs, CABS)),
                 limits,
                 evaluations=evaluations,
                 seed=seed,
                 progress=update,
             )
         said = (
-            f"cmf tune --peak {peak:g} --overshoot {overshoot:g} --evaluations {evaluations} "
-            f"--seed {seed}"
+            f"cmf tune --peak {peak:g} --overshoot {overshoot:g} --cabs {cabs} "
+            f"--evaluations {evaluations} --seed {seed}"
         )
         law = found.law.model_copy(update={"source": f"this project: {said}"})
         target = save_law(law, out, f"Written by `{said}`.")
