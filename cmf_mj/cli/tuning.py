@@ -19,7 +19,7 @@ def tune_command(
     overshoot: Annotated[float, typer.Option(help="largest overshoot of a step [%]")] = 100.0
     * Limits().overshoot,
     cabs: Annotated[str, typer.Option(help="cabs it is for, comma-separated, or `all`")] = "all",
-    evaluations: Annotated[int, typer.Option(help="laws to try, about")] = 96,
+    evaluations: Annotated[int, typer.Option(help="laws to try, about")] = 24,
     seed: Annotated[int, typer.Option(help="of the search")] = 1,
     out: Annotated[Path, typer.Option(help="law file to write")] = Path("out/tune/law.toml"),
 ) -> None:

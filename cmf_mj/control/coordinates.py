@@ -107,6 +107,8 @@ class Coordinates(NamedTuple):
     """Error integrals in coordinates of the law [m s]."""
     target: NDArray[np.float64]
     """What the errors count from, in coordinates of the law [m]."""
+    asked: NDArray[np.float64]
+    """Commands the plan would like, in coordinates of the law, fractions."""
     plan: NDArray[np.float64]
     """Planned commands in coordinates of the law, fractions."""
     legs: NDArray[np.float64]
@@ -125,8 +127,8 @@ def make_coordinates(modes: Modes | None, legs: int) -> Coordinates:
     if modes is not None:
         left, _, right = np.linalg.svd(np.array(modes.shape))
         shape = np.ascontiguousarray(left @ right)
-    room = [np.zeros(legs) for _ in range(11)]
-    return Coordinates(modes is not None, shape, *room[:6], LegFeedback(*room[6:]))
+    room = [np.zeros(legs) for _ in range(12)]
+    return Coordinates(modes is not None, shape, *room[:7], LegFeedback(*room[7:]))
 
 
 def mode_mass(modes: Modes) -> NDArray[np.float64]:

@@ -228,14 +228,15 @@ def _compensated(dcl, state, leg, reference, target, integral, feedback, signals
 @compiled
 def _plan(dcl, state, reference, feedback, output):  # type: ignore[no-untyped-def]
     """Add the plan's part to the outputs of all legs or modes; the plan moves on."""
-    plan, commands = dcl.plan, dcl.coordinates.plan
+    plan, commands, asked = dcl.plan, dcl.coordinates.plan, dcl.coordinates.asked
     count = reference.shape[0]
     for leg in range(count):
-        commands[leg] = ask(plan, state, leg, reference[leg])
+        asked[leg] = ask(plan, state, leg, reference[leg])
+        commands[leg] = asked[leg]
     bounded(plan, dcl.coordinates, commands)
     for leg in range(count):
         output[leg] += commands[leg] + correct(plan, state, leg, feedback)
-        advance(plan, state, leg, commands[leg])
+        advance(plan, state, leg, asked[leg], commands[leg])
 
 
 @compiled

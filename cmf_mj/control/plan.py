@@ -16,8 +16,11 @@ derivatives, which inverts both lags and the mode. With the same E for all modes
 all degrees of freedom, answer alike and none drives another.
 
 Planned leg commands are clamped to the `authority`, and the model is advanced by what is left: so
-the plan knows the saturation, has no windup, and leaves the rest of the valve to the feedback. A
-demand that jumps is first turned into a ramp of the `rate`, which bounds what the plan asks for.
+the plan knows the saturation and leaves the rest of the valve to the feedback. A demand that jumps
+is first turned into a ramp of the `rate`. Where the clamp acts, that reference is set to the one
+which would have asked for the clamped command, r + (u_clamped - u) / N with N = d5 / (e5 k), and
+goes on from there: the reference that the plan can follow (conditioning). Without it the clamped
+state feedback of a mode with two lags may end in a limit cycle.
 
 The model sees its command a frame later, as the plant does. x+ = A x + B u(k - 1) is thus known,
 and the state feedback acts on it. To u are added the gains on what is left of errors from the plan,
@@ -28,6 +31,7 @@ in which K_r is the lead against the drive lag.
 
 Source: a plant model under (saturated) state feedback as feed-forward and reference is the
 structure of two degrees of freedom of G. Kreisselmeier, Automatisierungstechnik 47 (1999) 266-269;
+conditioning: R. Hanus, M. Kinnaert and J.-L. Henrotte, Automatica 23 (1987) 729-739;
 for electrohydraulic servos feed-forward of velocity, acceleration and jerk: M. Jelali and A. Kroll,
 Hydraulic Servo-systems (2003); I. Davliakos and E. Papadopoulos, Mechanism and Machine Theory 43
 (2008), for hexapods.
@@ -219,8 +223,9 @@ def correct(plan, state, mode, feedback):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def advance(plan, state, mode, command):  # type: ignore[no-untyped-def]
-    """Move the plan of one mode on by a frame; `command` acts in the frame after."""
+def advance(plan, state, mode, asked, command):  # type: ignore[no-untyped-def]
+    """Move the plan of one mode on by a frame; `command`, left of `asked`, acts a frame later."""
+    state.model_reference[mode] += (command - asked) / plan.forward[mode]
     position = _advanced(plan, state, mode, 0)
     velocity = _advanced(plan, state, mode, 1)
     acceleration = _advanced(plan, state, mode, 2)

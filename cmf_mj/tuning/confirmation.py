@@ -1,6 +1,6 @@
 """What a law does in the simulation: the report's chirp and step for any cab, valves and pose.
 
-Each case is measured as `studies.compare` measures it; at neutral, with nominal valves, it gives the
+Each case is measured as `studies.compare` measures it; at neutral with nominal valves it gives the
 same numbers. Cross-talk comes from one run of orthogonal multisines in all degrees of freedom,
 
     share_ij(f) = |H_ij(f)| a_j / a_i,    i driven by j,

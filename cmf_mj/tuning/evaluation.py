@@ -31,8 +31,9 @@ LINES = np.concatenate([np.arange(0.5, 3.0, 0.5), np.arange(3.0, 10.01, 0.25)])
 STEP_TIME = 0.7
 """Length of the steps [s]."""
 
-STEPPED = ("surge", "roll", "yaw")
-"""Degrees of freedom that are stepped: sway and pitch are near surge and roll, heave is easiest."""
+STEPPED = ((1,), (3,), (4,), (0, 1, 2, 3, 4, 5))
+"""Degrees of freedom that are stepped: sway, roll, pitch, and all at once. Surge is much like sway,
+heave and yaw are easier."""
 
 CHIRP = AMPLITUDE * np.where(np.arange(6) < 3, 1.0, ROTATION_PER_TRANSLATION)
 """Amplitude of the chirp by degree of freedom [m, rad]."""
@@ -77,31 +78,34 @@ class Worth(NamedTuple):
     peak_db: NDArray[np.float64]
     """Peak gain to 10 Hz, (cabs, seeds, 6)."""
     overshoot: NDArray[np.float64]
-    """Of the step, fraction, (cabs, seeds, 3)."""
+    """Of the step, fraction, (cabs, seeds, 4)."""
     settled: NDArray[np.float64]
-    """Largest distance from the demand in the last tenth of the step, fraction, (.., 3)."""
+    """Largest distance from the demand in the last tenth of the step, fraction, (.., 4)."""
 
 
-def step_response(law: Law, cab: LinearCab, dof: int, gains: NDArray[np.float64]) -> np.ndarray:
-    """Step of the report's size in one degree of freedom, as fractions of it, (N,).
+def step_response(
+    law: Law, cab: LinearCab, dofs: Sequence[int], gains: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Step of the report's size in some degrees of freedom at once, as fractions of it, (N, m).
 
     Args:
         law: mounted.
         cab: linear plant.
-        dof: index of the degree of freedom.
+        dofs: indices of the m degrees of freedom.
         gains: valve gains over the nominal, (6,).
     """
     a, b, c = cab.sampled
-    size = CHIRP[dof] * STEP_PER_AMPLITUDE
+    chosen = list(dofs)
+    size = CHIRP[chosen] * STEP_PER_AMPLITUDE
     legs = cab.jacobian.shape[0]
     dcl = blocks.make_dcl(law, legs)
     still = blocks.LegFeedback(*(np.zeros(legs) for _ in FEEDBACK))
     state = blocks.engaged(dcl, np.zeros(legs), still)
     found = np.empty((round(STEP_TIME / FRAME), legs))
-    demand = np.ascontiguousarray(cab.jacobian[:, dof]) * size
+    demand = cab.jacobian[:, chosen] @ size
     room = np.zeros((legs, len(SIGNALS))), np.zeros(legs), np.zeros(legs)
     run(dcl, state, a, np.ascontiguousarray(b * gains), c, demand, still, *room, found)
-    return found @ np.linalg.inv(cab.jacobian)[dof] / size
+    return found @ np.linalg.inv(cab.jacobian)[chosen].T / size
 
 
 def _one(law: Law, cab: LinearCab, seed: int | None, scale: float) -> list[list[float]]:
@@ -117,12 +121,12 @@ def _one(law: Law, cab: LinearCab, seed: int | None, scale: float) -> list[list[
         bandwidths(control.FrequencyResponseData(pose[:, dof, dof], 2.0 * np.pi * LINES))
         for dof in range(len(DOFS))
     ]
-    steps = [step_response(mounted, cab, DOFS.index(dof), gains) for dof in STEPPED]
+    steps = [step_response(mounted, cab, dofs, gains) for dofs in STEPPED]
     return [
         [LINES[-1] if np.isnan(found.phase_hz) else found.phase_hz for found in own],
         [found.peak_db for found in own],
         [float(step.max() - 1.0) for step in steps],
-        [float(np.abs(step[-step.size // 10 :] - 1.0).max()) for step in steps],
+        [float(np.abs(step[-len(step) // 10 :] - 1.0).max()) for step in steps],
     ]
 
 
@@ -138,6 +142,6 @@ def evaluate(
         scale: of all valve gains besides.
     """
     tasks = [delayed(_one)(law, cab, seed, scale) for cab in cabs for seed in seeds]
-    found = Parallel(n_jobs=2, backend="threading")(tasks)
+    found = Parallel(n_jobs=len(tasks), backend="threading")(tasks)
     shape = (len(cabs), len(seeds), -1)
     return Worth(*(np.array(part).reshape(shape) for part in zip(*found, strict=True)))
