@@ -127,8 +127,22 @@ def make_coordinates(modes: Modes | None, legs: int) -> Coordinates:
     if modes is not None:
         left, _, right = np.linalg.svd(np.array(modes.shape))
         shape = np.ascontiguousarray(left @ right)
-    room = [np.zeros(legs) for _ in range(12)]
-    return Coordinates(modes is not None, shape, *room[:7], LegFeedback(*room[7:]))
+
+    def room() -> NDArray[np.float64]:
+        return np.zeros(legs)
+
+    return Coordinates(
+        modal=modes is not None,
+        shape=shape,
+        limited=room(),
+        reference=room(),
+        integral=room(),
+        target=room(),
+        asked=room(),
+        plan=room(),
+        legs=room(),
+        feedback=LegFeedback(room(), room(), room(), room(), room()),
+    )
 
 
 def mode_mass(modes: Modes) -> NDArray[np.float64]:

@@ -64,8 +64,8 @@ def mismatched(parameters: HydraulicParameters, seed: int | None) -> HydraulicPa
         return parameters
     speed = parameters.leg_speed
     changed = {
-        f"leg_{leg + 1}": ActuatorChanges(
-            leg_speed=speed.model_copy(update={"value": speed.value * float(gain)})
+        f"leg_{leg + 1}": ActuatorChanges.model_validate(
+            {"leg_speed": speed.model_copy(update={"value": speed.value * float(gain)})}
         )
         for leg, gain in enumerate(valve_gains(seed))
     }
