@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from cmf_mj import excitations, signals
-from cmf_mj.control.law import Law, law_names
+from cmf_mj.control.law import Law, law_names, load_law
 from cmf_mj.frequency_response import FrequencyResponse, bandwidths, frequency_response
 from cmf_mj.identification import (
     DofComparison,
@@ -39,7 +39,7 @@ from cmf_mj.identification import (
     to_continuous,
 )
 from cmf_mj.identification.data import RATE
-from cmf_mj.kinematics import DOFS
+from cmf_mj.kinematics import DOFS, pose_jacobian
 from cmf_mj.measurement import dof_amplitude
 from cmf_mj.plant import Plant
 from cmf_mj.record import Record
@@ -285,11 +285,15 @@ def identify_matrix(
     whole = arx(experiment(first, DOFS, outputs=_CHANNELS), orders)
     frequency = np.arange(0.1, 10.0, 0.02)
     response = whole.response(frequency)
+    mounted, legs = load_law(law).mounted(build().mounting), pose_jacobian(np.zeros(6))
+    pressures = (response[:, 6:12], response[:, 12:])
     loop = closed_loop_response(
-        law, response[:, :6], frequency, pressures=(response[:, 6:12], response[:, 12:])
+        mounted, response[:, :6], frequency, pressures=pressures, legs_of_axes=legs
     )
     common = comparison.own[DOFS.index(shared)].response(frequency)
-    everywhere = axis_bandwidths(closed_loop_response(law, common, frequency), frequency, 0)
+    shares = np.eye(6) * common[:, None, None]
+    alike = closed_loop_response(mounted, shares, frequency, legs_of_axes=legs)
+    everywhere = axis_bandwidths(alike, frequency, 0)
     measured = []
     for dof in DOFS:
         command = signals.multisine(dof, dof_amplitude(dof, None), periods=2)

@@ -116,7 +116,8 @@ def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = 
         ValueError: a channel that the law reads is missing, its shape is another, or the rate does
             not divide the control rate.
     """
-    loaded = load_law(law)
+    told = record.metadata
+    loaded = load_law(law).mounted(told.get("cab") or str(told.get("plant", "")))
     every = _every(record)
     histories = _feedback(record, loaded, feedback or {})
     reference = _legs(record, "leg_reference")
@@ -165,7 +166,7 @@ def replay_protection(
 def _begun(record: Record, law: Law, legs: int) -> control.DclState | None:
     """The state in which the law began; none where the record does not say, or of another law."""
     said = record.metadata.get("law_state")
-    if not said or record.metadata.get("law_parameters") != law.model_dump():
+    if not said or record.metadata.get("law_parameters") != law.model_dump(mode="json"):
         return None
     state = control.DclState(
         **{name: np.array(values, dtype=float) for name, values in said.items()}
@@ -196,13 +197,12 @@ def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> control.Leg
         raise ValueError(f"feedback: {odd[0]!r} is not one of {', '.join(FEEDBACK)}")
     histories = []
     for field, channel in (FEEDBACK | dict(names)).items():
-        model = law.reference_model
-        followed = field == "velocity" and model is not None and model.reads_velocity
         acting = (
-            followed
-            or field == "position"
+            field == "position"
+            or (field == "velocity" and law.reads_velocity)
+            or (field.endswith("_pressure") and law.load_feedback is not None)
             or any(
-                getattr(gains, signal) != 0.0
+                np.any(getattr(gains, signal))
                 for signal in _NEEDS[field]
                 for gains in (law.direct_gain, law.input_gain)
             )

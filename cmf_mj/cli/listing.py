@@ -13,7 +13,8 @@ from cmf_mj.parameters import load_hydraulics
 @app.command("laws")
 def laws_command() -> None:
     """List the shipped control laws with their sources."""
-    show(report.law_table([load_law(name) for name in law_names()]), width=TEXT_WIDTH)
+    names = law_names() + law_names("hydraulic_modes")
+    show(report.law_table([load_law(name) for name in names]), width=TEXT_WIDTH)
 
 
 @app.command("parameters")

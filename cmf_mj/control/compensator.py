@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from cmf_mj import units
 from cmf_mj.compiled import compiled
+from cmf_mj.control.coordinates import spread
 from cmf_mj.control.law import SIGNAL_UNITS, SIGNALS, Gains, Law
 
 
@@ -24,11 +25,13 @@ class Compensator(NamedTuple):
 
 
 def make_compensator(law: Law, legs: int) -> Compensator:
-    """Convert a law's published gains to SI, the same for every leg."""
+    """Convert a law's published gains to SI, the same for every leg or by mode."""
 
     def row(gains: Gains, scale: float) -> NDArray[np.float64]:
-        values = [getattr(gains, name) * scale / SIGNAL_UNITS[name] for name in SIGNALS]
-        return np.tile(np.array(values), (legs, 1))
+        values = [
+            spread(getattr(gains, name), legs) * scale / SIGNAL_UNITS[name] for name in SIGNALS
+        ]
+        return np.ascontiguousarray(np.array(values).T)
 
     return Compensator(
         state_gain=np.full(legs, law.state_gain),

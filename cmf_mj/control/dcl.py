@@ -7,6 +7,10 @@ With a reference model the errors are those from the model, and its own part joi
 
 demand -> limits -> reference model -> error -> compensator -> + -> valve command
                           |______ feed-forward, adaptation ____^
+
+A plan takes the place of the reference model. A law in hydraulic modes has all of it between a map
+of demand and feedback to modes and the map of the output back to legs; limits, clamp and the error
+integral with its trigger and bounds are those of legs.
 """
 
 from typing import NamedTuple
@@ -16,6 +20,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.compiled import compiled
 from cmf_mj.control.compensator import Compensator, compensate, make_compensator
+from cmf_mj.control.coordinates import Coordinates, make_coordinates, to_legs, to_modes
 from cmf_mj.control.error import (
     ErrorCalculations,
     filtered_rate,
@@ -28,8 +33,16 @@ from cmf_mj.control.feedback import (
     make_feedback,
     pressure_force,
 )
-from cmf_mj.control.law import SIGNALS, Law
+from cmf_mj.control.law import FRAME, SIGNALS, Law
+from cmf_mj.control.leg_feedback import LegFeedback as LegFeedback
 from cmf_mj.control.limits import Limits, limit, make_limits
+from cmf_mj.control.load_feedback import (
+    CompiledLoadFeedback,
+    damp,
+    load,
+    make_load_feedback,
+)
+from cmf_mj.control.plan import CompiledPlan, advance, ask, bounded, correct, make_plan
 from cmf_mj.control.reference_model import CompiledModel, follow, make_model
 from cmf_mj.control.valve_command import clamp
 
@@ -44,10 +57,13 @@ class Dcl(NamedTuple):
     error: ErrorCalculations
     compensator: Compensator
     model: CompiledModel
+    plan: CompiledPlan
+    load_feedback: CompiledLoadFeedback
+    coordinates: Coordinates
 
 
 class DclState(NamedTuple):
-    """State of the DCL, every array (n,)."""
+    """State of the DCL, every array (n,): by leg, or by mode but for the error integral."""
 
     compensator: NDArray[np.float64]
     """x of the compensator."""
@@ -71,31 +87,41 @@ class DclState(NamedTuple):
     """Filtered feed-forward, fraction."""
     feed_forward_power: NDArray[np.float64]
     """Filtered square of the feed-forward."""
-
-
-class LegFeedback(NamedTuple):
-    """What the sensors hand to the DCL, every array (n,)."""
-
-    position: NDArray[np.float64]
-    """Leg extension from neutral [m]."""
-    velocity: NDArray[np.float64]
-    """Leg velocity [m/s]."""
-    acceleration: NDArray[np.float64]
-    """Leg acceleration [m/s^2]."""
-    cap_pressure: NDArray[np.float64]
-    """Cap pressure [Pa]."""
-    rod_pressure: NDArray[np.float64]
-    """Rod pressure [Pa]."""
+    model_acceleration: NDArray[np.float64]
+    """Planned acceleration [m/s^2]; position and velocity are those of the reference model."""
+    model_jerk: NDArray[np.float64]
+    """Planned jerk [m/s^3]."""
+    model_snap: NDArray[np.float64]
+    """Planned derivative of the jerk [m/s^4]."""
+    model_command: NDArray[np.float64]
+    """Planned command on its way, fraction."""
+    model_reference: NDArray[np.float64]
+    """Reference of the plan, as fast as it may be [m]."""
+    load_filter: NDArray[np.float64]
+    """Low-passed load force [N]."""
 
 
 def make_dcl(law: Law, legs: int) -> Dcl:
-    """Compile a law for a number of legs."""
+    """Compile a law for a number of legs.
+
+    Raises:
+        ValueError: a law in hydraulic modes for other than six legs, or not `mounted`.
+    """
+    modes = law.mounted_modes
+    if modes is not None and legs != len(modes.mass):
+        raise ValueError(
+            f"coordinates: law {law.name} runs in hydraulic modes of {len(modes.mass)} legs; "
+            f"there are {legs}"
+        )
     return Dcl(
         make_feedback(law),
         make_limits(),
         make_error_calculations(law),
         make_compensator(law, legs),
         make_model(law.reference_model),
+        make_plan(law.plan, modes, legs, FRAME),
+        make_load_feedback(law.load_feedback, modes, legs, FRAME),
+        make_coordinates(modes, legs),
     )
 
 
@@ -106,8 +132,8 @@ def engaged(
 ) -> DclState:
     """State of a DCL that has held `reference` at rest for a long time.
 
-    Filters and reference model have settled on the present error and position. Where the law has an
-    integral, it has taken up the static offset, so that the valve command is zero.
+    Filters, reference model and plan have settled on the present error and position. Where the law
+    has an integral, it has taken up the static offset, so that the valve command is zero.
 
     Args:
         dcl: compiled law.
@@ -117,19 +143,27 @@ def engaged(
     legs = reference.shape[0]
     state = DclState(*(np.zeros(legs) for _ in DclState._fields))
     limited = np.clip(reference, -dcl.limits.travel, dcl.limits.travel)
+    shape = dcl.coordinates.shape
+    if dcl.coordinates.modal:
+        limited = shape @ limited
+        feedback = LegFeedback(*(shape @ channel for channel in feedback))
     state.error_filter[:] = limited - feedback.position
     state.reference_filter[:] = limited
     state.model_position[:] = limited
+    state.model_reference[:] = limited
     passed = dcl.feedback.accelerometer_gain / (1.0 - dcl.feedback.accelerometer_pole)
     state.acceleration[:] = passed * feedback.acceleration
     gains = dcl.compensator
     signals = np.zeros(len(SIGNALS))
     for leg in range(legs):
-        _fill(dcl, state, leg, limited[leg], limited[leg], feedback, signals)
+        state.load_filter[leg] = load(dcl.load_feedback, leg, feedback, 0.0)
+        _fill(dcl, state, leg, limited[leg], limited[leg], 0.0, feedback, signals)
         still = (gains.input_gain[leg] @ signals) / (1.0 - gains.state_gain[leg])
         output = gains.output_gain[leg] * still + gains.direct_gain[leg] @ signals
         output += dcl.model.position_gain * (limited[leg] - feedback.position[leg])
         output -= dcl.model.rate_gain * feedback.velocity[leg]
+        if dcl.plan.active:
+            output += correct(dcl.plan, state, leg, feedback)
         through = gains.output_gain[leg] * gains.input_gain[leg, _INTEGRAL]
         gain = gains.direct_gain[leg, _INTEGRAL] + through / (1.0 - gains.state_gain[leg])
         if gain != 0.0:
@@ -138,11 +172,13 @@ def engaged(
             signals[_INTEGRAL] = state.integral[leg]
             still = (gains.input_gain[leg] @ signals) / (1.0 - gains.state_gain[leg])
         state.compensator[leg] = still
+    if dcl.coordinates.modal:
+        state.integral[:] = shape.T @ state.integral
     return state
 
 
 @compiled
-def _fill(dcl, state, leg, reference, target, feedback, signals):  # type: ignore[no-untyped-def]
+def _fill(dcl, state, leg, reference, target, integral, feedback, signals):  # type: ignore[no-untyped-def]
     """Write the compensator's inputs of one leg; return the next filter states."""
     position = feedback.position[leg]
     error_rate, error_filter = filtered_rate(dcl.error, target - position, state.error_filter[leg])
@@ -155,10 +191,100 @@ def _fill(dcl, state, leg, reference, target, feedback, signals):  # type: ignor
     signals[4] = feedback.velocity[leg]
     signals[5] = error_rate
     signals[6] = reference_rate - feedback.velocity[leg]
-    signals[7] = state.integral[leg]
+    signals[7] = integral
     signals[8] = state.acceleration[leg]
     signals[9] = pressure_force(dcl.feedback, cap, rod)
     return error_filter, reference_filter
+
+
+@compiled
+def _target(dcl, state, leg, reference):  # type: ignore[no-untyped-def]
+    """What the errors of a leg or mode count from."""
+    if dcl.model.active or dcl.plan.active:
+        return state.model_position[leg]
+    return reference
+
+
+@compiled
+def _compensated(dcl, state, leg, reference, target, integral, feedback, signals):  # type: ignore[no-untyped-def]
+    """Output of one leg or mode, all but the plan's; its filters move on."""
+    error_filter, reference_filter = _fill(
+        dcl, state, leg, reference, target, integral, feedback, signals
+    )
+    output, following = compensate(dcl.compensator, leg, state.compensator[leg], signals)
+    if dcl.model.active:
+        output = follow(dcl.model, state, leg, reference, feedback, output)
+    if dcl.load_feedback.active:
+        output += damp(dcl.load_feedback, state, leg, feedback)
+    state.compensator[leg] = following
+    state.error_filter[leg] = error_filter
+    state.reference_filter[leg] = reference_filter
+    state.acceleration[leg] = filter_acceleration(
+        dcl.feedback, state.acceleration[leg], feedback.acceleration[leg]
+    )
+    return output
+
+
+@compiled
+def _plan(dcl, state, reference, feedback, output):  # type: ignore[no-untyped-def]
+    """Add the plan's part to the outputs of all legs or modes; the plan moves on."""
+    plan, commands, asked = dcl.plan, dcl.coordinates.plan, dcl.coordinates.asked
+    count = reference.shape[0]
+    for leg in range(count):
+        asked[leg] = ask(plan, state, leg, reference[leg])
+        commands[leg] = asked[leg]
+    bounded(plan, dcl.coordinates, commands)
+    for leg in range(count):
+        output[leg] += commands[leg] + correct(plan, state, leg, feedback)
+        advance(plan, state, leg, asked[leg], commands[leg])
+
+
+@compiled
+def _step_in_legs(dcl, state, demand, feedback, signals, output):  # type: ignore[no-untyped-def]
+    limited = dcl.coordinates.limited
+    for leg in range(demand.shape[0]):
+        reference = limit(dcl.limits, demand[leg])
+        limited[leg] = reference
+        target = _target(dcl, state, leg, reference)
+        output[leg] = _compensated(
+            dcl, state, leg, reference, target, state.integral[leg], feedback, signals[leg]
+        )
+        state.integral[leg] = integrate(
+            dcl.error, state.integral[leg], target, feedback.position[leg]
+        )
+    if dcl.plan.active:
+        _plan(dcl, state, limited, feedback, output)
+
+
+@compiled
+def _step_in_modes(dcl, state, demand, feedback, signals, output):  # type: ignore[no-untyped-def]
+    room = dcl.coordinates
+    legs, reference, target, integral = demand.shape[0], room.reference, room.target, room.integral
+    seen, modal = room.feedback, room.legs
+    for leg in range(legs):
+        room.limited[leg] = limit(dcl.limits, demand[leg])
+    to_modes(room, room.limited, reference)
+    to_modes(room, state.integral, integral)
+    to_modes(room, feedback.position, seen.position)
+    to_modes(room, feedback.velocity, seen.velocity)
+    to_modes(room, feedback.acceleration, seen.acceleration)
+    to_modes(room, feedback.cap_pressure, seen.cap_pressure)
+    to_modes(room, feedback.rod_pressure, seen.rod_pressure)
+    for mode in range(legs):
+        target[mode] = _target(dcl, state, mode, reference[mode])
+        output[mode] = _compensated(
+            dcl, state, mode, reference[mode], target[mode], integral[mode], seen, signals[mode]
+        )
+    if dcl.plan.active:
+        _plan(dcl, state, reference, seen, output)
+    to_legs(room, output, modal)
+    output[:] = modal
+    to_legs(room, target, modal)
+    for leg in range(legs):
+        signals[leg, 0] = room.limited[leg]
+        state.integral[leg] = integrate(
+            dcl.error, state.integral[leg], modal[leg], feedback.position[leg]
+        )
 
 
 @compiled
@@ -170,28 +296,14 @@ def step(dcl, state, demand, feedback, signals, output, command):  # type: ignor
         state: overwritten by the state of the next frame.
         demand: (n,) leg demands [m].
         feedback: `LegFeedback` of this frame.
-        signals: (n, 10) workspace; holds the compensator's inputs afterwards.
+        signals: (n, 10) workspace; holds the compensator's inputs afterwards, by leg or mode, but
+            for the first, the limited demands of the legs.
         output: (n,) compensator outputs before the clamp, command fractions.
         command: (n,) valve commands, fractions.
     """
+    if dcl.coordinates.modal:
+        _step_in_modes(dcl, state, demand, feedback, signals, output)
+    else:
+        _step_in_legs(dcl, state, demand, feedback, signals, output)
     for leg in range(demand.shape[0]):
-        reference = limit(dcl.limits, demand[leg])
-        target = state.model_position[leg] if dcl.model.active else reference
-        error_filter, reference_filter = _fill(
-            dcl, state, leg, reference, target, feedback, signals[leg]
-        )
-        output[leg], following = compensate(
-            dcl.compensator, leg, state.compensator[leg], signals[leg]
-        )
-        if dcl.model.active:
-            output[leg] = follow(dcl.model, state, leg, reference, feedback, output[leg])
         command[leg] = clamp(output[leg])
-        state.compensator[leg] = following
-        state.integral[leg] = integrate(
-            dcl.error, state.integral[leg], target, feedback.position[leg]
-        )
-        state.error_filter[leg] = error_filter
-        state.reference_filter[leg] = reference_filter
-        state.acceleration[leg] = filter_acceleration(
-            dcl.feedback, state.acceleration[leg], feedback.acceleration[leg]
-        )

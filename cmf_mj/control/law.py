@@ -4,16 +4,22 @@ Every law is the same block with other gains (Eqs 2.3 and 2.4 as the DCL runs th
 
     x[k+1] = A x[k] + B u[k],    y[k] = C x[k] + D u[k],
 
-with one scalar state a leg and u the ten `SIGNALS`, and where a law has one, a reference model
-beside it. Nothing in the code knows a law by name.
+with one scalar state a leg and u the ten `SIGNALS`, and beside it, where a law has them, a
+reference model, a plan, and dynamic load pressure feedback. All of it runs leg by leg, or mode by
+mode of the hydraulics. Nothing in the code knows a law by name.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import Field
+import numpy as np
+from pydantic import Field, model_validator
 
 from cmf_mj import units
+from cmf_mj.control.coordinates import Modes, PerMode, is_per_mode
+from cmf_mj.control.load_feedback import LoadFeedback
+from cmf_mj.control.plan import Plan
 from cmf_mj.settings import Settings, read_toml, validated
 
 FRAME = 1.0 / 2048.0
@@ -47,22 +53,32 @@ SIGNAL_UNITS = {
 }
 """SI size of the unit each signal's gain counts in (in, Pa, in/s, in s, in/s^2, lbf)."""
 
-_FILE = Path(__file__).with_name("laws.toml")
+_FILES = {
+    "legs": Path(__file__).with_name("laws.toml"),
+    "hydraulic_modes": Path(__file__).with_name("laws_beyond.toml"),
+}
+"""Shipped laws by their coordinates."""
+
+CoordinateName = Literal["legs", "hydraulic_modes"]
+"""What the gains of a law act on."""
 
 
 class Gains(Settings):
-    """Gains of the ten signals, in per cent per published unit; absent ones are 0."""
+    """Gains of the ten signals, in per cent per published unit; absent ones are 0.
 
-    reference: float = 0.0
-    cap_pressure: float = 0.0
-    rod_pressure: float = 0.0
-    position: float = 0.0
-    velocity: float = 0.0
-    position_error_rate: float = 0.0
-    velocity_error: float = 0.0
-    error_integral: float = 0.0
-    acceleration: float = 0.0
-    force: float = 0.0
+    In hydraulic modes a gain may be a list of six.
+    """
+
+    reference: PerMode = 0.0
+    cap_pressure: PerMode = 0.0
+    rod_pressure: PerMode = 0.0
+    position: PerMode = 0.0
+    velocity: PerMode = 0.0
+    position_error_rate: PerMode = 0.0
+    velocity_error: PerMode = 0.0
+    error_integral: PerMode = 0.0
+    acceleration: PerMode = 0.0
+    force: PerMode = 0.0
 
 
 class Adaptation(Settings):
@@ -125,6 +141,10 @@ class Law(Settings):
 
     name: str
     """Name of the table."""
+    coordinates: CoordinateName = "legs"
+    """What gains act on: legs, or the hydraulic modes of the mounted cab."""
+    modes: Mapping[str, Modes] = {}
+    """Hydraulic modes by cab, or by plant where there is none; of a law that is `mounted`, one."""
     title: str = Field(min_length=1)
     """Name for figures and tables."""
     source: str = ""
@@ -152,11 +172,76 @@ class Law(Settings):
     """Gain of the accelerometer filter, Eq 3.6."""
     reference_model: ReferenceModel | None = None
     """A model to follow, `[name.reference_model]`; absent: the demand itself."""
+    plan: Plan | None = None
+    """A plan to follow, `[name.plan]`, instead of a reference model."""
+    load_feedback: LoadFeedback | None = None
+    """Dynamic load pressure feedback, `[name.load_feedback]`; absent: none."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Law":
+        modal = self.coordinates == "hydraulic_modes"
+        if modal != bool(self.modes):
+            said = "needs a table [modes.CAB] for each cab" if modal else "takes no modes"
+            raise ValueError(f"coordinates: {self.coordinates} {said}")
+        if self.plan is not None and self.reference_model is not None:
+            raise ValueError("plan: is not allowed beside a reference_model; choose one")
+        if self.plan is not None and modal == (self.plan.frequency is not None):
+            said = "is not allowed, modes have their own" if modal else "is missing"
+            raise ValueError(f"plan.frequency: {said}, for coordinates {self.coordinates}")
+        lists = [
+            f"{table}.{field}"
+            for table in ("input_gain", "direct_gain", "plan", "load_feedback")
+            for field, value in getattr(self, table) or ()
+            if is_per_mode(value) and field != "pairs"
+        ]
+        if lists and not modal:
+            raise ValueError(f"{lists[0]}: a list needs coordinates hydraulic_modes; one number")
+        return self
+
+    def mounted(self, cab: str) -> "Law":
+        """The law with the modes of one cab, as the DCL, which knows its cab, runs it.
+
+        Args:
+            cab: `gfd`, `rfd` or `ifd`, or the name of a plant without cabs.
+
+        Raises:
+            ValueError: a law in hydraulic modes that has none of this cab.
+        """
+        if self.coordinates == "legs":
+            return self
+        if cab not in self.modes:
+            raise ValueError(
+                f"modes: law {self.name} has none of {cab!r}; it has {', '.join(self.modes)}"
+            )
+        return self.model_copy(update={"modes": {cab: self.modes[cab]}})
+
+    @property
+    def mounted_modes(self) -> Modes | None:
+        """Modes the law runs in; None for one in leg coordinates.
+
+        Raises:
+            ValueError: the law has those of several cabs.
+        """
+        if self.coordinates == "legs":
+            return None
+        if len(self.modes) > 1:
+            raise ValueError(
+                f"modes: law {self.name} has those of {', '.join(self.modes)}; choose one with "
+                f"mounted({next(iter(self.modes))!r})"
+            )
+        return next(iter(self.modes.values()))
+
+    @property
+    def reads_velocity(self) -> bool:
+        """Whether the measured velocity acts on the command beside the compensator."""
+        model = self.reference_model is not None and self.reference_model.reads_velocity
+        return model or (self.plan is not None and bool(np.any(self.plan.velocity)))
 
     @property
     def uses_integral(self) -> bool:
         """Whether the error integral acts on the command."""
-        return self.direct_gain.error_integral != 0.0 or self.input_gain.error_integral != 0.0
+        gains = self.direct_gain.error_integral, self.input_gain.error_integral
+        return any(bool(np.any(gain)) for gain in gains)
 
 
 def _laws_of(path: Path) -> dict[str, Law]:
@@ -171,9 +256,9 @@ def _laws_of(path: Path) -> dict[str, Law]:
     return laws
 
 
-def law_names() -> tuple[str, ...]:
-    """Names of the shipped laws, in the report's order."""
-    return tuple(read_toml(_FILE))
+def law_names(coordinates: CoordinateName = "legs") -> tuple[str, ...]:
+    """Names of the shipped laws in these coordinates; those in legs in the report's order."""
+    return tuple(read_toml(_FILES[coordinates]))
 
 
 def load_law(source: str | Path | Law) -> Law:
@@ -189,13 +274,13 @@ def load_law(source: str | Path | Law) -> Law:
     if isinstance(source, Law):
         return source
     text = str(source)
-    if text in law_names():
-        return _laws_of(_FILE)[text]
+    for coordinates, file in _FILES.items():
+        if text in law_names(coordinates):  # type: ignore[arg-type]
+            return _laws_of(file)[text]
     stem, found, name = text.rpartition(".toml")
     if not found or (name and not name.startswith(":")):
-        raise ValueError(
-            f"law: {text!r} is neither a .toml file nor one of {', '.join(law_names())}"
-        )
+        shipped = law_names() + law_names("hydraulic_modes")
+        raise ValueError(f"law: {text!r} is neither a .toml file nor one of {', '.join(shipped)}")
     laws = _laws_of(Path(stem + ".toml"))
     if name:
         if name[1:] not in laws:

@@ -4,11 +4,12 @@ A model of leg velocity per command is closed as in Figure 4-5: position by inte
 zero. `linear_models.closed_loop` does so for one continuous transfer function. For several axes,
 and for models that are a response only, `closed_loop_response` solves the loop line by line,
 
-    T = (1 - H (C_p V / s + C_v V + C_a V s e^(-s T0) + C_cap P_cap + C_rod P_rod))^-1 H V C_r / s
+    T = H V / s (1 - H (C_p V / s + C_v V + C_a V s e^(-s T0) + C_cap P_cap + C_rod P_rod))^-1 C_r
 
 with s = j w, C the DCL at z = e^(s T0), T0 = 1/2048 s, V and P the matrices from commands to
-velocities and pressures and H = e^(-s d T0) (1 - e^(-s T0)) / (s T0) delay and hold, here moved
-to the front since they commute. The accelerometer is one frame late, as in the simulation.
+velocities and pressures and H = e^(-s d T0) (1 - e^(-s T0)) / (s T0) delay and hold. The same law
+on every axis is a number times 1, and the axes may be any; a law in hydraulic modes is a matrix.
+The accelerometer is one frame late, as in the simulation.
 
 The report's zero pressures are nearly right for a leg of its own and in heave, where the law's
 pressure terms move the -90 deg bandwidth by 0.3 %. In surge and sway of the hexapod, whose legs
@@ -21,7 +22,7 @@ import control
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cmf_mj.control.law import FRAME, Law
+from cmf_mj.control.law import FRAME, Law, load_law
 from cmf_mj.frequency_response import Bandwidths, FrequencyResponse, bandwidths
 from cmf_mj.identification.data import Real
 from cmf_mj.identification.model import Complex
@@ -39,16 +40,19 @@ def closed_loop_response(
     *,
     pressures: tuple[ArrayLike, ArrayLike] | None = None,
     command_delay: int = 1,
+    legs_of_axes: ArrayLike | None = None,
 ) -> Complex:
     """Response (K, n, n) from leg or axis references to positions with a law around a plant.
 
     Args:
-        law: name, TOML file or loaded law; the same on every axis.
+        law: name, TOML file or loaded law; one in hydraulic modes must be `mounted`.
         velocity: plant response from commands at the valves to velocities, (K, n, n) or (K,)
             [m/s per full command]: with neither computing delay nor hold, as `experiment` gives it.
         frequency: lines [Hz], (K,), above 0.
         pressures: responses to cap and rod pressures likewise [Pa per full command]; default zero.
         command_delay: frames from the DCL to the valves.
+        legs_of_axes: legs of a unit along each axis, (n, n), for a law in hydraulic modes; default
+            axes that are the legs.
 
     Raises:
         ValueError: shapes that do not match, a line at 0 Hz, a refused law.
@@ -58,17 +62,30 @@ def closed_loop_response(
         raise ValueError("frequency: must be greater than 0 at every line")
     v = _square("velocity", velocity, f.size)
     s = 2j * np.pi * f[:, None, None]
-    omega = 2.0 * np.pi * f
-    dcl = control.frequency_response(dcl_state_space(law), omega).frdata[0]
-    gain = {name: row[:, None, None] for name, row in zip(DCL_INPUTS, dcl, strict=True)}
+    turn = np.eye(v.shape[1]) if legs_of_axes is None else np.asarray(legs_of_axes, dtype=float)
+    gain = _law_gains(load_law(law), f, turn)
     held = (1.0 - np.exp(-s * FRAME)) / (s * FRAME) * np.exp(-s * FRAME * command_delay)
     late = s * np.exp(-s * FRAME)
-    back = (gain["leg_position"] / s + gain["leg_velocity"] + gain["leg_acceleration"] * late) * v
+    back = (gain["leg_position"] / s + gain["leg_velocity"] + gain["leg_acceleration"] * late) @ v
     if pressures is not None:
         for name, values in zip(("cap_pressure", "rod_pressure"), pressures, strict=True):
-            back = back + gain[name] * _square(name, values, f.size)
-    forward = held * v * gain["reference"] / s
-    return np.asarray(np.linalg.solve(np.eye(v.shape[1]) - held * back, forward))
+            back = back + gain[name] @ _square(name, values, f.size)
+    command = np.linalg.solve(np.eye(v.shape[1]) - held * back, gain["reference"])
+    return np.asarray(held / s * v @ command)
+
+
+def _law_gains(law: Law, frequency: Real, legs_of_axes: Real) -> dict[str, Complex]:
+    """Responses of the DCL along axes from each of its inputs to the command, (K, n, n) each."""
+    axes = legs_of_axes.shape[0]
+    coupled = law.coordinates != "legs"
+    system = dcl_state_space(law, axes if coupled else 1)
+    rows = control.frequency_response(system, 2.0 * np.pi * frequency).frdata
+    if coupled:
+        by_leg = np.split(np.moveaxis(rows, -1, 0), len(DCL_INPUTS), axis=2)
+        parts = [np.linalg.solve(legs_of_axes, part @ legs_of_axes) for part in by_leg]
+    else:
+        parts = [row[:, None, None] * np.eye(axes) for row in rows[0]]
+    return dict(zip(DCL_INPUTS, parts, strict=True))
 
 
 def _square(name: str, values: ArrayLike, lines: int) -> Complex:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj import excitations, units
-from cmf_mj.control.law import Law
+from cmf_mj.control.law import Law, load_law
 from cmf_mj.estimation import sine_response
 from cmf_mj.frequency_response import dof_history
 from cmf_mj.kinematics import DOFS, pose_jacobian
@@ -92,7 +92,7 @@ def loop_between(
     Raises:
         ValueError: another signal, or a law that is refused.
     """
-    loop = closed_loop(law, system)
+    loop = closed_loop(load_law(law).mounted(plant.mounting), system)
     legs = [f"leg_{leg + 1}" for leg in range(plant.legs)]
     if not signal.startswith("leg_"):
         index = dof_index(signal)
@@ -138,7 +138,8 @@ def compare_with_simulation(
     size = amplitude if amplitude is not None else SMALL["rad" if turns else "m"]
     system = linearize(plant, pose, excitation="sine")
     loop = loop_between(plant, system, law, pose, signal)
-    fastest = float(np.abs(closed_loop(law, system).poles()).max())
+    mounted = load_law(law).mounted(plant.mounting)
+    fastest = float(np.abs(closed_loop(mounted, system).poles()).max())
     if fastest > 1.0 + 1e-9:
         raise ValueError(f"law: its loop is unstable there, with a pole at {fastest:.6f}")
     command = excitations.stepped_sines(

@@ -117,6 +117,7 @@ class Session:
         if steps < 1 or abs(steps * step - FRAME) > 1e-12:
             raise ValueError(f"timestep: {step} s must divide the control frame of {FRAME} s")
         self.plant = plant
+        law = None if law is None else law.mounted(plant.mounting)
         self._law = law
         self._events = tuple(events)
         self.frames = table.shape[0] if frames is None else frames
@@ -217,7 +218,7 @@ class Session:
         return {
             **self.plant.describe(),
             "law": law.name if law else "",
-            "law_parameters": law.model_dump() if law else {},
+            "law_parameters": law.model_dump(mode="json") if law else {},
             "law_state": self._begun if law else {},
             "events": [event.model_dump(exclude_none=True) for event in self._events],
             "fault": found,

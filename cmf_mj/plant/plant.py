@@ -125,6 +125,11 @@ class Plant:
         return len(self.actuators)
 
     @property
+    def mounting(self) -> str:
+        """What a law is `mounted` for: the cab, or the plant where there is none."""
+        return self.cab or self.name
+
+    @property
     def sensors(self) -> dict[str, NDArray[np.int64]]:
         """Recorded sensor groups: channel name to indices into MjData.sensordata."""
         return {}

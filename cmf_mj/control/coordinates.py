@@ -1,0 +1,172 @@
+"""Coordinates of a law: the legs themselves, or the hydraulic modes of a cab.
+
+All legs have the oil spring K near neutral, so that the shapes V that diagonalise the reflected
+mass are orthonormal and diagonalise the whole hydraulics,
+
+    M_leg = V diag(m) V^T,    M_leg l'' + K l = F    ->    m_i q_i'' + K q_i = f_i,   q = V^T l,
+
+and valves that are alike stay alike, d = V^T c. A law in *hydraulic modes* reads q = V^T l of
+demand and feedback, runs each mode as it would a leg, and hands c = V d to the valves. Away from
+neutral, with the Jacobian's change, and where valves differ, modes couple again.
+
+Source: modal (decoupled) control of hydraulic hexapods: S. H. Koekebakker, Model based control of a
+flight simulator motion system (2001); A. R. Plummer and P. S. Guinzio, Modal control of an
+electrohydrostatic flight simulator motion system (2009).
+"""
+
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field, model_validator
+
+from cmf_mj import units
+from cmf_mj.compiled import compiled
+from cmf_mj.control.leg_feedback import LegFeedback
+from cmf_mj.settings import Settings
+
+MODES = 6
+"""Hydraulic modes of a hexapod."""
+
+ORTHONORMAL = 1e-8
+"""Largest entry of V^T V - 1 that passes for round-off of a table's ten digits."""
+
+
+def as_tuples(value: Any) -> Any:
+    """TOML's lists as tuples, down to the numbers."""
+    return tuple(as_tuples(v) for v in value) if isinstance(value, list | tuple) else value
+
+
+PerMode = Annotated[
+    float | Annotated[tuple[float, ...], Field(min_length=MODES, max_length=MODES)],
+    BeforeValidator(as_tuples),
+]
+"""One number for all coordinates, or a list of six, a mode each."""
+
+Positive = Annotated[float, Field(gt=0.0)]
+Six = Annotated[tuple[float, ...], Field(min_length=MODES, max_length=MODES)]
+
+
+def is_per_mode(value: object) -> bool:
+    """Whether a setting is a list, which only laws in hydraulic modes may have."""
+    return isinstance(value, tuple)
+
+
+def spread(value: float | tuple[float, ...], count: int) -> NDArray[np.float64]:
+    """A `PerMode` setting as an array, (count,)."""
+    return np.array(np.broadcast_to(np.asarray(value, dtype=float), (count,)))
+
+
+class Modes(Settings):
+    """Hydraulic modes of one cab at neutral, lowest first."""
+
+    source: str = ""
+    """Where they come from."""
+    frequency: Annotated[
+        tuple[Positive, ...],
+        Field(min_length=MODES, max_length=MODES),
+        BeforeValidator(as_tuples),
+    ]
+    """Undamped natural frequencies [Hz]."""
+    mass: Annotated[
+        tuple[Positive, ...],
+        Field(min_length=MODES, max_length=MODES),
+        BeforeValidator(as_tuples),
+    ]
+    """Mass of each mode [lbm]."""
+    shape: Annotated[
+        tuple[Six, ...],
+        Field(min_length=MODES, max_length=MODES),
+        BeforeValidator(as_tuples),
+    ]
+    """V^T, a row a mode: leg motion, orthonormal."""
+
+    @model_validator(mode="after")
+    def _orthonormal(self) -> "Modes":
+        rows = np.array(self.shape)
+        error = float(np.abs(rows @ rows.T - np.eye(MODES)).max())
+        if error > ORTHONORMAL:
+            raise ValueError(
+                f"shape: rows are off orthonormal by {error:.3g}; allowed: {ORTHONORMAL:g}"
+            )
+        return self
+
+
+class Coordinates(NamedTuple):
+    """Compiled map, and room to work in."""
+
+    modal: bool
+    """Whether the law runs in modes; nothing else is used if not."""
+    shape: NDArray[np.float64]
+    """V^T, (n, n)."""
+    limited: NDArray[np.float64]
+    """Leg demands within limits [m], (n,)."""
+    reference: NDArray[np.float64]
+    """The same in coordinates of the law."""
+    integral: NDArray[np.float64]
+    """Error integrals in coordinates of the law [m s]."""
+    target: NDArray[np.float64]
+    """What the errors count from, in coordinates of the law [m]."""
+    asked: NDArray[np.float64]
+    """Commands the plan would like, in coordinates of the law, fractions."""
+    plan: NDArray[np.float64]
+    """Planned commands in coordinates of the law, fractions."""
+    legs: NDArray[np.float64]
+    """Room for leg quantities."""
+    feedback: LegFeedback
+    """Feedback in coordinates of the law."""
+
+
+def make_coordinates(modes: Modes | None, legs: int) -> Coordinates:
+    """Compile the map of a cab's modes; None for the legs themselves.
+
+    Shapes are made orthonormal to round-off, by the nearest such matrix, so that a demand comes
+    back from the modes as it was.
+    """
+    shape = np.eye(legs)
+    if modes is not None:
+        left, _, right = np.linalg.svd(np.array(modes.shape))
+        shape = np.ascontiguousarray(left @ right)
+
+    def room() -> NDArray[np.float64]:
+        return np.zeros(legs)
+
+    return Coordinates(
+        modal=modes is not None,
+        shape=shape,
+        limited=room(),
+        reference=room(),
+        integral=room(),
+        target=room(),
+        asked=room(),
+        plan=room(),
+        legs=room(),
+        feedback=LegFeedback(room(), room(), room(), room(), room()),
+    )
+
+
+def mode_mass(modes: Modes) -> NDArray[np.float64]:
+    """Masses of the modes [kg], (6,)."""
+    return np.array(modes.mass) * units.POUND_MASS
+
+
+@compiled
+def to_modes(coordinates, legs, modes):  # type: ignore[no-untyped-def]
+    """Write q = V^T l."""
+    count = legs.shape[0]
+    for mode in range(count):
+        total = 0.0
+        for leg in range(count):
+            total += coordinates.shape[mode, leg] * legs[leg]
+        modes[mode] = total
+
+
+@compiled
+def to_legs(coordinates, modes, legs):  # type: ignore[no-untyped-def]
+    """Write l = V q."""
+    count = legs.shape[0]
+    for leg in range(count):
+        total = 0.0
+        for mode in range(count):
+            total += coordinates.shape[mode, leg] * modes[mode]
+        legs[leg] = total

@@ -1,0 +1,81 @@
+"""Dynamic load pressure feedback: damping from what the cylinders push, not from what they hold.
+
+    F = A_cap p_cap - A_rod p_rod,    h = F - m a_plan,    output -= K_f (h - z)
+    z[k+1] = z[k] + (1 - e^(-w T)) (h[k] - z[k]),    w = 2 pi corner
+
+The high-pass takes the static load out, which would push the leg off its demand. Of a mode m is
+its mass and a_plan its planned acceleration (`cmf_mj.control.plan`): what the plan needs is not
+damped. Without a plan, a_plan is zero and the block is the field's dynamic pressure feedback.
+
+Source: H. E. Merritt, Hydraulic Control Systems (1967), section 6-6 (dynamic pressure feedback
+valves); J. Watton, Fundamentals of Fluid Power Control (2009), for its electronic form.
+"""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from cmf_mj import units
+from cmf_mj.compiled import compiled
+from cmf_mj.control.coordinates import Modes, PerMode, mode_mass, spread
+from cmf_mj.settings import Settings
+
+BORE, ROD = 5.5 * units.INCH, 3.875 * units.INCH
+"""Diameters of bore and rod [m] (section 2.1)."""
+
+
+class LoadFeedback(Settings):
+    """Gain and corner of dynamic load pressure feedback."""
+
+    gain: PerMode
+    """K_f [%/klbf]."""
+    corner: Annotated[float, Field(gt=0.0, le=50.0)]
+    """Corner of the high-pass [Hz]."""
+
+
+class CompiledLoadFeedback(NamedTuple):
+    """Compiled parameters, SI."""
+
+    active: bool
+    """Whether the law has it."""
+    cap_area: float
+    """A_cap [m^2]."""
+    rod_area: float
+    """A_rod [m^2]."""
+    gain: NDArray[np.float64]
+    """K_f, (n,) [1/N]."""
+    mass: NDArray[np.float64]
+    """m, (n,) [kg]; 0 where the law knows none."""
+    passes: float
+    """1 - e^(-w T)."""
+
+
+def make_load_feedback(
+    settings: LoadFeedback | None, modes: Modes | None, legs: int, frame: float
+) -> CompiledLoadFeedback:
+    """Compile the block; None for none."""
+    mass = np.zeros(legs) if modes is None else mode_mass(modes)
+    cap, rod = 0.25 * np.pi * BORE**2, 0.25 * np.pi * (BORE**2 - ROD**2)
+    if settings is None:
+        return CompiledLoadFeedback(False, cap, rod, np.zeros(legs), mass, 0.0)
+    gain = spread(settings.gain, legs) * units.PERCENT / (1000.0 * units.POUND_FORCE)
+    passes = float(-np.expm1(-2.0 * np.pi * settings.corner * frame))
+    return CompiledLoadFeedback(True, cap, rod, gain, mass, passes)
+
+
+@compiled
+def load(block, mode, feedback, acceleration):  # type: ignore[no-untyped-def]
+    """Force h of one mode [N]; `acceleration` is the planned one."""
+    push = block.cap_area * feedback.cap_pressure[mode]
+    pull = block.rod_area * feedback.rod_pressure[mode]
+    return push - pull - block.mass[mode] * acceleration
+
+
+@compiled
+def damp(block, state, mode, feedback):  # type: ignore[no-untyped-def]
+    """Command of one mode, fraction; the filter moves on."""
+    swing = load(block, mode, feedback, state.model_acceleration[mode]) - state.load_filter[mode]
+    state.load_filter[mode] += block.passes * swing
+    return -block.gain[mode] * swing

@@ -1,0 +1,239 @@
+"""The plan: command and motion from a model of the actuator that never asks for what it has not.
+
+A leg, or a hydraulic mode (`cmf_mj.control.coordinates`), of speed k, drive lag a, valve lag b,
+frequency w and damping ratio z answers to a command u as
+
+    D(d/dt) p = k u,    D(s) = s (1 + s/a) (1 + s/b) (1 + 2 z s/w + s^2/w^2).
+
+The plan runs that model in the law, in its phase variables x = (p, p', .., p''''), under state
+feedback that would give it the response of the chosen poles E(s) r = p, E(0) = 1:
+
+    u = (1/k) [ (d5/e5) (r - sum_j e_j p^(j)) + sum_j d_j p^(j) ],    j = 0 .. 4,
+
+since then p^(5) = (k u - sum d_j p^(j)) / d5 = (r - sum e_j p^(j)) / e5. As long as nothing is
+clamped, u = D E^-1 r / k: feed-forward of velocity, acceleration, jerk and their next two
+derivatives, which inverts both lags and the mode. With the same E for all modes the legs, and so
+all degrees of freedom, answer alike and none drives another.
+
+Planned leg commands are clamped to the `authority`, and the model is advanced by what is left: so
+the plan knows the saturation and leaves the rest of the valve to the feedback. A demand that jumps
+is first turned into a ramp of the `rate`. Where the clamp acts, that reference is set to the one
+which would have asked for the clamped command, r + (u_clamped - u) / N with N = d5 / (e5 k), and
+goes on from there: the reference that the plan can follow (conditioning). Without it the clamped
+state feedback of a mode with two lags may end in a limit cycle.
+
+The model sees its command a frame later, as the plant does. x+ = A x + B u(k - 1) is thus known,
+and the state feedback acts on it. To u are added the gains on what is left of errors from the plan,
+
+    K_p (p - measured) + K_r (p' - measured),
+
+in which K_r is the lead against the drive lag.
+
+Source: a plant model under (saturated) state feedback as feed-forward and reference is the
+structure of two degrees of freedom of G. Kreisselmeier, Automatisierungstechnik 47 (1999) 266-269;
+conditioning: R. Hanus, M. Kinnaert and J.-L. Henrotte, Automatica 23 (1987) 729-739;
+for electrohydraulic servos feed-forward of velocity, acceleration and jerk: M. Jelali and A. Kroll,
+Hydraulic Servo-systems (2003); I. Davliakos and E. Papadopoulos, Mechanism and Machine Theory 43
+(2008), for hexapods.
+"""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field
+from scipy import signal
+
+from cmf_mj import units
+from cmf_mj.compiled import compiled
+from cmf_mj.control.coordinates import (
+    Modes,
+    PerMode,
+    Positive,
+    as_tuples,
+    spread,
+    to_legs,
+    to_modes,
+)
+from cmf_mj.settings import Settings
+
+ORDER = 5
+"""Order of the model."""
+
+_NYQUIST = Field(gt=0.0, le=200.0)
+
+
+class Plan(Settings):
+    """A model of the actuator, the response it is to have, and the gains on errors from it."""
+
+    speed: Positive
+    """Leg speed per command k [in/s/%]."""
+    drive_lag: Annotated[float, _NYQUIST]
+    """Corner a of the servo drive [Hz]."""
+    valve_lag: Annotated[float, _NYQUIST]
+    """Corner b of the spool [Hz]."""
+    leak_rate: Annotated[float, Field(ge=0.0)] = 0.0
+    """Rate 2 z w at which leakage relaxes a force [1/s]."""
+    frequency: Annotated[float, _NYQUIST] | None = None
+    """w of a leg [Hz], for laws in leg coordinates; modes have their own."""
+    pairs: Annotated[
+        tuple[tuple[Annotated[float, _NYQUIST], Positive], ...],
+        Field(min_length=2, max_length=2),
+        BeforeValidator(as_tuples),
+    ]
+    """Two pole pairs of E: natural frequency [Hz] and damping ratio."""
+    pole: Annotated[float, _NYQUIST]
+    """Real pole of E [Hz]."""
+    rate: PerMode
+    """Fastest reference [in/s]."""
+    authority: Annotated[float, Field(gt=0.0, le=100.0)]
+    """Largest planned leg command [%]."""
+    position: PerMode = 0.0
+    """K_p [%/in]."""
+    velocity: PerMode = 0.0
+    """K_r [%/(in/s)]."""
+
+
+class CompiledPlan(NamedTuple):
+    """Compiled parameters, SI; arrays by coordinate."""
+
+    active: bool
+    """Whether the law has a plan; nothing else is used if not."""
+    transition: NDArray[np.float64]
+    """A, (n, 5, 5)."""
+    input: NDArray[np.float64]
+    """B, (n, 5)."""
+    feedback: NDArray[np.float64]
+    """K of u = N r - K x, (n, 5)."""
+    forward: NDArray[np.float64]
+    """N, (n,) [1/m]."""
+    slope: NDArray[np.float64]
+    """Largest change of the reference in a frame, (n,) [m]."""
+    authority: float
+    """Largest planned leg command, fraction."""
+    position_gain: NDArray[np.float64]
+    """K_p, (n,) [1/m]."""
+    velocity_gain: NDArray[np.float64]
+    """K_r, (n,) [s/m]."""
+
+
+def actuator_polynomial(plan: Plan, frequency: float) -> NDArray[np.float64]:
+    """D, ascending powers of s, of a leg or mode of this undamped frequency [rad/s]."""
+    found = np.array([0.0, 1.0])
+    for corner in (plan.drive_lag, plan.valve_lag):
+        found = np.convolve(found, [1.0, 1.0 / (2.0 * np.pi * corner)])
+    return np.convolve(found, [1.0, plan.leak_rate / frequency**2, 1.0 / frequency**2])
+
+
+def response_polynomial(plan: Plan) -> NDArray[np.float64]:
+    """E, ascending powers of s."""
+    found = np.array([1.0, 1.0 / (2.0 * np.pi * plan.pole)])
+    for natural, damping in plan.pairs:
+        omega = 2.0 * np.pi * natural
+        found = np.convolve(found, [1.0, 2.0 * damping / omega, 1.0 / omega**2])
+    return found
+
+
+def make_plan(plan: Plan | None, modes: Modes | None, legs: int, frame: float) -> CompiledPlan:
+    """Compile a plan for legs, or the modes of a cab; None for none."""
+    empty = np.zeros((legs, ORDER))
+    none = np.zeros(legs)
+    if plan is None:
+        square = np.zeros((legs, ORDER, ORDER))
+        return CompiledPlan(False, square, empty, empty, none, none, 0.0, none, none)
+    hertz = np.full(legs, plan.frequency) if modes is None else np.array(modes.frequency)
+    speed = plan.speed * units.INCH / units.PERCENT
+    wanted = response_polynomial(plan)
+    transitions, inputs, feedbacks, forwards = [], [], [], []
+    for omega in 2.0 * np.pi * hertz:
+        own = actuator_polynomial(plan, omega)
+        a, b = np.diag(np.ones(ORDER - 1), 1), np.zeros((ORDER, 1))
+        a[-1], b[-1] = -own[:ORDER] / own[ORDER], speed / own[ORDER]
+        held = (a, b, np.eye(ORDER), np.zeros((ORDER, 1)))
+        a, b, *_ = signal.cont2discrete(held, frame, method="zoh")
+        share = own[ORDER] / wanted[ORDER]
+        transitions.append(a)
+        inputs.append(b[:, 0])
+        feedbacks.append((share * wanted[:ORDER] - own[:ORDER]) / speed)
+        forwards.append(share / speed)
+    scale = units.PERCENT / units.INCH
+    return CompiledPlan(
+        active=True,
+        transition=np.array(transitions),
+        input=np.array(inputs),
+        feedback=np.array(feedbacks),
+        forward=np.array(forwards),
+        slope=spread(plan.rate, legs) * units.INCH * frame,
+        authority=plan.authority * units.PERCENT,
+        position_gain=spread(plan.position, legs) * scale,
+        velocity_gain=spread(plan.velocity, legs) * scale,
+    )
+
+
+@compiled
+def _advanced(plan, state, mode, row):  # type: ignore[no-untyped-def]
+    """A derivative of the planned position a frame ahead."""
+    weights = plan.transition[mode, row]
+    return (
+        weights[0] * state.model_position[mode]
+        + weights[1] * state.model_velocity[mode]
+        + weights[2] * state.model_acceleration[mode]
+        + weights[3] * state.model_jerk[mode]
+        + weights[4] * state.model_snap[mode]
+        + plan.input[mode, row] * state.model_command[mode]
+    )
+
+
+@compiled
+def ask(plan, state, mode, reference):  # type: ignore[no-untyped-def]
+    """Command that the plan would like of one mode, fraction; its reference moves on."""
+    before, most = state.model_reference[mode], plan.slope[mode]
+    moved = before + min(max(reference - before, -most), most)
+    state.model_reference[mode] = moved
+    wanted = plan.forward[mode] * moved
+    for row in range(ORDER):
+        wanted -= plan.feedback[mode, row] * _advanced(plan, state, mode, row)
+    return wanted
+
+
+@compiled
+def bounded(plan, coordinates, commands):  # type: ignore[no-untyped-def]
+    """Clamp planned commands (n,), in coordinates of the law, to the authority of each leg."""
+    legs = coordinates.legs
+    if coordinates.modal:
+        to_legs(coordinates, commands, legs)
+    else:
+        legs[:] = commands
+    beyond = False
+    for leg in range(legs.shape[0]):
+        beyond = beyond or abs(legs[leg]) > plan.authority
+        legs[leg] = min(max(legs[leg], -plan.authority), plan.authority)
+    if beyond and coordinates.modal:
+        to_modes(coordinates, legs, commands)
+    elif beyond:
+        commands[:] = legs
+
+
+@compiled
+def correct(plan, state, mode, feedback):  # type: ignore[no-untyped-def]
+    """Command for what the mode has of errors from the plan, fraction."""
+    error = state.model_position[mode] - feedback.position[mode]
+    rate = state.model_velocity[mode] - feedback.velocity[mode]
+    return plan.position_gain[mode] * error + plan.velocity_gain[mode] * rate
+
+
+@compiled
+def advance(plan, state, mode, asked, command):  # type: ignore[no-untyped-def]
+    """Move the plan of one mode on by a frame; `command`, left of `asked`, acts a frame later."""
+    state.model_reference[mode] += (command - asked) / plan.forward[mode]
+    position = _advanced(plan, state, mode, 0)
+    velocity = _advanced(plan, state, mode, 1)
+    acceleration = _advanced(plan, state, mode, 2)
+    jerk = _advanced(plan, state, mode, 3)
+    snap = _advanced(plan, state, mode, 4)
+    state.model_position[mode] = position
+    state.model_velocity[mode] = velocity
+    state.model_acceleration[mode] = acceleration
+    state.model_jerk[mode] = jerk
+    state.model_snap[mode] = snap
+    state.model_command[mode] = command

@@ -1,0 +1,1 @@
+"""Tuning: search of gains on linear plants of all cabs at once."""

@@ -1,0 +1,128 @@
+"""Run laws through the simulation over cabs, degrees of freedom and valve gains; write a table.
+
+`trials.csv` has a row for each run pair of chirp and step, `worst.md` the worst over valve gains,
+`crosstalk.csv` the largest cross-talk of each law and cab.
+"""
+
+import argparse
+import csv
+from pathlib import Path
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from cmf_mj import load_law, units
+from cmf_mj.kinematics import DOFS
+from cmf_mj.loop.electronics import ElectronicsSettings
+from cmf_mj.tuning.confirmation import Outcome, Trial, crosstalk, run_trial
+from cmf_mj.tuning.nominal import CABS
+
+HEADER = (
+    "law,cab,dof,seed,pose,scale,quick,noise,phase_hz,gain_hz,peak_db,damping_ratio,overshoot,"
+    "stable,clamped"
+)
+
+
+def row(outcome: Outcome) -> list[object]:
+    """One line of `trials.csv`."""
+    trial, widths, step = outcome.trial, outcome.bandwidths, outcome.step
+    numbers = (*widths, step.damping_ratio, step.overshoot)
+    pose = " ".join(f"{value:.4g}" for value in trial.pose)
+    told = (trial.seed, pose, trial.scale, trial.quick, trial.electronics is not None)
+    measures = [f"{value:.4f}" for value in numbers]
+    return [
+        trial.law.name,
+        trial.cab,
+        trial.dof,
+        *told,
+        *measures,
+        step.stable,
+        f"{outcome.clamped:.4f}",
+    ]
+
+
+def worst(outcomes: list[Outcome]) -> str:
+    """Worst of each law, degree of freedom and cab over all other choices."""
+    lines = ["| law | dof | cab | -90 | -3 dB | peak | overshoot | zeta |", "| --- " * 8 + "|"]
+    groups: dict[tuple[str, str, str], list[Outcome]] = {}
+    for one in outcomes:
+        groups.setdefault((one.trial.law.name, one.trial.dof, one.trial.cab), []).append(one)
+    for key, members in groups.items():
+        phase, gain, peak = np.array([member.bandwidths for member in members]).T
+        over = max(member.step.overshoot for member in members)
+        zeta = np.nanmin([member.step.damping_ratio for member in members])
+        stable = all(member.step.stable for member in members)
+        widest = "> 10" if np.isnan(gain).all() else f"{np.nanmin(gain):.2f}"
+        damping = f"{zeta:.2f}" if stable else "unstable"
+        lines.append(
+            f"| {' | '.join(key)} | {phase.min():.2f} | {widest} | {peak.max():.1f} "
+            f"| {100.0 * over:.0f} % | {damping} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def numbers(text: str) -> list[float]:
+    """Numbers of a comma-separated option."""
+    return [float(part) for part in text.split(",")]
+
+
+def pose_of(text: str) -> tuple[float, ...]:
+    """A pose in in and deg, SI."""
+    values = numbers(text)
+    return tuple(units.to_si("in" if i < 3 else "deg", v) for i, v in enumerate(values))
+
+
+def main() -> None:
+    """Run the trials."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--laws", default="modal_plan")
+    parser.add_argument("--cabs", default=",".join(CABS))
+    parser.add_argument("--dofs", default=",".join(DOFS))
+    parser.add_argument("--seeds", default="1,2", help="of valve gains; 0 for the nominal ones")
+    parser.add_argument("--pose", default="0,0,0,0,0,0", help="in and deg, z down")
+    parser.add_argument("--scales", default="1", help="amplitudes over the report's")
+    parser.add_argument("--quick", action="store_true", help="sweep in 30 s")
+    parser.add_argument("--noise", action="store_true", help="sensors and electronics with noise")
+    parser.add_argument("--crosstalk", action="store_true", help="measure cross-talk, first seed")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=Path("out/confirm"))
+    options = parser.parse_args()
+    seeds = [int(part) or None for part in options.seeds.split(",")]
+    laws = [load_law(name) for name in options.laws.split(",")]
+    cabs, electronics = options.cabs.split(","), ElectronicsSettings() if options.noise else None
+    trials = [
+        Trial(law, cab, dof, seed, pose_of(options.pose), scale, options.quick, electronics)
+        for law in laws
+        for dof in filter(None, options.dofs.split(","))
+        for cab in cabs
+        for seed in seeds
+        for scale in numbers(options.scales)
+    ]
+    options.out.mkdir(parents=True, exist_ok=True)
+    pool = Parallel(n_jobs=options.jobs, backend="threading", return_as="generator")
+    outcomes = []
+    with (options.out / "trials.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(HEADER.split(","))
+        for outcome in pool(delayed(run_trial)(trial) for trial in trials):
+            writer.writerow(row(outcome))
+            file.flush()
+            outcomes.append(outcome)
+    if outcomes:
+        (options.out / "worst.md").write_text(worst(outcomes), encoding="utf-8")
+    if options.crosstalk:
+        cases = [(law, cab) for law in laws for cab in cabs]
+        measured = Parallel(n_jobs=options.jobs, backend="threading")(
+            delayed(crosstalk)(law, cab, seeds[0]) for law, cab in cases
+        )
+        with (options.out / "crosstalk.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(["law", "cab", "driven", *DOFS])
+            for (law, cab), shares in zip(cases, measured, strict=True):
+                for driven, line in zip(DOFS, shares, strict=True):
+                    writer.writerow([law.name, cab, driven, *(f"{v:.4f}" for v in line)])
+    print(f"{len(outcomes)} trials; written to {options.out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,122 @@
+"""The search of gains, its files and commands, and what the shipped law keeps in the simulation."""
+
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cmf_mj import load_law, models
+from cmf_mj.cli import app
+from cmf_mj.kinematics import DOFS
+from cmf_mj.plant import Hexapod, Plant
+from cmf_mj.tuning.confirmation import Trial, run_trial
+from cmf_mj.tuning.evaluation import evaluate, linear_cab
+from cmf_mj.tuning.files import law_text, save_law
+from cmf_mj.tuning.nominal import nominal_modes
+from cmf_mj.tuning.search import FREE, START, Limits, candidate, make_template, search
+
+SCRIPTS = Path(__file__).parent.parent / "scripts"
+
+
+@pytest.mark.parametrize(("cab", "dof"), [("ifd", "sway"), ("ifd", "pitch"), ("gfd", "heave")])
+def test_the_shipped_law_keeps_the_targets_with_valves_off(cab: str, dof: str) -> None:
+    """-90 deg >= 5 Hz, peak <= 3 dB, damping ratio >= 0.4, valve gains within 10 % at random."""
+    found = run_trial(Trial(load_law("modal_plan"), cab, dof, seed=1, quick=True))
+    assert found.step.stable
+    assert found.bandwidths.phase_hz >= 5.0
+    assert found.bandwidths.peak_db <= 3.0
+    assert found.step.overshoot <= 0.25
+    assert not found.step.damping_ratio < 0.4  # NaN without an overshoot
+
+
+def test_the_linear_plants_say_what_the_simulation_does() -> None:
+    """Sway with the heaviest cab: -90 deg within 6 %, peak within 1 dB."""
+    law = load_law("modal_plan")
+    worth = evaluate(law, [linear_cab(Hexapod("ifd"))], (1,))
+    found = run_trial(Trial(law, "ifd", "sway", seed=1, quick=True))
+    sway = DOFS.index("sway")
+    assert found.bandwidths.phase_hz == pytest.approx(worth.phase_hz[0, 0, sway], rel=0.06)
+    assert found.bandwidths.peak_db == pytest.approx(worth.peak_db[0, 0, sway], abs=1.0)
+
+
+def test_a_search_repeats_and_its_file_is_the_law(tmp_path: Path) -> None:
+    template = make_template("mine", "Mine", ("gfd",))
+    first, second = (search(template, seeds=(None,), evaluations=1) for _ in range(2))
+    assert first.law == second.law and first.evaluations == 12
+    begun = evaluate(candidate(template, START), template.cabs, (None,))
+    assert first.worth.phase_hz.min() > 0.95 * begun.phase_hz.min()
+    path = save_law(first.law, tmp_path / "laws" / "mine.toml", "By a test.")
+    back = load_law(path)
+    assert back.plan == first.law.plan and back.load_feedback == first.law.load_feedback
+    assert law_text(back) == law_text(load_law(save_law(back, path)))
+    assert [p.name for p in path.parent.iterdir()] == ["mine.toml"]
+    for value, (low, high) in zip(START, FREE.values(), strict=True):
+        assert low <= value <= high
+
+
+def test_limits_cost(tmp_path: Path) -> None:
+    """A law that breaks the limits costs more than the same with wider ones."""
+    template = make_template("mine", "Mine", ("ifd",))
+    tight = search(template, Limits(peak_db=-1.0, overshoot=-0.2), seeds=(None,), evaluations=1)
+    wide = search(template, Limits(9.0, 9.0, 9.0, 99.0), seeds=(None,), evaluations=1)
+    assert tight.cost > 0.0 > wide.cost
+
+
+def test_bad_requests_are_named() -> None:
+    template = make_template("mine", "Mine", ("gfd",))
+    with pytest.raises(ValueError, match="evaluations: 0 must be at least 1"):
+        search(template, evaluations=0)
+    excavator = Plant.__new__(Plant)
+    excavator.name, excavator.actuators = "excavator", ("boom", "stick")
+    with pytest.raises(ValueError, match="excavator has 2 legs; hydraulic modes need 6"):
+        nominal_modes(excavator)
+    assert models.cab_path("gfd").is_file()
+
+
+def test_tune_command(tmp_path: Path) -> None:
+    out = tmp_path / "law.toml"
+    arguments = ["tune", "--cabs", "gfd", "--evaluations", "1", "--out", str(out)]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert "--evaluations 1 --seed 1" in load_law(out).source
+
+
+@pytest.mark.parametrize(
+    ("script", "arguments", "written"),
+    [
+        (
+            "confirm_laws.py",
+            "--cabs gfd --dofs heave --seeds 0 --quick --crosstalk --jobs 1 --out",
+            ("trials.csv", "worst.md", "crosstalk.csv"),
+        ),
+        (
+            "pareto_laws.py",
+            "--cabs gfd --limits 2:18 --evaluations 1 --out",
+            ("front.csv", "pareto.png"),
+        ),
+    ],
+)
+def test_scripts(
+    script: str,
+    arguments: str,
+    written: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "argv", [script, *arguments.split(), str(tmp_path)])
+    runpy.run_path(str(SCRIPTS / script), run_name="__main__")
+    for name in written:
+        assert (tmp_path / name).stat().st_size > 50
+
+
+def test_ablation_script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "ablation.md"
+    monkeypatch.setattr(sys, "argv", ["ablate", "--cabs", "gfd", "--out", str(out)])
+    runpy.run_path(str(SCRIPTS / "ablate_modal_law.py"), run_name="__main__")
+    cells = [line.split("|") for line in out.read_text(encoding="utf-8").splitlines()[2:]]
+    phase = {row[1].strip(): float(row[2]) for row in cells}
+    assert phase["all of it"] > 2.0 * phase["without feed-forward"]
+    assert np.isfinite(list(phase.values())).all()
