@@ -1,5 +1,6 @@
 """Scenarios: runs as files, live runs that can be changed, and files of what was done live."""
 
+from cmf_mj.scenario.library import find_scenario, scenario_names
 from cmf_mj.scenario.run import Live, ScenarioRun, make_plant, run_scenario
 from cmf_mj.scenario.settings import (
     Change,
@@ -32,11 +33,13 @@ __all__ = [
     "Signal",
     "VideoChoice",
     "change_of",
+    "find_scenario",
     "load_scenario",
     "make_plant",
     "read_scenario",
     "run_scenario",
     "save_scenario",
+    "scenario_names",
     "scenario_of",
     "scenario_toml",
 ]
