@@ -27,7 +27,7 @@ PACKAGES = (
     "or libosmesa6 (MUJOCO_GL=osmesa)"
 )
 
-_SHADOWS = 2048
+_SHADOWS = 4096
 """Shadow map at most [texels]."""
 
 _FINER = 2
