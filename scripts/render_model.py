@@ -1,7 +1,6 @@
-"""Render the machine with one of its cabs, or the excavator, to a PNG file, off-screen.
+"""Render the machine with one of its cabs, or the excavator, to PNG, or its motion to MP4 or GIF.
 
-Off-screen rendering needs an OpenGL back end; without a display set MUJOCO_GL=egl or
-MUJOCO_GL=osmesa.
+Off-screen: without a display EGL and then OSMesa are tried, unless MUJOCO_GL names one.
 """
 
 import argparse
@@ -12,6 +11,11 @@ import mujoco
 
 from cmf_mj import models
 from cmf_mj.plant.hexapod import hexapod_spec
+from cmf_mj.scenario import find_scenario, run_scenario
+from cmf_mj.watching import FilmSettings, Stage, film
+
+_MOTION = FilmSettings(fps=10, width=400, height=270, strip=130)
+"""Small enough for a README."""
 
 
 def main() -> None:
@@ -19,23 +23,31 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--cab", choices=models.CABS, default="gfd", help="default: %(default)s")
     parser.add_argument("--excavator", action="store_true", help="draw the excavator instead")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE.png")
+    parser.add_argument(
+        "--motion", metavar="SCENARIO", help="film this scenario instead, shipped or a TOML file"
+    )
+    parser.add_argument("--seconds", type=float, default=6.0, help="of it; default: %(default)s")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE")
     parser.add_argument("--camera", default="overview", help="overview, side or front (hexapod)")
     parser.add_argument("--width", type=int, default=1280, help="pixels, at most 1920")
     parser.add_argument("--height", type=int, default=720, help="pixels, at most 1080")
     arguments = parser.parse_args()
 
-    if arguments.excavator:
-        model = mujoco.MjModel.from_xml_path(str(models.excavator_path()))
+    if arguments.motion is not None:
+        shown = find_scenario(arguments.motion)
+        changes = {"cab": arguments.cab, "duration": arguments.seconds, "record_every": 8}
+        record = run_scenario(shown.model_copy(update=changes))
+        film([record], arguments.out, _MOTION, titles=[shown.title])
     else:
-        model = hexapod_spec(arguments.cab).compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    with mujoco.Renderer(model, height=arguments.height, width=arguments.width) as renderer:
-        renderer.update_scene(data, camera=arguments.camera)
-        pixels = renderer.render()
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    matplotlib.image.imsave(arguments.out, pixels)
+        if arguments.excavator:
+            model = mujoco.MjModel.from_xml_path(str(models.excavator_path()))
+        else:
+            model = hexapod_spec(arguments.cab).compile()
+        data = mujoco.MjData(model)
+        with Stage(model, arguments.width, arguments.height, arguments.camera) as stage:
+            pixels = stage.picture(data.qpos)
+        arguments.out.parent.mkdir(parents=True, exist_ok=True)
+        matplotlib.image.imsave(arguments.out, pixels)
     print(arguments.out)
 
 

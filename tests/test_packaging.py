@@ -16,6 +16,11 @@ for cab in cmf_mj.models.CABS:
     plant = cmf_mj.Hexapod(cab)
 record = cmf_mj.simulate(plant, "velocity", np.zeros((20, 6)))
 assert record["leg_position"].shape == (20, 6)
+from cmf_mj.scenario import ScenarioRun, find_scenario, scenario_names
+assert len(scenario_names()) >= 12
+run = ScenarioRun(find_scenario("heave_sine"))
+run.advance(20)
+assert run.latest().time == 20 / 2048
 print(len(cmf_mj.law_names()))
 """
 

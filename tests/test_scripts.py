@@ -10,6 +10,7 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
+from PIL import Image
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 
@@ -78,6 +79,17 @@ def test_render_model_draws_each_machine(model: list[str], tmp_path: Path) -> No
     picture = matplotlib.image.imread(tmp_path / "machine.png")
     assert picture.shape[:2] == (240, 320)
     assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
+
+
+def test_render_model_films_a_scenario(tmp_path: Path) -> None:
+    """Half a second at ten pictures a second, and they differ."""
+    arguments = ("--motion", "tour", "--seconds", "0.5", "--out", "motion.gif")
+    run("render_model.py", *arguments, cwd=tmp_path)
+    with Image.open(tmp_path / "motion.gif") as film:
+        assert film.n_frames == 5
+        first = np.asarray(film.convert("RGB")).astype(int)
+        film.seek(4)
+        assert np.abs(np.asarray(film.convert("RGB")).astype(int) - first).max() > 60
 
 
 def test_show_limits_draws_its_figure(tmp_path: Path) -> None:

@@ -12,7 +12,9 @@ from cmf_mj.cli import (
     mapping,
     measuring,
     operating,
+    running,
     tuning,
+    watching,
 )
 from cmf_mj.cli.common import app
 
@@ -29,7 +31,9 @@ __all__ = [
     "mapping",
     "measuring",
     "operating",
+    "running",
     "tuning",
+    "watching",
 ]
 
 
