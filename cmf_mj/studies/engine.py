@@ -1,0 +1,151 @@
+"""The engine: runs the cases of a study that have no result yet, on threads, processes or Dask.
+
+Results are the same bits whatever runs them, and stand in the order of the cases. The process that
+was asked keeps the journal; workers only compute, so they need no shared disk. A case that fails is
+a row with its error. A worker that dies takes no result with it: its cases run again, and one that
+kills its worker every time is a row with an error too.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import pyarrow as pa
+from joblib import Parallel, delayed, parallel_config
+
+from cmf_mj.studies.evaluation import StudyRow, evaluate, failed
+from cmf_mj.studies.journal import Journal
+from cmf_mj.studies.settings import Study, StudyCase
+
+Backend = Literal["threading", "loky", "dask"]
+"""Threads, for compiled simulation releases the interpreter lock; processes; a Dask cluster."""
+
+DEATHS = 3
+"""Times in a row that workers may die before the cases are run one by one."""
+
+
+class WorkerDied(RuntimeError):
+    """The process that ran a case ended: killed, out of memory, or crashed."""
+
+
+def attempt(case: StudyCase) -> tuple[int, list[StudyRow]]:
+    """Run a case; what it raises becomes its row."""
+    try:
+        return case.number, evaluate(case)
+    except Exception as error:  # whatever it is, the study goes on
+        return case.number, [failed(error)]
+
+
+def run_study(
+    study: Study,
+    folder: str | Path,
+    *,
+    jobs: int = 1,
+    backend: Backend = "loky",
+    scheduler: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> pa.Table:
+    """Run what is left of a study.
+
+    Args:
+        study: of `load_study`.
+        folder: of the study; what is finished there is not run again.
+        jobs: threads or processes; with a Dask scheduler, its workers decide.
+        backend: what runs the cases.
+        scheduler: address of a running Dask scheduler; default a local cluster of `jobs` workers.
+        progress: called with (cases done, cases in all) at the start and after each case.
+
+    Returns:
+        All rows, in the order of the cases; also written to `results.parquet`.
+
+    Raises:
+        ValueError: an argument out of range, or a folder with another study.
+        ModuleNotFoundError: `dask` without the extra `cluster`.
+    """
+    if jobs < 1:
+        raise ValueError(f"jobs: {jobs} must be at least 1")
+    if backend not in get_args(Backend):
+        raise ValueError(f"backend: {backend!r} is not one of {', '.join(get_args(Backend))}")
+    if scheduler is not None and backend != "dask":
+        raise ValueError(f"scheduler: {scheduler} needs the backend dask, not {backend}")
+    journal = Journal(Path(folder), study)
+    total = len(study.cases)
+
+    def keep(number: int, rows: Sequence[StudyRow]) -> None:
+        journal.add(number, rows)
+        if progress is not None:
+            progress(len(journal.found), total)
+
+    if progress is not None:
+        progress(len(journal.found), total)
+    if journal.pending:
+        with _workers(backend, jobs, scheduler) as count:
+            _run_all(journal, count, keep)
+    return journal.consolidate()
+
+
+def _run_all(journal: Journal, jobs: int, keep: Callable[[int, Sequence[StudyRow]], None]) -> None:
+    deaths = 0
+    while journal.pending:
+        before = len(journal.found)
+        alone = deaths >= DEATHS
+        cases = journal.pending[:1] if alone else journal.pending
+        try:
+            for number, rows in _results(cases, jobs):
+                keep(number, rows)
+            deaths = 0
+        except _deaths() as error:
+            if alone:
+                told = WorkerDied(f"its worker died {DEATHS + 1} times: {type(error).__name__}")
+                keep(cases[0].number, [failed(told)])
+            deaths = 0 if len(journal.found) > before and not alone else deaths + 1
+
+
+def _results(cases: list[StudyCase], jobs: int) -> Iterator[tuple[int, list[StudyRow]]]:
+    pool = Parallel(
+        n_jobs=jobs, batch_size=1, pre_dispatch="2*n_jobs", return_as="generator_unordered"
+    )
+    yield from pool(delayed(attempt)(case) for case in cases)
+
+
+def _deaths() -> tuple[type[BaseException], ...]:
+    """What joblib raises where a worker dies."""
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    found: tuple[type[BaseException], ...] = (TerminatedWorkerError,)
+    try:
+        from distributed.client import FutureCancelledError
+        from distributed.scheduler import KilledWorker
+    except ModuleNotFoundError:
+        return found
+    return (*found, KilledWorker, FutureCancelledError)
+
+
+@contextmanager
+def _workers(backend: Backend, jobs: int, scheduler: str | None) -> Iterator[int]:
+    """Choose what runs joblib's tasks; gives their number."""
+    with ExitStack() as stack:
+        options: dict[str, Any] = {}
+        if backend == "dask":
+            client = stack.enter_context(_client(jobs, scheduler))
+            jobs = max(1, sum(client.nthreads().values()))
+            options["client"] = client
+        elif backend == "loky":
+            options["inner_max_num_threads"] = 1
+        stack.enter_context(parallel_config(backend=backend, n_jobs=jobs, **options))
+        yield jobs
+
+
+def _client(jobs: int, scheduler: str | None) -> Any:
+    try:
+        from distributed import Client
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "distributed: is not installed; pip install 'cmf-mj[cluster]'"
+        ) from error
+    if scheduler is not None:
+        return Client(scheduler)
+    return Client(
+        n_workers=jobs, threads_per_worker=1, processes=True, dashboard_address=None
+    )
