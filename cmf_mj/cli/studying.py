@@ -11,9 +11,7 @@ from cmf_mj.studies.engine import Backend, run_study
 from cmf_mj.studies.settings import load_study
 
 Jobs = Annotated[int, typer.Option(help="processes or threads")]
-Laws = Annotated[
-    str | None, typer.Option(help="laws instead of the study's, by name or TOML file")
-]
+Laws = Annotated[str | None, typer.Option(help="laws instead of the study's, by name or TOML file")]
 Workers = Annotated[Backend, typer.Option(help="threading, loky (processes) or dask")]
 Address = Annotated[str | None, typer.Option(help="address of a running Dask scheduler")]
 

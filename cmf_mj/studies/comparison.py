@@ -213,9 +213,7 @@ def chirp_and_step(
     return first, second
 
 
-def sweep_measures(
-    sweep: Record, *, quick: bool
-) -> tuple[FrequencyResponse | None, Bandwidths]:
+def sweep_measures(sweep: Record, *, quick: bool) -> tuple[FrequencyResponse | None, Bandwidths]:
     """Response and bandwidths of a chirp; None and NaN where no platform joins the legs any more.
 
     Single legs can swing that far apart; the verdict on the step then says unstable.

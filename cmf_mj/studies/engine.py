@@ -26,6 +26,10 @@ DEATHS = 3
 """Times in a row that workers may die before the cases are run one by one."""
 
 
+Work = Callable[[Sequence[StudyCase]], list[tuple[int, list[StudyRow]]]]
+"""What a worker does with cases."""
+
+
 class WorkerDied(RuntimeError):
     """The process that ran a case ended: killed, out of memory, or crashed."""
 
@@ -107,7 +111,9 @@ def _run_all(journal: Journal, jobs: int, keep: Callable[[int, Sequence[StudyRow
             deaths = 0 if len(journal.found) > before and not alone else deaths + 1
 
 
-def _results(cases: list[StudyCase], jobs: int) -> Iterator[tuple[int, list[StudyRow]]]:
+def _results(
+    cases: list[StudyCase], jobs: int, work: Work = attempt
+) -> Iterator[tuple[int, list[StudyRow]]]:
     """What cases give, as they finish.
 
     The laws of a machine that is linearised go to one worker together: it linearises once.
@@ -116,7 +122,7 @@ def _results(cases: list[StudyCase], jobs: int) -> Iterator[tuple[int, list[Stud
     pool = Parallel(
         n_jobs=jobs, batch_size=1, pre_dispatch="2*n_jobs", return_as="generator_unordered"
     )
-    for results in pool(delayed(attempt)(group) for group in together):
+    for results in pool(delayed(work)(group) for group in together):
         yield from results
 
 
@@ -163,6 +169,4 @@ def _client(jobs: int, scheduler: str | None) -> Any:
         ) from error
     if scheduler is not None:
         return Client(scheduler)
-    return Client(
-        n_workers=jobs, threads_per_worker=1, processes=True, dashboard_address=None
-    )
+    return Client(n_workers=jobs, threads_per_worker=1, processes=True, dashboard_address=None)

@@ -109,9 +109,7 @@ def evaluate(case: StudyCase) -> list[StudyRow]:
     errors: dict[str, NDArray[np.float64]] = {}
     if case.draw != NOMINAL:
         own = case.study
-        drawn = own.mismatch.draw_hydraulics(
-            case.hydraulics, plant.actuators, own.seed, case.draw
-        )
+        drawn = own.mismatch.draw_hydraulics(case.hydraulics, plant.actuators, own.seed, case.draw)
         plant = rung.build(case.cab, drawn)
         errors = own.mismatch.draw_gain_errors(plant.legs, own.seed, case.draw)
     method = {"sweep": _sweep, "linear": _linear, "matrix": _matrix}[case.method]
@@ -148,9 +146,7 @@ def _step_measures(record: Record) -> tuple[bool, tuple[float, float, float]]:
     return found.stable, (found.overshoot, found.damping_ratio, found.steady_state_error)
 
 
-def _sweep(
-    case: StudyCase, plant: Plant, errors: dict[str, NDArray[np.float64]]
-) -> list[StudyRow]:
+def _sweep(case: StudyCase, plant: Plant, errors: dict[str, NDArray[np.float64]]) -> list[StudyRow]:
     rung, quick = rung_named(case.rung), case.study.quick
     sweep, step = chirp_and_step(
         plant,

@@ -47,7 +47,5 @@ def mean(values: ArrayLike) -> Interval:
         return Interval(middle, float("nan"), float("nan"), found.size)
     if np.ptp(found) == 0.0:
         return Interval(middle, middle, middle, found.size)
-    low, high = stats.t.interval(
-        LEVEL, found.size - 1, loc=middle, scale=float(stats.sem(found))
-    )
+    low, high = stats.t.interval(LEVEL, found.size - 1, loc=middle, scale=float(stats.sem(found)))
     return Interval(middle, float(low), float(high), found.size)

@@ -144,9 +144,7 @@ def _ends_a_line(path: Path) -> bool:
         return file.read(1) == b"\n"
 
 
-def _differences(
-    there: Mapping[str, Any], here: Mapping[str, Any], before: str = ""
-) -> list[str]:
+def _differences(there: Mapping[str, Any], here: Mapping[str, Any], before: str = "") -> list[str]:
     """Paths of the entries that differ, at most two levels deep."""
     found = []
     for name in sorted(set(there) | set(here)):

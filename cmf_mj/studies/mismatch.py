@@ -47,7 +47,7 @@ class Spread(Settings):
     """Where it comes from, or why it was chosen."""
 
     def sample(self, generator: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.float64]:
-        """x of some parts."""
+        """X of some parts."""
         size = 0.01 * self.deviation
         if self.distribution == "uniform":
             return generator.uniform(-size, size, shape)
@@ -84,9 +84,7 @@ class Mismatch(Settings):
                     f"mismatch.sensor_gains: {name!r} is not one of {', '.join(LEG_CHANNELS)}"
                 )
             if spread.per != "actuator" or spread.effect != "factor":
-                raise ValueError(
-                    f"mismatch.sensor_gains.{name}: must be a factor per actuator"
-                )
+                raise ValueError(f"mismatch.sensor_gains.{name}: must be a factor per actuator")
 
     def draw_hydraulics(
         self, base: HydraulicParameters, actuators: tuple[str, ...], seed: int, draw: int
@@ -114,9 +112,7 @@ class Mismatch(Settings):
         table = base.model_dump(exclude_none=True) | {"actuators": changes}
         return validated(HydraulicParameters, table, f"draw {draw} of {base.name}")
 
-    def draw_gain_errors(
-        self, legs: int, seed: int, draw: int
-    ) -> dict[str, NDArray[np.float64]]:
+    def draw_gain_errors(self, legs: int, seed: int, draw: int) -> dict[str, NDArray[np.float64]]:
         """Gain errors of the sensors, (n,) by channel."""
         return {
             name: spread.sample(_stream(seed, draw, name), (legs,))

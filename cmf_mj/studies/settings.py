@@ -135,7 +135,9 @@ class Study:
                 for pose in own.poses:
                     for draw in range(NOMINAL, own.draws):
                         add(own.method, rung, cab, pose, draw)
-                        if own.simulate_every and (draw == NOMINAL or draw % own.simulate_every == 0):
+                        if own.simulate_every and (
+                            draw == NOMINAL or draw % own.simulate_every == 0
+                        ):
                             add("matrix", rung, cab, pose, draw)
         return found
 
