@@ -22,10 +22,6 @@ from cmf_mj.studies.settings import Study, StudyCase
 Backend = Literal["threading", "loky", "dask"]
 """Threads, for compiled simulation releases the interpreter lock; processes; a Dask cluster."""
 
-DEATHS = 3
-"""Times in a row that workers may die before the cases are run one by one."""
-
-
 Work = Callable[[Sequence[StudyCase]], list[tuple[int, list[StudyRow]]]]
 """What a worker does with cases."""
 
@@ -95,20 +91,20 @@ def run_study(
 
 
 def _run_all(journal: Journal, jobs: int, keep: Callable[[int, Sequence[StudyRow]], None]) -> None:
-    deaths = 0
+    alone = False
     while journal.pending:
         before = len(journal.found)
-        alone = deaths >= DEATHS
         cases = journal.pending[:1] if alone else journal.pending
         try:
             for number, rows in _results(cases, jobs):
                 keep(number, rows)
-            deaths = 0
+            alone = False
         except _deaths() as error:
             if alone:
-                told = WorkerDied(f"its worker died {DEATHS + 1} times: {type(error).__name__}")
-                keep(cases[0].number, [failed(told)])
-            deaths = 0 if len(journal.found) > before and not alone else deaths + 1
+                told = f"its worker died again, running nothing else: {type(error).__name__}"
+                keep(cases[0].number, [failed(WorkerDied(told))])
+            # A death that let nothing finish: find the case that brings it.
+            alone = not alone and len(journal.found) == before
 
 
 def _results(
