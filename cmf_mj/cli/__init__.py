@@ -13,6 +13,7 @@ from cmf_mj.cli import (
     measuring,
     operating,
     running,
+    studying,
     tuning,
     watching,
 )
@@ -32,6 +33,7 @@ __all__ = [
     "measuring",
     "operating",
     "running",
+    "studying",
     "tuning",
     "watching",
 ]

@@ -44,6 +44,7 @@ class Hexapod(Plant):
         cab: str = "gfd",
         hydraulics: str | Path | HydraulicParameters = "hardware",
         *,
+        spec: mujoco.MjSpec | None = None,
         timestep: float | None = None,
     ) -> None:
         """Load the machine, put a cab on it and attach the hydraulics.
@@ -51,13 +52,15 @@ class Hexapod(Plant):
         Args:
             cab: `gfd`, `rfd` or `ifd`.
             hydraulics: `report`, `hardware`, a TOML file or a loaded set.
+            spec: an edited `hexapod_spec` of the cab, its geometry unchanged; default as shipped.
             timestep: mechanical step [s]; default one control frame.
 
         Raises:
             ValueError: unknown cab, a step that is not positive, or refused hydraulics.
         """
         self.cab = cab
-        spec = hexapod_spec(cab)
+        models.cab_path(cab)
+        spec = hexapod_spec(cab) if spec is None else spec
         set_timestep(spec, timestep)
         super().__init__(spec.compile(), hydraulics, payload=["platform"])
         self.geometry = kinematics.read_geometry()

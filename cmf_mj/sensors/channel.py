@@ -1,6 +1,6 @@
-"""One kind of sensor: bandwidth, bias, noise, resolution and range, in that order.
+"""One kind of sensor: bandwidth, gain, bias, noise, resolution and range, in that order.
 
-    y = saturate(resolve(H(truth) + bias + sigma n)),   sigma^2 = density^2 rate / 2
+    y = saturate(resolve((1 + e) H(truth) + bias + sigma n)),   sigma^2 = density^2 rate / 2
 
 H is a first-order low-pass at the bandwidth (`cmf_mj.filters`). The noise is that of the
 output: white from 0 to half the frame rate with the given one-sided density, not shaped by the
@@ -23,6 +23,8 @@ class Channel(NamedTuple):
 
     low_pass: NDArray[np.float64]
     """Sections (s, 6) of H; none for an unlimited bandwidth."""
+    gain: NDArray[np.float64]
+    """1 + e of each leg or axis, (n,); none where all are exact."""
     lowest: float
     """Least reading, -inf for none."""
     highest: float
@@ -56,6 +58,7 @@ def make_channel(name: str, settings: ChannelSettings, rate: float, seed: int) -
     corner = size("bandwidth", 0.0) / (2.0 * np.pi)
     return Channel(
         filters.low_pass(1 if corner else 0, corner, rate),
+        np.array([1.0 + error.si for error in settings.gain_errors]),
         size("lowest", -np.inf),
         size("highest", np.inf),
         size("bias", 0.0),
@@ -82,6 +85,9 @@ def read(channel, state, frame, truth, reading):  # type: ignore[no-untyped-def]
     if channel.low_pass.shape[0] > 0:
         for i in range(count):
             reading[i] = filters.filtered(channel.low_pass, state[i], reading[i])
+    if channel.gain.shape[0] > 0:
+        for i in range(count):
+            reading[i] *= channel.gain[i]
     if channel.bias != 0.0:
         for i in range(count):
             reading[i] += channel.bias

@@ -44,6 +44,8 @@ class ChannelSettings(Settings):
     """-3 dB corner of the first-order lag, below half the frame rate."""
     resolution: Quantity | None = None
     """Step between readings."""
+    gain_errors: list[Quantity] = []
+    """Relative error of the gain, one a leg or axis; none for none."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "ChannelSettings":
@@ -53,6 +55,11 @@ class ChannelSettings(Settings):
             if least < 0.0 or (field != "noise_density" and quantity is not None and least == 0.0):
                 bound = "at least 0" if field == "noise_density" else "greater than 0"
                 raise ValueError(f"{field}: {least:g} {quantity.unit} must be {bound}")
+        for error in self.gain_errors:
+            if error.unit not in ("1", "%") or abs(error.si) >= 1.0:
+                raise ValueError(
+                    f"gain_errors: {error} must be between -1 and 1, in a unit of 1 or %"
+                )
         if self.lowest and self.highest and self.lowest.si >= self.highest.si:
             raise ValueError(
                 f"lowest: {self.lowest.value:g} {self.lowest.unit} must be less than highest, "
@@ -61,9 +68,9 @@ class ChannelSettings(Settings):
         return self
 
     def quantities(self) -> dict[str, Quantity]:
-        """The numbers that are given, by name."""
+        """The numbers common to all legs or axes that are given, by name."""
         given = {name: getattr(self, name) for name in type(self).model_fields}
-        return {name: quantity for name, quantity in given.items() if quantity is not None}
+        return {name: value for name, value in given.items() if isinstance(value, Quantity)}
 
 
 class SensorSettings(Settings):

@@ -121,8 +121,14 @@ def sensor_state(
         accelerometer: platform's specific force (3,) [m/s^2]; default that of a level platform.
 
     Raises:
-        ValueError: gravity on the legs needs six legs, at positions that a pose has.
+        ValueError: gravity on the legs needs six legs, at positions that a pose has; gains that
+            are not one a leg or axis.
     """
+    for field, name in _FIELDS.items():
+        given = getattr(sensors, field).gain.shape[0]
+        count = 3 if name.startswith("platform_") else truth.position.shape[0]
+        if given not in (0, count):
+            raise ValueError(f"{name}.gain_errors: {given} are given; allowed: {count} or none")
     if sensors.gravity and truth.position.shape != (6,):
         raise ValueError(
             f"position: shape is {truth.position.shape}; gravity along the legs needs (6,)"

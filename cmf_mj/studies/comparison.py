@@ -1,4 +1,4 @@
-"""Studies: many runs of the closed loop, compared.
+"""Comparisons: laws on both plants, degree of freedom by degree of freedom.
 
 A case is one law on one plant in one degree of freedom. It is run twice: with the report's chirp,
 for the frequency response, and with a step, for damping, steady-state error and stability. Cases
@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
+from numpy.typing import ArrayLike
 
 from cmf_mj import models, signals, units
 from cmf_mj.control.law import Law, load_law
@@ -47,6 +48,14 @@ ROTATION_PER_TRANSLATION = 0.2 * units.DEGREE / AMPLITUDE
 
 STEP_PER_AMPLITUDE = 1.0 * units.INCH / AMPLITUDE
 """The report steps 1 in and sweeps 0.33 in."""
+
+FULL_SWEEP, QUICK_SWEEP = 100.0, 30.0
+"""Durations of the chirp [s]."""
+
+
+def dof_amplitude(dof: str, amplitude: float = AMPLITUDE) -> float:
+    """Amplitude of a sweep in a degree of freedom [m or rad], given that in translation [m]."""
+    return amplitude * (1.0 if DOFS.index(dof) < 3 else ROTATION_PER_TRANSLATION)
 
 
 @dataclass(frozen=True)
@@ -164,38 +173,76 @@ def _row(result: CaseResult) -> ComparisonRow:
     )
 
 
+def chirp_and_step(
+    plant: Plant,
+    law: Law,
+    dof: str,
+    amplitude: float,
+    *,
+    quick: bool,
+    electronics: ElectronicsSettings | None = None,
+    command_delay: int = 1,
+    about: ArrayLike = (0.0,) * 6,
+) -> tuple[Record, Record]:
+    """Run the report's chirp and its step in one degree of freedom about a pose.
+
+    Args:
+        plant: to run.
+        law: to run.
+        dof: degree of freedom.
+        amplitude: of the chirp [m or rad]; the step keeps the report's proportion to it.
+        quick: sweep in 30 s instead of 100 s.
+        electronics: sensors, converters and servo electronics; default ideal.
+        command_delay: frames from a DCL frame to its command at the valves.
+        about: pose the motion is added to [m, rad].
+    """
+    duration = QUICK_SWEEP if quick else FULL_SWEEP
+    chirp = signals.chirp(dof, amplitude, duration=duration)
+    step = signals.step(dof, amplitude * STEP_PER_AMPLITUDE)
+    first, second = (
+        simulate(
+            plant,
+            law,
+            signals.Command(command.pose + np.asarray(about), command.description, command.seed),
+            electronics=electronics,
+            record_every=every,
+            command_delay=command_delay,
+        )
+        for command, every in ((chirp, 16), (step, 8))
+    )
+    return first, second
+
+
+def sweep_measures(sweep: Record, *, quick: bool) -> tuple[FrequencyResponse | None, Bandwidths]:
+    """Response and bandwidths of a chirp; None and NaN where no platform joins the legs any more.
+
+    Single legs can swing that far apart; the verdict on the step then says unstable.
+    """
+    try:
+        response = frequency_response(sweep, segment=10.0 if quick else 20.0)
+    except ValueError:
+        return None, Bandwidths(float("nan"), float("nan"), float("nan"))
+    return response, bandwidths(response)
+
+
 def run_case(case: Case, records: Path | None = None) -> CaseResult:
     """Run chirp and step of a case; keep both records in the folder `records` if one is given.
 
     `quick` sweeps in 30 s instead of 100 s: the same band at three times the rate, bandwidths
     within about 2 %.
     """
-    plant = case.build()
-    duration = 30.0 if case.quick else 100.0
-    sweep = simulate(
-        plant,
+    sweep, step = chirp_and_step(
+        case.build(),
         case.law,
-        signals.chirp(case.dof, case.amplitude, duration=duration),
+        case.dof,
+        case.amplitude,
+        quick=case.quick,
         electronics=case.electronics,
-        record_every=16,
-    )
-    step = simulate(
-        plant,
-        case.law,
-        signals.step(case.dof, case.amplitude * STEP_PER_AMPLITUDE),
-        electronics=case.electronics,
-        record_every=8,
     )
     if records is not None:
         sweep.save(records / f"{case.label}-chirp.parquet")
         step.save(records / f"{case.label}-step.parquet")
-    response: FrequencyResponse | None
-    try:
-        response = frequency_response(sweep, segment=10.0 if case.quick else 20.0)
-        widths = bandwidths(response)
-    except ValueError:
-        # Single legs can swing to where no platform joins them; the step's verdict says unstable.
-        response, widths = None, Bandwidths(float("nan"), float("nan"), float("nan"))
+    response, widths = sweep_measures(sweep, quick=case.quick)
     gap = max(float(sweep["gimbal_error"].max()), float(step["gimbal_error"].max()))
     return CaseResult(case, response, widths, step_metrics(step), step, gap)
 
@@ -256,7 +303,7 @@ def compare(
             parameters,
             law,
             dof,
-            amplitude * (1.0 if DOFS.index(dof) < 3 else ROTATION_PER_TRANSLATION),
+            dof_amplitude(dof, amplitude),
             quick,
             electronics,
         )

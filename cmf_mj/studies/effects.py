@@ -1,0 +1,268 @@
+"""What a finished study says: shares, effects and agreement, as plain rows.
+
+Each function takes the table of results and gives named tuples, one a line of a table.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from cmf_mj.kinematics import DOFS
+from cmf_mj.studies.intervals import Interval, mean, share
+from cmf_mj.studies.settings import NOMINAL
+
+ENOUGH_DAMPING = 0.3
+"""Damping ratio that counts as damped: an overshoot of 37 %."""
+
+_MOST_OVERSHOOT = float(np.exp(-np.pi * ENOUGH_DAMPING / np.sqrt(1.0 - ENOUGH_DAMPING**2)))
+
+Row = dict[str, Any]
+
+
+class Rate(NamedTuple):
+    """How often a law stays stable and damped with one cab."""
+
+    cab: str
+    law: str
+    stable: Interval
+    """Share of machines that are stable."""
+    damped: dict[str, Interval]
+    """Share of machines that are stable and overshoot no more than at `ENOUGH_DAMPING`, by degree
+    of freedom."""
+    mode_damping: Interval
+    """Mean of the least damping ratio of all modes."""
+
+
+class Effect(NamedTuple):
+    """What a law changes against another on the same machines."""
+
+    cab: str
+    law: str
+    dof: str
+    phase_bandwidth_hz: Interval
+    """Difference of the -90 deg bandwidths, over machines on which both are stable."""
+    damping_ratio: Interval
+    """Difference of the damping ratios from the step's overshoot, over the same machines."""
+    mode_damping: Interval
+    """Difference of the least damping ratio of all modes, over all machines."""
+    stable: Interval
+    """Share of machines on which the law is stable."""
+
+
+class Agreement(NamedTuple):
+    """Linear cases beside the same ones simulated."""
+
+    law: str
+    count: int
+    """Machines compared."""
+    verdicts: int
+    """Of them with the same verdict."""
+    phase_hz: float
+    """Median of |simulated - linear| of the -90 deg bandwidth, all degrees of freedom [Hz]."""
+    damping_ratio: float
+    """Median of |simulated - linear| of the damping ratio from the overshoot."""
+
+
+class Climb(NamedTuple):
+    """What one rung of the ladder changes in a degree of freedom, median over the laws."""
+
+    rung: str
+    dof: str
+    phase_bandwidth_hz: float
+    peak_gain_db: float
+    damping_ratio: float
+    crosstalk: float
+    """Of the largest crosstalk out of this degree of freedom."""
+    laws: int
+    """Laws stable on this rung and the one before."""
+
+
+def rows_of(table: pa.Table, **equal: object) -> list[Row]:
+    """Rows that have given values and did not fail."""
+    return [
+        row
+        for row in table.to_pylist()
+        if not row["error_type"] and all(row[name] == value for name, value in equal.items())
+    ]
+
+
+def in_order(rows: Iterable[Row], name: str) -> list[Any]:
+    """Different values of a column, in the order of their first appearance."""
+    return list(dict.fromkeys(row[name] for row in rows))
+
+
+def damped(row: Row) -> bool:
+    """Whether a row is stable and damped enough."""
+    return bool(row["stable"] and row["overshoot"] <= _MOST_OVERSHOOT)
+
+
+def _values(rows: Iterable[Row], name: str) -> NDArray[np.float64]:
+    return np.array([row[name] for row in rows], dtype=float)
+
+
+def _drawn(table: pa.Table) -> list[Row]:
+    return [row for row in rows_of(table, method="linear") if row["draw"] != NOMINAL]
+
+
+def rates(table: pa.Table) -> list[Rate]:
+    """How often each law stays stable and damped, by cab, over the machines drawn."""
+    rows = _drawn(table)
+    found = []
+    for cab in in_order(rows, "cab"):
+        for law in in_order(rows, "law"):
+            own = [row for row in rows if row["cab"] == cab and row["law"] == law]
+            by_dof = {dof: [row for row in own if row["dof"] == dof] for dof in DOFS}
+            one = by_dof[DOFS[0]]
+            found.append(
+                Rate(
+                    cab,
+                    law,
+                    share([row["stable"] for row in one]),
+                    {dof: share([damped(row) for row in part]) for dof, part in by_dof.items()},
+                    mean(_values(one, "mode_damping_ratio")),
+                )
+            )
+    return found
+
+
+def law_effects(
+    table: pa.Table,
+    laws: Sequence[str],
+    *,
+    against: str = "position_error_rate",
+    dofs: Sequence[str] = DOFS[3:],
+) -> list[Effect]:
+    """What laws change against another, machine by machine.
+
+    Raises:
+        ValueError: a law is not in the table.
+    """
+    rows = _drawn(table)
+    there = in_order(rows, "law")
+    for law in (against, *laws):
+        if law not in there:
+            raise ValueError(f"laws: {law!r} is not one of {', '.join(there)}")
+    by_case = {(r["cab"], r["law"], r["dof"], r["draw"]): r for r in rows}
+    found = []
+    for cab in in_order(rows, "cab"):
+        for law in laws:
+            for dof in dofs:
+                draws = [d for c, name, f, d in by_case if (c, name, f) == (cab, law, dof)]
+                pairs = [
+                    (by_case[cab, law, dof, d], by_case[cab, against, dof, d])
+                    for d in draws
+                    if (cab, against, dof, d) in by_case
+                ]
+                both = [pair for pair in pairs if pair[0]["stable"] and pair[1]["stable"]]
+                found.append(
+                    Effect(
+                        cab,
+                        law,
+                        dof,
+                        mean(_differences(both, "phase_bandwidth_hz")),
+                        mean(_differences(both, "damping_ratio")),
+                        mean(_differences(pairs, "mode_damping_ratio")),
+                        share([own["stable"] for own, _ in pairs]),
+                    )
+                )
+    return found
+
+
+def _differences(pairs: Iterable[tuple[Row, Row]], name: str) -> NDArray[np.float64]:
+    return np.array([one[name] - other[name] for one, other in pairs], dtype=float)
+
+
+def agreement(table: pa.Table) -> list[Agreement]:
+    """Linear cases against the same ones simulated, law by law.
+
+    A machine is compared by its verdict: simulated, it is unstable where any step rings on.
+    """
+    linear = {_where(row): row for row in rows_of(table, method="linear")}
+    simulated = {_where(row): row for row in rows_of(table, method="matrix")}
+    keys = [key for key in simulated if key in linear]
+    found = []
+    for law in dict.fromkeys(key[0] for key in keys):
+        own = [key for key in keys if key[0] == law]
+        machines = dict.fromkeys(key[:-1] for key in own)
+        same = 0
+        for machine in machines:
+            parts = [key for key in own if key[:-1] == machine]
+            same += all(simulated[k]["stable"] for k in parts) == linear[parts[0]]["stable"]
+        pairs = [
+            (simulated[k], linear[k]) for k in own if simulated[k]["stable"] and linear[k]["stable"]
+        ]
+        found.append(
+            Agreement(
+                law,
+                len(machines),
+                same,
+                _median(np.abs(_differences(pairs, "phase_bandwidth_hz"))),
+                _median(np.abs(_differences(pairs, "damping_ratio"))),
+            )
+        )
+    return found
+
+
+def _where(row: Row) -> tuple[Any, ...]:
+    return row["law"], row["rung"], row["cab"], row["draw"], row["dof"]
+
+
+def _median(values: NDArray[np.float64]) -> float:
+    known = values[~np.isnan(values)]
+    return float(np.median(known)) if known.size else float("nan")
+
+
+def climb(table: pa.Table) -> list[Climb]:
+    """What each rung changes against the one before, by degree of freedom."""
+    rows = rows_of(table)
+    rungs = in_order(rows, "rung")
+    by_case = {(row["rung"], row["law"], row["dof"], row["cab"]): row for row in rows}
+    found = []
+    for before, rung in zip(rungs, rungs[1:], strict=False):
+        for dof in in_order(rows, "dof"):
+            pairs = [
+                (row, by_case[before, law, dof, cab])
+                for (name, law, own, cab), row in by_case.items()
+                if name == rung and own == dof and (before, law, dof, cab) in by_case
+            ]
+            both = [(one, other) for one, other in pairs if one["stable"] and other["stable"]]
+
+            def change(name: str, pairs: list[tuple[Row, Row]] = both) -> float:
+                return _median(_differences(pairs, name))
+
+            worst = np.array([largest_crosstalk(a) - largest_crosstalk(b) for a, b in both])
+            found.append(
+                Climb(
+                    rung,
+                    dof,
+                    change("phase_bandwidth_hz"),
+                    change("peak_gain_db"),
+                    change("damping_ratio"),
+                    _median(worst),
+                    len(both),
+                )
+            )
+    return found
+
+
+def largest_crosstalk(row: Row) -> float:
+    """Largest crosstalk out of the degree of freedom of a row."""
+    values = np.array([row[f"crosstalk_{dof}"] for dof in DOFS if dof != row["dof"]])
+    return float(values.max())
+
+
+def crosstalk_matrix(
+    rows: Sequence[Row], reduce: Callable[[NDArray[np.float64]], float]
+) -> NDArray[np.float64]:
+    """Crosstalk (6, 6), moved in rows and driven in columns, reduced over the machines."""
+    matrix = np.full((len(DOFS), len(DOFS)), np.nan)
+    for column, driven in enumerate(DOFS):
+        own = [row for row in rows if row["dof"] == driven and row["stable"]]
+        for line, moved in enumerate(DOFS):
+            values = _values(own, f"crosstalk_{moved}")
+            if moved != driven and values.size:
+                matrix[line, column] = reduce(values)
+    return matrix

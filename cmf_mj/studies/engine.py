@@ -1,0 +1,168 @@
+"""The engine: runs the cases of a study that have no result yet, on threads, processes or Dask.
+
+Results are the same bits whatever runs them, and stand in the order of the cases. The process that
+was asked keeps the journal; workers only compute, so they need no shared disk. A case that fails is
+a row with its error. A worker that dies takes no result with it: its cases run again, and one that
+kills its worker every time is a row with an error too.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import pyarrow as pa
+from joblib import Parallel, delayed, parallel_config
+
+from cmf_mj.studies.evaluation import StudyRow, evaluate, failed
+from cmf_mj.studies.journal import Journal
+from cmf_mj.studies.settings import Study, StudyCase
+
+Backend = Literal["threading", "loky", "dask"]
+"""Threads, for compiled simulation releases the interpreter lock; processes; a Dask cluster."""
+
+Work = Callable[[Sequence[StudyCase]], list[tuple[int, list[StudyRow]]]]
+"""What a worker does with cases."""
+
+
+class WorkerDied(RuntimeError):
+    """The process that ran a case ended: killed, out of memory, or crashed."""
+
+
+def attempt(cases: Sequence[StudyCase]) -> list[tuple[int, list[StudyRow]]]:
+    """Run cases one after the other; what one raises becomes its row."""
+    found = []
+    for case in cases:
+        try:
+            rows = evaluate(case)
+        except Exception as error:  # whatever it is, the study goes on
+            rows = [failed(error)]
+        found.append((case.number, rows))
+    return found
+
+
+def run_study(
+    study: Study,
+    folder: str | Path,
+    *,
+    jobs: int = 1,
+    backend: Backend = "loky",
+    scheduler: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> pa.Table:
+    """Run what is left of a study.
+
+    Args:
+        study: of `load_study`.
+        folder: of the study; what is finished there is not run again.
+        jobs: threads or processes; with a Dask scheduler, its workers decide.
+        backend: what runs the cases.
+        scheduler: address of a running Dask scheduler; default a local cluster of `jobs` workers.
+        progress: called with (cases done, cases in all) at the start and after each case.
+
+    Returns:
+        All rows, in the order of the cases; also written to `results.parquet`.
+
+    Raises:
+        ValueError: an argument out of range, or a folder with another study.
+        ModuleNotFoundError: `dask` without the extra `cluster`.
+    """
+    if jobs < 1:
+        raise ValueError(f"jobs: {jobs} must be at least 1")
+    if backend not in get_args(Backend):
+        raise ValueError(f"backend: {backend!r} is not one of {', '.join(get_args(Backend))}")
+    if scheduler is not None and backend != "dask":
+        raise ValueError(f"scheduler: {scheduler} needs the backend dask, not {backend}")
+    journal = Journal(Path(folder), study)
+    total = len(study.cases)
+
+    def keep(number: int, rows: Sequence[StudyRow]) -> None:
+        journal.add(number, rows)
+        if progress is not None:
+            progress(len(journal.found), total)
+
+    if progress is not None:
+        progress(len(journal.found), total)
+    if journal.pending:
+        with _workers(backend, jobs, scheduler) as count:
+            _run_all(journal, count, keep)
+    return journal.consolidate()
+
+
+def _run_all(journal: Journal, jobs: int, keep: Callable[[int, Sequence[StudyRow]], None]) -> None:
+    alone = False
+    while journal.pending:
+        before = len(journal.found)
+        cases = journal.pending[:1] if alone else journal.pending
+        try:
+            for number, rows in _results(cases, jobs):
+                keep(number, rows)
+            alone = False
+        except _deaths() as error:
+            if alone:
+                told = f"its worker died again, running nothing else: {type(error).__name__}"
+                keep(cases[0].number, [failed(WorkerDied(told))])
+            # A death that let nothing finish: find the case that brings it.
+            alone = not alone and len(journal.found) == before
+
+
+def _results(
+    cases: list[StudyCase], jobs: int, work: Work = attempt
+) -> Iterator[tuple[int, list[StudyRow]]]:
+    """What cases give, as they finish.
+
+    The laws of a machine that is linearised go to one worker together: it linearises once.
+    """
+    together = [list(group) for _, group in groupby(cases, _machine)]
+    pool = Parallel(
+        n_jobs=jobs, batch_size=1, pre_dispatch="2*n_jobs", return_as="generator_unordered"
+    )
+    for results in pool(delayed(work)(group) for group in together):
+        yield from results
+
+
+def _machine(case: StudyCase) -> object:
+    if case.method != "linear":
+        return case.number
+    return case.rung, case.cab, case.pose, case.draw
+
+
+def _deaths() -> tuple[type[BaseException], ...]:
+    """What joblib raises where a worker dies."""
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    found: tuple[type[BaseException], ...] = (TerminatedWorkerError,)
+    try:
+        from distributed.client import FutureCancelledError
+        from distributed.scheduler import KilledWorker
+    except ModuleNotFoundError:
+        return found
+    return (*found, KilledWorker, FutureCancelledError)
+
+
+@contextmanager
+def _workers(backend: Backend, jobs: int, scheduler: str | None) -> Iterator[int]:
+    """Choose what runs joblib's tasks; gives their number."""
+    with ExitStack() as stack:
+        options: dict[str, Any] = {}
+        if backend == "dask":
+            client = stack.enter_context(_client(jobs, scheduler))
+            jobs = max(1, sum(client.nthreads().values()))
+            options["client"] = client
+        elif backend == "loky":
+            options["inner_max_num_threads"] = 1
+        stack.enter_context(parallel_config(backend=backend, n_jobs=jobs, **options))
+        yield jobs
+
+
+def _client(jobs: int, scheduler: str | None) -> Any:
+    try:
+        from distributed import Client
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "distributed: is not installed; pip install 'cmf-mj[cluster]'"
+        ) from error
+    if scheduler is not None:
+        return Client(scheduler)
+    return Client(n_workers=jobs, threads_per_worker=1, processes=True, dashboard_address=None)

@@ -1,0 +1,158 @@
+"""The folder of a study: what it is, what has been found, the finished table.
+
+    study.json        what the study runs, with versions and a digest of the sources
+    journal.jsonl     a line a finished case, written in one piece and flushed to the disk
+    results.parquet   all rows in the order of the cases, once all are finished
+
+A line that a killed process left half-written is no JSON; its case runs again. Numbers survive
+the journal to the bit: JSON holds the shortest digits that read back the same.
+"""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cmf_mj.files import whole_file
+from cmf_mj.kinematics import DOFS
+from cmf_mj.studies.evaluation import StudyRow
+from cmf_mj.studies.settings import Study, StudyCase
+
+SPECIFICATION, JOURNAL, RESULTS = "study.json", "journal.jsonl", "results.parquet"
+
+_ARROW = {str: pa.string(), bool: pa.bool_(), float: pa.float64(), int: pa.int64()}
+_CASE: dict[str, type] = {
+    "case": int,
+    "method": str,
+    "rung": str,
+    "cab": str,
+    **{f"pose_{dof}": float for dof in DOFS},
+    "draw": int,
+    "law": str,
+}
+_COLUMNS = _CASE | get_type_hints(StudyRow)
+
+SCHEMA = pa.schema([(name, _ARROW[kind]) for name, kind in _COLUMNS.items()])
+"""Columns of the results: the case's, then those of `StudyRow`."""
+
+
+class Journal:
+    """Results of a study as they come."""
+
+    def __init__(self, folder: Path, study: Study) -> None:
+        """Open the folder of a study, new or with a part of it.
+
+        Raises:
+            ValueError: the folder holds another study, or the same one of other sources.
+        """
+        self.folder = folder
+        self.study = study
+        folder.mkdir(parents=True, exist_ok=True)
+        self._identify()
+        self.found = _lines(folder / JOURNAL)
+        """Rows of the finished cases, by number."""
+
+    def _identify(self) -> None:
+        path = self.folder / SPECIFICATION
+        identity = json.loads(json.dumps(self.study.identity()))
+        if not path.exists():
+            if (self.folder / JOURNAL).exists():
+                raise ValueError(f"{self.folder}: holds a journal without its {SPECIFICATION}")
+            with whole_file(path) as partial:
+                partial.write_text(json.dumps(identity, indent=1), encoding="utf-8")
+            return
+        there = json.loads(path.read_text(encoding="utf-8"))
+        other = _differences(there, identity)
+        if other:
+            raise ValueError(
+                f"{self.folder}: holds a study that differs in {', '.join(other)}; "
+                "allowed: the same study, or another folder"
+            )
+
+    @property
+    def pending(self) -> list[StudyCase]:
+        """Cases without a result."""
+        return [case for case in self.study.cases if case.number not in self.found]
+
+    def add(self, number: int, rows: Sequence[StudyRow]) -> None:
+        """Keep what a case gave."""
+        entry = {"case": number, "rows": [row._asdict() for row in rows]}
+        text = json.dumps(entry) + "\n"
+        path = self.folder / JOURNAL
+        torn = path.exists() and path.stat().st_size > 0 and not _ends_a_line(path)
+        handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        try:
+            os.write(handle, (("\n" if torn else "") + text).encode())
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+        self.found[number] = json.loads(text)["rows"]
+
+    def table(self) -> pa.Table:
+        """All rows found so far, in the order of the cases."""
+        columns: dict[str, list[Any]] = {name: [] for name in SCHEMA.names}
+        for case in self.study.cases:
+            for row in self.found.get(case.number, []):
+                for name, value in (case.columns | row).items():
+                    columns[name].append(value)
+        identity = json.dumps(self.study.identity(), sort_keys=True)
+        return pa.table(columns, schema=SCHEMA.with_metadata({"study": identity}))
+
+    def consolidate(self) -> pa.Table:
+        """Write the finished table; what is there already is the same."""
+        table = self.table()
+        with whole_file(self.folder / RESULTS) as partial:
+            pq.write_table(table, partial)
+        return table
+
+
+def read_results(folder: str | Path) -> pa.Table:
+    """The results of a finished study.
+
+    Raises:
+        ValueError: there are none; an unfinished study is told from none.
+    """
+    place = Path(folder)
+    if (place / RESULTS).is_file():
+        return pq.read_table(place / RESULTS)
+    if (place / JOURNAL).is_file():
+        count = len(_lines(place / JOURNAL))
+        raise ValueError(f"{place}: is not finished: {count} cases are; run the study to its end")
+    raise ValueError(f"{place}: holds no study")
+
+
+def _lines(path: Path) -> dict[int, list[dict[str, Any]]]:
+    found: dict[int, list[dict[str, Any]]] = {}
+    if not path.exists():
+        return found
+    for line in path.read_bytes().split(b"\n"):
+        try:
+            entry = json.loads(line)
+        except ValueError:  # torn, or no text at all
+            continue
+        found[entry["case"]] = entry["rows"]
+    return found
+
+
+def _ends_a_line(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(-1, os.SEEK_END)
+        return file.read(1) == b"\n"
+
+
+def _differences(there: Mapping[str, Any], here: Mapping[str, Any], before: str = "") -> list[str]:
+    """Paths of the entries that differ, at most two levels deep."""
+    found = []
+    for name in sorted(set(there) | set(here)):
+        one, other = there.get(name), here.get(name)
+        if one == other:
+            continue
+        if not before and isinstance(one, dict) and isinstance(other, dict):
+            found += _differences(one, other, f"{name}.")
+        else:
+            found.append(f"{before}{name}")
+    return found

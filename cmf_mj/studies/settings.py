@@ -1,0 +1,233 @@
+"""Study specifications: a TOML file in, a table of cases out.
+
+    title = "My laws, three cabs, a hundred machines"
+    method = "linear"                  # sweep, linear or matrix, see `evaluation`
+    laws = ["velocity", "mine.toml"]
+    cabs = ["gfd", "rfd", "ifd"]
+    draws = 100                        # machines with mismatch, beside the nominal one
+    simulate_every = 50                # every 50th is also simulated, by `matrix`
+
+    [mismatch.hydraulics.leak_rate]
+    distribution = "lognormal"
+    deviation = 30.0
+    status = "assumed"
+    source = "wear of the seals"
+
+The cases are the product of rungs, cabs, poses, draws, laws and degrees of freedom, in this order.
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from cmf_mj import models, units
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.kinematics import DOFS
+from cmf_mj.parameters import HydraulicParameters, load_hydraulics
+from cmf_mj.settings import Settings, read_toml, validated
+from cmf_mj.studies.mismatch import Mismatch
+from cmf_mj.studies.variants import rung_named
+
+Method = Literal["sweep", "linear", "matrix"]
+"""How a case is measured, see `evaluation`."""
+
+NOMINAL = -1
+"""Draw of the machine without mismatch."""
+
+_READY = Path(__file__).parent / "ready"
+_ROOT = Path(__file__).resolve().parents[1]
+
+
+class StudySettings(Settings):
+    """What a study runs."""
+
+    title: Annotated[str, Field(min_length=1)]
+    method: Method
+    laws: Annotated[list[str], Field(min_length=1)]
+    """Names, TOML files, `file.toml:name`."""
+    cabs: Annotated[list[str], Field(min_length=1)] = ["gfd"]
+    dofs: Annotated[list[str], Field(min_length=1)] = list(DOFS)
+    """Degrees of freedom, each a case of a `sweep`; the other methods give all at once."""
+    rungs: Annotated[list[str], Field(min_length=1)] = ["machine"]
+    """Plants: rungs of the ladder of `variants`, or `machine`."""
+    poses: Annotated[list[list[float]], Field(min_length=1)] = [[0.0] * 6]
+    """Poses [in, deg], z down, that the motion is about."""
+    hydraulics: str = "hardware"
+    """Set by name or TOML file."""
+    amplitude: Annotated[float, Field(gt=0.0, le=20.0)] = 0.33
+    """Of sweeps in translation [in]; rotations and steps in the report's proportions."""
+    quick: bool = True
+    """Sweep in 30 s instead of 100 s."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Of the machines drawn and of sensor noise."""
+    draws: Annotated[int, Field(ge=0)] = 0
+    """Machines with mismatch, beside the nominal one."""
+    simulate_every: Annotated[int, Field(ge=0)] = 0
+    """Of a linear study: one machine in this many is simulated too; 0 for none."""
+    mismatch: Mismatch = Mismatch()
+
+
+@dataclass(frozen=True)
+class StudyCase:
+    """One line of the table of cases; everything needed to run it anywhere."""
+
+    number: int
+    method: Method
+    rung: str
+    cab: str
+    pose: tuple[float, ...]
+    """[m, rad], (6,)."""
+    draw: int
+    law: Law
+    dof: str
+    """Empty for all."""
+    study: StudySettings
+    hydraulics: HydraulicParameters
+
+    @property
+    def columns(self) -> dict[str, int | str | float]:
+        """What the table of results holds of the case."""
+        pose = {f"pose_{dof}": value for dof, value in zip(DOFS, self.pose, strict=True)}
+        return {
+            "case": self.number,
+            "method": self.method,
+            "rung": self.rung,
+            "cab": self.cab,
+            **pose,
+            "draw": self.draw,
+            "law": self.law.name,
+        }
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study with everything it refers to loaded."""
+
+    settings: StudySettings
+    laws: tuple[Law, ...]
+    hydraulics: HydraulicParameters
+
+    @property
+    def cases(self) -> list[StudyCase]:
+        """All cases, numbered from 0."""
+        own = self.settings
+        found: list[StudyCase] = []
+
+        def add(method: Method, rung: str, cab: str, pose: list[float], draw: int) -> None:
+            for law in self.laws:
+                for dof in own.dofs if method == "sweep" else [""]:
+                    at = tuple(units.to_si("in" if i < 3 else "deg", v) for i, v in enumerate(pose))
+                    found.append(
+                        StudyCase(
+                            len(found), method, rung, cab, at, draw, law, dof, own, self.hydraulics
+                        )
+                    )
+
+        for rung in own.rungs:
+            for cab in own.cabs:
+                for pose in own.poses:
+                    for draw in range(NOMINAL, own.draws):
+                        add(own.method, rung, cab, pose, draw)
+                        if own.simulate_every and (
+                            draw == NOMINAL or draw % own.simulate_every == 0
+                        ):
+                            add("matrix", rung, cab, pose, draw)
+        return found
+
+    def identity(self) -> dict[str, Any]:
+        """What two runs must share for their results to stand in one table, as JSON values."""
+        return {
+            "settings": self.settings.model_dump(mode="json"),
+            "laws": [law.model_dump(mode="json") for law in self.laws],
+            "hydraulics": self.hydraulics.model_dump(mode="json", exclude_none=True),
+            "sources": _sources(),
+            "versions": {name: version(name) for name in ("mujoco", "numpy", "scipy", "numba")},
+        }
+
+
+def ready_studies() -> tuple[str, ...]:
+    """Names of the shipped specifications."""
+    return tuple(sorted(path.stem for path in _READY.glob("*.toml")))
+
+
+def load_study(
+    source: str | Path | dict[str, Any],
+    *,
+    laws: Sequence[str | Law] | None = None,
+    changes: dict[str, Any] | None = None,
+) -> Study:
+    """Load a study.
+
+    Args:
+        source: name of a shipped specification, TOML file, or a table.
+        laws: laws instead of those of the specification.
+        changes: fields of the specification that are replaced.
+
+    Raises:
+        ValueError: what is wrong, by field.
+    """
+    where = "study"
+    if isinstance(source, dict):
+        table = dict(source)
+    elif str(source) in ready_studies():
+        table = read_toml(_READY / f"{source}.toml")
+        where = str(source)
+    elif str(source).endswith(".toml"):
+        table = read_toml(Path(source))
+        where = str(source)
+    else:
+        raise ValueError(
+            f"study: {str(source)!r} is neither a .toml file nor one of "
+            f"{', '.join(ready_studies())}"
+        )
+    table |= changes or {}
+    loaded = None if laws is None else tuple(load_law(law) for law in laws)
+    if loaded is not None:
+        table["laws"] = [law.name for law in loaded]
+    settings = validated(StudySettings, table, where)
+    _check(settings)
+    chosen = loaded if loaded is not None else tuple(load_law(law) for law in settings.laws)
+    if len({law.name for law in chosen}) < len(chosen):
+        raise ValueError(f"laws: {', '.join(law.name for law in chosen)} must differ in name")
+    return Study(settings, chosen, load_hydraulics(settings.hydraulics))
+
+
+def _check(settings: StudySettings) -> None:
+    for cab in settings.cabs:
+        models.cab_path(cab)
+    for dof in settings.dofs:
+        if dof not in DOFS:
+            raise ValueError(f"dofs: {dof!r} is not one of {', '.join(DOFS)}")
+    for pose in settings.poses:
+        if len(pose) != 6:
+            raise ValueError(f"poses: {pose} must be six numbers, in and deg")
+    settings.mismatch.check()
+    if settings.draws and not (settings.mismatch.hydraulics or settings.mismatch.sensor_gains):
+        raise ValueError(f"draws: {settings.draws} machines are alike without [mismatch]")
+    if settings.simulate_every and settings.method != "linear":
+        raise ValueError(f"simulate_every: needs method linear, not {settings.method}")
+    for name in settings.rungs:
+        if settings.method == "linear" and not rung_named(name).linear:
+            raise ValueError(
+                f"rungs: {name!r} has no linearisation; friction, electronics and a delay of 0 "
+                "frames need the method sweep or matrix"
+            )
+
+
+@lru_cache
+def _sources() -> str:
+    """Digest of all sources that results can depend on: not of those that draw and print them."""
+    digest = hashlib.sha256()
+    paths = [*_ROOT.rglob("*.py"), *_ROOT.rglob("*.toml"), *models.directory().rglob("*.xml")]
+    for path in sorted(paths):
+        if path.stem.endswith("report") or path.parent.name in ("cli", "ready"):
+            continue
+        digest.update(json.dumps([path.name, path.read_text(encoding="utf-8")]).encode())
+    return digest.hexdigest()

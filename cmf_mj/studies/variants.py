@@ -1,0 +1,204 @@
+"""The ladder from a single leg to the whole machine: each rung adds one effect.
+
+    single_legs       six legs of 7200 lbm under 7200 lbf, constant supply, no command delay
+    point_mass        the hexapod's geometry; payload a point mass at the platform centroid
+    payload_inertia   the payload's inertia about its centre of mass, that still at the centroid
+    centre_of_mass    the centre of mass at its height and place
+    leg_inertia       cylinders and rods with their masses
+    supply            pump, accumulators, manifolds and hoses instead of a constant pressure
+    friction          Coulomb, breakaway and viscous friction of the `lossy` set
+    electronics       noisy sensors, converters, servo electronics
+    delay             one frame from the control law to the valves
+
+With J = d(legs)/d(pose) and the payload's mass matrix M, which is diag(m, m, m, 0, 0, 0) of a
+point mass, the reflected mass is M_leg = J^-T M J^-1 on every rung without leg inertia. A point
+mass leaves the rotations without inertia; they follow the forces at once and compliances add:
+
+    omega_x^2 = 1 / (m sum_i (J^-1)_xi^2 / k_i)
+
+What MuJoCo cannot integrate at 2048 Hz is not zero but small: `SMALL` of the payload's inertia
+tensor (rotational modes near 100 Hz) and of the legs' inertia (their pins then gape by 3
+micrometres, a tenth of that mass by 35).
+"""
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cmf_mj.loop.electronics import ElectronicsSettings
+from cmf_mj.parameters import HydraulicParameters, load_hydraulics
+from cmf_mj.plant import Hexapod, Plant, SingleLegs
+from cmf_mj.plant.hexapod import hexapod_spec
+
+SMALL = 0.01
+"""Share of an inertia that is left where there should be none."""
+
+_FRICTION = ("coulomb_friction", "breakaway_friction", "viscous_friction")
+
+
+class Payload:
+    """Platform and cab as one rigid body, in the platform's frame (z up)."""
+
+    def __init__(self, spec: mujoco.MjSpec) -> None:
+        """Add up all bodies that are fixed to the platform."""
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        platform = model.body("platform")
+        bodies = np.flatnonzero(model.body_weldid == model.body_weldid[platform.id])
+        masses = model.body_mass[bodies]
+        self.bodies = [model.body(i).name for i in bodies]
+        """Names, the platform's among them."""
+        self.mass = float(masses.sum())
+        """[kg]."""
+        centre = masses @ data.xipos[bodies] / self.mass
+        self.centre: NDArray[np.float64] = centre - data.xpos[platform.id]
+        """Centre of mass [m], (3,)."""
+        self.inertia = np.zeros((3, 3))
+        """About the centre of mass [kg m^2], (3, 3)."""
+        for body in bodies:
+            turn = data.ximat[body].reshape(3, 3)
+            arm = data.xipos[body] - centre
+            self.inertia += turn @ np.diag(model.body_inertia[body]) @ turn.T
+            self.inertia += model.body_mass[body] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+
+
+def payload_spec(
+    cab: str,
+    *,
+    inertia: float = 1.0,
+    centre_of_mass: bool = True,
+    leg_inertia: float = 1.0,
+) -> mujoco.MjSpec:
+    """The machine with a cab, its mass properties edited.
+
+    Args:
+        cab: `gfd`, `rfd` or `ifd`.
+        inertia: factor on the payload's inertia tensor about its centre of mass.
+        centre_of_mass: whether the payload has its centre of mass, or the platform centroid is it.
+        leg_inertia: factor on mass and inertia of cylinders and rods.
+
+    Raises:
+        ValueError: unknown cab.
+    """
+    payload = Payload(hexapod_spec(cab))
+    spec = hexapod_spec(cab)
+    principal, axes = np.linalg.eigh(payload.inertia)
+    axes *= np.sign(np.linalg.det(axes))
+    for name in payload.bodies:
+        body = spec.body(name)
+        whole = name == "platform"
+        body.mass = payload.mass if whole else 0.0
+        body.inertia = inertia * principal if whole else np.zeros(3)
+        if whole:
+            body.ipos = payload.centre if centre_of_mass else np.zeros(3)
+            body.iquat = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    for leg in range(1, 7):
+        for part in (f"cylinder_{leg}", f"rod_{leg}"):
+            body = spec.body(part)
+            body.mass *= leg_inertia
+            body.inertia = leg_inertia * np.array(body.inertia)
+    return spec
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One plant and what stands between it and the law."""
+
+    name: str
+    adds: str
+    """The effect it adds to the rung before, for tables and figures."""
+    single_legs: bool = False
+    payload_inertia: bool = True
+    centre_of_mass: bool = True
+    leg_inertia: bool = True
+    network: bool = True
+    """The set's own supply; otherwise a constant one."""
+    friction: bool = False
+    electronics: bool = False
+    command_delay: int = 1
+    """Frames."""
+
+    @property
+    def linear(self) -> bool:
+        """Whether a linearisation of it exists."""
+        return not (self.friction or self.electronics) and self.command_delay > 0
+
+    def hydraulics(self, base: HydraulicParameters) -> HydraulicParameters:
+        """The hydraulic set of the rung."""
+        changes: dict[str, object] = {} if self.network else {"supply": "constant"}
+        if self.friction:
+            lossy = load_hydraulics("lossy")
+            changes |= {field: getattr(lossy, field) for field in _FRICTION}
+        return base.model_copy(update=changes)
+
+    def build(self, cab: str, hydraulics: HydraulicParameters) -> Plant:
+        """The plant of the rung with a cab and a hydraulic set."""
+        parameters = self.hydraulics(hydraulics)
+        if self.single_legs:
+            return SingleLegs(parameters)
+        if self.payload_inertia and self.centre_of_mass and self.leg_inertia:
+            return Hexapod(cab, parameters)
+        spec = payload_spec(
+            cab,
+            inertia=1.0 if self.payload_inertia else SMALL,
+            centre_of_mass=self.centre_of_mass,
+            leg_inertia=1.0 if self.leg_inertia else SMALL,
+        )
+        return Hexapod(cab, parameters, spec=spec)
+
+    def between(self, seed: int = 0) -> ElectronicsSettings | None:
+        """Sensors and electronics of the rung."""
+        return ElectronicsSettings(seed=seed) if self.electronics else None
+
+
+_BARE = Rung(
+    "single_legs",
+    "single legs",
+    single_legs=True,
+    payload_inertia=False,
+    centre_of_mass=False,
+    leg_inertia=False,
+    network=False,
+    command_delay=0,
+)
+_STEPS: tuple[tuple[str, str, dict[str, object]], ...] = (
+    ("point_mass", "geometry, point mass", {"single_legs": False}),
+    ("payload_inertia", "payload inertia", {"payload_inertia": True}),
+    ("centre_of_mass", "centre of mass", {"centre_of_mass": True}),
+    ("leg_inertia", "leg inertia", {"leg_inertia": True}),
+    ("supply", "shared supply", {"network": True}),
+    ("friction", "friction", {"friction": True}),
+    ("electronics", "electronics", {"electronics": True}),
+    ("delay", "command delay", {"command_delay": 1}),
+)
+
+
+def _ladder() -> tuple[Rung, ...]:
+    rungs = [_BARE]
+    for name, adds, changes in _STEPS:
+        rungs.append(replace(rungs[-1], name=name, adds=adds, **changes))  # type: ignore[arg-type]
+    return tuple(rungs)
+
+
+LADDER = _ladder()
+"""All rungs, in the order of climbing."""
+
+MACHINE = Rung("machine", "the machine as compared")
+"""The hexapod as `cmf compare` runs it: ideal sensors, no friction, one frame of delay."""
+
+_RUNGS = {rung.name: rung for rung in (*LADDER, MACHINE)}
+
+
+def rung_named(name: str) -> Rung:
+    """A rung of the ladder, or `machine`.
+
+    Raises:
+        ValueError: no such rung.
+    """
+    if name not in _RUNGS:
+        raise ValueError(f"rungs: {name!r} is not one of {', '.join(_RUNGS)}")
+    return _RUNGS[name]
