@@ -6,7 +6,7 @@ its test computes. `cmf ledger` prints it, docs/ledger.md is made from it.
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field, field_validator
 
@@ -54,14 +54,8 @@ class LedgerEntry(Settings):
     """What this project does."""
     demonstration: Annotated[str, Field(pattern=r"^tests/test_ledger\w*\.py::test_\w+$")]
     """The test that shows it in numbers."""
-    figures: tuple[Evidence, ...] = ()
+    figures: Annotated[tuple[Evidence, ...], Field(strict=False)] = ()
     """What the test computes."""
-
-    @field_validator("figures", mode="before")
-    @classmethod
-    def _tuple(cls, value: Any) -> Any:
-        """TOML has an array where the strict field wants a tuple."""
-        return tuple(value) if isinstance(value, list) else value
 
     def figure(self, name: str) -> float:
         """The value of a figure.
