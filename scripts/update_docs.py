@@ -14,16 +14,22 @@ from functools import partial
 from pathlib import Path
 
 from cmf_mj import load_hydraulics
+from cmf_mj.ledger import load_ledger
+from cmf_mj.ledger_report import ledger_markdown
 from cmf_mj.report import markdown, parameter_cells
 
 ROOT = Path(__file__).resolve().parents[1]
-TABLES = ("comparison.md", "failures.md", "modes.md")
+TABLES = ("comparison.md", "failures.md", "modes.md", "calibration.md")
 FIGURES = {
     "compare/bode_surge.png": "bode_surge.png",
     "compare/bode_heave.png": "bode_heave.png",
     "compare/step_surge.png": "step_surge.png",
     "modes/modes_sweep.png": "modes_sweep.png",
     "modes/modes_map.png": "modes_map.png",
+    "calibrate/report/residuals.png": "calibration_report.png",
+    "calibrate/report/sensitivity.png": "sensitivity_report.png",
+    "calibrate/hardware/residuals.png": "calibration_hardware.png",
+    "calibrate/hardware/sensitivity.png": "sensitivity_hardware.png",
 }
 """Figures of the studies below --results, and their names in docs/images."""
 
@@ -34,7 +40,8 @@ def parameters(name: str) -> str:
 
 
 DATA: dict[str, Callable[[], str]] = {
-    f"parameters-{name}": partial(parameters, name) for name in ("report", "hardware", "lossy")
+    "ledger": lambda: ledger_markdown(load_ledger()),
+    **{f"parameters-{name}": partial(parameters, name) for name in ("report", "hardware", "lossy")},
 }
 """What is made from data of the package."""
 _TABLE = re.compile(r"(<!-- table: ([\w/-]+) -->\n).*?(<!-- end -->)", re.DOTALL)

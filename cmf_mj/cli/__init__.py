@@ -2,6 +2,7 @@
 
 from cmf_mj.cli import (
     analysing,
+    calibrating,
     capacities,
     comparing,
     failing,
@@ -21,6 +22,7 @@ from cmf_mj.cli.common import app
 
 __all__ = [
     "analysing",
+    "calibrating",
     "capacities",
     "comparing",
     "failing",
