@@ -11,6 +11,7 @@ from cmf_mj.cli import (
     listing,
     measuring,
     operating,
+    reporting,
 )
 from cmf_mj.cli.common import app
 
@@ -26,6 +27,7 @@ __all__ = [
     "main",
     "measuring",
     "operating",
+    "reporting",
 ]
 
 

@@ -28,7 +28,10 @@ def _coordinates(runs: Runs) -> Chart:
         motion(
             [
                 History(
-                    f"demand, {name}", time, sign * step_history(record, "leg_reference", along), GREY
+                    f"demand, {name}",
+                    time,
+                    sign * step_history(record, "leg_reference", along),
+                    GREY,
                 ),
                 History(
                     f"response, {name}", time, sign * step_history(record, "leg_position", along), c
@@ -57,9 +60,7 @@ def _responses(law: str, runs: Runs) -> Chart:
     responses = [
         Response(_NON_LINEAR, runs.case("model", law).response, COLOURS[0]),
         Response(f"{_HARDWARE}, chirp", runs.case("machine", law).response, COLOURS[1]),
-        Response(
-            f"{_HARDWARE}, 35 sines of Table 2-3", runs.rounds(law), COLOURS[1], marks=True
-        ),
+        Response(f"{_HARDWARE}, 35 sines of Table 2-3", runs.rounds(law), COLOURS[1], marks=True),
     ]
     marks = [
         printed(law, "heave", "nonlinear", COLOURS[0], "printed, non-linear model"),

@@ -94,7 +94,8 @@ def _integral_on_machine(runs: Runs) -> Chart:
     return Chart(
         (motion(histories, "heave [in]", _STEP),),
         f"Heave step of 1 in with velocity, position and integral feedback: overshoot "
-        f"{100 * result.metrics.overshoot:.0f} %, damping ratio {result.metrics.damping_ratio:.2f}, "
+        f"{100 * result.metrics.overshoot:.0f} %, damping ratio "
+        f"{result.metrics.damping_ratio:.2f}, "
         f"steady-state error {100 * result.metrics.steady_state_error:.2f} % (printed: 23 %, about "
         f"0.4, below 1 %). Without the integral the law stops short by its DC gain of 47/50.48. "
         f"{STAND_IN}",
@@ -153,7 +154,8 @@ def _at_rest(runs: Runs) -> Chart:
     return Chart(
         (_accelerometer(effect.rest, 1.0, rest=True),),
         f"Leg accelerometer at rest with the {effect.sensors} sensor set: mean "
-        f"{effect.rest_reading / gravity:.3f} g, of which {effect.axial_gravity / gravity:.3f} g is "
+        f"{effect.rest_reading / gravity:.3f} g, of which {effect.axial_gravity / gravity:.3f} "
+        "g is "
         f"gravity along the leg (Appendix C); the hardware read 0.86 g (dotted). Noise "
         f"{1e3 * effect.raw_rms / gravity:.1f} mg rms, filtered "
         f"{1e3 * effect.filtered_rms / gravity:.2f} mg. {STAND_IN}",
@@ -168,7 +170,8 @@ def _filtered(runs: Runs) -> Chart:
         f"Heave of {units.from_si('in', AMPLITUDE):.2f} in at {FREQUENCY} Hz: the filter of Eq 3.6 "
         f"leaves {100 * effect.noise_gain:.1f} % of white noise, passes "
         f"{100 * effect.signal_gain:.1f} % of the motion and delays it by "
-        f"{1e3 * effect.delay:.0f} ms (closed form {1e3 * effect.predicted_delay:.0f} ms). The text "
+        f"{1e3 * effect.delay:.0f} ms (closed form {1e3 * effect.predicted_delay:.0f} ms). The "
+        "text "
         f"says about 10 ms, which Eq 3.6 has nowhere below 3 Hz. {STAND_IN}",
     )
 
@@ -221,7 +224,8 @@ def _pressure(runs: Runs) -> Chart:
     )
     return Chart(
         (panel,),
-        f"Pressure difference under force feedback, the step of Figure 3-20. The oscillation and its "
+        "Pressure difference under force feedback, the step of Figure 3-20. The oscillation "
+        "and its "
         f"frequency are examined in the section on force feedback. {MODEL}",
     )
 

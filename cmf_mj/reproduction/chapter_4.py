@@ -129,9 +129,7 @@ def _pulse_data(runs: Runs) -> Chart:
         )
         for title, values in rows
     )
-    return Chart(
-        panels, f"Leg 1 in a heave pulse of 1 in, 1 s long, down; velocity FB. {STAND_IN}"
-    )
+    return Chart(panels, f"Leg 1 in a heave pulse of 1 in, 1 s long, down; velocity FB. {STAND_IN}")
 
 
 def _open_loop(number: int, span: tuple[float, float], runs: Runs) -> Chart:
@@ -228,14 +226,12 @@ def _fast_sine(runs: Runs) -> Chart:
 
 
 def _responses(numbers: tuple[int, ...], runs: Runs) -> Chart:
-    responses = [
-        Response(
-            _HARDWARE, runs.case("machine", "velocity").response, GREY, "dot"
-        )
-    ]
+    responses = [Response(_HARDWARE, runs.case("machine", "velocity").response, GREY, "dot")]
     marks = []
     for number, colour in zip(numbers, COLOURS, strict=False):
-        for (name, velocity), dash in zip(_velocities(runs, number), ("solid", "dash"), strict=True):
+        for (name, velocity), dash in zip(
+            _velocities(runs, number), ("solid", "dash"), strict=True
+        ):
             loop = closed_loop("velocity", velocity)
             responses.append(Response(name, loop_response(loop, _LINES), colour, dash))  # type: ignore[arg-type]
         marks.append(printed("velocity", "heave", f"linear_{number}", colour, table="4-1"))
@@ -270,9 +266,11 @@ def _model_a(runs: Runs) -> Chart:
     ]
     return Chart(
         (motion(histories, "extension of leg 1 [in]", (-0.1, 2.0)),),
-        f"Heave step of -1 in (non-linear model: +1 in, turned over), velocity FB. Linear model A is "
+        "Heave step of -1 in (non-linear model: +1 in, turned over), velocity FB. Linear model "
+        "A is "
         f"Eqs 4.4 to 4.6: -90 deg at {found.phase_bandwidth_hz:.2f} Hz, -3 dB at "
-        f"{found.gain_bandwidth_hz:.2f} Hz, damping ratio {found.step_damping_ratio:.2f}. Its speed "
+        f"{found.gain_bandwidth_hz:.2f} Hz, damping ratio {found.step_damping_ratio:.2f}. Its "
+        "speed "
         f"is 0.352 in/s per %, that of the stand-in 0.35, that of the non-linear model 0.277. "
         f"{MODEL} {STAND_IN}",
     )
@@ -304,9 +302,7 @@ FIGURES = (
     _model_figure(
         "4-4", "Linear model #1 in open loop, enlarged", partial(_open_loop, 1, (0.95, 1.7))
     ),
-    _model_figure(
-        "4-6", "Linear model #1, heave step of -1 in", partial(_closed_step, 1), _RISE
-    ),
+    _model_figure("4-6", "Linear model #1, heave step of -1 in", partial(_closed_step, 1), _RISE),
     _model_figure(
         "4-7",
         "Linear model #1, 0.33 in at 5 Hz",
@@ -314,9 +310,7 @@ FIGURES = (
         Wanted("machine", "velocity", "heave", "sine_5_hz"),
     ),
     _model_figure("4-8", "Linear model #2 on its sine", partial(_open_loop, 2, (2.0, 6.0))),
-    _model_figure(
-        "4-9", "Linear model #2, heave step of -1 in", partial(_closed_step, 2), _RISE
-    ),
+    _model_figure("4-9", "Linear model #2, heave step of -1 in", partial(_closed_step, 2), _RISE),
     _model_figure(
         "4-10",
         "Frequency responses of linear models #1 and #2",
@@ -324,9 +318,7 @@ FIGURES = (
         *cases("machine", ("velocity",)),
     ),
     _model_figure("4-11", "Linear model #3 on its sweep", partial(_open_loop, 3, (190.0, 230.0))),
-    _model_figure(
-        "4-12", "Linear model #3, heave step of -1 in", partial(_closed_step, 3), _RISE
-    ),
+    _model_figure("4-12", "Linear model #3, heave step of -1 in", partial(_closed_step, 3), _RISE),
     _model_figure(
         "4-13",
         "Frequency responses of linear models #1, #2 and #3",

@@ -101,9 +101,7 @@ def curve(
     if within is not None:
         drawn &= (across >= within[0]) & (across <= within[1])
     across, up = thinned(across[drawn], up[drawn])
-    return Curve(
-        name, across.astype(np.float32), up.astype(np.float32), colour, dash, marks, width
-    )
+    return Curve(name, across.astype(np.float32), up.astype(np.float32), colour, dash, marks, width)
 
 
 def names_in(panels: Sequence[Panel]) -> list[str]:

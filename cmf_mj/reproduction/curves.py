@@ -170,7 +170,9 @@ def law_steps(
 ) -> list[History]:
     """The demand and the steps under several laws on one plant."""
     first = runs.case(on, laws[0], dof).step
-    found = [History("demand", after_step(first), step_history(first, "leg_reference", along), GREY)]
+    found = [
+        History("demand", after_step(first), step_history(first, "leg_reference", along), GREY)
+    ]
     for law, colour in zip(laws, COLOURS, strict=False):
         record = runs.case(on, law, dof).step
         found.append(

@@ -2,6 +2,7 @@
 
 import io
 import math
+from importlib import import_module
 from types import ModuleType
 from typing import Any
 
@@ -10,21 +11,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
-from cmf_mj.reproduction.chart import GREY, Chart, Panel, names_in
+from cmf_mj.reproduction.chart import Chart, Panel, names_in
 
 _DASHES = {"solid": "-", "dash": "--", "dot": ":"}
 _PANEL, _MARGIN, _GAP = 230, 130, 30
 """Height of a panel, what surrounds all, and what parts two with their own axes [px]."""
 
 
-def plotly_module(name: str) -> ModuleType:
-    """A module of plotly, which only the extra `report` installs.
+def optional_module(name: str) -> ModuleType:
+    """A module that only the extra `report` installs.
 
     Raises:
         ValueError: it is not installed.
     """
-    from importlib import import_module
-
     try:
         return import_module(name)
     except ImportError as error:
@@ -33,10 +32,29 @@ def plotly_module(name: str) -> ModuleType:
         ) from error
 
 
+def require_extra() -> None:
+    """Refuse before anything is run if the extra `report` is not installed.
+
+    Raises:
+        ValueError: plotly or Jinja2 is missing.
+    """
+    for name in ("plotly.graph_objects", "jinja2"):
+        optional_module(name)
+
+
 def _range(limits: tuple[float, float] | None, log: bool) -> list[float] | None:
     if limits is None:
         return None
     return [math.log10(value) for value in limits] if log else list(limits)
+
+
+def _log_ticks(limits: tuple[float, float] | None) -> list[float] | None:
+    """1, 2 and 5 of each decade within the limits."""
+    if limits is None:
+        return None
+    low, high = math.floor(math.log10(limits[0])), math.ceil(math.log10(limits[1]))
+    ticks = [float(f"{m}e{e}") for e in range(low, high + 1) for m in (1, 2, 5)]
+    return [tick for tick in ticks if limits[0] <= tick <= limits[1]]
 
 
 def _own_axis(panel: Panel, panels: tuple[Panel, ...]) -> Panel:
@@ -52,7 +70,7 @@ def chart_height(chart: Chart) -> int:
 
 def plotly_json(chart: Chart) -> str:
     """The chart as JSON of a plotly figure; the same bytes for the same chart."""
-    graph = plotly_module("plotly.graph_objects")
+    graph = optional_module("plotly.graph_objects")
     total = sum(panel.height for panel in chart.panels)
     layout: dict[str, Any] = {
         "template": "none",
@@ -83,19 +101,15 @@ def plotly_json(chart: Chart) -> str:
             "anchor": f"x{suffix}",
         }
         layout[f"xaxis{suffix}"] = {
-            "title": {"text": panel.x_title},
+            "title": {"text": panel.x_title, "standoff": 6},
             "type": "log" if axis.x_log else "linear",
             "range": _range(axis.x_range, axis.x_log),
-            "dtick": "D2" if axis.x_log else None,
+            "tickvals": _log_ticks(axis.x_range) if axis.x_log else None,
             "gridcolor": "#e5e5e5",
             "zeroline": False,
             "anchor": f"y{suffix}",
             "showticklabels": bool(panel.x_title),
-            "matches": None
-            if axis is panel
-            else f"x{chart.panels.index(axis) + 1}".replace("x1", "x", 1)
-            if chart.panels.index(axis) == 0
-            else f"x{chart.panels.index(axis) + 1}",
+            "matches": None if axis is panel else f"x{chart.panels.index(axis) + 1}",
         }
         for level in panel.guides:
             layout["shapes"].append(
@@ -122,7 +136,12 @@ def plotly_json(chart: Chart) -> str:
                     "xaxis": f"x{suffix}",
                     "yaxis": f"y{suffix}",
                     "mode": "markers" if line.marks else "lines",
-                    "line": {"color": line.colour, "width": line.width, "dash": line.dash},
+                    "line": {
+                        "color": line.colour,
+                        "width": line.width,
+                        "dash": line.dash,
+                        "simplify": False,
+                    },
                     "marker": {
                         "color": line.colour,
                         "size": 9,
@@ -189,7 +208,6 @@ def still(chart: Chart) -> str:
             ncols=2,
             fontsize=7,
             frameon=False,
-            labelcolor=GREY if not names else None,
         )
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
