@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import partial
 
-from cmf_mj.reproduction.chart import COLOURS, Chart
+from cmf_mj.reproduction.chart import COLOURS, Chart, Dash
 from cmf_mj.reproduction.curves import (
     CIRCLES,
     PLANT_TITLES,
@@ -36,8 +36,8 @@ def _both(laws: Sequence[str], dof: str, note: str, runs: Runs) -> Chart:
         for on in plants:
             result = runs.case(on, law, dof)
             name = f"{law_title(law)}, {PLANT_TITLES[on]}"
-            dash = "solid" if on == "machine" else "dash"
-            responses.append(Response(name, result.response, colour, dash))  # type: ignore[arg-type]
+            dash: Dash = "solid" if on == "machine" else "dash"
+            responses.append(Response(name, result.response, colour, dash))
             if not result.metrics.stable:
                 ringing.append(name)
         marks.append(printed(law, dof, "nonlinear", colour))

@@ -4,6 +4,7 @@ The report's models stand beside our own, made the same way from the stand-in: l
 valve command on a pulse, a sine and the sweep of Table 2-3, by least squares (ARX).
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import cast
 
@@ -24,7 +25,7 @@ from cmf_mj.linear_models import (
     report_model,
 )
 from cmf_mj.record import Record
-from cmf_mj.reproduction.chart import COLOURS, GREY, Chart
+from cmf_mj.reproduction.chart import COLOURS, GREY, Chart, Dash
 from cmf_mj.reproduction.curves import (
     CIRCLES,
     MODEL,
@@ -61,6 +62,9 @@ _OWN = (
     f"Ours: ARX of orders {tuple(ORDERS)} at 64 Hz on the stand-in's runs, position by integration "
     "(docs/identification.md)."
 )
+_DASHES: tuple[Dash, Dash] = ("solid", "dash")
+"""Of the report's model and of ours."""
+
 _HARDWARE, _REPORT, _OURS = "hardware stand-in", "report's model", "our model"
 
 
@@ -185,13 +189,13 @@ def _closed_step(number: int, runs: Runs) -> Chart:
     ]
     numbers = []
     for (name, velocity), colour, dash in zip(
-        _velocities(runs, number), (COLOURS[0], COLOURS[2]), ("solid", "dash"), strict=True
+        _velocities(runs, number), (COLOURS[0], COLOURS[2]), _DASHES, strict=True
     ):
         loop = closed_loop("velocity", velocity)
         reached = np.asarray(
             control.forced_response(loop, np.arange(time.size) * FRAME, reference).outputs
         )
-        histories.append(History(name, time, reached, colour, dash))  # type: ignore[arg-type]
+        histories.append(History(name, time, reached, colour, dash))
         numbers.append(f"{name} peaks at {reached.max():.2f} in")
     peak = leg_motion(record, "leg_position", "in").max()
     return Chart(
@@ -229,11 +233,9 @@ def _responses(numbers: tuple[int, ...], runs: Runs) -> Chart:
     responses = [Response(_HARDWARE, runs.case("machine", "velocity").response, GREY, "dot")]
     marks = []
     for number, colour in zip(numbers, COLOURS, strict=False):
-        for (name, velocity), dash in zip(
-            _velocities(runs, number), ("solid", "dash"), strict=True
-        ):
+        for (name, velocity), dash in zip(_velocities(runs, number), _DASHES, strict=True):
             loop = closed_loop("velocity", velocity)
-            responses.append(Response(name, loop_response(loop, _LINES), colour, dash))  # type: ignore[arg-type]
+            responses.append(Response(name, loop_response(loop, _LINES), colour, dash))
         marks.append(printed("velocity", "heave", f"linear_{number}", colour, table="4-1"))
     return Chart(
         bode(responses, marks, gain_range=(-20.0, 10.0)),
@@ -286,8 +288,10 @@ _MODELS = (*_DATA, _VALIDATION)
 """Runs that the identified models need; all three are made together."""
 
 
-def _model_figure(number: str, title: str, draw: object, *needs: Wanted) -> ReportFigure:
-    return ReportFigure(number, title, (*_MODELS, *needs), draw)  # type: ignore[arg-type]
+def _model_figure(
+    number: str, title: str, draw: Callable[[Runs], Chart], *needs: Wanted
+) -> ReportFigure:
+    return ReportFigure(number, title, (*_MODELS, *needs), draw)
 
 
 FIGURES = (

@@ -93,18 +93,26 @@ def bode(
     x_range: tuple[float, float] = (0.1, 10.0),
 ) -> tuple[Panel, Panel]:
     """Gain and phase over frequency, with the lines of -3 dB and -90 deg."""
-    gains, phases = [], []
+    gains: list[Curve] = []
+    phases: list[Curve] = []
     for item in responses:
         if item.response is None:
             continue
-        f = item.response.frequency
-        style = {"marks": item.marks, "within": x_range}
-        gains.append(
-            curve(item.name, f, item.response.gain_db, item.colour, item.dash, **style)  # type: ignore[arg-type]
-        )
-        phases.append(
-            curve(item.name, f, item.response.phase_deg, item.colour, item.dash, **style)  # type: ignore[arg-type]
-        )
+        for lines, values in (
+            (gains, item.response.gain_db),
+            (phases, item.response.phase_deg),
+        ):
+            lines.append(
+                curve(
+                    item.name,
+                    item.response.frequency,
+                    values,
+                    item.colour,
+                    item.dash,
+                    marks=item.marks,
+                    within=x_range,
+                )
+            )
     for on_gain, on_phase in marks:
         gains += on_gain
         phases += on_phase

@@ -181,8 +181,8 @@ def _dress(axes: Axes, panel: Panel, axis: Panel) -> None:
 
 def still(chart: Chart) -> str:
     """The chart as an SVG picture, texts as outlines; the same bytes for the same chart."""
-    settings = {"svg.hashsalt": "cmf-mj", "svg.fonttype": "path", "path.simplify_threshold": 0.3}
-    with rc_context(settings):
+    # Random ids and the date would make each file another; texts need no font of the reader's.
+    with rc_context({"svg.hashsalt": "cmf-mj", "svg.fonttype": "path"}):
         figure = Figure(figsize=(7.2, chart_height(chart) / 105.0), layout="constrained")
         ratios = [panel.height for panel in chart.panels]
         grid = figure.subplots(len(chart.panels), 1, squeeze=False, height_ratios=ratios)[:, 0]

@@ -89,12 +89,12 @@ def result_table(runs: Runs, table: str) -> PageTable:
     rows = result_rows(runs, table)
     title = f"Table {table}" if table[0] != "s" else table.capitalize()
     appendix = table.startswith("D-")
-    header = ("", "of", "quantity", "printed", "computed", "deviation", "allowed", "verdict")
-    header += ("hexapod",) if appendix else ()
+    common = ("", "of", "quantity", "printed", "computed", "deviation", "allowed", "verdict")
+    header = (*common, "hexapod", "remark") if appendix else (*common, "remark")
     return PageTable(
         f"table-{table.replace(' ', '-')}",
         f"{title}: {TITLES[table]}",
-        (*header, "remark"),
+        header,
         tuple(_result_cells(row, appendix) for row in rows),
         TOLERANCES,
     )
@@ -425,7 +425,7 @@ def parameters(content: Content) -> Section:
     """All hydraulic numbers with their status."""
     tables = tuple(
         _parameter_table(HYDRAULICS[on], hydraulics_of(on).quantities())
-        for on in ("model", "machine")  # type: ignore[arg-type]
+        for on in ("model", "machine")
     )
     return Section("parameters", "Parameters and their status", tables)
 
