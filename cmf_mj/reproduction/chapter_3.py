@@ -96,7 +96,8 @@ def _integral_on_machine(runs: Runs) -> Chart:
         f"Heave step of 1 in with velocity, position and integral feedback: overshoot "
         f"{100 * result.metrics.overshoot:.0f} %, damping ratio "
         f"{result.metrics.damping_ratio:.2f}, "
-        f"steady-state error {100 * result.metrics.steady_state_error:.2f} % (printed: 23 %, about "
+        f"steady-state error {abs(100 * result.metrics.steady_state_error):.2f} % (printed: 23 "
+        "%, about "
         f"0.4, below 1 %). Without the integral the law stops short by its DC gain of 47/50.48. "
         f"{STAND_IN}",
     )

@@ -56,7 +56,7 @@ _EQUATIONS = {1: ("4.11", "4.12", "4.13"), 2: ("4.14", "4.15", "4.16"), 3: ("4.1
 _SIGNAL_TITLES = {
     1: "a pulse of 1 in",
     2: f"a sine of {units.from_si('in', STEP):g} in at 1 Hz",
-    3: "the 35 sines of Table 2-3",
+    3: "the third round of Table 2-3, 3.4 to 5.4 Hz",
 }
 _OWN = (
     f"Ours: ARX of orders {tuple(ORDERS)} at 64 Hz on the stand-in's runs, position by integration "
@@ -87,23 +87,20 @@ def _driven(
     return np.asarray(control.forced_response(system, even, command).outputs)
 
 
-def _joined(runs: Runs, signal: Signal) -> tuple[NDArray[np.float64], ...]:
-    """Time, command less its rest [%], position [in], velocity [in/s], acceleration [g]."""
+def _measured(runs: Runs, signal: Signal) -> tuple[NDArray[np.float64], ...]:
+    """Time, command less its mean [%], position [in], velocity [in/s], acceleration [g].
+
+    Of the sweep its third round, 3.4 to 5.4 Hz, the band chapter 4 aims at.
+    """
     kept = runs.results[Wanted("machine", "velocity", "heave", signal)]
-    records: tuple[Record, ...] = kept if isinstance(kept, tuple) else (kept,)
-    gravity = units.STANDARD_GRAVITY
-    parts = [
-        (
-            100.0 * (record["valve_command"][:, 0] - record["valve_command"][0, 0]),
-            leg_motion(record, "leg_position", "in"),
-            leg_motion(record, "leg_velocity", "in/s"),
-            record["leg_acceleration"][:, 0] / gravity,
-        )
-        for record in records
-    ]
-    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    time = np.arange(columns[0].size) / records[0].rate
-    return (time, *columns)
+    record: Record = kept[2] if signal == "rounds" else kept
+    return (
+        record.time - record.time[0],
+        100.0 * (record["valve_command"][:, 0] - record["valve_command"][:, 0].mean()),
+        leg_motion(record, "leg_position", "in"),
+        leg_motion(record, "leg_velocity", "in/s"),
+        record["leg_acceleration"][:, 0] / units.STANDARD_GRAVITY,
+    )
 
 
 def _fit(measured: NDArray[np.float64], modelled: NDArray[np.float64]) -> float:
@@ -115,7 +112,7 @@ def _fit(measured: NDArray[np.float64], modelled: NDArray[np.float64]) -> float:
 
 
 def _pulse_data(runs: Runs) -> Chart:
-    time, command, position, velocity, acceleration = _joined(runs, "pulse")
+    time, command, position, velocity, acceleration = _measured(runs, "pulse")
     span = (0.5, 4.0)
     rows = (
         ("command [%]", command),
@@ -136,22 +133,30 @@ def _pulse_data(runs: Runs) -> Chart:
     return Chart(panels, f"Leg 1 in a heave pulse of 1 in, 1 s long, down; velocity FB. {STAND_IN}")
 
 
-def _open_loop(number: int, span: tuple[float, float], runs: Runs) -> Chart:
-    time, command, position, velocity, acceleration = _joined(
-        runs, cast("Signal", IDENTIFIED_ON[number])
-    )
-    measured = {"position [in]": position, "velocity [in/s]": velocity}
-    measured["acceleration [g]"] = acceleration
+def _fit_text(fit: float) -> str:
+    """In per cent; what has less than nothing in common has left the figure."""
+    return f"{fit:.0f} %" if fit > -100.0 else "no fit"
+
+
+def _open_loop(number: int, begin: float, span: tuple[float, float], runs: Runs) -> Chart:
+    """A model driven from rest at `begin` [s] by the recorded command."""
+    time, command, *measured = _measured(runs, cast("Signal", IDENTIFIED_ON[number]))
+    driven = (time >= begin) & (time <= span[1])
+    time, command = time[driven], command[driven]
     own = _own_velocity(runs, number)
     # The same model integrated and differentiated, the derivative in g.
     slope = control.tf([1.0 / units.from_si("in", units.STANDARD_GRAVITY), 0.0], [1.0])
     plain = control.tf(own.num_array[0, 0], own.den_array[0, 0])
     ours = (plain * control.tf([1.0], [1.0, 0.0]), plain, plain * slope)
-    equations = _EQUATIONS[number]
+    titles = ("position [in]", "velocity [in/s]", "acceleration [g]")
     panels, fits = [], []
-    for (title, values), equation, mine in zip(measured.items(), equations, ours, strict=True):
+    for title, whole, equation, mine in zip(
+        titles, measured, _EQUATIONS[number], ours, strict=True
+    ):
+        values = whole[driven]
         theirs = _driven(report_model(equation), command, time)
         fitted = _driven(mine, command, time)
+        room = 0.3 * float(np.ptp(values))
         panels.append(
             motion(
                 [
@@ -161,18 +166,19 @@ def _open_loop(number: int, span: tuple[float, float], runs: Runs) -> Chart:
                 ],
                 title,
                 span,
-                x_title="time [s]" if title.startswith("acc") else "",
+                x_title="time [s]" if title == titles[-1] else "",
+                y_range=(float(values.min()) - room, float(values.max()) + room),
                 height=0.9,
             )
         )
         fits.append(
-            f"{title.split()[0]} {_fit(values, theirs):.0f} % (Eq {equation}) and "
-            f"{_fit(values, fitted):.0f} % (ours)"
+            f"{title.split()[0]} {_fit_text(_fit(values, theirs))} (Eq {equation}) and "
+            f"{_fit_text(_fit(values, fitted))} (ours)"
         )
     return Chart(
         tuple(panels),
         f"The stand-in's leg 1 under {_SIGNAL_TITLES[number]}, velocity FB, and linear models "
-        f"#{number} driven open loop by its valve command. Fit over the whole run: "
+        f"#{number} driven open loop by its valve command from {begin:g} s on. Fit from there: "
         f"{'; '.join(fits)}. The report's models were fitted to the real machine and so show its "
         f"difference from the stand-in too; its position models drift, being unstable. {_OWN} "
         f"{STAND_IN}",
@@ -302,9 +308,9 @@ FIGURES = (
         _model_a,
     ),
     ReportFigure("4-2", "Pulse data of linear model #1", (_DATA[0],), _pulse_data),
-    _model_figure("4-3", "Linear model #1 in open loop", partial(_open_loop, 1, (0.5, 6.0))),
+    _model_figure("4-3", "Linear model #1 in open loop", partial(_open_loop, 1, 0.5, (0.5, 6.0))),
     _model_figure(
-        "4-4", "Linear model #1 in open loop, enlarged", partial(_open_loop, 1, (0.95, 1.7))
+        "4-4", "Linear model #1 in open loop, enlarged", partial(_open_loop, 1, 0.5, (0.95, 1.7))
     ),
     _model_figure("4-6", "Linear model #1, heave step of -1 in", partial(_closed_step, 1), _RISE),
     _model_figure(
@@ -313,7 +319,7 @@ FIGURES = (
         _fast_sine,
         Wanted("machine", "velocity", "heave", "sine_5_hz"),
     ),
-    _model_figure("4-8", "Linear model #2 on its sine", partial(_open_loop, 2, (2.0, 6.0))),
+    _model_figure("4-8", "Linear model #2 on its sine", partial(_open_loop, 2, 0.0, (2.0, 6.0))),
     _model_figure("4-9", "Linear model #2, heave step of -1 in", partial(_closed_step, 2), _RISE),
     _model_figure(
         "4-10",
@@ -321,7 +327,7 @@ FIGURES = (
         partial(_responses, (1, 2)),
         *cases("machine", ("velocity",)),
     ),
-    _model_figure("4-11", "Linear model #3 on its sweep", partial(_open_loop, 3, (190.0, 230.0))),
+    _model_figure("4-11", "Linear model #3 on its sweep", partial(_open_loop, 3, 0.0, (5.0, 22.0))),
     _model_figure("4-12", "Linear model #3, heave step of -1 in", partial(_closed_step, 3), _RISE),
     _model_figure(
         "4-13",

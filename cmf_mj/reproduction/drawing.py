@@ -14,8 +14,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFo
 from cmf_mj.reproduction.chart import Chart, Panel, names_in
 
 _DASHES = {"solid": "-", "dash": "--", "dot": ":"}
-_PANEL, _MARGIN, _GAP = 230, 130, 30
-"""Height of a panel, what surrounds all, and what parts two with their own axes [px]."""
+_PANEL, _MARGIN = 230, 96
+"""Height of a panel and of what surrounds all [px]."""
 
 
 def optional_module(name: str) -> ModuleType:
@@ -75,7 +75,7 @@ def plotly_json(chart: Chart) -> str:
     layout: dict[str, Any] = {
         "template": "none",
         "height": chart_height(chart),
-        "margin": {"l": 62, "r": 12, "t": 8, "b": 44},
+        "margin": {"l": 62, "r": 12, "t": 44, "b": 52},
         "hovermode": "closest",
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0.0},
         "font": {"family": "system-ui, sans-serif", "size": 12},
@@ -88,7 +88,8 @@ def plotly_json(chart: Chart) -> str:
         suffix = "" if index == 0 else str(index + 1)
         axis = _own_axis(panel, chart.panels)
         share = panel.height / total
-        gap = (0.16 if panel.x_title else 0.03) if len(chart.panels) > 1 else 0.0
+        last = index == len(chart.panels) - 1
+        gap = 0.0 if last else 0.2 if panel.x_title else 0.08
         bottom = top - share
         layout[f"yaxis{suffix}"] = {
             "title": {"text": panel.y_title},
