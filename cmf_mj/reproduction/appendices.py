@@ -45,10 +45,11 @@ def _both(laws: Sequence[str], dof: str, note: str, runs: Runs) -> Chart:
             marks.append(printed(law, dof, "hardware", colour, "printed, hardware"))
     size = "0.33 in" if dof in ("surge", "sway", "heave") else "0.2 deg"
     unstable = f" The step rings on undiminished: {'; '.join(ringing)}." if ringing else ""
+    circles = f" {CIRCLES}" if any(on_gain or on_phase for on_gain, on_phase in marks) else ""
     return Chart(
         bode(responses, marks, gain_range=(-20.0, 20.0)),
         f"{dof.capitalize()}, {size} chirp. Hexapod: the machine's stand-in, GFD, hardware set. "
-        f"Single legs: the report's model, report set. {note}{unstable} {CIRCLES}",
+        f"Single legs: the report's model, report set. {note}{unstable}{circles}",
     )
 
 

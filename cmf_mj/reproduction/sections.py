@@ -4,7 +4,7 @@ A section that is left out of `SECTIONS` is left out of the page and of its cont
 function and its entry.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -95,9 +95,21 @@ def result_table(runs: Runs, table: str) -> PageTable:
         f"table-{table.replace(' ', '-')}",
         f"{title}: {TITLES[table]}",
         header,
-        tuple(_result_cells(row, appendix) for row in rows),
+        _said_once(_result_cells(row, appendix) for row in rows),
         TOLERANCES,
     )
+
+
+def _said_once(rows: Iterable[TableRow]) -> tuple[TableRow, ...]:
+    """Rows whose remark, the last cell, repeats only as a reference to the first."""
+    seen: set[str] = set()
+    found = []
+    for row in rows:
+        remark = row.cells[-1]
+        again = len(remark) > 40 and remark in seen
+        seen.add(remark)
+        found.append(row._replace(cells=(*row.cells[:-1], "as above")) if again else row)
+    return tuple(found)
 
 
 def _result_cells(row: ResultRow, appendix: bool) -> TableRow:

@@ -284,4 +284,6 @@ def outside(rows: Iterable[ResultRow]) -> list[ResultRow]:
 
 def printed_number(value: float, digits: int = 3) -> str:
     """A number for a table; a dash where there is none."""
+    if 0.0 < abs(value) < 1e-3:
+        return "below 0.001"
     return "–" if not np.isfinite(value) else f"{value:.{digits}g}"
