@@ -2,23 +2,30 @@
 
 A table stands between `<!-- table: NAME -->` and `<!-- end -->`; NAME is a folder below --results
 that `cmf compare --out`, `cmf failure --out` or `scripts/electronics_effect.py --out` wrote.
-Figures of the folder `compare` are copied to docs/images.
+Figures of the folder `compare` are copied to docs/images. What stands between `<!-- data: NAME -->`
+and `<!-- end -->` is made from data of the package and needs no study.
 """
 
 import argparse
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
+from cmf_mj.ledger import load_ledger
+from cmf_mj.ledger_report import ledger_markdown
+
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "docs/model.md", "docs/failures.md", "docs/operation.md")
+PAGES = ("README.md", "docs/model.md", "docs/failures.md", "docs/operation.md", "docs/ledger.md")
 TABLES = ("comparison.md", "failures.md")
 FIGURES = ("bode_surge.png", "bode_heave.png", "step_surge.png")
+DATA: dict[str, Callable[[], str]] = {"ledger": lambda: ledger_markdown(load_ledger())}
 _TABLE = re.compile(r"(<!-- table: ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+_DATA = re.compile(r"(<!-- data: ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def refresh(text: str, results: Path) -> str:
-    """Replace every table whose study lies below `results`."""
+    """Replace every table whose study lies below `results`, and what is made from data."""
 
     def replace(match: re.Match[str]) -> str:
         for name in TABLES:
@@ -27,6 +34,7 @@ def refresh(text: str, results: Path) -> str:
                 return f"{match[1]}\n{source.read_text(encoding='utf-8')}\n{match[3]}"
         return match[0]
 
+    text = _DATA.sub(lambda match: f"{match[1]}\n{DATA[match[2]]()}\n{match[3]}", text)
     return _TABLE.sub(replace, text)
 
 

@@ -19,10 +19,10 @@ from cmf_mj.linearization import leg_model, linearize
 from cmf_mj.plant import SingleLegs
 from cmf_mj.published import published_gains, published_results
 from cmf_mj.reproduction import drawing, force, statements, tables
+from cmf_mj.reproduction.blocks import Content, PageTable
 from cmf_mj.reproduction.chart import Chart, Panel, curve, names_in, thinned
 from cmf_mj.reproduction.page import FIGURES, TABLES
 from cmf_mj.reproduction.runs import FORCE_READINGS, Runs, Wanted, hydraulics_of, law_of
-from cmf_mj.reproduction.sections import Content, PageTable
 from cmf_mj.studies import CaseResult
 
 SHOWN = ["2-4", "2-13", "3-14", "3-16", "3-21"]

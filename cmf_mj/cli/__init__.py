@@ -2,6 +2,7 @@
 
 from cmf_mj.cli import (
     analysing,
+    calibrating,
     capacities,
     comparing,
     failing,
@@ -17,6 +18,7 @@ from cmf_mj.cli.common import app
 
 __all__ = [
     "analysing",
+    "calibrating",
     "capacities",
     "comparing",
     "failing",

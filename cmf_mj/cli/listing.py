@@ -1,4 +1,4 @@
-"""`cmf laws` and `cmf parameters`."""
+"""`cmf laws`, `cmf parameters` and `cmf ledger`."""
 
 from typing import Annotated
 
@@ -7,6 +7,8 @@ import typer
 from cmf_mj import report
 from cmf_mj.cli.common import TEXT_WIDTH, app, refuse, show
 from cmf_mj.control import law_names, load_law
+from cmf_mj.ledger import ledger_entry, load_ledger
+from cmf_mj.ledger_report import ledger_table
 from cmf_mj.parameters import load_hydraulics
 
 
@@ -23,5 +25,17 @@ def parameters_command(
     """Show a hydraulic parameter set: value, unit, status and source of every number."""
     try:
         show(report.parameter_table(load_hydraulics(hydraulics)), width=TEXT_WIDTH)
+    except ValueError as error:
+        refuse(error)
+
+
+@app.command("ledger")
+def ledger_command(
+    number: Annotated[int | None, typer.Argument(help="number of an entry; default all")] = None,
+) -> None:
+    """Show the misprints and contradictions of the report and what is done about each."""
+    try:
+        entries = load_ledger() if number is None else (ledger_entry(number),)
+        show(ledger_table(entries), width=TEXT_WIDTH)
     except ValueError as error:
         refuse(error)

@@ -7,11 +7,13 @@ from typing import cast
 
 from cmf_mj.files import whole_file
 from cmf_mj.reproduction import appendices, chapter_2, chapter_3, chapter_4, force, statements
+from cmf_mj.reproduction.blocks import Content, Section
 from cmf_mj.reproduction.chart import Chart
 from cmf_mj.reproduction.curves import ReportFigure
 from cmf_mj.reproduction.drawing import chart_height, optional_module, plotly_json, still
+from cmf_mj.reproduction.ledger_section import CALIBRATION_NEEDS
 from cmf_mj.reproduction.runs import Wanted, perform
-from cmf_mj.reproduction.sections import SECTIONS, STUDIES, Content, Section
+from cmf_mj.reproduction.sections import SECTIONS, STUDIES
 from cmf_mj.reproduction.tables import TITLES, table_needs
 
 TITLE = "Control laws of the NASA Langley Cockpit Motion Facility: the 2014 report, reproduced"
@@ -84,6 +86,7 @@ def make_content(
     wanted += [need for table in results for need in table_needs(table)]
     if studies:
         wanted += [*force.FORCE_NEEDS, *statements.STATEMENT_NEEDS, *statements.REST_NEEDS]
+        wanted += CALIBRATION_NEEDS
     runs = perform(
         wanted,
         sensors=any(figure.sensors for figure in shown),

@@ -5,15 +5,22 @@ function and its entry.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
 
 from cmf_mj.parameters import Quantity
 from cmf_mj.published import published_results
 from cmf_mj.record import Record
 from cmf_mj.reproduction import force, statements
-from cmf_mj.reproduction.chart import Chart
-from cmf_mj.reproduction.curves import ReportFigure
+from cmf_mj.reproduction.blocks import (
+    Block,
+    Content,
+    PageFigure,
+    PageTable,
+    Section,
+    TableRow,
+    Text,
+    Verdict,
+)
+from cmf_mj.reproduction.ledger_section import calibration, ledger
 from cmf_mj.reproduction.runs import CAB, HYDRAULICS, Runs, hydraulics_of
 from cmf_mj.reproduction.tables import (
     TITLES,
@@ -25,63 +32,6 @@ from cmf_mj.reproduction.tables import (
     result_rows,
 )
 from cmf_mj.studies import CaseResult
-
-Verdict = Literal["within", "outside", "reported", ""]
-
-
-class TableRow(NamedTuple):
-    """Cells of a line and its verdict, which colours it."""
-
-    cells: tuple[str, ...]
-    verdict: Verdict = ""
-
-
-class PageTable(NamedTuple):
-    """A table of the page."""
-
-    anchor: str
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[TableRow, ...]
-    note: str = ""
-
-
-class PageFigure(NamedTuple):
-    """A figure of the page."""
-
-    anchor: str
-    title: str
-    chart: Chart
-
-
-class Text(NamedTuple):
-    """A paragraph."""
-
-    text: str
-
-
-Block = PageTable | PageFigure | Text
-
-
-class Section(NamedTuple):
-    """A section with an entry in the contents."""
-
-    anchor: str
-    title: str
-    blocks: tuple[Block, ...]
-
-
-@dataclass(frozen=True)
-class Content:
-    """All that sections are made of."""
-
-    runs: Runs
-    figures: tuple[ReportFigure, ...]
-    """Figures to show."""
-    tables: tuple[str, ...]
-    """Result tables to show."""
-    studies: bool
-    """Whether the sections on force feedback, steady states and the text's numbers are shown."""
 
 
 def result_table(runs: Runs, table: str) -> PageTable:
@@ -482,10 +432,12 @@ SECTIONS: tuple[Callable[[Content], Section], ...] = (
     text_numbers,
     appendix_b,
     appendix_d,
+    ledger,
+    calibration,
     parameters,
     provenance,
 )
 """The page, in order."""
 
-STUDIES = (steady_state, force_feedback, text_numbers)
+STUDIES = (steady_state, force_feedback, text_numbers, calibration)
 """Sections shown only with all figures and tables, since they need runs of their own."""
