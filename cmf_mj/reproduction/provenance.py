@@ -1,6 +1,7 @@
 """Sections on what the page rests on: parameters with their status, models, versions, seed."""
 
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 
 import numpy as np
 
@@ -131,6 +132,8 @@ def provenance(content: Content) -> Section:
         rows[(f"model digest, {meta['plant']}", str(meta["model_digest"]))] = None
         for key, value in sorted(meta["versions"].items()):
             rows[(f"version, {key}", str(value))] = None
+    for package in ("matplotlib", "plotly", "jinja2"):
+        rows[(f"version, {package}", version(package))] = None
     table = PageTable(
         "provenance-table", "Made by", ("", ""), tuple(TableRow(cells) for cells in rows)
     )

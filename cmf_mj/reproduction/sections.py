@@ -78,7 +78,8 @@ def _result_cells(row: ResultRow, appendix: bool) -> TableRow:
         verdict,
     ]
     if appendix:
-        cells.append(f"{row.hexapod:.2f}" if row.hexapod == row.hexapod else "–")
+        missing = "–" if relative else "unstable"
+        cells.append(f"{row.hexapod:.2f}" if row.hexapod == row.hexapod else missing)
     return TableRow((*cells, row.note), verdict)
 
 

@@ -92,7 +92,8 @@ class ResultRow(NamedTuple):
     within: bool | None
     """None for what is only reported."""
     hexapod: float
-    """The same quantity on the machine's stand-in, where the row is the model's; else NaN."""
+    """The same quantity on the machine's stand-in in tables of Appendix D; else, and of damping
+    where the legs ring on undiminished, NaN."""
     note: str
 
 
@@ -137,7 +138,11 @@ def _judged(runs: Runs, row: Published, label: str) -> list[ResultRow]:
         note = _note(row.law, row.table, quantity, needed=within is not True)
         if field == "damping_ratio" and ringing and not note:
             note = "of the first overshoot; the legs then ring on undiminished"
-        hexapod = _value(runs, "machine", row, field) if appendix else float("nan")
+        hexapod = float("nan")
+        if appendix and (
+            field != "damping_ratio" or runs.case("machine", row.law, row.dof).metrics.stable
+        ):
+            hexapod = _value(runs, "machine", row, field)
         of = _OF[row.of]
         found.append(
             ResultRow(
