@@ -136,7 +136,8 @@ def force_feedback(content: Content) -> Section:
         "newton, or with the pressure in kPa, they have 21 and 25 Hz in the linear loop. But the "
         "command then clamps, the limit cycle falls back to 16 Hz, and the frequency response "
         "loses "
-        "all likeness to the report's. With the printed gains, 25 Hz needs oil three to five times as "
+        "all likeness to the report's. With the printed gains, 25 Hz needs oil three to five "
+        "times as "
         "stiff, which contradicts the leg mode of Eq 4.1, or lags that Eqs 4.1 and 4.4 exclude.",
         "So the oscillation is reproduced, its frequency is not, and the printed gains are "
         "right by "
