@@ -1,9 +1,10 @@
 """Refresh the generated tables and pictures of README and docs from finished studies.
 
 A table stands between `<!-- table: NAME -->` and `<!-- end -->`; NAME is a folder below --results
-that `cmf compare --out`, `cmf failure --out` or `scripts/electronics_effect.py --out` wrote.
-Figures of the folder `compare` are copied to docs/images. What stands between `<!-- data: NAME -->`
-and `<!-- end -->` is made from data of the package and needs no study.
+that `cmf compare --out`, `cmf failure --out`, `cmf calibrate --out` or
+`scripts/electronics_effect.py --out` wrote. Figures of the studies are copied to docs/images. What
+stands between `<!-- data: NAME -->` and `<!-- end -->` is made from data of the package and needs
+no study.
 """
 
 import argparse
@@ -16,11 +17,27 @@ from cmf_mj.ledger import load_ledger
 from cmf_mj.ledger_report import ledger_markdown
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "docs/model.md", "docs/failures.md", "docs/operation.md", "docs/ledger.md")
-TABLES = ("comparison.md", "failures.md")
-FIGURES = ("bode_surge.png", "bode_heave.png", "step_surge.png")
+PAGES = (
+    "README.md",
+    "docs/model.md",
+    "docs/failures.md",
+    "docs/operation.md",
+    "docs/ledger.md",
+    "docs/calibration.md",
+)
+TABLES = ("comparison.md", "failures.md", "calibration.md")
+FIGURES = {
+    "compare/bode_surge.png": "bode_surge.png",
+    "compare/bode_heave.png": "bode_heave.png",
+    "compare/step_surge.png": "step_surge.png",
+    "calibrate/report/residuals.png": "calibration_report.png",
+    "calibrate/report/sensitivity.png": "sensitivity_report.png",
+    "calibrate/hardware/residuals.png": "calibration_hardware.png",
+    "calibrate/hardware/sensitivity.png": "sensitivity_hardware.png",
+}
+"""Figures of the studies below --results, and their names in docs/images."""
 DATA: dict[str, Callable[[], str]] = {"ledger": lambda: ledger_markdown(load_ledger())}
-_TABLE = re.compile(r"(<!-- table: ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+_TABLE = re.compile(r"(<!-- table: ([\w/-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 _DATA = re.compile(r"(<!-- data: ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -47,10 +64,10 @@ def main() -> None:
     for name in PAGES:
         page = options.root / name
         page.write_text(refresh(page.read_text(encoding="utf-8"), options.results), "utf-8")
-    for figure in FIGURES:
-        source = options.results / "compare" / figure
+    for figure, name in FIGURES.items():
+        source = options.results / figure
         if source.is_file():
-            shutil.copyfile(source, options.root / "docs" / "images" / figure)
+            shutil.copyfile(source, options.root / "docs" / "images" / name)
     print(f"refreshed {', '.join(PAGES)}")
 
 

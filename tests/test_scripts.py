@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -122,3 +123,20 @@ def test_electronics_effect_writes_its_table(tmp_path: Path) -> None:
     assert row[-1] == "stable"
     ideal, real = float(row[2]), float(row[3])
     assert 0.0 < abs(real / ideal - 1.0) < 0.05
+
+
+def test_update_docs_takes_tables_from_studies_and_data(tmp_path: Path) -> None:
+    """On a copy of the pages: a study's table goes in, the ledger comes from the data."""
+    source = SCRIPTS.parent
+    shutil.copytree(source / "docs", tmp_path / "docs")
+    shutil.copy(source / "README.md", tmp_path)
+    ledger = tmp_path / "docs" / "ledger.md"
+    shipped = ledger.read_text(encoding="utf-8")
+    ledger.write_text(shipped.replace("### 3.", "### 33."), encoding="utf-8")
+    study = tmp_path / "out" / "calibrate" / "report"
+    study.mkdir(parents=True)
+    (study / "calibration.md").write_text("| a table |\n", encoding="utf-8")
+    run("update_docs.py", "--root", str(tmp_path), cwd=tmp_path)
+    assert ledger.read_text(encoding="utf-8") == shipped
+    page = (tmp_path / "docs" / "calibration.md").read_text(encoding="utf-8")
+    assert "<!-- table: calibrate/report -->\n\n| a table |\n\n<!-- end -->" in page

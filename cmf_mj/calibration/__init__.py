@@ -1,8 +1,8 @@
 """Calibration: which parameters were fitted to which published numbers, and what that is worth.
 
-`load_study` gives a study, `calibrate` fits its free parameters, `residual_rows` puts every printed
-number beside a computed one, `sensitivity` and `spread` say what a result owes to each parameter and
-how far their ranges carry it.
+`load_study` gives a study, `calibrate` fits its free parameters, `residual_rows` puts every
+printed number beside a computed one, `sensitivity` and `spread` say what a result owes to each
+parameter and how far their ranges carry it.
 """
 
 from cmf_mj.calibration.definition import Measure, Parameter, Row, Study, load_studies, load_study

@@ -123,18 +123,19 @@ def _cost_vector(study: Study, values: Values, shift: Results) -> NDArray[np.flo
 
 
 def _shift(stage: Stage) -> dict[str, Measured]:
-    return {
-        law: Measured(
-            *(stage.simulated[law].value(m) - stage.linear[law].value(m) for m in MEASURES), True
-        )
-        for law in stage.simulated
-    }
+    """What linearisation misses at the parameters of a stage."""
+    found = {}
+    for law, simulated in stage.simulated.items():
+        linear = stage.linear[law]
+        missed = {m: simulated.value(m) - linear.value(m) for m in MEASURES}
+        found[law] = Measured(**missed, stable=simulated.stable)
+    return found
 
 
 def calibrate(
     study: Study,
     *,
-    rounds: int = 2,
+    rounds: int = 1,
     quick: bool = False,
     jobs: int | None = None,
     progress: Callable[[str], None] | None = None,

@@ -31,8 +31,10 @@ from cmf_mj.studies import ROTATION_PER_TRANSLATION, compare
 Values = Mapping[str, float]
 """Parameter values by name, in the units of the study."""
 
-_LINES = np.linspace(0.1, 20.0, 1000)
-_STEP = 4.0
+_LINES = np.geomspace(0.4, 15.0, 400)
+"""Lines the bandwidths are read between [Hz], 1 % apart."""
+_STEP = 1.5
+"""Length of the linear steps [s]: the overshoot comes within the first half second."""
 _FASTEST = 30.0 * units.HERTZ
 """Modes above it are of valves and sensors, not of the machine [rad/s]."""
 _SWEPT = units.to_si("in", 1.0)
@@ -58,7 +60,7 @@ class Measured(NamedTuple):
 def starting_values(study: Study) -> dict[str, float]:
     """Values of all parameters as the set and the laws ship, in the units of the study."""
     quantities = load_hydraulics(study.hydraulics).quantities()
-    found = {}
+    found: dict[str, float] = {}
     for parameter in study.parameters:
         if parameter.name == "derivative_pole":
             found[parameter.name] = load_law("position_error_rate").derivative_pole

@@ -15,7 +15,7 @@ def calibrate_command(
     study: Annotated[
         str, typer.Option(help="report, hardware, hardware_lag, several with commas, or `all`")
     ] = "all",
-    rounds: Annotated[int, typer.Option(help="fits, each followed by a simulation")] = 2,
+    rounds: Annotated[int, typer.Option(help="fits, each followed by a simulation")] = 1,
     quick: Annotated[bool, typer.Option("--quick", help="sweeps of 30 s instead of 100 s")] = False,
     samples: Annotated[int, typer.Option(help="samples for the uncertainty")] = 128,
     jobs: Annotated[int | None, typer.Option(help="threads; default one per core")] = None,
