@@ -12,8 +12,10 @@ import pytest
 from typer.testing import CliRunner
 
 from cmf_mj import load_law, reproduction
+from cmf_mj.calibration import load_studies
 from cmf_mj.cli import app
 from cmf_mj.control.law import FRAME
+from cmf_mj.ledger import load_ledger
 from cmf_mj.linear_models import closed_loop
 from cmf_mj.linearization import leg_model, linearize
 from cmf_mj.plant import SingleLegs
@@ -21,11 +23,15 @@ from cmf_mj.published import published_gains, published_results
 from cmf_mj.reproduction import drawing, force, statements, tables
 from cmf_mj.reproduction.blocks import Content, PageTable
 from cmf_mj.reproduction.chart import Chart, Panel, curve, names_in, thinned
+from cmf_mj.reproduction.ledger_section import CALIBRATION_NEEDS
 from cmf_mj.reproduction.page import FIGURES, TABLES
 from cmf_mj.reproduction.runs import FORCE_READINGS, Runs, Wanted, hydraulics_of, law_of
 from cmf_mj.studies import CaseResult
 
 SHOWN = ["2-4", "2-13", "3-14", "3-16", "3-21"]
+
+OWN = ("steady-state", "force", "text", "ledger", "calibration", "parameters", "provenance")
+"""Sections that no chapter of the report has."""
 
 REPORT_FIGURES = (
     "2-4 2-12 2-13 2-15 2-16 3-2 3-3 3-4 3-9 3-10 3-11 3-14 3-15 3-16 3-17 3-20 3-21 3-22 3-23 "
@@ -137,6 +143,60 @@ def test_a_slower_model_falls_outside_and_is_coloured(content: Content) -> None:
     chapter = next(s for s in reproduction.sections_of(slow) if s.anchor == "chapter-2")
     shown = next(b for b in chapter.blocks if isinstance(b, PageTable) and b.anchor == "table-2-4")
     assert [row.verdict for row in shown.rows[::3]] == ["outside", "outside"]
+
+
+@pytest.fixture(scope="module")
+def studied(content: Content) -> Content:
+    """All sections; the original law stands in for those that were not run."""
+    found: dict[Wanted, Any] = dict(content.runs.results)
+    needs = [*force.FORCE_NEEDS, *statements.STATEMENT_NEEDS, *statements.REST_NEEDS]
+    for need in (*needs, *CALIBRATION_NEEDS):
+        found.setdefault(need, content.runs.case(need.on, "original"))
+    runs = Runs(found, content.runs.sensors, content.runs.quick, content.runs.seed)
+    return Content(runs, (), (), studies=True)
+
+
+def tables_of(content: Content) -> dict[str, PageTable]:
+    return {
+        block.anchor: block
+        for section in reproduction.sections_of(content)
+        for block in section.blocks
+        if isinstance(block, PageTable)
+    }
+
+
+def test_all_sections_have_rows_as_wide_as_their_headers(studied: Content) -> None:
+    sections = reproduction.sections_of(studied)
+    assert [section.anchor for section in sections if section.anchor in OWN] == list(OWN)
+    for name, table in tables_of(studied).items():
+        assert table.rows, name
+        assert {len(row.cells) for row in table.rows} == {len(table.header)}, name
+
+
+def test_studies_are_left_out_of_a_part(content: Content) -> None:
+    shown = {section.anchor for section in reproduction.sections_of(content)}
+    assert not shown & {"force", "steady-state", "text", "calibration"}
+    assert {"ledger", "parameters", "provenance"} <= shown
+
+
+def test_ledger_and_calibration_are_shown_whole(studied: Content) -> None:
+    shown = tables_of(studied)
+    assert len(shown["ledger-table"].rows) == len(load_ledger())
+    for name in ("report", "hardware"):
+        study = load_studies()[name]
+        rows = shown[f"calibration-{name}-residuals"].rows
+        assert len(rows) == sum(len(row.fitted) + len(row.predicted) for row in study.rows)
+        fitted = [p for p in shown[f"calibration-{name}-parameters"].rows if "fitted" in p.cells]
+        assert len(fitted) == len(study.free)
+    original = [r for r in shown["calibration-report-residuals"].rows if "Original" in r.cells[0]]
+    phase = studied.runs.case("model", "original").bandwidths.phase_hz
+    assert {row.cells[4] for row in original if row.cells[1] == "-90 deg [Hz]"} == {f"{phase:.2f}"}
+
+
+def test_force_table_ends_with_what_the_report_prints(studied: Content) -> None:
+    rows = tables_of(studied)["force-readings"].rows
+    assert len(rows) == len(FORCE_READINGS) + 1
+    assert rows[-1].cells[4] == "25" and rows[-1].cells[7:9] == ("5.5", "6")
 
 
 def test_unfitted_laws_are_reported_without_a_verdict() -> None:
