@@ -110,7 +110,7 @@ def calibration(content: Content) -> Section:
     studies = [study for study in load_studies().values() if study.hydraulics in _PLANTS]
     text = Text(
         "Two numbers of each set were fitted to printed results; all others are stated, derived or "
-        "assumed. A fitted row agrees by construction; only the predicted rows test the model. "
+        "assumed. Fitted rows were made to agree; only the predicted rows test the model. "
         "Deviations here are judged alike for every law, force and combined rate feedback too. "
         "`cmf calibrate` repeats the fit and says what each result owes to each parameter."
     )
