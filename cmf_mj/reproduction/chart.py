@@ -1,0 +1,109 @@
+"""A figure as data: panels of curves, drawn alike for the screen and for print."""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555")
+"""A palette that colour-blind readers can tell apart (Okabe and Ito)."""
+
+GREY = "#777777"
+"""Of demands and references."""
+
+MOST = 1200
+"""Largest number of points a curve keeps."""
+
+Dash = Literal["solid", "dash", "dot"]
+
+
+class Curve(NamedTuple):
+    """One line or set of marks."""
+
+    name: str
+    x: NDArray[np.float32]
+    y: NDArray[np.float32]
+    colour: str
+    dash: Dash = "solid"
+    marks: bool = False
+    """Marks without a line."""
+    width: float = 1.5
+
+
+class Panel(NamedTuple):
+    """One pair of axes. Panels without `x_title` share the x axis of the next that has one."""
+
+    y_title: str
+    curves: tuple[Curve, ...]
+    y_range: tuple[float, float] | None = None
+    y_tick: float | None = None
+    y_log: bool = False
+    guides: tuple[float, ...] = ()
+    """Horizontal lines."""
+    x_title: str = ""
+    x_range: tuple[float, float] | None = None
+    x_log: bool = False
+    height: float = 1.0
+    """Relative."""
+
+
+class Chart(NamedTuple):
+    """A figure and the words under it."""
+
+    panels: tuple[Panel, ...]
+    caption: str
+
+
+def thinned(
+    x: NDArray[np.float64], y: NDArray[np.float64], most: int = MOST
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """At most `most` points: of each of equal stretches the lowest and the highest.
+
+    Peaks survive, as they would not if every n-th point were kept.
+    """
+    if x.size <= most:
+        return x, y
+    edges = np.linspace(0, x.size, most // 2 + 1).astype(int)
+    kept: set[int] = {0, x.size - 1}
+    for first, last in zip(edges[:-1], edges[1:], strict=True):
+        part = y[first:last]
+        kept |= {first + int(np.argmin(part)), first + int(np.argmax(part))}
+    chosen = np.array(sorted(kept)[:most])
+    return x[chosen], y[chosen]
+
+
+def curve(
+    name: str,
+    x: ArrayLike,
+    y: ArrayLike,
+    colour: str,
+    dash: Dash = "solid",
+    *,
+    marks: bool = False,
+    width: float = 1.5,
+    within: tuple[float, float] | None = None,
+) -> Curve:
+    """A curve without what cannot be drawn, thinned, in single precision.
+
+    Args:
+        name: for the legend; curves of one name share an entry.
+        x: (N,).
+        y: (N,).
+        colour: as CSS has it.
+        dash: of the line.
+        marks: draw points, not a line.
+        width: of the line [px].
+        within: part of x to keep.
+    """
+    across, up = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    drawn = np.isfinite(across) & np.isfinite(up)
+    if within is not None:
+        drawn &= (across >= within[0]) & (across <= within[1])
+    across, up = thinned(across[drawn], up[drawn])
+    return Curve(name, across.astype(np.float32), up.astype(np.float32), colour, dash, marks, width)
+
+
+def names_in(panels: Sequence[Panel]) -> list[str]:
+    """Legend entries in order."""
+    return list(dict.fromkeys(c.name for panel in panels for c in panel.curves))
