@@ -10,6 +10,7 @@ from viser import uplot
 
 from cmf_mj import units
 from cmf_mj.kinematics import DOFS
+from cmf_mj.studio.choices import unit_of
 
 LEG_COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b")
 _BLACK, _BLUE, _ORANGE, _GREY = "#222222", "#1f77b4", "#ff7f0e", "#8a9099"
@@ -18,19 +19,10 @@ _HEIGHT = 150
 _EMPTY = np.zeros(2)
 
 
-def unit_of(dof: str) -> str:
-    """Unit a degree of freedom is shown in: in or deg."""
-    return "in" if DOFS.index(dof) < 3 else "deg"
-
-
 class _Line(NamedTuple):
     label: str
     colour: str
     dash: tuple[float, ...] = ()
-
-
-def _axis(label: str) -> uplot.Axis:
-    return uplot.Axis(label=label, labelSize=18, size=48, font="11px sans-serif")
 
 
 def time_plot(
@@ -94,8 +86,8 @@ class Plots:
         )
         self._supply = time_plot(
             client,
-            "supply [psi]",
-            [_Line("manifold", _BLACK), _Line("accumulators", _GREY, (5, 4))],
+            "manifolds [psi]",
+            [_Line("supply", _BLACK), _Line("return", _GREY, (5, 4))],
             (0.0, 2000.0),
         )
 
@@ -123,5 +115,5 @@ class Plots:
         self._valve.data = (time, *drawn("valve_command", "%"))
         pressures = [drawn(name, "psi") for name in ("cap_pressure", "rod_pressure")]
         self._pressure.data = (time, *(side[leg] for side in pressures))
-        supply = [drawn(name, "psi")[0] for name in ("supply_pressure", "accumulator_pressure")]
+        supply = [drawn(name, "psi")[0] for name in ("supply_pressure", "return_pressure")]
         self._supply.data = (time, *supply)

@@ -38,6 +38,8 @@ class MachineScene:
             client: the tab.
             cab: `gfd`, `rfd` or `ifd`.
         """
+        self.cab = cab
+        """The cab shown."""
         self._client = client
         client.scene.reset()
         self._light()
@@ -55,6 +57,11 @@ class MachineScene:
     def platform_position(self) -> NDArray[np.float64]:
         """Where the platform is drawn, model's axes (z up) [m], (3,)."""
         return self._data.xpos[self._platform].copy()
+
+    @property
+    def width(self) -> int:
+        """Generalised positions of the model."""
+        return int(self._model.nq)
 
     def show(self, qpos: ArrayLike) -> None:
         """Move everything to generalised positions (nq,)."""

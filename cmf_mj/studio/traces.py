@@ -19,7 +19,7 @@ CHANNELS = {
     "cap_pressure": 6,
     "rod_pressure": 6,
     "supply_pressure": 1,
-    "accumulator_pressure": 1,
+    "return_pressure": 1,
 }
 """What is kept, with its columns; names and units of `Record`."""
 

@@ -1,0 +1,91 @@
+"""The gains of a law as knobs: taken from the law's data, not from a list of names."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from cmf_mj.control.law import Law, load_law
+
+_BASE = "velocity"
+"""Law that a law from the page replaces field by field; it follows no model."""
+
+_TABLES = ("input_gain", "direct_gain", "reference_model")
+_SCALARS = ("state_gain", "output_gain")
+
+_UNITS = {
+    "reference": "%/in",
+    "cap_pressure": "%/Pa",
+    "rod_pressure": "%/Pa",
+    "position": "%/in",
+    "velocity": "%/(in/s)",
+    "position_error_rate": "%/(in/s)",
+    "velocity_error": "%/(in/s)",
+    "error_integral": "%/(in s)",
+    "acceleration": "%/(in/s^2)",
+    "force": "%/lbf",
+}
+
+
+class Knob(NamedTuple):
+    """One number of a law that can be turned."""
+
+    path: tuple[str, ...]
+    """Where it is in the law."""
+    value: float
+    """As the law has it."""
+    low: float
+    """Least value of its slider."""
+    high: float
+    """Largest value of its slider."""
+
+    @property
+    def label(self) -> str:
+        """Short name: B and D for the two gain tables, as the report has them."""
+        table, *rest = self.path
+        letter = {"input_gain": "B", "direct_gain": "D", "state_gain": "A", "output_gain": "C"}
+        short = letter.get(table, "model")
+        return " ".join([short, *(part.replace("_", " ") for part in rest)])
+
+    @property
+    def hint(self) -> str:
+        """Full name and unit."""
+        unit = _UNITS.get(self.path[-1], "") if self.path[0] in _TABLES[:2] else ""
+        return f"{'.'.join(self.path)} {unit}".strip()
+
+    def table(self, value: float) -> dict[str, Any]:
+        """The value as a table of `gains`."""
+        nested: Any = value
+        for part in reversed(self.path):
+            nested = {part: nested}
+        return dict(nested)
+
+
+def knobs(law: Law) -> tuple[Knob, ...]:
+    """One knob for each number of a law that is not zero, from zero to its double."""
+    data = law.model_dump(include={*_TABLES, *_SCALARS}, exclude_none=True)
+    return tuple(_knob(path, value) for path, value in _numbers(data) if value != 0.0)
+
+
+def law_as_gains(law: Law) -> dict[str, Any]:
+    """A law of a file as a change that needs no file: `law` and the `gains` that make it.
+
+    Returns:
+        Keys `law` and `gains` of a change.
+    """
+    own = law.model_dump(exclude={"name", "title", "source"}, exclude_none=True)
+    assert load_law(_BASE).reference_model is None
+    return {"law": _BASE, "gains": own}
+
+
+def _numbers(data: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[Any, float]]:
+    for name, value in data.items():
+        if isinstance(value, Mapping):
+            yield from _numbers(value, (*above, name))
+        elif isinstance(value, int | float):
+            yield (*above, name), float(value)
+
+
+def _knob(path: tuple[str, ...], value: float) -> Knob:
+    low, high = sorted((0.0, 2.0 * value))
+    if path == ("state_gain",):  # |A| < 1, or the compensator's own state is unstable
+        low, high = -0.99, 0.99
+    return Knob(path, value, low, high)
