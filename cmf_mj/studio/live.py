@@ -138,6 +138,7 @@ class LiveSession:
 
     def _go(self) -> None:
         before = time.monotonic()
+        self._clock.restart(before)
         while not self._closed.is_set():
             begun = time.monotonic()
             frames = self._turn(begun)

@@ -158,6 +158,8 @@ class Page:
             self._leg = gui.add_dropdown("leg of the pressures", tuple("123456"))
             self._window = gui.add_dropdown("window [s]", _WINDOWS, initial_value="10")
             self._drawn = gui.add_checkbox("plots on", True)
+            self._shadows = gui.add_checkbox("shadows", False, hint="needs a GPU in the browser")
+            self._shadows.on_update(lambda event: self._scene.cast_shadows(event.target.value))
         with panel.add_tab("Bode"):
             self._bode = BodePanel(self, lambda: self._signal.dof)
         with panel.add_tab("Recording"):
@@ -176,7 +178,7 @@ class Page:
     def _show_cab(self, cab: str, *, live: bool = True) -> None:
         with self._lock:
             if self._scene.cab != cab:
-                self._scene = MachineScene(self.client, cab)
+                self._scene = MachineScene(self.client, cab, shadows=self._shadows.value)
             if live:
                 self._cab = cab
 

@@ -31,24 +31,29 @@ def place_camera(client: viser.ClientHandle) -> None:
 class MachineScene:
     """The hexapod with one cab in one tab, and the push on it."""
 
-    def __init__(self, client: viser.ClientHandle, cab: str) -> None:
+    def __init__(self, client: viser.ClientHandle, cab: str, *, shadows: bool = False) -> None:
         """Send the geometry, in the place of all that the tab showed.
 
         Args:
             client: the tab.
             cab: `gfd`, `rfd` or `ifd`.
+            shadows: whether the key light casts them; a browser without a GPU then draws less
+                than a picture a second.
         """
         self.cab = cab
         """The cab shown."""
         self._client = client
         client.scene.reset()
         self._light()
+        self.cast_shadows(shadows)
         # A model of its own: the scene scales the looks of the model it is given.
         self._model = hexapod_spec(cab).compile()
         self._data = mujoco.MjData(self._model)
-        self._machine = ViserMujocoScene(client, self._model, num_envs=1)
+        with client.atomic():
+            self._machine = ViserMujocoScene(client, self._model, num_envs=1)
+            # Lights alone: mirroring an environment takes seconds where no GPU helps.
+            client.scene.configure_environment_map(None)
         self._machine.camera_tracking_enabled = False
-        client.scene.configure_environment_map("studio", environment_intensity=0.35)
         self._platform = self._model.body("platform").id
         self._push: viser.SceneNodeHandle | None = None
         self.show(self._data.qpos)
@@ -68,6 +73,12 @@ class MachineScene:
         self._data.qpos[:] = np.asarray(qpos, dtype=float)
         mujoco.mj_kinematics(self._model, self._data)
         self._machine.update_from_mjdata(self._data)
+
+    def cast_shadows(self, shadows: bool) -> None:
+        """Turn the shadows of the key light on or off."""
+        self._client.scene.add_light_directional(
+            "/lights/key", intensity=1.6, position=(6.0, -8.0, 9.0), cast_shadow=shadows
+        )
 
     def show_push(self, share: ArrayLike) -> None:
         """Draw the push as an arrow that ends in the platform.
@@ -98,7 +109,4 @@ class MachineScene:
         scene.set_background_image(np.repeat(sky[:, None, :], 4, axis=1), format="png")
         scene.configure_default_lights(enabled=False)
         scene.add_light_ambient("/lights/ambient", intensity=0.35)
-        scene.add_light_directional(
-            "/lights/key", intensity=1.6, position=(6.0, -8.0, 9.0), cast_shadow=True
-        )
         scene.add_light_directional("/lights/fill", intensity=0.5, position=(-6.0, 7.0, 6.0))

@@ -4,7 +4,7 @@ import threading
 
 import viser
 
-from cmf_mj.scenario import Scenario
+from cmf_mj.scenario import Scenario, ScenarioRun
 from cmf_mj.studio.choices import first_scenario
 from cmf_mj.studio.page import Page
 
@@ -24,14 +24,20 @@ class Studio:
             host: address to listen on; others than this machine's own reach it with `0.0.0.0`.
             port: TCP port; the next free one is taken if it is in use.
             scenario: what each tab begins with; default `first_scenario`.
+
+        Raises:
+            ValueError: the scenario is refused.
+            OSError: the address cannot be listened on.
         """
         self._scenario = scenario or first_scenario()
+        ScenarioRun(self._scenario).advance(1)  # compiles the loop before the first tab waits for it
         self._host = host
         self._lock = threading.Lock()
         self._pages: dict[int, Page] = {}
         self._gone: set[int] = set()
         self._server = viser.ViserServer(host=host, port=port, label="cmf studio", verbose=False)
         self._server.scene.world_axes.visible = False
+        self._server.scene.configure_environment_map(None)
         self._server.gui.configure_theme(
             show_logo=False, show_share_button=False, brand_color=BRAND
         )
