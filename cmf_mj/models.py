@@ -14,6 +14,12 @@ def directory() -> Path:
     return installed if installed.is_dir() else _PACKAGE.parent / "models"
 
 
+def scenario_directory() -> Path:
+    """Folder of the shipped scenarios: inside the wheel, or beside the package in a checkout."""
+    installed = _PACKAGE / "scenarios"
+    return installed if installed.is_dir() else _PACKAGE.parent / "scenarios"
+
+
 def hexapod_path() -> Path:
     """The hexapod with its default cab."""
     return directory() / "cmf_hexapod.xml"

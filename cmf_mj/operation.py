@@ -134,8 +134,8 @@ def operate(
     settings = facility or FacilitySettings()
     last = arrivals.frame[-1] / RATE + load_dcu(settings.dcu).delay.total
     count = _count(last if seconds is None else seconds)
-    pose = _within(arrivals.values[0, 0], load_motion_limits(settings.limits))
-    session, unit = _prepare(
+    pose = starting_pose(arrivals.values[0, 0], load_motion_limits(settings.limits))
+    session, unit = prepare(
         plant,
         load_law(law),
         arrivals,
@@ -192,7 +192,7 @@ def serve(
 
     def prepared(count: int, source: hosts.Ring, pace: Pace) -> tuple[Session, DcuSettings]:
         log = hosts.make_log(int(count / RATE * _LOG_CAPACITY) + 256)
-        return _prepare(
+        return prepare(
             plant, loaded, log, source, True, count, begin, neutral, requests, events, settings,
             pace, record_every,
         )  # fmt: skip
@@ -216,7 +216,7 @@ def serve(
     return _operation(session, arrivals, unit, neutral, unused, Timing(pace.busy, pace.late))
 
 
-def _within(pose: NDArray[np.float64], limits: MotionLimits) -> NDArray[np.float64]:
+def starting_pose(pose: NDArray[np.float64], limits: MotionLimits) -> NDArray[np.float64]:
     """The pose, or neutral where the limits forbid it."""
     low, high = limits.operational.T
     inside = bool(((pose >= low) & (pose <= high)).all())
@@ -238,7 +238,7 @@ def _count(seconds: float) -> int:
     return max(round(seconds * RATE), 1)
 
 
-def _prepare(
+def prepare(
     plant: Hexapod,
     law: Law,
     arrivals: Arrivals,
@@ -252,7 +252,29 @@ def _prepare(
     facility: FacilitySettings,
     pace: Pace | None,
     every: int,
+    window: int | None = None,
 ) -> tuple[Session, DcuSettings]:
+    """Make a session of the whole chain, and its DCU's settings.
+
+    Args:
+        plant: the hexapod.
+        law: loaded law.
+        arrivals: host frames, or a log to collect them in.
+        ring: hand-over of live frames.
+        live: whether frames come from it.
+        count: control frames of the run.
+        begin: operating state to begin in.
+        pose: of the demand at the start, (6,) [m, rad].
+        requests: operator's requests and their times [s].
+        events: failures on the time line.
+        facility: everything between host and valves.
+        pace: real time; None for as fast as possible.
+        every: keep one frame in this many.
+        window: control frames to keep in the record; default all.
+
+    Raises:
+        ValueError: an argument out of range, named.
+    """
     if every < 1:
         raise ValueError(f"record_every: {every} frames must be at least 1")
     settings = load_dcu(facility.dcu)
@@ -265,7 +287,7 @@ def _prepare(
         make_dcu(settings),
         arrivals,
         sorted((round(at * RATE), code) for at, code in requests),
-        -(-count // every),
+        -(-(count if window is None else window) // every),
         begin=begin,
         ring=ring,
         live=live,
@@ -281,6 +303,7 @@ def _prepare(
         law,
         chain.reference[:1].copy(),
         frames=count,
+        window=window,
         start=start,
         events=events,
         protection=None if protection is None else load_protection(protection),
@@ -294,6 +317,16 @@ def _prepare(
     return session, settings
 
 
+def chain_channels(
+    log: NDArray[np.float64],
+) -> tuple[dict[str, NDArray[np.float64]], dict[str, str]]:
+    """Channels and units of rows of a chain's log, (N, 21)."""
+    shapes = ("m, rad", "m/s, rad/s", "m/s^2, rad/s^2")
+    channels = {name: log[:, 6 * i : 6 * i + 6] for i, name in enumerate(LOG[:3])}
+    channels |= {name: log[:, 18 + i] for i, name in enumerate(LOG[3:])}
+    return channels, dict(zip(LOG, (*shapes, "1", "1", "1"), strict=True))
+
+
 def _operation(
     session: Session,
     arrivals: Arrivals,
@@ -304,15 +337,8 @@ def _operation(
 ) -> Operation:
     time, channels, channel_units = session.history()
     chain = _chain(session)
-    log = chain.log[: time.size]
-    shapes = ("m, rad", "m/s, rad/s", "m/s^2, rad/s^2")
-    named: dict[str, NDArray[np.float64]] = {}
-    for index, (name, unit_name) in enumerate(zip(LOG[:3], shapes, strict=True)):
-        named[name] = log[:, 6 * index : 6 * index + 6]
-        channel_units[name] = unit_name
-    for index, name in enumerate(LOG[3:]):
-        named[name] = log[:, 18 + index]
-        channel_units[name] = "1"
+    named, log_units = chain_channels(chain.log[: time.size])
+    channel_units |= log_units
     counts, rejections = chain.dcu_state.counts, chain.dcu_state.rejections
     context: dict[str, Any] = {
         "command": {"signal": "host frames", "frames": int(arrivals.frame.size)},

@@ -2,7 +2,7 @@
 
 import tomllib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -72,7 +72,8 @@ def overlaid(model: type[Model], shipped: Path, source: Path | None) -> Model:
 
 
 def _explain(model: type[BaseModel], error: Any, where: str) -> str:
-    location = [str(part) for part in error["loc"]]
+    # Names pydantic gives to the alternatives of a union are no keys of the file.
+    location = [str(part) for part in error["loc"] if not set("[(-") & set(str(part))]
     field = ".".join(location)
     message = error["msg"].removeprefix("Value error, ")
     allowed = message[0].lower() + message[1:]
@@ -88,8 +89,23 @@ def _explain(model: type[BaseModel], error: Any, where: str) -> str:
 
 def _field_names(model: type[BaseModel], path: list[str]) -> list[str]:
     for part in path:
-        annotation = model.model_fields[part].annotation
-        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
-            break
-        model = annotation
+        if part in model.model_fields:
+            within = _models_in(model.model_fields[part].annotation)
+            tags = {tag: one for one in within for tag in _tags(one)}
+            model = within[0] if len(within) == 1 else model
+        elif part in tags:
+            model = tags[part]
     return sorted(field.alias or name for name, field in model.model_fields.items())
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    """Settings classes in an annotation: itself, of a list's elements, or of a union."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models_in(part)]
+
+
+def _tags(model: type[BaseModel]) -> tuple[Any, ...]:
+    """Values of `kind` that tell a class from the others of its union."""
+    kind = model.model_fields.get("kind")
+    return () if kind is None else get_args(kind.annotation)

@@ -11,6 +11,8 @@ from cmf_mj.cli import (
     listing,
     measuring,
     operating,
+    running,
+    watching,
 )
 from cmf_mj.cli.common import app
 
@@ -26,6 +28,8 @@ __all__ = [
     "main",
     "measuring",
     "operating",
+    "running",
+    "watching",
 ]
 
 

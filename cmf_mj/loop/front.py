@@ -179,7 +179,7 @@ def follow(chain, frame, table, position, fault, tripped, row, reference):  # ty
     Args:
         chain: `Chain`, or None to take the row of the table.
         frame: number of the control frame.
-        table: (N, n) references [m].
+        table: (N, n) references [m], taken again from the start after the last.
         position: what the position sensors read [m], (n,).
         fault: code of the latched fault.
         tripped: whether a limit switch has.
@@ -190,7 +190,7 @@ def follow(chain, frame, table, position, fault, tripped, row, reference):  # ty
         Gain on the valve command, 0 to 1.
     """
     if chain is None:
-        reference[:] = table[frame]
+        reference[:] = table[frame % table.shape[0]]
         return 1.0
     return _follow(chain, frame, position, fault, tripped, row, reference)
 
@@ -200,8 +200,9 @@ def _compiled_follow(chain, frame, table, position, fault, tripped, row, referen
     if isinstance(chain, types.NoneType):
 
         def take(chain, frame, table, position, fault, tripped, row, reference):  # type: ignore[no-untyped-def]
+            row = frame % table.shape[0]
             for leg in range(reference.shape[0]):
-                reference[leg] = table[frame, leg]
+                reference[leg] = table[row, leg]
             return 1.0
 
         return take

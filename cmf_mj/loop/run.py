@@ -90,7 +90,8 @@ class Controller(NamedTuple):
     state: control.DclState
     """Its state."""
     table: NDArray[np.float64]
-    """Leg demands [m], or valve commands as fractions, (N, n)."""
+    """Leg demands [m], or valve commands as fractions, (N, n); read again from the start after its
+    last row."""
     delay: int
     """Frames from a DCL frame to its command at the valves."""
     guarded: bool
@@ -119,7 +120,7 @@ class Layout(NamedTuple):
     every: int
     """Frames from row to row."""
     out: NDArray[np.float64]
-    """Record, (rows, columns)."""
+    """Record, (rows, columns); overwritten from the start after its last row."""
 
 
 class Memory(NamedTuple):
@@ -295,10 +296,10 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
     output, command, marks, closure = memory.output, memory.command, memory.marks, memory.closure
     plant_faults, supply = faults.plant, state.supply
     newest, oldest, limited = command[0], command[delay], signals[:, 0]
-    legs, events = extension.shape[0], timeline.frame
+    legs, events, rows = extension.shape[0], timeline.frame, layout.out.shape[0]
     for frame in range(first, last):
         begin(pace, frame)
-        row = frame // layout.every if frame % layout.every == 0 else -1
+        row = frame // layout.every % rows if frame % layout.every == 0 else -1
         for inner in range(layout.steps):
             call(mechanics.position_stage, model, data)
             for leg in range(legs):

@@ -77,6 +77,7 @@ class Session:
         table: NDArray[np.float64],
         *,
         frames: int | None = None,
+        window: int | None = None,
         start: ArrayLike | None = None,
         events: Sequence[Event] = (),
         protection: ProtectionSettings | None = None,
@@ -93,7 +94,9 @@ class Session:
             law: control law; None to take the table for valve commands.
             table: leg references [m] or valve commands as fractions, (N, n); with a chain only the
                 reference to engage at, (1, n).
-            frames: control frames to make room for; default the rows of the table.
+            frames: control frames of the run; default the rows of the table.
+            window: control frames to keep in the record; later ones overwrite the first. Default
+                all of them.
             start: configuration to start from, as `plant.place` takes it; default neutral.
             events: failures on the time line.
             protection: conditions that make an emergency stop.
@@ -108,6 +111,7 @@ class Session:
         """
         for field, value, least in (
             ("record_every", record_every, 1),
+            ("window", 1 if window is None else window, 1),
             ("command_delay", command_delay, 0),
         ):
             if value < least:
@@ -118,6 +122,7 @@ class Session:
             raise ValueError(f"timestep: {step} s must divide the control frame of {FRAME} s")
         self.plant = plant
         self._law = law
+        self._engaged = law
         self._events = tuple(events)
         self.frames = table.shape[0] if frames is None else frames
         self.frame = 0
@@ -161,7 +166,8 @@ class Session:
             plant.model.nq,
             indices.size,
         )
-        out = np.empty((-(-self.frames // record_every), sum(widths)))
+        kept = self.frames if window is None else window
+        out = np.empty((-(-kept // record_every), sum(widths)))
         self.layout = Layout(indices, plant.gimbal_sensors, steps, record_every, out)
 
     @property
@@ -204,7 +210,7 @@ class Session:
             STROKE: f"is at {extension:.4f} m, beyond its stops at +-{half:.4f} m",
             SOLUTION: "and its supply have no solution for this step",
         }[bound]
-        with_law = f" with law {self._law.name}" if self._law else ""
+        with_law = f" with law {self._engaged.name}" if self._engaged else ""
         name = self.plant.actuators[leg]
         return f"{self.plant.name}{with_law}: {name} {said} at {frame * FRAME:.4f} s"
 
@@ -227,12 +233,47 @@ class Session:
             "versions": dict(_VERSIONS),
         }
 
+    def engage(self, law: Law, dcl: control.Dcl, state: control.DclState) -> None:
+        """Go on with another law from the next frame.
+
+        Args:
+            law: which.
+            dcl: compiled.
+            state: its state there.
+        """
+        self._engaged = law
+        self.controller = self.controller._replace(dcl=dcl, state=state)
+
+    def inject(self, event: Event) -> None:
+        """Put one more event on the time line.
+
+        Raises:
+            ValueError: it names a leg that is not there, or its time is past.
+        """
+        if round(event.at / FRAME) < self.frame:
+            raise ValueError(
+                f"at: {event.at} s of {event.kind} is past; allowed: from {self.frame * FRAME} s"
+            )
+        events = (*self._events, event)
+        self.machine = self.machine._replace(timeline=make_timeline(events, self.plant.legs))
+        self._events = events
+
+    def rows(self, first: int, last: int) -> NDArray[np.float64]:
+        """Copy of the record's rows from `first` to before `last`, which must still be kept."""
+        return self.layout.out[np.arange(first, last) % self.layout.out.shape[0]]
+
     def history(
-        self,
+        self, out: NDArray[np.float64] | None = None, first: int = 0
     ) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]], dict[str, str]]:
-        """Times, channels and units of the frames run so far."""
-        legs, rows = self.plant.legs, -(-self.frame // self.every)
-        out = self.layout.out[:rows]
+        """Times, channels and units.
+
+        Args:
+            out: rows, as of `rows`; default those of all frames run so far.
+            first: number of their first one.
+        """
+        legs = self.plant.legs
+        if out is None:
+            out = self.layout.out[: -(-self.frame // self.every)]
         channels: dict[str, NDArray[np.float64]] = {}
         units: dict[str, str] = {}
         base = 0
@@ -256,4 +297,5 @@ class Session:
             take(name, _SENSOR_UNITS.get(name.split("_")[-1], "m/s^2"), indices.size)
         for name, (values, unit) in self.plant.derived_channels(channels).items():
             channels[name], units[name] = values, unit
-        return np.arange(rows, dtype=np.float64) * (self.every * FRAME), channels, units
+        time = np.arange(first, first + out.shape[0], dtype=np.float64) * (self.every * FRAME)
+        return time, channels, units

@@ -1,0 +1,150 @@
+"""Pictures of a model without a display.
+
+OpenGL comes from MUJOCO_GL if it is set. Otherwise, on Linux without a display, EGL and then OSMesa
+are tried, each in a process of its own: in one process the first try would settle the platform.
+"""
+
+import importlib
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from functools import lru_cache
+from types import TracebackType
+from typing import Any, Self
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+BACKENDS = ("egl", "osmesa")
+"""Off-screen OpenGL, in the order in which they are tried."""
+
+PACKAGES = (
+    "on Debian or Ubuntu install libegl1 and libgl1-mesa-dri (MUJOCO_GL=egl) "
+    "or libosmesa6 (MUJOCO_GL=osmesa)"
+)
+
+_TRY = "import importlib, sys; importlib.import_module('mujoco.' + sys.argv[1]).GLContext(8, 8)"
+
+
+def has_display(environment: Mapping[str, str] | None = None) -> bool:
+    """Whether a window can be opened, as far as the environment tells."""
+    given = os.environ if environment is None else environment
+    return sys.platform != "linux" or bool(given.get("DISPLAY") or given.get("WAYLAND_DISPLAY"))
+
+
+def choose_backend(environment: Mapping[str, str] | None = None) -> str:
+    """Name of MuJoCo's OpenGL module to use: egl, osmesa, glfw or cgl.
+
+    Args:
+        environment: variables; default those of this process.
+
+    Raises:
+        ValueError: no OpenGL works; the message names the packages that bring one.
+    """
+    given = os.environ if environment is None else environment
+    named = given.get("MUJOCO_GL", "").lower().strip()
+    if named in ("egl", "osmesa", "glfw", "cgl"):
+        return named
+    if named:
+        raise ValueError(f"MUJOCO_GL: {named!r} is not one of egl, osmesa, glfw, cgl")
+    if has_display(given):
+        return "cgl" if sys.platform == "darwin" else "glfw"
+    for backend in BACKENDS:
+        if _works(backend):
+            return backend
+    raise ValueError(f"MUJOCO_GL: no off-screen OpenGL works here; {PACKAGES}")
+
+
+@lru_cache
+def _works(backend: str) -> bool:
+    environment = {k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"}
+    command = [sys.executable, "-c", _TRY, backend]
+    return (
+        subprocess.run(command, env=environment, capture_output=True, check=False).returncode == 0
+    )
+
+
+class Stage:
+    """A model, a camera and a buffer to render into; use it in a `with` block."""
+
+    def __init__(
+        self, model: mujoco.MjModel, width: int, height: int, camera: str = "overview"
+    ) -> None:
+        """Open an off-screen buffer.
+
+        Args:
+            model: what to show; geoms of groups 0 to 2.
+            width: pixels, at most the model's `offwidth`.
+            height: pixels, at most the model's `offheight`.
+            camera: of the model.
+
+        Raises:
+            ValueError: size or camera, named, or no OpenGL.
+        """
+        for name, value, most in (
+            ("width", width, int(model.vis.global_.offwidth)),
+            ("height", height, int(model.vis.global_.offheight)),
+        ):
+            if not 16 <= value <= most:
+                raise ValueError(f"{name}: {value} pixels must be between 16 and {most}")
+        cameras = [model.camera(i).name for i in range(model.ncam)]
+        if camera not in cameras:
+            raise ValueError(f"camera: {camera!r} is not one of {', '.join(cameras)}")
+        self._data = mujoco.MjData(model)
+        self._camera = mujoco.MjvCamera()
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._camera.fixedcamid = model.camera(camera).id
+        self._option, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
+        self._rectangle = mujoco.MjrRect(0, 0, width, height)
+        self.model, self.shape = model, (height, width, 3)
+        backend = choose_backend()
+        try:
+            self._gl: Any = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+        except Exception as error:  # PyOpenGL raises whatever its platform does
+            raise ValueError(
+                f"MUJOCO_GL: {backend} does not work here ({error}); {PACKAGES}"
+            ) from (error)
+        self._gl.make_current()
+        self._scene = mujoco.MjvScene(model=model, maxgeom=10_000)
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+
+    def __enter__(self) -> Self:
+        """Nothing more to open."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Give the buffer back."""
+        self._gl.make_current()
+        self._context.free()
+        self._gl.free()
+
+    def picture(self, qpos: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """The model in a configuration, (height, width, 3).
+
+        Args:
+            qpos: generalised positions, (nq,).
+        """
+        self._data.qpos[:] = qpos
+        mujoco.mj_forward(self.model, self._data)
+        self._gl.make_current()
+        mujoco.mjv_updateScene(
+            self.model,
+            self._data,
+            self._option,
+            self._perturb,
+            self._camera,
+            mujoco.mjtCatBit.mjCAT_ALL.value,
+            self._scene,
+        )
+        pixels = np.empty(self.shape, dtype=np.uint8)
+        mujoco.mjr_render(self._rectangle, self._scene, self._context)
+        mujoco.mjr_readPixels(pixels, None, self._rectangle, self._context)
+        return pixels[::-1]
