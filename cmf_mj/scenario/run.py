@@ -32,7 +32,7 @@ from cmf_mj.scenario.settings import (
     overlaid_law,
     request_code,
 )
-from cmf_mj.scenario.signal import Motion, added
+from cmf_mj.scenario.signal import Motion, Signal, Sine, added
 from cmf_mj.scenario.source import BLOCK, ChainSource, TableSource
 from cmf_mj.signals import RATE
 
@@ -325,6 +325,11 @@ def run_scenario(
 def _command(begun: Scenario, done: Scenario) -> dict[str, Any]:
     """Description of the demand: of its signal, where it is one to the end."""
     whole = begun.duration == done.duration and not any(c.signal for c in done.change)
-    if whole and len(done.signal) == 1:
+    if whole and len(done.signal) == 1 and not _endless(done.signal[0]):
         return dict(done.signal[0].command(done.seed).description)
     return {"kind": "scenario"}
+
+
+def _endless(signal: Signal) -> bool:
+    """Whether no table holds the signal."""
+    return isinstance(signal, Sine) and signal.cycles is None

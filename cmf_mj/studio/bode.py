@@ -26,6 +26,9 @@ PERIOD = 20.0
 PERIODS = 3
 """Periods in all; the first is the transient."""
 
+FADE = 1.0
+"""Of the two ends of the multisine [s]."""
+
 
 class Measured(NamedTuple):
     """A response and what it is of."""
@@ -59,13 +62,14 @@ def sweep_scenario(scenario: Scenario, dof: str) -> Scenario:
         "start": 1.0 / PERIOD,
         "period": PERIOD,
         "periods": PERIODS,
+        "fade": FADE,
     }
     sweep = scenario_of({"signal": [signal]}, "bode").signal
     return settled(scenario).model_copy(
         update={
             "signal": sweep,
             "operation": None,
-            "duration": PERIOD * PERIODS + sweep[0].fade,
+            "duration": PERIOD * PERIODS + FADE,
             "record_every": RECORD_EVERY,
         }
     )
@@ -142,7 +146,7 @@ class BodePanel:
             (empty, np.full(2, np.nan), np.full(2, np.nan)),
             (
                 uplot.Series(label="f [Hz]"),
-                uplot.Series(label="before", stroke="#8a9099", width=1.5, dash=[5, 4]),
+                uplot.Series(label="before", stroke="#8a9099", width=1.5, dash=(5, 4)),
                 uplot.Series(label="now", stroke="#1f77b4", width=2.0),
             ),
             title=f"{title} over frequency [Hz]",

@@ -177,7 +177,9 @@ class DisturbanceControls:
 
     def _push(self) -> None:
         force = choices.push_of(self._direction.value, self._size.value)
-        self._desk.apply(change_of({}).model_copy(update={"push": force if self._on.value else Push()}))
+        self._desk.apply(
+            change_of({}).model_copy(update={"push": force if self._on.value else Push()})
+        )
 
     def _fail(self) -> None:
         event = default_event(self._kind.value, 0.0)

@@ -105,7 +105,6 @@ class LiveSession:
 
     def apply(self, change: Change) -> "Future[None]":
         """Let something change from the next control frame on."""
-
         return self._ask(lambda: self._run.apply(change))
 
     def pause(self, paused: bool) -> None:

@@ -59,7 +59,7 @@ class Page:
         self._turn = 0
         self._before = time.monotonic()
         place_camera(client)
-        self._cab = scenario.cab
+        self._cab: str = scenario.cab
         self._scene = MachineScene(client, scenario.cab)
         self.live = LiveSession(scenario, self)
         self._controls()

@@ -41,14 +41,12 @@ def time_plot(
         soft: limits the axis has at least, so that round-off does not fill it.
         height: of the drawing [px].
     """
-    low, high = (
-        {"pad": 0.1, "soft": limit, "mode": 1} for limit in soft
-    )
+    low, high = ({"pad": 0.1, "soft": limit, "mode": 1} for limit in soft)
     series = [uplot.Series(label="t [s]")]
     for line in lines:
         one = uplot.Series(label=line.label, stroke=line.colour, width=1.5)
         if line.dash:
-            one["dash"] = list(line.dash)
+            one["dash"] = line.dash
         series.append(one)
     return client.gui.add_uplot(
         (_EMPTY,) * len(series),
@@ -58,7 +56,10 @@ def time_plot(
             "x": uplot.Scale(time=False),
             "y": uplot.Scale(range={"min": low, "max": high}),
         },
-        axes=(uplot.Axis(size=28, font="11px sans-serif"), uplot.Axis(size=46, font="11px sans-serif")),
+        axes=(
+            uplot.Axis(size=28, font="11px sans-serif"),
+            uplot.Axis(size=46, font="11px sans-serif"),
+        ),
         legend=uplot.Legend(show=True, live=False),
         height=height,
         padding=(4, 12, 0, 0),

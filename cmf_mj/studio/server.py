@@ -30,7 +30,9 @@ class Studio:
             OSError: the address cannot be listened on.
         """
         self._scenario = scenario or first_scenario()
-        ScenarioRun(self._scenario).advance(1)  # compiles the loop before the first tab waits for it
+        ScenarioRun(self._scenario).advance(
+            1
+        )  # compiles the loop before the first tab waits for it
         self._host = host
         self._lock = threading.Lock()
         self._pages: dict[int, Page] = {}
