@@ -1,6 +1,7 @@
 """`cmf studio`."""
 
 import time
+import warnings
 import webbrowser
 from pathlib import Path
 from typing import Annotated
@@ -33,6 +34,8 @@ def studio_command(
                 f"{error.name} is not installed; the studio needs it: install cmf-mj[studio]"
             )
         )
+    # A picture on its way to a tab that has just been closed is nothing to tell of.
+    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
     try:
         begun = None if scenario is None else load_scenario(scenario)
         studio = Studio(host, port, begun)

@@ -19,6 +19,7 @@ from cmf_mj.measurement import RECORD_EVERY, dof_amplitude
 from cmf_mj.scenario import Scenario, run_scenario, scenario_of
 from cmf_mj.studio.choices import settled, unit_of
 from cmf_mj.studio.desk import Desk
+from cmf_mj.studio.plots import axes
 
 PERIOD = 20.0
 """Period of the multisine [s]: lines 0.1 Hz apart from 0.05 to 10 Hz."""
@@ -141,7 +142,6 @@ class BodePanel:
     def _plot(self, title: str, soft: tuple[float, float]) -> viser.GuiUplotHandle:
         empty = np.array([0.1, 10.0])
         low, high = ({"pad": 0.05, "soft": limit, "mode": 1} for limit in soft)
-        font = "11px sans-serif"
         return self._desk.client.gui.add_uplot(
             (empty, np.full(2, np.nan), np.full(2, np.nan)),
             (
@@ -154,7 +154,7 @@ class BodePanel:
                 "x": uplot.Scale(time=False, distr=3),
                 "y": uplot.Scale(range={"min": low, "max": high}),
             },
-            axes=(uplot.Axis(size=28, font=font), uplot.Axis(size=46, font=font)),
+            axes=axes(),
             legend=uplot.Legend(show=True, live=False),
             height=230,
             padding=(4, 12, 0, 0),

@@ -13,8 +13,8 @@ _SCALARS = ("state_gain", "output_gain")
 
 _UNITS = {
     "reference": "%/in",
-    "cap_pressure": "%/Pa",
-    "rod_pressure": "%/Pa",
+    "cap_pressure": "%/MPa",
+    "rod_pressure": "%/MPa",
     "position": "%/in",
     "velocity": "%/(in/s)",
     "position_error_rate": "%/(in/s)",
@@ -24,6 +24,9 @@ _UNITS = {
     "force": "%/lbf",
 }
 
+_SCALES = {"cap_pressure": 1e-6, "rod_pressure": 1e-6}
+"""Size of a slider's unit in that of the law's data, where it is another one."""
+
 
 class Knob(NamedTuple):
     """One number of a law that can be turned."""
@@ -31,11 +34,13 @@ class Knob(NamedTuple):
     path: tuple[str, ...]
     """Where it is in the law."""
     value: float
-    """As the law has it."""
+    """As the law has it, in the slider's unit."""
     low: float
     """Least value of its slider."""
     high: float
     """Largest value of its slider."""
+    scale: float
+    """Size of the slider's unit in that of the law's data."""
 
     @property
     def label(self) -> str:
@@ -52,8 +57,8 @@ class Knob(NamedTuple):
         return f"{'.'.join(self.path)} {unit}".strip()
 
     def table(self, value: float) -> dict[str, Any]:
-        """The value as a table of `gains`."""
-        nested: Any = value
+        """A value of the slider as a table of `gains`."""
+        nested: Any = value * self.scale
         for part in reversed(self.path):
             nested = {part: nested}
         return dict(nested)
@@ -85,7 +90,9 @@ def _numbers(data: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[t
 
 
 def _knob(path: tuple[str, ...], value: float) -> Knob:
-    low, high = sorted((0.0, 2.0 * value))
+    scale = _SCALES.get(path[-1], 1.0)
+    shown = value / scale
+    low, high = sorted((0.0, 2.0 * shown))
     if path == ("state_gain",):  # |A| < 1, or the compensator's own state is unstable
         low, high = -0.99, 0.99
-    return Knob(path, value, low, high)
+    return Knob(path, shown, low, high, scale)

@@ -123,6 +123,10 @@ class LiveSession:
         """What the session has kept of its signals."""
         return self._ask(lambda: self._run.record())
 
+    def rows(self, seconds: float) -> "Future[dict[str, NDArray[np.float64]]]":
+        """The latest rows the plots draw, as `Traces.last`."""
+        return self._ask(lambda: self._traces.last(seconds))
+
     def _ask(self, action: Callable[[], Answer]) -> "Future[Answer]":
         future: Future[Answer] = Future()
 

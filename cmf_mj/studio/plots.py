@@ -25,6 +25,15 @@ class _Line(NamedTuple):
     dash: tuple[float, ...] = ()
 
 
+def axes() -> tuple[uplot.Axis, uplot.Axis]:
+    """Axes with small figures and thin ticks."""
+    font, ticks = "11px sans-serif", uplot.Axis_Ticks(size=4, width=1)
+    return (
+        uplot.Axis(size=34, font=font, ticks=ticks, gap=4),
+        uplot.Axis(size=46, font=font, ticks=ticks),
+    )
+
+
 def time_plot(
     client: viser.ClientHandle,
     title: str,
@@ -56,10 +65,7 @@ def time_plot(
             "x": uplot.Scale(time=False),
             "y": uplot.Scale(range={"min": low, "max": high}),
         },
-        axes=(
-            uplot.Axis(size=28, font="11px sans-serif"),
-            uplot.Axis(size=46, font="11px sans-serif"),
-        ),
+        axes=axes(),
         legend=uplot.Legend(show=True, live=False),
         height=height,
         padding=(4, 12, 0, 0),

@@ -6,7 +6,6 @@ import viser
 from mjviser import ViserMujocoScene
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.kinematics import FLIP
 from cmf_mj.plant.hexapod import hexapod_spec
 
 CAMERA = {"position": (10.6, -10.4, 1.6), "look_at": (0.0, 0.0, -0.75)}
@@ -18,8 +17,14 @@ FIELD_OF_VIEW = 0.62
 _SKY = np.array([[205, 215, 226], [243, 245, 247]])
 """Colours of the background, top and bottom."""
 
-_PUSH_LENGTH = 2.5
+_PUSH_LENGTH = 5.0
 """Length of the arrow of the largest push [m]."""
+
+_CAB_CENTRE = np.array([0.0, 0.0, 1.7])
+"""Where the arrow points, from the platform [m]."""
+
+_CLEAR = 2.4
+"""Distance of its tip from there, outside the cab [m]."""
 
 
 def place_camera(client: viser.ClientHandle) -> None:
@@ -56,6 +61,7 @@ class MachineScene:
         self._machine.camera_tracking_enabled = False
         self._platform = self._model.body("platform").id
         self._push: viser.SceneNodeHandle | None = None
+        self._pushed = np.zeros(3)
         self.show(self._data.qpos)
 
     @property
@@ -81,25 +87,30 @@ class MachineScene:
         )
 
     def show_push(self, share: ArrayLike) -> None:
-        """Draw the push as an arrow that ends in the platform.
+        """Draw the push as an arrow that points at the cab and goes with it.
 
         Args:
-            share: force over the largest one, report's axes, (3,); all zero for none.
+            share: force over the largest one, model's axes, (3,); all zero for none.
         """
-        along = np.asarray(share, dtype=float) * FLIP * _PUSH_LENGTH
-        if self._push is not None:
+        along = np.asarray(share, dtype=float)
+        if self._push is not None and not np.array_equal(along, self._pushed):
             self._push.remove()
             self._push = None
-        if np.any(along != 0.0):
-            tip = self.platform_position
+        self._pushed = along
+        length = float(np.linalg.norm(along))
+        if length == 0.0:
+            return
+        if self._push is None:
+            tip = _CAB_CENTRE - _CLEAR * along / length
             self._push = self._client.scene.add_arrows(
                 "/push",
-                points=np.array([[tip - along, tip]], dtype=np.float32),
+                points=np.array([[tip - _PUSH_LENGTH * along, tip]], dtype=np.float32),
                 colors=(214, 39, 40),
-                shaft_radius=0.06,
-                head_radius=0.16,
+                shaft_radius=0.07,
+                head_radius=0.18,
                 head_length=0.4,
             )
+        self._push.position = self.platform_position
 
     def _light(self) -> None:
         """Background, lights and floor colours of a fresh scene."""
