@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from cmf_mj.control.law import Law, load_law
+from cmf_mj.scenario.settings import overlaid_law
 
 _BASE = "velocity"
 """Law that a law from the page replaces field by field; it follows no model."""
@@ -58,16 +59,13 @@ class Knob(NamedTuple):
 
     def table(self, value: float) -> dict[str, Any]:
         """A value of the slider as a table of `gains`."""
-        nested: Any = value * self.scale
-        for part in reversed(self.path):
-            nested = {part: nested}
-        return dict(nested)
+        return _nested(self.path, value * self.scale)
 
 
 def knobs(law: Law) -> tuple[Knob, ...]:
-    """One knob for each number of a law that is not zero, from zero to its double."""
+    """One knob for each number of a law that is not zero."""
     data = law.model_dump(include={*_TABLES, *_SCALARS}, exclude_none=True)
-    return tuple(_knob(path, value) for path, value in _numbers(data) if value != 0.0)
+    return tuple(_knob(law, path, value) for path, value in _numbers(data) if value != 0.0)
 
 
 def law_as_gains(law: Law) -> dict[str, Any]:
@@ -89,10 +87,30 @@ def _numbers(data: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[t
             yield (*above, name), float(value)
 
 
-def _knob(path: tuple[str, ...], value: float) -> Knob:
+def _knob(law: Law, path: tuple[str, ...], value: float) -> Knob:
+    """A knob that reaches as far towards zero and the double as the law allows."""
     scale = _SCALES.get(path[-1], 1.0)
-    shown = value / scale
-    low, high = sorted((0.0, 2.0 * shown))
-    if path == ("state_gain",):  # |A| < 1, or the compensator's own state is unstable
-        low, high = -0.99, 0.99
-    return Knob(path, shown, low, high, scale)
+    near, far = (
+        next(end for end in ends if _allowed(law, path, end))
+        for ends in (
+            (0.0, 0.02 * value, 1.0, value),
+            (2.0 * value, 1.0, 0.99, value),
+        )
+    )
+    low, high = sorted((near / scale, far / scale))
+    return Knob(path, value / scale, low, high, scale)
+
+
+def _allowed(law: Law, path: tuple[str, ...], value: float) -> bool:
+    try:
+        overlaid_law(law, _nested(path, value))
+    except ValueError:
+        return False
+    return True
+
+
+def _nested(path: tuple[str, ...], value: float) -> dict[str, Any]:
+    nested: Any = value
+    for part in reversed(path):
+        nested = {part: nested}
+    return dict(nested)
