@@ -83,7 +83,7 @@ class MachineScene:
     def cast_shadows(self, shadows: bool) -> None:
         """Turn the shadows of the key light on or off."""
         self._client.scene.add_light_directional(
-            "/lights/key", intensity=2.2, position=(6.0, -8.0, 9.0), cast_shadow=shadows
+            "/lights/key", intensity=2.8, position=(6.0, -8.0, 9.0), cast_shadow=shadows
         )
 
     def show_push(self, share: ArrayLike) -> None:
@@ -119,5 +119,5 @@ class MachineScene:
         sky = (_SKY[0] * (1.0 - shade) + _SKY[1] * shade).astype(np.uint8)
         scene.set_background_image(np.repeat(sky[:, None, :], 4, axis=1), format="png")
         scene.configure_default_lights(enabled=False)
-        scene.add_light_ambient("/lights/ambient", intensity=1.1)
-        scene.add_light_directional("/lights/fill", intensity=1.0, position=(-6.0, 7.0, 6.0))
+        scene.add_light_ambient("/lights/ambient", intensity=1.7)
+        scene.add_light_directional("/lights/fill", intensity=1.2, position=(-6.0, 7.0, 6.0))
