@@ -101,7 +101,7 @@ def video_command(
                     titles.append(f"{Path(source).stem}: {records[-1].metadata['law']}")
                     continue
                 found = find_scenario(source)
-                for law in chosen or [None]:
+                for law in chosen or [found.law]:
                     one = _with(found, law=law, cab=cab)
                     records.append(run_scenario(one, progress=progress))
                     titles.append(one.law if chosen else one.title or Path(source).stem)

@@ -32,7 +32,7 @@ from cmf_mj.scenario.settings import (
     overlaid_law,
     request_code,
 )
-from cmf_mj.scenario.signal import Motion, Signal, Sine, added
+from cmf_mj.scenario.signal import Motion, added
 from cmf_mj.scenario.source import BLOCK, ChainSource, TableSource
 from cmf_mj.signals import RATE
 
@@ -201,7 +201,7 @@ class ScenarioRun:
         own, own_units = self._source.channels(front)
         scenario = self.scenario()
         context: dict[str, Any] = {
-            "command": _command(self._begun, scenario),
+            "command": _command(scenario),
             "seed": scenario.seed,
             "scenario": scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True),
         }
@@ -322,14 +322,9 @@ def run_scenario(
     return run.record()
 
 
-def _command(begun: Scenario, done: Scenario) -> dict[str, Any]:
+def _command(scenario: Scenario) -> dict[str, Any]:
     """Description of the demand: of its signal, where it is one to the end."""
-    whole = begun.duration == done.duration and not any(c.signal for c in done.change)
-    if whole and len(done.signal) == 1 and not _endless(done.signal[0]):
-        return dict(done.signal[0].command(done.seed).description)
-    return {"kind": "scenario"}
-
-
-def _endless(signal: Signal) -> bool:
-    """Whether no table holds the signal."""
-    return isinstance(signal, Sine) and signal.cycles is None
+    changed = any(change.signal is not None for change in scenario.change)
+    if changed or len(scenario.signal) != 1:
+        return {"kind": "scenario"}
+    return scenario.signal[0].description(scenario.seed)

@@ -67,6 +67,10 @@ class _Signal(Settings):
         """The signal as a function of the control frames since it began."""
         return tabulated(self.command(seed).pose)
 
+    def description(self, seed: int) -> dict[str, Any]:
+        """What a record keeps of it, as `Command` has it."""
+        return dict(self.command(seed).description)
+
 
 class _Single(_Signal):
     """A signal along one degree of freedom."""
@@ -139,6 +143,13 @@ class Sine(_Single):
     def command(self, seed: int) -> Command:
         """The sine of so many cycles."""
         return signals.sine(self.dof, self.size, **self._options())
+
+    def description(self, seed: int) -> dict[str, Any]:
+        """That of `signals.sine`, without `cycles` where it is endless."""
+        if self.cycles is not None:
+            return super().description(seed)
+        described = {"kind": self.kind, "dof": self.dof, "amplitude": self.size}
+        return described | {"frequency": self.frequency, "fade": self.fade}
 
     def motion(self, seed: int) -> Motion:
         """The sine, endless without `cycles`."""

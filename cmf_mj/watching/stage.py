@@ -4,6 +4,7 @@ OpenGL comes from MUJOCO_GL if it is set. Otherwise, on Linux without a display,
 are tried, each in a process of its own: in one process the first try would settle the platform.
 """
 
+import copy
 import importlib
 import os
 import subprocess
@@ -16,6 +17,7 @@ from typing import Any, Self
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 BACKENDS = ("egl", "osmesa")
 """Off-screen OpenGL, in the order in which they are tried."""
@@ -24,6 +26,12 @@ PACKAGES = (
     "on Debian or Ubuntu install libegl1 and libgl1-mesa-dri (MUJOCO_GL=egl) "
     "or libosmesa6 (MUJOCO_GL=osmesa)"
 )
+
+_SHADOWS = 2048
+"""Shadow map at most [texels]."""
+
+_FINER = 2
+"""Pixels drawn for one of the picture, each way."""
 
 _TRY = "import importlib, sys; importlib.import_module('mujoco.' + sys.argv[1]).GLContext(8, 8)"
 
@@ -61,9 +69,8 @@ def choose_backend(environment: Mapping[str, str] | None = None) -> str:
 def _works(backend: str) -> bool:
     environment = {k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"}
     command = [sys.executable, "-c", _TRY, backend]
-    return (
-        subprocess.run(command, env=environment, capture_output=True, check=False).returncode == 0
-    )
+    found = subprocess.run(command, env=environment, capture_output=True, check=False)
+    return found.returncode == 0
 
 
 class Stage:
@@ -92,20 +99,27 @@ class Stage:
         cameras = [model.camera(i).name for i in range(model.ncam)]
         if camera not in cameras:
             raise ValueError(f"camera: {camera!r} is not one of {', '.join(cameras)}")
+        # Software OpenGL pays for vertices, for the shadow map and, most of all, for its own
+        # multisampling: twice the pixels each way, averaged, look as good for 60 % of the time.
+        model = copy.copy(model)
+        quality, buffer = model.vis.quality, model.vis.global_
+        buffer.offwidth, buffer.offheight = _FINER * width, _FINER * height
+        quality.offsamples, quality.numslices, quality.numstacks = 0, 20, 10
+        quality.shadowsize = min(int(quality.shadowsize), _SHADOWS)
         self._data = mujoco.MjData(model)
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._camera.fixedcamid = model.camera(camera).id
         self._option, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
-        self._rectangle = mujoco.MjrRect(0, 0, width, height)
+        self._rectangle = mujoco.MjrRect(0, 0, _FINER * width, _FINER * height)
         self.model, self.shape = model, (height, width, 3)
         backend = choose_backend()
         try:
-            self._gl: Any = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+            platform: Any = importlib.import_module(f"mujoco.{backend}")
+            self._gl = platform.GLContext(_FINER * width, _FINER * height)
         except Exception as error:  # PyOpenGL raises whatever its platform does
-            raise ValueError(
-                f"MUJOCO_GL: {backend} does not work here ({error}); {PACKAGES}"
-            ) from (error)
+            said = f"MUJOCO_GL: {backend} does not work here ({error}); {PACKAGES}"
+            raise ValueError(said) from error
         self._gl.make_current()
         self._scene = mujoco.MjvScene(model=model, maxgeom=10_000)
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
@@ -144,7 +158,9 @@ class Stage:
             mujoco.mjtCatBit.mjCAT_ALL.value,
             self._scene,
         )
-        pixels = np.empty(self.shape, dtype=np.uint8)
+        height, width, _ = self.shape
+        pixels = np.empty((_FINER * height, _FINER * width, 3), dtype=np.uint8)
         mujoco.mjr_render(self._rectangle, self._scene, self._context)
         mujoco.mjr_readPixels(pixels, None, self._rectangle, self._context)
-        return pixels[::-1]
+        upright = Image.fromarray(np.ascontiguousarray(pixels[::-1]))
+        return np.asarray(upright.reduce(_FINER))

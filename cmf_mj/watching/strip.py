@@ -87,8 +87,8 @@ class Strip:
         """
         every = [traces, *beside]
         size = (width / _DPI, height / _DPI)
-        figure = Figure(figsize=size, dpi=_DPI, layout="constrained", facecolor="white")
-        figure.get_layout_engine().set(w_pad=0.06, h_pad=0.04)  # type: ignore[union-attr]
+        figure = Figure(figsize=size, dpi=_DPI, facecolor="white")
+        figure.set_layout_engine("constrained", w_pad=0.06, h_pad=0.04)
         motion, pressure = figure.subplots(2, 1, sharex=True)
         motion.plot(traces.time, traces.demand, color=_GREY, lw=2.2, label="demand")
         motion.plot(traces.time, traces.response, color=_BLUE, lw=1.2, label="response")

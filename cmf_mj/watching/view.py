@@ -57,7 +57,7 @@ class LiveView:
         self.wants_saving = False
         self.model = run.plant.model
         self.shown = mujoco.MjData(self.model)
-        """A copy of the run's MuJoCo state for the viewer: nothing it does there acts on the run."""
+        """A copy of the MuJoCo state for the viewer: what it does there does not act on the run."""
         self._owed = 0.0
         self._pulled = ""
         self._copy()

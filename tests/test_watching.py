@@ -1,0 +1,325 @@
+"""Films and the viewer: pictures, encoders, pace, pulls, and what is said without a display."""
+
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import av
+import mujoco
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from cmf_mj import Record, scenario, units
+from cmf_mj.cli import app
+from cmf_mj.plant.hexapod import hexapod_spec
+from cmf_mj.scenario import ScenarioRun, run_scenario
+from cmf_mj.signals import RATE
+from cmf_mj.watching import FilmSettings, LiveView, Stage, choose_backend, film, show, stage
+from cmf_mj.watching.strip import Strip, traces_of
+
+SMALL = FilmSettings(fps=10, width=160, height=100, strip=140)
+
+
+def quick(**fields: Any) -> scenario.Scenario:
+    sine = {"kind": "sine", "dof": "heave", "amplitude": [6.0, "in"], "frequency": 1.0}
+    return scenario.scenario_of({"duration": 0.5, "signal": [sine]} | fields, "test")
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    return run_scenario(quick())
+
+
+@pytest.fixture(scope="module")
+def single() -> Record:
+    return run_scenario(quick(plant="single_legs", record_every=7))
+
+
+# Films
+
+
+def frames_of(path: Path) -> list[np.ndarray]:
+    with av.open(str(path)) as container:
+        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+
+
+def test_a_film_of_two_runs_has_real_speed_and_both_in_it(
+    record: Record, single: Record, tmp_path: Path
+) -> None:
+    path = film([record, single], tmp_path / "two.mp4", SMALL, titles=["a", "b"])
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert (stream.width, stream.height) == (320, 240)
+        assert stream.average_rate == 10
+        assert stream.codec_context.name in ("h264", "mpeg4")
+    pictures = frames_of(path)
+    assert len(pictures) == 5  # 0.5 s of frames 1/2048 s apart end before the sixth picture
+    left, right = pictures[0][:100, :160], pictures[0][:100, 160:]
+    assert np.abs(left.astype(int) - right.astype(int)).mean() > 5.0
+    moved = np.abs(pictures[-1][:100].astype(int) - pictures[0][:100].astype(int))
+    assert moved.max() > 60
+
+
+def test_slow_motion_has_more_pictures(single: Record, tmp_path: Path) -> None:
+    slow = SMALL._replace(speed=0.5, strip=0)
+    seen: list[tuple[int, int]] = []
+    path = film(
+        [single],
+        tmp_path / "slow.gif",
+        slow,
+        progress=lambda done, total: seen.append((done, total)),
+    )
+    with Image.open(path) as picture:
+        assert picture.n_frames == seen[-1][0] == seen[-1][1] == 10
+        assert picture.size == (160, 100)
+        assert picture.info["duration"] == 100
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"width": 8}, "width: 8 pixels must be between 16 and 1920"),
+        ({"width": 161}, "width: 161 pixels must be even"),
+        ({"camera": "roof"}, "camera: 'roof' is not one of overview, side"),
+        ({"speed": 0.0}, "speed, fps: 0.0, 10 must be greater than 0"),
+        ({"dof": "up"}, "dof: 'up' is not one of surge"),
+    ],
+)
+def test_what_a_film_cannot_do_is_named(
+    change: dict[str, Any], said: str, single: Record, tmp_path: Path
+) -> None:
+    with pytest.raises(ValueError, match="pixels|camera|speed|dof") as refused:
+        film([single], tmp_path / "x.mp4", SMALL._replace(**change))
+    assert said in str(refused.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_film_ends_in_mp4_or_gif(single: Record, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"out: x\.avi must end in \.mp4 or \.gif"):
+        film([single], tmp_path / "x.avi")
+
+
+def test_traces_are_the_record_s(record: Record) -> None:
+    traces = traces_of(record)
+    assert (traces.label, traces.unit) == ("heave", "in")
+    np.testing.assert_array_equal(traces.response, record["platform_pose"][:, 2] / units.INCH)
+    np.testing.assert_array_equal(
+        traces.pressures[:, 0], record["cap_pressure"][:, traces.leg - 1] / units.PSI
+    )
+
+
+def test_traces_grow_from_left_to_right(record: Record) -> None:
+    strip = Strip(traces_of(record), 400, 200)
+    ink = [(255 - strip.picture(time)[..., :2].astype(int)).sum() for time in (0.0, 0.25, 0.5)]
+    assert ink[0] < ink[1] < ink[2]
+    cursors = [np.argmax((strip.picture(t) == (200, 30, 30)).all(2)[60]) for t in (0.1, 0.3)]
+    assert cursors[0] < cursors[1]
+
+
+def test_the_video_command_compares_laws(tmp_path: Path) -> None:
+    path = scenario.save_scenario(quick(duration=0.2), tmp_path / "short.toml")
+    out = tmp_path / "laws.gif"
+    result = CliRunner().invoke(
+        app,
+        ["video", str(path), "--laws", "velocity,original", "--out", str(out), "--fps", "5"]
+        + ["--width", "160", "--height", "100", "--strip", "0"],
+    )
+    assert result.exit_code == 0, result.output
+    with Image.open(out) as picture:
+        assert picture.size == (320, 100)
+
+
+def test_a_scenario_s_video_is_among_its_outputs(tmp_path: Path) -> None:
+    outputs = {"record": False, "plot": False, "video": {"file": "run.gif", "fps": 4}}
+    path = scenario.save_scenario(quick(duration=0.2, outputs=outputs), tmp_path / "s.toml")
+    result = CliRunner().invoke(app, ["run", str(path), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["run.gif", "scenario.toml"]
+
+
+# OpenGL
+
+
+def test_without_display_or_choice_egl_and_then_osmesa_are_tried(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried: list[str] = []
+
+    def works(backend: str) -> bool:
+        tried.append(backend)
+        return backend == "osmesa"
+
+    monkeypatch.setattr(stage, "_works", works)
+    monkeypatch.setattr(stage.sys, "platform", "linux")
+    assert choose_backend({}) == "osmesa"
+    assert tried == ["egl", "osmesa"]
+    assert choose_backend({"DISPLAY": ":0"}) == "glfw"
+    assert choose_backend({"MUJOCO_GL": "egl", "DISPLAY": ":0"}) == "egl"
+    with pytest.raises(ValueError, match="MUJOCO_GL: 'vulkan' is not one of egl, osmesa, glfw"):
+        choose_backend({"MUJOCO_GL": "vulkan"})
+    monkeypatch.setattr(stage, "_works", lambda backend: False)
+    with pytest.raises(ValueError, match="install libegl1 and libgl1-mesa-dri .*libosmesa6"):
+        choose_backend({})
+
+
+def test_the_backend_of_the_tests_is_found_by_trying() -> None:
+    assert stage._works(choose_backend())
+    assert not stage._works("no_such_backend")
+
+
+def test_a_stage_draws_what_the_model_does() -> None:
+    model = hexapod_spec("rfd").compile()
+    with Stage(model, 160, 100) as drawn:
+        level = drawn.picture(model.qpos0)
+        again = drawn.picture(model.qpos0)
+        raised = model.qpos0.copy()
+        raised[2] += 0.5
+        np.testing.assert_array_equal(level, again)
+        assert np.abs(drawn.picture(raised).astype(int) - level.astype(int)).max() > 60
+    assert model.vis.global_.offwidth == 1920  # the caller's model is left alone
+
+
+# Viewer
+
+
+class Window:
+    """What `launch_passive` gives, without a window: runs for some pictures, pulling the cab."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, pictures: int) -> None:
+        self.model, self.data, self.left = model, data, pictures
+        self.perturb = mujoco.MjvPerturb()
+        self.texts: list[str] = []
+
+    def __enter__(self) -> "Window":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        pass
+
+    def lock(self) -> "Window":
+        return self
+
+    def is_running(self) -> bool:
+        self.left -= 1
+        return self.left >= 0
+
+    def set_texts(self, texts: tuple[Any, Any, str, str]) -> None:
+        self.texts.append(texts[2])
+
+    def sync(self) -> None:
+        pass
+
+
+def pulling(view: LiveView, up: float) -> mujoco.MjvPerturb:
+    """The mouse holding the cab by its centre, some metres above where it is."""
+    perturb = mujoco.MjvPerturb()
+    perturb.select = view.model.body("cab/cab").id
+    perturb.active = int(mujoco.mjtPertBit.mjPERT_TRANSLATE)
+    perturb.localmass = 1.0
+    perturb.scale = 1.0
+    perturb.refselpos = view.shown.xipos[perturb.select] + (0.0, 0.0, up)
+    perturb.localpos = view.model.body_ipos[perturb.select]
+    return perturb
+
+
+def test_pace_pause_and_pulls_without_a_window() -> None:
+    view = LiveView(ScenarioRun(quick(duration="open", signal=[])), speed=0.5)
+    view.step(0.05)
+    assert view.run.frame == int(0.05 * 0.5 * RATE)
+    np.testing.assert_array_equal(view.shown.qpos, view.run.latest().qpos)
+    view.key(32)
+    view.step(0.05)
+    assert view.run.frame == int(0.05 * 0.5 * RATE)
+    view.key(32)
+    view.key(61)
+    assert view.speed == 1.0
+    view.key(45)
+    view.key(45)
+    assert view.speed == 0.25
+    for _ in range(4):
+        view.step(0.001)  # a picture shorter than a frame is not lost: 4 x 0.512 frames
+    assert view.run.frame == int(0.05 * 0.5 * RATE + 4 * 0.001 * 0.25 * RATE)
+    view.step(100.0)
+    assert view.run.frame <= 53 + int(0.1 * 0.25 * RATE) + 1  # it never runs far ahead to catch up
+
+    view.pull(pulling(view, 0.5))
+    view.step(0.02)
+    view.pull(mujoco.MjvPerturb())
+    view.step(0.02)
+    pushes = [change.push for change in view.run.scenario().change]
+    assert [push.body for push in pushes if push] == ["cab/cab", "cab/cab"]
+    assert pushes[0] is not None
+    assert pushes[1] is not None
+    assert pushes[0].force[2] > 0.0
+    assert pushes[1].force == (0.0, 0.0, 0.0)
+    again = run_scenario(view.run.scenario())
+    np.testing.assert_array_equal(
+        again["generalised_position"], view.run.record()["generalised_position"]
+    )
+
+
+def test_the_window_s_loop_runs_shows_and_saves() -> None:
+    view = LiveView(ScenarioRun(quick(duration="open")))
+    saved: list[int] = []
+    windows: list[Window] = []
+
+    def launch(model: mujoco.MjModel, data: mujoco.MjData, key_callback: Any) -> Window:
+        assert data is view.shown
+        key_callback(ord("S"))
+        windows.append(Window(model, data, 4))
+        return windows[0]
+
+    show(view, save=lambda run: saved.append(run.frame), launch=launch)
+    assert len(saved) == 1
+    assert view.run.frame > saved[0]
+    assert "velocity" in windows[0].texts[-1]
+    assert "1 x" in windows[0].texts[-1]
+
+
+def test_without_a_display_view_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stage.sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    result = CliRunner().invoke(app, ["view", "push", "--dof", "roll", "--amplitude", "1 deg"])
+    assert result.exit_code == 2
+    for word in ("no display", "cmf video", "MUJOCO_GL=egl", "MUJOCO_GL=osmesa", "xvfb-run"):
+        assert word in result.output
+
+
+def test_a_window_without_opengl_is_explained() -> None:
+    def launch(*_: Any, **__: Any) -> Window:
+        raise RuntimeError("could not create window")
+
+    with pytest.raises(ValueError, match="no window: could not create window"):
+        show(LiveView(ScenarioRun(quick())), launch=launch)
+
+
+# Looks
+
+
+@pytest.mark.parametrize("cab", ["gfd", "rfd", "ifd"])
+def test_looks_do_not_act(cab: str) -> None:
+    """The machine without a single shape, light, camera or picture moves bit for bit the same."""
+    full, bare = hexapod_spec(cab), hexapod_spec(cab)
+    for kind in (bare.geoms, bare.lights, bare.cameras):
+        for element in list(kind):
+            bare.delete(element)
+    states = []
+    for spec in (full, bare):
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        rng = np.random.default_rng(5)
+        for _ in range(40):
+            data.ctrl[:] = 3.2e4 + rng.uniform(-2e4, 2e4, 6)
+            mujoco.mj_step(model, data)
+        states.append((model.nq, model.body_inertia, model.body_mass, data.qpos, data.sensordata))
+    assert full.compile().ngeom > 100
+    for one, other in zip(*states, strict=True):
+        np.testing.assert_array_equal(one, other)
