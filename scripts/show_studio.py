@@ -10,12 +10,12 @@ import warnings
 from pathlib import Path
 
 from PIL import Image
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page, ViewportSize, sync_playwright
 
 from cmf_mj.cli.common import refuse
 from cmf_mj.studio.server import Studio
 
-SIZE = {"width": 1440, "height": 900}
+SIZE = ViewportSize(width=1440, height=900)
 """Of the picture [px]."""
 
 ARGUMENTS = (

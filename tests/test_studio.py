@@ -4,6 +4,7 @@ import subprocess
 import sys
 import threading
 import urllib.request
+from concurrent.futures import CancelledError
 from pathlib import Path
 
 import numpy as np
@@ -236,6 +237,15 @@ def test_session_refuses_and_goes_on(screen: Screen) -> None:
         session.apply(change_of({"push": {"body": "roof"}})).result()
     screen.wait_for_time(0.2)
     session.close()
+
+
+def test_session_that_has_ended_answers_nobody_and_keeps_nobody_waiting(screen: Screen) -> None:
+    session = LiveSession(heave(), screen)
+    session.start()
+    screen.wait_for_time(0.05)
+    session.close()
+    with pytest.raises(CancelledError):
+        session.record().result(timeout=10.0)
 
 
 def test_session_keeps_a_bounded_record() -> None:

@@ -6,6 +6,7 @@ sweep amplitude as a multisine; the response is `frequency_response`'s.
 
 import threading
 from collections.abc import Callable
+from concurrent.futures import CancelledError
 from typing import NamedTuple
 
 import numpy as np
@@ -176,7 +177,7 @@ class BodePanel:
 
         try:
             found = measure(self._desk.live.scenario().result(), self._dof(), progress)
-        except Cancelled:
+        except (Cancelled, CancelledError):
             return
         except (ValueError, FloatingPointError) as error:
             self._desk.tell(error)

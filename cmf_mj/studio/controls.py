@@ -1,5 +1,7 @@
 """Controls of a page: run, signal, machine and disturbances."""
 
+import math
+
 import viser
 
 from cmf_mj import models
@@ -44,7 +46,8 @@ class RunControls:
         """Bring the status up to date."""
         live, pace = view.live, view.pace
         lines = [f"**t = {live.time:.1f} s** {'(paused)' if view.paused else ''}"]
-        lines += [f"real-time factor {pace.capacity:.1f}, paced to {pace.factor:.2f}"]
+        if not math.isnan(pace.capacity):
+            lines += [f"real-time factor {pace.capacity:.1f}, paced to {pace.factor:.2f}"]
         if pace.given_up > 0.0:
             lines += [f"too slow: {pace.given_up:.1f} s given up"]
         lines += [f"law {live.law}" + (f", {live.state}" if live.state else "")]

@@ -107,6 +107,11 @@ class LiveSession:
         """Let something change from the next control frame on."""
         return self._ask(lambda: self._run.apply(change))
 
+    @property
+    def paused(self) -> bool:
+        """Whether time stands still."""
+        return self._clock.paused
+
     def pause(self, paused: bool) -> None:
         """Stop time or let it go on."""
         self._ask(lambda: setattr(self._clock, "paused", paused))
@@ -131,33 +136,47 @@ class LiveSession:
         future: Future[Answer] = Future()
 
         def answer() -> None:
+            if self._closed.is_set():
+                future.cancel()
+                return
             try:
                 future.set_result(action())
             except Exception as error:
                 future.set_exception(error)
 
         self._requests.put(answer)
+        if self._closed.is_set():
+            self._answer()
         return future
+
+    def _answer(self) -> None:
+        """Do what was asked for; after the end nothing is done any more."""
+        while True:
+            try:
+                self._requests.get_nowait()()
+            except Empty:
+                return
 
     def _go(self) -> None:
         before = time.monotonic()
         self._clock.restart(before)
         while not self._closed.is_set():
             begun = time.monotonic()
-            frames = self._turn(begun)
+            try:
+                frames = self._turn(begun)
+            except Exception as error:
+                self._display.tell(error)
+                raise
             now = time.monotonic()
             if frames:
                 self._clock.ran(begun - before, frames, now - begun)
             before = begun
             self._closed.wait(max(0.0, begun + TURN - now))
+        self._answer()
 
     def _turn(self, now: float) -> int:
         """Answer, advance and show; the control frames run."""
-        while True:
-            try:
-                self._requests.get_nowait()()
-            except Empty:
-                break
+        self._answer()
         due = 0 if self._ended else self._clock.due(now)
         try:
             self._advance(due)

@@ -80,13 +80,16 @@ class Page:
 
     def begin(self, scenario: Scenario) -> None:
         """Begin anew; a refusal is shown and the run goes on."""
+        paused = self.live.paused
+        self.live.pause(True)  # time that the new scene takes is not to be made up for
         try:
             self.live.begin(scenario).result()
+            self._show_cab(scenario.cab)
+            self._sync(scenario)
         except (ValueError, OSError) as error:
             self.tell(error)
-            return
-        self._show_cab(scenario.cab)
-        self._sync(scenario)
+        finally:
+            self.live.pause(paused)
 
     def again(self, **settings: Any) -> None:
         """Begin anew with the present law and signal and some settings changed."""
@@ -190,7 +193,7 @@ class Page:
         self._law.sync(scenario.law, _begun_law(scenario))
 
     def _refused(self, done: "Future[None]") -> None:
-        error = done.exception()
+        error = None if done.cancelled() else done.exception()
         if isinstance(error, Exception):
             self.tell(error)
 
