@@ -66,7 +66,7 @@ def main() -> None:
                 page.get_by_text("-90 deg at").wait_for()
             arguments.out.parent.mkdir(parents=True, exist_ok=True)
             picture = Image.open(io.BytesIO(page.screenshot(timeout=PATIENCE)))
-            picture.quantize(256).save(arguments.out, optimize=True)
+            picture.quantize(256, Image.Quantize.MAXCOVERAGE).save(arguments.out, optimize=True)
             browser.close()
     finally:
         studio.stop()

@@ -68,7 +68,7 @@ def time_plot(
         axes=axes(),
         legend=uplot.Legend(show=True, live=False),
         height=height,
-        padding=(4, 12, 0, 0),
+        padding=(10, 12, 0, 0),
     )
 
 

@@ -34,7 +34,9 @@ class Studio:
             1
         )  # compiles the loop before the first tab waits for it
         self._host = host
-        self._lock = threading.Lock()
+        self._changed = threading.Condition()
+        self._stopped = False
+        self._building: set[int] = set()
         self._pages: dict[int, Page] = {}
         self._gone: set[int] = set()
         self._server = viser.ViserServer(host=host, port=port, label="cmf studio", verbose=False)
@@ -55,28 +57,43 @@ class Studio:
     @property
     def pages(self) -> tuple[Page, ...]:
         """Pages of the tabs that are open, oldest first."""
-        with self._lock:
+        with self._changed:
             return tuple(self._pages.values())
 
     def stop(self) -> None:
-        """End all sessions and the server."""
+        """End all sessions, those still being built too, and then the server."""
+        with self._changed:
+            self._stopped = True
+            self._changed.wait_for(lambda: not self._building)
         for page in self.pages:
             page.close()
         self._server.stop()
 
     def _connected(self, client: viser.ClientHandle) -> None:
-        page = Page(client, self._scenario)
-        with self._lock:
-            gone = client.client_id in self._gone
-            if not gone:
-                self._pages[client.client_id] = page
+        with self._changed:
+            if self._stopped:
+                return
+            self._building.add(client.client_id)
+        page = None
+        try:
+            page = Page(client, self._scenario)
+        finally:
+            with self._changed:
+                self._building.remove(client.client_id)
+                gone = client.client_id in self._gone
+                self._gone.discard(client.client_id)
+                if page is not None and not gone:
+                    self._pages[client.client_id] = page
+                self._changed.notify_all()
         if gone:
             page.close()
 
     def _disconnected(self, client: viser.ClientHandle) -> None:
-        with self._lock:
-            page = self._pages.pop(client.client_id, None)
-            if page is None:  # it is still being built
+        with self._changed:
+            page = self._pages.get(client.client_id)
+            if page is None:
                 self._gone.add(client.client_id)
-        if page is not None:
-            page.close()
+                return
+        page.close()  # first: the server must not end while a session draws
+        with self._changed:
+            self._pages.pop(client.client_id, None)
