@@ -273,7 +273,7 @@ def overlaid_law(law: Law, gains: Mapping[str, Any]) -> Law:
     Raises:
         ValueError: a field that is not one of a law, or is out of range.
     """
-    return validated(Law, _merged(law.model_dump(), gains), "gains") if gains else law
+    return validated(Law, merged_tables(law.model_dump(), gains), "gains") if gains else law
 
 
 def changed_law(law: Law, change: Change) -> Law:
@@ -357,11 +357,12 @@ def scenario_toml(scenario: Scenario) -> str:
     return text
 
 
-def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def merged_tables(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A table with the entries of another in their place, all the way down."""
     merged = dict(base)
     for key, value in changes.items():
         both = isinstance(value, Mapping) and isinstance(base.get(key), Mapping)
-        merged[key] = _merged(base[key], value) if both else value
+        merged[key] = merged_tables(base[key], value) if both else value
     return merged
 
 

@@ -1,0 +1,123 @@
+"""The machine in three dimensions: one scene a browser tab, moved by generalised positions."""
+
+import mujoco
+import numpy as np
+import viser
+from mjviser import ViserMujocoScene
+from numpy.typing import ArrayLike, NDArray
+
+from cmf_mj.plant.hexapod import hexapod_spec
+
+CAMERA = {"position": (10.6, -10.4, 1.6), "look_at": (0.0, 0.0, -0.75)}
+"""First view: from the right front, a little above the platform [m]."""
+
+FIELD_OF_VIEW = 0.62
+"""Vertical angle of the first view [rad]."""
+
+_SKY = np.array([[205, 215, 226], [243, 245, 247]])
+"""Colours of the background, top and bottom."""
+
+_PUSH_LENGTH = 5.0
+"""Length of the arrow of the largest push [m]."""
+
+_CAB_CENTRE = np.array([0.0, 0.0, 1.7])
+"""Where the arrow points, from the platform [m]."""
+
+_CLEAR = 2.4
+"""Distance of its tip from there, outside the cab [m]."""
+
+
+def place_camera(client: viser.ClientHandle) -> None:
+    """Put a tab's camera at the first view."""
+    client.camera.position, client.camera.look_at = CAMERA["position"], CAMERA["look_at"]
+    client.camera.fov = FIELD_OF_VIEW
+
+
+class MachineScene:
+    """The hexapod with one cab in one tab, and the push on it."""
+
+    def __init__(self, client: viser.ClientHandle, cab: str, *, shadows: bool = False) -> None:
+        """Send the geometry, in the place of all that the tab showed.
+
+        Args:
+            client: the tab.
+            cab: `gfd`, `rfd` or `ifd`.
+            shadows: whether the key light casts them; a browser without a GPU then draws less
+                than a picture a second.
+        """
+        self.cab = cab
+        """The cab shown."""
+        self._client = client
+        client.scene.reset()
+        self._light()
+        self.cast_shadows(shadows)
+        # A model of its own: the scene scales the looks of the model it is given.
+        self._model = hexapod_spec(cab).compile()
+        self._data = mujoco.MjData(self._model)
+        with client.atomic():
+            self._machine = ViserMujocoScene(client, self._model, num_envs=1)
+            # Lights alone: mirroring an environment takes seconds where no GPU helps.
+            client.scene.configure_environment_map(None)
+        self._machine.camera_tracking_enabled = False
+        self._platform = self._model.body("platform").id
+        self._push: viser.SceneNodeHandle | None = None
+        self._pushed = np.zeros(3)
+        self.show(self._data.qpos)
+
+    @property
+    def platform_position(self) -> NDArray[np.float64]:
+        """Where the platform is drawn, model's axes (z up) [m], (3,)."""
+        return self._data.xpos[self._platform].copy()
+
+    @property
+    def width(self) -> int:
+        """Generalised positions of the model."""
+        return int(self._model.nq)
+
+    def show(self, qpos: ArrayLike) -> None:
+        """Move everything to generalised positions (nq,)."""
+        self._data.qpos[:] = np.asarray(qpos, dtype=float)
+        mujoco.mj_kinematics(self._model, self._data)
+        self._machine.update_from_mjdata(self._data)
+
+    def cast_shadows(self, shadows: bool) -> None:
+        """Turn the shadows of the key light on or off."""
+        self._client.scene.add_light_directional(
+            "/lights/key", intensity=2.8, position=(6.0, -8.0, 9.0), cast_shadow=shadows
+        )
+
+    def show_push(self, share: ArrayLike) -> None:
+        """Draw the push as an arrow that points at the cab and goes with it.
+
+        Args:
+            share: force over the largest one, model's axes, (3,); all zero for none.
+        """
+        along = np.asarray(share, dtype=float)
+        if self._push is not None and not np.array_equal(along, self._pushed):
+            self._push.remove()
+            self._push = None
+        self._pushed = along
+        length = float(np.linalg.norm(along))
+        if length == 0.0:
+            return
+        if self._push is None:
+            tip = _CAB_CENTRE - _CLEAR * along / length
+            self._push = self._client.scene.add_arrows(
+                "/push",
+                points=np.array([[tip - _PUSH_LENGTH * along, tip]], dtype=np.float32),
+                colors=(214, 39, 40),
+                shaft_radius=0.07,
+                head_radius=0.18,
+                head_length=0.4,
+            )
+        self._push.position = self.platform_position
+
+    def _light(self) -> None:
+        """Background, lights and floor colours of a fresh scene."""
+        scene = self._client.scene
+        shade = np.linspace(0.0, 1.0, 64)[:, None]
+        sky = (_SKY[0] * (1.0 - shade) + _SKY[1] * shade).astype(np.uint8)
+        scene.set_background_image(np.repeat(sky[:, None, :], 4, axis=1), format="png")
+        scene.configure_default_lights(enabled=False)
+        scene.add_light_ambient("/lights/ambient", intensity=1.7)
+        scene.add_light_directional("/lights/fill", intensity=1.2, position=(-6.0, 7.0, 6.0))

@@ -1,0 +1,64 @@
+"""The last seconds of a session, as the plots draw them: a ring of rows that never grows."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+LONGEST = 20.0
+"""Time kept [s]."""
+
+RATE = 64
+"""Rows a second of simulated time [Hz]; the fastest excitation has 10 Hz."""
+
+CHANNELS = {
+    "demand_pose": 6,
+    "platform_pose": 6,
+    "leg_force": 6,
+    "valve_command": 6,
+    "cap_pressure": 6,
+    "rod_pressure": 6,
+    "supply_pressure": 1,
+    "return_pressure": 1,
+}
+"""What is kept, with its columns; names and units of `Record`."""
+
+
+class Traces:
+    """Time and channels of the last `LONGEST` seconds."""
+
+    def __init__(self) -> None:
+        """Begin empty."""
+        self._rows = np.empty((round(LONGEST * RATE), 1 + sum(CHANNELS.values())))
+        self._count = 0
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._count = 0
+
+    def append(self, time: float, values: Mapping[str, ArrayLike]) -> None:
+        """Keep one row.
+
+        Args:
+            time: of the run [s].
+            values: one per channel, of its width.
+        """
+        row = self._rows[self._count % self._rows.shape[0]]
+        row[0] = time
+        base = 1
+        for name, width in CHANNELS.items():
+            row[base : base + width] = values[name]
+            base += width
+        self._count += 1
+
+    def last(self, seconds: float) -> dict[str, NDArray[np.float64]]:
+        """The latest rows in order: `time` (N,) and each channel (N, width)."""
+        size = self._rows.shape[0]
+        wanted = min(self._count, size, round(seconds * RATE))
+        rows = self._rows[np.arange(self._count - wanted, self._count) % size]
+        found = {"time": rows[:, 0]}
+        base = 1
+        for name, width in CHANNELS.items():
+            found[name] = rows[:, base : base + width]
+            base += width
+        return found
