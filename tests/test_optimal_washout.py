@@ -58,7 +58,7 @@ def test_with_travel_and_effort_for_nothing_the_simulator_does_what_the_aircraft
     """W tends to 1 at every frequency the senses tell; with the shipped sizes it does not."""
     mode = getattr(SETTINGS, name)
     free = {
-        field: size.model_copy(update={"value": 1e5 * size.value})
+        field: size.model_copy(update={"value": 1e3 * size.value})
         for field, size in mode
         if field.removesuffix("_integral") in ("position", "velocity", "acceleration", "angle")
         or field == "rate"
