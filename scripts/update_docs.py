@@ -11,9 +11,20 @@ import shutil
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "docs/model.md", "docs/failures.md", "docs/operation.md")
-TABLES = ("comparison.md", "failures.md")
-FIGURES = ("bode_surge.png", "bode_heave.png", "step_surge.png")
+PAGES = (
+    "README.md",
+    "docs/model.md",
+    "docs/failures.md",
+    "docs/operation.md",
+    "docs/omct.md",
+)
+TABLES = ("comparison.md", "failures.md", "omct.md")
+FIGURES = (
+    "compare/bode_surge.png",
+    "compare/bode_heave.png",
+    "compare/step_surge.png",
+    "omct/omct.png",
+)
 _TABLE = re.compile(r"(<!-- table: ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -40,9 +51,9 @@ def main() -> None:
         page = options.root / name
         page.write_text(refresh(page.read_text(encoding="utf-8"), options.results), "utf-8")
     for figure in FIGURES:
-        source = options.results / "compare" / figure
+        source = options.results / figure
         if source.is_file():
-            shutil.copyfile(source, options.root / "docs" / "images" / figure)
+            shutil.copyfile(source, options.root / "docs" / "images" / source.name)
     print(f"refreshed {', '.join(PAGES)}")
 
 
