@@ -19,7 +19,7 @@ from cmf_mj.ledger_report import ledger_markdown
 from cmf_mj.report import markdown, parameter_cells
 
 ROOT = Path(__file__).resolve().parents[1]
-TABLES = ("comparison.md", "failures.md", "modes.md", "calibration.md")
+TABLES = ("comparison.md", "failures.md", "modes.md", "calibration.md", "omct.md")
 FIGURES = {
     "compare/bode_surge.png": "bode_surge.png",
     "compare/bode_heave.png": "bode_heave.png",
@@ -30,6 +30,7 @@ FIGURES = {
     "calibrate/report/sensitivity.png": "sensitivity_report.png",
     "calibrate/hardware/residuals.png": "calibration_hardware.png",
     "calibrate/hardware/sensitivity.png": "sensitivity_hardware.png",
+    "omct/omct.png": "omct.png",
 }
 """Figures of the studies below --results, and their names in docs/images."""
 
