@@ -1,9 +1,16 @@
-"""Files that appear only when they are complete."""
+"""Files that appear only when they are complete, and tables in CSV and Parquet."""
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+from numpy.typing import NDArray
 
 
 @contextmanager
@@ -16,3 +23,62 @@ def whole_file(target: Path) -> Iterator[Path]:
         os.replace(partial, target)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def write_table(table: pa.Table, target: Path) -> Path:
+    """Write a table as CSV or Parquet, by the name's end; numbers read back bit for bit.
+
+    Raises:
+        ValueError: the name ends in neither.
+    """
+    if target.suffix == ".csv":
+        with whole_file(target) as partial:
+            pyarrow.csv.write_csv(table, partial)
+        return target
+    if target.suffix == ".parquet":
+        return write_parquet(table, target)
+    raise ValueError(f"{target}: must end in .csv or .parquet")
+
+
+def write_parquet(table: pa.Table, target: Path) -> Path:
+    """Write a table as Parquet, whatever the name's end."""
+    with whole_file(target) as partial:
+        pyarrow.parquet.write_table(table, partial, compression="zstd", use_dictionary=False)
+    return target
+
+
+def read_table(path: Path) -> pa.Table:
+    """Read a CSV or Parquet file.
+
+    Raises:
+        ValueError: it cannot be read, or its name ends in neither.
+    """
+    try:
+        if path.suffix == ".csv":
+            return pyarrow.csv.read_csv(path)
+        if path.suffix == ".parquet":
+            return pyarrow.parquet.read_table(path)
+    except (OSError, pa.ArrowInvalid) as error:
+        raise ValueError(f"{path}: cannot be read: {error}") from error
+    raise ValueError(f"{path}: must end in .csv or .parquet")
+
+
+def read_column(
+    path: Path, table: pa.Table, name: str, kind: pa.DataType | None = None
+) -> NDArray[Any]:
+    """A column of numbers of a table read from `path`; float64 unless `kind` says otherwise.
+
+    Raises:
+        ValueError: the column is missing, twice, has gaps or holds no numbers.
+    """
+    if table.column_names.count(name) != 1:
+        found = "twice" if name in table.column_names else "missing"
+        raise ValueError(f"{path}: {name}: column is {found}; it has {table.column_names}")
+    column = table[name]
+    if column.null_count:
+        row = column.is_null().to_pylist().index(True)
+        raise ValueError(f"{path}: {name}: row {row + 1} is empty or not a number")
+    try:
+        return np.array(column.cast(kind or pa.float64()).to_numpy())
+    except pa.ArrowInvalid as error:
+        raise ValueError(f"{path}: {name}: is not a column of numbers: {error}") from error

@@ -15,12 +15,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv
-import pyarrow.parquet
 from numpy.typing import NDArray
 
 from cmf_mj.control.dcu import Arrivals, DcuSettings, load_dcu, make_dcu, resting, upsample
-from cmf_mj.files import whole_file
+from cmf_mj.files import read_column, read_table, write_parquet, write_table
 from cmf_mj.host.stream import HostStream, make_stream
 from cmf_mj.kinematics import DOFS
 from cmf_mj.settings import validated
@@ -40,18 +38,18 @@ def read_stream(path: str | Path, *, derivatives: str = "spline") -> HostStream:
         ValueError: file, column or frame that cannot be taken, named.
     """
     source = Path(path)
-    table = _read(source)
+    table = read_table(source)
     poses, first, second = (f"{DOFS[0]}{kind}" for kind in _KINDS)
     if (first in table.column_names) != (second in table.column_names):
         raise ValueError(f"{source}: velocity and acceleration columns: give both or neither")
-    time = _column(source, table, "time")
+    time = read_column(source, table, "time")
     motion = [
-        np.column_stack([_column(source, table, f"{dof}{kind}") for dof in DOFS])
+        np.column_stack([read_column(source, table, f"{dof}{kind}") for dof in DOFS])
         for kind in (_KINDS if first in table.column_names else _KINDS[:1])
     ]
     numbers = None
     if "sequence" in table.column_names:
-        numbers = _column(source, table, "sequence", pa.int64())
+        numbers = read_column(source, table, "sequence", pa.int64())
     try:
         return make_stream(time, *motion, sequence=numbers, derivatives=derivatives)
     except ValueError as error:
@@ -64,16 +62,7 @@ def write_stream(stream: HostStream, path: str | Path) -> Path:
     Raises:
         ValueError: the name ends in neither.
     """
-    target = Path(path)
-    table = _table(stream.sequence, stream.time, stream.values)
-    if target.suffix == ".csv":
-        with whole_file(target) as partial:
-            pyarrow.csv.write_csv(table, partial)
-    elif target.suffix == ".parquet":
-        _write_parquet(table, target)
-    else:
-        raise ValueError(f"{target}: must end in .csv or .parquet")
-    return target
+    return write_table(_table(stream.sequence, stream.time, stream.values), Path(path))
 
 
 @dataclass(frozen=True)
@@ -97,14 +86,14 @@ class HostSession:
     def save(self, path: str | Path) -> Path:
         """Write the session as Parquet; the file appears only when it is complete."""
         table = _table(self.arrivals.sequence, self.arrivals.time, self.arrivals.values)
-        table = table.append_column("control_frame", pa.array(self.arrivals.frame))
+        table = table.appendread_column("control_frame", pa.array(self.arrivals.frame))
         header = {
             "frames": self.frames,
             "start": np.asarray(self.start, dtype=float).tolist(),
             "settings": self.settings.model_dump(),
         }
         table = table.replace_schema_metadata({_SCHEMA_KEY: json.dumps(header).encode()})
-        return _write_parquet(table, Path(path))
+        return write_parquet(table, Path(path))
 
     @staticmethod
     def load(path: str | Path) -> "HostSession":
@@ -114,22 +103,22 @@ class HostSession:
             ValueError: the file is not a host session.
         """
         source = Path(path)
-        table = _read(source)
+        table = read_table(source)
         raw = (table.schema.metadata or {}).get(_SCHEMA_KEY)
         if raw is None:
             raise ValueError(f"{source}: is not a host session")
         header = json.loads(raw)
         values = np.stack(
             [
-                np.column_stack([_column(source, table, f"{dof}{kind}") for dof in DOFS])
+                np.column_stack([read_column(source, table, f"{dof}{kind}") for dof in DOFS])
                 for kind in _KINDS
             ],
             axis=1,
         )
         arrivals = Arrivals(
-            _column(source, table, "control_frame", pa.int64()),
-            _column(source, table, "sequence", pa.int64()),
-            _column(source, table, "time"),
+            read_column(source, table, "control_frame", pa.int64()),
+            read_column(source, table, "sequence", pa.int64()),
+            read_column(source, table, "time"),
             np.ascontiguousarray(values),
         )
         settings = validated(DcuSettings, header["settings"], str(source))
@@ -144,36 +133,3 @@ def _table(
         for i, dof in enumerate(DOFS):
             columns[f"{dof}{kind}"] = np.ascontiguousarray(values[:, row, i])
     return pa.table({name: pa.array(column) for name, column in columns.items()})
-
-
-def _write_parquet(table: pa.Table, target: Path) -> Path:
-    with whole_file(target) as partial:
-        pyarrow.parquet.write_table(table, partial, compression="zstd", use_dictionary=False)
-    return target
-
-
-def _read(path: Path) -> pa.Table:
-    try:
-        if path.suffix == ".csv":
-            return pyarrow.csv.read_csv(path)
-        if path.suffix == ".parquet":
-            return pyarrow.parquet.read_table(path)
-    except (OSError, pa.ArrowInvalid) as error:
-        raise ValueError(f"{path}: cannot be read: {error}") from error
-    raise ValueError(f"{path}: must end in .csv or .parquet")
-
-
-def _column(
-    path: Path, table: pa.Table, name: str, kind: pa.DataType | None = None
-) -> NDArray[Any]:
-    if table.column_names.count(name) != 1:
-        found = "twice" if name in table.column_names else "missing"
-        raise ValueError(f"{path}: {name}: column is {found}; it has {table.column_names}")
-    column = table[name]
-    if column.null_count:
-        row = column.is_null().to_pylist().index(True)
-        raise ValueError(f"{path}: {name}: row {row + 1} is empty or not a number")
-    try:
-        return np.array(column.cast(kind or pa.float64()).to_numpy())
-    except pa.ArrowInvalid as error:
-        raise ValueError(f"{path}: {name}: is not a column of numbers: {error}") from error

@@ -16,8 +16,9 @@ class Quantity(Settings):
     """Value in `unit`."""
     unit: str
     """Unit as published, e.g. `in/s/%`."""
-    status: Literal["stated", "derived", "calibrated", "assumed"]
-    """How the number is known."""
+    status: Literal["stated", "derived", "calibrated", "assumed", "published", "recalled"]
+    """How the number is known: `published` by another source than the report, `recalled` from
+    general knowledge of the field and not checked."""
     source: str = Field(min_length=1)
     """Where it comes from, or why it was chosen."""
 

@@ -1,0 +1,202 @@
+"""Specific force and acceleration, centre of gravity and pilot's station."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cmf_mj import Hexapod, signals, simulate
+from cmf_mj.kinematics import rotation
+from cmf_mj.pilot_motion import (
+    PilotMotion,
+    body_rates,
+    gravity_in_body,
+    pilot_station,
+    turn_to_body,
+)
+
+G = 9.80665
+LEVEL = np.zeros((1, 3))
+
+
+def still(count: int = 1) -> dict[str, np.ndarray]:
+    zero = np.zeros((count, 3))
+    return {
+        "time": np.arange(float(count)),
+        "angular_rate": zero,
+        "angular_acceleration": zero,
+        "attitude": zero,
+    }
+
+
+def test_level_rest_reads_one_g_upwards_and_free_fall_nothing():
+    arm = (7.0, 0.5, -1.0)
+    rest = PilotMotion.from_centre_of_gravity(**still(), lever_arm=arm, acceleration=LEVEL)
+    np.testing.assert_array_equal(rest.specific_force, [[0.0, 0.0, -G]])
+    fall = PilotMotion.from_centre_of_gravity(
+        **still(), lever_arm=arm, acceleration=LEVEL + [0.0, 0.0, G]
+    )
+    np.testing.assert_array_equal(fall.specific_force, LEVEL)
+    np.testing.assert_array_equal(fall.acceleration, [[0.0, 0.0, G]])
+
+
+def test_taking_one_for_the_other_is_off_by_gravity_to_the_bit():
+    """The classic error: the same numbers as acceleration and as specific force."""
+    values = np.array([[1.0, -0.5, -9.0]])
+    as_force, as_acceleration = (
+        PilotMotion.from_centre_of_gravity(**still(), lever_arm=np.zeros(3), **{name: values})
+        for name in ("specific_force", "acceleration")
+    )
+    np.testing.assert_array_equal(as_force.specific_force, values)
+    difference = as_acceleration.specific_force - as_force.specific_force
+    np.testing.assert_allclose(difference, [[0.0, 0.0, -G]], rtol=1e-15)
+    np.testing.assert_allclose(as_acceleration.acceleration, values, rtol=1e-15)
+
+
+def test_pitched_on_the_ground_it_feels_a_push_in_the_back():
+    attitude = np.array([[0.0, np.radians(10.0), 0.3]])
+    given = still() | {"attitude": attitude}
+    rest = PilotMotion.from_centre_of_gravity(**given, lever_arm=np.zeros(3), acceleration=LEVEL)
+    expected = [[G * np.sin(np.radians(10.0)), 0.0, -G * np.cos(np.radians(10.0))]]
+    np.testing.assert_allclose(rest.specific_force, expected, rtol=1e-15)
+    banked = gravity_in_body(np.array([np.radians(30.0), 0.0, 1.0]))
+    np.testing.assert_allclose(banked, rotation(np.radians(30.0), 0.0, 1.0).T @ [0.0, 0.0, G])
+
+
+def test_pilot_ahead_of_the_centre_of_gravity():
+    """Pitch acceleration lifts the nose, -q' x; a steady pitch rate pulls inwards, -q^2 x. The
+    error of taking the centre of gravity for the pilot is the whole of it."""
+    arm = np.array([20.0, 0.0, -3.0])
+    given = still() | {
+        "angular_rate": np.array([[0.0, 0.2, 0.0]]),
+        "angular_acceleration": np.array([[0.0, 0.1, 0.0]]),
+    }
+    pilot = PilotMotion.from_centre_of_gravity(
+        **given, lever_arm=arm, specific_force=LEVEL - [0.0, 0.0, G]
+    )
+    expected = [[0.1 * -3.0 - 0.04 * 20.0, 0.0, -G - 0.1 * 20.0 + 0.04 * 3.0]]
+    np.testing.assert_allclose(pilot.specific_force, expected, rtol=1e-14)
+
+
+def test_coordinated_turn_has_no_side_force():
+    """Bank 30 deg at turn rate g tan(bank) / V: f = (0, 0, -g / cos(bank)) in body axes."""
+    bank, speed = np.radians(30.0), 120.0
+    turn = G * np.tan(bank) / speed
+    attitude = np.array([[bank, 0.0, 0.0]])
+    rates = np.array([[0.0, turn * np.sin(bank), turn * np.cos(bank)]])
+    # Inertial acceleration points to the right, speed times turn rate; in body axes:
+    acceleration = (rotation(bank, 0.0, 0.0).T @ [0.0, speed * turn, 0.0])[None]
+    given = still() | {"attitude": attitude, "angular_rate": rates}
+    felt = PilotMotion.from_centre_of_gravity(
+        **given, lever_arm=np.zeros(3), acceleration=acceleration
+    )
+    np.testing.assert_allclose(felt.specific_force, [[0.0, 0.0, -G / np.cos(bank)]], atol=1e-14)
+
+
+def motion(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A smooth platform motion in all degrees of freedom with its derivatives."""
+    rates = np.array([1.0, 1.3, 0.7, 1.1, 0.9, 1.7])
+    sizes = np.array([0.4, 0.3, 0.2, 0.3, 0.25, 0.4])
+    phase = np.outer(time, rates) + np.arange(6.0)
+    return (
+        sizes * np.sin(phase),
+        sizes * rates * np.cos(phase),
+        -sizes * rates**2 * np.sin(phase),
+    )
+
+
+def test_motion_on_the_platform_against_differenced_positions():
+    """Positions of the station differenced twice in inertial axes; error of the order step^2."""
+    step, arm = 1e-3, np.array([0.6, 0.2, -2.3])
+    time = 1.0 + step * np.arange(-2, 3)
+    pose, velocity, acceleration = motion(time)
+    found = PilotMotion.from_platform(time, pose, velocity, acceleration, arm)
+    turn = np.array([rotation(*row[3:]) for row in pose])
+    place = pose[:, :3] + turn @ arm
+    inertial = (place[3] - 2 * place[2] + place[1]) / step**2 - [0.0, 0.0, G]
+    np.testing.assert_allclose(found.specific_force[2], turn[2].T @ inertial, atol=1e-5)
+    # Angular velocity of the rotation matrix itself.
+    turned = Rotation.from_matrix(turn[1].T @ turn[3]).as_rotvec() / (2 * step)
+    np.testing.assert_allclose(found.angular_rate[2], turned, atol=1e-6)
+    np.testing.assert_allclose(found.attitude, pose[:, 3:])
+
+
+def test_angular_acceleration_is_the_derivative_of_the_rate():
+    step = 1e-4
+    rows = [motion(np.array([1.0 + k * step])) for k in (-1, 0, 1)]
+    omega, alpha = np.empty((3, 3)), np.empty((3, 3))
+    for k, (pose, velocity, acceleration) in enumerate(rows):
+        body_rates(pose[0, 3:], velocity[0, 3:], acceleration[0, 3:], omega[k], alpha[k])
+    np.testing.assert_allclose(alpha[1], (omega[2] - omega[0]) / (2 * step), atol=1e-7)
+
+
+def test_turn_to_body_is_the_transpose_of_the_rotation():
+    angles, vector, out = np.array([0.3, -0.4, 1.2]), np.array([1.0, -2.0, 0.5]), np.empty(3)
+    turn_to_body(angles, vector, out)
+    np.testing.assert_allclose(out, rotation(*angles).T @ vector, rtol=1e-14)
+
+
+def test_record_of_a_run_agrees_with_the_platforms_own_motion():
+    """MuJoCo's crew accelerometer against the rigid-body formula on the differentiated pose."""
+    command = signals.sine("pitch", np.radians(2.0), 1.0, cycles=2.0)
+    record = simulate(Hexapod(), "velocity", command)
+    felt = PilotMotion.from_record(record)
+    pose = record["platform_pose"]
+    step = 1.0 / 2048.0
+    velocity = np.gradient(pose, step, axis=0)
+    acceleration = (pose[2:] - 2 * pose[1:-1] + pose[:-2]) / step**2
+    computed = PilotMotion.from_platform(
+        record.time[1:-1], pose[1:-1], velocity[1:-1], acceleration, pilot_station()
+    )
+    np.testing.assert_allclose(felt.time[1:-1], record.time[1:-2], atol=1e-12)
+    inside = slice(200, -200)
+    apart = felt.specific_force[1:][: computed.time.size] - computed.specific_force
+    swing = np.ptp(computed.specific_force[inside, 0])
+    assert swing > 1.0
+    assert np.abs(apart[inside]).max() < 0.01 * swing
+    turning = felt.angular_rate[1:][: computed.time.size] - computed.angular_rate
+    assert np.abs(turning[inside]).max() < 0.01 * np.ptp(computed.angular_rate[:, 1])
+
+
+def test_station_of_the_cab_is_above_and_ahead():
+    np.testing.assert_array_equal(pilot_station("gfd"), [0.6, 0.0, -2.3])
+    with pytest.raises(ValueError, match="'bus'"):
+        pilot_station("bus")
+
+
+@pytest.mark.parametrize("name", ["motion.csv", "motion.parquet"])
+def test_file_reads_back_bit_for_bit(name, tmp_path):
+    draw = np.random.default_rng(1).standard_normal((3, 50, 3))
+    written = PilotMotion(np.arange(50) / 80.0, *draw)
+    again = PilotMotion.load(written.save(tmp_path / name))
+    for part in ("time", "specific_force", "angular_rate", "attitude"):
+        assert getattr(again, part).tobytes() == getattr(written, part).tobytes()
+    assert again.rate == pytest.approx(80.0)
+
+
+def test_resampling_keeps_straight_lines():
+    time = np.arange(11) / 10.0
+    line = np.outer(time, [1.0, -2.0, 3.0])
+    finer = PilotMotion(time, line, line, line).resampled(80.0)
+    assert finer.time.size == 81
+    np.testing.assert_allclose(finer.attitude, np.outer(finer.time, [1.0, -2.0, 3.0]), atol=1e-14)
+
+
+def test_refusals_name_the_field(tmp_path):
+    zero = np.zeros((2, 3))
+    with pytest.raises(ValueError, match="time: row 1"):
+        PilotMotion(np.array([1.0, 1.0]), zero, zero, zero)
+    with pytest.raises(ValueError, match=r"attitude: shape is \(1, 3\)"):
+        PilotMotion(np.array([0.0, 1.0]), zero, zero, zero[:1])
+    with pytest.raises(ValueError, match="specific_force: row 1"):
+        PilotMotion(np.array([0.0, 1.0]), zero + [[0.0], [np.nan]], zero, zero)
+    with pytest.raises(ValueError, match="exactly one"):
+        PilotMotion.from_centre_of_gravity(**still(), lever_arm=np.zeros(3))
+    with pytest.raises(ValueError, match="lever_arm"):
+        PilotMotion.from_centre_of_gravity(**still(), lever_arm=[1.0], acceleration=LEVEL)
+    uneven = PilotMotion(np.array([0.0, 1.0, 3.0]), *np.zeros((3, 3, 3)))
+    with pytest.raises(ValueError, match="intervals"):
+        _ = uneven.rate
+    path = tmp_path / "short.csv"
+    path.write_text("time,roll\n0.0,0.0\n")
+    with pytest.raises(ValueError, match="specific_force_x"):
+        PilotMotion.load(path)
