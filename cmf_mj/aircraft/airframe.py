@@ -48,9 +48,11 @@ class State(NamedTuple):
     centre_force: NDArray[np.float64]
     """The same at the centre of gravity [m/s^2], (3,)."""
     angular_rate: NDArray[np.float64]
-    """Inertial p, q, r [rad/s], (3,)."""
+    """p, q, r against the Earth [rad/s], (3,)."""
+    inertial_rate: NDArray[np.float64]
+    """The same against inertial space, by the Earth's 7e-5 rad/s more or less [rad/s], (3,)."""
     angular_acceleration: NDArray[np.float64]
-    """Their derivatives [rad/s^2], (3,)."""
+    """Derivative of `inertial_rate` [rad/s^2], (3,)."""
     attitude: NDArray[np.float64]
     """Roll, pitch, heading to the local level [rad], (3,)."""
     lever: NDArray[np.float64]
@@ -60,7 +62,7 @@ class State(NamedTuple):
     climb: float
     """Rate of climb [m/s]."""
     height: float
-    """Of the eyepoint's datum, the centre of gravity, above the ground [m]."""
+    """Of the centre of gravity above the ground [m]."""
     sideslip: float
     """Angle of sideslip, positive with the wind from the right [rad]."""
 
@@ -99,6 +101,7 @@ class Airframe:
             ValueError: no such aircraft.
         """
         self.aircraft, self.seed = aircraft, seed
+        self._failed: set[int] = set()
         self._folder = tempfile.TemporaryDirectory(prefix="cmf_aircraft_")
         self._jsbsim = _library()
         with _quiet():
@@ -218,11 +221,13 @@ class Airframe:
         self["atmosphere/turbulence/milspec/severity"] = severity
         self["atmosphere/turb-type"] = kinds[model]
 
-    def cut_engine(self, engine: int) -> None:
-        """Shut the fuel of an engine, 0 the left one."""
-        self["propulsion/active_engine"] = engine
-        self["propulsion/cutoff_cmd"] = 1.0
-        self["propulsion/active_engine"] = -1.0
+    def fail_engine(self, engine: int) -> None:
+        """Let an engine, 0 the left one, spool down to idle for the rest of the flight.
+
+        JSBSim's own fuel cut takes all thrust away within one step; spooling down takes 2 s to
+        4 % of the take-off thrust, which stays.
+        """
+        self._failed.add(engine)
 
     def step(self, controls: Controls) -> None:
         """Fly one step of 1/240 s."""
@@ -230,8 +235,8 @@ class Airframe:
             ("fcs/elevator-cmd-norm", controls.elevator),
             ("fcs/aileron-cmd-norm", controls.aileron),
             ("fcs/rudder-cmd-norm", controls.rudder),
-            ("fcs/throttle-cmd-norm[0]", controls.throttle),
-            ("fcs/throttle-cmd-norm[1]", controls.throttle),
+            ("fcs/throttle-cmd-norm[0]", 0.0 if 0 in self._failed else controls.throttle),
+            ("fcs/throttle-cmd-norm[1]", 0.0 if 1 in self._failed else controls.throttle),
             ("fcs/left-brake-cmd-norm", controls.brakes),
             ("fcs/right-brake-cmd-norm", controls.brakes),
             ("gear/gear-cmd-norm", controls.gear),
@@ -251,6 +256,7 @@ class Airframe:
             self["simulation/sim-time-sec"],
             felt,
             force,
+            self._vector("velocities/{}-rad_sec", _RATES),
             rate,
             turning,
             self._vector("attitude/{}-rad", ("phi", "theta", "psi")),
