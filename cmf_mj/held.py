@@ -79,9 +79,10 @@ def hold(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, interval: float
     )
 
 
-def settled(a: ArrayLike, b: ArrayLike, inputs: ArrayLike) -> NDArray[np.float64]:
+def settled(system: Held, inputs: ArrayLike) -> NDArray[np.float64]:
     """State (n,) of a stable system that has had the inputs (m,) for a long time."""
-    return np.asarray(linalg.solve(np.asarray(a), -(np.asarray(b) @ np.asarray(inputs))))
+    pushed = (system.earlier + system.later) @ np.asarray(inputs, dtype=float)
+    return np.asarray(linalg.solve(np.eye(pushed.size) - system.transition, pushed))
 
 
 @compiled
@@ -100,6 +101,18 @@ def advance(system, state, before, now, work):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def read(system, state, inputs, out):  # type: ignore[no-untyped-def]
+    """Write the outputs (p,) of a state (n,) and inputs (m,)."""
+    for i in range(system.output.shape[0]):
+        total = 0.0
+        for j in range(state.shape[0]):
+            total += system.output[i, j] * state[j]
+        for j in range(inputs.shape[0]):
+            total += system.direct[i, j] * inputs[j]
+        out[i] = total
+
+
+@compiled
 def history(system, state, inputs, outputs):  # type: ignore[no-untyped-def]
     """Outputs (N, p) of inputs (N, m); the state (n,) is that at the first row, then at the last.
 
@@ -113,10 +126,4 @@ def history(system, state, inputs, outputs):  # type: ignore[no-untyped-def]
     for row in range(inputs.shape[0]):
         if row > 0:
             advance(system, state, inputs[row - 1], inputs[row], work)
-        for i in range(outputs.shape[1]):
-            total = 0.0
-            for j in range(state.shape[0]):
-                total += system.output[i, j] * state[j]
-            for j in range(inputs.shape[1]):
-                total += system.direct[i, j] * inputs[row, j]
-            outputs[row, i] = total
+        read(system, state, inputs[row], outputs[row])

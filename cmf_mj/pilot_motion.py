@@ -79,7 +79,7 @@ class PilotMotion:
 
     @property
     def acceleration(self) -> NDArray[np.float64]:
-        """Acceleration a = f + g of the station against inertial space, body axes [m/s^2], (N, 3)."""
+        """Acceleration f + g of the station against inertial space, body axes [m/s^2], (N, 3)."""
         return self.specific_force + gravity_in_body(self.attitude)
 
     @property

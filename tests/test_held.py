@@ -33,9 +33,10 @@ def test_a_ramp_comes_out_in_closed_form():
 
 
 def test_settled_state_stays():
-    state = settled(*SYSTEM[:2], [3.0])
+    system = hold(*SYSTEM, 0.1)
+    state = settled(system, [3.0])
     before, work = state.copy(), np.empty(2)
-    advance(hold(*SYSTEM, 0.1), state, np.array([3.0]), np.array([3.0]), work)
+    advance(system, state, np.array([3.0]), np.array([3.0]), work)
     np.testing.assert_allclose(state, before, atol=1e-14)
     np.testing.assert_allclose(state, [3.0, 0.0], atol=1e-14)
 
