@@ -59,6 +59,8 @@ class State(NamedTuple):
     """From the centre of gravity to the eyepoint [m], (3,)."""
     airspeed: float
     """Calibrated [m/s]."""
+    true_airspeed: float
+    """Against the air [m/s]."""
     climb: float
     """Rate of climb [m/s]."""
     height: float
@@ -102,31 +104,21 @@ class Airframe:
         """
         self.aircraft, self.seed = aircraft, seed
         self._failed: set[int] = set()
-        self._folder = tempfile.TemporaryDirectory(prefix="cmf_aircraft_")
-        self._jsbsim = _library()
-        with _quiet():
-            self._fdm = self._jsbsim.FGFDMExec(self._jsbsim.get_default_root_dir())
-        self._fdm.set_aircraft_path(self._copy(aircraft))
-        self._fdm.set_dt(1.0 / RATE)
-        if not self._fdm.load_model(aircraft):
-            raise ValueError(f"aircraft: {aircraft!r} cannot be loaded by JSBSim")
-        self["simulation/randomseed"] = seed
-
-    def _copy(self, aircraft: str) -> str:
-        """The aircraft's folder without what would listen to or send on the network."""
-        shipped = Path(self._jsbsim.get_default_root_dir()) / "aircraft"
+        library = _library()
+        shipped = Path(library.get_default_root_dir()) / "aircraft"
         names = sorted(path.name for path in shipped.iterdir() if path.is_dir())
         if aircraft not in names:
             raise ValueError(f"aircraft: {aircraft!r} is not one of {', '.join(names)}")
-        copy = Path(self._folder.name) / aircraft
-        shutil.copytree(shipped / aircraft, copy)
-        file = copy / f"{aircraft}.xml"
-        tree = ElementTree.parse(file)
-        for tag in ("input", "output"):
-            for element in tree.getroot().findall(tag):
-                tree.getroot().remove(element)
-        tree.write(file)
-        return self._folder.name
+        with _quiet():
+            self._fdm = library.FGFDMExec(library.get_default_root_dir())
+        self._trim_failure = library.TrimFailureError
+        self._fdm.set_dt(1.0 / RATE)
+        with tempfile.TemporaryDirectory(prefix="cmf_aircraft_") as folder:
+            without_network(shipped / aircraft, Path(folder) / aircraft)
+            self._fdm.set_aircraft_path(folder)
+            if not self._fdm.load_model(aircraft):
+                raise ValueError(f"aircraft: {aircraft!r} cannot be loaded by JSBSim")
+        self["simulation/randomseed"] = seed
 
     def __getitem__(self, name: str) -> float:
         """A property of JSBSim, in its units."""
@@ -166,7 +158,7 @@ class Airframe:
         try:
             with _quiet():
                 self["simulation/do_simple_trim"] = 1.0
-        except self._jsbsim.TrimFailureError as error:
+        except self._trim_failure as error:
             raise ValueError(
                 f"airspeed: {airspeed:.1f} m/s at {height:.0f} m on a path of {path:.3f} rad "
                 f"cannot be trimmed with the {self.aircraft}: {error}"
@@ -262,6 +254,7 @@ class Airframe:
             self._vector("attitude/{}-rad", ("phi", "theta", "psi")),
             lever,
             self["velocities/vc-kts"] * units.KNOT,
+            self["velocities/vt-fps"] * units.FOOT,
             self["velocities/h-dot-fps"] * units.FOOT,
             self["position/h-agl-ft"] * units.FOOT,
             self["aero/beta-rad"],
@@ -279,6 +272,17 @@ class Airframe:
 
     def _vector(self, pattern: str, names: tuple[str, ...] = _AXES) -> NDArray[np.float64]:
         return np.array([self[pattern.format(name)] for name in names])
+
+
+def without_network(aircraft: Path, copy: Path) -> None:
+    """Copy an aircraft's folder without what would listen to or send on the network."""
+    shutil.copytree(aircraft, copy)
+    file = copy / f"{aircraft.name}.xml"
+    tree = ElementTree.parse(file)
+    for tag in ("input", "output"):
+        for element in tree.getroot().findall(tag):
+            tree.getroot().remove(element)
+    tree.write(file)
 
 
 def _library() -> "jsbsim":
