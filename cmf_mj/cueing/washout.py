@@ -12,7 +12,8 @@ The platform turns about the pilot's head, not about its centroid, which would p
 wrong way at each onset of tilt. A station of (0, 0, 0) turns it about the centroid.
 """
 
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numba.extending import overload
@@ -25,6 +26,13 @@ from cmf_mj.cueing.classical import (
     make_classical,
     move_classical,
     start_classical,
+)
+from cmf_mj.cueing.optimal import (
+    Optimal,
+    OptimalState,
+    make_optimal,
+    move_optimal,
+    start_optimal,
 )
 from cmf_mj.cueing.settings import ClassicalSettings, WashoutSettings, load_washout
 from cmf_mj.host import HostFrame, HostStream, make_stream
@@ -49,7 +57,7 @@ class Cueing(NamedTuple):
     """r [m], (3,)."""
     interval: float
     """T [s]."""
-    algorithm: Classical
+    algorithm: Classical | Optimal
 
 
 class CueingState(NamedTuple):
@@ -61,17 +69,19 @@ class CueingState(NamedTuple):
     """Displacement of the pilot's station and two derivatives, (3, 3)."""
     euler_rates: NDArray[np.float64]
     """Of the last step [rad/s], (3,)."""
-    algorithm: ClassicalState
+    algorithm: ClassicalState | OptimalState
 
 
 def move(algorithm, state, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
-    """One sample of any algorithm; arguments as for `move_classical`."""
-    move_classical(algorithm, state, euler_rates, slopes, force, angular, linear)
+    """One sample of either algorithm; arguments as for `move_classical`."""
+    chosen = move_classical if isinstance(algorithm, Classical) else move_optimal
+    chosen(algorithm, state, euler_rates, slopes, force, angular, linear)
 
 
 @overload(move)
 def _compiled_move(algorithm, state, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
-    return lambda algorithm, state, euler_rates, slopes, force, angular, linear: move_classical(
+    chosen = move_classical if algorithm.instance_class is Classical else move_optimal
+    return lambda algorithm, state, euler_rates, slopes, force, angular, linear: chosen(
         algorithm, state, euler_rates, slopes, force, angular, linear
     )
 
@@ -186,12 +196,18 @@ class Washout:
 
         The algorithm's own frames: `envelope.confined` brings them within the machine's limits.
         """
-        span = motion.time.size > 1 and abs(motion.rate - self.rate) > 1e-6 * self.rate
-        flown = motion.resampled(self.rate) if span else motion
+        flown = self.flown(motion)
         self.start(flown.specific_force[0], flown.angular_rate[0])
         out = np.empty((flown.time.size, 3, 6))
         _run(self._cueing, self._state, flown.specific_force, flown.angular_rate, out)
-        return make_stream(flown.time - flown.time[0], out[:, 0], out[:, 1], out[:, 2])
+        return make_stream(flown.time, out[:, 0], out[:, 1], out[:, 2])
+
+    def flown(self, motion: PilotMotion) -> PilotMotion:
+        """A motion at the frames of the host, from time 0."""
+        since = replace(motion, time=motion.time - motion.time[0])
+        if motion.time.size < 2 or abs(motion.rate - self.rate) <= 1e-6 * self.rate:
+            return since
+        return since.resampled(self.rate)
 
     def start(self, specific_force: ArrayLike, angular_rate: ArrayLike) -> HostFrame:
         """Settle on a specific force (3,) and an angular rate (3,); the first frame."""
@@ -230,9 +246,11 @@ def _inputs(*given: ArrayLike) -> list[NDArray[np.float64]]:
 
 
 def _compile(settings: WashoutSettings, station: NDArray[np.float64], interval: float) -> Cueing:
-    algorithm: Any = None
+    algorithm: Classical | Optimal
     if isinstance(settings, ClassicalSettings):
         algorithm = make_classical(settings, interval)
+    else:
+        algorithm = make_optimal(settings, interval)
     limits = settings.inputs
     return Cueing(
         settings.gains, limits.force_limit.si, limits.rate_limit.si, station, interval, algorithm
@@ -248,7 +266,11 @@ def _start(
     angular, linear, zero = np.empty((3, 3)), np.empty((3, 3)), np.zeros(3)
     for guess in (np.zeros(3), angular[0]):
         euler_rates_of(guess[0], guess[1], rate, euler_rates)
-        state: Any = start_classical(cueing.algorithm, euler_rates, force)
+        state: ClassicalState | OptimalState
+        if isinstance(cueing.algorithm, Classical):
+            state = start_classical(cueing.algorithm, euler_rates, force)
+        else:
+            state = start_optimal(cueing.algorithm, euler_rates, force)
         # At rest a step with the same inputs changes nothing; it reads the outputs.
         move(cueing.algorithm, state, euler_rates, zero, force, angular, linear)
     return CueingState(angular, linear, euler_rates, state)
