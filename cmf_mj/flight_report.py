@@ -126,8 +126,9 @@ def envelope_figure(ride: Ride) -> Figure:
 def comparison_figure(rides: Sequence[Ride]) -> Figure:
     """Spectra of the machine's error at the pilot's station and its perceived size, law by law."""
     figure = Figure(figsize=(12.0, 10.5), layout="constrained")
-    rows = figure.subfigures(2, 1, height_ratios=(2.1, 1.0))
-    panels = rows[0].subplots(2, 3, sharex=True).ravel()
+    grid = figure.add_gridspec(2, 1, height_ratios=(2.1, 1.0))
+    above, below = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
+    panels = above.subplots(2, 3, sharex=True).ravel()
     first = rides[0]
     curves: list[tuple[PilotMotion, PilotMotion, str, str, float]] = []
     if first.aircraft is not None:
@@ -148,8 +149,8 @@ def comparison_figure(rides: Sequence[Ride]) -> Figure:
         if index > 2:
             axes.set_xlabel("frequency [Hz]")
     panels[0].legend(fontsize=8, loc="lower left")
-    _bars(rows[1].subplots(1, 2), rides)
-    rows[0].suptitle(
+    _bars(below.subplots(1, 2), rides)
+    above.suptitle(
         f"pilot's station, cab {first.cab}: error spectra (asked of the platform less cab)"
     )
     return figure

@@ -1,10 +1,10 @@
-"""From the aircraft to the cab: host, washout, DCU, control law, machine, and what the pilot feels.
+"""From the aircraft to the cab: host, washout, DCU, control law, machine, what the pilot feels.
 
-    aircraft -> washout -> frames within the limits -> DCU -> DCL -> valves -> cab -> pilot's station
+    aircraft -> washout -> frames within the limits -> DCU -> DCL -> valves -> cab -> pilot
 
-`fly` takes a host in aircraft mode through all of it, or one in direct mode through what comes after
-the washout, and compares three motions at the pilot's station, all at the host's times: that of
-the aircraft, that which the host's frames ask of the platform, and the true one of the cab. The
+`fly` takes a host in aircraft mode through all of it, or one in direct mode through what comes
+after the washout, and compares three motions at the pilot's station, all at the host's times: that
+of the aircraft, that which the host's frames ask of the platform, and the true one of the cab. The
 first two differ by the washout, the last two by delay, law and machine.
 """
 

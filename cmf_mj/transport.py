@@ -1,7 +1,7 @@
 """Where the time from host to pilot goes, at one frequency.
 
-A slow sine in one degree of freedom runs through the whole facility. With c the complex amplitude of
-a signal at w, a stage from x to y takes the phase delay
+A slow sine in one degree of freedom runs through the whole facility. With c the complex amplitude
+of a signal at w, a stage from x to y takes the phase delay
 
     d = -arg(c_y / c_x) / w
 
@@ -108,7 +108,7 @@ def transport_delay(
         return float(-np.angle(after / before) / omega)
 
     sent = fundamental(kinematics.pose_to_legs(command.pose) @ pattern)
-    reference, command_, opening = map(legs, ("leg_reference", "valve_command", "valve_opening"))
+    reference, valve, opening = map(legs, ("leg_reference", "valve_command", "valve_opening"))
     moved = legs("leg_extension")
     if index < 3:  # an accelerometer's row is of one mechanical step before
         since = omega * float(record.metadata["mechanical_step"])
@@ -121,14 +121,11 @@ def transport_delay(
     stages = [
         Stage(f"DCU: {name.replace('_', ' ')}", part, True) for name, part in dcu.parts().items()
     ]
-    stages += [
-        Stage(
-            "control law: reference to valve command", late(1j * omega * reference, command_), False
-        ),
-        Stage("servo drive and valve: command to opening", late(command_, opening), False),
-        Stage(
-            "hydraulics and mechanics: opening to legs", late(opening, 1j * omega * moved), False
-        ),
-        Stage("legs to pilot's station", late(moved / sent, felt / ahead), False),
-    ]
+    for name, part in (
+        ("control law: reference to valve command", late(1j * omega * reference, valve)),
+        ("servo drive and valve: command to opening", late(valve, opening)),
+        ("hydraulics and mechanics: opening to legs", late(opening, 1j * omega * moved)),
+        ("legs to pilot's station", late(moved / sent, felt / ahead)),
+    ):
+        stages.append(Stage(name, part, False))
     return TransportDelay(dof, frequency, tuple(stages), late(sent, reference), late(ahead, felt))

@@ -21,15 +21,13 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj import units
-
-if TYPE_CHECKING:
-    import jsbsim
 
 RATE = 240
 """Steps of the flight mechanics a second [Hz]: three a host frame of 80 Hz."""
@@ -285,7 +283,7 @@ def without_network(aircraft: Path, copy: Path) -> None:
     tree.write(file)
 
 
-def _library() -> "jsbsim":
+def _library() -> ModuleType:
     try:
         import jsbsim
     except ModuleNotFoundError as error:

@@ -41,8 +41,9 @@ def flight_command(
         path = flight.save(out, single=single)
         x, y, z = flight.origin.lever_arm
         show(
-            f"{flight.origin.title}: {flight.motion.time.size} samples at {flight.motion.rate:g} Hz",
-            f"pilot's station {x:.2f} m forward, {y:.2f} right, {z:.2f} down of the centre of gravity",
+            f"{flight.origin.title}: {flight.motion.time.size} samples at 80 Hz",
+            f"pilot's station from the centre of gravity: {x:.2f} m forward, {y:.2f} right, "
+            f"{z:.2f} down",
             f"written: {path}",
         )
     except (ValueError, OSError, ModuleNotFoundError) as error:
@@ -99,9 +100,10 @@ def fly_command(
         for ride in rides:
             kept = "kept within" if ride.use.within else "LEFT"
             show(
-                f"{ride.law}: {kept} the envelope, legs {ride.use.leg_position:.0%} of their stroke, "
-                f"{ride.use.leg_velocity:.0%} of their speed, {int(ride.held.sum())} host frames held "
-                f"back; host to legs {1e3 * (ride.host_delay + ride.loop_delay):.0f} ms"
+                f"{ride.law}: {kept} the envelope, legs {ride.use.leg_position:.0%} of their "
+                f"stroke, {ride.use.leg_velocity:.0%} of their speed, {int(ride.held.sum())} "
+                f"host frames held back; host to legs "
+                f"{1e3 * (ride.host_delay + ride.loop_delay):.0f} ms"
             )
         show(f"written to {out}: {len(paths)} files", width=TEXT_WIDTH)
     except (ValueError, OSError, FloatingPointError) as error:
