@@ -8,6 +8,7 @@ from cmf_mj.cueing.settings import (
     OptimalSettings,
     WashoutSettings,
     load_washout,
+    save_washout,
 )
 from cmf_mj.cueing.washout import HOST_RATE, Washout
 
@@ -27,5 +28,6 @@ __all__ = [
     "cue",
     "excursion",
     "load_washout",
+    "save_washout",
     "tune",
 ]

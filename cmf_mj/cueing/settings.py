@@ -3,6 +3,7 @@
 A set is a table with `kind`, `classical` or `optimal`; its numbers have unit, status and source.
 """
 
+import json
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
+from cmf_mj.files import whole_file
 from cmf_mj.kinematics import DOFS
 from cmf_mj.parameters import Quantity, positive_in
 from cmf_mj.parameters.quantity import Kind
@@ -262,6 +264,34 @@ def load_washout(source: str | Path | WashoutSettings = "simona") -> WashoutSett
         merge = isinstance(before, dict) and isinstance(change, dict)
         table[field] = before | change if merge else change
     return _validated(table | {"name": name}, f"{path}: {name}")
+
+
+def save_washout(settings: WashoutSettings, path: str | Path) -> Path:
+    """Write parameters as a TOML file that `load_washout` reads back."""
+    target = Path(path)
+    base = "optimal" if settings.kind == "optimal" else "simona"
+    lines = [f'base = "{base}"', "", f"[{_quoted(settings.name)}]"]
+    tables = settings.model_dump(exclude={"name", "kind"})
+    lines += [f"{key} = {_quoted(text)}" for key, text in tables.items() if isinstance(text, str)]
+    for key, table in tables.items():
+        if isinstance(table, dict):
+            lines += ["", f"[{_quoted(settings.name)}.{key}]"]
+            lines += [f"{name} = {_inline(quantity)}" for name, quantity in table.items()]
+    with whole_file(target) as partial:
+        partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return target
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _inline(quantity: dict[str, Any]) -> str:
+    parts = (
+        f"{key} = {_quoted(part) if isinstance(part, str) else repr(part)}"
+        for key, part in quantity.items()
+    )
+    return f"{{ {', '.join(parts)} }}"
 
 
 def _validated(table: dict[str, Any], where: str) -> WashoutSettings:

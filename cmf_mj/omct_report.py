@@ -1,0 +1,160 @@
+"""Table, figure and files of the objective motion cueing test."""
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from cmf_mj.files import whole_file
+from cmf_mj.omct import STAGES, TESTS, Omct
+from cmf_mj.report import markdown
+from cmf_mj.units import DEGREE, STANDARD_GRAVITY
+
+LEGEND = (
+    "modulus and phase [deg] from the aircraft's pilot to the simulator's; washout: host frames; "
+    "ideal: behind the DCU, machine ideal; laws: at the crew's accelerometer of the machine. Cross "
+    "tests: m/s^2 per deg (the aircraft itself: 0.171) and deg per m/s^2 (the aircraft: 0). No "
+    "boundary of acceptance is known."
+)
+"""What the numbers mean."""
+
+_ROTATIONS = ("roll", "pitch", "yaw")
+_COLOURS = ("#999999", "#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+
+
+def unit(place: int) -> tuple[str, float]:
+    """Unit of a test's modulus and what one of it is in SI."""
+    given, output = TESTS[place]
+    if (given in _ROTATIONS) == (output in _ROTATIONS):
+        return "", 1.0
+    if given in _ROTATIONS:
+        return "m/s^2/deg", 1.0 / DEGREE
+    return "deg/(m/s^2)", DEGREE
+
+
+def title(stage: str) -> str:
+    """A stage or law as tables and figures call it."""
+    return {"washout": "washout", "demand": "ideal"}.get(stage, stage)
+
+
+def phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Phase [deg] unwrapped along the frequencies that have a response, (K,)."""
+    known = np.isfinite(response)
+    found = np.full(response.shape, np.nan)
+    found[known] = np.degrees(np.unwrap(np.angle(response[known])))
+    return found
+
+
+def omct_cells(result: Omct) -> tuple[list[str], list[list[str]]]:
+    """Header and lines: modulus and phase of each test and stage over the frequencies."""
+    header = ["test", "", "rad/s", *(f"{value:.3g}" for value in result.frequency)]
+    lines = []
+    for place, (given, output) in enumerate(TESTS):
+        name, scale = unit(place)
+        for stage, responses in result.responses.items():
+            row = responses[place]
+            if not np.isfinite(row).any():
+                continue
+            test = (
+                f"{given} > {output}" if stage == STAGES[0] else name if stage == "demand" else ""
+            )
+            sizes, angles = np.abs(row) / scale, phase(row)
+            lines.append([test, title(stage), "mod", *(_cell(size, 3) for size in sizes)])
+            lines.append(["", "", "deg", *(_cell(angle, 0) for angle in angles)])
+    return header, lines
+
+
+def _cell(value: float, digits: int) -> str:
+    return "-" if np.isnan(value) else f"{value:.{digits}f}"
+
+
+def omct_table(result: Omct) -> Table:
+    """The tests as a terminal table."""
+    table = Table(
+        title=f"OMCT: washout {result.washout}, {result.cab} cab, {result.hydraulics} hydraulics",
+        caption=LEGEND,
+        caption_justify="left",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        padding=(0, 1, 0, 0),
+    )
+    header, lines = omct_cells(result)
+    for index, name in enumerate(header):
+        table.add_column(name, justify="left" if index < 3 else "right", no_wrap=True)
+    for number, line in enumerate(lines):
+        if number and ">" in line[0]:
+            table.add_section()
+        table.add_row(*line)
+    return table
+
+
+def omct_figure(result: Omct) -> Figure:
+    """Modulus and phase of all tests over frequency."""
+    figure = Figure(figsize=(13.0, 15.0), layout="constrained")
+    axes = figure.subplots(5, 4, sharex=True)
+    for place, (given, output) in enumerate(TESTS):
+        row, side = divmod(place, 2)
+        modulus, angle = axes[row, 2 * side], axes[row, 2 * side + 1]
+        name, scale = unit(place)
+        drawn = []
+        for index, (stage, responses) in enumerate(result.responses.items()):
+            values = responses[place]
+            style = {
+                "color": _COLOURS[index % len(_COLOURS)],
+                "linestyle": "--" if stage == "washout" else "-",
+                "marker": "o",
+                "markersize": 3.0,
+                "linewidth": 1.2,
+                "label": title(stage),
+            }
+            drawn.append(np.abs(values) / scale)
+            modulus.plot(result.frequency, np.abs(values) / scale, **style)
+            angle.plot(result.frequency, phase(values), **style)
+        known = np.concatenate(drawn)
+        if np.isfinite(known).any():
+            modulus.set(xscale="log", ylim=(0.0, 1.1 * np.nanmax(known)))
+        if given != output and given in _ROTATIONS:
+            modulus.axhline(STANDARD_GRAVITY * DEGREE, color="0.5", linestyle=":", linewidth=1.0)
+        modulus.set_title(f"{given} > {output}", fontsize=10)
+        modulus.set_ylabel(f"modulus [{name}]" if name else "modulus", fontsize=9)
+        angle.set_ylabel("phase [deg]", fontsize=9)
+        for axis in (modulus, angle):
+            axis.grid(True, which="both", color="0.9", linewidth=0.6)
+            axis.tick_params(labelsize=8)
+    for axis in axes[-1]:
+        axis.set_xlabel("frequency [rad/s]", fontsize=9)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=9)
+    return figure
+
+
+def save_omct(result: Omct, folder: Path) -> list[Path]:
+    """Write `omct.csv` (SI), `omct.md` and `omct.png`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with whole_file(folder / "omct.csv") as partial:
+        with partial.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(["test", "stage", "frequency_rad_s", "modulus_si", "phase_deg"])
+            writer.writerows(_rows(result))
+    header, lines = omct_cells(result)
+    with whole_file(folder / "omct.md") as partial:
+        partial.write_text(markdown(header, lines), encoding="utf-8")
+    omct_figure(result).savefig(folder / "omct.png", dpi=90)
+    return [folder / f"omct.{kind}" for kind in ("csv", "md", "png")]
+
+
+def _rows(result: Omct) -> Iterator[list[str]]:
+    for place, (given, output) in enumerate(TESTS):
+        for stage, responses in result.responses.items():
+            row = responses[place]
+            for frequency, size, angle in zip(
+                result.frequency, np.abs(row), phase(row), strict=True
+            ):
+                if np.isfinite(size):
+                    where = [f"{given}>{output}", title(stage), f"{frequency:.6g}"]
+                    yield [*where, f"{size:.9g}", f"{angle:.9g}"]
