@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
+from rich.markup import escape
 from rich.table import Table
 
 from cmf_mj import units
@@ -62,7 +63,7 @@ def motion_figure(ride: Ride) -> Figure:
         _grid(axes)
     for axes in panels[2::3]:
         axes.set_xlabel("time [s]")
-    panels[0].legend(fontsize=8, ncols=3, loc="lower right")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     figure.suptitle(f"at the pilot's station: {ride.law}, cab {ride.cab}")
     return figure
 
@@ -86,11 +87,11 @@ def perceived_figure(ride: Ride) -> Figure:
         axes.plot(
             time, error.error[:, index] / _SCALE[index], color="0.3", linewidth=0.8, label="error"
         )
-        axes.set_ylabel(_TITLES[index] + (", less the start" if resting else ""))
+        axes.set_ylabel(_TITLES[index] + ("\nless the start" if resting else ""))
         _grid(axes)
     for axes in panels[2::3]:
         axes.set_xlabel("time [s]")
-    panels[0].legend(fontsize=8, ncols=2, loc="lower right")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     figure.suptitle(f"sensed by otoliths and canals: {ride.law}, cab {ride.cab}")
     return figure
 
@@ -178,6 +179,8 @@ def _bars(panels: NDArray[np.object_], rides: Sequence[Ride]) -> None:
         axes.grid(True, axis="y", color="0.9", linewidth=0.6)
         axes.set_axisbelow(True)
         if group:
+            least = min(float((error.rms / error.threshold).min()) for *_, error in group)
+            axes.set_ylim(bottom=0.5 * max(least, 1e-4))
             axes.legend(fontsize=7, loc="upper right")
 
 
@@ -190,7 +193,7 @@ def comparison_cells(rides: Sequence[Ride]) -> tuple[list[str], list[list[str]]]
     """Header and a line per law: perceived rms errors of machine and flight, delay, envelope."""
     header = ["law"]
     header += [f"{name} [{'mm/s²' if i < 3 else 'deg/s'}]" for i, name in enumerate(_NAMES)]
-    header += ["flight f_x [mm/s²]", "q [deg/s]", "loop [ms]", "legs [%]", "fault"]
+    header += ["flight: f_x [mm/s²]", "f_y [mm/s²]", "loop [ms]", "legs [%]", "fault"]
 
     def cells(error: CueingError, indices: Sequence[int]) -> list[str]:
         rms = error.rms / _SCALE
@@ -200,10 +203,10 @@ def comparison_cells(rides: Sequence[Ride]) -> tuple[list[str], list[list[str]]]
     baseline = ideal_error(rides[0])
     if baseline is not None:
         lines.append(
-            ["machine that follows at once", *["0"] * 6, *cells(baseline, (0, 4)), "0", "-", "-"]
+            ["machine that follows at once", *["0"] * 6, *cells(baseline, (0, 1)), "0", "-", "-"]
         )
     for ride in rides:
-        flight = ["-", "-"] if ride.cueing is None else cells(ride.cueing, (0, 4))
+        flight = ["-", "-"] if ride.cueing is None else cells(ride.cueing, (0, 1))
         line = [ride.law, *cells(ride.machine, range(6)), *flight]
         line += [f"{1e3 * ride.loop_delay:.0f}", f"{100 * ride.use.leg_position:.0f}"]
         lines.append([*line, ride.fault or "none"])
@@ -214,7 +217,7 @@ def comparison_table(rides: Sequence[Ride]) -> Table:
     """The comparison for the terminal."""
     header, lines = comparison_cells(rides)
     title = "perceived rms error of the machine; of the whole flight; delay; envelope"
-    table = Table(*header, title=title, box=SIMPLE_HEAD)
+    table = Table(*map(escape, header), title=title, box=SIMPLE_HEAD)
     for line in lines:
         table.add_row(*line)
     return table
@@ -224,7 +227,7 @@ def delay_table(delay: TransportDelay) -> Table:
     """The way from host to pilot, stage by stage."""
     table = Table(
         "stage",
-        "delay [ms]",
+        escape("delay [ms]"),
         "",
         title=f"host to pilot, {delay.dof} at {delay.frequency:g} Hz",
         box=SIMPLE_HEAD,
