@@ -20,6 +20,7 @@ from cmf_mj.motion_limits import load_motion_limits
 from cmf_mj.operation_report import save_operation
 from cmf_mj.perception import CueingError, cueing_error
 from cmf_mj.pilot_motion import PilotMotion
+from cmf_mj.report import markdown
 from cmf_mj.transport import TransportDelay
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
@@ -255,11 +256,13 @@ def save_ride(ride: Ride, folder: Path) -> list[Path]:
 
 
 def save_comparison(rides: Sequence[Ride], folder: Path) -> list[Path]:
-    """Write `comparison.csv` and `comparison.png`."""
+    """Write `comparison.csv`, `comparison.md` and `comparison.png`."""
     folder.mkdir(parents=True, exist_ok=True)
     header, lines = comparison_cells(rides)
-    paths = [folder / "comparison.csv", folder / "comparison.png"]
+    paths = [folder / f"comparison.{suffix}" for suffix in ("csv", "md", "png")]
     with whole_file(paths[0]) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file, lineterminator="\n").writerows([header, *lines])
-    comparison_figure(rides).savefig(paths[1], dpi=100)
+    with whole_file(paths[1]) as partial:
+        partial.write_text(markdown(header, lines), encoding="utf-8")
+    comparison_figure(rides).savefig(paths[2], dpi=80)
     return paths

@@ -15,9 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
+from scipy.interpolate import make_interp_spline
+from scipy.optimize import minimize_scalar
 
 from cmf_mj import host as hosts
-from cmf_mj import kinematics, metrics
+from cmf_mj import kinematics
 from cmf_mj.control.law import Law
 from cmf_mj.control.states import State
 from cmf_mj.cueing import HOST_RATE, WashoutSettings, confined, cue
@@ -77,7 +79,7 @@ class Ride(NamedTuple):
     use: Use
     """Of the envelope."""
     host_delay: float
-    """From the host's frames to the leg reference by cross-correlation of leg velocities [s]."""
+    """From the host's frames to the leg reference, by `transient_delay` of leg velocities [s]."""
     loop_delay: float
     """From there to the legs, likewise [s]: a mean over the flight's band."""
     operation: Operation
@@ -249,6 +251,39 @@ def _delays(sent: NDArray[np.float64], record: Record) -> tuple[float, float]:
         np.diff(values[:rows, leg]) for values in (sent, reference, moved)
     )
     return (
-        metrics.transport_delay(sent_rate, wanted_rate, record.rate),
-        metrics.transport_delay(wanted_rate, true_rate, record.rate),
+        transient_delay(sent_rate, wanted_rate, record.rate),
+        transient_delay(wanted_rate, true_rate, record.rate),
     )
+
+
+def transient_delay(
+    demand: NDArray[np.float64],
+    response: NDArray[np.float64],
+    rate: float,
+    *,
+    longest: float = 0.5,
+) -> float:
+    """Delay that brings a demand closest to its response, offset and gain left free [s].
+
+    The largest correlation coefficient of response and shifted demand over the same samples of the
+    response: a slow transient, unlike a stationary signal, pulls the peak of a cross-correlation
+    towards where more of it overlaps.
+
+    Args:
+        demand: (N,), at rest at the start.
+        response: (N,).
+        rate: samples a second [Hz].
+        longest: largest delay looked for [s].
+    """
+    time = np.arange(demand.size) / rate
+    spline = make_interp_spline(time, demand, k=3)
+
+    def unlike(delay: float) -> float:
+        shifted = spline(np.maximum(time - delay, 0.0))
+        return -float(np.corrcoef(shifted, response)[0, 1])
+
+    tried = np.linspace(0.0, longest, 26)
+    near = tried[int(np.argmin([unlike(delay) for delay in tried]))]
+    step = tried[1]
+    bounds = (max(near - step, 0.0), near + step)
+    return float(minimize_scalar(unlike, bounds=bounds, method="bounded").x)

@@ -1,8 +1,9 @@
 """Refresh the generated tables and pictures of README and docs from finished studies.
 
 A table stands between `<!-- table: NAME -->` and `<!-- end -->`; NAME is a folder below --results
-that `cmf compare --out`, `cmf failure --out` or `scripts/electronics_effect.py --out` wrote.
-Figures of the folder `compare` are copied to docs/images.
+that `cmf compare --out`, `cmf failure --out`, `cmf fly --out` or
+`scripts/electronics_effect.py --out` wrote. Figures of the folders `compare` and `fly` are copied
+to docs/images.
 """
 
 import argparse
@@ -11,9 +12,17 @@ import shutil
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "docs/model.md", "docs/failures.md", "docs/operation.md")
+PAGES = ("README.md", "docs/model.md", "docs/failures.md", "docs/fly.md", "docs/operation.md")
 TABLES = ("comparison.md", "failures.md")
-FIGURES = ("bode_surge.png", "bode_heave.png", "step_surge.png")
+FIGURES = {
+    "compare/bode_surge.png": "bode_surge.png",
+    "compare/bode_heave.png": "bode_heave.png",
+    "compare/step_surge.png": "step_surge.png",
+    "fly/comparison.png": "fly_comparison.png",
+    "fly/velocity/motion.png": "fly_motion.png",
+}
+"""Figures below --results and their names in docs/images."""
+
 _TABLE = re.compile(r"(<!-- table: ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -39,10 +48,10 @@ def main() -> None:
     for name in PAGES:
         page = options.root / name
         page.write_text(refresh(page.read_text(encoding="utf-8"), options.results), "utf-8")
-    for figure in FIGURES:
-        source = options.results / "compare" / figure
+    for figure, name in FIGURES.items():
+        source = options.results / figure
         if source.is_file():
-            shutil.copyfile(source, options.root / "docs" / "images" / figure)
+            shutil.copyfile(source, options.root / "docs" / "images" / name)
     print(f"refreshed {', '.join(PAGES)}")
 
 
