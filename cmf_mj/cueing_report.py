@@ -2,6 +2,7 @@
 
 import csv
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -85,7 +86,7 @@ def _six(motion: PilotMotion) -> NDArray[np.float64]:
     return np.hstack([motion.specific_force, motion.angular_rate])
 
 
-def _finish(figure: Figure, axes: NDArray[np.object_]) -> Figure:
+def _finish(figure: Figure, axes: NDArray[Any]) -> Figure:
     for axis in axes.flat:
         axis.grid(True, color="0.9", linewidth=0.6)
         axis.tick_params(labelsize=8)

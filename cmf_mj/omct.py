@@ -222,13 +222,13 @@ def _without_machine(
     unit = make_dcu(load_dcu())
     frames = int(stream.time[-1] * RATE)
     played = upsample(unit, resting(unit, stream.pose[0]), host.arrivals(stream), frames)
-    parts = np.swapaxes(played[::_EVERY], 0, 1)
+    pose, velocity, acceleration = np.swapaxes(played[::_EVERY], 0, 1)
     time = np.arange(frames)[::_EVERY] / RATE
     return (
         PilotMotion.from_platform(
             stream.time, stream.pose, stream.velocity, stream.acceleration, station
         ),
-        PilotMotion.from_platform(time, *parts, station),
+        PilotMotion.from_platform(time, pose, velocity, acceleration, station),
     )
 
 

@@ -12,12 +12,20 @@ import shutil
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "docs/model.md", "docs/failures.md", "docs/fly.md", "docs/operation.md")
-TABLES = ("comparison.md", "failures.md")
+PAGES = (
+    "README.md",
+    "docs/failures.md",
+    "docs/fly.md",
+    "docs/model.md",
+    "docs/omct.md",
+    "docs/operation.md",
+)
+TABLES = ("comparison.md", "failures.md", "omct.md")
 FIGURES = {
     "compare/bode_surge.png": "bode_surge.png",
     "compare/bode_heave.png": "bode_heave.png",
     "compare/step_surge.png": "step_surge.png",
+    "omct/omct.png": "omct.png",
     "fly/comparison.png": "fly_comparison.png",
     "fly/velocity/motion.png": "fly_motion.png",
 }

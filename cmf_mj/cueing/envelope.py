@@ -3,7 +3,8 @@
 `excursion` sets the peaks of pose and legs, their velocities and accelerations, beside the limits
 of `motion_limits`. `confined` lets the DCL's own governors, at the host's rate, hold a motion back:
 first the degrees of freedom, then the legs, which share one scale so that the platform stays on its
-way. What keeps the limits passes to the bit.
+way. The legs have the last word: while they are held back, a degree of freedom may pass its own
+limit by a little. What keeps the limits passes to the bit.
 """
 
 from typing import NamedTuple

@@ -128,6 +128,7 @@ def _solve(
     errors, states, efforts = (np.diag(1.0 / np.square(size)) for size in sizes)
     sensed = np.hstack([cv, dv @ gravity, -dv])
     q = sensed.T @ errors @ sensed
+    q = 0.5 * (q + q.T)
     q[nv : nv + nd, nv : nv + nd] += states
     n = sensed.T @ errors @ dv
     r = efforts + dv.T @ errors @ dv
