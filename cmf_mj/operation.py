@@ -106,6 +106,7 @@ def operate(
     events: Sequence[Event] = (),
     facility: FacilitySettings | None = None,
     record_every: int = 1,
+    progress: Callable[[float], None] | None = None,
 ) -> Operation:
     """Run the facility on host frames.
 
@@ -123,6 +124,7 @@ def operate(
         events: failures on the time line.
         facility: everything between host and valves.
         record_every: keep one frame in this many.
+        progress: called with the seconds simulated, about once a second of them.
 
     Raises:
         ValueError: an argument out of range, named.
@@ -150,7 +152,10 @@ def operate(
         None,
         record_every,
     )
-    session.run()
+    while session.frame < count:
+        session.run(RATE)
+        if progress is not None:
+            progress(session.frame / RATE)
     return _operation(session, arrivals, unit, pose, {}, None)
 
 

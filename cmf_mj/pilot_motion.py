@@ -36,11 +36,12 @@ AXES = ("x", "y", "z")
 ANGLES = ("roll", "pitch", "yaw")
 """Euler angles, turned in the order yaw, pitch, roll."""
 
-_COLUMNS = {
+COLUMNS = {
     "specific_force": tuple(f"specific_force_{axis}" for axis in AXES),
     "angular_rate": tuple(f"angular_rate_{axis}" for axis in AXES),
     "attitude": ANGLES,
 }
+"""Names of the columns of each channel in files."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +72,9 @@ class PilotMotion:
             row = int(late.argmax()) + 1
             raise ValueError(f"time: row {row}: {stamps[row]} s; allowed: above the row before")
         object.__setattr__(self, "time", stamps)
-        for name in _COLUMNS:
+        for name in COLUMNS:
             object.__setattr__(self, name, _rows(name, getattr(self, name), stamps.size))
-        for name in ("time", *_COLUMNS):
+        for name in ("time", *COLUMNS):
             getattr(self, name).setflags(write=False)
 
     @property
@@ -107,7 +108,7 @@ class PilotMotion:
         span = self.time[-1] - self.time[0]
         time = self.time[0] + np.arange(int(np.floor(span * rate + 1e-9)) + 1) / rate
         return PilotMotion(
-            time, *(_interpolated(time, self.time, getattr(self, name)) for name in _COLUMNS)
+            time, *(_interpolated(time, self.time, getattr(self, name)) for name in COLUMNS)
         )
 
     @staticmethod
@@ -211,7 +212,7 @@ class PilotMotion:
             ValueError: the name ends in neither.
         """
         columns = {"time": self.time}
-        for name, titles in _COLUMNS.items():
+        for name, titles in COLUMNS.items():
             columns |= dict(zip(titles, getattr(self, name).T, strict=True))
         table = pa.table({name: np.ascontiguousarray(v) for name, v in columns.items()})
         return write_table(table, Path(path))
@@ -227,7 +228,7 @@ class PilotMotion:
         table = read_table(source)
         parts = [
             np.column_stack([read_column(source, table, title) for title in titles])
-            for titles in _COLUMNS.values()
+            for titles in COLUMNS.values()
         ]
         try:
             return PilotMotion(read_column(source, table, "time"), *parts)

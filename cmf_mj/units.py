@@ -13,6 +13,8 @@ import numpy as np
 from scipy import constants
 
 INCH = constants.inch
+FOOT = constants.foot
+KNOT = constants.knot
 DEGREE = constants.degree
 POUND_FORCE = constants.pound_force
 POUND_MASS = constants.pound
@@ -51,6 +53,8 @@ _FACTORS: dict[str, float] = {
     "kN": constants.kilo,
     "bar": constants.bar,
     "in": INCH,
+    "ft": FOOT,
+    "kt": KNOT,
     "in^2": INCH**2,
     "deg": DEGREE,
     "deg s": DEGREE,

@@ -31,6 +31,8 @@ FIGURES = {
     "calibrate/hardware/residuals.png": "calibration_hardware.png",
     "calibrate/hardware/sensitivity.png": "sensitivity_hardware.png",
     "omct/omct.png": "omct.png",
+    "fly/comparison.png": "fly_comparison.png",
+    "fly/velocity/motion.png": "fly_motion.png",
 }
 """Figures of the studies below --results, and their names in docs/images."""
 

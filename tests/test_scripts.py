@@ -152,3 +152,17 @@ def test_update_docs_takes_tables_from_studies_and_data(tmp_path: Path) -> None:
     assert ledger.read_text(encoding="utf-8") == shipped
     page = (tmp_path / "docs" / "calibration.md").read_text(encoding="utf-8")
     assert "<!-- table: calibrate/report -->\n\n| a table |\n\n<!-- end -->" in page
+
+
+def test_fuzz_flights_breaks_nothing(tmp_path: Path) -> None:
+    text = run("fuzz_flights.py", "--count", "8", "--seconds", "1.5", cwd=tmp_path)
+    told = json.loads(text)
+    assert told["flights"] == 8 and told["broken"] == []
+    assert 0.0 < told["largest_leg_use"] < 1.05
+
+
+def test_bench_flight_compares_with_bare_steps(tmp_path: Path) -> None:
+    told = json.loads(run("bench_flight.py", "--seconds", "2", "--repeat", "2", cwd=tmp_path))
+    assert told["seconds"] == pytest.approx(2.03, abs=0.02)
+    assert 1.0 < told["ratio"] < 12.0
+    assert told["real_time_factor"] > 0.0

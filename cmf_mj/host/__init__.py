@@ -3,6 +3,15 @@
 from cmf_mj.host.datagram import DATAGRAM_REASONS, LAYOUT, DatagramError, decode, encode
 from cmf_mj.host.files import HostSession, read_stream, write_stream
 from cmf_mj.host.handover import NEVER, Ring, collect, logged, make_log, make_ring, put
+from cmf_mj.host.interface import (
+    MOST_RATE,
+    AircraftHost,
+    PilotSample,
+    PlatformHost,
+    host_stream,
+    pilot_motion,
+    pilot_samples,
+)
 from cmf_mj.host.stream import (
     HostFrame,
     HostStream,
@@ -17,11 +26,15 @@ from cmf_mj.host.udp import SendReport, UdpReceiver, UdpSender, parse_target
 __all__ = [
     "DATAGRAM_REASONS",
     "LAYOUT",
+    "MOST_RATE",
     "NEVER",
+    "AircraftHost",
     "DatagramError",
     "HostFrame",
     "HostSession",
     "HostStream",
+    "PilotSample",
+    "PlatformHost",
     "Ring",
     "SendReport",
     "UdpReceiver",
@@ -32,11 +45,14 @@ __all__ = [
     "differentiate",
     "encode",
     "from_command",
+    "host_stream",
     "logged",
     "make_log",
     "make_ring",
     "make_stream",
     "parse_target",
+    "pilot_motion",
+    "pilot_samples",
     "put",
     "read_stream",
     "resample",

@@ -86,7 +86,7 @@ class HostSession:
     def save(self, path: str | Path) -> Path:
         """Write the session as Parquet; the file appears only when it is complete."""
         table = _table(self.arrivals.sequence, self.arrivals.time, self.arrivals.values)
-        table = table.appendread_column("control_frame", pa.array(self.arrivals.frame))
+        table = table.append_column("control_frame", pa.array(self.arrivals.frame))
         header = {
             "frames": self.frames,
             "start": np.asarray(self.start, dtype=float).tolist(),

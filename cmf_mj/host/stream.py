@@ -5,6 +5,7 @@ Its pieces are what the DCU puts between two frames, so that the demand is that 
 ahead and rings at jumps: take it for histories without; a host that steps sends zero derivatives.
 """
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,6 +56,10 @@ class HostStream(NamedTuple):
     def values(self) -> NDArray[np.float64]:
         """Pose, velocity and acceleration, (N, 3, 6)."""
         return np.stack([self.pose, self.velocity, self.acceleration], axis=1)
+
+    def frames(self) -> Iterator[HostFrame]:
+        """The frames one by one: a stream is a `PlatformHost`."""
+        return (self.row(index) for index in range(self.time.size))
 
     def row(self, index: int) -> HostFrame:
         """One frame."""
