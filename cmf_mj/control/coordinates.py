@@ -95,8 +95,6 @@ class Modes(Settings):
 class Coordinates(NamedTuple):
     """Compiled map, and room to work in."""
 
-    modal: bool
-    """Whether the law runs in modes; nothing else is used if not."""
     shape: NDArray[np.float64]
     """V^T, (n, n)."""
     limited: NDArray[np.float64]
@@ -132,7 +130,6 @@ def make_coordinates(modes: Modes | None, legs: int) -> Coordinates:
         return np.zeros(legs)
 
     return Coordinates(
-        modal=modes is not None,
         shape=shape,
         limited=room(),
         reference=room(),

@@ -50,8 +50,18 @@ _INTEGRAL = SIGNALS.index("error_integral")
 
 
 class Dcl(NamedTuple):
-    """Compiled parameters of all blocks."""
+    """Compiled parameters of all blocks.
 
+    The three flags stand outside their blocks: a law without them then touches none of their
+    arrays in a frame.
+    """
+
+    modal: bool
+    """Whether the law runs in hydraulic modes."""
+    planned: bool
+    """Whether it has a plan."""
+    damped: bool
+    """Whether it has load feedback."""
     feedback: Feedback
     limits: Limits
     error: ErrorCalculations
@@ -114,6 +124,9 @@ def make_dcl(law: Law, legs: int) -> Dcl:
             f"there are {legs}"
         )
     return Dcl(
+        modes is not None,
+        law.plan is not None,
+        law.load_feedback is not None,
         make_feedback(law),
         make_limits(),
         make_error_calculations(law),
@@ -144,7 +157,7 @@ def engaged(
     state = DclState(*(np.zeros(legs) for _ in DclState._fields))
     limited = np.clip(reference, -dcl.limits.travel, dcl.limits.travel)
     shape = dcl.coordinates.shape
-    if dcl.coordinates.modal:
+    if dcl.modal:
         limited = shape @ limited
         feedback = LegFeedback(*(shape @ channel for channel in feedback))
     state.error_filter[:] = limited - feedback.position
@@ -162,7 +175,7 @@ def engaged(
         output = gains.output_gain[leg] * still + gains.direct_gain[leg] @ signals
         output += dcl.model.position_gain * (limited[leg] - feedback.position[leg])
         output -= dcl.model.rate_gain * feedback.velocity[leg]
-        if dcl.plan.active:
+        if dcl.planned:
             output += correct(dcl.plan, state, leg, feedback)
         through = gains.output_gain[leg] * gains.input_gain[leg, _INTEGRAL]
         gain = gains.direct_gain[leg, _INTEGRAL] + through / (1.0 - gains.state_gain[leg])
@@ -172,7 +185,7 @@ def engaged(
             signals[_INTEGRAL] = state.integral[leg]
             still = (gains.input_gain[leg] @ signals) / (1.0 - gains.state_gain[leg])
         state.compensator[leg] = still
-    if dcl.coordinates.modal:
+    if dcl.modal:
         state.integral[:] = shape.T @ state.integral
     return state
 
@@ -198,34 +211,6 @@ def _fill(dcl, state, leg, reference, target, integral, feedback, signals):  # t
 
 
 @compiled
-def _target(dcl, state, leg, reference):  # type: ignore[no-untyped-def]
-    """What the errors of a leg or mode count from."""
-    if dcl.model.active or dcl.plan.active:
-        return state.model_position[leg]
-    return reference
-
-
-@compiled
-def _compensated(dcl, state, leg, reference, target, integral, feedback, signals):  # type: ignore[no-untyped-def]
-    """Output of one leg or mode, all but the plan's; its filters move on."""
-    error_filter, reference_filter = _fill(
-        dcl, state, leg, reference, target, integral, feedback, signals
-    )
-    output, following = compensate(dcl.compensator, leg, state.compensator[leg], signals)
-    if dcl.model.active:
-        output = follow(dcl.model, state, leg, reference, feedback, output)
-    if dcl.load_feedback.active:
-        output += damp(dcl.load_feedback, state, leg, feedback)
-    state.compensator[leg] = following
-    state.error_filter[leg] = error_filter
-    state.reference_filter[leg] = reference_filter
-    state.acceleration[leg] = filter_acceleration(
-        dcl.feedback, state.acceleration[leg], feedback.acceleration[leg]
-    )
-    return output
-
-
-@compiled
 def _plan(dcl, state, reference, feedback, output):  # type: ignore[no-untyped-def]
     """Add the plan's part to the outputs of all legs or modes; the plan moves on."""
     plan, commands, asked = dcl.plan, dcl.coordinates.plan, dcl.coordinates.asked
@@ -233,58 +218,32 @@ def _plan(dcl, state, reference, feedback, output):  # type: ignore[no-untyped-d
     for leg in range(count):
         asked[leg] = ask(plan, state, leg, reference[leg])
         commands[leg] = asked[leg]
-    bounded(plan, dcl.coordinates, commands)
+    bounded(plan, dcl.coordinates, dcl.modal, commands)
     for leg in range(count):
         output[leg] += commands[leg] + correct(plan, state, leg, feedback)
         advance(plan, state, leg, asked[leg], commands[leg])
 
 
 @compiled
-def _step_in_legs(dcl, state, demand, feedback, signals, output):  # type: ignore[no-untyped-def]
-    limited = dcl.coordinates.limited
-    for leg in range(demand.shape[0]):
-        reference = limit(dcl.limits, demand[leg])
-        limited[leg] = reference
-        target = _target(dcl, state, leg, reference)
-        output[leg] = _compensated(
-            dcl, state, leg, reference, target, state.integral[leg], feedback, signals[leg]
-        )
-        state.integral[leg] = integrate(
-            dcl.error, state.integral[leg], target, feedback.position[leg]
-        )
-    if dcl.plan.active:
-        _plan(dcl, state, limited, feedback, output)
-
-
-@compiled
-def _step_in_modes(dcl, state, demand, feedback, signals, output):  # type: ignore[no-untyped-def]
-    room = dcl.coordinates
-    legs, reference, target, integral = demand.shape[0], room.reference, room.target, room.integral
-    seen, modal = room.feedback, room.legs
-    for leg in range(legs):
-        room.limited[leg] = limit(dcl.limits, demand[leg])
-    to_modes(room, room.limited, reference)
-    to_modes(room, state.integral, integral)
+def _into_modes(room, integral, feedback):  # type: ignore[no-untyped-def]
+    seen = room.feedback
+    to_modes(room, room.limited, room.reference)
+    to_modes(room, integral, room.integral)
     to_modes(room, feedback.position, seen.position)
     to_modes(room, feedback.velocity, seen.velocity)
     to_modes(room, feedback.acceleration, seen.acceleration)
     to_modes(room, feedback.cap_pressure, seen.cap_pressure)
     to_modes(room, feedback.rod_pressure, seen.rod_pressure)
-    for mode in range(legs):
-        target[mode] = _target(dcl, state, mode, reference[mode])
-        output[mode] = _compensated(
-            dcl, state, mode, reference[mode], target[mode], integral[mode], seen, signals[mode]
-        )
-    if dcl.plan.active:
-        _plan(dcl, state, reference, seen, output)
-    to_legs(room, output, modal)
-    output[:] = modal
-    to_legs(room, target, modal)
-    for leg in range(legs):
-        signals[leg, 0] = room.limited[leg]
-        state.integral[leg] = integrate(
-            dcl.error, state.integral[leg], modal[leg], feedback.position[leg]
-        )
+
+
+@compiled
+def _out_of_modes(room, signals, output):  # type: ignore[no-untyped-def]
+    legs = room.legs
+    to_legs(room, output, legs)
+    output[:] = legs
+    to_legs(room, room.target, legs)
+    room.target[:] = legs
+    signals[:, 0] = room.limited
 
 
 @compiled
@@ -301,9 +260,42 @@ def step(dcl, state, demand, feedback, signals, output, command):  # type: ignor
         output: (n,) compensator outputs before the clamp, command fractions.
         command: (n,) valve commands, fractions.
     """
-    if dcl.coordinates.modal:
-        _step_in_modes(dcl, state, demand, feedback, signals, output)
-    else:
-        _step_in_legs(dcl, state, demand, feedback, signals, output)
+    # In one piece: handing all arrays to a function with branches costs more than its work.
+    room, modal = dcl.coordinates, dcl.modal
     for leg in range(demand.shape[0]):
+        room.limited[leg] = limit(dcl.limits, demand[leg])
+    if modal:
+        _into_modes(room, state.integral, feedback)
+    references = room.reference if modal else room.limited
+    integral = room.integral if modal else state.integral
+    seen = room.feedback if modal else feedback
+    followed = dcl.model.active or dcl.planned
+    for leg in range(demand.shape[0]):
+        reference = references[leg]
+        target = state.model_position[leg] if followed else reference
+        error_filter, reference_filter = _fill(
+            dcl, state, leg, reference, target, integral[leg], seen, signals[leg]
+        )
+        output[leg], following = compensate(
+            dcl.compensator, leg, state.compensator[leg], signals[leg]
+        )
+        if dcl.model.active:
+            output[leg] = follow(dcl.model, state, leg, reference, seen, output[leg])
+        if dcl.damped:
+            output[leg] += damp(dcl.load_feedback, state, leg, seen)
+        state.compensator[leg] = following
+        state.error_filter[leg] = error_filter
+        state.reference_filter[leg] = reference_filter
+        state.acceleration[leg] = filter_acceleration(
+            dcl.feedback, state.acceleration[leg], seen.acceleration[leg]
+        )
+        room.target[leg] = target
+    if dcl.planned:
+        _plan(dcl, state, references, seen, output)
+    if modal:
+        _out_of_modes(room, signals, output)
+    for leg in range(demand.shape[0]):
+        state.integral[leg] = integrate(
+            dcl.error, state.integral[leg], room.target[leg], feedback.position[leg]
+        )
         command[leg] = clamp(output[leg])

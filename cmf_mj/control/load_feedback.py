@@ -38,8 +38,6 @@ class LoadFeedback(Settings):
 class CompiledLoadFeedback(NamedTuple):
     """Compiled parameters, SI."""
 
-    active: bool
-    """Whether the law has it."""
     cap_area: float
     """A_cap [m^2]."""
     rod_area: float
@@ -59,10 +57,10 @@ def make_load_feedback(
     mass = np.zeros(legs) if modes is None else mode_mass(modes)
     cap, rod = 0.25 * np.pi * BORE**2, 0.25 * np.pi * (BORE**2 - ROD**2)
     if settings is None:
-        return CompiledLoadFeedback(False, cap, rod, np.zeros(legs), mass, 0.0)
+        return CompiledLoadFeedback(cap, rod, np.zeros(legs), mass, 0.0)
     gain = spread(settings.gain, legs) * units.PERCENT / (1000.0 * units.POUND_FORCE)
     passes = float(-np.expm1(-2.0 * np.pi * settings.corner * frame))
-    return CompiledLoadFeedback(True, cap, rod, gain, mass, passes)
+    return CompiledLoadFeedback(cap, rod, gain, mass, passes)
 
 
 @compiled

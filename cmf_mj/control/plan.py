@@ -97,8 +97,6 @@ class Plan(Settings):
 class CompiledPlan(NamedTuple):
     """Compiled parameters, SI; arrays by coordinate."""
 
-    active: bool
-    """Whether the law has a plan; nothing else is used if not."""
     transition: NDArray[np.float64]
     """A, (n, 5, 5)."""
     input: NDArray[np.float64]
@@ -140,7 +138,7 @@ def make_plan(plan: Plan | None, modes: Modes | None, legs: int, frame: float) -
     none = np.zeros(legs)
     if plan is None:
         square = np.zeros((legs, ORDER, ORDER))
-        return CompiledPlan(False, square, empty, empty, none, none, 0.0, none, none)
+        return CompiledPlan(square, empty, empty, none, none, 0.0, none, none)
     hertz = np.full(legs, plan.frequency) if modes is None else np.array(modes.frequency)
     speed = plan.speed * units.INCH / units.PERCENT
     wanted = response_polynomial(plan)
@@ -158,7 +156,6 @@ def make_plan(plan: Plan | None, modes: Modes | None, legs: int, frame: float) -
         forwards.append(share / speed)
     scale = units.PERCENT / units.INCH
     return CompiledPlan(
-        active=True,
         transition=np.array(transitions),
         input=np.array(inputs),
         feedback=np.array(feedbacks),
@@ -197,10 +194,10 @@ def ask(plan, state, mode, reference):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def bounded(plan, coordinates, commands):  # type: ignore[no-untyped-def]
+def bounded(plan, coordinates, modal, commands):  # type: ignore[no-untyped-def]
     """Clamp planned commands (n,), in coordinates of the law, to the authority of each leg."""
     legs = coordinates.legs
-    if coordinates.modal:
+    if modal:
         to_legs(coordinates, commands, legs)
     else:
         legs[:] = commands
@@ -208,7 +205,7 @@ def bounded(plan, coordinates, commands):  # type: ignore[no-untyped-def]
     for leg in range(legs.shape[0]):
         beyond = beyond or abs(legs[leg]) > plan.authority
         legs[leg] = min(max(legs[leg], -plan.authority), plan.authority)
-    if beyond and coordinates.modal:
+    if beyond and modal:
         to_modes(coordinates, legs, commands)
     elif beyond:
         commands[:] = legs
