@@ -14,7 +14,7 @@ from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.scenario import find_scenario, run_scenario
 from cmf_mj.watching import FilmSettings, Stage, film
 
-_MOTION = FilmSettings(fps=10, width=400, height=270, strip=130)
+_MOTION = FilmSettings(fps=10, width=400, height=270, strip=150)
 """Small enough for a README."""
 
 

@@ -22,8 +22,8 @@ from cmf_mj.watching.strip import Strip, traces_of
 CODECS = ("libx264", "libopenh264", "mpeg4")
 """Encoders of MP4 files in order of preference: H.264, else MPEG-4 part 2."""
 
-_COLOURS = 96
-"""Of a GIF file."""
+_COLOURS, _RARE = 176, 64
+"""Of a GIF file: those that cover much of it, and those that are unlike the others."""
 
 
 class FilmSettings(NamedTuple):
@@ -188,9 +188,11 @@ def _codec() -> str:
 
 
 def _write_gif(pictures: Iterator[NDArray[np.uint8]], target: Path, fps: int) -> None:
+    begun = next(pictures)
+    palette = _palette(Image.fromarray(begun))
     first, *others = (
-        Image.fromarray(picture).quantize(_COLOURS, dither=Image.Dither.NONE)
-        for picture in pictures
+        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
+        for picture in chain([begun], pictures)
     )
     first.save(
         target,
@@ -201,3 +203,14 @@ def _write_gif(pictures: Iterator[NDArray[np.uint8]], target: Path, fps: int) ->
         loop=0,
         optimize=True,
     )
+
+
+def _palette(picture: Image.Image) -> Image.Image:
+    """One palette for all pictures of a film, from the first: its legend has all the traces'."""
+    methods = ((_COLOURS, Image.Quantize.MEDIANCUT), (_RARE, Image.Quantize.MAXCOVERAGE))
+    entries: list[int] = []
+    for count, method in methods:
+        entries += (picture.quantize(count, method=method).getpalette() or [])[: 3 * count]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(entries)
+    return palette

@@ -86,20 +86,20 @@ class Strip:
             beside: traces of other runs, whose range the axes take in too.
         """
         every = [traces, *beside]
-        size = (width / _DPI, height / _DPI)
+        size, letters = (width / _DPI, height / _DPI), min(8.0, height / 24.0)
         figure = Figure(figsize=size, dpi=_DPI, facecolor="white")
         figure.set_layout_engine("constrained", w_pad=0.06, h_pad=0.04)
         motion, pressure = figure.subplots(2, 1, sharex=True)
         motion.plot(traces.time, traces.demand, color=_GREY, lw=2.2, label="demand")
         motion.plot(traces.time, traces.response, color=_BLUE, lw=1.2, label="response")
-        motion.set_ylabel(f"{traces.label} [{traces.unit}]", fontsize=8)
+        motion.set_ylabel(f"{traces.label} [{traces.unit}]", fontsize=letters)
         names = ("cap", "rod", "supply")
         for values, name, colour in zip(
             traces.pressures.T, names, (_ORANGE, _GREEN, "0.3"), strict=True
         ):
             pressure.plot(traces.time, values, color=colour, lw=1.0, label=name)
-        pressure.set_ylabel(f"leg {traces.leg} [psi]", fontsize=8)
-        pressure.set_xlabel("time [s]", fontsize=8)
+        pressure.set_ylabel(f"leg {traces.leg} [psi]", fontsize=letters)
+        pressure.set_xlabel("time [s]", fontsize=letters)
         low = min(float(min(t.demand.min(), t.response.min())) for t in every)
         high = max(float(max(t.demand.max(), t.response.max())) for t in every)
         room = 0.08 * max(high - low, 0.02)
@@ -110,8 +110,10 @@ class Strip:
         for axis in (motion, pressure):
             axis.set_xlim(*self._time)
             axis.grid(True, color="0.92", linewidth=0.6)
-            axis.tick_params(labelsize=7)
-            axis.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+            axis.tick_params(labelsize=letters - 1.0)
+            axis.legend(
+                fontsize=letters - 1.0, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False
+            )
         figure.align_ylabels()
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
