@@ -1,7 +1,6 @@
 """Tables and figures of finished studies, for the terminal, for Markdown, CSV and PNG files."""
 
 import csv
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,8 +32,9 @@ from cmf_mj.studies.settings import NOMINAL
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999933")
 
-REFERENCE = "position_error_rate"
-"""The law that acceleration feedback is added to."""
+REFERENCES = {"rotation": "position_error_rate", "rotation_flown": "velocity"}
+"""Tables of effects and the laws they are against: the one that acceleration feedback is added to,
+and the one flown."""
 
 ROTATION = DOFS[3:]
 
@@ -89,8 +89,9 @@ def rate_lines(table: pa.Table) -> Lines:
     return Lines(header, lines)
 
 
-def effect_lines(table: pa.Table, laws: Sequence[str]) -> Lines:
-    """What laws change in rotation against `REFERENCE`."""
+def effect_lines(table: pa.Table, against: str) -> Lines:
+    """What all other laws change in rotation against one."""
+    laws = [law for law in in_order(rows_of(table), "law") if law != against]
     header = ["cab", "law", "dof", "stable %", "-90 deg [Hz]", "zeta", "least mode damping"]
     lines = [
         [
@@ -102,7 +103,7 @@ def effect_lines(table: pa.Table, laws: Sequence[str]) -> Lines:
             _difference(found.damping_ratio, 3),
             _difference(found.mode_damping, 3),
         ]
-        for found in law_effects(table, laws, against=REFERENCE, dofs=ROTATION)
+        for found in law_effects(table, laws, against=against, dofs=ROTATION)
     ]
     return Lines(header, lines)
 
@@ -295,9 +296,10 @@ def tables_of(table: pa.Table) -> dict[str, Lines]:
         found["effects"] = climb_lines(table)
     if "linear" in methods and any(row["draw"] != NOMINAL for row in rows):
         found["rates"] = rate_lines(table)
-        laws = [law for law in in_order(rows, "law") if law != REFERENCE]
-        if REFERENCE in in_order(rows, "law") and laws:
-            found["rotation"] = effect_lines(table, laws)
+        there = in_order(rows, "law")
+        for name, against in REFERENCES.items():
+            if against in there and len(there) > 1:
+                found[name] = effect_lines(table, against)
     if "linear" in methods and "matrix" in methods:
         found["agreement"] = agreement_lines(table)
     return found
