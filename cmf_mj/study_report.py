@@ -9,6 +9,7 @@ import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 from rich.table import Table
 
@@ -58,19 +59,19 @@ def _number(value: float, digits: int = 2, *, sign: bool = False) -> str:
 
 
 def _percent(found: Interval) -> str:
-    if found.count == 0:
+    if found.machines == 0:
         return "-"
     return f"{100.0 * found.value:.0f} ({100.0 * found.low:.0f}-{100.0 * found.high:.0f})"
 
 
 def _difference(found: Interval, digits: int) -> str:
-    if found.count == 0:
+    if found.machines == 0:
         return "-"
     middle = _number(found.value, digits, sign=True)
     if np.isnan(found.low):
-        return f"{middle} (n = {found.count})"
+        return f"{middle} (n = {found.machines})"
     low, high = (_number(v, digits, sign=True) for v in (found.low, found.high))
-    return f"{middle} ({low} to {high}), n = {found.count}"
+    return f"{middle} ({low} to {high}), n = {found.machines}"
 
 
 def rate_lines(table: pa.Table) -> Lines:
@@ -114,7 +115,7 @@ def agreement_lines(table: pa.Table) -> Lines:
     lines = [
         [
             found.law,
-            str(found.count),
+            str(found.machines),
             str(found.verdicts),
             _number(found.phase_hz),
             _number(found.damping_ratio),
@@ -208,7 +209,7 @@ def ladder_figure(table: pa.Table) -> Figure:
     return figure
 
 
-def _matrix(axis: Axes, matrix: NDArray[np.float64], title: str) -> object:
+def _matrix(axis: Axes, matrix: NDArray[np.float64], title: str) -> AxesImage:
     image = axis.imshow(matrix, norm=LogNorm(1e-2, 1e1), cmap="viridis")
     axis.set_xticks(range(6), DOFS, rotation=90, fontsize=7)
     axis.set_yticks(range(6), DOFS, fontsize=7)
@@ -228,7 +229,6 @@ def crosstalk_figure(table: pa.Table, law: str) -> Figure:
     cabs = in_order(rows, "cab")
     figure = Figure(figsize=(9.6, 3.1 * len(cabs) + 0.4), layout="constrained")
     axes = figure.subplots(len(cabs), 3, squeeze=False)
-    image = None
     for cab, line in zip(cabs, axes, strict=True):
         own = [row for row in rows if row["cab"] == cab]
         nominal = [row for row in own if row["draw"] == NOMINAL]
