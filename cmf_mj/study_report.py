@@ -1,7 +1,6 @@
 """Tables and figures of finished studies, for the terminal, for Markdown, CSV and PNG files."""
 
 import csv
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,6 +9,7 @@ import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 from rich.table import Table
 
@@ -33,8 +33,9 @@ from cmf_mj.studies.settings import NOMINAL
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999933")
 
-REFERENCE = "position_error_rate"
-"""The law that acceleration feedback is added to."""
+REFERENCES = {"rotation": "position_error_rate", "rotation_flown": "velocity"}
+"""Tables of effects and the laws they are against: the one that acceleration feedback is added to,
+and the one flown."""
 
 ROTATION = DOFS[3:]
 
@@ -58,19 +59,19 @@ def _number(value: float, digits: int = 2, *, sign: bool = False) -> str:
 
 
 def _percent(found: Interval) -> str:
-    if found.count == 0:
+    if found.machines == 0:
         return "-"
     return f"{100.0 * found.value:.0f} ({100.0 * found.low:.0f}-{100.0 * found.high:.0f})"
 
 
 def _difference(found: Interval, digits: int) -> str:
-    if found.count == 0:
+    if found.machines == 0:
         return "-"
     middle = _number(found.value, digits, sign=True)
     if np.isnan(found.low):
-        return f"{middle} (n = {found.count})"
+        return f"{middle} (n = {found.machines})"
     low, high = (_number(v, digits, sign=True) for v in (found.low, found.high))
-    return f"{middle} ({low} to {high}), n = {found.count}"
+    return f"{middle} ({low} to {high}), n = {found.machines}"
 
 
 def rate_lines(table: pa.Table) -> Lines:
@@ -89,8 +90,9 @@ def rate_lines(table: pa.Table) -> Lines:
     return Lines(header, lines)
 
 
-def effect_lines(table: pa.Table, laws: Sequence[str]) -> Lines:
-    """What laws change in rotation against `REFERENCE`."""
+def effect_lines(table: pa.Table, against: str) -> Lines:
+    """What all other laws change in rotation against one."""
+    laws = [law for law in in_order(rows_of(table), "law") if law != against]
     header = ["cab", "law", "dof", "stable %", "-90 deg [Hz]", "zeta", "least mode damping"]
     lines = [
         [
@@ -102,7 +104,7 @@ def effect_lines(table: pa.Table, laws: Sequence[str]) -> Lines:
             _difference(found.damping_ratio, 3),
             _difference(found.mode_damping, 3),
         ]
-        for found in law_effects(table, laws, against=REFERENCE, dofs=ROTATION)
+        for found in law_effects(table, laws, against=against, dofs=ROTATION)
     ]
     return Lines(header, lines)
 
@@ -113,7 +115,7 @@ def agreement_lines(table: pa.Table) -> Lines:
     lines = [
         [
             found.law,
-            str(found.count),
+            str(found.machines),
             str(found.verdicts),
             _number(found.phase_hz),
             _number(found.damping_ratio),
@@ -207,7 +209,7 @@ def ladder_figure(table: pa.Table) -> Figure:
     return figure
 
 
-def _matrix(axis: Axes, matrix: NDArray[np.float64], title: str) -> object:
+def _matrix(axis: Axes, matrix: NDArray[np.float64], title: str) -> AxesImage:
     image = axis.imshow(matrix, norm=LogNorm(1e-2, 1e1), cmap="viridis")
     axis.set_xticks(range(6), DOFS, rotation=90, fontsize=7)
     axis.set_yticks(range(6), DOFS, fontsize=7)
@@ -227,7 +229,6 @@ def crosstalk_figure(table: pa.Table, law: str) -> Figure:
     cabs = in_order(rows, "cab")
     figure = Figure(figsize=(9.6, 3.1 * len(cabs) + 0.4), layout="constrained")
     axes = figure.subplots(len(cabs), 3, squeeze=False)
-    image = None
     for cab, line in zip(cabs, axes, strict=True):
         own = [row for row in rows if row["cab"] == cab]
         nominal = [row for row in own if row["draw"] == NOMINAL]
@@ -295,9 +296,10 @@ def tables_of(table: pa.Table) -> dict[str, Lines]:
         found["effects"] = climb_lines(table)
     if "linear" in methods and any(row["draw"] != NOMINAL for row in rows):
         found["rates"] = rate_lines(table)
-        laws = [law for law in in_order(rows, "law") if law != REFERENCE]
-        if REFERENCE in in_order(rows, "law") and laws:
-            found["rotation"] = effect_lines(table, laws)
+        there = in_order(rows, "law")
+        for name, against in REFERENCES.items():
+            if against in there and len(there) > 1:
+                found[name] = effect_lines(table, against)
     if "linear" in methods and "matrix" in methods:
         found["agreement"] = agreement_lines(table)
     return found

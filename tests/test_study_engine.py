@@ -11,10 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pyarrow.parquet as pq
 import pytest
 from distributed import Client
-from joblib.externals.loky import get_reusable_executor
 from typer.testing import CliRunner
 
 from cmf_mj.cli import app
@@ -112,7 +112,12 @@ def test_a_killed_process_of_the_pool_loses_nothing(
 
     def kill_one(done: int, total: int) -> None:
         if done >= 2 and not killed:
-            killed.append(next(iter(get_reusable_executor()._processes)))
+            pool = [
+                child.pid
+                for child in psutil.Process().children()
+                if any("LokyProcess" in word for word in child.cmdline())
+            ]
+            killed.append(pool[0])
             os.kill(killed[0], signal.SIGKILL)
 
     run_study(study, tmp_path, jobs=2, backend="loky", progress=kill_one)
@@ -326,4 +331,8 @@ def test_ready_studies_are_sound() -> None:
     mismatch = load_study("mismatch").cases
     draws = load_study("mismatch").settings.draws
     assert sum(case.method == "linear" for case in mismatch) == 27 * (draws + 1)
-    assert len(load_study("rotation").cases) == 36
+    rotation = load_study("rotation")
+    assert rotation.settings.mismatch == load_study("mismatch").settings.mismatch
+    assert [law.name for law in rotation.laws][1:3] == ["position_error_rate", "acceleration"]
+    with pytest.raises(ValueError, match="study: base: 'all' is not one of ablation, mismatch"):
+        load_study({"base": "all"})

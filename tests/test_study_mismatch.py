@@ -191,7 +191,7 @@ def test_shares_have_wilsons_interval() -> None:
     assert found == pytest.approx((0.8, middle - half, middle + half, 10))
     exact = intervals.share([True] * 10, "exact")
     assert exact.low == pytest.approx(0.025 ** (1 / 10))
-    assert intervals.share([]).count == 0
+    assert intervals.share([]).machines == 0
 
 
 def test_the_interval_of_a_mean_holds_it_as_often_as_it_says() -> None:

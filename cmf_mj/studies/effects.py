@@ -56,8 +56,8 @@ class Agreement(NamedTuple):
     """Linear cases beside the same ones simulated."""
 
     law: str
-    count: int
-    """Machines compared."""
+    machines: int
+    """How many are compared."""
     verdicts: int
     """Of them with the same verdict."""
     phase_hz: float

@@ -118,8 +118,14 @@ def evaluate(case: StudyCase) -> list[StudyRow]:
 
 def failed(error: BaseException) -> StudyRow:
     """The row of a case that could not be run."""
-    blank = [_NAN] * (len(StudyRow._fields) - 4)
-    return StudyRow("", False, *blank, type(error).__name__, str(error))  # type: ignore[arg-type]
+    nothing = _row(
+        "",
+        stable=False,
+        widths=_NOTHING,
+        step=(_NAN, _NAN, _NAN),
+        crosstalk=np.full(len(DOFS), _NAN),
+    )
+    return nothing._replace(error_type=type(error).__name__, error_message=str(error))
 
 
 def _sizes(case: StudyCase) -> NDArray[np.float64]:
@@ -136,9 +142,10 @@ def _row(
     crosstalk: NDArray[np.float64],
     mode: tuple[float, float] = (_NAN, _NAN),
 ) -> StudyRow:
-    own = np.arange(len(DOFS)) == DOFS.index(dof)
-    into = (float(value) for value in np.where(own, _NAN, crosstalk))
-    return StudyRow(dof, bool(stable), *widths, *step, *mode, *into)
+    surge, sway, heave, roll, pitch, yaw = (
+        _NAN if moved == dof else float(value) for moved, value in zip(DOFS, crosstalk, strict=True)
+    )
+    return StudyRow(dof, bool(stable), *widths, *step, *mode, surge, sway, heave, roll, pitch, yaw)
 
 
 def _step_measures(record: Record) -> tuple[bool, tuple[float, float, float]]:
@@ -280,7 +287,8 @@ def _steps(loop: control.StateSpace) -> NDArray[np.float64]:
 
 def _pairs(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Continuous poles [rad/s] above the real axis of a discrete loop."""
-    return np.log(poles[poles.imag > 1e-9]) / FRAME
+    upper: NDArray[np.complex128] = poles[poles.imag > 1e-9]
+    return np.asarray(np.log(upper) / FRAME, dtype=complex)
 
 
 def _lines(poles: NDArray[np.complex128]) -> NDArray[np.float64]:
@@ -321,7 +329,7 @@ def _matrix(
 
     sweep = run(
         excitations.orthogonal_multisines(
-            MULTISINE_SHARE * sizes,
+            dict(zip(DOFS, (MULTISINE_SHARE * sizes).tolist(), strict=True)),
             start=BAND[0],
             stop=BAND[1],
             period=MULTISINE_PERIOD,

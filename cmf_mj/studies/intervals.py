@@ -22,8 +22,8 @@ class Interval(NamedTuple):
     value: float
     low: float
     high: float
-    count: int
-    """Machines it rests on."""
+    machines: int
+    """How many it rests on."""
 
 
 def share(outcomes: ArrayLike, method: Literal["wilson", "exact"] = "wilson") -> Interval:

@@ -13,7 +13,9 @@
     status = "assumed"
     source = "wear of the seals"
 
-The cases are the product of rungs, cabs, poses, draws, laws and degrees of freedom, in this order.
+A file may begin with `base = "mismatch"`, the name of a shipped specification, and repeat only what
+it changes. The cases are the product of rungs, cabs, poses, draws, laws and degrees of freedom, in
+this order.
 """
 
 import hashlib
@@ -187,6 +189,11 @@ def load_study(
             f"study: {str(source)!r} is neither a .toml file nor one of "
             f"{', '.join(ready_studies())}"
         )
+    if "base" in table:
+        base = str(table.pop("base"))
+        if base not in ready_studies():
+            raise ValueError(f"{where}: base: {base!r} is not one of {', '.join(ready_studies())}")
+        table = read_toml(_READY / f"{base}.toml") | table
     table |= changes or {}
     loaded = None if laws is None else tuple(load_law(law) for law in laws)
     if loaded is not None:
