@@ -7,6 +7,7 @@ import urllib.request
 from concurrent.futures import CancelledError
 from pathlib import Path
 
+import matplotlib.image
 import numpy as np
 import pytest
 
@@ -346,3 +347,15 @@ def test_command_names_the_extra_where_viser_is_missing() -> None:
 def test_first_scenario_is_a_file_too() -> None:
     begun = choices.first_scenario()
     assert read_scenario(scenario_toml(begun), "again") == begun
+
+
+def test_script_draws_the_page(tmp_path: Path) -> None:
+    path = tmp_path / "studio.png"
+    command = [sys.executable, "scripts/show_studio.py", "--out", str(path), "--seconds", "1"]
+    result = subprocess.run(
+        [*command, "--port", "8471"], timeout=180.0, capture_output=True, text=True
+    )
+    assert result.returncode == 0, result.stderr
+    picture = matplotlib.image.imread(path)
+    assert picture.shape[:2] == (900, 1440)
+    assert picture[..., :3].std() > 0.05

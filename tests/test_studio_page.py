@@ -6,8 +6,6 @@ Every check waits for a condition of its own; nothing sleeps for luck on a busy 
 import io
 import re
 import shutil
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -297,15 +295,3 @@ def test_page_offers_every_law_and_failure(tab: Tab) -> None:
     tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 1)
     (change,) = tab.behind.live.scenario().result().change
     assert change.failure[0].kind == "valve_hard_over" and change.failure[0].leg == 1
-
-
-def test_script_draws_the_page(tmp_path: Path) -> None:
-    path = tmp_path / "studio.png"
-    command = [sys.executable, "scripts/show_studio.py", "--out", str(path), "--seconds", "1"]
-    result = subprocess.run(
-        [*command, "--port", "8471"], timeout=180.0, capture_output=True, text=True
-    )
-    assert result.returncode == 0, result.stderr
-    picture = matplotlib.image.imread(path)
-    assert picture.shape[:2] == (900, 1440)
-    assert picture[..., :3].std() > 0.05
