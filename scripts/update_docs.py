@@ -18,7 +18,7 @@ PAGES = (
     "docs/operation.md",
     "docs/omct.md",
 )
-TABLES = ("comparison.md", "failures.md", "omct.md")
+TABLES = ("comparison.md", "failures.md", "share.md")
 FIGURES = (
     "compare/bode_surge.png",
     "compare/bode_heave.png",
