@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter
+from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
@@ -132,8 +132,10 @@ def omct_figure(result: Omct) -> Figure:
             angle.plot(result.frequency, phase(values), **style)
         if known:
             modulus.set(xscale="log", yscale="log")
-            modulus.yaxis.set_major_formatter(LogFormatter())
-            modulus.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.6)))
+            low, high = modulus.get_ylim()
+            plain = FuncFormatter(lambda value, _: f"{value:g}")
+            modulus.yaxis.set_major_formatter(plain)
+            modulus.yaxis.set_minor_formatter(plain if high < 10.0 * low else NullFormatter())
         if given != output and given in _ROTATIONS:
             modulus.axhline(STANDARD_GRAVITY * DEGREE, color="0.5", linestyle=":", linewidth=1.0)
         modulus.set_title(f"{given} > {output}", fontsize=10)
