@@ -30,6 +30,9 @@ _LABELS = (
     *(f"{name} rate [deg/s]" for name in ("roll", "pitch", "yaw")),
 )
 _SHOWN = np.array([1.0] * 3 + [DEGREE] * 3)
+_LEAST_SPAN = 0.1
+"""Of an axis, in its unit, so that round-off shows as the nothing it is."""
+
 _BLUE, _ORANGE = "#0072b2", "#d55e00"
 
 
@@ -88,6 +91,10 @@ def _six(motion: PilotMotion) -> NDArray[np.float64]:
 
 def _finish(figure: Figure, axes: NDArray[Any]) -> Figure:
     for axis in axes.flat:
+        low, high = axis.get_ylim()
+        if high - low < _LEAST_SPAN:
+            middle = 0.5 * (low + high)
+            axis.set_ylim(middle - 0.5 * _LEAST_SPAN, middle + 0.5 * _LEAST_SPAN)
         axis.grid(True, color="0.9", linewidth=0.6)
         axis.tick_params(labelsize=8)
     for axis in axes[-1]:

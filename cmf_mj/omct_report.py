@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
@@ -69,6 +70,20 @@ def omct_cells(result: Omct) -> tuple[list[str], list[list[str]]]:
     return header, lines
 
 
+def share_cells(result: Omct) -> tuple[list[str], list[list[str]]]:
+    """Header and lines: machine under each law over an ideal one, modulus and phase [deg]."""
+    header = ["test", "law", *(f"{value:.3g}" for value in result.frequency)]
+    lines = []
+    for place, (given, output) in enumerate(TESTS):
+        for law in [name for name in result.responses if name not in STAGES]:
+            row = result.share(law)[place]
+            if np.isfinite(row).any():
+                cells = zip(np.abs(row), phase(row), strict=True)
+                shown = [f"{_cell(size, 2)} {_cell(angle, 0)}°" for size, angle in cells]
+                lines.append([f"{given} > {output}", law, *shown])
+    return header, lines
+
+
 def _cell(value: float, digits: int) -> str:
     return "-" if np.isnan(value) else f"{value:.{digits}f}"
 
@@ -101,7 +116,7 @@ def omct_figure(result: Omct) -> Figure:
         row, side = divmod(place, 2)
         modulus, angle = axes[row, 2 * side], axes[row, 2 * side + 1]
         name, scale = unit(place)
-        drawn = []
+        known = False
         for index, (stage, responses) in enumerate(result.responses.items()):
             values = responses[place]
             style = {
@@ -112,12 +127,15 @@ def omct_figure(result: Omct) -> Figure:
                 "linewidth": 1.2,
                 "label": title(stage),
             }
-            drawn.append(np.abs(values) / scale)
+            known = known or bool(np.isfinite(values).any())
             modulus.plot(result.frequency, np.abs(values) / scale, **style)
             angle.plot(result.frequency, phase(values), **style)
-        known = np.concatenate(drawn)
-        if np.isfinite(known).any():
-            modulus.set(xscale="log", ylim=(0.0, 1.1 * np.nanmax(known)))
+        if known:
+            modulus.set(xscale="log", yscale="log")
+            low, high = modulus.get_ylim()
+            plain = FuncFormatter(lambda value, _: f"{value:g}")
+            modulus.yaxis.set_major_formatter(plain)
+            modulus.yaxis.set_minor_formatter(plain if high < 10.0 * low else NullFormatter())
         if given != output and given in _ROTATIONS:
             modulus.axhline(STANDARD_GRAVITY * DEGREE, color="0.5", linestyle=":", linewidth=1.0)
         modulus.set_title(f"{given} > {output}", fontsize=10)
@@ -125,7 +143,7 @@ def omct_figure(result: Omct) -> Figure:
         angle.set_ylabel("phase [deg]", fontsize=9)
         for axis in (modulus, angle):
             axis.grid(True, which="both", color="0.9", linewidth=0.6)
-            axis.tick_params(labelsize=8)
+            axis.tick_params(which="both", labelsize=8)
     for axis in axes[-1]:
         axis.set_xlabel("frequency [rad/s]", fontsize=9)
     handles, labels = axes[0, 0].get_legend_handles_labels()
@@ -134,18 +152,21 @@ def omct_figure(result: Omct) -> Figure:
 
 
 def save_omct(result: Omct, folder: Path) -> list[Path]:
-    """Write `omct.csv` (SI), `omct.md` and `omct.png`."""
+    """Write `omct.csv` (SI), `omct.md`, `share.md` (laws over an ideal machine) and `omct.png`."""
     folder.mkdir(parents=True, exist_ok=True)
     with whole_file(folder / "omct.csv") as partial:
         with partial.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(["test", "stage", "frequency_rad_s", "modulus_si", "phase_deg"])
             writer.writerows(_rows(result))
-    header, lines = omct_cells(result)
-    with whole_file(folder / "omct.md") as partial:
-        partial.write_text(markdown(header, lines), encoding="utf-8")
-    omct_figure(result).savefig(folder / "omct.png", dpi=90)
-    return [folder / f"omct.{kind}" for kind in ("csv", "md", "png")]
+    for name, (header, lines) in (
+        ("omct.md", omct_cells(result)),
+        ("share.md", share_cells(result)),
+    ):
+        with whole_file(folder / name) as partial:
+            partial.write_text(markdown(header, lines), encoding="utf-8")
+    omct_figure(result).savefig(folder / "omct.png", dpi=70)
+    return [folder / name for name in ("omct.csv", "omct.md", "share.md", "omct.png")]
 
 
 def _rows(result: Omct) -> Iterator[list[str]]:

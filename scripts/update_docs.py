@@ -19,7 +19,7 @@ from cmf_mj.ledger_report import ledger_markdown
 from cmf_mj.report import markdown, parameter_cells
 
 ROOT = Path(__file__).resolve().parents[1]
-TABLES = ("comparison.md", "failures.md", "modes.md", "calibration.md", "omct.md")
+TABLES = ("comparison.md", "failures.md", "modes.md", "calibration.md", "omct.md", "share.md")
 FIGURES = {
     "compare/bode_surge.png": "bode_surge.png",
     "compare/bode_heave.png": "bode_heave.png",

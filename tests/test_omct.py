@@ -12,7 +12,7 @@ from cmf_mj.cli import app
 from cmf_mj.control.dcu import load_dcu
 from cmf_mj.cueing import load_washout, save_washout
 from cmf_mj.omct import ANGLE, TESTS, aircraft_motion, amplitude, omct, outputs_of
-from cmf_mj.omct_report import omct_cells, phase, unit
+from cmf_mj.omct_report import omct_cells, phase, share_cells, unit
 from cmf_mj.pilot_motion import PilotMotion
 
 SIMONA = load_washout()
@@ -120,6 +120,12 @@ def test_report_holds_all_tests_and_units(machine):
     assert [line[0] for line in lines if ">" in line[0]] == ["surge > surge", "surge > pitch"]
     assert unit(TESTS.index(("surge", "pitch")))[0] == "deg/(m/s^2)"
     assert unit(TESTS.index(("yaw", "yaw"))) == ("", 1.0)
+    _, shares = share_cells(machine)
+    assert [line[:2] for line in shares] == [
+        ["surge > surge", "velocity"],
+        ["surge > pitch", "velocity"],
+    ]
+    assert shares[0][2].startswith("0.9")
     turning = np.exp(-1j * np.radians([170.0, 190.0, 250.0]))
     np.testing.assert_allclose(phase(turning), [-170.0, -190.0, -250.0])
 
