@@ -1,0 +1,1 @@
+"""Cross-verification of the MuJoCo plant by an independent multibody engine."""
