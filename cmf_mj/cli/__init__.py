@@ -12,6 +12,7 @@ from cmf_mj.cli import (
     mapping,
     measuring,
     operating,
+    verifying,
 )
 from cmf_mj.cli.common import app
 
@@ -28,6 +29,7 @@ __all__ = [
     "mapping",
     "measuring",
     "operating",
+    "verifying",
 ]
 
 

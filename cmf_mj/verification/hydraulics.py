@@ -147,8 +147,8 @@ class Circuit:
 def make_circuit(parameters: HydraulicParameters) -> Circuit:
     """Derive the circuit from a parameter set.
 
-    Both valves together give `leg_speed` with half the supply pressure across each port, and the
-    leakage lets a force built up at neutral begin to relax at `leak_rate` = 4 beta L / (h (Ac + Ar)).
+    Both valves together give `leg_speed` with half the supply pressure across each port. Leakage
+    lets a force built up at neutral begin to relax at `leak_rate` = 4 beta L / (h (Ac + Ar)).
 
     Raises:
         ValueError: the set has what these equations leave out.

@@ -38,8 +38,8 @@ class Trajectory(NamedTuple):
     """Leg extensions from neutral [m], (N, 6)."""
     pressure: NDArray[np.float64]
     """Pressures of cap and rod chambers [Pa], (N, 6, 2)."""
-    wall: float
-    """Time the run took, without building the model [s]."""
+    spent: float
+    """CPU time of the run, without building the model [s]."""
 
 
 class _Body(NamedTuple):
@@ -103,101 +103,86 @@ class Machine:
         """Axial forces that hold the machine at neutral [N], (6,)."""
         self._spools = np.zeros((1, _LEGS))
         self._rate = float(RATE)
+        self._extra = np.zeros(_LEGS)
         self._build(plant.model)
 
     def _build(self, model: mujoco.MjModel) -> None:
-        exudyn, system = self._exudyn, self.system
-        items = exudyn.itemInterface
-        gravity = model.opt.gravity.tolist()
-
-        cab = model.body("cab/cab")
-        inner = _own(model, "cab/cab")
-        turn = _turn(cab.quat)
-        moved = _Body(
-            inner.mass, cab.pos + turn @ inner.centre, turn @ inner.inertia @ turn.T
-        )
-        platform = _joined(_own(model, "platform"), moved)
-        body = system.CreateRigidBody(
-            referencePosition=model.body("platform").pos + platform.centre,
-            inertia=exudyn.rigidBodyUtilities.RigidBodyInertia(platform.mass, platform.inertia),
-            nodeType=exudyn.NodeType.RotationEulerParameters,
-            gravity=gravity,
-        )
-
-        kinds, parents, frames, inertias, centres, masses = [], [], [], [], [], []
+        platform, centre = self._add_platform(model)
+        tree = self._add_legs(model)
+        items, system = self._exudyn.itemInterface, self.system
         for leg in range(1, _LEGS + 1):
-            cylinder, rod = model.body(f"cylinder_{leg}"), model.body(f"rod_{leg}")
-            first = len(parents)
-            kinds += [
-                exudyn.JointType.RevoluteX,
-                exudyn.JointType.RevoluteY,
-                exudyn.JointType.PrismaticZ,
-            ]
-            parents += [-1, first, first + 1]
-            frames += [(cylinder.pos, cylinder.quat), None, (rod.pos, rod.quat)]
-            links = [
-                _Body(0.0, np.zeros(3), np.zeros((3, 3))),
-                _own(model, f"cylinder_{leg}"),
-                _own(model, f"rod_{leg}"),
-            ]
-            masses += [link.mass for link in links]
-            centres += [link.centre for link in links]
-            inertias += [link.inertia for link in links]
-        transforms = []
-        for frame in frames:
-            transform = np.eye(4)
-            if frame is not None:
-                transform[:3, 3], transform[:3, :3] = frame[0], _turn(frame[1])
-            transforms.append(transform)
-        joints = len(parents)
-        node = system.AddNode(
-            items.NodeGenericODE2(
-                numberOfODE2Coordinates=joints,
-                referenceCoordinates=[0.0] * joints,
-                initialCoordinates=[0.0] * joints,
-                initialCoordinates_t=[0.0] * joints,
+            below = items.MarkerKinematicTreeRigid(
+                objectNumber=tree,
+                linkNumber=3 * leg - 1,
+                localPosition=model.site(f"rod_end_{leg}").pos,
             )
-        )
-        tree = system.AddObject(
-            items.ObjectKinematicTree(
-                nodeNumber=node,
-                gravity=gravity,
-                jointTypes=kinds,
-                linkParents=parents,
-                jointHTs=transforms,
-                linkInertiasCOM=exudyn.Matrix3DList(inertias),
-                linkCOMs=exudyn.Vector3DList(centres),
-                linkMasses=masses,
-                forceUserFunction=self._forces,
+            above = items.MarkerBodyPosition(
+                bodyNumber=platform, localPosition=model.site(f"upper_{leg}").pos - centre
             )
-        )
-        for leg in range(1, _LEGS + 1):
-            rod_end, upper = model.site(f"rod_end_{leg}").pos, model.site(f"upper_{leg}").pos
-            below = system.AddMarker(
-                items.MarkerKinematicTreeRigid(
-                    objectNumber=tree, linkNumber=3 * leg - 1, localPosition=rod_end
-                )
-            )
-            above = system.AddMarker(
-                items.MarkerBodyPosition(
-                    bodyNumber=body, localPosition=upper - platform.centre
-                )
-            )
-            system.AddObject(items.ObjectJointSpherical(markerNumbers=[above, below]))
-        pressure = self.circuit.start_pressures(self.load) / _UNIT
-        states = system.AddNode(
-            items.NodeGenericODE1(
-                numberOfODE1Coordinates=2 * _LEGS,
-                referenceCoordinates=[0.0] * (2 * _LEGS),
-                initialCoordinates=pressure.ravel().tolist(),
-            )
+            markers = [system.AddMarker(above), system.AddMarker(below)]
+            system.AddObject(items.ObjectJointSpherical(markerNumbers=markers))
+        states = 2 * _LEGS
+        node = items.NodeGenericODE1(
+            numberOfODE1Coordinates=states,
+            referenceCoordinates=[0.0] * states,
+            initialCoordinates=(self.circuit.start_pressures(self.load) / _UNIT).ravel().tolist(),
         )
         system.AddObject(
-            items.ObjectGenericODE1(nodeNumbers=[states], rhsUserFunction=self._rates)
+            items.ObjectGenericODE1(nodeNumbers=[system.AddNode(node)], rhsUserFunction=self._rates)
         )
         system.Assemble()
-        self._joints = np.array(system.systemData.GetObjectLTGODE2(tree))
-        self._slides = self._joints[2::3]
+        self._slides = np.array(system.systemData.GetObjectLTGODE2(tree))[2::3]
+
+    def _add_platform(self, model: mujoco.MjModel) -> tuple[int, NDArray[np.float64]]:
+        """Platform and cab as one body; its number, and its centre of mass in platform axes."""
+        exudyn = self._exudyn
+        cab, inner = model.body("cab/cab"), _own(model, "cab/cab")
+        turn = _turn(cab.quat)
+        moved = _Body(inner.mass, cab.pos + turn @ inner.centre, turn @ inner.inertia @ turn.T)
+        whole = _joined(_own(model, "platform"), moved)
+        number = self.system.CreateRigidBody(
+            referencePosition=model.body("platform").pos + whole.centre,
+            inertia=exudyn.rigidBodyUtilities.RigidBodyInertia(whole.mass, whole.inertia),
+            nodeType=exudyn.NodeType.RotationEulerParameters,
+            gravity=model.opt.gravity.tolist(),
+        )
+        return number, whole.centre
+
+    def _add_legs(self, model: mujoco.MjModel) -> int:
+        """All legs as one kinematic tree: hinge x without mass, hinge y, slide z; its number."""
+        exudyn = self._exudyn
+        kind = exudyn.JointType
+        parents: list[int] = []
+        frames, links = [], []
+        for leg in range(1, _LEGS + 1):
+            first = len(parents)
+            parents += [-1, first, first + 1]
+            for name in (f"cylinder_{leg}", f"rod_{leg}"):
+                frame = np.eye(4)
+                frame[:3, 3], frame[:3, :3] = model.body(name).pos, _turn(model.body(name).quat)
+                frames.append(frame)
+                links.append(_own(model, name))
+            frames.insert(-1, np.eye(4))
+            links.insert(-2, _Body(0.0, np.zeros(3), np.zeros((3, 3))))
+        joints = len(parents)
+        node = exudyn.itemInterface.NodeGenericODE2(
+            numberOfODE2Coordinates=joints,
+            referenceCoordinates=[0.0] * joints,
+            initialCoordinates=[0.0] * joints,
+            initialCoordinates_t=[0.0] * joints,
+        )
+        tree = exudyn.itemInterface.ObjectKinematicTree(
+            nodeNumber=self.system.AddNode(node),
+            gravity=model.opt.gravity.tolist(),
+            jointTypes=[kind.RevoluteX, kind.RevoluteY, kind.PrismaticZ] * _LEGS,
+            linkParents=parents,
+            jointHTs=frames,
+            linkInertiasCOM=exudyn.Matrix3DList([link.inertia for link in links]),
+            linkCOMs=exudyn.Vector3DList([link.centre for link in links]),
+            linkMasses=[link.mass for link in links],
+            forceUserFunction=self._forces,
+        )
+        return self.system.AddObject(tree)
 
     def _forces(
         self, system: Any, time: float, item: int, q: Any, speed: Any
@@ -205,7 +190,8 @@ class Machine:
         """Generalised forces of the tree: the cylinders on the slides."""
         pressure = np.asarray(system.systemData.GetODE1Coordinates(copy=False))
         forces = np.zeros(3 * _LEGS)
-        forces[2::3] = self.circuit.forces(pressure.reshape(2, _LEGS) * _UNIT)
+        cylinder = self.circuit.forces(pressure.reshape(2, _LEGS) * _UNIT)
+        forces[2::3] = cylinder + self._extra
         return forces
 
     def _rates(self, system: Any, time: float, item: int, states: Any) -> NDArray[np.float64]:
@@ -216,6 +202,24 @@ class Machine:
         spool = self._spools[round(time * self._rate)]
         pressure = np.asarray(states).reshape(2, _LEGS) * _UNIT
         return self.circuit.rates(pressure, extension, speed, spool).ravel() / _UNIT
+
+    def reflected_mass(self) -> NDArray[np.float64]:
+        """Reflected mass at neutral [kg], (6, 6), from Exudyn's own accelerations.
+
+        A force on one leg beyond what holds the machine accelerates all legs from rest; the
+        accelerations of six such trials are the inverse of the mass, column by column.
+        """
+        force, short = 1000.0, 1e-7
+        self._rate, self._spools = 0.0, np.zeros((1, _LEGS))
+        self.system.SetPostStepUserFunction(0)
+        columns = []
+        for leg in range(_LEGS):
+            self._extra = force * np.eye(_LEGS)[leg]
+            self._solve(1, short)
+            found = self.system.systemData.GetODE2Coordinates_tt()
+            columns.append(np.asarray(found)[self._slides] / force)
+        self._extra = np.zeros(_LEGS)
+        return np.linalg.inv(np.column_stack(columns))
 
     def run(self, valves: ArrayLike, step: float) -> Trajectory:
         """Drive the machine from rest at neutral with valve commands.
@@ -258,22 +262,19 @@ class Machine:
 
         pressure[0] = self.circuit.start_pressures(self.load).T
         self.system.SetPostStepUserFunction(keep)
-        begin = clock.perf_counter()
-        solved = self.system.SolveDynamic(
-            self._settings(frames * parts, frames / RATE),
-            solverType=self._exudyn.DynamicSolverType.TrapezoidalIndex2,
-        )
-        wall = clock.perf_counter() - begin
-        if not solved:
-            raise RuntimeError(f"Exudyn could not solve all {frames * parts} steps of {step} s")
+        begin = clock.process_time()
+        self._solve(frames * parts, frames / RATE)
+        spent = clock.process_time() - begin
         self.circuit.check(pressure, extension)
-        return Trajectory(step, np.arange(frames + 1) / RATE, extension, pressure, wall)
+        return Trajectory(step, np.arange(frames + 1) / RATE, extension, pressure, spent)
 
-    def _settings(self, steps: int, end: float) -> Any:
+    def _solve(self, steps: int, end: float) -> None:
         settings = self._exudyn.SimulationSettings()
         settings.timeIntegration.numberOfSteps = steps
         settings.timeIntegration.endTime = end
         settings.timeIntegration.adaptiveStep = False
         settings.timeIntegration.newton.useModifiedNewton = True
         settings.solution.file.write = False
-        return settings
+        solver = self._exudyn.DynamicSolverType.TrapezoidalIndex2
+        if not self.system.SolveDynamic(settings, solverType=solver):
+            raise RuntimeError(f"Exudyn could not solve {steps} steps to {end} s")
