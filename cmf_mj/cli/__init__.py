@@ -20,6 +20,7 @@ from cmf_mj.cli import (
     running,
     studying,
     tuning,
+    verifying,
     watching,
 )
 from cmf_mj.cli.common import app
@@ -45,6 +46,7 @@ __all__ = [
     "running",
     "studying",
     "tuning",
+    "verifying",
     "watching",
 ]
 

@@ -1,0 +1,34 @@
+"""`cmf verify`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cmf_mj.cli.common import TEXT_WIDTH, Cab, HydraulicSet, app, progress_bar, refuse, show
+
+
+@app.command("verify")
+def verify_command(
+    cab: Cab = "gfd",
+    hydraulics: HydraulicSet = "report",
+    seconds: Annotated[float, typer.Option(help="simulated time [s]")] = 4.0,
+    finest: Annotated[
+        int, typer.Option(help="mechanical steps to a control frame at the finest: 4, 8, 16, ...")
+    ] = 8,
+    out: Annotated[Path, typer.Option(help="folder for results")] = Path("out/verification"),
+) -> None:
+    """Hold the MuJoCo plant against Exudyn: error and CPU time over step sizes."""
+    from cmf_mj.verification import tables, verify
+
+    try:
+        if finest < 4 or finest & (finest - 1):
+            raise ValueError(f"finest: {finest} must be a power of two, at least 4")
+        parts = [2**i for i in range(finest.bit_length())]
+        with progress_bar() as progress:
+            found = verify(cab, hydraulics, seconds=seconds, parts=parts, progress=progress)
+        paths = tables.save(found, out)
+        written = f"written to {out}: {', '.join(path.name for path in paths)}"
+        show(tables.table(found), written, width=TEXT_WIDTH)
+    except (ValueError, OSError, ImportError, RuntimeError) as error:
+        refuse(error)
