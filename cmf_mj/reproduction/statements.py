@@ -60,8 +60,8 @@ def dc_gain(law_name: str) -> float:
     law = load_law(law_name)
     if law.uses_integral:
         return 1.0
-    through = law.output_gain * law.input_gain.position / (1.0 - law.state_gain)
-    return -law.direct_gain.reference / (law.direct_gain.position + through)
+    through = law.output_gain * law.input_gain.of_legs("position") / (1.0 - law.state_gain)
+    return -law.direct_gain.of_legs("reference") / (law.direct_gain.of_legs("position") + through)
 
 
 def rest_rows(runs: Runs, laws: Sequence[str] = INTEGRAL_LAWS) -> list[RestRow]:
@@ -69,10 +69,12 @@ def rest_rows(runs: Runs, laws: Sequence[str] = INTEGRAL_LAWS) -> list[RestRow]:
     rows = []
     for name in laws:
         law = load_law(name)
-        net = law.direct_gain.position + law.output_gain * law.input_gain.position / (
-            1.0 - law.state_gain
+        net = law.direct_gain.of_legs("position") + law.output_gain * law.input_gain.of_legs(
+            "position"
+        ) / (1.0 - law.state_gain)
+        formula = (
+            "" if law.uses_integral else f"{law.direct_gain.of_legs('reference'):g}/{-net:.2f}"
         )
-        formula = "" if law.uses_integral else f"{law.direct_gain.reference:g}/{-net:.2f}"
         reached = (
             1.0 - runs.case("model", name).metrics.steady_state_error,
             1.0 - runs.case("machine", name).metrics.steady_state_error,

@@ -236,7 +236,7 @@ def gain_rows() -> list[GainRow]:
             same = shipped == value
             note = "" if same else _GAIN_NOTES.get((entry.law, gain), "")
             rows.append(GainRow(entry.table, law.title, gain, value, shipped, same, note))
-        extra = law.direct_gain.error_integral
+        extra = law.direct_gain.of_legs("error_integral")
         if extra and "error_integral" not in entry.signals:
             note = "integral of section 3.2, with which all later laws of the report run"
             gain = "D, error integral"

@@ -209,8 +209,8 @@ def search(
         tried += len(points)
         least = int(np.argmin(prices))
         if prices[least] < best[0]:
-            best = prices[least], low + (high - low) * np.array(points[least])
+            best = prices[least], low + (high - low) * np.asarray(points[least])
         if progress is not None:
             progress(min(tried, evaluations), evaluations)
-    law = candidate(template, best[1])
+    law = candidate(template, best[1].tolist())
     return Found(law, evaluate(law, template.cabs, seeds), best[0], tried)
