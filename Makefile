@@ -2,6 +2,9 @@
 #   make compare   set up and run the main job
 #   make test      set up and check everything
 #   make site      the documentation as a site in build/site
+#   make video     set up and film the machine in motion: out/video.mp4
+#   make studio    set up and open the machine in a web page
+#   make report    set up and reproduce the report on one page: out/report/report.html
 # Both build .venv from constraints.txt. The plain pip lines are in the README.
 
 PYTHON ?= python3
@@ -9,10 +12,19 @@ VENV := .venv
 BIN := $(VENV)/bin
 WORKERS ?= auto
 
-.PHONY: compare test lint types imports tests site constraints clean
+.PHONY: compare report video studio test lint types imports tests site constraints clean
 
 compare: $(VENV)/ready
 	$(BIN)/cmf compare
+
+report: $(VENV)/ready-report
+	$(BIN)/cmf report
+
+video: $(VENV)/ready-video
+	$(BIN)/cmf video tour --fps 15 --out out/video.mp4
+
+studio: $(VENV)/ready-studio
+	$(BIN)/cmf studio
 
 test: lint types imports site tests
 
@@ -42,8 +54,8 @@ $(VENV)/ready: $(VENV)/bin/python pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
 	touch $@
 
-$(VENV)/ready-dev: $(VENV)/ready
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+$(VENV)/ready-%: $(VENV)/ready
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[$*]'
 	touch $@
 
 # Pin what the newest allowed versions resolve to today.
