@@ -1,8 +1,9 @@
 """Refresh the generated tables and pictures of README and docs from finished studies.
 
 A table stands between `<!-- table: NAME -->` and `<!-- end -->`; NAME is a folder below --results
-that `cmf compare --out`, `cmf failure --out` or `scripts/electronics_effect.py --out` wrote.
-Figures of the folder `compare` are copied to docs/images.
+that `cmf compare --out`, `cmf failure --out` or `scripts/electronics_effect.py --out` wrote, or
+FOLDER/TABLE of a folder that `cmf study --out` wrote. Figures are copied to docs/images, numbers of
+studies to docs/data.
 """
 
 import argparse
@@ -11,18 +12,38 @@ import shutil
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "docs/model.md", "docs/failures.md", "docs/operation.md")
+PAGES = (
+    "README.md",
+    "docs/model.md",
+    "docs/failures.md",
+    "docs/operation.md",
+    "docs/studies.md",
+    "docs/acceleration_in_rotation.md",
+)
 TABLES = ("comparison.md", "failures.md")
-FIGURES = ("bode_surge.png", "bode_heave.png", "step_surge.png")
-_TABLE = re.compile(r"(<!-- table: ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+COPIES = {
+    "compare/bode_surge.png": "images/bode_surge.png",
+    "compare/bode_heave.png": "images/bode_heave.png",
+    "compare/step_surge.png": "images/step_surge.png",
+    "ablation/ladder.png": "images/ladder.png",
+    "ablation/measures.csv": "data/ablation_measures.csv",
+    "ablation/effects.csv": "data/ablation_effects.csv",
+    "mismatch/rates.png": "images/mismatch_rates.png",
+    "mismatch/crosstalk_velocity.png": "images/mismatch_crosstalk_velocity.png",
+    "mismatch/rates.csv": "data/mismatch_rates.csv",
+    "rotation/rotation.csv": "data/rotation.csv",
+    "rotation/rotation_flown.csv": "data/rotation_flown.csv",
+}
+"""Files of the results and where they go below docs."""
+
+_TABLE = re.compile(r"(<!-- table: ([\w/-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def refresh(text: str, results: Path) -> str:
     """Replace every table whose study lies below `results`."""
 
     def replace(match: re.Match[str]) -> str:
-        for name in TABLES:
-            source = results / match[2] / name
+        for source in (results / f"{match[2]}.md", *(results / match[2] / n for n in TABLES)):
             if source.is_file():
                 return f"{match[1]}\n{source.read_text(encoding='utf-8')}\n{match[3]}"
         return match[0]
@@ -39,10 +60,12 @@ def main() -> None:
     for name in PAGES:
         page = options.root / name
         page.write_text(refresh(page.read_text(encoding="utf-8"), options.results), "utf-8")
-    for figure in FIGURES:
-        source = options.results / "compare" / figure
+    for name, target in COPIES.items():
+        source = options.results / name
         if source.is_file():
-            shutil.copyfile(source, options.root / "docs" / "images" / figure)
+            place = options.root / "docs" / target
+            place.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, place)
     print(f"refreshed {', '.join(PAGES)}")
 
 
