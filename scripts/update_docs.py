@@ -1,8 +1,8 @@
 """Refresh the generated tables and pictures of README and docs from data and finished studies.
 
 A table stands between `<!-- table: NAME -->` and `<!-- end -->`; NAME is a folder below --results
-into which a command or script wrote it with `--out`. Figures of the studies are copied to
-docs/images. What stands between `<!-- data: NAME -->` and `<!-- end -->` is made from data of the
+into which a command or script wrote it with `--out`, or FOLDER/TABLE where it wrote several.
+Figures of the studies are copied to docs/images, their numbers to docs/data. What stands between `<!-- data: NAME -->` and `<!-- end -->` is made from data of the
 package and needs no study.
 """
 
@@ -20,21 +20,29 @@ from cmf_mj.report import markdown, parameter_cells
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = ("comparison.md", "failures.md", "modes.md", "calibration.md", "omct.md", "share.md")
-FIGURES = {
-    "compare/bode_surge.png": "bode_surge.png",
-    "compare/bode_heave.png": "bode_heave.png",
-    "compare/step_surge.png": "step_surge.png",
-    "modes/modes_sweep.png": "modes_sweep.png",
-    "modes/modes_map.png": "modes_map.png",
-    "calibrate/report/residuals.png": "calibration_report.png",
-    "calibrate/report/sensitivity.png": "sensitivity_report.png",
-    "calibrate/hardware/residuals.png": "calibration_hardware.png",
-    "calibrate/hardware/sensitivity.png": "sensitivity_hardware.png",
-    "omct/omct.png": "omct.png",
-    "fly/comparison.png": "fly_comparison.png",
-    "fly/velocity/motion.png": "fly_motion.png",
+COPIES = {
+    "compare/bode_surge.png": "images/bode_surge.png",
+    "compare/bode_heave.png": "images/bode_heave.png",
+    "compare/step_surge.png": "images/step_surge.png",
+    "modes/modes_sweep.png": "images/modes_sweep.png",
+    "modes/modes_map.png": "images/modes_map.png",
+    "calibrate/report/residuals.png": "images/calibration_report.png",
+    "calibrate/report/sensitivity.png": "images/sensitivity_report.png",
+    "calibrate/hardware/residuals.png": "images/calibration_hardware.png",
+    "calibrate/hardware/sensitivity.png": "images/sensitivity_hardware.png",
+    "omct/omct.png": "images/omct.png",
+    "fly/comparison.png": "images/fly_comparison.png",
+    "fly/velocity/motion.png": "images/fly_motion.png",
+    "ablation/ladder.png": "images/ladder.png",
+    "ablation/measures.csv": "data/ablation_measures.csv",
+    "ablation/effects.csv": "data/ablation_effects.csv",
+    "mismatch/rates.png": "images/mismatch_rates.png",
+    "mismatch/crosstalk_velocity.png": "images/mismatch_crosstalk_velocity.png",
+    "mismatch/rates.csv": "data/mismatch_rates.csv",
+    "rotation/rotation.csv": "data/rotation.csv",
+    "rotation/rotation_flown.csv": "data/rotation_flown.csv",
 }
-"""Figures of the studies below --results, and their names in docs/images."""
+"""Files of the studies below --results, and where they go below docs."""
 
 
 def parameters(name: str) -> str:
@@ -60,8 +68,7 @@ def refresh(text: str, results: Path) -> str:
     """Replace every table whose study lies below `results`, and what is made from data."""
 
     def replace(match: re.Match[str]) -> str:
-        for name in TABLES:
-            source = results / match[2] / name
+        for source in (results / f"{match[2]}.md", *(results / match[2] / n for n in TABLES)):
             if source.is_file():
                 return f"{match[1]}\n{source.read_text(encoding='utf-8')}\n{match[3]}"
         return match[0]
@@ -78,10 +85,10 @@ def main() -> None:
     options = parser.parse_args()
     for page in pages(options.root):
         page.write_text(refresh(page.read_text(encoding="utf-8"), options.results), "utf-8")
-    for figure, name in FIGURES.items():
-        source = options.results / figure
+    for name, target in COPIES.items():
+        source = options.results / name
         if source.is_file():
-            shutil.copyfile(source, options.root / "docs" / "images" / name)
+            shutil.copyfile(source, options.root / "docs" / target)
     print(f"refreshed {', '.join(page.name for page in pages(options.root))}")
 
 

@@ -72,6 +72,33 @@ def test_bench_prints_json_with_a_ratio(tmp_path: Path) -> None:
     assert figures["speed_up_two_threads"] > 0.0
 
 
+def test_bench_study_prints_json_with_the_efficiency_of_two_processes(tmp_path: Path) -> None:
+    arguments = ("--machines", "2", "--repeat", "1")
+    figures = json.loads(run("bench_study.py", *arguments, cwd=tmp_path))
+    assert figures["cases"] == 18
+    assert 0.0 < figures["efficiency"] < 2.0
+    minutes = figures["minutes_for_1000_cases_on_two_cores"] * figures["cpu_efficiency"]
+    expected = 1000.0 * figures["cpu_seconds_a_case"] / 120.0
+    assert minutes == pytest.approx(expected, rel=0.05)
+
+
+def test_update_docs_takes_tables_and_figures_of_studies(tmp_path: Path) -> None:
+    root = tmp_path / "checkout"
+    shutil.copytree(SCRIPTS.parent / "docs", root / "docs")
+    shutil.copy(SCRIPTS.parent / "README.md", root)
+    results = tmp_path / "out"
+    for name in ("rotation/rotation.md", "rotation/rotation.csv", "ablation/ladder.png"):
+        (results / name).parent.mkdir(parents=True, exist_ok=True)
+        (results / name).write_text(f"new {name}")
+    run("update_docs.py", "--results", str(results), "--root", str(root), cwd=tmp_path)
+    page = (root / "docs" / "acceleration_in_rotation.md").read_text()
+    assert "<!-- table: rotation/rotation -->\n\nnew rotation/rotation.md\n" in page
+    assert (root / "docs" / "data" / "rotation.csv").read_text() == "new rotation/rotation.csv"
+    assert (root / "docs" / "images" / "ladder.png").read_text() == "new ablation/ladder.png"
+    before = (SCRIPTS.parent / "docs" / "studies.md").read_text()
+    assert (root / "docs" / "studies.md").read_text() == before
+
+
 @pytest.mark.parametrize("model", [["--cab", c] for c in ("gfd", "rfd", "ifd")] + [["--excavator"]])
 def test_render_model_draws_each_machine(model: list[str], tmp_path: Path) -> None:
     """Off-screen, in software: the picture is neither empty nor of one colour."""
