@@ -17,13 +17,14 @@ from cmf_mj import load_hydraulics
 from cmf_mj.report import markdown, parameter_cells
 
 ROOT = Path(__file__).resolve().parents[1]
-TABLES = ("comparison.md", "failures.md", "modes.md")
+TABLES = ("comparison.md", "failures.md", "modes.md", "work_precision.md")
 FIGURES = {
     "compare/bode_surge.png": "bode_surge.png",
     "compare/bode_heave.png": "bode_heave.png",
     "compare/step_surge.png": "step_surge.png",
     "modes/modes_sweep.png": "modes_sweep.png",
     "modes/modes_map.png": "modes_map.png",
+    "verification/work_precision.png": "work_precision.png",
 }
 """Figures of the studies below --results, and their names in docs/images."""
 
