@@ -2,8 +2,8 @@
 
 A table stands between `<!-- table: NAME -->` and `<!-- end -->`; NAME is a folder below --results
 into which a command or script wrote it with `--out`, or FOLDER/TABLE where it wrote several.
-Figures of the studies are copied to docs/images, their numbers to docs/data. What stands between `<!-- data: NAME -->` and `<!-- end -->` is made from data of the
-package and needs no study.
+Figures of the studies are copied to docs/images, their numbers to docs/data. What stands between `<!-- data: NAME -->` and
+`<!-- end -->` is made from data of the package and needs no study.
 """
 
 import argparse
@@ -19,7 +19,15 @@ from cmf_mj.ledger_report import ledger_markdown
 from cmf_mj.report import markdown, parameter_cells
 
 ROOT = Path(__file__).resolve().parents[1]
-TABLES = ("comparison.md", "failures.md", "modes.md", "calibration.md", "omct.md", "share.md")
+TABLES = (
+    "comparison.md",
+    "failures.md",
+    "modes.md",
+    "calibration.md",
+    "omct.md",
+    "share.md",
+    "work_precision.md",
+)
 COPIES = {
     "compare/bode_surge.png": "images/bode_surge.png",
     "compare/bode_heave.png": "images/bode_heave.png",
@@ -33,6 +41,7 @@ COPIES = {
     "omct/omct.png": "images/omct.png",
     "fly/comparison.png": "images/fly_comparison.png",
     "fly/velocity/motion.png": "images/fly_motion.png",
+    "verification/work_precision.png": "images/work_precision.png",
     "ablation/ladder.png": "images/ladder.png",
     "ablation/measures.csv": "data/ablation_measures.csv",
     "ablation/effects.csv": "data/ablation_effects.csv",

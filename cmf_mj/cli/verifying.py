@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from cmf_mj.cli.common import TEXT_WIDTH, Cab, HydraulicSet, app, progress_bar, refuse, show
+from cmf_mj.verification import tables, verify
 
 
 @app.command("verify")
@@ -19,8 +20,6 @@ def verify_command(
     out: Annotated[Path, typer.Option(help="folder for results")] = Path("out/verification"),
 ) -> None:
     """Hold the MuJoCo plant against Exudyn: error and CPU time over step sizes."""
-    from cmf_mj.verification import tables, verify
-
     try:
         if finest < 4 or finest & (finest - 1):
             raise ValueError(f"finest: {finest} must be a power of two, at least 4")

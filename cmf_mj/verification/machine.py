@@ -58,6 +58,7 @@ def _engine() -> Any:
         raise ImportError(
             "the cross-verification needs exudyn; install cmf-mj[verification]"
         ) from error
+    exudyn.config.printToConsole = False  # its hints on user functions; failures raise all the same
     return exudyn
 
 

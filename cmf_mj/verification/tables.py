@@ -79,12 +79,15 @@ def figure(found: Verification) -> Figure:
             (by_cost, [run.spent for run in runs]),
         ):
             axis.loglog(along, errors, color=colour, marker=marker, label=_TITLES[engine])
-        for run, error in zip(runs, errors, strict=True):
+        for run, following in zip(runs, [*runs[1:], None], strict=True):
+            # Below the point where the line goes on level, beside it where it falls.
+            falls = following and following.extension_error < 0.5 * run.extension_error
             by_cost.annotate(
                 f"{_parts(run)} s",
-                (run.spent, error),
-                xytext=(6, 4),
+                (run.spent, run.extension_error * _MICRO),
+                xytext=(6, 4) if falls else (0, -14),
                 textcoords="offset points",
+                ha="left" if falls else "center",
                 fontsize=8,
             )
     first = found.runs[0]
