@@ -54,4 +54,4 @@ def _section(entry: LedgerEntry) -> str:
         textwrap.fill(f"- {name}: {text}.", _WIDTH, subsequent_indent="  ", break_long_words=False)
         for name, text in points
     ]
-    return f"### {entry.number}. {entry.title}\n\n{entry.where}.\n\n" + "\n".join(lines) + "\n"
+    return f"## {entry.number}. {entry.title}\n\n{entry.where}.\n\n" + "\n".join(lines) + "\n"

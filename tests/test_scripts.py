@@ -171,7 +171,7 @@ def test_update_docs_takes_tables_from_studies_and_data(tmp_path: Path) -> None:
     shutil.copy(source / "README.md", tmp_path)
     ledger = tmp_path / "docs" / "ledger.md"
     shipped = ledger.read_text(encoding="utf-8")
-    ledger.write_text(shipped.replace("### 3.", "### 33."), encoding="utf-8")
+    ledger.write_text(shipped.replace("## 3.", "## 33."), encoding="utf-8")
     study = tmp_path / "out" / "calibrate" / "report"
     study.mkdir(parents=True)
     (study / "calibration.md").write_text("| a table |\n", encoding="utf-8")

@@ -53,7 +53,7 @@ class StudySettings(Settings):
     title: Annotated[str, Field(min_length=1)]
     method: Method
     laws: Annotated[list[str], Field(min_length=1)]
-    """Names, TOML files, `file.toml:name`."""
+    """Names, TOML files, or one of several laws of a file, file.toml:name."""
     cabs: Annotated[list[str], Field(min_length=1)] = ["gfd"]
     dofs: Annotated[list[str], Field(min_length=1)] = list(DOFS)
     """Degrees of freedom, each a case of a `sweep`; the other methods give all at once."""
