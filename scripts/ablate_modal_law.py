@@ -21,7 +21,7 @@ def variants() -> dict[str, Law]:
     law = load_law("modal_plan")
     plan = law.plan
     assert plan is not None
-    light = {"position": max(plan.position), "velocity": 0.0}  # type: ignore[arg-type,type-var]
+    light = {"position": max(plan.position), "velocity": 0.0}  # type: ignore[arg-type]
     legs = plan.model_copy(update={"frequency": LEG_MODE, "rate": 1000.0, **light})
 
     def with_plan(**changes: object) -> Law:

@@ -82,7 +82,10 @@ def _law_gains(law: Law, frequency: Real, legs_of_axes: Real) -> dict[str, Compl
     rows = control.frequency_response(system, 2.0 * np.pi * frequency).frdata
     if coupled:
         by_leg = np.split(np.moveaxis(rows, -1, 0), len(DCL_INPUTS), axis=2)
-        parts = [np.linalg.solve(legs_of_axes, part @ legs_of_axes) for part in by_leg]
+        parts = [
+            np.asarray(np.linalg.solve(legs_of_axes, part @ legs_of_axes), dtype=complex)
+            for part in by_leg
+        ]
     else:
         parts = [row[:, None, None] * np.eye(axes) for row in rows[0]]
     return dict(zip(DCL_INPUTS, parts, strict=True))

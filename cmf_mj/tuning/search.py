@@ -194,7 +194,7 @@ def search(
 
     def priced(point: NDArray[np.float64]) -> float:
         values = low + (high - low) * np.asarray(point)
-        law = candidate(template, values)
+        law = candidate(template, values.tolist())
         return cost(law, float(values[rates]), template, kept, seeds)
 
     options = {"bounds": [0.0, 1.0], "seed": seed, "verbose": -9, "popsize": 12}
@@ -212,5 +212,5 @@ def search(
             best = prices[least], low + (high - low) * np.array(points[least])
         if progress is not None:
             progress(min(tried, evaluations), evaluations)
-    law = candidate(template, best[1])
+    law = candidate(template, best[1].tolist())
     return Found(law, evaluate(law, template.cabs, seeds), best[0], tried)
