@@ -188,7 +188,7 @@ def _legs(record: Record, channel: str) -> NDArray[np.float64]:
     legs = record["leg_position"].shape
     if values.ndim != 2 or values.shape != legs or values.shape[0] < 2:
         raise ValueError(f"{channel}: shape is {values.shape}; allowed: (N, n) with N >= 2")
-    return np.ascontiguousarray(values)
+    return np.array(values, order="C")  # the compiled law takes writable ones only
 
 
 def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> control.LegFeedback:

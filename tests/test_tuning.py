@@ -33,13 +33,14 @@ def test_the_shipped_law_keeps_the_targets_with_valves_off(cab: str, dof: str) -
 
 
 def test_the_linear_plants_say_what_the_simulation_does() -> None:
-    """Sway with the heaviest cab: -90 deg within 6 %, peak within 1 dB."""
+    """Sway with the heaviest cab at a tenth of the amplitude, where neither the rate limit acts nor
+    the valves' mean opening damps: -90 deg within 5 %, peak within 0.5 dB."""
     law = load_law("modal_plan")
     worth = evaluate(law, [linear_cab(Hexapod("ifd"))], (1,))
-    found = run_trial(Trial(law, "ifd", "sway", seed=1, quick=True))
+    found = run_trial(Trial(law, "ifd", "sway", seed=1, scale=0.1, quick=True))
     sway = DOFS.index("sway")
-    assert found.bandwidths.phase_hz == pytest.approx(worth.phase_hz[0, 0, sway], rel=0.06)
-    assert found.bandwidths.peak_db == pytest.approx(worth.peak_db[0, 0, sway], abs=1.0)
+    assert found.bandwidths.phase_hz == pytest.approx(worth.phase_hz[0, 0, sway], rel=0.05)
+    assert found.bandwidths.peak_db == pytest.approx(worth.peak_db[0, 0, sway], abs=0.5)
 
 
 def test_a_search_repeats_and_its_file_is_the_law(tmp_path: Path) -> None:

@@ -194,7 +194,7 @@ def search(
 
     def priced(point: NDArray[np.float64]) -> float:
         values = low + (high - low) * np.asarray(point)
-        law = candidate(template, values)
+        law = candidate(template, values.tolist())
         return cost(law, float(values[rates]), template, kept, seeds)
 
     options = {"bounds": [0.0, 1.0], "seed": seed, "verbose": -9, "popsize": 12}
