@@ -2,8 +2,8 @@
 
 A table stands between `<!-- table: NAME -->` and `<!-- end -->`; NAME is a folder below --results
 into which a command or script wrote it with `--out`, or FOLDER/TABLE where it wrote several.
-Figures of the studies are copied to docs/images, their numbers to docs/data. What stands between `<!-- data: NAME -->` and
-`<!-- end -->` is made from data of the package and needs no study.
+Figures of the studies are copied to docs/images, their numbers to docs/data. What stands between
+`<!-- data: NAME -->` and `<!-- end -->` is made from data of the package and needs no study.
 """
 
 import argparse

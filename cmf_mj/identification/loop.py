@@ -83,14 +83,7 @@ def _law_gains(law: Law, frequency: Real, legs_of_axes: Real) -> dict[str, Compl
     if coupled:
         inverse = np.linalg.inv(legs_of_axes)
         by_leg = np.split(np.moveaxis(rows, -1, 0), len(DCL_INPUTS), axis=2)
-<<<<<<< HEAD
         parts = [np.asarray(inverse @ part @ legs_of_axes, dtype=complex) for part in by_leg]
-=======
-        parts = [
-            np.asarray(np.linalg.solve(legs_of_axes, part @ legs_of_axes), dtype=complex)
-            for part in by_leg
-        ]
->>>>>>> w-laws
     else:
         parts = [row[:, None, None] * np.eye(axes) for row in rows[0]]
     return dict(zip(DCL_INPUTS, parts, strict=True))

@@ -97,12 +97,7 @@ def run_trial(trial: Trial) -> Outcome:
     found = bandwidths(frequency_response(sweep, segment=10.0 if trial.quick else 20.0))
     rate = sweep.metadata["command"]["stop"] / sweep.metadata["command"]["duration"]
     until = 2.0 + np.nan_to_num(found.phase_hz, nan=10.0) / rate
-<<<<<<< HEAD
     full = np.any(np.abs(sweep["valve_command"]) >= 1.0, axis=1)[sweep.time < until]
-=======
-    largest = np.abs(sweep["valve_command"]).max(axis=1)
-    full = largest[sweep.time < until] >= 1.0
->>>>>>> w-laws
     return Outcome(trial, found, step_metrics(stepped), float(full.mean()))
 
 
