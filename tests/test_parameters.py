@@ -239,10 +239,10 @@ def test_value_must_be_a_number(own, value):
     assert "mine: leak_rate.value: " in message
 
 
-def test_status_must_be_one_of_four(own):
+def test_status_must_be_a_known_one(own):
     message = refusal(own(f"leak_rate = {quantity(1.0, '1/s', status='guessed')}"))
     assert "mine: leak_rate.status: 'guessed' is refused" in message
-    assert "'stated', 'derived', 'calibrated' or 'assumed'" in message
+    assert "'stated', 'derived', 'calibrated', 'assumed', 'published' or 'recalled'" in message
 
 
 def test_source_must_not_be_empty(own):

@@ -6,6 +6,7 @@ import threading
 import urllib.request
 from concurrent.futures import CancelledError
 from pathlib import Path
+from signal import SIGINT, SIGTERM, Signals
 
 import matplotlib.image
 import numpy as np
@@ -305,7 +306,10 @@ def test_recording_refuses_what_it_cannot_show(tmp_path: Path) -> None:
 # The command.
 
 
-def test_command_serves_on_this_machine_alone_and_ends_on_ctrl_c(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [SIGINT, SIGTERM])
+def test_command_serves_on_this_machine_alone_and_ends_when_told(
+    tmp_path: Path, number: Signals
+) -> None:
     scenario = tmp_path / "mine.toml"
     scenario.write_text('law = "force"\nduration = "open"\n')
     command = [sys.executable, "-m", "cmf_mj.cli", "studio", str(scenario), "--no-open"]
@@ -318,8 +322,11 @@ def test_command_serves_on_this_machine_alone_and_ends_on_ctrl_c(tmp_path: Path)
         assert url.startswith("http://127.0.0.1:")
         with urllib.request.urlopen(url, timeout=30.0) as reply:
             assert b"<html" in reply.read(2000)
-        process.send_signal(2)
-        assert process.wait(timeout=60.0) == 0
+        process.send_signal(number)
+        try:
+            assert process.wait(timeout=60.0) == 0
+        finally:
+            process.kill()
         assert process.stderr is not None and "Traceback" not in process.stderr.read()
 
 

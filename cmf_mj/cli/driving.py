@@ -1,5 +1,6 @@
 """`cmf studio`."""
 
+import signal
 import time
 import warnings
 import webbrowser
@@ -41,6 +42,9 @@ def studio_command(
         studio = Studio(host, port, begun)
     except (ValueError, OSError) as error:
         refuse(error)
+    # A shell that starts it in the background would have it ignore Ctrl-C for good.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     print(f"studio: {studio.url} (end with Ctrl-C)", flush=True)
     if show:
         webbrowser.open(studio.url)

@@ -74,6 +74,8 @@ class LiveSession:
         self._clock = Clock(time.monotonic())
         self._traces = traces.Traces()
         self._run = _open_run(scenario)
+        self.begun = 1
+        """Runs begun so far."""
         self._ended = False
         self._thread = threading.Thread(target=self._go, name="studio session", daemon=True)
 
@@ -97,6 +99,7 @@ class LiveSession:
 
         def build() -> None:
             self._run = _open_run(scenario)
+            self.begun += 1
             self._ended = False
             self._traces.clear()
             self._clock.restart(time.monotonic())
