@@ -156,6 +156,4 @@ def load_motion_limits(source: str | Path | MotionLimits | None = None) -> Motio
     Raises:
         ValueError: unreadable file or a refused field; each is named.
     """
-    if isinstance(source, MotionLimits):
-        return source
-    return overlaid(MotionLimits, _FILE, None if source is None else Path(source))
+    return overlaid(MotionLimits, _FILE, source)

@@ -68,9 +68,7 @@ def load_servo_settings(source: str | Path | ServoSettings | None = None) -> Ser
     Raises:
         ValueError: unreadable file or a refused field; each is named.
     """
-    if isinstance(source, ServoSettings):
-        return source
-    return overlaid(ServoSettings, _FILE, None if source is None else Path(source))
+    return overlaid(ServoSettings, _FILE, source)
 
 
 class ServoElectronics(NamedTuple):

@@ -1,6 +1,7 @@
 """Reading settings files: TOML in, validated immutable models out, one clear error if not."""
 
 import tomllib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -23,11 +24,23 @@ def read_toml(path: Path) -> dict[str, Any]:
         ValueError: the file is missing or is not TOML; the message gives line and column.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return parsed_toml(path.read_text(encoding="utf-8"), str(path))
     except OSError as error:
         raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
         raise ValueError(f"{path}: is not valid TOML: {error}") from error
+
+
+def parsed_toml(text: str, where: str) -> dict[str, Any]:
+    """The tables of a TOML text, called `where` in errors.
+
+    Raises:
+        ValueError: it is not TOML; the message gives line and column.
+    """
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{where}: is not valid TOML: {error}") from error
 
 
 def validated(model: type[Model], table: object, where: str) -> Model:
@@ -47,28 +60,132 @@ def validated(model: type[Model], table: object, where: str) -> Model:
         raise ValueError("\n".join(_explain(model, e, where) for e in error.errors())) from None
 
 
-def overlaid(model: type[Model], shipped: Path, source: Path | None) -> Model:
-    """Build `model` from the shipped file, with the entries of a user's file in their place.
+def merged(
+    base: Mapping[str, Any], changes: Mapping[str, Any], levels: float = float("inf")
+) -> dict[str, Any]:
+    """A table with the entries of another in their place.
 
-    Tables are merged one level deep: an entry `key` of a user's table replaces that of the shipped
-    table of the same name and leaves its other entries.
+    Args:
+        base: a table.
+        changes: entries that replace those of the base.
+        levels: levels below these tables down to which two tables of one name are merged; deeper
+            tables are replaced whole. Default all the way down.
+    """
+    table = dict(base)
+    for name, change in changes.items():
+        before = table.get(name)
+        if levels > 0 and isinstance(before, Mapping) and isinstance(change, Mapping):
+            table[name] = merged(before, change, levels - 1)
+        else:
+            table[name] = change
+    return table
+
+
+def overlaid(
+    model: type[Model], shipped: Path, source: str | Path | Model | None, *, levels: int = 1
+) -> Model:
+    """The settings of a shipped file, with the entries of a user's file in their place.
 
     Args:
         model: the settings class.
         shipped: file of the package that holds every entry.
-        source: file that repeats what it changes; None for the shipped values.
+        source: file that repeats what it changes, or settings already loaded; None for the shipped
+            values.
+        levels: as for `merged`.
 
     Raises:
         ValueError: a file cannot be read, or one line per refused field.
     """
+    if isinstance(source, model):
+        return source
     table = read_toml(shipped)
     if source is None:
         return validated(model, table, shipped.name)
-    for name, change in read_toml(source).items():
-        before = table.get(name)
-        merge = isinstance(before, dict) and isinstance(change, dict)
-        table[name] = before | change if merge else change
-    return validated(model, table, str(source))
+    return validated(model, merged(table, read_toml(Path(str(source))), levels), str(source))
+
+
+def overlaid_default(
+    what: str, model: type[Model], shipped: Path, source: str | Path | Model, *, levels: int = 1
+) -> Model:
+    """As `overlaid`, for settings whose shipped values go by the name `default`.
+
+    Args:
+        what: how these settings are called in errors.
+        model: the settings class.
+        shipped: file of the package that holds every entry.
+        source: `default`, a TOML file that repeats what it changes, or settings already loaded.
+        levels: as for `merged`.
+
+    Raises:
+        ValueError: another name, an unreadable file or a refused field; each is named.
+    """
+    if isinstance(source, model):
+        return source
+    own = None if str(source) == "default" else _own_file(what, ("default",), str(source))
+    return overlaid(model, shipped, own, levels=levels)
+
+
+def named_set(
+    what: str,
+    names: Sequence[str],
+    shipped: Path,
+    source: str | Path,
+    *,
+    levels: int = 1,
+    fixed: Sequence[str] = (),
+    based: bool = True,
+) -> tuple[dict[str, Any], str]:
+    """The table of one of several shipped sets, or of a user's own.
+
+    A shipped set has the entries of the table `[common]`, if there is one, and of its own table. A
+    user's file names a shipped set as `base` and holds one table, named after the new set, with
+    what it changes.
+
+    Args:
+        what: how such a set is called in errors.
+        names: the shipped sets.
+        shipped: file of the package that holds them.
+        source: one of the names, or a TOML file.
+        levels: as for `merged`.
+        fixed: fields that a file may not change.
+        based: whether a file has a `base`; without, its table holds every entry.
+
+    Returns:
+        The table with its `name`, and how it is called in errors.
+
+    Raises:
+        ValueError: unknown set, unreadable file or a refused table; each is named.
+    """
+    tables = read_toml(shipped)
+    sets = {name: tables.get("common", {}) | tables[name] for name in names}
+    if str(source) in sets:
+        return sets[str(source)] | {"name": str(source)}, f"{shipped.name}: {source}"
+    path = _own_file(what, names, source)
+    own = read_toml(path)
+    start: dict[str, Any] = {}
+    if based:
+        base = own.pop("base", None)
+        if base not in names:
+            raise ValueError(f"{path}: base: {base!r} is not one of {', '.join(names)}")
+        start = sets[base]
+    if len(own) != 1 or not isinstance(next(iter(own.values())), dict):
+        raise ValueError(f"{path}: has the tables {sorted(own)}; exactly one is allowed")
+    name, changes = next(iter(own.items()))
+    for field in ("name", *fixed):
+        if field in changes:
+            origin = "the table" if field == "name" else "the base"
+            raise ValueError(f"{path}: {name}: {field}: is taken from {origin}; leave it out")
+    return merged(start, changes, levels) | {"name": name}, f"{path}: {name}"
+
+
+def _own_file(what: str, names: Sequence[str], source: str | Path) -> Path:
+    path = Path(source)
+    if path.suffix != ".toml":
+        said = f"not one of {', '.join(names)}"
+        if len(names) < 3:
+            said = f"neither {' nor '.join(names)}"
+        raise ValueError(f"{what}: {str(source)!r} is {said} nor a .toml file")
+    return path
 
 
 def _explain(model: type[BaseModel], error: Any, where: str) -> str:

@@ -458,7 +458,7 @@ def test_same_frames_same_bits() -> None:
             '[dcu]\npose_rotation = { value = 1.0, unit = "in", status = "stated", source = "x" }',
             "deg, rad",
         ),
-        ("[law]\nx = 1", r"\[delay\] and \[dcu\]"),
+        ("[law]\nx = 1", "law: is not a known field; allowed: dcu, delay"),
     ],
 )
 def test_a_bad_settings_file_is_refused_by_field(text: str, message: str, tmp_path: Path) -> None:

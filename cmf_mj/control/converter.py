@@ -25,7 +25,7 @@ from cmf_mj import filters
 from cmf_mj.compiled import compiled
 from cmf_mj.control.law import FRAME
 from cmf_mj.parameters import Quantity
-from cmf_mj.settings import Settings, read_toml, validated
+from cmf_mj.settings import Settings, named_set, validated
 
 CONVERTER_SETS = ("off", "sixteen_bit")
 """Names of the shipped sets."""
@@ -148,18 +148,8 @@ def load_converters(source: str | Path | ConverterSettings = "off") -> Converter
     """
     if isinstance(source, ConverterSettings):
         return source
-    path = _FILE if str(source) in CONVERTER_SETS else Path(source)
-    if path.suffix != ".toml":
-        names = " nor ".join(CONVERTER_SETS)
-        raise ValueError(f"converters: {str(source)!r} is neither {names} nor a .toml file")
-    tables = read_toml(path)
-    if path == _FILE:
-        name, table = str(source), tables["common"] | tables[str(source)]
-    elif len(tables) == 1 and isinstance(next(iter(tables.values())), dict):
-        name, table = next(iter(tables.items()))
-    else:
-        raise ValueError(f"{path}: has the tables {sorted(tables)}; exactly one is allowed")
-    return validated(ConverterSettings, table | {"name": name}, f"{path.name}: {name}")
+    table, where = named_set("converters", CONVERTER_SETS, _FILE, source, based=False)
+    return validated(ConverterSettings, table, where)
 
 
 def make_converters(settings: ConverterSettings) -> Converters:

@@ -29,7 +29,7 @@ from pydantic import Field, model_validator
 from cmf_mj.compiled import compiled
 from cmf_mj.control.law import FRAME
 from cmf_mj.parameters import Quantity
-from cmf_mj.settings import Settings, read_toml, validated
+from cmf_mj.settings import Settings, overlaid_default
 
 FAULTS = (
     "none",
@@ -148,15 +148,7 @@ def load_protection(source: str | Path | ProtectionSettings = "default") -> Prot
     Raises:
         ValueError: another name, an unreadable file or a refused field; each is named.
     """
-    if isinstance(source, ProtectionSettings):
-        return source
-    table = read_toml(_FILE)
-    if str(source) == "default":
-        return validated(ProtectionSettings, table, _FILE.name)
-    path = Path(source)
-    if path.suffix != ".toml":
-        raise ValueError(f"protection: {str(source)!r} is neither default nor a .toml file")
-    return validated(ProtectionSettings, table | read_toml(path), str(path))
+    return overlaid_default("protection", ProtectionSettings, _FILE, source, levels=0)
 
 
 def make_protection(settings: ProtectionSettings) -> Protection:

@@ -51,6 +51,4 @@ def load_state_settings(source: str | Path | StateSettings | None = None) -> Sta
     Raises:
         ValueError: unreadable file or a refused field; each is named.
     """
-    if isinstance(source, StateSettings):
-        return source
-    return overlaid(StateSettings, _FILE, None if source is None else Path(source))
+    return overlaid(StateSettings, _FILE, source)

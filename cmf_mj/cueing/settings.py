@@ -15,7 +15,7 @@ from cmf_mj.files import whole_file
 from cmf_mj.kinematics import DOFS
 from cmf_mj.parameters import Quantity, positive_in
 from cmf_mj.parameters.quantity import Kind
-from cmf_mj.settings import Settings, read_toml, validated
+from cmf_mj.settings import Settings, named_set, validated
 from cmf_mj.units import STANDARD_GRAVITY
 
 WASHOUTS = ("simona", "reid_nahon", "optimal")
@@ -240,30 +240,8 @@ def load_washout(source: str | Path | WashoutSettings = "simona") -> WashoutSett
     """
     if isinstance(source, ClassicalSettings | OptimalSettings):
         return source
-    shipped = read_toml(_FILE)
-    if str(source) in WASHOUTS:
-        return _validated(shipped[str(source)] | {"name": str(source)}, f"{_FILE.name}: {source}")
-    path = Path(source)
-    if path.suffix != ".toml":
-        raise ValueError(
-            f"washout: {str(source)!r} is not one of {', '.join(WASHOUTS)} nor a .toml file"
-        )
-    own = read_toml(path)
-    base = own.pop("base", None)
-    if base not in WASHOUTS:
-        raise ValueError(f"{path}: base: {base!r} is not one of {', '.join(WASHOUTS)}")
-    if len(own) != 1 or not isinstance(next(iter(own.values())), dict):
-        raise ValueError(f"{path}: has the tables {sorted(own)}; exactly one is allowed")
-    name, changes = next(iter(own.items()))
-    for field in ("name", "kind"):
-        if field in changes:
-            raise ValueError(f"{path}: {name}: {field}: is not to be changed; leave it out")
-    table = dict(shipped[base])
-    for field, change in changes.items():
-        before = table.get(field)
-        merge = isinstance(before, dict) and isinstance(change, dict)
-        table[field] = before | change if merge else change
-    return _validated(table | {"name": name}, f"{path}: {name}")
+    table, where = named_set("washout", WASHOUTS, _FILE, source, fixed=("kind",))
+    return validated(_KINDS[table["kind"]], table, where)
 
 
 def save_washout(settings: WashoutSettings, path: str | Path) -> Path:
@@ -292,7 +270,3 @@ def _inline(quantity: dict[str, Any]) -> str:
         for key, part in quantity.items()
     )
     return f"{{ {', '.join(parts)} }}"
-
-
-def _validated(table: dict[str, Any], where: str) -> WashoutSettings:
-    return validated(_KINDS[table["kind"]], table, where)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from cmf_mj.parameters.hydraulics import HydraulicParameters
-from cmf_mj.settings import read_toml, validated
+from cmf_mj.settings import named_set, validated
 
 HYDRAULICS = ("report", "hardware", "lossy")
 """Names of the shipped parameter sets."""
@@ -23,24 +23,5 @@ def load_hydraulics(source: str | Path | HydraulicParameters = "hardware") -> Hy
     """
     if isinstance(source, HydraulicParameters):
         return source
-    shipped = read_toml(_FILE)
-    if str(source) in HYDRAULICS:
-        name = str(source)
-        table = shipped["common"] | shipped[name]
-        return validated(HydraulicParameters, table | {"name": name}, f"{_FILE.name}: {name}")
-    path = Path(source)
-    if path.suffix != ".toml":
-        raise ValueError(
-            f"hydraulics: {str(source)!r} is not one of {', '.join(HYDRAULICS)} nor a .toml file"
-        )
-    own = read_toml(path)
-    base = own.pop("base", None)
-    if base not in HYDRAULICS:
-        raise ValueError(f"{path}: base: {base!r} is not one of {', '.join(HYDRAULICS)}")
-    if len(own) != 1 or not isinstance(next(iter(own.values())), dict):
-        raise ValueError(f"{path}: has the tables {sorted(own)}; exactly one is allowed")
-    name, changes = next(iter(own.items()))
-    if "name" in changes:
-        raise ValueError(f"{path}: {name}: name: is taken from the table; leave it out")
-    table = shipped["common"] | shipped[base] | changes | {"name": name}
-    return validated(HydraulicParameters, table, f"{path}: {name}")
+    table, where = named_set("hydraulics", HYDRAULICS, _FILE, source, levels=0)
+    return validated(HydraulicParameters, table, where)

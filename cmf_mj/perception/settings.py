@@ -96,6 +96,4 @@ def load_senses(source: str | Path | Senses | None = None) -> Senses:
     Raises:
         ValueError: unreadable file or a refused field; each is named.
     """
-    if isinstance(source, Senses):
-        return source
-    return overlaid(Senses, _FILE, None if source is None else Path(source))
+    return overlaid(Senses, _FILE, source)

@@ -1,6 +1,5 @@
 """A scenario: one run as a file, from plant and law to the changes that happen while it goes."""
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -18,7 +17,7 @@ from cmf_mj.loop.electronics import ElectronicsSettings
 from cmf_mj.operation import FacilitySettings
 from cmf_mj.parameters import load_hydraulics
 from cmf_mj.scenario.signal import Signal
-from cmf_mj.settings import Settings, read_toml, validated
+from cmf_mj.settings import Settings, merged, parsed_toml, read_toml, validated
 from cmf_mj.signals import RATE
 
 Gains = dict[str, float | dict[str, float | dict[str, float]]]
@@ -273,7 +272,7 @@ def overlaid_law(law: Law, gains: Mapping[str, Any]) -> Law:
     Raises:
         ValueError: a field that is not one of a law, or is out of range.
     """
-    return validated(Law, merged_tables(law.model_dump(), gains), "gains") if gains else law
+    return validated(Law, merged(law.model_dump(), gains), "gains") if gains else law
 
 
 def changed_law(law: Law, change: Change) -> Law:
@@ -297,11 +296,7 @@ def read_scenario(text: str, where: str, folder: Path | None = None) -> Scenario
     Raises:
         ValueError: not TOML, or one line a refused key with what is allowed.
     """
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{where}: is not valid TOML: {error}") from error
-    return scenario_of(table, where, folder)
+    return scenario_of(parsed_toml(text, where), where, folder)
 
 
 def scenario_of(table: Mapping[str, Any], where: str, folder: Path | None = None) -> Scenario:
@@ -355,15 +350,6 @@ def scenario_toml(scenario: Scenario) -> str:
         scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
     )
     return text
-
-
-def merged_tables(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A table with the entries of another in their place, all the way down."""
-    merged = dict(base)
-    for key, value in changes.items():
-        both = isinstance(value, Mapping) and isinstance(base.get(key), Mapping)
-        merged[key] = merged_tables(base[key], value) if both else value
-    return merged
 
 
 _FILES = (

@@ -5,12 +5,11 @@ truth bit for bit, and `noisy`, the instruments as they may have been.
 """
 
 from pathlib import Path
-from typing import Any
 
 from pydantic import model_validator
 
 from cmf_mj.parameters import Quantity
-from cmf_mj.settings import Settings, read_toml, validated
+from cmf_mj.settings import Settings, named_set, validated
 
 SENSOR_SETS = ("ideal", "noisy")
 """Names of the shipped sets."""
@@ -126,31 +125,4 @@ def load_sensors(source: str | Path | SensorSettings = "ideal") -> SensorSetting
     """
     if isinstance(source, SensorSettings):
         return source
-    shipped = read_toml(_FILE)
-    if str(source) in SENSOR_SETS:
-        name = str(source)
-        return validated(SensorSettings, shipped[name] | {"name": name}, f"{_FILE.name}: {name}")
-    path = Path(source)
-    if path.suffix != ".toml":
-        raise ValueError(
-            f"sensors: {str(source)!r} is neither {' nor '.join(SENSOR_SETS)} nor a .toml file"
-        )
-    own = read_toml(path)
-    base = own.pop("base", None)
-    if base not in SENSOR_SETS:
-        raise ValueError(f"{path}: base: {base!r} is not one of {', '.join(SENSOR_SETS)}")
-    if len(own) != 1 or not isinstance(next(iter(own.values())), dict):
-        raise ValueError(f"{path}: has the tables {sorted(own)}; exactly one is allowed")
-    name, changes = next(iter(own.items()))
-    if "name" in changes:
-        raise ValueError(f"{path}: {name}: name: is taken from the table; leave it out")
-    table = _merged(shipped[base], changes) | {"name": name}
-    return validated(SensorSettings, table, f"{path}: {name}")
-
-
-def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
-    for key, value in changes.items():
-        both = isinstance(value, dict) and isinstance(base.get(key), dict)
-        merged[key] = base[key] | value if both else value
-    return merged
+    return validated(SensorSettings, *named_set("sensors", SENSOR_SETS, _FILE, source))

@@ -6,7 +6,7 @@ from cmf_mj import units
 from cmf_mj.kinematics import DOFS
 from cmf_mj.motion_limits import load_motion_limits
 from cmf_mj.scenario import Push, Scenario, scenario_of
-from cmf_mj.scenario.settings import merged_tables
+from cmf_mj.settings import merged
 
 SIGNALS = ("rest", "sine", "step", "pulse", "chirp", "noise", "multisine")
 """Signals the page offers; a scenario file may have any other."""
@@ -98,7 +98,7 @@ def settled(scenario: Scenario) -> Scenario:
     for change in scenario.change:
         if change.law is not None:
             law, gains = change.law, {}
-        gains = merged_tables(gains, change.gains)
+        gains = merged(gains, change.gains)
         signal = signal if change.signal is None else change.signal
     return scenario.model_copy(
         update={

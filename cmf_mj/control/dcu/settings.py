@@ -16,7 +16,7 @@ from pydantic import ValidationInfo, field_validator, model_validator
 
 from cmf_mj.control.law import FRAME
 from cmf_mj.parameters import Quantity
-from cmf_mj.settings import Settings, read_toml, validated
+from cmf_mj.settings import Settings, overlaid_default
 
 _FILE = Path(__file__).with_name("dcu.toml")
 
@@ -252,20 +252,7 @@ def load_dcu(source: str | Path | DcuSettings = "default") -> DcuSettings:
     Raises:
         ValueError: unreadable file, or a refused field with what is allowed.
     """
-    if isinstance(source, DcuSettings):
-        return source
-    tables = read_toml(_FILE)
-    where = _FILE.name
-    if str(source) != "default":
-        path = Path(source)
-        if path.suffix != ".toml":
-            raise ValueError(f"dcu: {str(source)!r} is neither default nor a .toml file")
-        own, where = read_toml(path), str(path)
-        odd = sorted(set(own) - set(tables))
-        if odd or not all(isinstance(table, dict) for table in own.values()):
-            raise ValueError(f"{path}: has {', '.join(own)}; allowed: tables [delay] and [dcu]")
-        tables = {name: table | own.get(name, {}) for name, table in tables.items()}
-    return validated(DcuSettings, tables, where)
+    return overlaid_default("dcu", DcuSettings, _FILE, source)
 
 
 def make_dcu(source: str | Path | DcuSettings = "default") -> Dcu:
