@@ -1,8 +1,6 @@
-"""Failure study: one event during a manoeuvre, what the legs and the crew feel, how it ends.
+"""What an event does to legs and crew, measured on the record of its run.
 
-The manoeuvre is a sine in one degree of freedom from rest to rest. The event strikes at a set
-time; with protection on, the first detected fault makes an emergency stop. Measured, before and
-after the event, at the full frame rate:
+Before and after the event, at the full frame rate:
 
     axial leg load       cylinder force plus force of the mechanical stop on the rod; the multiple
                          is that of the same leg's static load at the start
@@ -21,37 +19,18 @@ The final state is one of `STATES`:
     out_of_bounds  the state left its physical bounds; the message tells which and where
 """
 
-from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmf_mj import units
-from cmf_mj.control.law import FRAME, Law, load_law
-from cmf_mj.control.protection import ProtectionSettings, load_protection
+from cmf_mj.control.law import FRAME
 from cmf_mj.events import Event
-from cmf_mj.limits import check_limits
-from cmf_mj.parameters import HydraulicParameters, load_hydraulics
+from cmf_mj.failure.manoeuvre import FADE, REST
 from cmf_mj.plant import Hexapod
 from cmf_mj.record import Record
-from cmf_mj.signals import Command, check_not_negative, check_positive, dof_index, sine
-from cmf_mj.simulation import OutOfBounds, simulate
-
-AMPLITUDES = (6.0 * units.INCH, 4.0 * units.DEGREE)
-"""Default amplitude of the manoeuvre in translation [m] and rotation [rad]."""
-
-FREQUENCY = 0.5
-"""Default frequency of the manoeuvre [Hz]; 6 in then move a leg at 16 in/s."""
-
-AT = 4.0
-"""Default time of the event [s]: after the fade-in, at the largest speed of the default sine."""
-
-AFTER = 26.0
-"""Default length of the run after the event [s]: pump lost, noticed after 11 s, and settled."""
 
 FALL_SPEED = 10.0 * units.INCH
 """Speed of the first leg at a stop above which the platform has fallen, not settled [m/s]; assumed,
@@ -72,10 +51,6 @@ STATES = (
 )
 """How a run may end."""
 
-_REST = 2.0
-"""Rest after the manoeuvre [s]."""
-_FADE = 1.0
-"""Fade of the manoeuvre at both ends [s]."""
 _STILL = 1e-3
 """Swing of a leg over the last second, or distance from its demand, that counts as none [m]."""
 _AT_STOP = 2e-3
@@ -150,147 +125,19 @@ class FailureResult(NamedTuple):
         return load.value / float(self.static_load[(load.leg or 1) - 1])
 
 
-def manoeuvre(
-    dof: str, amplitude: float, frequency: float, *, at: float, after: float = AFTER
-) -> Command:
-    """The sine of a failure run, faded in and out, and two seconds of rest.
-
-    Args:
-        dof: degree of freedom.
-        amplitude: of the sine [m or rad].
-        frequency: of the sine [Hz].
-        at: time of the event [s].
-        after: length of the run after the event [s], at least 4 s.
-
-    Raises:
-        ValueError: an argument out of range, or the motion exceeds the machine's limits.
-    """
-    check_positive(frequency=frequency)
-    check_not_negative(at=at)
-    if not after >= 2.0 * _REST:
-        raise ValueError(f"after: {after} s must be at least {2.0 * _REST:g} s")
-    cycles = (at + after - _REST) * frequency
-    moving = sine(dof, amplitude, frequency, cycles=cycles, fade=_FADE)
-    rest = np.zeros((round(_REST / FRAME), 6))
-    command = Command(np.vstack([moving.pose, rest]), {**moving.description, "rest": _REST}, None)
-    check_limits(command)
-    return command
-
-
-def run_failure(
-    event: Event,
-    plant: Hexapod | None = None,
-    law: str | Path | Law = "velocity",
-    dof: str = "heave",
-    amplitude: float | None = None,
-    frequency: float = FREQUENCY,
-    *,
-    after: float = AFTER,
-    command: Command | None = None,
-    protection: str | Path | ProtectionSettings | None = "default",
-) -> FailureResult:
-    """Run one event and measure what it does.
-
-    Args:
-        event: what fails, where, when and how much.
-        plant: default the hexapod with the GFD and the `hardware` set.
-        law: name, TOML file or loaded law.
-        dof: degree of freedom of the manoeuvre.
-        amplitude: of its sine [m or rad]; default 6 in or 4 deg.
-        frequency: of its sine [Hz].
-        after: length of the run after the event [s].
-        command: another manoeuvre in place of the sine; it must be longer than `event.at`.
-        protection: `default`, a TOML file, or None for no protection.
-
-    Raises:
-        ValueError: an argument out of range, named.
-    """
-    machine = Hexapod() if plant is None else plant
-    loaded = load_law(law)
-    size = _amplitude(dof, amplitude)
-    run = manoeuvre(dof, size, frequency, at=event.at, after=after) if command is None else command
-    frames = run.pose.shape[0]
-    if not event.at < (frames - 1) * FRAME:
-        raise ValueError(
-            f"at: {event.at} s must be less than the run of {(frames - 1) * FRAME:g} s"
-        )
-    message = ""
-    try:
-        record = simulate(machine, loaded, run, events=[event], protection=protection)
-    except OutOfBounds as left:
-        # The same run again, up to the frame before.
-        message = str(left)
-        shorter = Command(run.pose[: max(left.frame, 2)], run.description, run.seed)
-        record = simulate(machine, loaded, shorter, events=[event], protection=protection)
-    return _measure(machine, event, dof, protection is not None, record, message)
-
-
-def run_failures(
-    events: Sequence[Event],
-    *,
-    cab: str = "gfd",
-    hydraulics: str | Path | HydraulicParameters = "hardware",
-    law: str | Path | Law = "velocity",
-    dof: str = "heave",
-    amplitude: float | None = None,
-    frequency: float = FREQUENCY,
-    after: float = AFTER,
-    protection: str | Path | ProtectionSettings | None = "default",
-    jobs: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> list[FailureResult]:
-    """Run several events, each alone on a machine of its own, on threads.
-
-    Args:
-        events: one run each.
-        cab: `gfd`, `rfd` or `ifd`.
-        hydraulics: a set's name, a TOML file or a loaded set.
-        law: as for `run_failure`.
-        dof: as for `run_failure`.
-        amplitude: as for `run_failure`.
-        frequency: as for `run_failure`.
-        after: as for `run_failure`.
-        protection: as for `run_failure`.
-        jobs: threads; default one a core. Results do not depend on it.
-        progress: called with (runs done, runs in all) after each.
-
-    Raises:
-        ValueError: an argument out of range, named.
-    """
-    loaded, parameters = load_law(law), load_hydraulics(hydraulics)
-    guard = None if protection is None else load_protection(protection)
-    size = _amplitude(dof, amplitude)
-    if jobs is not None and jobs < 1:
-        raise ValueError(f"jobs: {jobs} must be at least 1")
-
-    def one(index: int) -> tuple[int, FailureResult]:
-        plant = Hexapod(cab, parameters)
-        result = run_failure(
-            events[index], plant, loaded, dof, size, frequency, after=after, protection=guard
-        )
-        return index, result
-
-    found: dict[int, FailureResult] = {}
-    pool = Parallel(n_jobs=jobs or -1, backend="threading", return_as="generator_unordered")
-    for index, result in pool(delayed(one)(index) for index in range(len(events))):
-        found[index] = result
-        if progress is not None:
-            progress(len(found), len(events))
-    return [found[index] for index in range(len(events))]
-
-
-def _amplitude(dof: str, amplitude: float | None) -> float:
-    if amplitude is None:
-        return AMPLITUDES[0] if dof_index(dof) < 3 else AMPLITUDES[1]
-    dof_index(dof)
-    check_positive(amplitude=amplitude)
-    return amplitude
-
-
-def _measure(
+def measure(
     plant: Hexapod, event: Event, dof: str, protected: bool, record: Record, message: str
 ) -> FailureResult:
-    """All measures of a run recorded at every frame."""
+    """All measures of a run recorded at every frame.
+
+    Args:
+        plant: the machine that ran.
+        event: what failed.
+        dof: degree of freedom of the manoeuvre.
+        protected: whether a detected fault made an emergency stop.
+        record: the run as `simulate` returns it.
+        message: what left its bounds; empty if nothing did.
+    """
     half = plant.hydraulics.cylinder.half_stroke
     extension = record["leg_extension"][:-1]
     # MuJoCo's accelerometers and stop forces of t[k] stand in row k + 1.
@@ -402,7 +249,7 @@ def _final_state(record: Record, at: float, half: NDArray[np.float64], contact: 
         return "against_stop"
     error = np.abs(record["leg_reference"] - extension)
     usual = float(error[time < at].max(initial=0.0))
-    final = float(error[time >= max(time[-1] - 2.0 * _REST - _FADE, at)].max())
+    final = float(error[time >= max(time[-1] - 2.0 * REST - FADE, at)].max())
     if final <= 2.0 * usual + _STILL:
         return "running"
     if final <= FOLLOWING:
