@@ -4,6 +4,7 @@ A set is a table with `kind`, `classical` or `optimal`; its numbers have unit, s
 """
 
 import json
+from abc import abstractmethod
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -84,18 +85,20 @@ class Tilted(ThirdOrder):
 
 
 class _Set(Settings):
+    """What all sets share."""
+
     name: str = Field(min_length=1)
     title: str = Field(min_length=1)
     source: str = Field(min_length=1)
 
     @property
+    @abstractmethod
     def gains(self) -> NDArray[np.float64]:
         """Gains of surge to yaw, (6,)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def with_gains(self, gains: NDArray[np.float64]) -> "WashoutSettings":
         """The set with other gains (6,); their status is `derived`."""
-        raise NotImplementedError
 
 
 def _tuned(value: float) -> dict[str, Any]:

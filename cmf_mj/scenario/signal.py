@@ -5,6 +5,7 @@ Those of `signals` and `excitations` are tables that hold their last pose; a sin
 goes on for ever. Several signals of a scenario are added.
 """
 
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Literal, Self
 
@@ -55,13 +56,13 @@ def in_si(dof: str, amplitude: tuple[float, str]) -> float:
 class _Signal(Settings):
     """What all signals share."""
 
+    @abstractmethod
     def command(self, seed: int) -> Command:
         """The signal as a table at 2048 Hz.
 
         Args:
             seed: of the scenario, where the signal has none of its own.
         """
-        raise NotImplementedError
 
     def motion(self, seed: int) -> Motion:
         """The signal as a function of the control frames since it began."""
