@@ -1,6 +1,5 @@
 """Tables, CSV files and figures of a calibration."""
 
-import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from cmf_mj.calibration import (
     simulated_stability,
     spread,
 )
-from cmf_mj.files import whole_file
+from cmf_mj.files import whole_file, write_csv
 from cmf_mj.report import markdown
 
 _MEASURE = {"phase": "-90 deg", "gain": "-3 dB", "damping": "zeta"}
@@ -303,12 +302,5 @@ def save(found: CalibrationReport, folder: Path) -> list[Path]:
 
 
 def _csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
-    with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for row in rows:
-            writer.writerow(
-                "" if value != value else f"{value:.6g}" if isinstance(value, float) else value
-                for value in row
-            )
-    return path
+    known = (["" if value != value else value for value in row] for row in rows)
+    return write_csv(path, header, known, digits=6)

@@ -1,6 +1,5 @@
 """Tables, figures and files of a flight in the simulator."""
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from cmf_mj.cueing import LIMITS, Cue, Excursion, Tuned
-from cmf_mj.files import whole_file
+from cmf_mj.files import write_csv
 from cmf_mj.host import write_stream
 from cmf_mj.kinematics import DOFS, pose_to_legs
 from cmf_mj.perception import QUANTITIES
@@ -176,12 +175,9 @@ def save_cue(flown: Cue, folder: Path) -> list[Path]:
         folder / "senses.png",
     ]
     error = flown.error
-    with whole_file(paths[2]) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["sensed", "threshold_si", "peak_si", "rms_si", "share_above"])
-        for i, name in enumerate(QUANTITIES):
-            row = (error.threshold[i], error.peak[i], error.rms[i], error.share_above[i])
-            writer.writerow([name, *(f"{value:.9g}" for value in row)])
+    columns = (QUANTITIES, error.threshold, error.peak, error.rms, error.share_above)
+    header = ("sensed", "threshold_si", "peak_si", "rms_si", "share_above")
+    write_csv(paths[2], header, zip(*columns, strict=True))
     motion_figure(flown).savefig(paths[3], dpi=90)
     senses_figure(flown).savefig(paths[4], dpi=90)
     return paths

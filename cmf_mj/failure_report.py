@@ -1,6 +1,5 @@
 """Tables, figures and files of a failure study."""
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from rich.table import Table
 
 from cmf_mj import units
 from cmf_mj.failure import FailureResult, Peak
-from cmf_mj.files import whole_file
+from cmf_mj.files import write_csv
 from cmf_mj.report import markdown
 
 LEGEND = (
@@ -144,14 +143,7 @@ def save_failures(results: Sequence[FailureResult], folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / "failures.csv", folder / "failures.md"]
     rows = [_columns(result) for result in results]
-    with (
-        whole_file(paths[0]) as partial,
-        partial.open("w", newline="", encoding="utf-8") as file,
-    ):
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        for row in rows:
-            writer.writerow({n: f"{v:.9g}" if isinstance(v, float) else v for n, v in row.items()})
+    write_csv(paths[0], rows[0], [row.values() for row in rows])
     header, lines = failure_cells(results)
     paths[1].write_text(markdown(header, lines), encoding="utf-8")
     for result in results:

@@ -1,7 +1,8 @@
 """Files that appear only when they are complete, and tables in CSV and Parquet."""
 
+import csv
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,20 @@ def whole_file(target: Path) -> Iterator[Path]:
         os.replace(partial, target)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def write_csv(
+    target: Path, header: Iterable[str], rows: Iterable[Iterable[object]], digits: int = 9
+) -> Path:
+    """Write rows as CSV below a header, floats to so many significant digits."""
+    with whole_file(target) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        for row in rows:
+            writer.writerow(
+                f"{cell:.{digits}g}" if isinstance(cell, float) else cell for cell in row
+            )
+    return target
 
 
 def write_table(table: pa.Table, target: Path) -> Path:

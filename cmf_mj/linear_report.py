@@ -1,6 +1,5 @@
 """Tables and figures of the linear models: the report's, their loops, Table 4-1, section 3.4."""
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -14,6 +13,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from cmf_mj.control.law import Law, load_law
+from cmf_mj.files import write_csv
 from cmf_mj.frequency_response import FrequencyResponse
 from cmf_mj.linear_models import (
     GAINS,
@@ -311,15 +311,6 @@ def gain_figure(effects: Sequence[GainEffect]) -> Figure:
     return figure
 
 
-def _write(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(
-            [f"{cell:.9g}" if isinstance(cell, float) else cell for cell in row] for row in rows
-        )
-
-
 def save_linear(loops: Sequence[LawLoop], rows: Sequence[TableRow], folder: Path) -> list[Path]:
     """Write the tables as CSV and all figures as PNG."""
     effects = gain_effects()
@@ -333,13 +324,13 @@ def save_linear(loops: Sequence[LawLoop], rows: Sequence[TableRow], folder: Path
         bode, step = loop_figures([item for item in loops if item.law.name == law])
         figures |= {f"bode_{law}.png": bode, f"step_{law}.png": step}
     folder.mkdir(parents=True, exist_ok=True)
-    _write(folder / "table_4_1.csv", TableRow._fields, rows)
-    _write(
+    write_csv(folder / "table_4_1.csv", TableRow._fields, rows)
+    write_csv(
         folder / "loops.csv",
         ("law", "model", *LoopMeasures._fields),
         [(item.law.name, item.model, *item.measures) for item in loops],
     )
-    _write(
+    write_csv(
         folder / "gain_effects.csv",
         (
             *("gain", "value", "plant_natural_frequency", "plant_damping_ratio"),

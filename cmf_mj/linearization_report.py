@@ -1,6 +1,5 @@
 """Tables, figures and files of a linearised plant: modes, Bode diagrams, poles, loops measured."""
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -16,6 +15,7 @@ from rich.table import Table
 
 from cmf_mj import units
 from cmf_mj.control.law import load_law
+from cmf_mj.files import write_csv
 from cmf_mj.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.kinematics import DOFS
 from cmf_mj.linear_models import loop_response
@@ -282,15 +282,6 @@ def pole_zero_figure(found: Linearized) -> Figure:
     return figure
 
 
-def _write(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(
-            [f"{cell:.9g}" if isinstance(cell, float) else cell for cell in row] for row in rows
-        )
-
-
 def save_study(found: Linearized, folder: Path) -> list[Path]:
     """Write the state space as JSON, modes and comparison as CSV, all figures as PNG."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -318,7 +309,7 @@ def save_study(found: Linearized, folder: Path) -> list[Path]:
         )
         for m in found.modes
     ]
-    _write(folder / "modes.csv", header, rows)
+    write_csv(folder / "modes.csv", header, rows)
     paths.append(folder / "modes.csv")
     if found.comparisons:
         header = ["dof", "frequency", "measured_gain_db", "measured_phase_deg"]
@@ -334,7 +325,7 @@ def save_study(found: Linearized, folder: Path) -> list[Path]:
                 strict=True,
             )
         ]
-        _write(folder / "comparison.csv", [*header, "gain_error_db", "phase_error_deg"], lines)
+        write_csv(folder / "comparison.csv", [*header, "gain_error_db", "phase_error_deg"], lines)
         paths.append(folder / "comparison.csv")
     for name, figure in (
         ("bode", bode_figure(found)),

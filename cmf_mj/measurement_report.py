@@ -1,6 +1,5 @@
 """Tables, figures and files of a measuring session and of measured responses."""
 
-import csv
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -13,7 +12,7 @@ from rich.table import Table
 
 from cmf_mj import units
 from cmf_mj.estimation import Estimator
-from cmf_mj.files import whole_file
+from cmf_mj.files import whole_file, write_csv
 from cmf_mj.frequency_response import (
     FrequencyResponse,
     bandwidths,
@@ -159,12 +158,10 @@ def measures_figure(measured: Measurement) -> Figure:
 
 def write_response(response: FrequencyResponse, path: Path) -> None:
     """Write a response as CSV: frequency, gain, phase, coherence, radius of the 95 % circle."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("frequency_hz", "gain_db", "phase_deg", "coherence", "radius_95"))
-        curves = (response.frequency, response.gain_db, response.phase_deg)
-        columns = (*curves, response.coherence, response.bound)
-        writer.writerows([f"{value:.9g}" for value in row] for row in zip(*columns, strict=True))
+    curves = (response.frequency, response.gain_db, response.phase_deg)
+    columns = (*curves, response.coherence, response.bound)
+    header = ("frequency_hz", "gain_db", "phase_deg", "coherence", "radius_95")
+    write_csv(path, header, zip(*columns, strict=True))
 
 
 def write_summary(summary: Mapping[str, Any], path: Path) -> None:

@@ -1,6 +1,5 @@
 """Tables and figures of the hydraulic modes."""
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from cmf_mj import units
+from cmf_mj.files import write_csv
 from cmf_mj.kinematics import DOFS
 from cmf_mj.modes import ModeSet, PlaneMap, Range, Sweep
 from cmf_mj.report import markdown
@@ -167,16 +167,13 @@ def save(
     paths = [folder / name for name in names]
     sweep_figure(cabs, sweeps).savefig(paths[0], dpi=100)
     map_figure(cabs, maps).savefig(paths[1], dpi=100)
-    with paths[2].open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        axes = [f"{dof}_{unit_of(dof)}" for dof in DOFS]
-        writer.writerow(["cab", *axes, *(f"mode_{i}_hz" for i in range(1, 7))])
-        for found in ranges:
-            poses = np.vstack([found.poses, found.worst.pose])
-            shown = [units.from_si(unit_of(d), poses[:, i]) for i, d in enumerate(DOFS)]
-            rows = np.column_stack(
-                [*shown, np.vstack([found.frequency_hz, found.worst.frequency_hz])]
-            )
-            writer.writerows([found.worst.cab, *(f"{v:.6g}" for v in row)] for row in rows)
+    axes = [f"{dof}_{unit_of(dof)}" for dof in DOFS]
+    rows: list[tuple[str | float, ...]] = []
+    for found in ranges:
+        poses = np.vstack([found.poses, found.worst.pose])
+        shown = [units.from_si(unit_of(d), poses[:, i]) for i, d in enumerate(DOFS)]
+        numbers = [*shown, np.vstack([found.frequency_hz, found.worst.frequency_hz])]
+        rows += [(found.worst.cab, *row) for row in np.column_stack(numbers)]
+    write_csv(paths[2], ["cab", *axes, *(f"mode_{i}_hz" for i in range(1, 7))], rows, digits=6)
     paths[3].write_text(markdown(*range_cells(ranges)), encoding="utf-8")
     return paths

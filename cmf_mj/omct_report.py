@@ -1,6 +1,5 @@
 """Table, figure and files of the objective motion cueing test."""
 
-import csv
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from cmf_mj.files import whole_file
+from cmf_mj.files import whole_file, write_csv
 from cmf_mj.omct import STAGES, TESTS, Omct
 from cmf_mj.report import markdown
 from cmf_mj.units import DEGREE, STANDARD_GRAVITY
@@ -154,17 +153,11 @@ def omct_figure(result: Omct) -> Figure:
 def save_omct(result: Omct, folder: Path) -> list[Path]:
     """Write `omct.csv` (SI), `omct.md`, `share.md` (laws over an ideal machine) and `omct.png`."""
     folder.mkdir(parents=True, exist_ok=True)
-    with whole_file(folder / "omct.csv") as partial:
-        with partial.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(["test", "stage", "frequency_rad_s", "modulus_si", "phase_deg"])
-            writer.writerows(_rows(result))
-    for name, (header, lines) in (
-        ("omct.md", omct_cells(result)),
-        ("share.md", share_cells(result)),
-    ):
+    header = ["test", "stage", "frequency_rad_s", "modulus_si", "phase_deg"]
+    write_csv(folder / "omct.csv", header, _rows(result))
+    for name, cells in (("omct.md", omct_cells(result)), ("share.md", share_cells(result))):
         with whole_file(folder / name) as partial:
-            partial.write_text(markdown(header, lines), encoding="utf-8")
+            partial.write_text(markdown(*cells), encoding="utf-8")
     omct_figure(result).savefig(folder / "omct.png", dpi=70)
     return [folder / name for name in ("omct.csv", "omct.md", "share.md", "omct.png")]
 

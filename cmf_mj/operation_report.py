@@ -6,7 +6,6 @@ Every frame a host sends is in exactly one line of the account:
     at the DCU = accepted + refused, by reason + the one that waits for confirmation at the end
 """
 
-import csv
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from rich.table import Table
 from cmf_mj import units
 from cmf_mj.control.law import FRAME
 from cmf_mj.control.states import State
-from cmf_mj.files import whole_file
+from cmf_mj.files import write_csv
 from cmf_mj.operation import Operation, Timing
 
 PERCENTILES = (50.0, 90.0, 99.0, 99.9)
@@ -180,9 +179,8 @@ def save_operation(
         operation.record.save(folder / "record.parquet"),
         operation.session.save(folder / "host.parquet"),
     ]
-    rows: list[tuple[object, ...]] = [("name", "count")]
-    rows += account(operation, received, datagrams).items()
-    paths.append(_save_csv(folder / "account.csv", rows))
+    counts = account(operation, received, datagrams)
+    paths.append(write_csv(folder / "account.csv", ("name", "count"), counts.items()))
     operation_figure(operation).savefig(folder / "operation.png", dpi=110)
     paths.append(folder / "operation.png")
     timing = operation.timing
@@ -193,13 +191,7 @@ def save_operation(
             (f"{s:.1f}", f"{b:.9f}", f"{a:.9f}") for s, b, a in zip(shares, *columns, strict=True)
         )
         header = ("percentile", "computing_s", "lateness_s")
-        paths.append(_save_csv(folder / "timing.csv", [header, *lines]))
+        paths.append(write_csv(folder / "timing.csv", header, lines))
         timing_figure(timing).savefig(folder / "timing.png", dpi=110)
         paths.append(folder / "timing.png")
     return paths
-
-
-def _save_csv(path: Path, rows: list[tuple[object, ...]]) -> Path:
-    with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows(rows)
-    return path

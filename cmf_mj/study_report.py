@@ -1,6 +1,5 @@
 """Tables and figures of finished studies, for the terminal, for Markdown, CSV and PNG files."""
 
-import csv
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +12,7 @@ from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 from rich.table import Table
 
-from cmf_mj.files import whole_file
+from cmf_mj.files import whole_file, write_csv
 from cmf_mj.kinematics import DOFS
 from cmf_mj.report import markdown
 from cmf_mj.studies.effects import (
@@ -327,10 +326,7 @@ def save_report(table: pa.Table, folder: str | Path) -> list[Path]:
         with whole_file(target) as partial:
             partial.write_text(markdown(header, lines), encoding="utf-8")
         paths.append(target)
-        target = place / f"{name}.csv"
-        with whole_file(target) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerows([header, *lines])
-        paths.append(target)
+        paths.append(write_csv(place / f"{name}.csv", header, lines))
     for name, figure in figures_of(table).items():
         target = place / f"{name}.png"
         with whole_file(target) as partial:

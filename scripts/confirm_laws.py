@@ -12,6 +12,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from cmf_mj import load_law, units
+from cmf_mj.files import write_csv
 from cmf_mj.kinematics import DOFS
 from cmf_mj.loop.electronics import ElectronicsSettings
 from cmf_mj.tuning.confirmation import Outcome, Trial, crosstalk, run_trial
@@ -115,12 +116,12 @@ def main() -> None:
         measured = Parallel(n_jobs=options.jobs, backend="threading")(
             delayed(crosstalk)(law, cab, seeds[0]) for law, cab in cases
         )
-        with (options.out / "crosstalk.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(["law", "cab", "driven", *DOFS])
-            for (law, cab), shares in zip(cases, measured, strict=True):
-                for driven, line in zip(DOFS, shares, strict=True):
-                    writer.writerow([law.name, cab, driven, *(f"{v:.4f}" for v in line)])
+        rows = [
+            [law.name, cab, driven, *(f"{share:.4f}" for share in line)]
+            for (law, cab), shares in zip(cases, measured, strict=True)
+            for driven, line in zip(DOFS, shares, strict=True)
+        ]
+        write_csv(options.out / "crosstalk.csv", ["law", "cab", "driven", *DOFS], rows)
     print(f"{len(outcomes)} trials; written to {options.out}")
 
 

@@ -5,11 +5,11 @@ hexapod, ideal and with the shipped noisy electronics, and the changes between.
 """
 
 import argparse
-import csv
 from pathlib import Path
 
 from cmf_mj.cli.common import names_of, refuse
 from cmf_mj.control import law_names
+from cmf_mj.files import write_csv
 from cmf_mj.loop.electronics import ElectronicsSettings
 from cmf_mj.report import markdown
 from cmf_mj.studies import ComparisonRow, compare
@@ -76,8 +76,7 @@ def main() -> None:
     lines = [line(before, after) for before, after in zip(ideal, real, strict=True)]
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "comparison.md").write_text(markdown(HEADER, lines), encoding="utf-8")
-    with (options.out / "comparison.csv").open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows([HEADER, *lines])
+    write_csv(options.out / "comparison.csv", HEADER, lines)
     print(options.out / "comparison.md")
 
 

@@ -6,12 +6,12 @@ stable.
 """
 
 import argparse
-import csv
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from cmf_mj import load_law
+from cmf_mj.files import write_csv
 from cmf_mj.tuning.evaluation import Worth, evaluate
 from cmf_mj.tuning.nominal import CABS
 from cmf_mj.tuning.search import Limits, make_template, search
@@ -49,10 +49,8 @@ def main() -> None:
         rows.append(line(f"{peak:g} dB, {overshoot:g} %", found.worth))
         print(*rows[-1], flush=True)
     options.out.mkdir(parents=True, exist_ok=True)
-    with (options.out / "front.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["law", "phase_hz", "peak_db", "overshoot_percent"])
-        writer.writerows(rows)
+    header = ["law", "phase_hz", "peak_db", "overshoot_percent"]
+    write_csv(options.out / "front.csv", header, rows)
     draw(rows).savefig(options.out / "pareto.png", dpi=110)
     print(f"written to {options.out}: front.csv, pareto.png")
 

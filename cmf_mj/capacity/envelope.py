@@ -16,7 +16,6 @@ scales by the largest ratio and, once it has an amplitude that holds and one tha
 interpolates between their logarithms.
 """
 
-import csv
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -32,6 +31,7 @@ from cmf_mj.capacity.asymptotes import Asymptotes, asymptotes
 from cmf_mj.capacity.verdict import least_allowed, relief_flow
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.excitations import stepped_sines
+from cmf_mj.files import write_csv
 from cmf_mj.kinematics import DOFS, WORKING_STROKE
 from cmf_mj.limits import Limits
 from cmf_mj.parameters import HydraulicParameters, load_hydraulics
@@ -122,16 +122,13 @@ class Envelope:
 
     def save_csv(self, path: str | Path) -> Path:
         """Write the points in SI, the closed-form velocity amplitudes beside them."""
-        target = Path(path)
         beside = {own.dof: own for own in self.asymptotes}
         names = [f"closed_form_{name}" for name in self.asymptotes[0].velocities(1.0)]
-        with target.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow([*EnvelopePoint._fields, *names])
-            for point in self.points:
-                values = [*point, *beside[point.dof].velocities(point.frequency).values()]
-                writer.writerow(f"{v:.6g}" if isinstance(v, float) else v for v in values)
-        return target
+        rows = (
+            [*point, *beside[point.dof].velocities(point.frequency).values()]
+            for point in self.points
+        )
+        return write_csv(Path(path), [*EnvelopePoint._fields, *names], rows, digits=6)
 
 
 class _Run(NamedTuple):

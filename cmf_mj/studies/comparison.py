@@ -6,7 +6,6 @@ share nothing, so they run on threads (the compiled loop releases the interprete
 results do not depend on how many there are.
 """
 
-import csv
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from cmf_mj import models, signals, units
 from cmf_mj.control.law import Law, load_law
+from cmf_mj.files import write_csv
 from cmf_mj.frequency_response import (
     Bandwidths,
     FrequencyResponse,
@@ -133,17 +133,8 @@ class Comparison:
 
     def save_csv(self, path: str | Path) -> Path:
         """Write the rows as CSV; missing measures are empty."""
-        target = Path(path)
-        with target.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(ComparisonRow._fields)
-            for row in self.rows:
-                writer.writerow("" if value != value else _printed(value) for value in row)
-        return target
-
-
-def _printed(value: object) -> object:
-    return f"{value:.6g}" if isinstance(value, float) else value
+        known = (["" if value != value else value for value in row] for row in self.rows)
+        return write_csv(Path(path), ComparisonRow._fields, known, digits=6)
 
 
 def _row(result: CaseResult) -> ComparisonRow:

@@ -1,6 +1,5 @@
 """Table, data and figure of the cross-verification."""
 
-import csv
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -9,7 +8,7 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from cmf_mj.files import whole_file
+from cmf_mj.files import whole_file, write_csv
 from cmf_mj.report import markdown
 from cmf_mj.verification.study import ENGINES, Run, Verification
 
@@ -112,10 +111,8 @@ def save(found: Verification, folder: Path) -> list[Path]:
     paths = [folder / f"work_precision.{kind}" for kind in ("png", "csv", "md")]
     with whole_file(paths[0]) as path:
         figure(found).savefig(path, dpi=100, format="png")
-    with whole_file(paths[1]) as path, path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["engine", "step_s", "leg_error_m", "pressure_error_pa", "cpu_time_s"])
-        writer.writerows([run.engine, *(f"{value:.9g}" for value in run[1:])] for run in found.runs)
+    header = ["engine", "step_s", "leg_error_m", "pressure_error_pa", "cpu_time_s"]
+    write_csv(paths[1], header, found.runs)
     with whole_file(paths[2]) as path:
         path.write_text(markdown(*cells(found)), encoding="utf-8")
     return paths
