@@ -144,7 +144,8 @@ def settle_speed(load: float) -> float:
     def excess(cap: float) -> float:
         leak = LEAK * (cap - rod(cap))
         lowered = (gain * np.sqrt(cap) + leak) / CAP
-        filled = (wide * np.sqrt(-rod(cap)) + leak) / ROD
+        # Rounding may leave a trace of pressure where the upper bracket has none.
+        filled = (wide * np.sqrt(max(-rod(cap), 0.0)) + leak) / ROD
         return lowered - filled
 
     cap = brentq(excess, 0.5 * load / CAP, load / CAP)
