@@ -5,13 +5,11 @@ taken from DCL leg demand to leg sensors, mapped to the degree of freedom; host 
 Accelerations are those of the platform centroid, from the leg sensors through the Jacobian.
 """
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from cmf_mj import excitations, limits, metrics, signals, units
@@ -29,6 +27,7 @@ from cmf_mj.plant import Plant
 from cmf_mj.record import Record
 from cmf_mj.simulation import simulate
 from cmf_mj.step_response import StepMetrics, step_metrics
+from cmf_mj.threads import on_threads
 
 RECORD_EVERY = 16
 """Frames between samples of a measuring run: 128 Hz, the facility's recorder."""
@@ -181,16 +180,13 @@ def facility_session(
     """
     loaded = load_law(law)
     commands = session_commands(dof, amplitude)
-    workers = jobs if jobs is not None else (os.cpu_count() or 1)
-    pool = Parallel(n_jobs=workers, backend="threading")
-    return list(
-        pool(
-            delayed(simulate)(
-                build(), loaded, command, electronics=electronics, record_every=RECORD_EVERY
-            )
-            for command in commands
+
+    def run(command: signals.Command) -> Record:
+        return simulate(
+            build(), loaded, command, electronics=electronics, record_every=RECORD_EVERY
         )
-    )
+
+    return on_threads(run, commands, jobs)
 
 
 def dof_amplitude(dof: str, amplitude: float | None) -> float:

@@ -18,13 +18,11 @@ ICAO 9625 as far as it was known here: frequencies and amplitudes are recalled, 
 units of the cross tests are this project's. No boundary of acceptance is known, and none is given.
 """
 
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from cmf_mj import host
@@ -38,6 +36,7 @@ from cmf_mj.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.pilot_motion import PilotMotion, gravity_in_body, pilot_station
 from cmf_mj.plant import Hexapod
 from cmf_mj.signals import RATE, check_positive
+from cmf_mj.threads import on_threads
 from cmf_mj.units import DEGREE
 
 TESTS = (
@@ -179,9 +178,6 @@ def omct(
             raise ValueError(
                 f"frequencies: {frequency} rad/s must be at most {0.25 * np.pi * HOST_RATE:.4g}"
             )
-    workers = jobs if jobs is not None else (os.cpu_count() or 1)
-    if workers < 1:
-        raise ValueError(f"jobs: {workers} must be at least 1")
     names = [*STAGES, *(law.name for law in loaded)]
     found = {name: np.full((len(TESTS), len(frequencies)), np.nan + 0j) for name in names}
     cases = [
@@ -208,10 +204,7 @@ def omct(
                     motion, TESTS[place][1], frequency, size, begin
                 )
 
-    pool = Parallel(n_jobs=workers, backend="threading", return_as="generator_unordered")
-    for done, _ in enumerate(pool(delayed(run)(case) for case in cases), 1):
-        if progress is not None:
-            progress(done, len(cases))
+    on_threads(run, cases, jobs, progress)
     return Omct(settings.name, cab, parameters.name, np.array(frequencies, dtype=float), found)
 
 

@@ -6,12 +6,12 @@ Simulated: the report's chirp and step as `studies.compare` runs them, some seco
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import NamedTuple
 
 import control
 import mujoco
 import numpy as np
-from joblib import Parallel, delayed
 
 from cmf_mj import signals, units
 from cmf_mj.calibration.definition import Measure, Study
@@ -27,6 +27,7 @@ from cmf_mj.settings import validated
 from cmf_mj.simulation import simulate
 from cmf_mj.step_response import step_metrics, step_shape
 from cmf_mj.studies import ROTATION_PER_TRANSLATION, compare
+from cmf_mj.threads import on_threads
 
 Values = Mapping[str, float]
 """Parameter values by name, in the units of the study."""
@@ -211,11 +212,11 @@ def simulated_stability(
     """Steps of 1 in or 0.6 deg of the velocity law with every cab of the study."""
     hydraulics, law = hydraulics_of(study, values), law_of("velocity", values)
 
-    def run(cab: str, dof: str) -> Verdict:
+    def run(case: tuple[str, str]) -> Verdict:
+        cab, dof = case
         size = _SWEPT if DOFS.index(dof) < 3 else _SWEPT * ROTATION_PER_TRANSLATION
         record = simulate(Hexapod(cab, hydraulics), law, signals.step(dof, size), record_every=8)
         metrics = step_metrics(record)
         return Verdict(cab, dof, metrics.stable, metrics.residual)
 
-    pool = Parallel(n_jobs=jobs or -1, backend="threading")
-    return list(pool(delayed(run)(cab, dof) for cab in study.stable_cabs for dof in dofs))
+    return on_threads(run, list(product(study.stable_cabs, dofs)), jobs)

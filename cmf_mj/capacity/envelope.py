@@ -16,14 +16,12 @@ scales by the largest ratio and, once it has an amplitude that holds and one tha
 interpolates between their logarithms.
 """
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from cmf_mj import models
@@ -39,6 +37,7 @@ from cmf_mj.plant import Hexapod
 from cmf_mj.record import Record
 from cmf_mj.signals import RATE, Command, check_positive, dof_index
 from cmf_mj.simulation import simulate
+from cmf_mj.threads import on_threads
 
 FREQUENCIES = (0.1, 0.16, 0.25, 0.4, 0.63, 1.0, 1.6, 2.5, 4.0, 6.3, 10.0)
 """Frequencies of the envelope [Hz], five a decade (R5 series)."""
@@ -340,27 +339,18 @@ def performance_envelope(
         check_positive(frequencies=frequency)
         if frequency > RATE / 32:
             raise ValueError(f"frequencies: {frequency} Hz must be at most {RATE / 32} Hz")
-    workers = jobs if jobs is not None else (os.cpu_count() or 1)
-    if workers < 1:
-        raise ValueError(f"jobs: {workers} must be at least 1")
     cases = [(dof, float(frequency)) for dof in dofs for frequency in frequencies]
 
-    def numbered(index: int) -> tuple[int, EnvelopePoint]:
-        plant = Hexapod(cab, parameters)
-        return index, largest_sine(plant, loaded, *cases[index], least_pressure=allowed)
+    def point(case: tuple[str, float]) -> EnvelopePoint:
+        return largest_sine(Hexapod(cab, parameters), loaded, *case, least_pressure=allowed)
 
-    found: dict[int, EnvelopePoint] = {}
-    pool = Parallel(n_jobs=workers, backend="threading", return_as="generator_unordered")
-    for index, point in pool(delayed(numbered)(index) for index in range(len(cases))):
-        found[index] = point
-        if progress is not None:
-            progress(len(found), len(cases))
+    points = on_threads(point, cases, jobs, progress)
     plant = Hexapod(cab, parameters)
     return Envelope(
         loaded.name,
         cab,
         parameters.name,
         allowed,
-        tuple(found[index] for index in range(len(cases))),
+        tuple(points),
         tuple(asymptotes(plant, dof) for dof in dict.fromkeys(dofs)),
     )

@@ -3,8 +3,6 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from joblib import Parallel, delayed
-
 from cmf_mj.control.law import FRAME, Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
 from cmf_mj.events import Event
@@ -14,6 +12,7 @@ from cmf_mj.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant import Hexapod
 from cmf_mj.signals import Command
 from cmf_mj.simulation import OutOfBounds, simulate
+from cmf_mj.threads import on_threads
 
 
 def run_failure(
@@ -99,20 +98,11 @@ def run_failures(
     loaded, parameters = load_law(law), load_hydraulics(hydraulics)
     guard = None if protection is None else load_protection(protection)
     size = size_of(dof, amplitude)
-    if jobs is not None and jobs < 1:
-        raise ValueError(f"jobs: {jobs} must be at least 1")
 
-    def one(index: int) -> tuple[int, FailureResult]:
+    def one(event: Event) -> FailureResult:
         plant = Hexapod(cab, parameters)
-        result = run_failure(
-            events[index], plant, loaded, dof, size, frequency, after=after, protection=guard
+        return run_failure(
+            event, plant, loaded, dof, size, frequency, after=after, protection=guard
         )
-        return index, result
 
-    found: dict[int, FailureResult] = {}
-    pool = Parallel(n_jobs=jobs or -1, backend="threading", return_as="generator_unordered")
-    for index, result in pool(delayed(one)(index) for index in range(len(events))):
-        found[index] = result
-        if progress is not None:
-            progress(len(found), len(events))
-    return [found[index] for index in range(len(events))]
+    return on_threads(one, events, jobs, progress)

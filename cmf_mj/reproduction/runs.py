@@ -6,14 +6,12 @@ and the `hardware` hydraulics. Runs share nothing and go on threads; results do 
 many there are.
 """
 
-import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from cmf_mj import excitations, signals, units
 from cmf_mj.control.law import Law, load_law
@@ -27,6 +25,7 @@ from cmf_mj.record import Record
 from cmf_mj.sensor_report import FilterEffect, filter_effect
 from cmf_mj.simulation import simulate
 from cmf_mj.studies import AMPLITUDE, ROTATION_PER_TRANSLATION, Case, CaseResult, run_case
+from cmf_mj.threads import on_threads
 
 On = Literal["model", "machine"]
 Signal = Literal["case", "rise", "sine", "pulse", "sine_1_hz", "sine_5_hz", "rounds", "multisine"]
@@ -206,28 +205,21 @@ def perform(
     Raises:
         ValueError: an argument out of range, named.
     """
-    workers = jobs if jobs is not None else (os.cpu_count() or 1)
-    if workers < 1:
-        raise ValueError(f"jobs: {workers} must be at least 1")
     if seed < 0:
         raise ValueError(f"seed: {seed} must be at least 0")
     # The longest first, so that no thread is left with one at the end.
     order = sorted(set(wanted), key=lambda w: (w.signal != "rounds", w.on != "machine", w))
     total = len(order) + int(sensors)
-    found: dict[Wanted, Any] = {}
-
-    def numbered(index: int) -> tuple[int, Any]:
-        return index, _perform(order[index], quick, seed)
-
-    pool = Parallel(n_jobs=workers, backend="threading", return_as="generator_unordered")
-    for index, result in pool(delayed(numbered)(index) for index in range(len(order))):
-        found[order[index]] = result
-        if progress is not None:
-            progress(len(found), total)
+    results = on_threads(
+        lambda one: _perform(one, quick, seed),
+        order,
+        jobs,
+        progress and (lambda done, _: progress(done, total)),
+    )
     effect = filter_effect(seed=seed, duration=5.0 if quick else 60.0) if sensors else None
     if progress is not None and sensors:
         progress(total, total)
-    return Runs({key: found[key] for key in order}, effect, quick, seed)
+    return Runs(dict(zip(order, results, strict=True)), effect, quick, seed)
 
 
 def leg_motion(record: Record, channel: str, unit: str) -> np.ndarray:

@@ -6,14 +6,12 @@ share nothing, so they run on threads (the compiled loop releases the interprete
 results do not depend on how many there are.
 """
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import ArrayLike
 
 from cmf_mj import models, signals, units
@@ -33,6 +31,7 @@ from cmf_mj.published import published
 from cmf_mj.record import Record
 from cmf_mj.simulation import simulate
 from cmf_mj.step_response import StepMetrics, step_metrics
+from cmf_mj.threads import on_threads
 
 DEFAULT_LAWS = ("velocity", "position_error_rate", "acceleration")
 """The law flown, and the report's two advances on it."""
@@ -284,9 +283,6 @@ def compare(
     parameters = load_hydraulics(hydraulics)
     if not (np.isfinite(amplitude) and 0.0 < amplitude <= 0.5):
         raise ValueError(f"amplitude: {amplitude} m must be greater than 0 and at most 0.5")
-    workers = jobs if jobs is not None else (os.cpu_count() or 1)
-    if workers < 1:
-        raise ValueError(f"jobs: {workers} must be at least 1")
     cases = [
         Case(
             plant,
@@ -303,14 +299,5 @@ def compare(
         for dof in dofs
     ]
     folder = Path(records) if records is not None else None
-
-    def numbered(index: int) -> tuple[int, CaseResult]:
-        return index, run_case(cases[index], folder)
-
-    found: dict[int, CaseResult] = {}
-    pool = Parallel(n_jobs=workers, backend="threading", return_as="generator_unordered")
-    for index, result in pool(delayed(numbered)(index) for index in range(len(cases))):
-        found[index] = result
-        if progress is not None:
-            progress(len(found), len(cases))
-    return Comparison(tuple(found[index] for index in range(len(cases))))
+    results = on_threads(lambda case: run_case(case, folder), cases, jobs, progress)
+    return Comparison(tuple(results))

@@ -6,11 +6,11 @@ saturation; what only the simulation has is the square root of the ports, and th
 """
 
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import control
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from cmf_mj.control import dcl as blocks
@@ -22,6 +22,7 @@ from cmf_mj.linear_models import FEEDBACK
 from cmf_mj.linearization import linearize
 from cmf_mj.plant import Hexapod
 from cmf_mj.studies import AMPLITUDE, ROTATION_PER_TRANSLATION, STEP_PER_AMPLITUDE
+from cmf_mj.threads import on_threads
 from cmf_mj.tuning.frames import run
 from cmf_mj.tuning.nominal import valve_gains
 
@@ -141,7 +142,7 @@ def evaluate(
         seeds: of the valve gains; None for the nominal ones.
         scale: of all valve gains besides.
     """
-    tasks = [delayed(_one)(law, cab, seed, scale) for cab in cabs for seed in seeds]
-    found = Parallel(n_jobs=len(tasks), backend="threading")(tasks)
+    cases = list(product(cabs, seeds))
+    found = on_threads(lambda case: _one(law, *case, scale), cases, jobs=len(cases))
     shape = (len(cabs), len(seeds), -1)
     return Worth(*(np.array(part).reshape(shape) for part in zip(*found, strict=True)))
