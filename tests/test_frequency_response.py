@@ -5,29 +5,19 @@ from functools import cache
 import control
 import numpy as np
 import pytest
+from followed_commands import record_of
 from numpy.typing import NDArray
 from scipy import optimize, signal
 
-from cmf_mj import FrequencyResponse, Record, bandwidths, frequency_response, signals
+from cmf_mj import FrequencyResponse, bandwidths, frequency_response, signals
 from cmf_mj.estimation import Estimator
-from cmf_mj.kinematics import DOFS, pose_to_legs
+from cmf_mj.kinematics import DOFS
 
 RATE = 2048
 AMPLITUDE = 0.33 * 0.0254
 """The report's 0.33 in [m]."""
 
 KINDS = ("chirp", "multisine")
-
-
-def record_of(command: signals.Command, feedback: NDArray[np.float64], every: int = 1) -> Record:
-    """A record whose legs follow the command and whose feedback is the pose (N, 6)."""
-    poses = {"leg_reference": command.pose[::every], "leg_position": feedback[::every]}
-    return Record(
-        time=np.arange(command.pose.shape[0])[::every] / RATE,
-        channels={name: pose_to_legs(pose) for name, pose in poses.items()},
-        units=dict.fromkeys(poses, "m"),
-        metadata={"command": dict(command.description), "sample_rate": RATE / every},
-    )
 
 
 def response(command: signals.Command, system: control.TransferFunction) -> NDArray[np.float64]:

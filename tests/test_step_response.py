@@ -6,27 +6,17 @@ from typing import Any
 import control
 import numpy as np
 import pytest
+from followed_commands import record_of
 from numpy.typing import NDArray
 from scipy import optimize, signal
 
 from cmf_mj import Record, signals, step_metrics
-from cmf_mj.kinematics import DOFS, pose_to_legs
+from cmf_mj.kinematics import DOFS
 from cmf_mj.step_response import damping_from_overshoot, resonant_damping
 
 RATE = 2048
 STEP = -0.0254
 """The report's 1 in heave step [m], upwards."""
-
-
-def record_of(command: signals.Command, feedback: NDArray[np.float64], every: int = 1) -> Record:
-    """A record whose legs follow the command and whose feedback is the pose (N, 6)."""
-    poses = {"leg_reference": command.pose[::every], "leg_position": feedback[::every]}
-    return Record(
-        time=np.arange(command.pose.shape[0])[::every] / RATE,
-        channels={name: pose_to_legs(pose) for name, pose in poses.items()},
-        units=dict.fromkeys(poses, "m"),
-        metadata={"command": dict(command.description), "sample_rate": RATE / every},
-    )
 
 
 def response(command: signals.Command, system: control.TransferFunction) -> NDArray[np.float64]:

@@ -1,0 +1,19 @@
+"""Records of legs that follow a command and of any feedback, shared by the response tests."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.kinematics import pose_to_legs
+from cmf_mj.record import Record
+from cmf_mj.signals import RATE, Command
+
+
+def record_of(command: Command, feedback: NDArray[np.float64], every: int = 1) -> Record:
+    """A record whose legs follow the command and whose feedback is the pose (N, 6)."""
+    poses = {"leg_reference": command.pose[::every], "leg_position": feedback[::every]}
+    return Record(
+        time=np.arange(command.pose.shape[0])[::every] / RATE,
+        channels={name: pose_to_legs(pose) for name, pose in poses.items()},
+        units=dict.fromkeys(poses, "m"),
+        metadata={"command": dict(command.description), "sample_rate": RATE / every},
+    )
