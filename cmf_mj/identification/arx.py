@@ -104,17 +104,22 @@ def arx(
     chosen = Orders(*orders).check()
     factors = [_factor(runs, row, chosen, chosen.lag) for row in range(runs[0].output.shape[1])]
     solved = [_solve(factor, np.arange(factor.triangle.shape[1] - 1)) for factor in factors]
-    model = from_parameters(
-        chosen,
-        np.stack([s.parameters for s in solved]),
+    return handled(_assembled(solved, chosen, runs, factors[0].samples), unstable)
+
+
+def _assembled(
+    rows: list["_Solved"], orders: Orders, runs: list[Experiment], samples: int
+) -> PolynomialModel:
+    return from_parameters(
+        orders,
+        np.stack([row.parameters for row in rows]),
         runs[0],
-        covariances=np.stack([s.covariance for s in solved]),
-        noise_variance=np.array([s.variance for s in solved]),
+        covariances=np.stack([row.covariance for row in rows]),
+        noise_variance=np.array([row.variance for row in rows]),
         noise="equation",
         method="arx",
-        samples=factors[0].samples,
+        samples=samples,
     )
-    return handled(model, unstable)
 
 
 class _Factor(NamedTuple):
@@ -249,16 +254,7 @@ def select_orders(
             widest.na + span * j + orders.nk - first + np.arange(orders.nb) for j in range(inputs)
         ]
         solved = [_solve(factor, np.concatenate(places)) for factor in factors]
-        model = from_parameters(
-            orders,
-            np.stack([s.parameters for s in solved]),
-            runs[0],
-            covariances=np.stack([s.covariance for s in solved]),
-            noise_variance=np.array([s.variance for s in solved]),
-            noise="equation",
-            method="arx",
-            samples=factors[0].samples,
-        )
+        model = _assembled(solved, orders, runs, factors[0].samples)
         count = orders.parameters(inputs)
         misfit = sum(f.samples * np.log(s.loss) for f, s in zip(factors, solved, strict=True))
         penalty = sum(np.log(f.samples) for f in factors)
