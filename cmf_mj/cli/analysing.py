@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from cmf_mj import linear_report, measurement_report, sensor_report
-from cmf_mj.cli.common import TEXT_WIDTH, LawName, app, names_of, refuse, show
+from cmf_mj.cli.common import TEXT_WIDTH, LawName, app, names_of, refuse, show, written
 from cmf_mj.control import law_names
 from cmf_mj.replay import replay
 from cmf_mj.sensors import load_sensors
@@ -39,7 +39,7 @@ def sensors_command(
         effect = sensor_report.filter_effect(settings, law, seed=seed)
         paths = sensor_report.save_sensor_figures(effect, out)
         tables = (sensor_report.sensor_table(settings), sensor_report.effect_table(effect))
-        show(*tables, f"written: {', '.join(str(path) for path in paths)}", width=TEXT_WIDTH)
+        show(*tables, written(paths), width=TEXT_WIDTH)
     except (ValueError, OSError, FloatingPointError) as error:
         refuse(error)
 

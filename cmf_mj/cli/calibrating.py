@@ -7,7 +7,7 @@ import typer
 
 from cmf_mj import calibration_report
 from cmf_mj.calibration import calibrate, load_studies, load_study
-from cmf_mj.cli.common import TEXT_WIDTH, app, names_of, refuse, show
+from cmf_mj.cli.common import TEXT_WIDTH, Jobs, app, names_of, refuse, show, written
 
 
 @app.command("calibrate")
@@ -18,7 +18,7 @@ def calibrate_command(
     rounds: Annotated[int, typer.Option(help="fits, each followed by a simulation")] = 1,
     quick: Annotated[bool, typer.Option("--quick", help="sweeps of 30 s instead of 100 s")] = False,
     samples: Annotated[int, typer.Option(help="samples for the uncertainty")] = 128,
-    jobs: Annotated[int | None, typer.Option(help="threads; default one per core")] = None,
+    jobs: Jobs = None,
     out: Annotated[Path, typer.Option(help="folder for results")] = Path("out/calibrate"),
 ) -> None:
     """Fit the free parameters to the published tables; residuals, sensitivities, uncertainty."""
@@ -28,9 +28,13 @@ def calibrate_command(
             fitted = calibrate(chosen, rounds=rounds, quick=quick, jobs=jobs, progress=_tell)
             found = calibration_report.examine(fitted, samples=samples, jobs=jobs)
             paths = calibration_report.save(found, out / chosen.name)
-            written = f"written to {out / chosen.name}: {', '.join(path.name for path in paths)}"
             verdict = calibration_report.verdict_text(found)
-            show(*calibration_report.tables(found), verdict, written, width=TEXT_WIDTH)
+            show(
+                *calibration_report.tables(found),
+                verdict,
+                written(paths, out / chosen.name),
+                width=TEXT_WIDTH,
+            )
     except (ValueError, OSError, FloatingPointError) as error:
         refuse(error)
 

@@ -19,6 +19,7 @@ from cmf_mj.cli.common import (
     Cab,
     Dof,
     HydraulicSet,
+    Jobs,
     LawName,
     app,
     in_si,
@@ -26,6 +27,7 @@ from cmf_mj.cli.common import (
     progress_bar,
     refuse,
     show,
+    written,
 )
 from cmf_mj.kinematics import DOFS
 from cmf_mj.parameters import load_hydraulics
@@ -62,7 +64,7 @@ def capacity_command(
         bool, typer.Option(help="the largest sustained sine at each frequency, 0.1 to 10 Hz")
     ] = True,
     dofs: Annotated[str, typer.Option(help="of the envelope, or `all`")] = "all",
-    jobs: Annotated[int | None, typer.Option(help="threads; default one a core")] = None,
+    jobs: Jobs = None,
     quick: Annotated[
         bool, typer.Option("--quick", help=f"envelope at {len(QUICK_FREQUENCIES)} frequencies")
     ] = False,
@@ -90,6 +92,6 @@ def capacity_command(
                 )
             paths += capacity_report.save_envelope(found, out)
             show(capacity_report.envelope_table(found), width=_ENVELOPE_WIDTH)
-        show(f"written: {', '.join(str(path) for path in paths)}", width=TEXT_WIDTH)
+        show(written(paths), width=TEXT_WIDTH)
     except (ValueError, OSError, FloatingPointError) as error:
         refuse(error)

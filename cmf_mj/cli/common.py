@@ -1,7 +1,8 @@
 """What all commands share: the application, its options, printing and refusing."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, NoReturn
 
 import numpy as np
@@ -37,6 +38,13 @@ def show(*parts: Table | str, width: int = 0) -> None:
         console = Console(width=width)
     for part in parts:
         console.print(part)
+
+
+def written(paths: Sequence[Path], folder: Path | None = None) -> str:
+    """What has been written, in a line: whole paths, or names within a folder."""
+    if folder is None:
+        return f"written: {', '.join(str(path) for path in paths)}"
+    return f"written to {folder}: {', '.join(path.name for path in paths)}"
 
 
 def refuse(error: Exception) -> NoReturn:
@@ -107,6 +115,14 @@ LawName = Annotated[str, typer.Option("--law", help="law by name or TOML file")]
 PlantName = Annotated[str, typer.Option("--plant", help="hexapod or single_legs")]
 Cab = Annotated[str, typer.Option(help="gfd, rfd or ifd")]
 HydraulicSet = Annotated[str, typer.Option(help="report, hardware, lossy or a TOML file")]
+Jobs = Annotated[int | None, typer.Option(help="threads; default one a core")]
+StreamFile = Annotated[Path, typer.Argument(help="CSV or Parquet with time and six poses, SI")]
+FrameRate = Annotated[
+    float | None, typer.Option(help="frames a second; default as stamped in the file")
+]
+Derivatives = Annotated[
+    str, typer.Option(help="velocities of a file that has none: spline or zero")
+]
 Amplitude = Annotated[
     float | None, typer.Option(help="amplitude [in or deg]; default 0.33 in or 0.2 deg")
 ]

@@ -10,11 +10,13 @@ from cmf_mj.cli.common import (
     TEXT_WIDTH,
     Cab,
     HydraulicSet,
+    Jobs,
     app,
     names_of,
     progress_bar,
     refuse,
     show,
+    written,
 )
 from cmf_mj.cueing import WASHOUTS, cue, load_washout, save_washout, tune
 from cmf_mj.kinematics import DOFS
@@ -70,7 +72,7 @@ def run_command(
         show(
             cueing_report.error_table(flown),
             cueing_report.excursion_table(flown.excursion, int(flown.held.sum())),
-            f"written: {', '.join(str(path) for path in paths)}",
+            written(paths),
             width=TEXT_WIDTH,
         )
     except (ValueError, OSError) as error:
@@ -120,7 +122,7 @@ def omct_command(
     cab: Cab = "gfd",
     hydraulics: HydraulicSet = "hardware",
     inputs: Annotated[str, typer.Option(help="inputs to drive, or `all`")] = "all",
-    jobs: Annotated[int | None, typer.Option(help="threads; default one a core")] = None,
+    jobs: Jobs = None,
     quick: Annotated[
         bool, typer.Option("--quick", help=f"only {', '.join(map(str, _QUICK))} rad/s")
     ] = False,
@@ -140,7 +142,6 @@ def omct_command(
                 progress=update,
             )
         paths = omct_report.save_omct(result, out)
-        written = f"written: {', '.join(str(path) for path in paths)}"
-        show(omct_report.omct_table(result), written, width=TEXT_WIDTH)
+        show(omct_report.omct_table(result), written(paths), width=TEXT_WIDTH)
     except (ValueError, OSError) as error:
         refuse(error)

@@ -7,7 +7,18 @@ import typer
 from rich.console import Console
 
 from cmf_mj import failure_report, units
-from cmf_mj.cli.common import Cab, Dof, HydraulicSet, LawName, app, in_si, names_of, refuse, show
+from cmf_mj.cli.common import (
+    Cab,
+    Dof,
+    HydraulicSet,
+    Jobs,
+    LawName,
+    app,
+    in_si,
+    names_of,
+    refuse,
+    show,
+)
 from cmf_mj.events import KINDS, Event, default_event
 from cmf_mj.failure import AFTER, AT, FREQUENCY, run_failures
 
@@ -69,7 +80,7 @@ def failure_command(
     frequency: Annotated[float, typer.Option(help="of the sine [Hz]")] = FREQUENCY,
     protection: Annotated[bool, typer.Option(help="whether a fault stops the machine")] = True,
     thresholds: Annotated[str, typer.Option(help="default or a TOML file")] = "default",
-    jobs: Annotated[int | None, typer.Option(help="threads; default one a core")] = None,
+    jobs: Jobs = None,
     out: Annotated[Path, typer.Option(help="folder for results")] = Path("out/failure"),
 ) -> None:
     """Let something fail during a manoeuvre: leg loads, what the crew feels, how it ends."""

@@ -1,24 +1,19 @@
 """`cmf host`."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cmf_mj.cli.common import app, refuse, show
+from cmf_mj.cli.common import Derivatives, FrameRate, StreamFile, app, refuse, show
 from cmf_mj.host import UdpSender, parse_target, read_stream, resample
 
 
 @app.command("host")
 def host_command(
-    file: Annotated[Path, typer.Argument(help="CSV or Parquet with time and six poses, SI")],
+    file: StreamFile,
     to: Annotated[str, typer.Option(help="ADDRESS:PORT of the receiver")],
-    rate: Annotated[
-        float | None, typer.Option(help="frames a second; default as stamped in the file")
-    ] = None,
-    derivatives: Annotated[
-        str, typer.Option(help="velocities of a file that has none: spline or zero")
-    ] = "spline",
+    rate: FrameRate = None,
+    derivatives: Derivatives = "spline",
 ) -> None:
     """Send a file of host frames over UDP in real time."""
     try:

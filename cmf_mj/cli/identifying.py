@@ -17,6 +17,7 @@ from cmf_mj.cli.common import (
     plant_builder,
     refuse,
     show,
+    written,
 )
 from cmf_mj.identification_study import (
     Method,
@@ -83,6 +84,6 @@ def identify_command(
             identification_report.orders_table(found),
             identification_report.model_table(found),
         )
-        show(*tables, f"written: {', '.join(str(path) for path in paths)}", width=TEXT_WIDTH)
+        show(*tables, written(paths), width=TEXT_WIDTH)
     except (ValueError, OSError, FloatingPointError, ModuleNotFoundError) as error:
         refuse(error)

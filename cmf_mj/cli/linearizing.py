@@ -18,6 +18,7 @@ from cmf_mj.cli.common import (
     pose_option,
     refuse,
     show,
+    written,
 )
 from cmf_mj.kinematics import DOFS
 
@@ -47,7 +48,6 @@ def linearize_command(
         )
         paths = linearization_report.save_study(found, out)
         tables = (linearization_report.mode_table(found), linearization_report.loop_table(found))
-        written = f"written to {out}: {', '.join(path.name for path in paths)}"
-        show(*tables, written, width=TEXT_WIDTH)
+        show(*tables, written(paths, out), width=TEXT_WIDTH)
     except (ValueError, OSError, FloatingPointError) as error:
         refuse(error)

@@ -15,6 +15,7 @@ from cmf_mj.cli.common import (
     progress_bar,
     refuse,
     show,
+    written,
 )
 from cmf_mj.kinematics import DOFS
 from cmf_mj.modes import modes_at, over_envelope, plane_map, sweep
@@ -55,7 +56,6 @@ def modes_command(
             show(modes_report.mass_table(modes), modes_report.mode_table(modes), width=TEXT_WIDTH)
         for one in ranges:
             show(modes_report.mode_table(one.worst), width=TEXT_WIDTH)
-        written = f"written to {out}: {', '.join(path.name for path in paths)}"
-        show(modes_report.range_table(ranges), written, width=TEXT_WIDTH)
+        show(modes_report.range_table(ranges), written(paths, out), width=TEXT_WIDTH)
     except (ValueError, OSError) as error:
         refuse(error)

@@ -12,6 +12,7 @@ from cmf_mj.cli.common import (
     Cab,
     Dof,
     HydraulicSet,
+    Jobs,
     LawName,
     Noise,
     PlantName,
@@ -21,6 +22,7 @@ from cmf_mj.cli.common import (
     plant_builder,
     refuse,
     show,
+    written,
 )
 from cmf_mj.limits import peaks
 from cmf_mj.measurement import facility_session, measure, session_commands
@@ -37,7 +39,7 @@ def record_command(
     hydraulics: HydraulicSet = "hardware",
     amplitude: Amplitude = None,
     noise: Noise = False,
-    jobs: Annotated[int | None, typer.Option(help="threads; default one a core")] = None,
+    jobs: Jobs = None,
     out: Annotated[Path, typer.Option(help="folder for the five files")] = Path("out/record"),
 ) -> None:
     """Run the facility's session, five rounds of seven sines, and write its five CSV files."""
@@ -101,6 +103,6 @@ def measure_command(
             table = measurement_report.measurement_table(measured)
         else:
             paths, table = measurement_report.measure_files(files or [], dof, estimator, out)
-        show(table, f"written: {', '.join(str(path) for path in paths)}", width=TEXT_WIDTH)
+        show(table, written(paths), width=TEXT_WIDTH)
     except (ValueError, OSError, FloatingPointError, ModuleNotFoundError) as error:
         refuse(error)

@@ -11,13 +11,17 @@ from cmf_mj import operation_report
 from cmf_mj.cli.common import (
     TEXT_WIDTH,
     Cab,
+    Derivatives,
+    FrameRate,
     HydraulicSet,
     LawName,
     Noise,
+    StreamFile,
     app,
     noise_choice,
     refuse,
     show,
+    written,
 )
 from cmf_mj.control.states import Request, State
 from cmf_mj.host import UdpReceiver, read_stream, resample
@@ -98,21 +102,16 @@ def serve_command(
         tables = [operation_report.account_table(operation, received, refused)]
         if operation.timing is not None:
             tables.append(operation_report.timing_table(operation.timing))
-        written = f"written: {', '.join(str(path) for path in paths)}"
-        show(*tables, _told(operation), written, width=TEXT_WIDTH)
+        show(*tables, _told(operation), written(paths), width=TEXT_WIDTH)
     except (ValueError, OSError, FloatingPointError) as error:
         refuse(error)
 
 
 @app.command("operate")
 def operate_command(
-    file: Annotated[Path, typer.Argument(help="CSV or Parquet with time and six poses, SI")],
-    rate: Annotated[
-        float | None, typer.Option(help="frames a second; default as stamped in the file")
-    ] = None,
-    derivatives: Annotated[
-        str, typer.Option(help="velocities of a file that has none: spline or zero")
-    ] = "spline",
+    file: StreamFile,
+    rate: FrameRate = None,
+    derivatives: Derivatives = "spline",
     seconds: Annotated[
         float | None, typer.Option(help="length of the run; default until the last frame's turn")
     ] = None,
@@ -137,7 +136,11 @@ def operate_command(
             facility=FacilitySettings(electronics=noise_choice(noise)),
         )
         paths = operation_report.save_operation(operation, out)
-        written = f"written: {', '.join(str(path) for path in paths)}"
-        show(operation_report.account_table(operation), _told(operation), written, width=TEXT_WIDTH)
+        show(
+            operation_report.account_table(operation),
+            _told(operation),
+            written(paths),
+            width=TEXT_WIDTH,
+        )
     except (ValueError, OSError, FloatingPointError) as error:
         refuse(error)

@@ -7,7 +7,7 @@ import typer
 from rich.table import Table
 
 from cmf_mj import reproduction
-from cmf_mj.cli.common import TEXT_WIDTH, app, progress_bar, refuse, show
+from cmf_mj.cli.common import TEXT_WIDTH, Jobs, app, progress_bar, refuse, show
 
 
 def _numbers(text: str) -> list[str] | None:
@@ -21,7 +21,7 @@ def _numbers(text: str) -> list[str] | None:
 def report_command(
     figures: Annotated[str, typer.Option(help="figures by number, `all` or `none`")] = "all",
     tables: Annotated[str, typer.Option(help="result tables by number, `all` or `none`")] = "all",
-    jobs: Annotated[int | None, typer.Option(help="threads; default one a core")] = None,
+    jobs: Jobs = None,
     seed: Annotated[int, typer.Option(help="of sensor noise and validation runs")] = 0,
     out: Annotated[Path, typer.Option(help="folder for results")] = Path("out/report"),
     quick: Annotated[bool, typer.Option("--quick", help="sweep in 30 s instead of 100 s")] = False,

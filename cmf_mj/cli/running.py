@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from cmf_mj import scenario_report
-from cmf_mj.cli.common import app, progress_bar, refuse, show
+from cmf_mj.cli.common import app, progress_bar, refuse, show, written
 from cmf_mj.scenario import Scenario, find_scenario, run_scenario, scenario_names
 
 
@@ -38,6 +38,6 @@ def run_command(
         folder = out or Path("out/run") / Path(scenario).stem
         with progress_bar() as progress:
             paths = scenario_report.save_run(record, chosen, folder, progress=progress)
-        show(f"written: {', '.join(str(path) for path in paths)}")
+        show(written(paths))
     except (ValueError, OSError, FloatingPointError) as error:
         refuse(error)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from cmf_mj import study_report
-from cmf_mj.cli.common import TEXT_WIDTH, app, progress_bar, refuse, show
+from cmf_mj.cli.common import TEXT_WIDTH, app, progress_bar, refuse, show, written
 from cmf_mj.studies.engine import Backend, run_study
 from cmf_mj.studies.settings import load_study
 
@@ -44,7 +44,7 @@ def _run(
         paths = study_report.save_report(table, out)
         show(
             study_report.summary_table(table),
-            f"written to {out}: {', '.join(path.name for path in paths)}",
+            written(paths, out),
             width=TEXT_WIDTH,
         )
     except KeyboardInterrupt:

@@ -5,7 +5,16 @@ from typing import Annotated
 
 import typer
 
-from cmf_mj.cli.common import TEXT_WIDTH, Cab, HydraulicSet, app, progress_bar, refuse, show
+from cmf_mj.cli.common import (
+    TEXT_WIDTH,
+    Cab,
+    HydraulicSet,
+    app,
+    progress_bar,
+    refuse,
+    show,
+    written,
+)
 from cmf_mj.verification import tables, verify
 
 
@@ -27,7 +36,6 @@ def verify_command(
         with progress_bar() as progress:
             found = verify(cab, hydraulics, seconds=seconds, parts=parts, progress=progress)
         paths = tables.save(found, out)
-        written = f"written to {out}: {', '.join(path.name for path in paths)}"
-        show(tables.table(found), written, width=TEXT_WIDTH)
+        show(tables.table(found), written(paths, out), width=TEXT_WIDTH)
     except (ValueError, OSError, ImportError, RuntimeError) as error:
         refuse(error)
