@@ -19,7 +19,7 @@ from cmf_mj.calibration import (
     simulated_stability,
     spread,
 )
-from cmf_mj.files import whole_file, write_csv
+from cmf_mj.files import whole_file, write_csv, write_text
 from cmf_mj.report import markdown
 
 _MEASURE = {"phase": "-90 deg", "gain": "-3 dB", "damping": "zeta"}
@@ -296,8 +296,7 @@ def save(found: CalibrationReport, folder: Path) -> list[Path]:
         with whole_file(folder / name) as partial:
             figure.savefig(partial, dpi=110, format="png")
         paths.append(folder / name)
-    with whole_file(folder / "calibration.md") as partial:
-        partial.write_text(text(found), encoding="utf-8")
+    write_text(folder / "calibration.md", text(found))
     return [*paths, folder / "calibration.md"]
 
 

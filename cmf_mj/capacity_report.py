@@ -14,6 +14,7 @@ from cmf_mj import units
 from cmf_mj.capacity import Asymptotes, CapacityResult, Envelope, EnvelopePoint
 from cmf_mj.capacity.manoeuvre import field_unit
 from cmf_mj.capacity.verdict import relief_flow
+from cmf_mj.files import write_text
 from cmf_mj.kinematics import DOFS
 from cmf_mj.parameters import HydraulicParameters
 
@@ -367,7 +368,7 @@ def save_capacity(
     table, picture = folder / "capacity.csv", folder / "supply.png"
     lines = ["measure,value,definition\n"]
     lines += [",".join(f'"{cell}"' for cell in row) + "\n" for row in capacity_rows(result)]
-    table.write_text("".join(lines), encoding="utf-8")
+    write_text(table, "".join(lines))
     supply_figure(result, parameters).savefig(picture, dpi=110)
     return [table, picture, result.record.save(folder / "capacity.parquet")]
 

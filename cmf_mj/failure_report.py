@@ -11,7 +11,7 @@ from rich.table import Table
 
 from cmf_mj import units
 from cmf_mj.failure import FailureResult, Peak
-from cmf_mj.files import write_csv
+from cmf_mj.files import write_csv, write_text
 from cmf_mj.report import markdown
 
 LEGEND = (
@@ -145,7 +145,7 @@ def save_failures(results: Sequence[FailureResult], folder: Path) -> list[Path]:
     rows = [_columns(result) for result in results]
     write_csv(paths[0], rows[0], [row.values() for row in rows])
     header, lines = failure_cells(results)
-    paths[1].write_text(markdown(header, lines), encoding="utf-8")
+    write_text(paths[1], markdown(header, lines))
     for result in results:
         path = folder / f"{label(result)}.png"
         failure_figure(result).savefig(path, dpi=110)

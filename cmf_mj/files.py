@@ -26,6 +26,13 @@ def whole_file(target: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
+def write_text(target: Path, text: str) -> Path:
+    """Write text in UTF-8."""
+    with whole_file(target) as partial:
+        partial.write_text(text, encoding="utf-8")
+    return target
+
+
 def write_csv(
     target: Path, header: Iterable[str], rows: Iterable[Iterable[object]], digits: int = 9
 ) -> Path:

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from cmf_mj import units
 from cmf_mj.estimation import Estimator
-from cmf_mj.files import whole_file, write_csv
+from cmf_mj.files import write_csv, write_text
 from cmf_mj.frequency_response import (
     FrequencyResponse,
     bandwidths,
@@ -166,9 +166,7 @@ def write_response(response: FrequencyResponse, path: Path) -> None:
 
 def write_summary(summary: Mapping[str, Any], path: Path) -> None:
     """Write a summary as JSON; the file appears only when it is complete."""
-    with whole_file(path) as partial:
-        text = json.dumps(summary, indent=2, allow_nan=False)
-        partial.write_text(text + "\n", encoding="utf-8")
+    write_text(path, json.dumps(summary, indent=2, allow_nan=False) + "\n")
 
 
 def save_measurement(measured: Measurement, folder: Path) -> list[Path]:

@@ -11,7 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from cmf_mj import units
-from cmf_mj.files import write_csv
+from cmf_mj.files import write_csv, write_text
 from cmf_mj.kinematics import DOFS
 from cmf_mj.modes import ModeSet, PlaneMap, Range, Sweep
 from cmf_mj.report import markdown
@@ -175,5 +175,5 @@ def save(
         numbers = [*shown, np.vstack([found.frequency_hz, found.worst.frequency_hz])]
         rows += [(found.worst.cab, *row) for row in np.column_stack(numbers)]
     write_csv(paths[2], ["cab", *axes, *(f"mode_{i}_hz" for i in range(1, 7))], rows, digits=6)
-    paths[3].write_text(markdown(*range_cells(ranges)), encoding="utf-8")
+    write_text(paths[3], markdown(*range_cells(ranges)))
     return paths

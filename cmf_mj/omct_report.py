@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from cmf_mj.files import whole_file, write_csv
+from cmf_mj.files import write_csv, write_text
 from cmf_mj.omct import STAGES, TESTS, Omct
 from cmf_mj.report import markdown
 from cmf_mj.units import DEGREE, STANDARD_GRAVITY
@@ -156,8 +156,7 @@ def save_omct(result: Omct, folder: Path) -> list[Path]:
     header = ["test", "stage", "frequency_rad_s", "modulus_si", "phase_deg"]
     write_csv(folder / "omct.csv", header, _rows(result))
     for name, cells in (("omct.md", omct_cells(result)), ("share.md", share_cells(result))):
-        with whole_file(folder / name) as partial:
-            partial.write_text(markdown(*cells), encoding="utf-8")
+        write_text(folder / name, markdown(*cells))
     omct_figure(result).savefig(folder / "omct.png", dpi=70)
     return [folder / name for name in ("omct.csv", "omct.md", "share.md", "omct.png")]
 

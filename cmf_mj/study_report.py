@@ -12,7 +12,7 @@ from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 from rich.table import Table
 
-from cmf_mj.files import whole_file, write_csv
+from cmf_mj.files import whole_file, write_csv, write_text
 from cmf_mj.kinematics import DOFS
 from cmf_mj.report import markdown
 from cmf_mj.studies.effects import (
@@ -323,8 +323,7 @@ def save_report(table: pa.Table, folder: str | Path) -> list[Path]:
     paths = []
     for name, (header, lines) in tables_of(table).items():
         target = place / f"{name}.md"
-        with whole_file(target) as partial:
-            partial.write_text(markdown(header, lines), encoding="utf-8")
+        write_text(target, markdown(header, lines))
         paths.append(target)
         paths.append(write_csv(place / f"{name}.csv", header, lines))
     for name, figure in figures_of(table).items():

@@ -12,7 +12,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from cmf_mj import load_law, units
-from cmf_mj.files import write_csv
+from cmf_mj.files import write_csv, write_text
 from cmf_mj.kinematics import DOFS
 from cmf_mj.loop.electronics import ElectronicsSettings
 from cmf_mj.tuning.confirmation import Outcome, Trial, crosstalk, run_trial
@@ -110,7 +110,7 @@ def main() -> None:
             file.flush()
             outcomes.append(outcome)
     if outcomes:
-        (options.out / "worst.md").write_text(worst(outcomes), encoding="utf-8")
+        write_text(options.out / "worst.md", worst(outcomes))
     if options.crosstalk:
         cases = [(law, cab) for law in laws for cab in cabs]
         measured = Parallel(n_jobs=options.jobs, backend="threading")(

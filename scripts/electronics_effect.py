@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cmf_mj.cli.common import names_of, refuse
 from cmf_mj.control import law_names
-from cmf_mj.files import write_csv
+from cmf_mj.files import write_csv, write_text
 from cmf_mj.loop.electronics import ElectronicsSettings
 from cmf_mj.report import markdown
 from cmf_mj.studies import ComparisonRow, compare
@@ -75,7 +75,7 @@ def main() -> None:
         refuse(error)
     lines = [line(before, after) for before, after in zip(ideal, real, strict=True)]
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "comparison.md").write_text(markdown(HEADER, lines), encoding="utf-8")
+    write_text(options.out / "comparison.md", markdown(HEADER, lines))
     write_csv(options.out / "comparison.csv", HEADER, lines)
     print(options.out / "comparison.md")
 

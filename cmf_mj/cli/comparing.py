@@ -7,16 +7,9 @@ import typer
 from rich.console import Console
 
 from cmf_mj import report, units
-from cmf_mj.cli.common import (
-    Noise,
-    app,
-    names_of,
-    noise_choice,
-    progress_bar,
-    refuse,
-    show,
-)
+from cmf_mj.cli.common import Jobs, Noise, app, names_of, noise_choice, progress_bar, refuse, show
 from cmf_mj.control import law_names
+from cmf_mj.files import write_text
 from cmf_mj.kinematics import DOFS
 from cmf_mj.studies import AMPLITUDE, DEFAULT_LAWS, PLANTS, Comparison, compare
 
@@ -54,7 +47,7 @@ def run_comparison(
     comparison.save_csv(out / "comparison.csv")
     figures = report.save_figures(comparison, out)
     header, lines = report.comparison_cells(comparison.rows)
-    (out / "comparison.md").write_text(report.markdown(header, lines), encoding="utf-8")
+    write_text(out / "comparison.md", report.markdown(header, lines))
     table = report.comparison_table(comparison.rows)
     kept = ", records/" if records else ""
     gap = max(result.gimbal_error for result in comparison.results)
@@ -82,7 +75,7 @@ def compare_command(
         float,
         typer.Option(help="sweep amplitude [in]; rotations 0.2 deg and steps 1 in to 0.33 in"),
     ] = round(AMPLITUDE / units.INCH, 6),
-    jobs: Annotated[int | None, typer.Option(help="threads; default one a core")] = None,
+    jobs: Jobs = None,
     out: Annotated[Path, typer.Option(help="folder for results")] = Path("out/compare"),
     quick: Annotated[bool, typer.Option("--quick", help="sweep in 30 s instead of 100 s")] = False,
     records: Annotated[

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
-from cmf_mj.files import whole_file
+from cmf_mj.files import write_text
 from cmf_mj.kinematics import DOFS
 from cmf_mj.parameters import Quantity, positive_in
 from cmf_mj.parameters.quantity import Kind
@@ -258,8 +258,7 @@ def save_washout(settings: WashoutSettings, path: str | Path) -> Path:
         if isinstance(table, dict):
             lines += ["", f"[{_quoted(settings.name)}.{key}]"]
             lines += [f"{name} = {_inline(quantity)}" for name, quantity in table.items()]
-    with whole_file(target) as partial:
-        partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(target, "\n".join(lines) + "\n")
     return target
 
 

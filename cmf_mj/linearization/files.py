@@ -8,7 +8,7 @@ from typing import Any
 import control
 import numpy as np
 
-from cmf_mj.files import whole_file
+from cmf_mj.files import write_text
 
 _MATRICES = ("A", "B", "C", "D")
 _LABELS = ("input_labels", "output_labels", "state_labels")
@@ -33,8 +33,7 @@ def save_system(
     content |= {name: list(getattr(system, name)) for name in _LABELS}
     content |= {name: np.asarray(getattr(system, name)).tolist() for name in _MATRICES}
     target = Path(path)
-    with whole_file(target) as partial:
-        partial.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
+    write_text(target, json.dumps(content, allow_nan=False) + "\n")
     return target
 
 

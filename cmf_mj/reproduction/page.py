@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import cast
 
-from cmf_mj.files import whole_file
+from cmf_mj.files import write_text
 from cmf_mj.reproduction import appendices, chapter_2, chapter_3, chapter_4, force, statements
 from cmf_mj.reproduction.blocks import Content, Section
 from cmf_mj.reproduction.chart import Chart
@@ -144,6 +144,5 @@ def save_page(content: Content, folder: Path) -> Path:
     """
     target = folder / "report.html"
     text = render(content)
-    with whole_file(target) as partial:
-        partial.write_text(text, encoding="utf-8")
+    write_text(target, text)
     return target

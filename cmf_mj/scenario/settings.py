@@ -12,7 +12,7 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import Request, State
 from cmf_mj.events import Event, Kind
-from cmf_mj.files import whole_file
+from cmf_mj.files import write_text
 from cmf_mj.loop.electronics import ElectronicsSettings
 from cmf_mj.operation import FacilitySettings
 from cmf_mj.parameters import load_hydraulics
@@ -339,8 +339,7 @@ def load_scenario(path: str | Path) -> Scenario:
 def save_scenario(scenario: Scenario, path: str | Path) -> Path:
     """Write a scenario as TOML, defaults left out; it reads back equal."""
     target = Path(path)
-    with whole_file(target) as partial:
-        partial.write_text(scenario_toml(scenario), encoding="utf-8")
+    write_text(target, scenario_toml(scenario))
     return target
 
 

@@ -17,7 +17,7 @@ from typing import Any, get_type_hints
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cmf_mj.files import whole_file
+from cmf_mj.files import whole_file, write_text
 from cmf_mj.kinematics import DOFS
 from cmf_mj.studies.evaluation import StudyRow
 from cmf_mj.studies.settings import Study, StudyCase
@@ -62,8 +62,7 @@ class Journal:
         if not path.exists():
             if (self.folder / JOURNAL).exists():
                 raise ValueError(f"{self.folder}: holds a journal without its {SPECIFICATION}")
-            with whole_file(path) as partial:
-                partial.write_text(json.dumps(identity, indent=1), encoding="utf-8")
+            write_text(path, json.dumps(identity, indent=1))
             return
         there = json.loads(path.read_text(encoding="utf-8"))
         other = _differences(there, identity)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from cmf_mj.control.coordinates import Modes
 from cmf_mj.control.law import Law
+from cmf_mj.files import write_text
 
 
 def law_text(law: Law) -> str:
@@ -47,9 +48,5 @@ def save_law(law: Law, path: str | Path, heading: str = "") -> Path:
         path: TOML file.
         heading: comment lines above.
     """
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
     comment = "".join(f"# {line}".rstrip() + "\n" for line in heading.splitlines())
-    partial = target.with_name(target.name + ".partial")
-    partial.write_text(comment + law_text(law), encoding="utf-8")
-    return partial.replace(target)
+    return write_text(Path(path), comment + law_text(law))

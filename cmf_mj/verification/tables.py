@@ -8,7 +8,7 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from cmf_mj.files import whole_file, write_csv
+from cmf_mj.files import whole_file, write_csv, write_text
 from cmf_mj.report import markdown
 from cmf_mj.verification.study import ENGINES, Run, Verification
 
@@ -113,6 +113,5 @@ def save(found: Verification, folder: Path) -> list[Path]:
         figure(found).savefig(path, dpi=100, format="png")
     header = ["engine", "step_s", "leg_error_m", "pressure_error_pa", "cpu_time_s"]
     write_csv(paths[1], header, found.runs)
-    with whole_file(paths[2]) as path:
-        path.write_text(markdown(*cells(found)), encoding="utf-8")
+    write_text(paths[2], markdown(*cells(found)))
     return paths
