@@ -1,7 +1,5 @@
 """Laws in hydraulic modes, the plan and load feedback: maps, closed forms, one law and one loop."""
 
-from pathlib import Path
-
 import control
 import numpy as np
 import pytest
@@ -231,7 +229,7 @@ def test_all_degrees_of_freedom_answer_alike_on_the_linear_plant() -> None:
     assert shares.max() < 0.15
 
 
-def test_a_run_is_replayed_and_says_how_it_was_mounted(tmp_path: Path) -> None:
+def test_a_run_is_replayed_and_says_how_it_was_mounted() -> None:
     run = simulate(Hexapod("rfd"), "modal_plan", signals.step("roll", 0.01, at=0.1, duration=0.5))
     assert list(run.metadata["law_parameters"]["modes"]) == ["rfd"]
     assert replay(run, "modal_plan").identical

@@ -290,7 +290,7 @@ def test_recording_gives_the_rows_of_its_file(tmp_path: Path) -> None:
     assert np.array_equal(rows["platform_pose"], record["platform_pose"][64:97])
 
 
-def test_recording_refuses_what_it_cannot_show(tmp_path: Path) -> None:
+def test_recording_refuses_what_it_cannot_show() -> None:
     with pytest.raises(ValueError, match=r"^notes.txt: is not a readable Parquet file"):
         read_recording("notes.txt", b"hello", 25)
     single = run_scenario(scenario_of({"plant": "single_legs", "duration": 0.01}, "test"))

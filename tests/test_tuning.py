@@ -58,7 +58,7 @@ def test_a_search_repeats_and_its_file_is_the_law(tmp_path: Path) -> None:
         assert low <= value <= high
 
 
-def test_limits_cost(tmp_path: Path) -> None:
+def test_limits_cost() -> None:
     """A law that breaks the limits costs more than the same with wider ones."""
     template = make_template("mine", "Mine", ("ifd",))
     tight = search(template, Limits(peak_db=-1.0, overshoot=-0.2), seeds=(None,), evaluations=1)

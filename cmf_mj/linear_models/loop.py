@@ -67,7 +67,7 @@ def closed_loop(
     held = _at_frames(plant)
     legs = _legs(held)
     law_system = dcl_state_space(loaded, legs)
-    c, d = _feedback_rows(held, legs, law_system, pressures, outputs)
+    c, d = _feedback_rows(held, legs, law_system, outputs)
     a, b = np.asarray(held.A), np.asarray(held.B)[:, _commands(held, legs)]
     a, b, c, d = _delayed((a, b, c, d), command_delay)
     # With reference r, feedback y and command u: y = C x, since the delay takes the direct term.
@@ -134,7 +134,6 @@ def _feedback_rows(
     plant: control.StateSpace,
     legs: int,
     law_system: control.StateSpace,
-    pressures: Pressures,
     outputs: tuple[str, ...],
 ) -> tuple[Matrix, Matrix]:
     """C and D of all `FEEDBACK`, zero where the plant lacks an output that nothing reads."""
