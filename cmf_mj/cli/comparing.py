@@ -7,7 +7,17 @@ import typer
 from rich.console import Console
 
 from cmf_mj import report, units
-from cmf_mj.cli.common import Jobs, Noise, app, names_of, noise_choice, progress_bar, refuse, show
+from cmf_mj.cli.common import (
+    HydraulicSet,
+    Jobs,
+    Noise,
+    app,
+    names_of,
+    noise_choice,
+    progress_bar,
+    refuse,
+    show,
+)
 from cmf_mj.control import law_names
 from cmf_mj.files import write_text
 from cmf_mj.kinematics import DOFS
@@ -68,9 +78,7 @@ def compare_command(
     dofs: Annotated[str, typer.Option(help="degrees of freedom, or `all`")] = "all",
     cab: Annotated[str, typer.Option(help="gfd, rfd or ifd")] = "gfd",
     plants: Annotated[str, typer.Option(help="hexapod, single_legs, or `all`")] = "all",
-    hydraulics: Annotated[
-        str, typer.Option(help="report, hardware, or a TOML file of your own")
-    ] = "hardware",
+    hydraulics: HydraulicSet = "hardware",
     amplitude: Annotated[
         float,
         typer.Option(help="sweep amplitude [in]; rotations 0.2 deg and steps 1 in to 0.33 in"),

@@ -21,7 +21,9 @@ def laws_command() -> None:
 
 @app.command("parameters")
 def parameters_command(
-    hydraulics: Annotated[str, typer.Argument(help="report, hardware or a TOML file")] = "hardware",
+    hydraulics: Annotated[
+        str, typer.Argument(help="report, hardware, lossy or a TOML file")
+    ] = "hardware",
 ) -> None:
     """Show a hydraulic parameter set: value, unit, status and source of every number."""
     try:

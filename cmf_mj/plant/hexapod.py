@@ -51,7 +51,7 @@ class Hexapod(Plant):
 
         Args:
             cab: `gfd`, `rfd` or `ifd`.
-            hydraulics: `report`, `hardware`, a TOML file or a loaded set.
+            hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
             spec: an edited `hexapod_spec` of the cab, its geometry unchanged; default as shipped.
             timestep: mechanical step [s]; default one control frame.
 

@@ -39,7 +39,7 @@ class SingleLegs(Plant):
         """Build the six legs.
 
         Args:
-            hydraulics: `report`, `hardware`, a TOML file or a loaded set.
+            hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
             effective_mass: inertia each leg moves [kg].
             static_load: constant axial load pressing each leg together [N].
             timestep: mechanical step [s]; default one control frame.

@@ -258,7 +258,7 @@ def compare(
         dofs: degrees of freedom.
         plants: `hexapod`, `single_legs` or both; both get the same hydraulics.
         cab: `gfd`, `rfd` or `ifd`, for the hexapod.
-        hydraulics: `report`, `hardware`, a TOML file or a loaded set.
+        hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
         amplitude: of the chirp in translation [m]; rotations and steps keep the report's
             proportions to it, 0.2 deg and 1 in to 0.33 in.
         jobs: threads; default one per core. Results do not depend on it.
