@@ -22,6 +22,7 @@ from cmf_mj.studies import PLANTS
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
+    rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
     help="NASA Langley's Cockpit Motion Facility: control laws on a faithful hexapod.",
 )
