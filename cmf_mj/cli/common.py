@@ -108,6 +108,9 @@ LawName = Annotated[str, typer.Option("--law", help="law by name or TOML file")]
 PlantName = Annotated[str, typer.Option("--plant", help="hexapod or single_legs")]
 Cab = Annotated[str, typer.Option(help="gfd, rfd or ifd")]
 HydraulicSet = Annotated[str, typer.Option(help="report, hardware, lossy or a TOML file")]
+Speed = Annotated[float, typer.Option(help="times real speed; below 1 is slow motion")]
+PicturesPerSecond = Annotated[int, typer.Option(help="pictures a second")]
+CameraName = Annotated[str, typer.Option(help="overview, side or front")]
 Amplitude = Annotated[
     float | None, typer.Option(help="amplitude [in or deg]; default 0.33 in or 0.2 deg")
 ]
