@@ -68,27 +68,26 @@ def modes_command(
         found = [modes_at(plant, here) for plant in plants]
         looks = SwingSettings(fps, speed, camera, width, height, units.to_si("in", stroke), periods)
 
-        def filmed(plant: Hexapod, modes: ModeSet, suffix: str = "", where: str = "") -> list[Path]:
-            if video is None:
-                return []
-            path = out / video.with_name(f"{video.stem}_{plant.cab}{suffix}{video.suffix}")
+        def filmed(
+            name: Path, plant: Hexapod, modes: ModeSet, suffix: str = "", where: str = ""
+        ) -> list[Path]:
+            path = out / name.with_name(f"{name.stem}_{plant.cab}{suffix}{name.suffix}")
             title = modes_report.title_of(modes, where)
             with progress_bar() as progress:
                 return [swing_film(plant, modes, path, looks, title=title, progress=progress)]
 
-        # Films first: what they refuse is then refused before the search.
-        paths = [p for pair in zip(plants, found, strict=True) for p in filmed(*pair)]
+        # The search takes longest: what the rest refuses is refused before it.
+        paths = []
+        for plant, modes in zip(plants, found, strict=True):
+            paths += filmed(video, plant, modes) if video is not None else []
+        sweeps = [[sweep(plant, dof, count=points) for dof in DOFS] for plant in plants]
+        maps = [[plane_map(p, pair, count=points) for pair in modes_report.PLANES] for p in plants]
         with progress_bar() as progress:
             ranges = [
                 over_envelope(plant, samples=samples, rounds=rounds, seed=seed, progress=progress)
                 for plant in plants
             ]
-        paths += modes_report.save_envelope(
-            ranges,
-            [[sweep(plant, dof, count=points) for dof in DOFS] for plant in plants],
-            [[plane_map(p, pair, count=points) for pair in modes_report.PLANES] for p in plants],
-            out,
-        )
+        paths += modes_report.save_envelope(ranges, sweeps, maps, out)
         # The envelope has neutral in it.
         asked = found if here.any() else []
         each = [*asked, *(modes for one in ranges for modes in (*one.modes, one.worst))]
@@ -99,9 +98,10 @@ def modes_command(
             show(modes_report.mode_table(one.worst, "worst pose"), width=TEXT_WIDTH)
         show(modes_report.range_table(ranges), width=TEXT_WIDTH)
         for plant, one in zip(plants, ranges, strict=True):
-            near = with_room(plant, one.worst, _ROOM * looks.stroke)
-            where = "worst pose" if near is one.worst else "near the worst pose"
-            paths += filmed(plant, near, "_worst", where)
+            if video is not None:
+                near = with_room(plant, one.worst, _ROOM * looks.stroke)
+                where = "worst pose" if near is one.worst else "near the worst pose"
+                paths += filmed(video, plant, near, "_worst", where)
         show(f"written to {out}: {', '.join(path.name for path in paths)}", width=TEXT_WIDTH)
     except (ValueError, OSError) as error:
         refuse(error)
