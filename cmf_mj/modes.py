@@ -14,7 +14,7 @@ so that single legs have one mode of the mass of their payload. The envelope is 
 the operational limits (Table 2-1) whose legs stay within their working stroke (section 3.2.1).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +23,7 @@ from scipy import optimize
 from scipy.stats import qmc
 
 from cmf_mj import kinematics
-from cmf_mj.kinematics import DOFS, WORKING_STROKE, pose_to_legs
+from cmf_mj.kinematics import DOFS, WORKING_STROKE, legs_to_pose, pose_to_legs
 from cmf_mj.motion_limits import MotionLimits, load_motion_limits
 from cmf_mj.plant import Hexapod
 
@@ -63,22 +63,31 @@ class PlaneMap(NamedTuple):
 
     dofs: tuple[str, str]
     first: NDArray[np.float64]
-    """Excursions of the first degree of freedom [m or rad], (n,)."""
+    """Excursions of the first degree of freedom [m or rad], (rays, rings): each ray goes from
+    neutral to the end of the envelope, the last is the first again."""
     second: NDArray[np.float64]
-    """Of the second, (m,)."""
+    """Of the second, (rays, rings)."""
     frequency_hz: NDArray[np.float64]
-    """(n, m, 6) [Hz], NaN outside the envelope."""
+    """(rays, rings, 6) [Hz]."""
 
 
 class Range(NamedTuple):
-    """Frequencies over the whole envelope."""
+    """Modes over the whole envelope."""
 
-    poses: NDArray[np.float64]
-    """Poses looked at, (n, 6)."""
-    frequency_hz: NDArray[np.float64]
-    """(n, 6) [Hz]."""
+    modes: tuple[ModeSet, ...]
+    """At the poses looked at."""
     worst: ModeSet
     """Where the lowest mode is lowest."""
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """Poses looked at, (n, 6) [m, rad]."""
+        return np.array([modes.pose for modes in self.modes])
+
+    @property
+    def frequency_hz(self) -> NDArray[np.float64]:
+        """Frequencies there, (n, 6) [Hz]."""
+        return np.array([modes.frequency_hz for modes in self.modes])
 
 
 def modes_at(plant: Hexapod, pose: ArrayLike | None = None) -> ModeSet:
@@ -100,10 +109,17 @@ def modes_at(plant: Hexapod, pose: ArrayLike | None = None) -> ModeSet:
     )
 
 
-def reserve(pose: ArrayLike, plant: Hexapod) -> float:
-    """Stroke left to the leg nearest its working limit [m], negative beyond it."""
-    legs = pose_to_legs(np.asarray(pose, dtype=float), plant.geometry)
-    return WORKING_STROKE - float(np.abs(legs).max())
+def reserve(pose: ArrayLike, plant: Hexapod) -> NDArray[np.float64]:
+    """Stroke left to the leg nearest its working limit [m], negative beyond it.
+
+    Args:
+        pose: (..., 6) [m, rad], z down.
+        plant: the hexapod.
+
+    Returns:
+        (...).
+    """
+    return WORKING_STROKE - np.abs(pose_to_legs(pose, plant.geometry)).max(axis=-1)
 
 
 def _frequencies(plant: Hexapod, pose: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -111,12 +127,12 @@ def _frequencies(plant: Hexapod, pose: NDArray[np.float64]) -> NDArray[np.float6
 
 
 def _excursions(plant: Hexapod, dof: int, limits: MotionLimits, count: int) -> NDArray[np.float64]:
-    """Evenly spaced excursions over the envelope of one degree of freedom, neutral among them."""
+    """Excursions over the envelope of one degree of freedom: neutral, and denser to the ends."""
     reach = kinematics.excursion_envelope(WORKING_STROKE, plant.geometry)[dof]
     low = max(reach[0], limits.operational[dof, 0])
     high = min(reach[1], limits.operational[dof, 1])
-    half = count // 2
-    return np.concatenate([np.linspace(low, 0.0, half + 1)[:-1], np.linspace(0.0, high, half + 1)])
+    along = np.sin(0.5 * np.pi * np.linspace(-1.0, 1.0, 2 * (count // 2) + 1))
+    return np.where(along < 0.0, -low, high) * along
 
 
 def sweep(
@@ -137,6 +153,19 @@ def sweep(
     return Sweep(dof, excursions, np.array([_frequencies(plant, pose) for pose in poses]))
 
 
+def _reach(plant: Hexapod, direction: NDArray[np.float64], limits: MotionLimits) -> float:
+    """How many times a direction (6,) leads from neutral to the end of the envelope."""
+    low, high = limits.operational.T
+    moved = np.flatnonzero(direction)
+    end = float((np.where(direction > 0.0, high, low)[moved] / direction[moved]).min())
+    tried = np.linspace(0.0, end, 65)
+    outside = np.flatnonzero(reserve(tried[:, None] * direction, plant) < 0.0)
+    if not outside.size:
+        return end
+    inner, outer = tried[outside[0] - 1], tried[outside[0]]
+    return float(optimize.brentq(lambda far: reserve(far * direction, plant), inner, outer))
+
+
 def plane_map(
     plant: Hexapod,
     dofs: tuple[str, str],
@@ -144,30 +173,39 @@ def plane_map(
     count: int = 21,
     limits: MotionLimits | None = None,
 ) -> PlaneMap:
-    """Frequencies over two degrees of freedom.
+    """Frequencies over two degrees of freedom, on rays from neutral to the end of the envelope.
 
     Args:
         plant: the hexapod.
         dofs: two different degrees of freedom.
-        count: excursions along each, odd.
+        count: poses along each axis, odd, at least 3; there are four times as many rays, less 4.
         limits: of motion; default the shipped ones.
 
     Raises:
-        ValueError: twice the same or an unknown degree of freedom.
+        ValueError: twice the same or an unknown degree of freedom, or too few poses.
     """
     if dofs[0] == dofs[1] or not set(dofs) <= set(DOFS):
         raise ValueError(f"dofs: {dofs} must be two different ones of {', '.join(DOFS)}")
+    if count < 3:
+        raise ValueError(f"count: {count} poses along each axis must be at least 3")
     allowed = limits or load_motion_limits()
     indices = [DOFS.index(dof) for dof in dofs]
-    first, second = (_excursions(plant, index, allowed, count) for index in indices)
-    frequencies = np.full((first.size, second.size, 6), np.nan)
-    pose = np.zeros(6)
-    for i, j in np.ndindex(first.size, second.size):
-        pose[indices] = first[i], second[j]
-        # The ends of the axes lie on the envelope itself.
-        if reserve(pose, plant) >= -1e-9:
-            frequencies[i, j] = _frequencies(plant, pose)
-    return PlaneMap(dofs, first, second, frequencies)
+    rays, rings = 4 * (count - 1), count // 2 + 1
+    poses = np.zeros((rays + 1, rings, 6))
+    for ray in range(rays):
+        # Whole quarters are the axes themselves.
+        angle = np.array([np.cos(2.0 * np.pi * ray / rays), np.sin(2.0 * np.pi * ray / rays)])
+        direction = np.zeros(6)
+        direction[indices] = np.ptp(allowed.operational[indices], axis=1) * angle.round(12)
+        far = np.linspace(0.0, _reach(plant, direction, allowed), rings)
+        poses[ray] = far[:, None] * direction
+    poses[rays] = poses[0]
+    frequencies = np.empty(poses.shape)
+    frequencies[:, 0] = _frequencies(plant, np.zeros(6))
+    for ray, ring in np.ndindex(rays, rings - 1):
+        frequencies[ray, ring + 1] = _frequencies(plant, poses[ray, ring + 1])
+    frequencies[rays] = frequencies[0]
+    return PlaneMap(dofs, poses[..., indices[0]], poses[..., indices[1]], frequencies)
 
 
 def envelope_poses(
@@ -186,7 +224,7 @@ def envelope_poses(
     found = [np.zeros(6)]
     while len(found) < count:
         drawn = low + (high - low) * source.random(256)
-        found += [pose for pose in drawn if reserve(pose, plant) >= 0.0]
+        found += list(drawn[reserve(drawn, plant) >= 0.0])
     return np.array(found[:count])
 
 
@@ -199,7 +237,7 @@ def over_envelope(
     limits: MotionLimits | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Range:
-    """Frequencies over the whole envelope, and the pose where the lowest mode is lowest.
+    """Modes over the whole envelope, and the pose where the lowest mode is lowest.
 
     The worst pose is sought by differential evolution from the lowest of the sampled poses, the
     stroke of the legs a constraint.
@@ -219,7 +257,8 @@ def over_envelope(
         raise ValueError(f"samples: {samples} must be at least 90")
     allowed = limits or load_motion_limits()
     poses = envelope_poses(plant, samples, seed=seed, limits=allowed)
-    frequencies = np.array([_frequencies(plant, pose) for pose in poses])
+    looked_at = tuple(modes_at(plant, pose) for pose in poses)
+    lowest_ones = np.array([modes.frequency_hz[0] for modes in looked_at])
     tell = progress or (lambda done, total: None)
     tell(1, rounds + 1)
     done = 1
@@ -231,14 +270,14 @@ def over_envelope(
 
     def lowest(pose: NDArray[np.float64]) -> float:
         # Beyond the mechanical stroke there is no plant to ask.
-        if reserve(pose, plant) < 0.0:
-            return float(frequencies.max()) - reserve(pose, plant)
+        if (left := float(reserve(pose, plant))) < 0.0:
+            return float(lowest_ones.max()) - left
         return float(_frequencies(plant, pose)[0])
 
     found = optimize.differential_evolution(
         lowest,
         list(zip(*allowed.operational.T, strict=True)),
-        init=poses[np.argsort(frequencies[:, 0])[:90]],
+        init=poses[np.argsort(lowest_ones)[:90]],
         maxiter=rounds,
         tol=1e-6,
         rng=np.random.default_rng(seed),
@@ -246,30 +285,86 @@ def over_envelope(
         polish=False,
     )
     tell(rounds + 1, rounds + 1)
-    return Range(poses, frequencies, modes_at(plant, found.x))
+    return Range(looked_at, modes_at(plant, found.x))
+
+
+def with_room(plant: Hexapod, modes: ModeSet, room: float) -> ModeSet:
+    """Modes at a pose, or as far on the way there from neutral as all legs keep some stroke.
+
+    Args:
+        plant: the hexapod.
+        modes: modes at the pose.
+        room: working stroke to be left to every leg [m].
+
+    Raises:
+        ValueError: not even neutral leaves that much.
+    """
+    if not 0.0 <= room < (most := float(reserve(np.zeros(6), plant))):
+        raise ValueError(f"room: {room} m must be at least 0 and less than {most:.4f} m")
+    if reserve(modes.pose, plant) >= room:
+        return modes
+    share = optimize.brentq(lambda part: reserve(part * modes.pose, plant) - room, 0.0, 1.0)
+    return modes_at(plant, share * modes.pose)
+
+
+def stroke_room(plant: Hexapod, modes: ModeSet, mode: int) -> float:
+    """Largest leg motion [m] of a mode about its pose that the working stroke allows.
+
+    With extensions l and a leg shape s whose largest part is 1 it is min_j (L - |l_j|) / |s_j|,
+    L the working stroke.
+
+    Args:
+        plant: the hexapod.
+        modes: modes at the pose about which it swings.
+        mode: index of the mode, 0 the lowest.
+
+    Raises:
+        ValueError: a leg is at the end of its working stroke or beyond.
+    """
+    left = WORKING_STROKE - np.abs(pose_to_legs(modes.pose, plant.geometry))
+    least = int(left.argmin())
+    if left[least] <= 0.0:
+        raise ValueError(
+            f"pose: leaves leg {least + 1} {left[least]:.4f} m of its working stroke to swing in; "
+            "must be greater than 0"
+        )
+    shape = np.abs(modes.leg_shape[:, mode])
+    return float(shape.max() * (left / np.maximum(shape, 1e-9 * shape.max())).min())
 
 
 def swinging(
-    plant: Hexapod, modes: ModeSet, mode: int, *, stroke: float, frames: int
-) -> Sequence[NDArray[np.float64]]:
-    """Configurations of one period of a mode, for an animation.
+    plant: Hexapod, modes: ModeSet, mode: int, time: ArrayLike, *, stroke: float
+) -> NDArray[np.float64]:
+    """Configurations of a mode swinging from its pose, l(t) = l + stroke s sin(2 pi f t).
+
+    The legs swing, as in the equation of the modes; the platform follows through the forward
+    kinematics, so that all gimbals stay closed however large the stroke.
 
     Args:
         plant: the hexapod; it is left in the last configuration.
         modes: modes at the pose about which it swings.
         mode: index of the mode, 0 the lowest.
-        stroke: largest leg motion [m].
-        frames: configurations in a period.
+        time: (n,) [s].
+        stroke: largest leg motion [m], at most `stroke_room`.
 
     Returns:
-        MuJoCo's qpos of each.
+        MuJoCo's qpos, (n, nq).
 
     Raises:
-        ValueError: a leg would leave its mechanical stroke.
+        ValueError: a leg would leave its working stroke.
     """
-    shape = modes.pose_shape[:, mode] * stroke / np.abs(modes.leg_shape[:, mode]).max()
-    found = []
-    for phase in 2.0 * np.pi * np.arange(frames) / frames:
-        plant.place(modes.pose + np.sin(phase) * shape)
-        found.append(plant.data.qpos.copy())
+    room = stroke_room(plant, modes, mode)
+    if not 0.0 < stroke <= room:
+        raise ValueError(
+            f"stroke: {stroke:.4f} m must be greater than 0 and at most {room:.4f} m, where mode "
+            f"{mode + 1} takes a leg to the end of its working stroke"
+        )
+    shape = modes.leg_shape[:, mode] / np.abs(modes.leg_shape[:, mode]).max()
+    phase = 2.0 * np.pi * modes.frequency_hz[mode] * np.asarray(time, dtype=float)
+    rest = pose_to_legs(modes.pose, plant.geometry)
+    poses = legs_to_pose(rest + stroke * np.sin(phase)[:, None] * shape, plant.geometry)
+    found = np.empty((poses.shape[0], plant.model.nq))
+    for row, pose in enumerate(poses):
+        plant.place(pose)
+        found[row] = plant.data.qpos
     return found

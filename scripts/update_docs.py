@@ -34,6 +34,7 @@ COPIES = {
     "compare/step_surge.png": "images/step_surge.png",
     "modes/modes_sweep.png": "images/modes_sweep.png",
     "modes/modes_map.png": "images/modes_map.png",
+    "modes/modes_gfd.gif": "images/modes_shapes.gif",
     "calibrate/report/residuals.png": "images/calibration_report.png",
     "calibrate/report/sensitivity.png": "images/sensitivity_report.png",
     "calibrate/hardware/residuals.png": "images/calibration_hardware.png",

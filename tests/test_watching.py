@@ -77,6 +77,19 @@ def test_slow_motion_has_more_pictures(single: Record, tmp_path: Path) -> None:
         assert picture.info["duration"] == 100
 
 
+def test_a_gif_keeps_its_pace_though_it_counts_hundredths(single: Record, tmp_path: Path) -> None:
+    """Fifteen pictures at 30 a second last 0.5 s; 15 times 0.03 s would be 0.45 s."""
+    path = film([single], tmp_path / "pace.gif", SMALL._replace(fps=30, strip=0))
+    with Image.open(path) as picture:
+        shown = [picture.info["duration"]]
+        for number in range(1, picture.n_frames):
+            picture.seek(number)
+            shown.append(picture.info["duration"])
+    assert sum(shown) == 500
+    with pytest.raises(ValueError, match="fps: 60 pictures a second of a GIF file .* at most 50"):
+        film([single], tmp_path / "fast.gif", SMALL._replace(fps=60))
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -23,6 +23,7 @@ from cmf_mj.studies import PLANTS
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
+    rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
     help="NASA Langley's Cockpit Motion Facility: control laws on a faithful hexapod.",
 )
@@ -123,6 +124,9 @@ FrameRate = Annotated[
 Derivatives = Annotated[
     str, typer.Option(help="velocities of a file that has none: spline or zero")
 ]
+Speed = Annotated[float, typer.Option(help="times real speed; below 1 is slow motion")]
+PicturesPerSecond = Annotated[int, typer.Option(help="pictures a second")]
+CameraName = Annotated[str, typer.Option(help="overview, side or front")]
 Amplitude = Annotated[
     float | None, typer.Option(help="amplitude [in or deg]; default 0.33 in or 0.2 deg")
 ]

@@ -5,7 +5,16 @@ from typing import Annotated
 
 import typer
 
-from cmf_mj.cli.common import app, names_of, progress_bar, refuse, show
+from cmf_mj.cli.common import (
+    CameraName,
+    PicturesPerSecond,
+    Speed,
+    app,
+    names_of,
+    progress_bar,
+    refuse,
+    show,
+)
 from cmf_mj.record import Record
 from cmf_mj.scenario import (
     Scenario,
@@ -23,7 +32,6 @@ _HEAVE = "heave_sine"
 Source = Annotated[str, typer.Argument(help="scenario: TOML file, or a shipped one by name")]
 Law = Annotated[str | None, typer.Option("--law", help="law in place of the scenario's")]
 Cab = Annotated[str | None, typer.Option(help="gfd, rfd or ifd, in place of the scenario's")]
-Speed = Annotated[float, typer.Option(help="times real speed; below 1 is slow motion")]
 
 
 def _with(scenario: Scenario, **fields: object) -> Scenario:
@@ -77,9 +85,9 @@ def video_command(
     ] = "",
     cab: Cab = None,
     out: Annotated[Path, typer.Option(help="MP4 or GIF file")] = Path("out/video.mp4"),
-    fps: Annotated[int, typer.Option(help="pictures a second")] = 30,
+    fps: PicturesPerSecond = 30,
     speed: Speed = 1.0,
-    camera: Annotated[str, typer.Option(help="overview, side or front")] = "overview",
+    camera: CameraName = "overview",
     width: Annotated[int, typer.Option(help="of the picture of one run, pixels")] = 720,
     height: Annotated[int, typer.Option(help="of the picture of one run, pixels")] = 450,
     strip: Annotated[int, typer.Option(help="height of the traces, pixels; 0 for none")] = 190,

@@ -2,8 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from fractions import Fraction
-from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,17 +11,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from cmf_mj import models
-from cmf_mj.files import whole_file
 from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.record import Record
+from cmf_mj.watching.encoding import check_film, write_film
 from cmf_mj.watching.stage import Stage
 from cmf_mj.watching.strip import Strip, traces_of
-
-CODECS = ("libx264", "libopenh264", "mpeg4")
-"""Encoders of MP4 files in order of preference: H.264, else MPEG-4 part 2."""
-
-_COLOURS, _RARE = 176, 64
-"""Of a GIF file: those that cover much of it, and those that are unlike the others."""
 
 
 class FilmSettings(NamedTuple):
@@ -69,25 +61,15 @@ def film(
         ValueError: an argument out of range or a missing package, named.
     """
     chosen, target = settings or FilmSettings(), Path(path)
-    if target.suffix not in (".mp4", ".gif"):
-        raise ValueError(f"out: {target.name} must end in .mp4 or .gif")
+    sizes = {"width": chosen.width, "height": chosen.height, "strip": chosen.strip}
+    check_film(target, chosen.fps, chosen.speed, sizes)
     if not records:
         raise ValueError("records: none is given; give at least one")
-    if not (np.isfinite(chosen.speed) and chosen.speed > 0.0) or chosen.fps < 1:
-        raise ValueError(f"speed, fps: {chosen.speed}, {chosen.fps} must be greater than 0")
-    for name in ("width", "height", "strip"):
-        if getattr(chosen, name) % 2:
-            raise ValueError(f"{name}: {getattr(chosen, name)} pixels must be even")
     named = list(titles) or [str(record.metadata["law"]) for record in records]
     length = max(float(record.time[-1]) for record in records)
     count = int(length / chosen.speed * chosen.fps) + 1
-    pictures = _counted(_pictures(records, named, count, chosen), count, progress)
-    with whole_file(target) as partial:
-        if target.suffix == ".gif":
-            _write_gif(pictures, partial, chosen.fps)
-        else:
-            _write_mp4(pictures, partial, chosen.fps)
-    return target
+    pictures = _pictures(records, named, count, chosen)
+    return write_film(pictures, count, target, chosen.fps, progress=progress)
 
 
 def model_of(record: Record) -> mujoco.MjModel:
@@ -140,77 +122,3 @@ def _titled(scene: NDArray[np.uint8], title: str, time: float) -> NDArray[np.uin
             place, text, fill="white", font=font, anchor=anchor, stroke_width=1, stroke_fill="#223"
         )
     return np.asarray(image)
-
-
-def _counted(
-    pictures: Iterator[NDArray[np.uint8]], count: int, progress: Callable[[int, int], None] | None
-) -> Iterator[NDArray[np.uint8]]:
-    for number, picture in enumerate(pictures, start=1):
-        yield picture
-        if progress is not None:
-            progress(number, count)
-
-
-def _write_mp4(pictures: Iterator[NDArray[np.uint8]], target: Path, fps: int) -> None:
-    try:
-        import av
-    except ImportError as error:
-        raise ValueError(
-            "out: an .mp4 file needs PyAV, pip install 'cmf-mj[video]'; a .gif file does not"
-        ) from error
-    first = next(pictures)
-    with av.open(str(target), "w", format="mp4") as container:
-        stream = container.add_stream(_codec(), rate=Fraction(fps))
-        stream.height, stream.width = first.shape[:2]
-        stream.pix_fmt = "yuv420p"
-        stream.bit_rate = 4_000_000
-        for picture in chain([first], pictures):
-            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
-
-
-def _codec() -> str:
-    """The first encoder this PyAV can open.
-
-    Raises:
-        ValueError: it has none of them.
-    """
-    import av
-
-    for name in CODECS:
-        try:
-            av.codec.Codec(name, "w")
-        except (av.codec.codec.UnknownCodecError, ValueError):
-            continue
-        return name
-    raise ValueError(f"out: PyAV has none of the encoders {', '.join(CODECS)}; write a .gif file")
-
-
-def _write_gif(pictures: Iterator[NDArray[np.uint8]], target: Path, fps: int) -> None:
-    begun = next(pictures)
-    palette = _palette(Image.fromarray(begun))
-    first, *others = (
-        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
-        for picture in chain([begun], pictures)
-    )
-    first.save(
-        target,
-        format="GIF",
-        save_all=True,
-        append_images=others,
-        duration=round(1000 / fps),
-        loop=0,
-        optimize=True,
-    )
-
-
-def _palette(picture: Image.Image) -> Image.Image:
-    """One palette for all pictures of a film, from the first: its legend has all the traces'."""
-    methods = ((_COLOURS, Image.Quantize.MEDIANCUT), (_RARE, Image.Quantize.MAXCOVERAGE))
-    entries: list[int] = []
-    for count, method in methods:
-        entries += (picture.quantize(count, method=method).getpalette() or [])[: 3 * count]
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(entries)
-    return palette

@@ -28,7 +28,7 @@ PACKAGES = (
 )
 
 _SHADOWS = 4096
-"""Shadow map at most [texels]."""
+"""Shadow map at most [texels]; small pictures have one of about four texels a pixel."""
 
 _FINER = 2
 """Pixels drawn for one of the picture, each way."""
@@ -105,7 +105,9 @@ class Stage:
         quality, buffer = model.vis.quality, model.vis.global_
         buffer.offwidth, buffer.offheight = _FINER * width, _FINER * height
         quality.offsamples, quality.numslices, quality.numstacks = 0, 20, 10
-        quality.shadowsize = min(int(quality.shadowsize), _SHADOWS)
+        quality.shadowsize = min(
+            int(quality.shadowsize), _SHADOWS, 1 << (4 * width - 1).bit_length()
+        )
         self._data = mujoco.MjData(model)
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
