@@ -64,11 +64,17 @@ def overlaid(model: type[Model], shipped: Path, source: Path | None) -> Model:
     table = read_toml(shipped)
     if source is None:
         return validated(model, table, shipped.name)
-    for name, change in read_toml(source).items():
+    return validated(model, laid_over(table, read_toml(source)), str(source))
+
+
+def laid_over(table: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """A table with the entries of another in their place, tables merged one level deep."""
+    found = dict(table)
+    for name, change in changes.items():
         before = table.get(name)
         merge = isinstance(before, dict) and isinstance(change, dict)
-        table[name] = before | change if merge else change
-    return validated(model, table, str(source))
+        found[name] = before | change if merge else change
+    return found
 
 
 def _explain(model: type[BaseModel], error: Any, where: str) -> str:
