@@ -1,4 +1,4 @@
-"""Films of one run, or of two side by side, with live traces under the picture."""
+"""Films of one run, or of several side by side, with live traces under the picture."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
@@ -17,7 +17,7 @@ from cmf_mj.files import whole_file
 from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.record import Record
 from cmf_mj.watching.stage import Stage
-from cmf_mj.watching.strip import Strip, traces_of
+from cmf_mj.watching.strip import Strip, Traces, traces_of
 
 CODECS = ("libx264", "libopenh264", "mpeg4")
 """Encoders of MP4 files in order of preference: H.264, else MPEG-4 part 2."""
@@ -43,6 +43,10 @@ class FilmSettings(NamedTuple):
     """Height of the traces [pixels], even; 0 for none."""
     dof: str | None = None
     """Degree of freedom in the traces; default the one that moves most."""
+    start: float = 0.0
+    """Time of the runs at which it begins [s]."""
+    seconds: float | None = None
+    """Time of the runs that it shows [s]; default to the end of the longest."""
 
 
 def film(
@@ -51,6 +55,7 @@ def film(
     settings: FilmSettings | None = None,
     *,
     titles: Sequence[str] = (),
+    traces: Sequence[Traces] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Render runs to an MP4 or GIF file, by the name's end; it appears only when it is complete.
@@ -63,31 +68,64 @@ def film(
         path: ends in .mp4 or .gif.
         settings: how it looks.
         titles: over each run; default its law.
+        traces: under each run; default `traces_of` its record.
         progress: called with the pictures done and those in all.
 
     Raises:
         ValueError: an argument out of range or a missing package, named.
     """
     chosen, target = settings or FilmSettings(), Path(path)
-    if target.suffix not in (".mp4", ".gif"):
-        raise ValueError(f"out: {target.name} must end in .mp4 or .gif")
     if not records:
         raise ValueError("records: none is given; give at least one")
-    if not (np.isfinite(chosen.speed) and chosen.speed > 0.0) or chosen.fps < 1:
-        raise ValueError(f"speed, fps: {chosen.speed}, {chosen.fps} must be greater than 0")
-    for name in ("width", "height", "strip"):
-        if getattr(chosen, name) % 2:
-            raise ValueError(f"{name}: {getattr(chosen, name)} pixels must be even")
+    _check(target, chosen)
     named = list(titles) or [str(record.metadata["law"]) for record in records]
-    length = max(float(record.time[-1]) for record in records)
-    count = int(length / chosen.speed * chosen.fps) + 1
-    pictures = _counted(_pictures(records, named, count, chosen), count, progress)
+    end = max(float(record.time[-1]) for record in records)
+    if not 0.0 <= chosen.start < end:
+        raise ValueError(f"start: {chosen.start} s; allowed: from 0 to below {end:g} s")
+    if chosen.seconds is not None:
+        end = min(end, chosen.start + chosen.seconds)
+    count = int((end - chosen.start) / chosen.speed * chosen.fps) + 1
+    shown = [
+        every.between(chosen.start, end)
+        for every in traces or (traces_of(record, chosen.dof) for record in records)
+    ]
+    pictures = _counted(_pictures(records, named, shown, count, chosen), count, progress)
     with whole_file(target) as partial:
         if target.suffix == ".gif":
             _write_gif(pictures, partial, chosen.fps)
         else:
             _write_mp4(pictures, partial, chosen.fps)
     return target
+
+
+def check_film(model: mujoco.MjModel, path: str | Path, settings: FilmSettings) -> None:
+    """Make sure that a film can be made, before a long run for it.
+
+    Args:
+        model: what will be shown.
+        path: of the film.
+        settings: how it will look.
+
+    Raises:
+        ValueError: what `film` would refuse, named: settings, packages, OpenGL.
+    """
+    _check(Path(path), settings)
+    if Path(path).suffix == ".mp4":
+        _codec()
+    with Stage(model, settings.width, settings.height, settings.camera):
+        pass
+
+
+def _check(target: Path, settings: FilmSettings) -> None:
+    if target.suffix not in (".mp4", ".gif"):
+        raise ValueError(f"out: {target.name} must end in .mp4 or .gif")
+    if not (np.isfinite(settings.speed) and settings.speed > 0.0) or settings.fps < 1:
+        raise ValueError(f"speed, fps: {settings.speed}, {settings.fps} must be greater than 0")
+    if settings.seconds is not None and not settings.seconds > 0.0:
+        raise ValueError(f"seconds: {settings.seconds} must be greater than 0")
+    for name in ("width", "height", "strip"):
+        if getattr(settings, name) % 2:
+            raise ValueError(f"{name}: {getattr(settings, name)} pixels must be even")
 
 
 def model_of(record: Record) -> mujoco.MjModel:
@@ -105,9 +143,12 @@ def model_of(record: Record) -> mujoco.MjModel:
 
 
 def _pictures(
-    records: Sequence[Record], titles: Sequence[str], count: int, chosen: FilmSettings
+    records: Sequence[Record],
+    titles: Sequence[str],
+    traces: Sequence[Traces],
+    count: int,
+    chosen: FilmSettings,
 ) -> Iterator[NDArray[np.uint8]]:
-    traces = [traces_of(record, chosen.dof) for record in records]
     with ExitStack() as stack:
         stages = [
             stack.enter_context(Stage(model_of(r), chosen.width, chosen.height, chosen.camera))
@@ -115,7 +156,7 @@ def _pictures(
         ]
         strips = [Strip(t, chosen.width, chosen.strip, traces) for t in traces if chosen.strip]
         for number in range(count):
-            time = number * chosen.speed / chosen.fps
+            time = chosen.start + number * chosen.speed / chosen.fps
             columns = []
             for index, (record, stage) in enumerate(zip(records, stages, strict=True)):
                 row = int(np.searchsorted(record.time, time + 1e-9, side="right")) - 1
@@ -152,15 +193,12 @@ def _counted(
 
 
 def _write_mp4(pictures: Iterator[NDArray[np.uint8]], target: Path, fps: int) -> None:
-    try:
-        import av
-    except ImportError as error:
-        raise ValueError(
-            "out: an .mp4 file needs PyAV, pip install 'cmf-mj[video]'; a .gif file does not"
-        ) from error
+    codec = _codec()
+    import av
+
     first = next(pictures)
     with av.open(str(target), "w", format="mp4") as container:
-        stream = container.add_stream(_codec(), rate=Fraction(fps))
+        stream = container.add_stream(codec, rate=Fraction(fps))
         stream.height, stream.width = first.shape[:2]
         stream.pix_fmt = "yuv420p"
         stream.bit_rate = 4_000_000
@@ -171,13 +209,17 @@ def _write_mp4(pictures: Iterator[NDArray[np.uint8]], target: Path, fps: int) ->
 
 
 def _codec() -> str:
-    """The first encoder this PyAV can open.
+    """The first encoder of MP4 files that opens.
 
     Raises:
-        ValueError: it has none of them.
+        ValueError: PyAV is missing, or has none of them.
     """
-    import av
-
+    try:
+        import av
+    except ImportError as error:
+        raise ValueError(
+            "out: an .mp4 file needs PyAV, pip install 'cmf-mj[video]'; a .gif file does not"
+        ) from error
     for name in CODECS:
         try:
             av.codec.Codec(name, "w")
