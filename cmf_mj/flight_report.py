@@ -1,7 +1,7 @@
 """Tables, figures and files of flights in the cab."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from cmf_mj.perception import CueingError, cueing_error
 from cmf_mj.pilot_motion import PilotMotion
 from cmf_mj.report import markdown
 from cmf_mj.transport import TransportDelay
+from cmf_mj.watching import Curve, FilmSettings, Panel, Traces, film
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")
@@ -41,6 +42,57 @@ def _six(motion: PilotMotion) -> NDArray[np.float64]:
     return np.hstack([motion.specific_force, motion.angular_rate]) / _SCALE
 
 
+def _felt(ride: Ride) -> list[tuple[PilotMotion, str, str, float]]:
+    """Motions at the pilot's station with label, colour and width: aircraft, asked, cab."""
+    shown = [
+        (ride.asked, "asked of the platform", "0.25", 0.9),
+        (ride.simulator, "cab", _COLOURS[1], 0.9),
+    ]
+    if ride.aircraft is not None:
+        shown.insert(0, (ride.aircraft, "aircraft", _COLOURS[0], 1.2))
+    return shown
+
+
+def flight_traces(ride: Ride) -> Traces:
+    """Specific force and angular rate at the pilot's station as traces of a film."""
+    felt = [(_six(motion), label, colour, width) for motion, label, colour, width in _felt(ride)]
+    panels = tuple(
+        Panel(
+            f"{name} [{'m/s²' if index < 3 else 'deg/s'}]",
+            tuple(Curve(label, six[:, index], colour, width) for six, label, colour, width in felt),
+        )
+        for index, name in enumerate(_NAMES)
+    )
+    return Traces(ride.asked.time - ride.asked.time[0], panels, columns=2)
+
+
+def save_film(
+    rides: Sequence[Ride],
+    path: Path,
+    settings: FilmSettings | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Film rides side by side, with what the pilot is subjected to under each.
+
+    Args:
+        rides: of one flight.
+        path: ends in .mp4 or .gif.
+        settings: how it looks.
+        progress: called with the pictures done and those in all.
+
+    Raises:
+        ValueError: an argument out of range or a missing package, named.
+    """
+    return film(
+        [ride.operation.record for ride in rides],
+        path,
+        settings,
+        titles=[f"{ride.law}, {ride.cab}" for ride in rides],
+        traces=[flight_traces(ride) for ride in rides],
+        progress=progress,
+    )
+
+
 def _grid(axes: Axes) -> None:
     axes.grid(True, color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
@@ -50,13 +102,7 @@ def motion_figure(ride: Ride) -> Figure:
     """Specific force and angular rate at the pilot's station: aircraft, asked, cab."""
     figure = Figure(figsize=(11.0, 8.0), layout="constrained")
     panels = figure.subplots(3, 2, sharex=True).T.ravel()
-    shown = [
-        (ride.asked, "asked of the platform", "0.25", 0.9),
-        (ride.simulator, "cab", _COLOURS[1], 0.9),
-    ]
-    if ride.aircraft is not None:
-        shown.insert(0, (ride.aircraft, "aircraft", _COLOURS[0], 1.2))
-    for motion, label, colour, width in shown:
+    for motion, label, colour, width in _felt(ride):
         for axes, values in zip(panels, _six(motion).T, strict=True):
             axes.plot(motion.time, values, color=colour, linewidth=width, label=label)
     for axes, title in zip(panels, _TITLES, strict=True):

@@ -11,7 +11,9 @@ the pilot's station of the simulator is its response. Ten tests, input > output:
 An input in pitch or roll turns the aircraft about the pilot's station, gravity with it, so that its
 own specific force over angle is g (minus g in roll). Responses are taken at three places: behind
 the washout (host frames), behind the DCU (an ideal machine), and at the crew's accelerometer of the
-machine under each control law; the last over the one before is the law's share.
+machine under each control law; the last over the one before is the law's share. What an output has
+beside mean and fundamental, harmonics, ringing or a limit cycle, is told by its root mean square
+over that of the fundamental: where this is large the fundamental alone says little.
 
 Single sines, because the washout is not linear: its tilt rate is limited. The procedure is that of
 ICAO 9625 as far as it was known here: frequencies and amplitudes are recalled, not read, and the
@@ -91,6 +93,9 @@ class Omct(NamedTuple):
     responses: dict[str, NDArray[np.complex128]]
     """By `STAGES` and law: complex responses in SI, (10, K); NaN where the machine left its
     bounds."""
+    remainder: dict[str, NDArray[np.float64]]
+    """By `STAGES` and law: what the output has beside mean and fundamental, rms over the rms of the
+    fundamental, (10, K); NaN likewise."""
 
     def share(self, law: str) -> NDArray[np.complex128]:
         """Response of the machine under a law over that of an ideal one, (10, K)."""
@@ -179,7 +184,9 @@ def omct(
                 f"frequencies: {frequency} rad/s must be at most {0.25 * np.pi * HOST_RATE:.4g}"
             )
     names = [*STAGES, *(law.name for law in loaded)]
-    found = {name: np.full((len(TESTS), len(frequencies)), np.nan + 0j) for name in names}
+    shape = len(TESTS), len(frequencies)
+    found = {name: np.full(shape, np.nan + 0j) for name in names}
+    beside = {name: np.full(shape, np.nan) for name in names}
     cases = [
         (dof, column, law)
         for dof in dofs
@@ -200,12 +207,14 @@ def omct(
             felt = {} if moved is None else {law.name: moved}
         for name, motion in felt.items():
             for place in outputs_of(dof):
-                found[name][place, column] = _response(
-                    motion, TESTS[place][1], frequency, size, begin
+                output = _output(motion, TESTS[place][1])
+                found[name][place, column], beside[name][place, column] = _fundamental(
+                    motion.time, output, frequency, size, begin
                 )
 
     on_threads(run, cases, jobs, progress)
-    return Omct(settings.name, cab, parameters.name, np.array(frequencies, dtype=float), found)
+    driven = np.array(frequencies, dtype=float)
+    return Omct(settings.name, cab, parameters.name, driven, found, beside)
 
 
 def _without_machine(
@@ -239,16 +248,32 @@ def _on_machine(
     return PilotMotion.from_record(operation.record)
 
 
-def _response(
-    motion: PilotMotion, output: str, frequency: float, size: float, begin: float
-) -> complex:
-    """Fundamental of an output over the input."""
-    measured = motion.time >= begin
-    time = motion.time[measured]
-    if output in _ROTATIONS:
-        values = motion.attitude[measured, _ROTATIONS.index(output)]
-    else:
-        values = motion.specific_force[measured, _TRANSLATIONS.index(output)]
-    driven = size * np.sin(frequency * time)
-    estimate = sine_response(driven, values, motion.rate, frequency / (2.0 * np.pi))
-    return complex(estimate.response[0])
+def _output(motion: PilotMotion, name: str) -> NDArray[np.float64]:
+    if name in _ROTATIONS:
+        return motion.attitude[:, _ROTATIONS.index(name)]
+    return motion.specific_force[:, _TRANSLATIONS.index(name)]
+
+
+def _fundamental(
+    time: NDArray[np.float64],
+    values: NDArray[np.float64],
+    frequency: float,
+    size: float,
+    begin: float,
+) -> tuple[complex, float]:
+    """Fundamental of an output over an input size sin(frequency time), and what is beside it.
+
+    Over the whole cycles from `begin` on a fundamental of amplitude A has the variance A^2 / 2;
+    what the output's variance has more is the remainder's, the mean taken out.
+    """
+    rate = (time.size - 1) / float(time[-1] - time[0])
+    period = 2.0 * np.pi * rate / frequency
+    start = int(np.searchsorted(time, begin))
+    count = int(np.ceil(int((time.size - start) / period) * period))
+    rows = slice(start, start + count)
+    driven = size * np.sin(frequency * time[rows])
+    response = complex(
+        sine_response(driven, values[rows], rate, frequency / (2.0 * np.pi)).response[0]
+    )
+    power = 0.5 * abs(size * response) ** 2
+    return response, float(np.sqrt(max(values[rows].var() - power, 0.0) / power))

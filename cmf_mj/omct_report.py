@@ -23,6 +23,14 @@ LEGEND = (
 )
 """What the numbers mean."""
 
+_HEADER = (
+    *("test", "stage", "frequency_rad_s", "modulus_si", "phase_deg"),
+    *("remainder", "share_modulus", "share_phase_deg"),
+)
+
+UP_TO = 2.0 * np.pi + 0.1
+"""Highest frequency of the table of shares [rad/s]: 1 Hz, which is 6.31 rad/s of the test."""
+
 _ROTATIONS = ("roll", "pitch", "yaw")
 _COLOURS = ("#999999", "#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
@@ -70,21 +78,38 @@ def omct_cells(result: Omct) -> tuple[list[str], list[list[str]]]:
 
 
 def share_cells(result: Omct) -> tuple[list[str], list[list[str]]]:
-    """Header and lines: machine under each law over an ideal one, modulus and phase [deg]."""
-    header = ["test", "law", *(f"{value:.3g}" for value in result.frequency)]
+    """Header and a line a test: the share of each law up to `UP_TO`.
+
+    A cell holds least and largest modulus of machine over ideal, or one where they round alike, and
+    the phase [deg] at the last frequency; `*` where anywhere the output has more beside the
+    fundamental than in it.
+    """
+    laws = [name for name in result.responses if name not in STAGES]
+    low = result.frequency <= UP_TO
     lines = []
     for place, (given, output) in enumerate(TESTS):
-        for law in [name for name in result.responses if name not in STAGES]:
-            row = result.share(law)[place]
-            if np.isfinite(row).any():
-                cells = zip(np.abs(row), phase(row), strict=True)
-                shown = [f"{_cell(size, 2)} {_cell(angle, 0)}°" for size, angle in cells]
-                lines.append([f"{given} > {output}", law, *shown])
-    return header, lines
+        shares = [result.share(law)[place][low] for law in laws]
+        if any(np.isfinite(share).any() for share in shares):
+            cells = [
+                _range(share, bool((result.remainder[law][place][low] > 1.0).any()))
+                for law, share in zip(laws, shares, strict=True)
+            ]
+            lines.append([f"{given} > {output}", *cells])
+    return ["test", *laws], lines
+
+
+def _range(share: NDArray[np.complex128], beside: bool) -> str:
+    known = np.isfinite(share)
+    if not known.any():
+        return "-"
+    sizes = [_cell(value, 2) for value in (np.abs(share[known]).min(), np.abs(share[known]).max())]
+    size = sizes[0] if sizes[0] == sizes[1] else " to ".join(sizes)
+    lost = "" if known.all() else ", left its bounds"
+    return f"{size}, {_cell(phase(share)[known][-1], 0)}°{'*' if beside else ''}{lost}"
 
 
 def _cell(value: float, digits: int) -> str:
-    return "-" if np.isnan(value) else f"{value:.{digits}f}"
+    return "-" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"  # no -0
 
 
 def omct_table(result: Omct) -> Table:
@@ -153,8 +178,7 @@ def omct_figure(result: Omct) -> Figure:
 def save_omct(result: Omct, folder: Path) -> list[Path]:
     """Write `omct.csv` (SI), `omct.md`, `share.md` (laws over an ideal machine) and `omct.png`."""
     folder.mkdir(parents=True, exist_ok=True)
-    header = ["test", "stage", "frequency_rad_s", "modulus_si", "phase_deg"]
-    write_csv(folder / "omct.csv", header, _rows(result))
+    write_csv(folder / "omct.csv", _HEADER, _rows(result))
     for name, cells in (("omct.md", omct_cells(result)), ("share.md", share_cells(result))):
         write_text(folder / name, markdown(*cells))
     omct_figure(result).savefig(folder / "omct.png", dpi=70)
@@ -164,10 +188,15 @@ def save_omct(result: Omct, folder: Path) -> list[Path]:
 def _rows(result: Omct) -> Iterator[list[str]]:
     for place, (given, output) in enumerate(TESTS):
         for stage, responses in result.responses.items():
-            row = responses[place]
-            for frequency, size, angle in zip(
-                result.frequency, np.abs(row), phase(row), strict=True
-            ):
-                if np.isfinite(size):
+            share = result.share(stage)[place]
+            columns = (
+                np.abs(responses[place]),
+                phase(responses[place]),
+                result.remainder[stage][place],
+                np.abs(share),
+                phase(share),
+            )
+            for frequency, values in zip(result.frequency, zip(*columns, strict=True), strict=True):
+                if np.isfinite(values[0]):
                     where = [f"{given}>{output}", title(stage), f"{frequency:.6g}"]
-                    yield [*where, f"{size:.9g}", f"{angle:.9g}"]
+                    yield [*where, *(f"{value:.6g}" for value in values)]

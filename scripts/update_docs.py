@@ -40,6 +40,7 @@ COPIES = {
     "calibrate/hardware/residuals.png": "images/calibration_hardware.png",
     "calibrate/hardware/sensitivity.png": "images/sensitivity_hardware.png",
     "omct/omct.png": "images/omct.png",
+    "omct/omct.csv": "data/omct.csv",
     "fly/comparison.png": "images/fly_comparison.png",
     "fly/velocity/motion.png": "images/fly_motion.png",
     "verification/work_precision.png": "images/work_precision.png",

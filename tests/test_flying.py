@@ -1,11 +1,14 @@
 """From aircraft to cab: what is asked, what is felt, how late, and within which limits."""
 
 import csv
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 from cmf_mj import flight_report, host, kinematics, signals
@@ -215,6 +218,52 @@ def test_cmf_flight_records_and_cmf_fly_compares(failing: PilotMotion, tmp_path:
     for law in laws.split(","):
         assert names <= {path.name for path in (out / law).iterdir()}
     assert (out / "comparison.png").stat().st_size > 10_000
+
+
+def test_traces_of_a_ride_are_what_the_pilots_are_subjected_to(ride: Ride) -> None:
+    traces = flight_report.flight_traces(ride)
+    assert [panel.label for panel in traces.panels][::3] == ["f_x [m/s²]", "p [deg/s]"]
+    assert traces.time[0] == 0.0 and traces.time[-1] == pytest.approx(12.0, abs=0.02)
+    force, rate = traces.panels[1].curves, traces.panels[5].curves
+    assert [curve.label for curve in force] == ["aircraft", "asked of the platform", "cab"]
+    assert ride.aircraft is not None
+    np.testing.assert_array_equal(force[0].values, ride.aircraft.specific_force[:, 1])
+    yaw = np.degrees(ride.simulator.angular_rate[:, 2])
+    np.testing.assert_allclose(rate[2].values, yaw, rtol=1e-14)
+
+
+def test_a_ride_without_aircraft_has_traces_of_what_was_asked(direct: Ride) -> None:
+    labels = [curve.label for curve in flight_report.flight_traces(direct).panels[0].curves]
+    assert labels == ["asked of the platform", "cab"]
+
+
+def test_cmf_fly_films_the_laws_side_by_side(failing: PilotMotion, tmp_path: Path) -> None:
+    """Two laws, 1.5 s at 4 pictures a second from 0.5 s on; the record of one is a film too."""
+    origin = load_flight("engine_failure").origin
+    short = Flight(cut(failing, 2.0, 4.5), origin).save(tmp_path / "short.parquet")
+    out, size = tmp_path / "out", ("--width", "160", "--height", "100", "--fps", "4")
+    part = ("--start", "0.5", "--seconds", "1.5", "--strip", "120")
+    laws = ("--law", "velocity,modal_plan_flight", "--no-delay", "--ideal")
+    text = run("fly", str(short), *laws, "--video", *part, *size, "--out", str(out))
+    assert text.count("kept within the envelope") == 2
+    with av.open(str(out / "video.mp4")) as container:
+        pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(pictures) == 7 and pictures[0].shape == (220, 320, 3)
+    again = tmp_path / "again.gif"
+    record = out / "velocity" / "record.parquet"
+    run("video", str(record), *size, "--seconds", "1", "--out", str(again))
+    with Image.open(again) as picture:
+        assert picture.n_frames == 5
+
+
+def test_a_film_that_cannot_be_made_is_refused_before_the_flight(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["fly", "gusts", "--video", "--out", str(out)])
+    assert result.exit_code == 2 and "pip install 'cmf-mj[video]'" in result.output
+    assert not out.exists()
 
 
 def test_cmf_flight_flies_a_script(tmp_path: Path) -> None:

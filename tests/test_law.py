@@ -341,3 +341,36 @@ def test_an_unknown_name_lists_the_shipped_ones(name: str) -> None:
         load_law(name)
     for part in (repr(name), *NAMES):
         assert part in str(caught.value)
+
+
+def test_a_law_based_on_another_holds_only_what_differs(tmp_path: Path) -> None:
+    """The other law is of the file or shipped; its title and source are not taken over."""
+    path = tmp_path / "laws.toml"
+    path.write_text(
+        OWN + '[again]\nbased_on = "mine"\ntitle = "Again"\n[again.direct_gain]\nposition = -20.0\n'
+        '[quick]\nbased_on = "velocity"\ntitle = "Quick"\nderivative_pole = 200.0\n',
+        encoding="utf-8",
+    )
+    mine, again, quick = (load_law(f"{path}:{name}") for name in ("mine", "again", "quick"))
+    assert (again.name, again.title, again.source) == ("again", "Again", "")
+    assert again.direct_gain.position == -20.0
+    kept = {"name", "title", "source", "direct_gain"}
+    assert again.model_dump(exclude=kept) == mine.model_dump(exclude=kept)
+    assert again.direct_gain.reference == mine.direct_gain.reference
+    assert quick.direct_gain == load_law("velocity").direct_gain and quick.derivative_pole == 200.0
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ('based_on = "none"\ntitle = "A"', "mine.toml: a: based_on: 'none' is refused: allowed: "),
+        ('based_on = ["velocity"]\ntitle = "A"', r"based_on: \['velocity'\] is refused"),
+        ('based_on = "modal_plan_flight"\ntitle = "A"', "laws which are based on none"),
+        ('based_on = "velocity"', "mine.toml: a: title: is missing"),
+    ],
+)
+def test_a_base_that_is_none_is_refused(table: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(f"[a]\n{table}\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=said):
+        load_law(path)

@@ -11,7 +11,16 @@ from typer.testing import CliRunner
 from cmf_mj.cli import app
 from cmf_mj.control.dcu import load_dcu
 from cmf_mj.cueing import load_washout, save_washout
-from cmf_mj.omct import ANGLE, TESTS, aircraft_motion, amplitude, omct, outputs_of
+from cmf_mj.omct import (
+    ANGLE,
+    TESTS,
+    Omct,
+    _fundamental,
+    aircraft_motion,
+    amplitude,
+    omct,
+    outputs_of,
+)
 from cmf_mj.omct_report import omct_cells, phase, share_cells, unit
 from cmf_mj.pilot_motion import PilotMotion
 
@@ -120,14 +129,39 @@ def test_report_holds_all_tests_and_units(machine):
     assert [line[0] for line in lines if ">" in line[0]] == ["surge > surge", "surge > pitch"]
     assert unit(TESTS.index(("surge", "pitch")))[0] == "deg/(m/s^2)"
     assert unit(TESTS.index(("yaw", "yaw"))) == ("", 1.0)
-    _, shares = share_cells(machine)
-    assert [line[:2] for line in shares] == [
-        ["surge > surge", "velocity"],
-        ["surge > pitch", "velocity"],
-    ]
-    assert shares[0][2].startswith("0.9")
+    head, shares = share_cells(machine)
+    assert head == ["test", "velocity"]
+    assert [line[0] for line in shares] == ["surge > surge", "surge > pitch"]
+    share = machine.share("velocity")[TESTS.index(("surge", "surge")), 0]
+    assert shares[0][1] == f"{abs(share):.2f}, {np.degrees(np.angle(share)):.0f}°"
     turning = np.exp(-1j * np.radians([170.0, 190.0, 250.0]))
     np.testing.assert_allclose(phase(turning), [-170.0, -190.0, -250.0])
+
+
+def test_shares_are_told_up_to_1_hz_with_what_is_beside_the_fundamental():
+    """Least and largest modulus of 0.1 to 6.31 rad/s, the phase there; a ring, a run lost."""
+    frequency = np.array([0.1, 1.0, 6.31, 15.8])
+    shape = (len(TESTS), frequency.size)
+    ideal = np.full(shape, 2.0 + 0j)
+    responses = {"washout": ideal, "demand": ideal, "slow": ideal.copy(), "wild": ideal.copy()}
+    responses["slow"][0] = 2.0 * np.array([0.9, 1.0, 1.2, 50.0]) * np.exp(1j * np.radians(-20.0))
+    responses["wild"][0, 1] = np.nan
+    remainder = {name: np.zeros(shape) for name in responses}
+    remainder["wild"][0, 0], remainder["slow"][0, 3] = 1.5, 9.0
+    result = Omct("w", "gfd", "hardware", frequency, responses, remainder)
+    assert share_cells(result)[1][0][1:] == [
+        "0.90 to 1.20, -20°",
+        "1.00, 0°*, left its bounds",
+    ]
+
+
+def test_the_remainder_is_what_is_beside_mean_and_fundamental():
+    """A fundamental of 0.5, a tone of 0.4 far above and an offset: 0.4 / 0.5, and no bias."""
+    time = np.arange(4000) / 128.0
+    values = 0.5 * np.sin(2.0 * time - 0.3) + 0.4 * np.sin(17.0 * time) - 9.8
+    response, remainder = _fundamental(time, values, 2.0, 1.0, begin=5.0)
+    assert response == pytest.approx(0.5 * np.exp(-0.3j), abs=5e-3)
+    assert remainder == pytest.approx(0.8, abs=0.02)
 
 
 def test_command_writes_table_and_figure(tmp_path):

@@ -193,3 +193,11 @@ def test_bench_flight_compares_with_bare_steps(tmp_path: Path) -> None:
     assert told["seconds"] == pytest.approx(2.03, abs=0.02)
     assert 1.0 < told["ratio"] < 12.0
     assert told["real_time_factor"] > 0.0
+
+
+def test_sweep_plan_rate_counts_limit_cycles(tmp_path: Path) -> None:
+    told = run(
+        "sweep_plan_rate.py", "--factors", "1/1", "--flights", "", "--streams", "2", cwd=tmp_path
+    )
+    assert "0 of 2" in told
+    assert (tmp_path / "out" / "rates" / "rates.md").read_text(encoding="utf-8") in told

@@ -1,5 +1,6 @@
 """Films and the viewer: pictures, encoders, pace, pulls, and what is said without a display."""
 
+import sys
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -16,7 +17,19 @@ from cmf_mj.cli import app
 from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.scenario import ScenarioRun, run_scenario
 from cmf_mj.signals import RATE
-from cmf_mj.watching import FilmSettings, LiveView, Stage, choose_backend, film, show, stage
+from cmf_mj.watching import (
+    Curve,
+    FilmSettings,
+    LiveView,
+    Panel,
+    Stage,
+    Traces,
+    check_film,
+    choose_backend,
+    film,
+    show,
+    stage,
+)
 from cmf_mj.watching.strip import Strip, traces_of
 
 SMALL = FilmSettings(fps=10, width=160, height=100, strip=140)
@@ -98,15 +111,28 @@ def test_a_gif_keeps_its_pace_though_it_counts_hundredths(single: Record, tmp_pa
         ({"camera": "roof"}, "camera: 'roof' is not one of overview, side"),
         ({"speed": 0.0}, "speed, fps: 0.0, 10 must be greater than 0"),
         ({"dof": "up"}, "dof: 'up' is not one of surge"),
+        ({"start": 0.5}, "start: 0.5 s; allowed: from 0 to below 0.49"),
+        ({"seconds": 0.0}, "seconds: 0.0 must be greater than 0"),
     ],
 )
 def test_what_a_film_cannot_do_is_named(
     change: dict[str, Any], said: str, single: Record, tmp_path: Path
 ) -> None:
-    with pytest.raises(ValueError, match="pixels|camera|speed|dof") as refused:
+    with pytest.raises(ValueError, match="pixels|camera|speed|dof|start|seconds") as refused:
         film([single], tmp_path / "x.mp4", SMALL._replace(**change))
     assert said in str(refused.value)
     assert not list(tmp_path.iterdir())
+
+
+def test_what_a_film_will_lack_is_said_before_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = hexapod_spec("gfd").compile()
+    check_film(model, "x.mp4", SMALL)
+    with pytest.raises(ValueError, match="camera: 'roof'"):
+        check_film(model, "x.mp4", SMALL._replace(camera="roof"))
+    monkeypatch.setitem(sys.modules, "av", None)
+    check_film(model, "x.gif", SMALL)
+    with pytest.raises(ValueError, match=r"PyAV, pip install 'cmf-mj\[video\]'"):
+        check_film(model, "x.mp4", SMALL)
 
 
 def test_a_film_ends_in_mp4_or_gif(single: Record, tmp_path: Path) -> None:
@@ -114,13 +140,64 @@ def test_a_film_ends_in_mp4_or_gif(single: Record, tmp_path: Path) -> None:
         film([single], tmp_path / "x.avi")
 
 
+def test_a_part_of_a_run_is_filmed_from_its_row_on(record: Record, tmp_path: Path) -> None:
+    """From 0.2 to 0.4 s at 10 pictures a second: three pictures, the whole film's third to fifth;
+    with the last seconds missing it goes to the end."""
+    bare = SMALL._replace(strip=0)
+    whole = film([record], tmp_path / "whole.gif", bare)
+    part = film([record], tmp_path / "part.gif", bare._replace(start=0.2, seconds=0.2))
+    rest = film([record], tmp_path / "rest.gif", bare._replace(start=0.3))
+
+    def rows(path: Path) -> list[np.ndarray]:
+        found = []
+        with Image.open(path) as picture:
+            for number in range(picture.n_frames):
+                picture.seek(number)
+                found.append(np.asarray(picture.convert("RGB"), dtype=int))
+        return found
+
+    every, some = rows(whole), rows(part)
+    assert (len(every), len(some), len(rows(rest))) == (5, 3, 2)
+    # Each film has a palette of its own.
+    for number, picture in enumerate(some):
+        away = [np.abs(picture - other).mean() for other in every]
+        assert int(np.argmin(away)) == number + 2
+
+
+def test_traces_of_a_part_hold_it_and_the_end_of_a_run_that_was_over() -> None:
+    time = np.arange(5) / 10.0
+    traces = Traces(time, (Panel("x", (Curve("a", time**2, "k"),)),))
+    part = traces.between(0.1, 0.3)
+    np.testing.assert_array_equal(part.time, time[1:4])
+    np.testing.assert_array_equal(part.panels[0].curves[0].values, time[1:4] ** 2)
+    np.testing.assert_array_equal(traces.between(1.0, 2.0).time, time[-1:])
+
+
 def test_traces_are_the_record_s(record: Record) -> None:
     traces = traces_of(record)
-    assert (traces.label, traces.unit) == ("heave", "in")
-    np.testing.assert_array_equal(traces.response, record["platform_pose"][:, 2] / units.INCH)
-    np.testing.assert_array_equal(
-        traces.pressures[:, 0], record["cap_pressure"][:, traces.leg - 1] / units.PSI
-    )
+    motion, pressures = traces.panels
+    assert motion.label == "heave [in]"
+    response = {curve.label: curve.values for curve in motion.curves}["response"]
+    np.testing.assert_array_equal(response, record["platform_pose"][:, 2] / units.INCH)
+    leg = int(pressures.label.split()[1])
+    cap = pressures.curves[0]
+    assert cap.label == "cap"
+    np.testing.assert_array_equal(cap.values, record["cap_pressure"][:, leg - 1] / units.PSI)
+
+
+def test_panels_stand_in_columns_each_with_its_own_cursor() -> None:
+    """Six panels in two columns: at a time two cursors in a row of pixels, a column apart."""
+    time = np.linspace(0.0, 1.0, 50)
+    curves = Curve("a", np.sin(time), "#0072b2"), Curve("b", np.cos(time), "#d55e00")
+    traces = Traces(time, tuple(Panel(f"q{i} [m]", curves) for i in range(6)), columns=2)
+    picture = Strip(traces, 600, 300).picture(0.5)
+    assert picture.shape == (300, 600, 3)
+    red = (picture == (200, 30, 30)).all(axis=2)
+    drawn = np.flatnonzero(red.any(axis=1))
+    assert np.count_nonzero(np.diff(drawn) > 1) == 2  # three rows of panels
+    cursors = np.flatnonzero(red[drawn[0]])
+    assert cursors.size == 4  # two pixels each
+    assert cursors[0] < 300 < cursors[-1]
 
 
 def test_traces_grow_from_left_to_right(record: Record) -> None:

@@ -124,11 +124,20 @@ FrameRate = Annotated[
 Derivatives = Annotated[
     str, typer.Option(help="velocities of a file that has none: spline or zero")
 ]
-Speed = Annotated[float, typer.Option(help="times real speed; below 1 is slow motion")]
-PicturesPerSecond = Annotated[int, typer.Option(help="pictures a second")]
-CameraName = Annotated[str, typer.Option(help="overview, side or front")]
 Amplitude = Annotated[
     float | None, typer.Option(help="amplitude [in or deg]; default 0.33 in or 0.2 deg")
+]
+Fps = Annotated[int, typer.Option(help="of a film: pictures a second")]
+Speed = Annotated[float, typer.Option(help="times real speed; below 1 is slow motion")]
+Camera = Annotated[str, typer.Option(help="of a film: overview, side or front")]
+Width = Annotated[int, typer.Option(help="of the picture of one run, pixels")]
+Height = Annotated[int, typer.Option(help="of the picture of one run, pixels")]
+Start = Annotated[float, typer.Option(help="of a film: time of the run it begins at [s]")]
+Seconds = Annotated[
+    float | None, typer.Option(help="of a film: time of the run it shows; default to the end")
+]
+StripHeight = Annotated[
+    int, typer.Option("--strip", help="height of the traces, pixels; 0 for none")
 ]
 Noise = Annotated[
     bool,

@@ -12,19 +12,30 @@ from cmf_mj.aircraft import SCRIPTS, ScriptedFlight, flight_names, load_flight
 from cmf_mj.cli.common import (
     TEXT_WIDTH,
     Cab,
+    Camera,
     Dof,
+    Fps,
+    Height,
     HydraulicSet,
     Noise,
+    Seconds,
+    Speed,
+    Start,
+    StripHeight,
+    Width,
     app,
     names_of,
     noise_choice,
+    progress_bar,
     refuse,
     show,
 )
 from cmf_mj.control.law import load_law
 from cmf_mj.flying import fly
 from cmf_mj.operation import FacilitySettings
+from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.transport import transport_delay
+from cmf_mj.watching import FilmSettings, check_film
 
 
 @app.command("flight")
@@ -64,12 +75,27 @@ def fly_command(
     noise: Noise = True,
     delay: Annotated[bool, typer.Option(help="measure the delay from host to pilot too")] = True,
     dof: Dof = "heave",
+    video: Annotated[
+        bool, typer.Option("--video", help="film it too, laws side by side: video.mp4")
+    ] = False,
+    start: Start = 0.0,
+    seconds: Seconds = None,
+    fps: Fps = 30,
+    speed: Speed = 1.0,
+    camera: Camera = "overview",
+    width: Width = 720,
+    height: Height = 450,
+    strip: StripHeight = 300,
     out: Annotated[Path, typer.Option(help="folder for results")] = Path("out/fly"),
 ) -> None:
     """Fly an aircraft in the cab, once for each law, and compare what the pilot feels."""
     try:
         laws = [load_law(name) for name in names_of(law, ())]
         flown = load_flight(flight)
+        look = FilmSettings(fps, speed, camera, width, height, strip, None, start, seconds)
+        filmed = out / "video.mp4"
+        if video:
+            check_film(hexapod_spec(cab).compile(), filmed, look)
         facility = FacilitySettings(electronics=noise_choice(noise))
         washout = "simona" if cueing == "classical" else cueing
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
@@ -90,6 +116,9 @@ def fly_command(
                 rides.append(ride)
                 paths += flight_report.save_ride(ride, out / ride.law)
         paths += flight_report.save_comparison(rides, out)
+        if video:
+            with progress_bar() as update:
+                paths.append(flight_report.save_film(rides, filmed, look, update))
         table = flight_report.comparison_table(rides)
         show(flown.origin.title, table, width=Console(width=1000).measure(table).maximum)
         if delay:

@@ -8,9 +8,9 @@ import typer
 from cmf_mj import models, modes_report, units
 from cmf_mj.cli.common import (
     TEXT_WIDTH,
-    CameraName,
+    Camera,
+    Fps,
     HydraulicSet,
-    PicturesPerSecond,
     Speed,
     app,
     names_of,
@@ -50,9 +50,9 @@ def modes_command(
             help="film the modes at the pose and near the worst: NAME_CAB and NAME_CAB_worst",
         ),
     ] = None,
-    fps: PicturesPerSecond = _FILM.fps,
+    fps: Fps = _FILM.fps,
     speed: Speed = _FILM.speed,
-    camera: CameraName = _FILM.camera,
+    camera: Camera = _FILM.camera,
     width: Annotated[int, typer.Option(help="of the picture of one mode, pixels")] = _FILM.width,
     height: Annotated[int, typer.Option(help="of the picture of one mode, pixels")] = _FILM.height,
     stroke: Annotated[

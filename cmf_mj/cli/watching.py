@@ -6,9 +6,14 @@ from typing import Annotated
 import typer
 
 from cmf_mj.cli.common import (
-    CameraName,
-    PicturesPerSecond,
+    Camera,
+    Fps,
+    Height,
+    Seconds,
     Speed,
+    Start,
+    StripHeight,
+    Width,
     app,
     names_of,
     progress_bar,
@@ -78,24 +83,26 @@ def view_command(
 def video_command(
     scenario: Annotated[
         list[str] | None,
-        typer.Argument(help="one or two: scenarios by name or TOML file, or Parquet records"),
+        typer.Argument(help="scenarios by name or TOML file, or Parquet records"),
     ] = None,
     laws: Annotated[
         str, typer.Option(help="laws side by side in one scenario, separated by commas")
     ] = "",
     cab: Cab = None,
     out: Annotated[Path, typer.Option(help="MP4 or GIF file")] = Path("out/video.mp4"),
-    fps: PicturesPerSecond = 30,
+    fps: Fps = 30,
     speed: Speed = 1.0,
-    camera: CameraName = "overview",
-    width: Annotated[int, typer.Option(help="of the picture of one run, pixels")] = 720,
-    height: Annotated[int, typer.Option(help="of the picture of one run, pixels")] = 450,
-    strip: Annotated[int, typer.Option(help="height of the traces, pixels; 0 for none")] = 190,
+    camera: Camera = "overview",
+    width: Width = 720,
+    height: Height = 450,
+    strip: StripHeight = 190,
     dof: Annotated[
         str | None, typer.Option(help="in the traces; default the one that moves most")
     ] = None,
+    start: Start = 0.0,
+    seconds: Seconds = None,
 ) -> None:
-    """Render a run, or two side by side, to MP4 or GIF, with live traces; needs no display."""
+    """Render a run, or several side by side, to MP4 or GIF, with live traces; needs no display."""
     try:
         sources = scenario or [_HEAVE]
         chosen = names_of(laws, ())
@@ -113,7 +120,7 @@ def video_command(
                     one = _with(found, law=law, cab=cab)
                     records.append(run_scenario(one, progress=progress))
                     titles.append(one.law if chosen else one.title or Path(source).stem)
-        settings = FilmSettings(fps, speed, camera, width, height, strip, dof)
+        settings = FilmSettings(fps, speed, camera, width, height, strip, dof, start, seconds)
         with progress_bar() as progress:
             path = film(records, out, settings, titles=titles, progress=progress)
         show(f"written: {path}")

@@ -7,11 +7,14 @@ Every law is the same block with other gains (Eqs 2.3 and 2.4 as the DCL runs th
 with one scalar state a leg and u the ten `SIGNALS`, and beside it, where a law has them, a
 reference model, a plan, and dynamic load pressure feedback. All of it runs leg by leg, or mode by
 mode of the hydraulics. Nothing in the code knows a law by name.
+
+A table may say `based_on = "other"`: it then holds only its title and what differs from that law,
+one of its own file or a shipped one.
 """
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -20,7 +23,7 @@ from cmf_mj import units
 from cmf_mj.control.coordinates import Modes, PerMode, is_per_mode
 from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.control.plan import Plan
-from cmf_mj.settings import Settings, read_toml, validated
+from cmf_mj.settings import Settings, merged, read_toml, validated
 
 FRAME = 1.0 / 2048.0
 """Control frame of the DCL [s] (section 2.3.1)."""
@@ -261,10 +264,32 @@ def _laws_of(path: Path) -> dict[str, Law]:
     for name, table in tables.items():
         if not isinstance(table, dict):
             raise ValueError(f"{path.name}: {name}: {table!r} is refused: a law is a table [name]")
-        laws[name] = validated(Law, table | {"name": name}, f"{path.name}: {name}")
+        whole = _derived(table, tables, f"{path.name}: {name}") | {"name": name}
+        laws[name] = validated(Law, whole, f"{path.name}: {name}")
     if not laws:
         raise ValueError(f"{path.name}: holds no law; a law is a table [name]")
     return laws
+
+
+def _derived(table: dict[str, Any], tables: dict[str, Any], where: str) -> dict[str, Any]:
+    """A law's table laid over that of the law it is based on, whose title and source it leaves.
+
+    Raises:
+        ValueError: the other law is unknown, or based on one itself.
+    """
+    if "based_on" not in table:
+        return table
+    others: dict[str, Any] = {}
+    for found in (*(read_toml(file) for file in _FILES.values()), tables):
+        others |= {k: v for k, v in found.items() if isinstance(v, dict) and "based_on" not in v}
+    name = table["based_on"]
+    if not isinstance(name, str) or name not in others:
+        raise ValueError(
+            f"{where}: based_on: {name!r} is refused: allowed: {', '.join(others)}, laws which are "
+            "based on none"
+        )
+    base = {k: v for k, v in others[name].items() if k not in ("title", "source")}
+    return merged(base, {k: v for k, v in table.items() if k != "based_on"})
 
 
 def law_names(coordinates: CoordinateName = "legs") -> tuple[str, ...]:

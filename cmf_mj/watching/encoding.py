@@ -21,7 +21,7 @@ _COLOURS, _RARE = 176, 64
 """Of a GIF file: those that cover much of it, and those that are unlike the others."""
 
 
-def check_film(target: Path, fps: int, speed: float, sizes: Mapping[str, int]) -> None:
+def check_format(target: Path, fps: int, speed: float, sizes: Mapping[str, int]) -> None:
     """Refuse what no film can have.
 
     Args:
@@ -83,15 +83,12 @@ def _counted(
 
 
 def _write_mp4(pictures: Iterator[NDArray[np.uint8]], target: Path, fps: int) -> None:
-    try:
-        import av
-    except ImportError as error:
-        raise ValueError(
-            "out: an .mp4 file needs PyAV, pip install 'cmf-mj[video]'; a .gif file does not"
-        ) from error
+    codec = mp4_codec()
+    import av
+
     first = next(pictures)
     with av.open(str(target), "w", format="mp4") as container:
-        stream = container.add_stream(_codec(), rate=Fraction(fps))
+        stream = container.add_stream(codec, rate=Fraction(fps))
         stream.height, stream.width = first.shape[:2]
         stream.pix_fmt = "yuv420p"
         stream.bit_rate = 4_000_000
@@ -101,14 +98,18 @@ def _write_mp4(pictures: Iterator[NDArray[np.uint8]], target: Path, fps: int) ->
         container.mux(stream.encode())
 
 
-def _codec() -> str:
-    """The first encoder this PyAV can open.
+def mp4_codec() -> str:
+    """The first encoder of MP4 files that opens.
 
     Raises:
-        ValueError: it has none of them.
+        ValueError: PyAV is missing, or has none of them.
     """
-    import av
-
+    try:
+        import av
+    except ImportError as error:
+        raise ValueError(
+            "out: an .mp4 file needs PyAV, pip install 'cmf-mj[video]'; a .gif file does not"
+        ) from error
     for name in CODECS:
         try:
             av.codec.Codec(name, "w")

@@ -1,4 +1,4 @@
-"""Films of one run, or of two side by side, with live traces under the picture."""
+"""Films of one run, or of several side by side, with live traces under the picture."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
@@ -13,9 +13,9 @@ from PIL import Image, ImageDraw, ImageFont
 from cmf_mj import models
 from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.record import Record
-from cmf_mj.watching.encoding import check_film, write_film
+from cmf_mj.watching.encoding import check_format, mp4_codec, write_film
 from cmf_mj.watching.stage import Stage
-from cmf_mj.watching.strip import Strip, traces_of
+from cmf_mj.watching.strip import Strip, Traces, traces_of
 
 
 class FilmSettings(NamedTuple):
@@ -35,6 +35,10 @@ class FilmSettings(NamedTuple):
     """Height of the traces [pixels], even; 0 for none."""
     dof: str | None = None
     """Degree of freedom in the traces; default the one that moves most."""
+    start: float = 0.0
+    """Time of the runs at which it begins [s]."""
+    seconds: float | None = None
+    """Time of the runs that it shows [s]; default to the end of the longest."""
 
 
 def film(
@@ -43,6 +47,7 @@ def film(
     settings: FilmSettings | None = None,
     *,
     titles: Sequence[str] = (),
+    traces: Sequence[Traces] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Render runs to an MP4 or GIF file, by the name's end; it appears only when it is complete.
@@ -55,21 +60,54 @@ def film(
         path: ends in .mp4 or .gif.
         settings: how it looks.
         titles: over each run; default its law.
+        traces: under each run; default `traces_of` its record.
         progress: called with the pictures done and those in all.
 
     Raises:
         ValueError: an argument out of range or a missing package, named.
     """
     chosen, target = settings or FilmSettings(), Path(path)
-    sizes = {"width": chosen.width, "height": chosen.height, "strip": chosen.strip}
-    check_film(target, chosen.fps, chosen.speed, sizes)
     if not records:
         raise ValueError("records: none is given; give at least one")
+    _check(target, chosen)
     named = list(titles) or [str(record.metadata["law"]) for record in records]
-    length = max(float(record.time[-1]) for record in records)
-    count = int(length / chosen.speed * chosen.fps) + 1
-    pictures = _pictures(records, named, count, chosen)
+    end = max(float(record.time[-1]) for record in records)
+    if not 0.0 <= chosen.start < end:
+        raise ValueError(f"start: {chosen.start} s; allowed: from 0 to below {end:g} s")
+    if chosen.seconds is not None:
+        end = min(end, chosen.start + chosen.seconds)
+    count = int((end - chosen.start) / chosen.speed * chosen.fps) + 1
+    shown = [
+        every.between(chosen.start, end)
+        for every in traces or (traces_of(record, chosen.dof) for record in records)
+    ]
+    pictures = _pictures(records, named, shown, count, chosen)
     return write_film(pictures, count, target, chosen.fps, progress=progress)
+
+
+def check_film(model: mujoco.MjModel, path: str | Path, settings: FilmSettings) -> None:
+    """Make sure that a film can be made, before a long run for it.
+
+    Args:
+        model: what will be shown.
+        path: of the film.
+        settings: how it will look.
+
+    Raises:
+        ValueError: what `film` would refuse, named: settings, packages, OpenGL.
+    """
+    _check(Path(path), settings)
+    if Path(path).suffix == ".mp4":
+        mp4_codec()
+    with Stage(model, settings.width, settings.height, settings.camera):
+        pass
+
+
+def _check(target: Path, settings: FilmSettings) -> None:
+    sizes = {"width": settings.width, "height": settings.height, "strip": settings.strip}
+    check_format(target, settings.fps, settings.speed, sizes)
+    if settings.seconds is not None and not settings.seconds > 0.0:
+        raise ValueError(f"seconds: {settings.seconds} must be greater than 0")
 
 
 def model_of(record: Record) -> mujoco.MjModel:
@@ -87,9 +125,12 @@ def model_of(record: Record) -> mujoco.MjModel:
 
 
 def _pictures(
-    records: Sequence[Record], titles: Sequence[str], count: int, chosen: FilmSettings
+    records: Sequence[Record],
+    titles: Sequence[str],
+    traces: Sequence[Traces],
+    count: int,
+    chosen: FilmSettings,
 ) -> Iterator[NDArray[np.uint8]]:
-    traces = [traces_of(record, chosen.dof) for record in records]
     with ExitStack() as stack:
         stages = [
             stack.enter_context(Stage(model_of(r), chosen.width, chosen.height, chosen.camera))
@@ -97,7 +138,7 @@ def _pictures(
         ]
         strips = [Strip(t, chosen.width, chosen.strip, traces) for t in traces if chosen.strip]
         for number in range(count):
-            time = number * chosen.speed / chosen.fps
+            time = chosen.start + number * chosen.speed / chosen.fps
             columns = []
             for index, (record, stage) in enumerate(zip(records, stages, strict=True)):
                 row = int(np.searchsorted(record.time, time + 1e-9, side="right")) - 1

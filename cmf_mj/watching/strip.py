@@ -1,4 +1,4 @@
-"""Traces that grow with a film: demand and response above, pressures below."""
+"""Traces that grow with a film: panels of curves, revealed from left to right."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,10 +12,39 @@ from cmf_mj import units
 from cmf_mj.kinematics import DOFS
 from cmf_mj.record import Record
 
-_BLUE, _ORANGE, _GREEN, _GREY = "#0072b2", "#d55e00", "#009e73", "0.55"
+_BLUE, _ORANGE, _GREEN, _GREY, _DARK = "#0072b2", "#d55e00", "#009e73", "0.55", "0.3"
 _DPI = 100
 _PALE = 0.16
 """How much of the traces shows before their time has come."""
+_LEAST = 0.02
+"""Least range of an axis, in its unit."""
+
+
+class Curve(NamedTuple):
+    """One line of a panel."""
+
+    label: str
+    values: NDArray[np.float64]
+    """In the panel's unit, (N,)."""
+    colour: str
+    width: float = 1.0
+    """[points]."""
+
+
+class Panel(NamedTuple):
+    """Axes of a strip."""
+
+    label: str
+    """Quantity and [unit]."""
+    curves: tuple[Curve, ...]
+    from_zero: bool = False
+    """Whether the axis holds zero at its lower end."""
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Least and largest value."""
+        every = [curve.values for curve in self.curves]
+        return min(float(v.min()) for v in every), max(float(v.max()) for v in every)
 
 
 class Traces(NamedTuple):
@@ -23,22 +52,25 @@ class Traces(NamedTuple):
 
     time: NDArray[np.float64]
     """[s], (N,)."""
-    unit: str
-    """in or deg."""
-    label: str
-    """Degree of freedom, or a leg."""
-    demand: NDArray[np.float64]
-    """In the unit, (N,)."""
-    response: NDArray[np.float64]
-    """In the unit, (N,)."""
-    pressures: NDArray[np.float64]
-    """Cap, rod and supply [psi], (N, 3): of the leg whose cap pressure moves most."""
-    leg: int
-    """Number of that leg, from 1."""
+    panels: tuple[Panel, ...]
+    """From above, one column after the other; a whole number of them in each."""
+    columns: int = 1
+
+    def between(self, start: float, end: float) -> "Traces":
+        """A part from start to end [s]; of a run that was over before, its last instant."""
+        rows = (self.time >= start) & (self.time <= end)
+        rows[-1] |= not rows.any()
+        panels = tuple(
+            panel._replace(
+                curves=tuple(curve._replace(values=curve.values[rows]) for curve in panel.curves)
+            )
+            for panel in self.panels
+        )
+        return Traces(self.time[rows], panels, self.columns)
 
 
 def traces_of(record: Record, dof: str | None = None) -> Traces:
-    """The traces of a record.
+    """A degree of freedom of a record, and pressures of the leg whose cap pressure moves most.
 
     Args:
         record: of a run.
@@ -58,17 +90,21 @@ def traces_of(record: Record, dof: str | None = None) -> Traces:
         raise ValueError(f"dof: {dof!r} is not one of {', '.join(DOFS)}")
     cap = record["cap_pressure"]
     leg = int(np.ptp(cap, axis=0).argmax())
-    pressures = np.stack(
-        [cap[:, leg], record["rod_pressure"][:, leg], record["supply_pressure"]], 1
-    )
     if "platform_pose" in record.channels:
-        label, unit = DOFS[index], "in" if index < 3 else "deg"
+        label = f"{DOFS[index]} [{'in' if index < 3 else 'deg'}]"
         wanted, found = demand[:, index], record["platform_pose"][:, index] / scale[index]
     else:
-        label, unit = f"leg {leg + 1}", "in"
+        label = f"leg {leg + 1} [in]"
         wanted = record["leg_reference"][:, leg] / units.INCH
         found = record["leg_extension"][:, leg] / units.INCH
-    return Traces(record.time, unit, label, wanted, found, pressures / units.PSI, leg + 1)
+    motion = Curve("demand", wanted, _GREY, 2.2), Curve("response", found, _BLUE, 1.2)
+    pressures = (
+        Curve("cap", cap[:, leg] / units.PSI, _ORANGE),
+        Curve("rod", record["rod_pressure"][:, leg] / units.PSI, _GREEN),
+        Curve("supply", record["supply_pressure"] / units.PSI, _DARK),
+    )
+    panels = Panel(label, motion), Panel(f"leg {leg + 1} [psi]", pressures, from_zero=True)
+    return Traces(record.time, panels)
 
 
 class Strip:
@@ -77,42 +113,52 @@ class Strip:
     def __init__(
         self, traces: Traces, width: int, height: int, beside: Sequence[Traces] = ()
     ) -> None:
-        """Draw them once.
+        """Draw them once; panels that all have the same curves share one legend.
 
         Args:
             traces: of the run.
             width: pixels.
             height: pixels.
-            beside: traces of other runs, whose range the axes take in too.
+            beside: traces of other runs with the same panels, whose range the axes take in too.
         """
         every = [traces, *beside]
-        size, letters = (width / _DPI, height / _DPI), min(8.0, height / 24.0)
+        rows = len(traces.panels) // traces.columns
+        size, letters = (width / _DPI, height / _DPI), min(8.0, height / (12.0 * rows))
         figure = Figure(figsize=size, dpi=_DPI, facecolor="white")
         figure.set_layout_engine("constrained", w_pad=0.06, h_pad=0.04)
-        motion, pressure = figure.subplots(2, 1, sharex=True)
-        motion.plot(traces.time, traces.demand, color=_GREY, lw=2.2, label="demand")
-        motion.plot(traces.time, traces.response, color=_BLUE, lw=1.2, label="response")
-        motion.set_ylabel(f"{traces.label} [{traces.unit}]", fontsize=letters)
-        names = ("cap", "rod", "supply")
-        for values, name, colour in zip(
-            traces.pressures.T, names, (_ORANGE, _GREEN, "0.3"), strict=True
-        ):
-            pressure.plot(traces.time, values, color=colour, lw=1.0, label=name)
-        pressure.set_ylabel(f"leg {traces.leg} [psi]", fontsize=letters)
-        pressure.set_xlabel("time [s]", fontsize=letters)
-        low = min(float(min(t.demand.min(), t.response.min())) for t in every)
-        high = max(float(max(t.demand.max(), t.response.max())) for t in every)
-        room = 0.08 * max(high - low, 0.02)
-        motion.set_ylim(low - room, high + room)
-        top = max(float(t.pressures.max()) for t in every)
-        pressure.set_ylim(min(0.0, *(float(t.pressures.min()) for t in every)), 1.08 * top)
+        grid = figure.subplots(rows, traces.columns, sharex=True, squeeze=False)
         self._time = (float(traces.time[0]), max(float(t.time[-1]) for t in every))
-        for axis in (motion, pressure):
+        shared = len({tuple(curve.label for curve in panel.curves) for panel in traces.panels}) == 1
+        axes = list(grid.T.ravel())
+        for place, (axis, panel) in enumerate(zip(axes, traces.panels, strict=True)):
+            for curve in panel.curves:
+                axis.plot(
+                    traces.time, curve.values, color=curve.colour, lw=curve.width, label=curve.label
+                )
+            ranges = [t.panels[place].range for t in every]
+            low, high = min(low for low, _ in ranges), max(high for _, high in ranges)
+            room = 0.08 * (high if panel.from_zero else max(high - low, _LEAST))
+            axis.set_ylim(min(0.0, low) if panel.from_zero else low - room, high + room)
             axis.set_xlim(*self._time)
+            axis.set_ylabel(panel.label, fontsize=letters)
             axis.grid(True, color="0.92", linewidth=0.6)
             axis.tick_params(labelsize=letters - 1.0)
-            axis.legend(
-                fontsize=letters - 1.0, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False
+            if not shared:
+                axis.legend(
+                    loc="center left",
+                    bbox_to_anchor=(1.0, 0.5),
+                    fontsize=letters - 1.0,
+                    frameon=False,
+                )
+        for axis in grid[-1]:
+            axis.set_xlabel("time [s]", fontsize=letters)
+        if shared:
+            figure.legend(
+                *axes[0].get_legend_handles_labels(),
+                loc="outside lower center",
+                ncols=len(traces.panels[0].curves),
+                fontsize=letters,
+                frameon=False,
             )
         figure.align_ylabels()
         canvas = FigureCanvasAgg(figure)
@@ -121,10 +167,10 @@ class Strip:
         self._full = full[:height, :width]
         self._pale = (255 - _PALE * (255.0 - self._full)).astype(np.uint8)
         self._spans = []
-        for axis in (motion, pressure):
+        for axis in axes:
             box = axis.get_window_extent()
-            rows = slice(height - round(box.y1) + 1, height - round(box.y0) - 1)
-            self._spans.append((rows, round(box.x0) + 1, round(box.x1) - 1))
+            inside = slice(height - round(box.y1) + 1, height - round(box.y0) - 1)
+            self._spans.append((inside, round(box.x0) + 1, round(box.x1) - 1))
 
     def picture(self, time: float) -> NDArray[np.uint8]:
         """The strip at a time [s], (height, width, 3)."""

@@ -17,7 +17,7 @@ from cmf_mj import units
 from cmf_mj.kinematics import DOFS, WORKING_STROKE
 from cmf_mj.modes import ModeSet, stroke_room, swinging
 from cmf_mj.plant import Hexapod
-from cmf_mj.watching.encoding import check_film, write_film
+from cmf_mj.watching.encoding import check_format, write_film
 from cmf_mj.watching.stage import Stage
 
 COLUMNS = 3
@@ -83,7 +83,7 @@ def swing_film(
         ValueError: an argument out of range or a missing package, named.
     """
     chosen, target = settings or SwingSettings(), Path(path)
-    check_film(target, chosen.fps, chosen.speed, {"width": chosen.width, "height": chosen.height})
+    check_format(target, chosen.fps, chosen.speed, {"width": chosen.width, "height": chosen.height})
     time = film_time(modes, chosen)
     swings = [one_swing(plant, modes, mode, time, chosen.stroke) for mode in range(6)]
     named = f"{title or modes.cab.upper()}\nhydraulic modes, {pace_text(chosen.speed)}, exaggerated"

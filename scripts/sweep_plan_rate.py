@@ -1,0 +1,102 @@
+"""How fast the reference of `modal_plan` may move: errors of flights, limit cycles of wild hosts.
+
+Each choice is a pair of factors on the law's rate, of its heavy pair and of the other four modes,
+or another law by name. Of the shipped flights, flown as `cmf fly` does, it tells the sensed error
+of the machine in specific force: root mean square over the flight, three axes together [mm/s^2].
+Then random host streams jump and sweep to 6 Hz and hold still, through DCU and limits with all
+cabs, half of them with valves 10 % off: a valve command that still swings by more than 0.3 in the
+last second is a limit cycle. Writes `rates.md` and prints it.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from cmf_mj import Hexapod, Law, host, load_hydraulics, load_law
+from cmf_mj.aircraft import flight_names, load_flight
+from cmf_mj.cueing import confined
+from cmf_mj.files import whole_file
+from cmf_mj.flying import fly
+from cmf_mj.operation import FacilitySettings, operate
+from cmf_mj.report import markdown
+from cmf_mj.tuning.nominal import CABS, mismatched
+
+SIZES = np.array([1.2, 1.2, 0.9, 0.45, 0.4, 0.6])
+"""Largest amplitude of a stream [m, rad]."""
+
+DEFAULT = "velocity,model_following,1/1,1.5/1.5,1.5/2,2/2,3/3"
+"""Choices."""
+
+MOVING, STILL = 6.0, 4.0
+"""Parts of a stream [s]."""
+
+
+def scaled(factors: str) -> Law:
+    """`modal_plan` with its rate times `HEAVY/LIGHT`, or a law by name."""
+    if "/" not in factors:
+        return load_law(factors)
+    law = load_law("modal_plan")
+    assert law.plan is not None
+    heavy, light = (float(part) for part in factors.split("/"))
+    rate = tuple(np.array(law.plan.rate) * ([heavy] * 2 + [light] * 4))
+    return law.model_copy(update={"plan": law.plan.model_copy(update={"rate": rate})})
+
+
+def wild_stream(number: int) -> host.HostStream:
+    """Sums of random sines with three jumps, then rest: at neutral, or where it happens to be."""
+    generator = np.random.default_rng([77, number])
+    time = np.arange(round(host.MOST_RATE * (MOVING + STILL))) / host.MOST_RATE
+    ends = round(MOVING * host.MOST_RATE)
+    size = SIZES * 10.0 ** generator.uniform(-1.0, 0.0)
+    pose = np.empty((time.size, 6))
+    for dof in range(6):
+        frequency = 10.0 ** generator.uniform(np.log10(0.2), np.log10(6.0), 6)
+        phase, weight = generator.uniform(0.0, 2.0 * np.pi, 6), generator.uniform(0.0, 1.0, 6)
+        wave = np.sin(2.0 * np.pi * np.outer(time, frequency) + phase) @ weight
+        pose[:, dof] = size[dof] * wave / np.abs(wave).max()
+    for at in generator.integers(round(host.MOST_RATE), ends, 3):
+        pose[at:] += generator.uniform(-0.3, 0.3, 6) * size
+    pose *= np.clip(np.minimum(time, (MOVING - time) / 0.05), 0.0, 1.0)[:, None]
+    if number % 2:
+        pose[ends:] = pose[ends - 6]
+    return confined(host.make_stream(time, pose))[0]
+
+
+def cycles(law: Law, number: int) -> bool:
+    """Whether a wild stream leaves the machine in a limit cycle."""
+    hydraulics = mismatched(load_hydraulics("hardware"), number if number % 4 > 1 else None)
+    facility = FacilitySettings(electronics=None, protection=None)
+    plant = Hexapod(CABS[number % len(CABS)], hydraulics)
+    run = operate(plant, law, wild_stream(number), facility=facility, record_every=8)
+    tail = run.record["valve_command"][-256:]
+    return bool(np.ptp(tail, axis=0).max() > 0.3)
+
+
+def main() -> None:
+    """Sweep the factors."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--factors", default=DEFAULT, help="HEAVY/LIGHT or laws")
+    parser.add_argument("--flights", default=",".join(flight_names()))
+    parser.add_argument("--streams", type=int, default=36, help="wild streams")
+    parser.add_argument("--out", type=Path, default=Path("out/rates"))
+    options = parser.parse_args()
+    flights = [name for name in options.flights.split(",") if name]
+    header = ["law or rate", *flights, "limit cycles"]
+    lines = []
+    for factors in options.factors.split(","):
+        law, line = scaled(factors), [factors]
+        for name in flights:
+            ride = fly(load_flight(name), law)
+            size = 1e3 * np.linalg.norm(ride.machine.rms[:3])
+            line.append(f"{size:.0f}" + (f", {ride.fault}" if ride.fault else ""))
+        found = sum(cycles(law, number) for number in range(options.streams))
+        lines.append([*line, f"{found} of {options.streams}"])
+    table = markdown(header, lines)
+    with whole_file(options.out / "rates.md") as partial:
+        partial.write_text(table, encoding="utf-8")
+    print(table)
+
+
+if __name__ == "__main__":
+    main()

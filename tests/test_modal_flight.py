@@ -1,0 +1,64 @@
+"""The modal plan for flights: what its rate buys behind the limits, and where it must not go."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cmf_mj import Hexapod, Law, host, load_law, simulate, units
+from cmf_mj.cueing import confined
+from cmf_mj.operation import FacilitySettings, Operation, operate
+
+PLAN, FLIGHT = load_law("modal_plan"), load_law("modal_plan_flight")
+DOUBLE = FLIGHT.model_copy(
+    update={"plan": FLIGHT.plan.model_copy(update={"rate": tuple(2.0 * np.array(PLAN.plan.rate))})}  # type: ignore[union-attr]
+)
+
+
+def jumped(law: Law) -> Operation:
+    """The heaviest cab, whose host jumps by 20 in of surge, within the machine's limits."""
+    time = np.arange(480) / 80.0
+    pose = np.zeros((time.size, 6))
+    pose[80:, 0] = 20.0 * units.INCH
+    stream, _ = confined(host.make_stream(time, pose, np.zeros_like(pose), np.zeros_like(pose)))
+    facility = FacilitySettings(electronics=None)
+    return operate(Hexapod("ifd"), law, stream, facility=facility, record_every=8)
+
+
+def swing(values: NDArray[np.float64]) -> float:
+    """Largest swing in the last second of rows 1/256 s apart."""
+    return float(np.ptp(values[-256:], axis=0).max())
+
+
+def test_it_is_the_modal_plan_but_for_its_rate() -> None:
+    told = {"name", "title", "source", "plan"}
+    assert FLIGHT.model_dump(exclude=told) == PLAN.model_dump(exclude=told)
+    assert FLIGHT.plan is not None and PLAN.plan is not None
+    assert FLIGHT.plan.model_dump(exclude={"rate"}) == PLAN.plan.model_dump(exclude={"rate"})
+    assert np.all(np.array(FLIGHT.plan.rate) > 1.4 * np.array(PLAN.plan.rate))
+
+
+def test_behind_the_limits_it_follows_where_the_plan_falls_behind_and_twice_the_rate_cycles() -> (
+    None
+):
+    """A jump of 20 in: legs asked for 21 in/s. Settled is a valve that moves by less than 1 %."""
+    follows, behind, cycles = (jumped(law).record for law in (FLIGHT, PLAN, DOUBLE))
+    assert follows.metadata["fault"] is None
+    assert swing(follows["valve_command"]) < 0.01
+    error = follows["leg_reference"] - follows["leg_extension"]
+    assert np.abs(error[-1]).max() < 0.05 * units.INCH
+    assert behind.metadata["fault"]["name"] == "tracking_error"
+    assert swing(cycles["valve_command"]) > 1.0
+
+
+@pytest.mark.parametrize(
+    ("law", "settles"), [(PLAN, True), (FLIGHT, False)], ids=["plan", "flight"]
+)
+def test_a_raw_step_of_all_degrees_of_freedom_is_for_the_plan_alone(
+    law: Law, settles: bool
+) -> None:
+    """1 in and 0.6 deg in one control frame, past DCU and limits: the one ends at rest, the other
+    in a limit cycle from one clamp to the other."""
+    demand = np.zeros((5120, 6))
+    demand[1024:, :3], demand[1024:, 3:] = units.INCH, 0.6 * units.DEGREE
+    record = simulate(Hexapod("gfd"), law, demand, record_every=8)
+    assert (swing(record["valve_command"]) < 0.02) == settles
