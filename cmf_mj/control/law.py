@@ -181,6 +181,9 @@ class Law(Settings):
     """Pole of the accelerometer filter gain / (z - pole), Eq 3.6."""
     accelerometer_gain: float = 0.007588
     """Gain of the accelerometer filter, Eq 3.6."""
+    gravity_compensation: bool = True
+    """Whether the law reads leg accelerations with gravity taken out (Appendix C); from ideal
+    accelerometers, which feel none, nothing is taken out."""
     reference_model: ReferenceModel | None = None
     """A model to follow, `[name.reference_model]`; absent: the demand itself."""
     plan: Plan | None = None
