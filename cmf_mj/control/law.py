@@ -54,10 +54,13 @@ SIGNAL_UNITS = {
 """SI size of the unit each signal's gain counts in (in, Pa, in/s, in s, in/s^2, lbf)."""
 
 _FILES = {
-    "legs": Path(__file__).with_name("laws.toml"),
-    "hydraulic_modes": Path(__file__).with_name("laws_beyond.toml"),
+    "report": Path(__file__).with_name("laws.toml"),
+    "beyond": Path(__file__).with_name("laws_beyond.toml"),
 }
-"""Shipped laws by their coordinates."""
+"""Shipped laws: those of the report with what this project added to its block first, and others."""
+
+_MODES = Path(__file__).with_name("modes.toml")
+"""Hydraulic modes of the facility's cabs."""
 
 CoordinateName = Literal["legs", "hydraulic_modes"]
 """What the gains of a law act on."""
@@ -155,7 +158,8 @@ class Law(Settings):
     coordinates: CoordinateName = "legs"
     """What gains act on: legs, or the hydraulic modes of the mounted cab."""
     modes: Mapping[str, Modes] = {}
-    """Hydraulic modes by cab, or by plant where there is none; of a law that is `mounted`, one."""
+    """Hydraulic modes by cab, or by plant where there is none; of a law that is `mounted`, one. A
+    table of a law file without them has the shipped ones, `modes.toml`."""
     title: str = Field(min_length=1)
     """Name for figures and tables."""
     source: str = ""
@@ -264,15 +268,24 @@ def _laws_of(path: Path) -> dict[str, Law]:
     for name, table in tables.items():
         if not isinstance(table, dict):
             raise ValueError(f"{path.name}: {name}: {table!r} is refused: a law is a table [name]")
+        if table.get("coordinates") == "hydraulic_modes":
+            table = {"modes": read_toml(_MODES)} | table
         laws[name] = validated(Law, table | {"name": name}, f"{path.name}: {name}")
     if not laws:
         raise ValueError(f"{path.name}: holds no law; a law is a table [name]")
     return laws
 
 
-def law_names(coordinates: CoordinateName = "legs") -> tuple[str, ...]:
-    """Names of the shipped laws in these coordinates; those in legs in the report's order."""
-    return tuple(read_toml(_FILES[coordinates]))
+def law_names(family: Literal["report", "beyond", "all"] = "report") -> tuple[str, ...]:
+    """Names of the shipped laws.
+
+    Args:
+        family: `report`, its own in its order and then what this project added to its block;
+            `beyond`, the field's and the modal plan; or `all` of them.
+    """
+    if family == "all":
+        return law_names() + law_names("beyond")
+    return tuple(read_toml(_FILES[family]))
 
 
 def load_law(source: str | Path | Law) -> Law:
@@ -288,13 +301,13 @@ def load_law(source: str | Path | Law) -> Law:
     if isinstance(source, Law):
         return source
     text = str(source)
-    for coordinates, file in _FILES.items():
-        if text in law_names(coordinates):  # type: ignore[arg-type]
+    for file in _FILES.values():
+        if text in read_toml(file):
             return _laws_of(file)[text]
     stem, found, name = text.rpartition(".toml")
     if not found or (name and not name.startswith(":")):
-        shipped = law_names() + law_names("hydraulic_modes")
-        raise ValueError(f"law: {text!r} is neither a .toml file nor one of {', '.join(shipped)}")
+        shipped = ", ".join(law_names("all"))
+        raise ValueError(f"law: {text!r} is neither a .toml file nor one of {shipped}")
     laws = _laws_of(Path(stem + ".toml"))
     if name:
         if name[1:] not in laws:
