@@ -20,11 +20,14 @@ import pytest
 from cmf_mj import Hexapod, Law, SingleLegs, law_names, load_law, signals, simulate
 from cmf_mj.control.law import FRAME, Gains
 from cmf_mj.control.load_feedback import LoadFeedback
+from cmf_mj.kinematics import DOFS
 from cmf_mj.linear_models import closed_loop, dcl_state_space
 from cmf_mj.linearization import linearize
 from cmf_mj.plant import Plant
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.replay import replay
+from cmf_mj.studies.evaluation import evaluate as study_rows
+from cmf_mj.studies.settings import load_study
 from cmf_mj.tuning.confirmation import Trial, run_trial
 from cmf_mj.tuning.evaluation import evaluate, linear_cab
 from cmf_mj.tuning.search import Limits
@@ -157,6 +160,14 @@ def test_replay_is_bit_for_bit(name: str) -> None:
     record = simulate(Hexapod(), name, signals.step("pitch", 0.01, at=0.1, duration=0.5))
     assert np.ptp(record["compensator_output"]) > 0.01
     assert replay(record, name).identical
+
+
+@pytest.mark.parametrize("name", ["modal_feedback", "modal_plan"])
+def test_studies_mount_laws_in_modes(name: str) -> None:
+    study = load_study({"title": "modes", "method": "linear", "laws": [name], "cabs": ["ifd"]})
+    rows = study_rows(study.cases[0])
+    assert [row.dof for row in rows] == list(DOFS)
+    assert all(row.stable and not row.error_message for row in rows)
 
 
 @pytest.mark.parametrize("name", FIELD)

@@ -338,6 +338,6 @@ def test_ready_studies_are_sound() -> None:
     assert [law.name for law in rotation.laws][1:3] == ["position_error_rate", "acceleration"]
     field = load_study("rotation_field")
     assert field.settings.mismatch == rotation.settings.mismatch
-    assert len(field.cases) == 8 * 3 * (draws + 1)
+    assert len(field.cases) == 5 * 3 * (draws + 1)
     with pytest.raises(ValueError, match="study: base: 'all' is not one of ablation, mismatch"):
         load_study({"base": "all"})
