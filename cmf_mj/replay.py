@@ -18,6 +18,7 @@ from scipy.interpolate import CubicSpline
 
 from cmf_mj.compiled import compiled
 from cmf_mj.control import dcl as control
+from cmf_mj.control.feedback import gravity_history
 from cmf_mj.control.law import FRAME, SIGNALS, Law, load_law
 from cmf_mj.control.protection import (
     Fault,
@@ -157,6 +158,7 @@ def replay_protection(
         raise ValueError(f"sample_rate: {record.rate} Hz is refused; allowed: {1 / FRAME:g} Hz")
     reference = _legs(record, "leg_reference")
     histories = control.LegFeedback(*(_legs(record, name) for name in FEEDBACK.values()))
+    histories.acceleration[:] -= _felt(record) * (not _compensated(record))
     state = protection_state(histories.position[0])
     supply = np.array(np.broadcast_to(supply_pressure, reference.shape[0]), dtype=float)
     _watch(protection, state, reference, histories, supply)
@@ -215,7 +217,26 @@ def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> control.Leg
         present = channel in record.channels
         still = np.zeros(record["leg_position"].shape)
         histories.append(_legs(record, channel) if present else still)
-    return control.LegFeedback(*histories)
+    found = control.LegFeedback(*histories)
+    if "acceleration" not in names and FEEDBACK["acceleration"] in record.channels:
+        shift = int(_compensated(record)) - int(law.gravity_compensation)
+        if shift:
+            found.acceleration[:] += shift * _felt(record)
+    return found
+
+
+def _compensated(record: Record) -> bool:
+    """Whether the recorded leg accelerations, those that the law read, are without gravity."""
+    return bool(record.metadata.get("law_parameters", {}).get("gravity_compensation", True))
+
+
+def _felt(record: Record) -> NDArray[np.float64]:
+    """Gravity that the accelerometers of a run felt, (N, n) [m/s^2]; 0 where it does not say."""
+    electronics = record.metadata.get("electronics") or {}
+    position = _legs(record, "leg_position")
+    if not electronics.get("sensors", {}).get("gravity", False):
+        return np.zeros(position.shape)
+    return gravity_history(position)
 
 
 def _raised(values: NDArray[np.float64], every: int) -> NDArray[np.float64]:

@@ -1,12 +1,13 @@
 """Run laws through the simulation over cabs, degrees of freedom and valve gains; write a table.
 
 `trials.csv` has a row for each run pair of chirp and step, `worst.md` the worst over valve gains,
-`crosstalk.csv` the largest cross-talk of each law and cab.
+`summary.md` the worst over cabs too, `crosstalk.csv` the largest cross-talk of each law and cab.
 """
 
 import argparse
 import csv
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -15,6 +16,7 @@ from cmf_mj import load_law, units
 from cmf_mj.files import write_csv, write_text
 from cmf_mj.kinematics import DOFS
 from cmf_mj.loop.electronics import ElectronicsSettings
+from cmf_mj.report import markdown
 from cmf_mj.tuning.confirmation import Outcome, Trial, crosstalk, run_trial
 from cmf_mj.tuning.nominal import CABS
 
@@ -42,24 +44,56 @@ def row(outcome: Outcome) -> list[object]:
     ]
 
 
+class Worst(NamedTuple):
+    """Worst of a group of trials, as printed."""
+
+    phase: str
+    gain: str
+    peak: str
+    overshoot: str
+    damping: str
+
+
+def worst_of(members: list[Outcome]) -> Worst:
+    """Worst of each measure."""
+    phase, gain, peak = np.array([member.bandwidths for member in members]).T
+    over = max(member.step.overshoot for member in members)
+    zetas = [z for member in members if not np.isnan(z := member.step.damping_ratio)]
+    damping = f"{min(zetas):.2f}" if zetas else "-"
+    return Worst(
+        "> 10" if np.isnan(phase).all() else f"{np.nanmin(phase):.2f}",
+        "> 10" if np.isnan(gain).all() else f"{np.nanmin(gain):.2f}",
+        f"{peak.max():.1f}",
+        f"{100.0 * over:.0f} %",
+        damping if all(member.step.stable for member in members) else "unstable",
+    )
+
+
+def grouped(outcomes: list[Outcome], *fields: str) -> dict[tuple[str, ...], list[Outcome]]:
+    """Outcomes of trials alike in the law and some fields."""
+    groups: dict[tuple[str, ...], list[Outcome]] = {}
+    for one in outcomes:
+        key = (one.trial.law.name, *(getattr(one.trial, field) for field in fields))
+        groups.setdefault(key, []).append(one)
+    return groups
+
+
 def worst(outcomes: list[Outcome]) -> str:
     """Worst of each law, degree of freedom and cab over all other choices."""
-    lines = ["| law | dof | cab | -90 | -3 dB | peak | overshoot | zeta |", "| --- " * 8 + "|"]
-    groups: dict[tuple[str, str, str], list[Outcome]] = {}
-    for one in outcomes:
-        groups.setdefault((one.trial.law.name, one.trial.dof, one.trial.cab), []).append(one)
-    for key, members in groups.items():
-        phase, gain, peak = np.array([member.bandwidths for member in members]).T
-        over = max(member.step.overshoot for member in members)
-        zeta = np.nanmin([member.step.damping_ratio for member in members])
-        stable = all(member.step.stable for member in members)
-        widest = "> 10" if np.isnan(gain).all() else f"{np.nanmin(gain):.2f}"
-        damping = f"{zeta:.2f}" if stable else "unstable"
-        lines.append(
-            f"| {' | '.join(key)} | {phase.min():.2f} | {widest} | {peak.max():.1f} "
-            f"| {100.0 * over:.0f} % | {damping} |"
-        )
-    return "\n".join(lines) + "\n"
+    header = ("law", "dof", "cab", "-90", "-3 dB", "peak", "overshoot", "zeta")
+    groups = grouped(outcomes, "dof", "cab")
+    return markdown(header, [[*key, *worst_of(members)] for key, members in groups.items()])
+
+
+def summary(outcomes: list[Outcome]) -> str:
+    """Worst of each law in each degree of freedom: -90 deg / -3 dB / peak / zeta."""
+    groups = grouped(outcomes, "dof")
+    dofs = list(dict.fromkeys(one.trial.dof for one in outcomes))
+    lines = []
+    for law in dict.fromkeys(one.trial.law.name for one in outcomes):
+        found = [worst_of(groups[law, dof]) for dof in dofs]
+        lines.append([law, *(f"{w.phase} / {w.gain} / {w.peak} / {w.damping}" for w in found)])
+    return markdown(("law", *dofs), lines)
 
 
 def numbers(text: str) -> list[float]:
@@ -111,6 +145,7 @@ def main() -> None:
             outcomes.append(outcome)
     if outcomes:
         write_text(options.out / "worst.md", worst(outcomes))
+        write_text(options.out / "summary.md", summary(outcomes))
     if options.crosstalk:
         cases = [(law, cab) for law in laws for cab in cabs]
         measured = Parallel(n_jobs=options.jobs, backend="threading")(

@@ -52,6 +52,7 @@ COPIES = {
     "mismatch/rates.csv": "data/mismatch_rates.csv",
     "rotation/rotation.csv": "data/rotation.csv",
     "rotation/rotation_flown.csv": "data/rotation_flown.csv",
+    "rotation_field/rotation_flown.csv": "data/rotation_field.csv",
 }
 """Files of the studies below --results, and where they go below docs."""
 

@@ -23,9 +23,7 @@ dac_bits = { value = 0, status = "assumed", source = "off" }
 def transparent(tmp_path: Path) -> ElectronicsSettings:
     path = tmp_path / "far.toml"
     path.write_text(FAR)
-    return ElectronicsSettings(
-        sensors="ideal", converters="off", gravity_compensation=False, servo=path
-    )
+    return ElectronicsSettings(sensors="ideal", converters="off", servo=path)
 
 
 @pytest.mark.parametrize("law", ["velocity", "acceleration", "force"])

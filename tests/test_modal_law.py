@@ -275,5 +275,5 @@ def test_bad_modal_laws_are_named() -> None:
         make_dcl(MODAL, MODES)
     with pytest.raises(ValueError, match="hydraulic modes of 6 legs; there are 3"):
         make_dcl(MODAL.mounted("gfd"), 3)
-    assert "modal_plan" in law_names("hydraulic_modes")
+    assert "modal_plan" in law_names("beyond")
     assert DOFS[0] == "surge"

@@ -336,5 +336,8 @@ def test_ready_studies_are_sound() -> None:
     rotation = load_study("rotation")
     assert rotation.settings.mismatch == load_study("mismatch").settings.mismatch
     assert [law.name for law in rotation.laws][1:3] == ["position_error_rate", "acceleration"]
+    field = load_study("rotation_field")
+    assert field.settings.mismatch == rotation.settings.mismatch
+    assert len(field.cases) == 5 * 3 * (draws + 1)
     with pytest.raises(ValueError, match="study: base: 'all' is not one of ablation, mismatch"):
         load_study({"base": "all"})

@@ -15,8 +15,9 @@ from cmf_mj.plant import Hexapod, Plant
 from cmf_mj.tuning.confirmation import Trial, run_trial
 from cmf_mj.tuning.evaluation import evaluate, linear_cab
 from cmf_mj.tuning.files import law_text, save_law
+from cmf_mj.tuning.forms import FORMS, Form, candidate, form_named, make_template
 from cmf_mj.tuning.nominal import nominal_modes
-from cmf_mj.tuning.search import FREE, START, Limits, candidate, make_template, search
+from cmf_mj.tuning.search import Limits, search
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 
@@ -47,15 +48,24 @@ def test_a_search_repeats_and_its_file_is_the_law(tmp_path: Path) -> None:
     template = make_template("mine", "Mine", ("gfd",))
     first, second = (search(template, seeds=(None,), evaluations=1) for _ in range(2))
     assert first.law == second.law and first.evaluations == 12
-    begun = evaluate(candidate(template, START), template.cabs, (None,))
+    form = form_named("modal_plan")
+    begun = evaluate(candidate(form, template, form.start), template.cabs, (None,))
     assert first.worth.phase_hz.min() > 0.95 * begun.phase_hz.min()
     path = save_law(first.law, tmp_path / "laws" / "mine.toml", "By a test.")
     back = load_law(path)
     assert back.plan == first.law.plan and back.load_feedback == first.law.load_feedback
     assert law_text(back) == law_text(load_law(save_law(back, path)))
     assert [p.name for p in path.parent.iterdir()] == ["mine.toml"]
-    for value, (low, high) in zip(START, FREE.values(), strict=True):
+
+
+@pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
+def test_every_form_starts_within_its_bounds_and_makes_a_law_that_is_stable(form: Form) -> None:
+    for value, (low, high) in zip(form.start, form.free.values(), strict=True):
         assert low <= value <= high
+    template = make_template("mine", "Mine", ("gfd",))
+    worth = evaluate(candidate(form, template, form.start), template.cabs, (None,))
+    assert worth.settled.max() < 0.2
+    assert worth.phase_hz.min() > 1.0
 
 
 def test_limits_cost() -> None:
@@ -68,6 +78,8 @@ def test_limits_cost() -> None:
 
 def test_bad_requests_are_named() -> None:
     template = make_template("mine", "Mine", ("gfd",))
+    with pytest.raises(ValueError, match="form: 'magic' is not one of modal_plan, velocity"):
+        search(template, form="magic")
     with pytest.raises(ValueError, match="evaluations: 0 must be at least 1"):
         search(template, evaluations=0)
     excavator = Plant.__new__(Plant)
@@ -91,7 +103,7 @@ def test_tune_command(tmp_path: Path) -> None:
         (
             "confirm_laws.py",
             "--cabs gfd --dofs heave --seeds 0 --quick --crosstalk --jobs 1 --out",
-            ("trials.csv", "worst.md", "crosstalk.csv"),
+            ("trials.csv", "worst.md", "summary.md", "crosstalk.csv"),
         ),
         (
             "pareto_laws.py",

@@ -15,8 +15,7 @@ from cmf_mj.parameters import load_hydraulics
 @app.command("laws")
 def laws_command() -> None:
     """List the shipped control laws with their sources."""
-    names = law_names() + law_names("hydraulic_modes")
-    show(report.law_table([load_law(name) for name in names]), width=TEXT_WIDTH)
+    show(report.law_table([load_law(name) for name in law_names("all")]), width=TEXT_WIDTH)
 
 
 @app.command("parameters")

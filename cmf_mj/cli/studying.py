@@ -8,7 +8,7 @@ import typer
 from cmf_mj import study_report
 from cmf_mj.cli.common import TEXT_WIDTH, app, progress_bar, refuse, show, written
 from cmf_mj.studies.engine import Backend, run_study
-from cmf_mj.studies.settings import load_study
+from cmf_mj.studies.settings import load_study, ready_studies
 
 Jobs = Annotated[int, typer.Option(help="processes or threads")]
 Laws = Annotated[str | None, typer.Option(help="laws instead of the study's, by name or TOML file")]
@@ -57,7 +57,7 @@ def _run(
 @app.command("study")
 def study_command(
     specification: Annotated[
-        str, typer.Argument(help="ablation, mismatch, rotation, or a TOML file of your own")
+        str, typer.Argument(help=", ".join((*ready_studies(), "or a TOML file")))
     ],
     out: Annotated[Path | None, typer.Option(help="folder; default out/NAME")] = None,
     laws: Laws = None,

@@ -7,13 +7,15 @@ import typer
 
 from cmf_mj.cli.common import app, names_of, progress_bar, refuse, show
 from cmf_mj.tuning.files import save_law
+from cmf_mj.tuning.forms import FORMS, make_template
 from cmf_mj.tuning.nominal import CABS
-from cmf_mj.tuning.search import Limits, make_template, search
+from cmf_mj.tuning.search import Limits, search
 
 
 @app.command("tune")
 def tune_command(
     name: Annotated[str, typer.Option(help="name of the law")] = "modal_plan",
+    form: Annotated[str, typer.Option(help=", ".join(FORMS))] = "modal_plan",
     title: Annotated[str, typer.Option(help="its title")] = "Modal plan",
     peak: Annotated[float, typer.Option(help="largest peak gain [dB]")] = Limits().peak_db,
     overshoot: Annotated[float, typer.Option(help="largest overshoot of a step [%]")] = 100.0
@@ -23,19 +25,20 @@ def tune_command(
     seed: Annotated[int, typer.Option(help="of the search")] = 1,
     out: Annotated[Path, typer.Option(help="law file to write")] = Path("out/tune/law.toml"),
 ) -> None:
-    """Search the gains of a law in hydraulic modes over all cabs and degrees of freedom."""
+    """Search the gains of a form of law over all cabs and degrees of freedom."""
     limits = Limits(peak_db=peak, overshoot=overshoot / 100.0)
     try:
         with progress_bar() as update:
             found = search(
                 make_template(name, title, names_of(cabs, CABS)),
                 limits,
+                form=form,
                 evaluations=evaluations,
                 seed=seed,
                 progress=update,
             )
         said = (
-            f"cmf tune --peak {peak:g} --overshoot {overshoot:g} --cabs {cabs} "
+            f"cmf tune --form {form} --peak {peak:g} --overshoot {overshoot:g} --cabs {cabs} "
             f"--evaluations {evaluations} --seed {seed}"
         )
         law = found.law.model_copy(update={"source": f"this project: {said}"})

@@ -133,7 +133,7 @@ def make_dcl(law: Law, legs: int) -> Dcl:
         make_compensator(law, legs),
         make_model(law.reference_model),
         make_plan(law.plan, modes, legs, FRAME),
-        make_load_feedback(law.load_feedback, modes, legs, FRAME),
+        make_load_feedback(law.load_feedback, modes if law.plan else None, legs, FRAME),
         make_coordinates(modes, legs),
     )
 

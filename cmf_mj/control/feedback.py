@@ -8,11 +8,14 @@ Eq 3.5 prints a time constant of 0.2 s; Eq 3.6 is the zero-order hold of 0.02 s 
 White noise in the accelerometer leaves its filter smaller by gain / sqrt(1 - pole^2), which for a
 gain of 1 - pole is sqrt((1 - pole) / (1 + pole)).
 
-As an option the DCL takes gravity out of leg accelerations itself (Appendix C),
+Where accelerometers feel gravity, the DCL knows it along the legs (Appendix C) and takes it out for
+the fault detection, and for the law unless that chose `gravity_compensation = false`,
 
     a = a_measured - g n . up,
 
-with the legs' directions n from the measured positions through its own kinematics.
+with the legs' directions n from the measured positions through its own kinematics. A law of gain
+K_a that reads g n . up = 0.832 g at neutral has K_a 0.832 g b / (1 - a) in its command for good,
+with filter pole a and gain b.
 """
 
 from typing import NamedTuple
@@ -45,11 +48,15 @@ class Feedback(NamedTuple):
     """Gain of Eq 3.6."""
     force_area: float
     """A of Eq 3.7 [m^2]."""
+    gravity_compensation: bool
+    """Whether the law reads accelerations without gravity."""
 
 
 def make_feedback(law: Law) -> Feedback:
     """Take the feedback block's parameters from a law."""
-    return Feedback(law.accelerometer_pole, law.accelerometer_gain, FORCE_AREA)
+    return Feedback(
+        law.accelerometer_pole, law.accelerometer_gain, FORCE_AREA, law.gravity_compensation
+    )
 
 
 @compiled
@@ -73,12 +80,12 @@ class GravityCompensation(NamedTuple):
     """Compiled parameters of the gravity compensation."""
 
     enabled: bool
-    """Whether gravity is taken out."""
+    """Whether the accelerometers feel gravity; otherwise there is none to know."""
     axes: LegAxes
 
 
 def make_gravity_compensation(*, enabled: bool) -> GravityCompensation:
-    """The option of the DCL, on or off."""
+    """Compensation for accelerometers that feel gravity, or feel none."""
     return GravityCompensation(enabled, make_leg_axes())
 
 
@@ -88,7 +95,7 @@ def gravity_compensation_state(
     """State that knows the pose of the measured leg positions (n,) [m].
 
     Raises:
-        ValueError: switched on, and the legs are not six or no pose has them.
+        ValueError: enabled, and the legs are not six or no pose has them.
     """
     if compensation.enabled and position.shape != (6,):
         raise ValueError(f"position: shape is {position.shape}; gravity along the legs needs (6,)")
@@ -96,16 +103,38 @@ def gravity_compensation_state(
 
 
 @compiled
-def compensate_gravity(compensation, state, position, acceleration):  # type: ignore[no-untyped-def]
-    """Take gravity out of measured leg accelerations, one frame.
+def find_gravity(compensation, state, position, gravity):  # type: ignore[no-untyped-def]
+    """Gravity that leg accelerometers feel, one frame.
 
     Args:
         compensation: parameters.
         state: overwritten.
         position: (n,) measured extensions [m].
-        acceleration: (n,) measured accelerations [m/s^2], overwritten.
+        gravity: (n,) overwritten with g n . up [m/s^2]; left as it is where they feel none.
     """
     if compensation.enabled:
         track(compensation.axes, state, position)
         for leg in range(6):
-            acceleration[leg] -= units.STANDARD_GRAVITY * upward(state, leg)
+            gravity[leg] = units.STANDARD_GRAVITY * upward(state, leg)
+
+
+@compiled
+def _histories(compensation, state, position, gravity):  # type: ignore[no-untyped-def]
+    for frame in range(position.shape[0]):
+        find_gravity(compensation, state, position[frame], gravity[frame])
+
+
+def gravity_history(position: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Gravity along legs that move through measured extensions, as the DCL finds it [m/s^2].
+
+    Args:
+        position: (N, 6) [m].
+
+    Raises:
+        ValueError: other than six legs, or no pose has the first row.
+    """
+    compensation = make_gravity_compensation(enabled=True)
+    gravity = np.empty(position.shape)
+    own = np.ascontiguousarray(position)
+    _histories(compensation, gravity_compensation_state(compensation, own[0]), own, gravity)
+    return gravity

@@ -57,10 +57,13 @@ SIGNAL_UNITS = {
 """SI size of the unit each signal's gain counts in (in, Pa, in/s, in s, in/s^2, lbf)."""
 
 _FILES = {
-    "legs": Path(__file__).with_name("laws.toml"),
-    "hydraulic_modes": Path(__file__).with_name("laws_beyond.toml"),
+    "report": Path(__file__).with_name("laws.toml"),
+    "beyond": Path(__file__).with_name("laws_beyond.toml"),
 }
-"""Shipped laws by their coordinates."""
+"""Shipped laws: those of the report with what this project added to its block first, and others."""
+
+_MODES = Path(__file__).with_name("modes.toml")
+"""Hydraulic modes of the facility's cabs."""
 
 CoordinateName = Literal["legs", "hydraulic_modes"]
 """What the gains of a law act on."""
@@ -158,7 +161,8 @@ class Law(Settings):
     coordinates: CoordinateName = "legs"
     """What gains act on: legs, or the hydraulic modes of the mounted cab."""
     modes: Mapping[str, Modes] = {}
-    """Hydraulic modes by cab, or by plant where there is none; of a law that is `mounted`, one."""
+    """Hydraulic modes by cab, or by plant where there is none; of a law that is `mounted`, one. A
+    table of a law file without them has the shipped ones, `modes.toml`."""
     title: str = Field(min_length=1)
     """Name for figures and tables."""
     source: str = ""
@@ -184,6 +188,9 @@ class Law(Settings):
     """Pole of the accelerometer filter gain / (z - pole), Eq 3.6."""
     accelerometer_gain: float = 0.007588
     """Gain of the accelerometer filter, Eq 3.6."""
+    gravity_compensation: bool = True
+    """Whether the law reads leg accelerations with gravity taken out (Appendix C); from ideal
+    accelerometers, which feel none, nothing is taken out."""
     reference_model: ReferenceModel | None = None
     """A model to follow, `[name.reference_model]`; absent: the demand itself."""
     plan: Plan | None = None
@@ -265,6 +272,8 @@ def _laws_of(path: Path) -> dict[str, Law]:
         if not isinstance(table, dict):
             raise ValueError(f"{path.name}: {name}: {table!r} is refused: a law is a table [name]")
         whole = _derived(table, tables, f"{path.name}: {name}") | {"name": name}
+        if whole.get("coordinates") == "hydraulic_modes":
+            whole = {"modes": read_toml(_MODES)} | whole
         laws[name] = validated(Law, whole, f"{path.name}: {name}")
     if not laws:
         raise ValueError(f"{path.name}: holds no law; a law is a table [name]")
@@ -292,9 +301,16 @@ def _derived(table: dict[str, Any], tables: dict[str, Any], where: str) -> dict[
     return merged(base, {k: v for k, v in table.items() if k != "based_on"})
 
 
-def law_names(coordinates: CoordinateName = "legs") -> tuple[str, ...]:
-    """Names of the shipped laws in these coordinates; those in legs in the report's order."""
-    return tuple(read_toml(_FILES[coordinates]))
+def law_names(family: Literal["report", "beyond", "all"] = "report") -> tuple[str, ...]:
+    """Names of the shipped laws.
+
+    Args:
+        family: `report`, its own in its order and then what this project added to its block;
+            `beyond`, the field's and the modal plan; or `all` of them.
+    """
+    if family == "all":
+        return law_names() + law_names("beyond")
+    return tuple(read_toml(_FILES[family]))
 
 
 def load_law(source: str | Path | Law) -> Law:
@@ -310,13 +326,13 @@ def load_law(source: str | Path | Law) -> Law:
     if isinstance(source, Law):
         return source
     text = str(source)
-    for coordinates, file in _FILES.items():
-        if text in law_names(coordinates):  # type: ignore[arg-type]
+    for file in _FILES.values():
+        if text in read_toml(file):
             return _laws_of(file)[text]
     stem, found, name = text.rpartition(".toml")
     if not found or (name and not name.startswith(":")):
-        shipped = law_names() + law_names("hydraulic_modes")
-        raise ValueError(f"law: {text!r} is neither a .toml file nor one of {', '.join(shipped)}")
+        shipped = ", ".join(law_names("all"))
+        raise ValueError(f"law: {text!r} is neither a .toml file nor one of {shipped}")
     laws = _laws_of(Path(stem + ".toml"))
     if name:
         if name[1:] not in laws:

@@ -53,7 +53,7 @@ class CompiledLoadFeedback(NamedTuple):
 def make_load_feedback(
     settings: LoadFeedback | None, modes: Modes | None, legs: int, frame: float
 ) -> CompiledLoadFeedback:
-    """Compile the block; None for none."""
+    """Compile the block; None for none. Modes are those of a plan, whose forces are not damped."""
     mass = np.zeros(legs) if modes is None else mode_mass(modes)
     cap, rod = 0.25 * np.pi * BORE**2, 0.25 * np.pi * (BORE**2 - ROD**2)
     if settings is None:

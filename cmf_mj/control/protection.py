@@ -5,7 +5,7 @@
     over_pressure        larger of cap and rod pressure
     under_pressure       supply pressure, below its threshold
     over_speed           |velocity|
-    over_acceleration    |acceleration|, gravity compensated where the sensor feels it
+    over_acceleration    |acceleration| without gravity, whatever the law reads
     host_watchdog        time since the last host frame
     frame_watchdog       control frames missed between two calls
 

@@ -1,9 +1,11 @@
 """What stands between the machine and the control law: sensors, converters, servo electronics.
 
-    truth -> sensors -> (faults) -> anti-alias filter, ADC -> gravity compensation -> DCL's feedback
+    truth -> sensors -> (faults) -> anti-alias filter, ADC -> without gravity -> DCL, protection
     DCL's command -> DAC, limit switches, velocity clamp, rate limiter -> valves
 
-A run without electronics passes None: readings and commands go through to the bit, at no cost.
+The protection always watches accelerations without gravity; whether the DCL reads them so is the
+law's choice. A run without electronics passes None: readings and commands go through to the bit, at
+no cost.
 """
 
 from pathlib import Path
@@ -28,7 +30,7 @@ from cmf_mj.control.converter import (
 from cmf_mj.control.dcl import LegFeedback
 from cmf_mj.control.feedback import (
     GravityCompensation,
-    compensate_gravity,
+    find_gravity,
     gravity_compensation_state,
     make_gravity_compensation,
 )
@@ -55,8 +57,6 @@ class ElectronicsSettings(NamedTuple):
     """`ideal` or `noisy`."""
     converters: str | Path | ConverterSettings = "sixteen_bit"
     """`off` or `sixteen_bit`."""
-    gravity_compensation: bool = True
-    """Whether the DCL takes gravity out of the leg accelerometers."""
     servo: str | Path | ServoSettings | None = None
     """File of changes to the servo electronics; default the shipped ones."""
     seed: int = 0
@@ -67,7 +67,6 @@ class ElectronicsSettings(NamedTuple):
         return {
             "sensors": load_sensors(self.sensors).model_dump(mode="json"),
             "converters": load_converters(self.converters).model_dump(mode="json"),
-            "gravity_compensation": self.gravity_compensation,
             "servo": servo.load_servo_settings(self.servo).model_dump(mode="json"),
             "sensor_seed": self.seed,
         }
@@ -82,6 +81,10 @@ class Electronics(NamedTuple):
     converter_state: ConverterState
     compensation: GravityCompensation
     compensation_state: LegAxesState
+    gravity: NDArray[np.float64]
+    """What the accelerometers feel of it, (n,) [m/s^2]; 0 where they feel none."""
+    inertial: NDArray[np.float64]
+    """Measured accelerations without it, (n,) [m/s^2]."""
     servo: ServoElectronics
     servo_state: ServoState
     reading: LegFeedback
@@ -100,13 +103,13 @@ def make_electronics(settings: ElectronicsSettings, at_rest: LegFeedback) -> Ele
         at_rest: true motion and pressures at the start.
 
     Raises:
-        ValueError: a refused setting, or gravity on other than six legs.
+        ValueError: a refused setting, or sensors that feel gravity on other than six legs.
     """
     legs = at_rest.position.shape[0]
     truth = Truth(*(np.array(values, dtype=float) for values in at_rest))
     sensors = make_sensors(load_sensors(settings.sensors), 1.0 / FRAME, settings.seed)
     converters = make_converters(load_converters(settings.converters))
-    compensation = make_gravity_compensation(enabled=settings.gravity_compensation)
+    compensation = make_gravity_compensation(enabled=sensors.gravity)
     state = sensor_state(sensors, truth)
     reading = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
     sense(sensors, state, 0, truth, reading)
@@ -117,6 +120,8 @@ def make_electronics(settings: ElectronicsSettings, at_rest: LegFeedback) -> Ele
         converter_state(converters, reading),
         compensation,
         gravity_compensation_state(compensation, reading.position),
+        np.zeros(legs),
+        np.zeros(legs),
         servo.make_servo_electronics(servo.load_servo_settings(settings.servo)),
         servo.start(legs),
         reading,
@@ -136,21 +141,26 @@ def _copy(faults, truth, feedback):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _measure(electronics, faults, frame, truth, feedback):  # type: ignore[no-untyped-def]
+def _measure(electronics, faults, frame, truth, compensated, feedback):  # type: ignore[no-untyped-def]
     reading = electronics.reading
     sense(electronics.sensors, electronics.sensor_state, frame, truth, reading)
     for leg in range(truth.position.shape[0]):
         reading.position[leg] = read_position(faults, leg, reading.position[leg])
     digitise(electronics.converters, electronics.converter_state, reading, feedback)
-    compensate_gravity(
+    find_gravity(
         electronics.compensation,
         electronics.compensation_state,
         feedback.position,
-        feedback.acceleration,
+        electronics.gravity,
     )
+    for leg in range(truth.position.shape[0]):
+        inertial = feedback.acceleration[leg] - electronics.gravity[leg]
+        electronics.inertial[leg] = inertial
+        if compensated:
+            feedback.acceleration[leg] = inertial
 
 
-def measure(electronics, faults, frame, truth, feedback):  # type: ignore[no-untyped-def]
+def measure(electronics, faults, frame, truth, compensated, feedback):  # type: ignore[no-untyped-def]
     """What the DCL reads of the truth.
 
     Args:
@@ -158,20 +168,43 @@ def measure(electronics, faults, frame, truth, feedback):  # type: ignore[no-unt
         faults: broken position sensors.
         frame: number of the control frame, chooses the noise.
         truth: `LegFeedback`.
+        compensated: whether the law reads accelerations without gravity.
         feedback: `LegFeedback`, overwritten.
     """
     if electronics is None:
         _copy(faults, truth, feedback)
     else:
-        _measure(electronics, faults, frame, truth, feedback)
+        _measure(electronics, faults, frame, truth, compensated, feedback)
 
 
 @overload(measure, jit_options={"forceinline": True})
-def _compiled_measure(electronics, faults, frame, truth, feedback):  # type: ignore[no-untyped-def]
+def _compiled_measure(electronics, faults, frame, truth, compensated, feedback):  # type: ignore[no-untyped-def]
     if isinstance(electronics, types.NoneType):
-        return lambda electronics, faults, frame, truth, feedback: _copy(faults, truth, feedback)
-    return lambda electronics, faults, frame, truth, feedback: _measure(
-        electronics, faults, frame, truth, feedback
+        return lambda electronics, faults, frame, truth, compensated, feedback: _copy(
+            faults, truth, feedback
+        )
+    return lambda electronics, faults, frame, truth, compensated, feedback: _measure(
+        electronics, faults, frame, truth, compensated, feedback
+    )
+
+
+def without_gravity(electronics, feedback):  # type: ignore[no-untyped-def]
+    """View of the feedback with inertial accelerations, for the protection."""
+    if electronics is None:
+        return feedback
+    return feedback._replace(acceleration=electronics.inertial)
+
+
+@overload(without_gravity, jit_options={"forceinline": True})
+def _compiled_without_gravity(electronics, feedback):  # type: ignore[no-untyped-def]
+    if isinstance(electronics, types.NoneType):
+        return lambda electronics, feedback: feedback
+    return lambda electronics, feedback: LegFeedback(
+        feedback.position,
+        feedback.velocity,
+        electronics.inertial,
+        feedback.cap_pressure,
+        feedback.rod_pressure,
     )
 
 

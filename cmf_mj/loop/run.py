@@ -30,7 +30,7 @@ from cmf_mj.control.protection import (
     reset,
 )
 from cmf_mj.events import Timeline, strike
-from cmf_mj.loop.electronics import Electronics, deliver, measure, release
+from cmf_mj.loop.electronics import Electronics, deliver, measure, release, without_gravity
 from cmf_mj.loop.front import Chain, cleared, follow, host_age, watched
 from cmf_mj.loop.pace import Pace, begin, end
 from cmf_mj.plant.cylinder import CAP, ROD
@@ -296,6 +296,10 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
     output, command, marks, closure = memory.output, memory.command, memory.marks, memory.closure
     plant_faults, supply = faults.plant, state.supply
     newest, oldest, limited = command[0], command[delay], signals[:, 0]
+    compensated, inertial = (
+        dcl.feedback.gravity_compensation,
+        without_gravity(electronics, feedback),
+    )
     legs, events, rows = extension.shape[0], timeline.frame, layout.out.shape[0]
     for frame in range(first, last):
         begin(pace, frame)
@@ -325,7 +329,7 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
                 for age in range(delay, 0, -1):
                     for leg in range(legs):
                         command[age, leg] = command[age - 1, leg]
-                measure(electronics, faults, frame, truth, feedback)
+                measure(electronics, faults, frame, truth, compensated, feedback)
                 fault, tripped = guard.fault[0], marks[1] != 0
                 gain = follow(
                     chain, frame, table, feedback.position, fault, tripped, row, reference
@@ -351,7 +355,7 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
                 if controller.guarded and plant_faults[STOPPED] == 0.0:
                     wanted = limited if closed else feedback.position
                     pressure, age = supply[SUPPLY_PRESSURE], host_age(chain)
-                    if _stops(protection, guard, frame, wanted, feedback, pressure, age, closed):
+                    if _stops(protection, guard, frame, wanted, inertial, pressure, age, closed):
                         plant_faults[STOPPED] = 1.0
                 bound, leg = _bounds(
                     cylinders, hydraulics.proof_pressure, state.pressure, extension

@@ -140,8 +140,9 @@ class Session:
         at_rest, feedback = self.memory.truth, self.memory.feedback
         parts = None if electronics is None else make_electronics(electronics, at_rest)
         self._electronics = electronics
-        measure(parts, self.machine.faults, 0, at_rest, feedback)
         dcl = control.make_dcl(law or load_law("original"), plant.legs)
+        compensated = dcl.feedback.gravity_compensation
+        measure(parts, self.machine.faults, 0, at_rest, compensated, feedback)
         self.controller = Controller(
             closed=law is not None,
             dcl=dcl,

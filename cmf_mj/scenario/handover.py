@@ -3,7 +3,8 @@
 At the change both laws are given what the DCL read last, and the new one starts so that its output
 is that of the old one, as far as it has a state to do so with:
 
-    filters            of error, reference and acceleration are taken over: they mean the same
+    filters            of error, reference and acceleration are taken over: they mean the same, but
+                       for gravity, which one law may read and the other not
     reference model    is taken over, or starts at the leg's present position and velocity
     compensator        starts where its inputs, held, would have brought it: B u / (1 - A)
     error integral     moves until the outputs agree, within its saturation; the offset it takes
@@ -29,6 +30,7 @@ def handed_over(
     after: control.Dcl,
     reference: NDArray[np.float64],
     feedback: control.LegFeedback,
+    gravity: NDArray[np.float64] | None = None,
 ) -> control.DclState:
     """State in which a law takes over from another.
 
@@ -37,9 +39,15 @@ def handed_over(
         state: its state; left as it is.
         after: compiled law that takes over.
         reference: leg demands of the last frame [m], (n,).
-        feedback: what the DCL read in the last frame.
+        feedback: what the law in force read in the last frame.
+        gravity: what the accelerometers felt of it, (n,) [m/s^2]; default none.
     """
     begun = control.DclState(*(values.copy() for values in state))
+    seen = feedback
+    if gravity is not None:
+        begun.acceleration[:] += _felt(after, gravity) - _felt(before, gravity)
+        shift = int(before.feedback.gravity_compensation) - int(after.feedback.gravity_compensation)
+        seen = feedback._replace(acceleration=feedback.acceleration + shift * gravity)
     if after.model.active and not before.model.active:
         begun.model_position[:] = feedback.position
         begun.model_velocity[:] = feedback.velocity
@@ -50,9 +58,9 @@ def handed_over(
 
     def settled() -> NDArray[np.float64]:
         """Settle the compensator; what is missing of the output."""
-        _, signals = _output(after, begun, reference, feedback)
+        _, signals = _output(after, begun, reference, seen)
         begun.compensator[:] = np.einsum("ij,ij->i", gains.input_gain, signals) / lasting
-        return wanted - _output(after, begun, reference, feedback)[0]
+        return wanted - _output(after, begun, reference, seen)[0]
 
     missing = settled()
     gain = gains.direct_gain[:, _INTEGRAL]
@@ -64,6 +72,14 @@ def handed_over(
     for leg in np.flatnonzero(gains.output_gain):
         begun.compensator[leg] += missing[leg] / gains.output_gain[leg]
     return begun
+
+
+def _felt(dcl: control.Dcl, gravity: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Gravity in the accelerometer filters of a law (n,), settled."""
+    if dcl.feedback.gravity_compensation:
+        return np.zeros(gravity.shape)
+    passed = dcl.feedback.accelerometer_gain / (1.0 - dcl.feedback.accelerometer_pole)
+    return passed * (dcl.coordinates.shape @ gravity if dcl.modal else gravity)
 
 
 def _output(

@@ -236,7 +236,15 @@ class ScenarioRun:
             after = make_dcl(self._law, self.plant.legs)
             controller, memory = session.controller, session.memory
             reference = memory.signals[:, 0] if self.frame else memory.feedback.position
-            state = handed_over(controller.dcl, controller.state, after, reference, memory.feedback)
+            parts = controller.electronics
+            state = handed_over(
+                controller.dcl,
+                controller.state,
+                after,
+                reference,
+                memory.feedback,
+                None if parts is None else parts.gravity,
+            )
             session.engage(self._law, after, state)
         if due.motion is not None:
             self._demand.change(self.frame, due.motion, round(change.fade * RATE))

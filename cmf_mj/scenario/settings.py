@@ -122,16 +122,12 @@ class ElectronicsChoice(Settings):
     """`ideal`, `noisy` or a file."""
     converters: str = "sixteen_bit"
     """`off`, `sixteen_bit` or a file."""
-    gravity_compensation: bool = True
-    """Whether the DCL takes gravity out of the leg accelerometers."""
     servo: str | None = None
     """File of changes to the servo electronics."""
 
     def chosen(self, seed: int) -> ElectronicsSettings:
         """The same for a run."""
-        return ElectronicsSettings(
-            self.sensors, self.converters, self.gravity_compensation, self.servo, seed
-        )
+        return ElectronicsSettings(self.sensors, self.converters, self.servo, seed)
 
 
 class RequestAt(Settings):

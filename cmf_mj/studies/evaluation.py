@@ -226,7 +226,8 @@ def _linear(
         for name, own in zip(labels((channel,), plant.legs), error, strict=True):
             system.C[system.output_labels.index(name)] *= 1.0 + own
     delay = rung_named(case.rung).command_delay
-    loop = pose_loop(closed_loop(case.law, system, command_delay=delay), plant, case.pose)
+    law = case.law.mounted(plant.mounting)
+    loop = pose_loop(closed_loop(law, system, command_delay=delay), plant, case.pose)
     poles = np.linalg.eigvals(np.asarray(loop.A))
     stable = bool(np.abs(poles).max() < 1.0)
     mode = _least_damped(poles)

@@ -133,7 +133,7 @@ def with_gain_errors(errors: dict[str, NDArray[np.float64]]) -> ElectronicsSetti
             ]
         }
     sensors = validated(SensorSettings, table | {"name": "mismatched"}, "mismatched")
-    return ElectronicsSettings(sensors=sensors, converters="off", gravity_compensation=False)
+    return ElectronicsSettings(sensors=sensors, converters="off")
 
 
 def _stream(seed: int, draw: int, name: str) -> np.random.Generator:
