@@ -105,8 +105,6 @@ class Coordinates(NamedTuple):
     """Error integrals in coordinates of the law [m s]."""
     target: NDArray[np.float64]
     """What the errors count from, in coordinates of the law [m]."""
-    asked: NDArray[np.float64]
-    """Commands the plan would like, in coordinates of the law, fractions."""
     plan: NDArray[np.float64]
     """Planned commands in coordinates of the law, fractions."""
     legs: NDArray[np.float64]
@@ -135,7 +133,6 @@ def make_coordinates(modes: Modes | None, legs: int) -> Coordinates:
         reference=room(),
         integral=room(),
         target=room(),
-        asked=room(),
         plan=room(),
         legs=room(),
         feedback=LegFeedback(room(), room(), room(), room(), room()),

@@ -106,7 +106,11 @@ class DclState(NamedTuple):
     model_command: NDArray[np.float64]
     """Planned command on its way, fraction."""
     model_reference: NDArray[np.float64]
-    """Reference of the plan, as fast as it may be [m]."""
+    """Reference of the plan, as smooth as it has to be [m]."""
+    model_reference_rate: NDArray[np.float64]
+    """Its rate [m per frame]."""
+    model_demand: NDArray[np.float64]
+    """Demand of the frame before [m]."""
     load_filter: NDArray[np.float64]
     """Low-passed load force [N]."""
 
@@ -164,6 +168,7 @@ def engaged(
     state.reference_filter[:] = limited
     state.model_position[:] = limited
     state.model_reference[:] = limited
+    state.model_demand[:] = limited
     passed = dcl.feedback.accelerometer_gain / (1.0 - dcl.feedback.accelerometer_pole)
     state.acceleration[:] = passed * feedback.acceleration
     gains = dcl.compensator
@@ -213,15 +218,14 @@ def _fill(dcl, state, leg, reference, target, integral, feedback, signals):  # t
 @compiled
 def _plan(dcl, state, reference, feedback, output):  # type: ignore[no-untyped-def]
     """Add the plan's part to the outputs of all legs or modes; the plan moves on."""
-    plan, commands, asked = dcl.plan, dcl.coordinates.plan, dcl.coordinates.asked
+    plan, commands = dcl.plan, dcl.coordinates.plan
     count = reference.shape[0]
     for leg in range(count):
-        asked[leg] = ask(plan, state, leg, reference[leg])
-        commands[leg] = asked[leg]
+        commands[leg] = ask(plan, state, leg, reference[leg])
     bounded(plan, dcl.coordinates, dcl.modal, commands)
     for leg in range(count):
         output[leg] += commands[leg] + correct(plan, state, leg, feedback)
-        advance(plan, state, leg, asked[leg], commands[leg])
+        advance(plan, state, leg, commands[leg])
 
 
 @compiled

@@ -15,12 +15,16 @@ clamped, u = D E^-1 r / k: feed-forward of velocity, acceleration, jerk and thei
 derivatives, which inverts both lags and the mode. With the same E for all modes the legs, and so
 all degrees of freedom, answer alike and none drives another.
 
-Planned leg commands are clamped to the `authority`, and the model is advanced by what is left: so
-the plan knows the saturation and leaves the rest of the valve to the feedback. A demand that jumps
-is first turned into a ramp of the `rate`. Where the clamp acts, that reference is set to the one
-which would have asked for the clamped command, r + (u_clamped - u) / N with N = d5 / (e5 k), and
-goes on from there: the reference that the plan can follow (conditioning). Without it the clamped
-state feedback of a mode with two lags may end in a limit cycle.
+Since that inverts two lags, what is asked must be smooth. The reference r follows the demand d
+within bounds R on its rate and A on its acceleration. Each frame it takes, of all changes of rate
+|c| <= A, the one that ends its error soonest (`time_optimal`), counted from the demand's own rate:
+
+    e = r - d,    v = r' - sat(d', R),    r' <- sat(r' + c(e, v), R),    r <- r + r'.
+
+A demand within the bounds is followed at once; a jump becomes a ramp with rounded ends, which the
+servo drive with its own rate limit can follow. Planned leg commands are clamped to the `authority`,
+and the model is advanced by what is left: so the plan knows the saturation and leaves the rest of
+the valve to the feedback.
 
 The model sees its command a frame later, as the plant does. x+ = A x + B u(k - 1) is thus known,
 and the state feedback acts on it. To u are added the gains on what is left of errors from the plan,
@@ -31,7 +35,8 @@ in which K_r is the lead against the drive lag.
 
 Source: a plant model under (saturated) state feedback as feed-forward and reference is the
 structure of two degrees of freedom of G. Kreisselmeier, Automatisierungstechnik 47 (1999) 266-269;
-conditioning: R. Hanus, M. Kinnaert and J.-L. Henrotte, Automatica 23 (1987) 729-739;
+the smooth reference: R. Zanasi, C. Guarino Lo Bianco and A. Tonielli, Automatica 36 (2000) 439-448,
+and J. Han, IEEE Transactions on Industrial Electronics 56 (2009) 900-906;
 for electrohydraulic servos feed-forward of velocity, acceleration and jerk: M. Jelali and A. Kroll,
 Hydraulic Servo-systems (2003); I. Davliakos and E. Papadopoulos, Mechanism and Machine Theory 43
 (2008), for hexapods.
@@ -86,6 +91,8 @@ class Plan(Settings):
     """Real pole of E [Hz]."""
     rate: PerMode
     """Fastest reference [in/s]."""
+    acceleration: PerMode
+    """Largest acceleration of the reference [in/s^2]."""
     authority: Annotated[float, Field(gt=0.0, le=100.0)]
     """Largest planned leg command [%]."""
     position: PerMode = 0.0
@@ -105,8 +112,10 @@ class CompiledPlan(NamedTuple):
     """K of u = N r - K x, (n, 5)."""
     forward: NDArray[np.float64]
     """N, (n,) [1/m]."""
-    slope: NDArray[np.float64]
-    """Largest change of the reference in a frame, (n,) [m]."""
+    rate: NDArray[np.float64]
+    """Fastest reference, (n,) [m per frame]."""
+    acceleration: NDArray[np.float64]
+    """Its largest change in a frame, (n,) [m per frame]."""
     authority: float
     """Largest planned leg command, fraction."""
     position_gain: NDArray[np.float64]
@@ -138,7 +147,7 @@ def make_plan(plan: Plan | None, modes: Modes | None, legs: int, frame: float) -
     none = np.zeros(legs)
     if plan is None:
         square = np.zeros((legs, ORDER, ORDER))
-        return CompiledPlan(square, empty, empty, none, none, 0.0, none, none)
+        return CompiledPlan(square, empty, empty, none, none, none, 0.0, none, none)
     hertz = np.full(legs, plan.frequency) if modes is None else np.array(modes.frequency)
     speed = plan.speed * units.INCH / units.PERCENT
     wanted = response_polynomial(plan)
@@ -160,7 +169,8 @@ def make_plan(plan: Plan | None, modes: Modes | None, legs: int, frame: float) -
         input=np.array(inputs),
         feedback=np.array(feedbacks),
         forward=np.array(forwards),
-        slope=spread(plan.rate, legs) * units.INCH * frame,
+        rate=spread(plan.rate, legs) * units.INCH * frame,
+        acceleration=spread(plan.acceleration, legs) * units.INCH * frame**2,
         authority=plan.authority * units.PERCENT,
         position_gain=spread(plan.position, legs) * scale,
         velocity_gain=spread(plan.velocity, legs) * scale,
@@ -182,12 +192,33 @@ def _advanced(plan, state, mode, row):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def ask(plan, state, mode, reference):  # type: ignore[no-untyped-def]
+def time_optimal(error, rate, most):  # type: ignore[no-untyped-def]
+    """Change of rate that ends error and rate soonest, at most `most`; in units of frames.
+
+    For e+ = e + v+, v+ = v + c: there in two frames where both |e| and |e + v| are at most `most`;
+    elsewhere towards, and then along, the curve of rates from which it can still stop.
+    """
+    if abs(error) <= most:
+        surface = rate + error
+    else:
+        stopping = 0.5 * (np.sqrt(most * (most + 8.0 * abs(error))) - most)
+        surface = rate + stopping * np.sign(error)
+    return -min(max(surface, -most), most)
+
+
+@compiled
+def ask(plan, state, mode, demand):  # type: ignore[no-untyped-def]
     """Command that the plan would like of one mode, fraction; its reference moves on."""
-    before, most = state.model_reference[mode], plan.slope[mode]
-    moved = before + min(max(reference - before, -most), most)
-    state.model_reference[mode] = moved
-    wanted = plan.forward[mode] * moved
+    before, fastest = state.model_demand[mode], plan.rate[mode]
+    moving = min(max(demand - before, -fastest), fastest)
+    error = state.model_reference[mode] - before
+    rate = state.model_reference_rate[mode]
+    rate += time_optimal(error, rate - moving, plan.acceleration[mode])
+    rate = min(max(rate, -fastest), fastest)
+    state.model_demand[mode] = demand
+    state.model_reference_rate[mode] = rate
+    state.model_reference[mode] += rate
+    wanted = plan.forward[mode] * state.model_reference[mode]
     for row in range(ORDER):
         wanted -= plan.feedback[mode, row] * _advanced(plan, state, mode, row)
     return wanted
@@ -220,9 +251,8 @@ def correct(plan, state, mode, feedback):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def advance(plan, state, mode, asked, command):  # type: ignore[no-untyped-def]
-    """Move the plan of one mode on by a frame; `command`, left of `asked`, acts a frame later."""
-    state.model_reference[mode] += (command - asked) / plan.forward[mode]
+def advance(plan, state, mode, command):  # type: ignore[no-untyped-def]
+    """Move the plan of one mode on by a frame; `command` acts a frame later."""
     position = _advanced(plan, state, mode, 0)
     velocity = _advanced(plan, state, mode, 1)
     acceleration = _advanced(plan, state, mode, 2)

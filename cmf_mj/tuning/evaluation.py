@@ -1,8 +1,9 @@
 """What a law is worth, on linear plants: bandwidths, peaks and overshoots of all cabs at once.
 
 Frequency responses come from the linearised plant and the linear law. Steps run the compiled law
-with its clamps against the linearised plant, frame by frame, so that the step sees the valves'
-saturation; what only the simulation has is the square root of the ports, and the geometry.
+with its clamps, and the servo electronics with theirs, against the linearised plant, frame by
+frame, so that the step sees the valves' saturation and the drive's rate limit; what only the
+simulation has is the square root of the ports, and the geometry.
 """
 
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj import servo_electronics as servo
 from cmf_mj.control import dcl as blocks
 from cmf_mj.control.law import FRAME, SIGNALS, Law
 from cmf_mj.frequency_response import bandwidths
@@ -104,8 +106,10 @@ def step_response(
     state = blocks.engaged(dcl, np.zeros(legs), still)
     found = np.empty((round(STEP_TIME / FRAME), legs))
     demand = cab.jacobian[:, chosen] @ size
+    drive, driven = servo.make_servo_electronics(), servo.start(legs)
     room = np.zeros((legs, len(SIGNALS))), np.zeros(legs), np.zeros(legs)
-    run(dcl, state, a, np.ascontiguousarray(b * gains), c, demand, still, *room, found)
+    plant = a, np.ascontiguousarray(b * gains), c
+    run(dcl, state, drive, driven, *plant, demand, still, *room, found)
     return found @ np.linalg.inv(cab.jacobian)[chosen].T / size
 
 

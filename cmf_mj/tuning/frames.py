@@ -1,16 +1,17 @@
-"""The compiled law against a sampled linear plant, frame by frame."""
+"""The compiled law and the servo electronics against a sampled linear plant, frame by frame."""
 
 import numpy as np
 
+from cmf_mj import servo_electronics as servo
 from cmf_mj.compiled import compiled
 from cmf_mj.control import dcl as blocks
 
 
 @compiled
-def run(dcl, state, a, b, c, demand, feedback, signals, output, command, legs_out):  # type: ignore[no-untyped-def]
+def run(dcl, state, drive, driven, a, b, c, demand, feedback, signals, output, command, legs_out):  # type: ignore[no-untyped-def]
     """Run the law against a sampled linear plant, one frame of delay."""
     legs = demand.shape[0]
-    x = np.zeros(a.shape[0])
+    x, counts, volts = np.zeros(a.shape[0]), np.zeros(legs), np.zeros(legs)
     for frame in range(legs_out.shape[0]):
         y = c @ x
         for leg in range(legs):
@@ -22,3 +23,4 @@ def run(dcl, state, a, b, c, demand, feedback, signals, output, command, legs_ou
         legs_out[frame] = feedback.position
         x = a @ x + b @ command
         blocks.step(dcl, state, demand, feedback, signals, output, command)
+        servo.step(drive, driven, True, command, feedback.position, counts, volts, command)
