@@ -33,6 +33,7 @@ LEG_PLAN = {
         "pairs": [[8.0, 0.7], [20.0, 0.8]],
         "pole": 30.0,
         "rate": 100.0,
+        "acceleration": 1e5,
         "authority": 80.0,
     },
 }
@@ -161,6 +162,53 @@ def test_the_plan_stays_within_its_authority_and_arrives() -> None:
     np.testing.assert_allclose(state.model_position, 10.0 * INCH, rtol=1e-3)
 
 
+def reference_of(law: Law, demand: np.ndarray) -> np.ndarray:
+    """Reference of the plan for leg demands (N, n), (N, n)."""
+    dcl, found = make_dcl(law, MODES), np.empty(demand.shape)
+    state = DclState(*(np.zeros(MODES) for _ in DclState._fields))
+    still = LegFeedback(*(np.zeros(MODES) for _ in FEEDBACK))
+    output, command, room = np.zeros(MODES), np.zeros(MODES), np.zeros((MODES, len(SIGNALS)))
+    for k, wanted in enumerate(demand):
+        blocks.step(dcl, state, wanted, still, room, output, command)
+        found[k] = state.model_reference
+    return found
+
+
+BOUNDED = law_of(plan=LEG_PLAN["plan"] | {"rate": 10.0, "acceleration": 400.0})  # type: ignore[operator]
+
+
+def test_the_reference_is_the_demand_within_its_bounds() -> None:
+    """0.3 in at 4 Hz: 7.5 in/s and 189 in/s^2, from rest."""
+    time = FRAME * np.arange(1, 4097)[:, None]
+    demand = 0.3 * INCH * np.sin(2.0 * np.pi * 4.0 * time) * np.minimum(time, 1.0)
+    demand = np.broadcast_to(demand, (4096, MODES)).copy()
+    np.testing.assert_allclose(reference_of(BOUNDED, demand), demand, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("inches", [0.01, 0.2, 1.0, 20.0])
+def test_a_jump_is_followed_in_the_least_time(inches: float) -> None:
+    """Bang-bang, with a cruise where it reaches the rate: 2 sqrt(d/A), or d/R + R/A; beyond the end
+    by less than what the acceleration moves in a frame."""
+    found = reference_of(BOUNDED, np.full((8192, MODES), inches * INCH))[:, 0] / INCH
+    rate = np.diff(np.concatenate([[0.0, 0.0], found])) / FRAME
+    assert found.max() < inches + 400.0 * FRAME**2
+    assert found[-1] == pytest.approx(inches, rel=1e-12)
+    assert rate.min() > -400.0 * FRAME and rate.max() <= 10.0 + 1e-9
+    assert np.abs(np.diff(rate)).max() <= 400.0 * FRAME * (1.0 + 1e-9)
+    least = inches / 10.0 + 10.0 / 400.0 if inches > 0.25 else 2.0 * np.sqrt(inches / 400.0)
+    arrived = FRAME * (np.flatnonzero(np.abs(found - inches) > 1e-9)[-1] + 2)
+    assert least - FRAME <= arrived <= least + 4.0 * FRAME
+
+
+def test_the_reference_keeps_its_bounds_whatever_is_asked() -> None:
+    rng = np.random.default_rng(2)
+    demand = np.repeat(rng.uniform(-1.0, 1.0, (80, MODES)), 50, axis=0) * INCH
+    demand += rng.uniform(-0.1, 0.1, demand.shape) * INCH
+    rate = np.diff(reference_of(BOUNDED, demand), axis=0) / FRAME / INCH
+    assert np.abs(rate).max() <= 10.0 + 1e-9
+    assert np.abs(np.diff(rate, axis=0)).max() <= 400.0 * FRAME * (1.0 + 1e-9)
+
+
 def test_load_feedback_passes_what_swings() -> None:
     """A constant load gives nothing; a jump of 1000 lbf the gain, which fades with the corner."""
     law = law_of(plan=None, load_feedback={"gain": 2.0, "corner": 0.5})
@@ -203,7 +251,7 @@ def test_planned_inertia_is_not_damped() -> None:
 
 
 def test_linear_law_is_the_compiled_one() -> None:
-    demand, feedback = histories(200, 1e-5)
+    demand, feedback = histories(200, 1e-6)
     law = MODAL.mounted("rfd")
     expected, _ = outputs(law, demand, feedback)
     system = dcl_state_space(law, MODES)

@@ -112,7 +112,7 @@ def test_cmf_serve_against_cmf_host_accounts_for_every_frame(tmp_path: Path) -> 
     command = [sys.executable, "-m", "cmf_mj.cli"]
     environment = os.environ | {"COLUMNS": "200"}
     with subprocess.Popen(
-        [*command, "serve", "--port", "0", "--seconds", "14", "--out", str(out)],
+        [*command, "serve", "--port", "0", "--seconds", "24", "--out", str(out)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -72,7 +72,7 @@ def test_limits_cost() -> None:
     """A law that breaks the limits costs more than the same with wider ones."""
     template = make_template("mine", "Mine", ("ifd",))
     tight = search(template, Limits(peak_db=-1.0, overshoot=-0.2), seeds=(None,), evaluations=1)
-    wide = search(template, Limits(9.0, 9.0, 9.0, 99.0), seeds=(None,), evaluations=1)
+    wide = search(template, Limits(9.0, 9.0, 9.0, 9.0, 99.0), seeds=(None,), evaluations=1)
     assert tight.cost > 0.0 > wide.cost
 
 

@@ -32,6 +32,12 @@ from cmf_mj.tuning.nominal import CABS, nominal_modes
 HEAVY = 2
 """Modes of the pair of surge and sway, which have gains of their own."""
 
+EASY = 2
+"""The next modes, yaw and heave, whose chirp and step ask little of the valves."""
+
+EASY_REACH = 8.0
+"""Frequency that bounds rate and acceleration of their reference [Hz]."""
+
 INTEGRAL = 10.0
 """Gain of the plan's error integral [%/(in s)]."""
 
@@ -100,6 +106,27 @@ def _six(at: Values, name: str, sign: float = 1.0) -> tuple[float, ...]:
     return (heavy,) * HEAVY + (light,) * (len(CHIRP) - HEAVY)
 
 
+def _bounds(at: Values, name: str) -> NDArray[np.float64]:
+    """Frequencies that bound the plan's reference, by mode, (6,) [Hz]."""
+    bounds = np.full(len(CHIRP), at[f"{name}_light"])
+    bounds[:HEAVY] = at[f"{name}_heavy"]
+    bounds[HEAVY : HEAVY + EASY] = EASY_REACH
+    return bounds
+
+
+def _rounded(values: NDArray[np.float64]) -> tuple[float, ...]:
+    return tuple(float(f"{v:.4g}") for v in values)
+
+
+def _plan_reach(at: Values) -> float:
+    """Where rate or acceleration of the plan's reference end: w a <= R, w^2 a <= A."""
+    ends = [
+        min(at[f"rate_{pair}"], float(np.sqrt(at[f"rate_{pair}"] * at[f"acceleration_{pair}"])))
+        for pair in ("heavy", "light")
+    ]
+    return min(ends)
+
+
 def _modal(template: Template, **fields: object) -> Law:
     return Law.model_validate(
         {
@@ -114,7 +141,8 @@ def _modal(template: Template, **fields: object) -> Law:
 
 def _modal_plan(template: Template, at: Values) -> Law:
     given = load_hydraulics("hardware")
-    rate = 2.0 * np.pi * at["rate_frequency"] * template.rate
+    rate = 2.0 * np.pi * _bounds(at, "rate") * template.rate
+    acceleration = 2.0 * np.pi * _bounds(at, "acceleration") * rate
     plan = Plan(
         speed=given.leg_speed.value,
         drive_lag=given.drive_lag.value,
@@ -125,7 +153,8 @@ def _modal_plan(template: Template, at: Values) -> Law:
             (at["second_pair"], at["second_damping"]),
         ),
         pole=at["pole"],
-        rate=tuple(float(f"{v:.4g}") for v in rate),
+        rate=_rounded(rate),
+        acceleration=_rounded(acceleration),
         authority=88.0,
         position=_six(at, "position"),
         velocity=_six(at, "velocity"),
@@ -194,10 +223,13 @@ FORMS: Mapping[str, Form] = {
         {
             "first_pair": (4.0, 20.0),
             "first_damping": (0.35, 1.2),
-            "second_pair": (6.0, 45.0),
-            "second_damping": (0.4, 1.2),
-            "pole": (8.0, 60.0),
-            "rate_frequency": (4.0, 9.0),
+            "second_pair": (6.0, 60.0),
+            "second_damping": (0.4, 1.6),
+            "pole": (5.0, 60.0),
+            "rate_heavy": (4.0, 9.0),
+            "rate_light": (4.0, 9.0),
+            "acceleration_heavy": (3.0, 9.0),
+            "acceleration_light": (3.0, 9.0),
             "position_heavy": (15.0, 50.0),
             "position_light": (15.0, 60.0),
             "velocity_heavy": (-0.5, 2.0),
@@ -205,10 +237,10 @@ FORMS: Mapping[str, Form] = {
             "load_heavy": (-3.0, 3.0),
             "load_light": (-3.0, 3.0),
         },
-        (9.2, 0.38, 36.0, 0.95, 14.5, 5.6, 23.0, 21.5, 0.33, -0.07, 0.6, 1.9),
+        (12.8, 0.6, 45.0, 1.15, 6.2, 5.3, 5.3, 7.9, 5.3, 30.0, 30.0, 1.4, 0.1, 1.7, 1.3),
         _modal_plan,
         spread=0.03,
-        reach=lambda at: at["rate_frequency"],
+        reach=_plan_reach,
     ),
     "velocity": Form(_OUTER, (25.5, 3.1), _on_velocity),
     "pressure": Form(

@@ -37,13 +37,16 @@ class Limits(NamedTuple):
 
     peak_db: float = 2.0
     overshoot: float = 0.18
+    """Of steps in one degree of freedom."""
+    together: float = 0.35
+    """Of the step in all of them at once."""
     tail: float = 0.05
     """Largest distance from the demand 0.63 s after a step."""
     margin_db: float = 6.0
     """Peak with all valves faster by `FASTER`."""
 
 
-_WEIGHTS = Limits(0.3, 0.03, 0.05, 1.0)
+_WEIGHTS = Limits(0.3, 0.03, 0.06, 0.05, 1.0)
 
 
 class Found(NamedTuple):
@@ -64,7 +67,8 @@ def cost(
     faster = evaluate(law, template.cabs, (None,), scale=FASTER)
     worst = (
         (worth.peak_db.max(), limits.peak_db, _WEIGHTS.peak_db),
-        (worth.overshoot.max(), limits.overshoot, _WEIGHTS.overshoot),
+        (worth.overshoot[..., :-1].max(), limits.overshoot, _WEIGHTS.overshoot),
+        (worth.overshoot[..., -1].max(), limits.together, _WEIGHTS.together),
         (max(worth.settled.max(), faster.settled.max()), limits.tail, _WEIGHTS.tail),
         (faster.peak_db.max(), limits.margin_db, _WEIGHTS.margin_db),
     )
