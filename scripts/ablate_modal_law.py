@@ -22,7 +22,8 @@ def variants() -> dict[str, Law]:
     plan = law.plan
     assert plan is not None
     light = {"position": max(plan.position), "velocity": 0.0}  # type: ignore[arg-type]
-    legs = plan.model_copy(update={"frequency": LEG_MODE, "rate": 1000.0, **light})
+    free = {"rate": 1e3, "acceleration": 1e6}
+    legs = plan.model_copy(update={"frequency": LEG_MODE, **free, **light})
 
     def with_plan(**changes: object) -> Law:
         return law.model_copy(update={"plan": plan.model_copy(update=changes)})
@@ -38,8 +39,8 @@ def variants() -> dict[str, Law]:
         "without load feedback": law.model_copy(update={"load_feedback": None}),
         "without lead (velocity 0)": with_plan(velocity=0.0),
         "without both": with_plan(velocity=0.0).model_copy(update={"load_feedback": None}),
-        "without rate limit": with_plan(rate=1000.0),
-        "plan that knows no saturation": with_plan(rate=1000.0, authority=100.0),
+        "without bounds on the reference": with_plan(**free),
+        "plan that knows no saturation": with_plan(**free, authority=100.0),
         "without feedback of position": with_plan(position=0.0),
         "without feed-forward": law.model_copy(
             update={"plan": None, "direct_gain": Gains.model_validate(feedback_only)}

@@ -38,7 +38,7 @@ class Limits(NamedTuple):
     peak_db: float = 2.0
     overshoot: float = 0.18
     """Of steps in one degree of freedom."""
-    together: float = 0.35
+    together: float = 0.5
     """Of the step in all of them at once."""
     tail: float = 0.05
     """Largest distance from the demand 0.63 s after a step."""
