@@ -152,11 +152,15 @@ def main() -> None:
             delayed(crosstalk)(law, cab, seeds[0]) for law, cab in cases
         )
         rows = [
-            [law.name, cab, driven, *(f"{share:.4f}" for share in line)]
+            [law.name, cab, moved, *(f"{share:.4f}" for share in line)]
             for (law, cab), shares in zip(cases, measured, strict=True)
-            for driven, line in zip(DOFS, shares, strict=True)
+            for moved, line in zip(DOFS, shares, strict=True)
         ]
-        write_csv(options.out / "crosstalk.csv", ["law", "cab", "driven", *DOFS], rows)
+        write_csv(
+            options.out / "crosstalk.csv",
+            ["law", "cab", "moved", *(f"by_{dof}" for dof in DOFS)],
+            rows,
+        )
     print(f"{len(outcomes)} trials; written to {options.out}")
 
 

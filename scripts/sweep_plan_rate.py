@@ -1,7 +1,7 @@
 """How fast the reference of `modal_plan` may move: errors of flights, limit cycles of wild hosts.
 
-Each choice is a pair of factors on the bounds of the law's reference, rate and acceleration, of its
-heavy pair and of the other four modes, or another law by name. Of the shipped flights, flown as `cmf fly` does, it tells the sensed error
+Each choice is a pair of factors on the law's rate, of its heavy pair and of the other four modes,
+or another law by name. Of the shipped flights, flown as `cmf fly` does, it tells the sensed error
 of the machine in specific force: root mean square over the flight, three axes together [mm/s^2].
 Then random host streams jump and sweep to 6 Hz and hold still, through DCU and limits with all
 cabs, half of them with valves 10 % off: a valve command that still swings by more than 0.3 in the
@@ -33,15 +33,14 @@ MOVING, STILL = 6.0, 4.0
 
 
 def scaled(factors: str) -> Law:
-    """`modal_plan` with its bounds times `HEAVY/LIGHT`, or a law by name."""
+    """`modal_plan` with its rate times `HEAVY/LIGHT`, or a law by name."""
     if "/" not in factors:
         return load_law(factors)
     law = load_law("modal_plan")
     assert law.plan is not None
     heavy, light = (float(part) for part in factors.split("/"))
-    factor = np.array([heavy] * 2 + [light] * 4)
-    bounds = {name: tuple(getattr(law.plan, name) * factor) for name in ("rate", "acceleration")}
-    return law.model_copy(update={"plan": law.plan.model_copy(update=bounds)})
+    rate = tuple(np.array(law.plan.rate) * ([heavy] * 2 + [light] * 4))
+    return law.model_copy(update={"plan": law.plan.model_copy(update={"rate": rate})})
 
 
 def wild_stream(number: int) -> host.HostStream:

@@ -9,9 +9,6 @@ from cmf_mj.cueing import confined
 from cmf_mj.operation import FacilitySettings, Operation, operate
 
 PLAN, FLIGHT = load_law("modal_plan"), load_law("modal_plan_flight")
-DOUBLE = FLIGHT.model_copy(
-    update={"plan": FLIGHT.plan.model_copy(update={"rate": tuple(2.0 * np.array(PLAN.plan.rate))})}  # type: ignore[union-attr]
-)
 
 
 def jumped(law: Law) -> Operation:
@@ -37,17 +34,17 @@ def test_it_is_the_modal_plan_but_for_its_rate() -> None:
     assert np.all(np.array(FLIGHT.plan.rate) > 1.4 * np.array(PLAN.plan.rate))
 
 
-def test_behind_the_limits_it_follows_where_the_plan_falls_behind_and_twice_the_rate_cycles() -> (
-    None
-):
+def test_behind_the_limits_both_come_to_rest_and_it_stays_closer() -> None:
     """A jump of 20 in: legs asked for 21 in/s. Settled is a valve that moves by less than 1 %."""
-    follows, behind, cycles = (jumped(law).record for law in (FLIGHT, PLAN, DOUBLE))
-    assert follows.metadata["fault"] is None
-    assert swing(follows["valve_command"]) < 0.01
-    error = follows["leg_reference"] - follows["leg_extension"]
-    assert np.abs(error[-1]).max() < 0.05 * units.INCH
-    assert behind.metadata["fault"]["name"] == "tracking_error"
-    assert swing(cycles["valve_command"]) > 1.0
+    largest = {}
+    for law in (FLIGHT, PLAN):
+        record = jumped(law).record
+        assert record.metadata["fault"] is None
+        assert swing(record["valve_command"]) < 0.01
+        error = np.abs(record["leg_reference"] - record["leg_extension"])
+        assert error[-1].max() < 0.05 * units.INCH
+        largest[law.name] = error.max()
+    assert largest["modal_plan_flight"] < 0.8 * largest["modal_plan"]
 
 
 @pytest.mark.parametrize(
@@ -56,9 +53,9 @@ def test_behind_the_limits_it_follows_where_the_plan_falls_behind_and_twice_the_
 def test_a_raw_step_of_all_degrees_of_freedom_is_for_the_plan_alone(
     law: Law, settles: bool
 ) -> None:
-    """1 in and 0.6 deg in one control frame, past DCU and limits: the one ends at rest, the other
-    in a limit cycle from one clamp to the other."""
+    """1 in and 0.6 deg in one control frame, past DCU and limits, the heaviest cab: the one ends at
+    rest, the other in a limit cycle from one clamp to the other."""
     demand = np.zeros((5120, 6))
     demand[1024:, :3], demand[1024:, 3:] = units.INCH, 0.6 * units.DEGREE
-    record = simulate(Hexapod("gfd"), law, demand, record_every=8)
-    assert (swing(record["valve_command"]) < 0.02) == settles
+    last = swing(simulate(Hexapod("ifd"), law, demand, record_every=8)["valve_command"])
+    assert last < 0.02 if settles else last > 1.0

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from cmf_mj import load_law, models
 from cmf_mj.cli import app
 from cmf_mj.kinematics import DOFS
+from cmf_mj.loop.electronics import ElectronicsSettings
 from cmf_mj.plant import Hexapod, Plant
 from cmf_mj.tuning.confirmation import Trial, run_trial
 from cmf_mj.tuning.evaluation import evaluate, linear_cab
@@ -23,14 +24,25 @@ SCRIPTS = Path(__file__).parent.parent / "scripts"
 
 
 @pytest.mark.parametrize(("cab", "dof"), [("ifd", "sway"), ("ifd", "pitch"), ("gfd", "heave")])
-def test_the_shipped_law_keeps_the_targets_with_valves_off(cab: str, dof: str) -> None:
+@pytest.mark.parametrize("electronics", [None, ElectronicsSettings()], ids=["ideal", "noisy"])
+def test_the_shipped_law_keeps_the_targets_with_valves_off(
+    cab: str, dof: str, electronics: ElectronicsSettings | None
+) -> None:
     """-90 deg >= 5 Hz, peak <= 3 dB, damping ratio >= 0.4, valve gains within 10 % at random."""
-    found = run_trial(Trial(load_law("modal_plan"), cab, dof, seed=1, quick=True))
+    law = load_law("modal_plan")
+    found = run_trial(Trial(law, cab, dof, seed=1, quick=True, electronics=electronics))
     assert found.step.stable
     assert found.bandwidths.phase_hz >= 5.0
     assert found.bandwidths.peak_db <= 3.0
     assert found.step.overshoot <= 0.25
     assert not found.step.damping_ratio < 0.4  # NaN without an overshoot
+
+
+def test_the_shipped_law_is_where_its_form_starts() -> None:
+    form, law = form_named("modal_plan"), load_law("modal_plan")
+    begun = candidate(form, make_template("modal_plan", law.title), form.start)
+    assert (begun.plan, begun.load_feedback) == (law.plan, law.load_feedback)
+    assert begun.direct_gain == law.direct_gain
 
 
 def test_the_linear_plants_say_what_the_simulation_does() -> None:

@@ -102,7 +102,7 @@ def run_trial(trial: Trial) -> Outcome:
 
 
 def crosstalk(law: Law, cab: str, seed: int | None = None) -> NDArray[np.float64]:
-    """Largest shares in 0.5 to 6 Hz, (6, 6), rows driven, columns moved; 0 on the diagonal."""
+    """Largest shares in 0.5 to 6 Hz, (6, 6), rows moved by columns; 0 on the diagonal."""
     trial = Trial(law, cab, "heave", seed)
     sizes = (0.5 * CHIRP).tolist()
     command = excitations.orthogonal_multisines(
