@@ -1,4 +1,4 @@
-"""The modal plan for flights: what its rate buys behind the limits, and where it must not go."""
+"""The modal plan for flights: what its rate buys behind the limits."""
 
 import numpy as np
 import pytest
@@ -47,15 +47,10 @@ def test_behind_the_limits_both_come_to_rest_and_it_stays_closer() -> None:
     assert largest["modal_plan_flight"] < 0.8 * largest["modal_plan"]
 
 
-@pytest.mark.parametrize(
-    ("law", "settles"), [(PLAN, True), (FLIGHT, False)], ids=["plan", "flight"]
-)
-def test_a_raw_step_of_all_degrees_of_freedom_is_for_the_plan_alone(
-    law: Law, settles: bool
-) -> None:
-    """1 in and 0.6 deg in one control frame, past DCU and limits, the heaviest cab: the one ends at
-    rest, the other in a limit cycle from one clamp to the other."""
+@pytest.mark.parametrize("law", [PLAN, FLIGHT], ids=["plan", "flight"])
+def test_a_raw_step_of_all_degrees_of_freedom_ends_at_rest(law: Law) -> None:
+    """1 in and 0.6 deg in one control frame, past DCU and limits, the heaviest cab."""
     demand = np.zeros((5120, 6))
     demand[1024:, :3], demand[1024:, 3:] = units.INCH, 0.6 * units.DEGREE
-    last = swing(simulate(Hexapod("ifd"), law, demand, record_every=8)["valve_command"])
-    assert last < 0.02 if settles else last > 1.0
+    record = simulate(Hexapod("ifd"), law, demand, record_every=8)
+    assert swing(record["valve_command"]) < 0.02

@@ -111,6 +111,8 @@ class DclState(NamedTuple):
     """Its rate [m per frame]."""
     model_demand: NDArray[np.float64]
     """Demand of the frame before [m]."""
+    model_demand_rate: NDArray[np.float64]
+    """Its rate, within the bound [m per frame]."""
     load_filter: NDArray[np.float64]
     """Low-passed load force [N]."""
 

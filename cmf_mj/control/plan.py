@@ -16,15 +16,18 @@ derivatives, which inverts both lags and the mode. With the same E for all modes
 all degrees of freedom, answer alike and none drives another.
 
 Since that inverts two lags, what is asked must be smooth. The reference r follows the demand d
-within bounds R on its rate and A on its acceleration. Each frame it takes, of all changes of rate
-|c| <= A, the one that ends its error soonest (`time_optimal`), counted from the demand's own rate:
+within bounds R on its rate and A on its acceleration. With d' = sat(rate of d, R), in units of
+frames,
 
-    e = r - d,    v = r' - sat(d', R),    r' <- sat(r' + c(e, v), R),    r <- r + r'.
+    e = r - d,    r' <- sat(r' + sat(change of d' - 2 p (r' - d' + g(e)), A), R),    r <- r + r',
 
-A demand within the bounds is followed at once; a jump becomes a ramp with rounded ends, which the
-servo drive with its own rate limit can follow. Planned leg commands are clamped to the `authority`,
-and the model is advanced by what is left: so the plan knows the saturation and leaves the rest of
-the valve to the feedback.
+    g(e) = p e / 2,    from e = 4 A / p^2 on    sqrt(2 A (e - 2 A / p^2)),
+
+small errors are closed critically damped at the frequency p, large ones at the deceleration A. A
+demand within the bounds is followed at once; a small jump is smoothed in proportion, and a large
+one becomes a ramp with rounded ends: what the servo drive with its own rate limit can follow.
+Planned leg commands are clamped to the `authority`, and the model is advanced by what is left: so
+the plan knows the saturation and leaves the rest of the valve to the feedback.
 
 The model sees its command a frame later, as the plant does. x+ = A x + B u(k - 1) is thus known,
 and the state feedback acts on it. To u are added the gains on what is left of errors from the plan,
@@ -93,6 +96,8 @@ class Plan(Settings):
     """Fastest reference [in/s]."""
     acceleration: PerMode
     """Largest acceleration of the reference [in/s^2]."""
+    approach: Annotated[float, _NYQUIST]
+    """Frequency p at which the reference closes small errors, critically damped [Hz]."""
     authority: Annotated[float, Field(gt=0.0, le=100.0)]
     """Largest planned leg command [%]."""
     position: PerMode = 0.0
@@ -116,6 +121,8 @@ class CompiledPlan(NamedTuple):
     """Fastest reference, (n,) [m per frame]."""
     acceleration: NDArray[np.float64]
     """Its largest change in a frame, (n,) [m per frame]."""
+    pull: float
+    """p, per frame."""
     authority: float
     """Largest planned leg command, fraction."""
     position_gain: NDArray[np.float64]
@@ -147,7 +154,7 @@ def make_plan(plan: Plan | None, modes: Modes | None, legs: int, frame: float) -
     none = np.zeros(legs)
     if plan is None:
         square = np.zeros((legs, ORDER, ORDER))
-        return CompiledPlan(square, empty, empty, none, none, none, 0.0, none, none)
+        return CompiledPlan(square, empty, empty, none, none, none, 0.0, 0.0, none, none)
     hertz = np.full(legs, plan.frequency) if modes is None else np.array(modes.frequency)
     speed = plan.speed * units.INCH / units.PERCENT
     wanted = response_polynomial(plan)
@@ -171,6 +178,7 @@ def make_plan(plan: Plan | None, modes: Modes | None, legs: int, frame: float) -
         forward=np.array(forwards),
         rate=spread(plan.rate, legs) * units.INCH * frame,
         acceleration=spread(plan.acceleration, legs) * units.INCH * frame**2,
+        pull=2.0 * np.pi * plan.approach * frame,
         authority=plan.authority * units.PERCENT,
         position_gain=spread(plan.position, legs) * scale,
         velocity_gain=spread(plan.velocity, legs) * scale,
@@ -192,30 +200,28 @@ def _advanced(plan, state, mode, row):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def time_optimal(error, rate, most):  # type: ignore[no-untyped-def]
-    """Change of rate that ends error and rate soonest, at most `most`; in units of frames.
-
-    For e+ = e + v+, v+ = v + c: there in two frames where both |e| and |e + v| are at most `most`;
-    elsewhere towards, and then along, the curve of rates from which it can still stop.
+def approach(error, pull, most):  # type: ignore[no-untyped-def]
+    """Rate g(e) at which to close an error; the root keeps the deceleration A, and continues the
+    line with its slope.
     """
-    if abs(error) <= most:
-        surface = rate + error
-    else:
-        stopping = 0.5 * (np.sqrt(most * (most + 8.0 * abs(error))) - most)
-        surface = rate + stopping * np.sign(error)
-    return -min(max(surface, -most), most)
+    size, near = abs(error), most / (pull * pull)
+    rate = 0.5 * pull * size if size <= 4.0 * near else np.sqrt(2.0 * most * (size - 2.0 * near))
+    return rate * np.sign(error)
 
 
 @compiled
 def ask(plan, state, mode, demand):  # type: ignore[no-untyped-def]
     """Command that the plan would like of one mode, fraction; its reference moves on."""
-    before, fastest = state.model_demand[mode], plan.rate[mode]
+    fastest, most, pull = plan.rate[mode], plan.acceleration[mode], plan.pull
+    before, moved = state.model_demand[mode], state.model_demand_rate[mode]
     moving = min(max(demand - before, -fastest), fastest)
-    error = state.model_reference[mode] - before
     rate = state.model_reference_rate[mode]
-    rate += time_optimal(error, rate - moving, plan.acceleration[mode])
+    closing = approach(state.model_reference[mode] - before, pull, most)
+    change = moving - moved - 2.0 * pull * (rate - moved + closing)
+    rate += min(max(change, -most), most)
     rate = min(max(rate, -fastest), fastest)
     state.model_demand[mode] = demand
+    state.model_demand_rate[mode] = moving
     state.model_reference_rate[mode] = rate
     state.model_reference[mode] += rate
     wanted = plan.forward[mode] * state.model_reference[mode]

@@ -38,6 +38,9 @@ EASY = 2
 EASY_REACH = 8.0
 """Frequency that bounds rate and acceleration of their reference [Hz]."""
 
+APPROACH = 5.0
+"""Frequency at which a plan's reference closes small errors [Hz]."""
+
 INTEGRAL = 10.0
 """Gain of the plan's error integral [%/(in s)]."""
 
@@ -155,6 +158,7 @@ def _modal_plan(template: Template, at: Values) -> Law:
         pole=at["pole"],
         rate=_rounded(rate),
         acceleration=_rounded(acceleration),
+        approach=APPROACH,
         authority=88.0,
         position=_six(at, "position"),
         velocity=_six(at, "velocity"),
