@@ -201,9 +201,7 @@ def _advanced(plan, state, mode, row):  # type: ignore[no-untyped-def]
 
 @compiled
 def approach(error, pull, most):  # type: ignore[no-untyped-def]
-    """Rate g(e) at which to close an error; the root keeps the deceleration A, and continues the
-    line with its slope.
-    """
+    """Rate g(e) at which to close an error: a line, then a root that keeps the deceleration A."""
     size, near = abs(error), most / (pull * pull)
     rate = 0.5 * pull * size if size <= 4.0 * near else np.sqrt(2.0 * most * (size - 2.0 * near))
     return rate * np.sign(error)
