@@ -134,7 +134,7 @@ def run(case: Case, seconds: float) -> Outcome:
 def cases(count: int) -> list[Case]:
     """Random choices of law, cab and washout."""
     generator = np.random.default_rng(2014)
-    names = law_names()
+    names = law_names("all")
     chosen = []
     for number in range(count):
         washout = "direct" if number % 4 == 3 else str(generator.choice(WASHOUTS))
