@@ -24,8 +24,9 @@ from cmf_mj.studio.server import Studio
 
 pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection")
 
-PATIENCE = 60_000
-"""Longest wait for anything on the page [ms]."""
+PATIENCE = 300_000
+"""Longest wait for anything on the page [ms]: WebGL in software beside other work is slow, and only
+something that never comes is a failure."""
 
 ARGUMENTS = (
     *("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"),
@@ -57,7 +58,10 @@ class Tab:
     def __init__(self, browser: Browser, studio: Studio) -> None:
         known = set(studio.pages)
         self.errors: list[str] = []
-        self.page: Page = browser.new_page(viewport={"width": 960, "height": 480})
+        # Half the resolution: a quarter of the pixels to draw in software for each tab.
+        self.page: Page = browser.new_page(
+            viewport={"width": 960, "height": 480}, device_scale_factor=0.5
+        )
         self.page.set_default_timeout(PATIENCE)
         self.page.on("console", self._said)
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
