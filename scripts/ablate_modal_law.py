@@ -8,9 +8,9 @@ from pathlib import Path
 
 from cmf_mj import load_law
 from cmf_mj.control.law import Gains, Law
-from cmf_mj.plant import Hexapod
-from cmf_mj.tuning.evaluation import evaluate, linear_cab
-from cmf_mj.tuning.nominal import CABS
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.studies.tuning.evaluation import evaluate, linear_cab
+from cmf_mj.studies.tuning.nominal import CABS
 
 LEG_MODE = 10.9
 """Mode that a law in legs takes all legs to have, that of heave [Hz]."""

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from cmf_mj import Hexapod, signals, simulate
-from cmf_mj.control.law import FRAME
+from cmf_mj.core.rates import FRAME
 from cmf_mj.plant import native
 
 

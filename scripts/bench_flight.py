@@ -13,10 +13,10 @@ import time
 from bench import bare_seconds
 
 from cmf_mj import Hexapod
-from cmf_mj.aircraft import load_flight
-from cmf_mj.flying import fly
-from cmf_mj.pilot_motion import PilotMotion
-from cmf_mj.signals import RATE
+from cmf_mj.core.rates import RATE
+from cmf_mj.pilot.aircraft.flight import load_flight
+from cmf_mj.pilot.fly import fly
+from cmf_mj.pilot.motion import PilotMotion
 
 
 def part(motion: PilotMotion, seconds: float) -> PilotMotion:

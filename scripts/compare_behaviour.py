@@ -64,7 +64,7 @@ def main() -> int:
             if only is None or name in only:
                 _run(root, results / name, arguments)
         folders.append(results)
-    differing = _differences(*folders, only)
+    differing = _differences(folders[0], folders[1], only)
     for line in differing:
         print(line)
     compared = sum(1 for _ in folders[0].rglob("*.parquet"))

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from cmf_mj import load_law
 from cmf_mj.control.law import Law
-from cmf_mj.files import whole_file
-from cmf_mj.plant import Hexapod
-from cmf_mj.tuning.evaluation import linear_cab
-from cmf_mj.tuning.nominal import CABS
-from cmf_mj.tuning_report import worth_table
+from cmf_mj.core.files import whole_file
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.show.tuning import worth_table
+from cmf_mj.studies.tuning.evaluation import linear_cab
+from cmf_mj.studies.tuning.nominal import CABS
 
 
 def in_all_modes(law: Law, mode: int) -> Law:

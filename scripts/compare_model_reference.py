@@ -9,17 +9,17 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from cmf_mj import units
 from cmf_mj.cli.common import refuse
 from cmf_mj.cli.comparing import run_comparison
 from cmf_mj.control.law import load_law
-from cmf_mj.kinematics import DOFS
-from cmf_mj.models import CABS
-from cmf_mj.parameters import load_hydraulics
-from cmf_mj.plant import SingleLegs
-from cmf_mj.replay import replay
-from cmf_mj.signals import sine
-from cmf_mj.simulation import simulate
+from cmf_mj.core import units
+from cmf_mj.facility.replay import replay
+from cmf_mj.facility.simulation import simulate
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.models import CABS
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.single_legs import SingleLegs
+from cmf_mj.signals.single import sine
 
 REPORT_LAWS = ["velocity", "position_error_rate", "acceleration"]
 LAWS = ["model_following", "model_reference_adaptive"]

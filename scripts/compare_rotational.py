@@ -9,8 +9,8 @@ from pathlib import Path
 
 from cmf_mj.cli.common import refuse
 from cmf_mj.cli.comparing import run_comparison
-from cmf_mj.models import CABS
-from cmf_mj.studies import PLANTS
+from cmf_mj.machine.models import CABS
+from cmf_mj.studies.comparison import PLANTS
 
 LAWS = ["position_error_rate", "acceleration", "acceleration_opposing"]
 

@@ -12,13 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from joblib import Parallel, delayed
 
-from cmf_mj import load_law, units
-from cmf_mj.files import write_csv, write_text
-from cmf_mj.kinematics import DOFS
-from cmf_mj.loop.electronics import ElectronicsSettings
-from cmf_mj.report import markdown
-from cmf_mj.tuning.confirmation import Outcome, Trial, crosstalk, run_trial
-from cmf_mj.tuning.nominal import CABS
+from cmf_mj import load_law
+from cmf_mj.core import units
+from cmf_mj.core.files import write_csv, write_text
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.show.comparison import markdown
+from cmf_mj.studies.tuning.confirmation import Outcome, Trial, crosstalk, run_trial
+from cmf_mj.studies.tuning.nominal import CABS
 
 HEADER = (
     "law,cab,dof,seed,pose,scale,quick,noise,phase_hz,gain_hz,peak_db,damping_ratio,overshoot,"

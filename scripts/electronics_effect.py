@@ -8,11 +8,11 @@ import argparse
 from pathlib import Path
 
 from cmf_mj.cli.common import names_of, refuse
-from cmf_mj.control import law_names
-from cmf_mj.files import write_csv, write_text
-from cmf_mj.loop.electronics import ElectronicsSettings
-from cmf_mj.report import markdown
-from cmf_mj.studies import ComparisonRow, compare
+from cmf_mj.control.law import law_names
+from cmf_mj.core.files import write_csv, write_text
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.show.comparison import markdown
+from cmf_mj.studies.comparison import ComparisonRow, compare
 
 HEADER = (
     "law",

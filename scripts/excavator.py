@@ -11,12 +11,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from cmf_mj import Plant, Record, attach_hydraulics, drive, load_law, models, simulate, units
+from cmf_mj import Plant, Record, attach_hydraulics, drive, load_law, simulate
 from cmf_mj.cli.common import refuse
-from cmf_mj.control.law import FRAME
-from cmf_mj.excitations import waypoints
+from cmf_mj.core import units
+from cmf_mj.core.rates import FRAME
+from cmf_mj.machine import models
 from cmf_mj.plant.hydraulics import ENERGIES
-from cmf_mj.power_balance import power_balance
+from cmf_mj.plant.power_balance import power_balance
+from cmf_mj.signals.composite import waypoints
 
 CYLINDERS = ("boom_cylinder", "stick_cylinder", "bucket_cylinder")
 

@@ -21,15 +21,18 @@ from typing import NamedTuple
 import numpy as np
 from joblib import Parallel, delayed
 
-from cmf_mj import Hexapod, host
+from cmf_mj import Hexapod
 from cmf_mj.control.law import law_names
 from cmf_mj.control.states import State
-from cmf_mj.cueing import WASHOUTS, cue, load_washout
-from cmf_mj.models import CABS
-from cmf_mj.motion_limits import load_motion_limits
-from cmf_mj.operation import operate
-from cmf_mj.pilot_motion import PilotMotion
-from cmf_mj.record import Record
+from cmf_mj.facility import host
+from cmf_mj.facility.operation import operate
+from cmf_mj.machine.models import CABS
+from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.pilot import host as pilot_host
+from cmf_mj.pilot.cueing.flight import cue
+from cmf_mj.pilot.cueing.settings import WASHOUTS, load_washout
+from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.record.record import Record
 
 FORCE, RATE = 100.0, 10.0
 """Largest specific force [m/s^2] and angular rate [rad/s] of a flight."""
@@ -109,7 +112,7 @@ def faults_of(record: Record) -> list[str]:
 def run(case: Case, seconds: float) -> Outcome:
     """Fly one case."""
     generator = np.random.default_rng([2014, case.number])
-    time = np.arange(round(seconds * host.MOST_RATE)) / host.MOST_RATE
+    time = np.arange(round(seconds * pilot_host.MOST_RATE)) / pilot_host.MOST_RATE
     if case.washout == "direct":
         stream = platform_stream(generator, time)
     else:

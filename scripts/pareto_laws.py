@@ -11,11 +11,11 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from cmf_mj import load_law
-from cmf_mj.files import write_csv
-from cmf_mj.tuning.evaluation import Worth, evaluate
-from cmf_mj.tuning.forms import make_template
-from cmf_mj.tuning.nominal import CABS
-from cmf_mj.tuning.search import Limits, search
+from cmf_mj.core.files import write_csv
+from cmf_mj.studies.tuning.evaluation import Worth, evaluate
+from cmf_mj.studies.tuning.forms import make_template
+from cmf_mj.studies.tuning.nominal import CABS
+from cmf_mj.studies.tuning.search import Limits, search
 
 BESIDE = ("velocity", "model_following")
 """Laws that are stable with every cab."""

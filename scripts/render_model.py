@@ -9,10 +9,12 @@ from pathlib import Path
 import matplotlib.image
 import mujoco
 
-from cmf_mj import models
+from cmf_mj.facility.scenario.library import find_scenario
+from cmf_mj.facility.scenario.run import run_scenario
+from cmf_mj.machine import models
 from cmf_mj.plant.hexapod import hexapod_spec
-from cmf_mj.scenario import find_scenario, run_scenario
-from cmf_mj.watching import FilmSettings, Stage, film
+from cmf_mj.show.film.film import FilmSettings, film
+from cmf_mj.show.film.stage import Stage
 
 _MOTION = FilmSettings(fps=10, width=400, height=270, strip=150)
 """Small enough for a README."""

@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from cmf_mj import load_law
-from cmf_mj.control.law import FRAME, Law
-from cmf_mj.files import whole_file
-from cmf_mj.report import markdown
+from cmf_mj.control.law import Law
+from cmf_mj.core.files import whole_file
+from cmf_mj.core.rates import FRAME
+from cmf_mj.show.comparison import markdown
 from cmf_mj.studies.evaluation import StudyRow, evaluate
 from cmf_mj.studies.settings import load_study
-from cmf_mj.tuning.nominal import CABS
+from cmf_mj.studies.tuning.nominal import CABS
 
 ROTATIONS = ("roll", "pitch", "yaw")
 

@@ -3,11 +3,12 @@
 import argparse
 from pathlib import Path
 
-from cmf_mj import Hexapod, host, signals
+from cmf_mj import Hexapod, signals
 from cmf_mj.cli.common import refuse
 from cmf_mj.control.states import Request, State
-from cmf_mj.operation import operate
-from cmf_mj.operation_report import operation_figure
+from cmf_mj.facility import host
+from cmf_mj.facility.operation import operate
+from cmf_mj.show.operation import operation_figure
 
 
 def main() -> None:

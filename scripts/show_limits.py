@@ -11,11 +11,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cmf_mj import units
 from cmf_mj.cli.common import refuse
 from cmf_mj.control.governor import Governor, govern, make_leg_governor
-from cmf_mj.control.law import FRAME
-from cmf_mj.motion_limits import load_motion_limits
+from cmf_mj.core import units
+from cmf_mj.core.rates import FRAME
+from cmf_mj.machine.motion_limits import load_motion_limits
 
 _ROWS = (
     ("position [in]", units.INCH),

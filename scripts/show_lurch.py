@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from cmf_mj import Hexapod, host, load_law, units
+from cmf_mj import Hexapod, load_law
 from cmf_mj.cli.common import refuse
 from cmf_mj.control.states import Request, State
-from cmf_mj.operation import FacilitySettings, Operation, operate
+from cmf_mj.core import units
+from cmf_mj.facility import host
+from cmf_mj.facility.operation import FacilitySettings, Operation, operate
 
 NO_TRIGGER = -40.0
 """Below the mechanical stop [in]: no leg comes there."""

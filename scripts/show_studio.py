@@ -13,7 +13,7 @@ from PIL import Image
 from playwright.sync_api import Page, ViewportSize, sync_playwright
 
 from cmf_mj.cli.common import refuse
-from cmf_mj.studio.server import Studio
+from cmf_mj.show.studio.server import Studio
 
 SIZE = ViewportSize(width=1440, height=900)
 """Of the picture [px]."""

@@ -13,14 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from cmf_mj import Hexapod, Law, host, load_hydraulics, load_law
-from cmf_mj.aircraft import flight_names, load_flight
-from cmf_mj.cueing import confined
-from cmf_mj.files import whole_file
-from cmf_mj.flying import fly
-from cmf_mj.operation import FacilitySettings, operate
-from cmf_mj.report import markdown
-from cmf_mj.tuning.nominal import CABS, mismatched
+from cmf_mj import Hexapod, Law, load_hydraulics, load_law
+from cmf_mj.core.files import whole_file
+from cmf_mj.facility import host
+from cmf_mj.facility.operation import FacilitySettings, operate
+from cmf_mj.pilot import host as pilot_host
+from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
+from cmf_mj.pilot.cueing.envelope import confined
+from cmf_mj.pilot.fly import fly
+from cmf_mj.show.comparison import markdown
+from cmf_mj.studies.tuning.nominal import CABS, mismatched
 
 SIZES = np.array([1.2, 1.2, 0.9, 0.45, 0.4, 0.6])
 """Largest amplitude of a stream [m, rad]."""
@@ -46,8 +48,8 @@ def scaled(factors: str) -> Law:
 def wild_stream(number: int) -> host.HostStream:
     """Sums of random sines with three jumps, then rest: at neutral, or where it happens to be."""
     generator = np.random.default_rng([77, number])
-    time = np.arange(round(host.MOST_RATE * (MOVING + STILL))) / host.MOST_RATE
-    ends = round(MOVING * host.MOST_RATE)
+    time = np.arange(round(pilot_host.MOST_RATE * (MOVING + STILL))) / pilot_host.MOST_RATE
+    ends = round(MOVING * pilot_host.MOST_RATE)
     size = SIZES * 10.0 ** generator.uniform(-1.0, 0.0)
     pose = np.empty((time.size, 6))
     for dof in range(6):
@@ -55,7 +57,7 @@ def wild_stream(number: int) -> host.HostStream:
         phase, weight = generator.uniform(0.0, 2.0 * np.pi, 6), generator.uniform(0.0, 1.0, 6)
         wave = np.sin(2.0 * np.pi * np.outer(time, frequency) + phase) @ weight
         pose[:, dof] = size[dof] * wave / np.abs(wave).max()
-    for at in generator.integers(round(host.MOST_RATE), ends, 3):
+    for at in generator.integers(round(pilot_host.MOST_RATE), ends, 3):
         pose[at:] += generator.uniform(-0.3, 0.3, 6) * size
     pose *= np.clip(np.minimum(time, (MOVING - time) / 0.05), 0.0, 1.0)[:, None]
     if number % 2:

@@ -14,9 +14,9 @@ from functools import partial
 from pathlib import Path
 
 from cmf_mj import load_hydraulics
-from cmf_mj.ledger import load_ledger
-from cmf_mj.ledger_report import ledger_markdown
-from cmf_mj.report import markdown, parameter_cells
+from cmf_mj.analysis.ledger import load_ledger
+from cmf_mj.show.comparison import markdown, parameter_cells
+from cmf_mj.show.ledger import ledger_markdown
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = (

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from cmf_mj.ledger import LedgerEntry, load_ledger
+from cmf_mj.analysis.ledger import LedgerEntry, load_ledger
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.pilot_motion import PilotMotion
+from cmf_mj.pilot.motion import PilotMotion
 
 G = 9.80665
 

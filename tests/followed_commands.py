@@ -3,9 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.kinematics import pose_to_legs
-from cmf_mj.record import Record
-from cmf_mj.signals import RATE, Command
+from cmf_mj.core.rates import RATE
+from cmf_mj.machine.kinematics import pose_to_legs
+from cmf_mj.record.record import Record
+from cmf_mj.signals.single import Command
 
 
 def record_of(command: Command, feedback: NDArray[np.float64], every: int = 1) -> Record:

@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cmf_mj.parameters import HydraulicParameters, load_hydraulics
 from cmf_mj.plant.faults import no_faults
 from cmf_mj.plant.hydraulics import (
     Hydraulics,
@@ -14,6 +13,8 @@ from cmf_mj.plant.hydraulics import (
     make_hydraulics,
     rest,
 )
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters.loading import load_hydraulics
 
 FRAME = 1.0 / 2048.0
 MASS = 7200 * 0.45359237  # lbm in kg, exact by definition

@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-from cmf_mj.identification import Experiment
+from cmf_mj.analysis.identification.data import Experiment
 
 RATE = 64.0
 

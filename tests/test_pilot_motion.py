@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cmf_mj import Hexapod, signals, simulate
-from cmf_mj.kinematics import rotation
-from cmf_mj.pilot_motion import (
+from cmf_mj.machine.kinematics import rotation
+from cmf_mj.pilot.motion import (
     PilotMotion,
     body_rates,
     gravity_in_body,

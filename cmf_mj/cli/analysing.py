@@ -5,11 +5,13 @@ from typing import Annotated
 
 import typer
 
-from cmf_mj import linear_report, measurement_report, sensor_report
 from cmf_mj.cli.common import TEXT_WIDTH, LawName, app, names_of, refuse, show, written
-from cmf_mj.control import law_names
-from cmf_mj.replay import replay
-from cmf_mj.sensors import load_sensors
+from cmf_mj.control.law import law_names
+from cmf_mj.electronics.sensors.settings import load_sensors
+from cmf_mj.facility.replay import replay
+from cmf_mj.show import linear as linear_report
+from cmf_mj.show import measurement as measurement_report
+from cmf_mj.show import sensor as sensor_report
 
 
 @app.command("linear")

@@ -5,9 +5,10 @@ from typing import Annotated
 
 import typer
 
-from cmf_mj import calibration_report
-from cmf_mj.calibration import calibrate, load_studies, load_study
 from cmf_mj.cli.common import TEXT_WIDTH, Jobs, app, names_of, refuse, show, written
+from cmf_mj.show import calibration as calibration_report
+from cmf_mj.studies.calibration.definition import load_studies, load_study
+from cmf_mj.studies.calibration.fit import calibrate
 
 
 @app.command("calibrate")

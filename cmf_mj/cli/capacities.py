@@ -5,15 +5,6 @@ from typing import Annotated
 
 import typer
 
-from cmf_mj import capacity_report, units
-from cmf_mj.capacity import (
-    FREQUENCIES,
-    QUICK_FREQUENCIES,
-    SIGNALS,
-    capacity,
-    manoeuvre,
-    performance_envelope,
-)
 from cmf_mj.cli.common import (
     TEXT_WIDTH,
     Cab,
@@ -29,8 +20,13 @@ from cmf_mj.cli.common import (
     show,
     written,
 )
-from cmf_mj.kinematics import DOFS
-from cmf_mj.parameters import load_hydraulics
+from cmf_mj.core import units
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.show import capacity as capacity_report
+from cmf_mj.studies.capacity.envelope import FREQUENCIES, QUICK_FREQUENCIES, performance_envelope
+from cmf_mj.studies.capacity.manoeuvre import SIGNALS, manoeuvre
+from cmf_mj.studies.capacity.verdict import capacity
 
 _ENVELOPE_WIDTH = 132
 """Width of the envelope's table."""

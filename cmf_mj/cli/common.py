@@ -12,13 +12,16 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from cmf_mj import models, units
-from cmf_mj.kinematics import DOFS
-from cmf_mj.loop.electronics import ElectronicsSettings
-from cmf_mj.parameters import load_hydraulics
-from cmf_mj.plant import Hexapod, Plant, SingleLegs
-from cmf_mj.signals import dof_index
-from cmf_mj.studies import PLANTS
+from cmf_mj.core import units
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.machine import models
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.single_legs import SingleLegs
+from cmf_mj.signals.single import dof_index
+from cmf_mj.studies.comparison import PLANTS
 
 app = typer.Typer(
     no_args_is_help=True,

@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from cmf_mj import report, units
 from cmf_mj.cli.common import (
     HydraulicSet,
     Jobs,
@@ -18,10 +17,12 @@ from cmf_mj.cli.common import (
     refuse,
     show,
 )
-from cmf_mj.control import law_names
-from cmf_mj.files import write_text
-from cmf_mj.kinematics import DOFS
-from cmf_mj.studies import AMPLITUDE, DEFAULT_LAWS, PLANTS, Comparison, compare
+from cmf_mj.control.law import law_names
+from cmf_mj.core import units
+from cmf_mj.core.files import write_text
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.show import comparison as report
+from cmf_mj.studies.comparison import AMPLITUDE, DEFAULT_LAWS, PLANTS, Comparison, compare
 
 
 def run_comparison(

@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from cmf_mj import cueing_report, omct_report
 from cmf_mj.cli.common import (
     TEXT_WIDTH,
     Cab,
@@ -18,11 +17,14 @@ from cmf_mj.cli.common import (
     show,
     written,
 )
-from cmf_mj.cueing import WASHOUTS, cue, load_washout, save_washout, tune
-from cmf_mj.kinematics import DOFS
-from cmf_mj.motion_limits import load_motion_limits
-from cmf_mj.omct import FREQUENCIES, omct
-from cmf_mj.pilot_motion import PilotMotion
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.pilot.cueing.flight import cue, tune
+from cmf_mj.pilot.cueing.settings import WASHOUTS, load_washout, save_washout
+from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.pilot.omct import FREQUENCIES, omct
+from cmf_mj.show import cueing as cueing_report
+from cmf_mj.show import omct as omct_report
 
 _QUICK = (0.631, 2.512, 10.0)
 """Frequencies of a quick test [rad/s]."""

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from cmf_mj.cli.common import app, refuse
-from cmf_mj.scenario import load_scenario
+from cmf_mj.facility.scenario.settings import load_scenario
 
 
 @app.command("studio")
@@ -26,7 +26,7 @@ def studio_command(
 ) -> None:
     """Drive the machine in a web page, in real time."""
     try:
-        from cmf_mj.studio.server import Studio
+        from cmf_mj.show.studio.server import Studio
     except ModuleNotFoundError as error:
         if error.name not in ("viser", "mjviser"):
             raise

@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from cmf_mj import failure_report, units
 from cmf_mj.cli.common import (
     Cab,
     Dof,
@@ -19,8 +18,11 @@ from cmf_mj.cli.common import (
     refuse,
     show,
 )
-from cmf_mj.events import KINDS, Event, default_event
-from cmf_mj.failure import AFTER, AT, FREQUENCY, run_failures
+from cmf_mj.core import units
+from cmf_mj.plant.events import KINDS, Event, default_event
+from cmf_mj.show import failure as failure_report
+from cmf_mj.studies.failure.manoeuvre import AFTER, AT, FREQUENCY
+from cmf_mj.studies.failure.runs import run_failures
 
 
 def read_size(text: str) -> tuple[float, str]:

@@ -7,8 +7,6 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from cmf_mj import flight_report
-from cmf_mj.aircraft import SCRIPTS, ScriptedFlight, flight_names, load_flight
 from cmf_mj.cli.common import (
     TEXT_WIDTH,
     Cab,
@@ -31,11 +29,15 @@ from cmf_mj.cli.common import (
     show,
 )
 from cmf_mj.control.law import load_law
-from cmf_mj.flying import fly
-from cmf_mj.operation import FacilitySettings
+from cmf_mj.facility.operation import FacilitySettings
+from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
+from cmf_mj.pilot.aircraft.recorder import ScriptedFlight
+from cmf_mj.pilot.aircraft.scripts import SCRIPTS
+from cmf_mj.pilot.fly import fly
+from cmf_mj.pilot.transport import transport_delay
 from cmf_mj.plant.hexapod import hexapod_spec
-from cmf_mj.transport import transport_delay
-from cmf_mj.watching import FilmSettings, check_film
+from cmf_mj.show import flight as flight_report
+from cmf_mj.show.film.film import FilmSettings, check_film
 
 
 @app.command("flight")

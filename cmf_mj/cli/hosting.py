@@ -5,7 +5,9 @@ from typing import Annotated
 import typer
 
 from cmf_mj.cli.common import Derivatives, FrameRate, StreamFile, app, refuse, show
-from cmf_mj.host import UdpSender, parse_target, read_stream, resample
+from cmf_mj.facility.host.files import read_stream
+from cmf_mj.facility.host.stream import resample
+from cmf_mj.facility.host.udp import UdpSender, parse_target
 
 
 @app.command("host")

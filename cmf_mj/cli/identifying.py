@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from cmf_mj import identification_report
 from cmf_mj.cli.common import (
     TEXT_WIDTH,
     Amplitude,
@@ -19,7 +18,8 @@ from cmf_mj.cli.common import (
     show,
     written,
 )
-from cmf_mj.identification_study import (
+from cmf_mj.show import identification as identification_report
+from cmf_mj.studies.identification import (
     Method,
     Signal,
     identify,

@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from cmf_mj import linearization_report
 from cmf_mj.cli.common import (
     TEXT_WIDTH,
     Cab,
@@ -20,7 +19,8 @@ from cmf_mj.cli.common import (
     show,
     written,
 )
-from cmf_mj.kinematics import DOFS
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.show import linearization as linearization_report
 
 
 @app.command("linearize")

@@ -4,12 +4,12 @@ from typing import Annotated
 
 import typer
 
-from cmf_mj import report
+from cmf_mj.analysis.ledger import ledger_entry, load_ledger
 from cmf_mj.cli.common import TEXT_WIDTH, app, refuse, show
-from cmf_mj.control import law_names, load_law
-from cmf_mj.ledger import ledger_entry, load_ledger
-from cmf_mj.ledger_report import ledger_table
-from cmf_mj.parameters import load_hydraulics
+from cmf_mj.control.law import law_names, load_law
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.show import comparison as report
+from cmf_mj.show.ledger import ledger_table
 
 
 @app.command("laws")

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from cmf_mj import models, modes_report, units
+from cmf_mj.analysis.modes import ModeSet, modes_at, over_envelope, plane_map, sweep, with_room
 from cmf_mj.cli.common import (
     TEXT_WIDTH,
     Camera,
@@ -20,10 +20,12 @@ from cmf_mj.cli.common import (
     show,
     written,
 )
-from cmf_mj.kinematics import DOFS
-from cmf_mj.modes import ModeSet, modes_at, over_envelope, plane_map, sweep, with_room
-from cmf_mj.plant import Hexapod
-from cmf_mj.watching import SwingSettings, swing_film
+from cmf_mj.core import units
+from cmf_mj.machine import models
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.show import modes as modes_report
+from cmf_mj.show.film.swing import SwingSettings, swing_film
 
 _FILM = SwingSettings()
 

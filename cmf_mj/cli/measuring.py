@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from cmf_mj import measurement_report, units
 from cmf_mj.cli.common import (
     TEXT_WIDTH,
     Amplitude,
@@ -24,10 +23,12 @@ from cmf_mj.cli.common import (
     show,
     written,
 )
-from cmf_mj.limits import peaks
-from cmf_mj.measurement import facility_session, measure, session_commands
-from cmf_mj.recording import write_facility_csv
-from cmf_mj.signals import dof_index
+from cmf_mj.core import units
+from cmf_mj.record.writer import write_facility_csv
+from cmf_mj.show import measurement as measurement_report
+from cmf_mj.signals.peaks import peaks
+from cmf_mj.signals.single import dof_index
+from cmf_mj.studies.measurement import facility_session, measure, session_commands
 
 
 @app.command("record")

@@ -7,7 +7,6 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from cmf_mj import operation_report
 from cmf_mj.cli.common import (
     TEXT_WIDTH,
     Cab,
@@ -24,10 +23,13 @@ from cmf_mj.cli.common import (
     written,
 )
 from cmf_mj.control.states import Request, State
-from cmf_mj.host import UdpReceiver, read_stream, resample
-from cmf_mj.operation import FacilitySettings, Operation, operate, serve
-from cmf_mj.parameters import load_hydraulics
-from cmf_mj.plant import Hexapod
+from cmf_mj.facility.host.files import read_stream
+from cmf_mj.facility.host.stream import resample
+from cmf_mj.facility.host.udp import UdpReceiver
+from cmf_mj.facility.operation import FacilitySettings, Operation, operate, serve
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.show import operation as operation_report
 
 _BEGIN = {"settled": State.OFF, "engaged": State.ENGAGED}
 

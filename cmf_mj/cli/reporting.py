@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from cmf_mj import reproduction
 from cmf_mj.cli.common import TEXT_WIDTH, Jobs, app, progress_bar, refuse, show
+from cmf_mj.show import report_2014 as reproduction
 
 
 def _numbers(text: str) -> list[str] | None:

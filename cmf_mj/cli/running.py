@@ -6,9 +6,11 @@ from typing import Annotated
 
 import typer
 
-from cmf_mj import scenario_report
 from cmf_mj.cli.common import app, progress_bar, refuse, show, written
-from cmf_mj.scenario import Scenario, find_scenario, run_scenario, scenario_names
+from cmf_mj.facility.scenario.library import find_scenario, scenario_names
+from cmf_mj.facility.scenario.run import run_scenario
+from cmf_mj.facility.scenario.settings import Scenario
+from cmf_mj.show import scenario as scenario_report
 
 
 @app.command("run")

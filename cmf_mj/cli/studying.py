@@ -5,8 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from cmf_mj import study_report
 from cmf_mj.cli.common import TEXT_WIDTH, app, progress_bar, refuse, show, written
+from cmf_mj.show import study as study_report
 from cmf_mj.studies.engine import Backend, run_study
 from cmf_mj.studies.settings import load_study, ready_studies
 

@@ -6,10 +6,10 @@ from typing import Annotated
 import typer
 
 from cmf_mj.cli.common import app, names_of, progress_bar, refuse, show
-from cmf_mj.tuning.files import save_law
-from cmf_mj.tuning.forms import FORMS, make_template
-from cmf_mj.tuning.nominal import CABS
-from cmf_mj.tuning.search import Limits, search
+from cmf_mj.studies.tuning.files import save_law
+from cmf_mj.studies.tuning.forms import FORMS, make_template
+from cmf_mj.studies.tuning.nominal import CABS
+from cmf_mj.studies.tuning.search import Limits, search
 
 
 @app.command("tune")

@@ -15,7 +15,8 @@ from cmf_mj.cli.common import (
     show,
     written,
 )
-from cmf_mj.verification import tables, verify
+from cmf_mj.show import verification as tables
+from cmf_mj.studies.verification.study import verify
 
 
 @app.command("verify")

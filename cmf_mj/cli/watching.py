@@ -20,17 +20,13 @@ from cmf_mj.cli.common import (
     refuse,
     show,
 )
-from cmf_mj.record import Record
-from cmf_mj.scenario import (
-    Scenario,
-    ScenarioRun,
-    find_scenario,
-    run_scenario,
-    save_scenario,
-    scenario_of,
-)
-from cmf_mj.watching import FilmSettings, LiveView, film
-from cmf_mj.watching import show as show_window
+from cmf_mj.facility.scenario.library import find_scenario
+from cmf_mj.facility.scenario.run import ScenarioRun, run_scenario
+from cmf_mj.facility.scenario.settings import Scenario, save_scenario, scenario_of
+from cmf_mj.record.record import Record
+from cmf_mj.show.film.film import FilmSettings, film
+from cmf_mj.show.film.view import LiveView
+from cmf_mj.show.film.view import show as show_window
 
 _HEAVE = "heave_sine"
 

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj import units
-from cmf_mj.compiled import compiled
 from cmf_mj.control.coordinates import spread
 from cmf_mj.control.law import SIGNAL_UNITS, SIGNALS, Gains, Law
+from cmf_mj.core import units
+from cmf_mj.core.compiled import compiled
 
 
 class Compensator(NamedTuple):

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
-from cmf_mj import units
-from cmf_mj.compiled import compiled
 from cmf_mj.control.leg_feedback import LegFeedback
-from cmf_mj.settings import Settings
+from cmf_mj.core import units
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.settings import Settings
 
 MODES = 6
 """Hydraulic modes of a hexapod."""

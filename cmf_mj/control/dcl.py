@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.compiled import compiled
 from cmf_mj.control.compensator import Compensator, compensate, make_compensator
 from cmf_mj.control.coordinates import Coordinates, make_coordinates, to_legs, to_modes
 from cmf_mj.control.error import (
@@ -27,24 +26,16 @@ from cmf_mj.control.error import (
     integrate,
     make_error_calculations,
 )
-from cmf_mj.control.feedback import (
-    Feedback,
-    filter_acceleration,
-    make_feedback,
-    pressure_force,
-)
-from cmf_mj.control.law import FRAME, SIGNALS, Law
+from cmf_mj.control.feedback import Feedback, filter_acceleration, make_feedback, pressure_force
+from cmf_mj.control.law import SIGNALS, Law
 from cmf_mj.control.leg_feedback import LegFeedback as LegFeedback
 from cmf_mj.control.limits import Limits, limit, make_limits
-from cmf_mj.control.load_feedback import (
-    CompiledLoadFeedback,
-    damp,
-    load,
-    make_load_feedback,
-)
+from cmf_mj.control.load_feedback import CompiledLoadFeedback, damp, load, make_load_feedback
 from cmf_mj.control.plan import CompiledPlan, advance, ask, bounded, correct, make_plan
 from cmf_mj.control.reference_model import CompiledModel, follow, make_model
 from cmf_mj.control.valve_command import clamp
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.rates import FRAME
 
 _INTEGRAL = SIGNALS.index("error_integral")
 

@@ -26,8 +26,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj import kinematics, units
-from cmf_mj.compiled import compiled
+from cmf_mj.core import units
+from cmf_mj.core.compiled import compiled
+from cmf_mj.machine import kinematics
 
 
 class Demand(NamedTuple):

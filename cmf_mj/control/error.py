@@ -12,9 +12,11 @@ subtracts the measured velocity unfiltered.
 
 from typing import NamedTuple
 
-from cmf_mj import kinematics, units
-from cmf_mj.compiled import compiled
-from cmf_mj.control.law import FRAME, Law
+from cmf_mj.control.law import Law
+from cmf_mj.core import units
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.rates import FRAME
+from cmf_mj.machine import kinematics
 
 
 class ErrorCalculations(NamedTuple):

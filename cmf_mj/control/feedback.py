@@ -23,10 +23,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj import units
-from cmf_mj.compiled import compiled
 from cmf_mj.control.law import Law
-from cmf_mj.gravity import (
+from cmf_mj.core import units
+from cmf_mj.core.compiled import compiled
+from cmf_mj.machine.gravity import (
     LegAxes,
     LegAxesState,
     leg_axes_state,

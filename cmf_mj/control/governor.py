@@ -44,9 +44,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.compiled import compiled
-from cmf_mj.control.law import FRAME
-from cmf_mj.motion_limits import MotionLimits, load_motion_limits
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.rates import FRAME
+from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
 
 _HALVINGS = 40
 """Bisections for the shared scale, resolving it to 1e-12."""

@@ -19,14 +19,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from cmf_mj import units
 from cmf_mj.control.coordinates import Modes, PerMode, is_per_mode
 from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.control.plan import Plan
-from cmf_mj.settings import Settings, merged, read_toml, validated
-
-FRAME = 1.0 / 2048.0
-"""Control frame of the DCL [s] (section 2.3.1)."""
+from cmf_mj.core import units
+from cmf_mj.core.rates import FRAME
+from cmf_mj.core.settings import Settings, merged, read_toml, validated
 
 SIGNALS = (
     "reference",

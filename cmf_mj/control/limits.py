@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
-from cmf_mj import kinematics
-from cmf_mj.compiled import compiled
+from cmf_mj.core.compiled import compiled
+from cmf_mj.machine import kinematics
 
 
 class Limits(NamedTuple):

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cmf_mj import units
-from cmf_mj.compiled import compiled
 from cmf_mj.control.coordinates import Modes, PerMode, mode_mass, spread
-from cmf_mj.settings import Settings
+from cmf_mj.core import units
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.settings import Settings
 
 BORE, ROD = 5.5 * units.INCH, 3.875 * units.INCH
 """Diameters of bore and rod [m] (section 2.1)."""

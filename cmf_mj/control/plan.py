@@ -52,8 +52,6 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 from scipy import signal
 
-from cmf_mj import units
-from cmf_mj.compiled import compiled
 from cmf_mj.control.coordinates import (
     Modes,
     PerMode,
@@ -63,7 +61,9 @@ from cmf_mj.control.coordinates import (
     to_legs,
     to_modes,
 )
-from cmf_mj.settings import Settings
+from cmf_mj.core import units
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.settings import Settings
 
 ORDER = 5
 """Order of the model."""

@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from cmf_mj.compiled import compiled
-from cmf_mj.control.law import FRAME
-from cmf_mj.parameters import Quantity
-from cmf_mj.settings import Settings, overlaid_default
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.quantity import Quantity
+from cmf_mj.core.rates import FRAME
+from cmf_mj.core.settings import Settings, overlaid_default
 
 FAULTS = (
     "none",

@@ -57,9 +57,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal
 
-from cmf_mj import units
-from cmf_mj.compiled import compiled
-from cmf_mj.control.law import FRAME, ReferenceModel
+from cmf_mj.control.law import ReferenceModel
+from cmf_mj.core import units
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.rates import FRAME
 
 
 class CompiledModel(NamedTuple):

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Annotated
 
-from cmf_mj.parameters import Quantity, positive_in
-from cmf_mj.settings import Settings, overlaid
+from cmf_mj.core.quantity import Quantity, positive_in
+from cmf_mj.core.settings import Settings, overlaid
 
 _FILE = Path(__file__).with_name("states.toml")
 

@@ -34,10 +34,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.compiled import compiled
-from cmf_mj.control.law import FRAME
 from cmf_mj.control.state_settings import StateSettings, load_state_settings
-from cmf_mj.kinematics import WORKING_STROKE
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.rates import FRAME
+from cmf_mj.machine.kinematics import WORKING_STROKE
 
 _SPEED_PEAK = 1.875
 """Largest s'."""

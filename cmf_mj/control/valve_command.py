@@ -1,6 +1,6 @@
 """Valve calculations: the compensator's output, clamped to +-100 % (section 2.3.3)."""
 
-from cmf_mj.compiled import compiled
+from cmf_mj.core.compiled import compiled
 
 
 @compiled

@@ -19,7 +19,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from cmf_mj.parameters import HydraulicParameters, load_hydraulics
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
 
 CONTROL_FRAME = 1.0 / 2048.0

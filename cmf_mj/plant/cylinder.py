@@ -27,10 +27,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.compiled import compiled
-from cmf_mj.parameters import HydraulicParameters, Quantity
-from cmf_mj.parameters.hydraulics import cap_area, piston_leakage, rod_area
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.quantity import Quantity
 from cmf_mj.plant.oil import density, make_oil
+from cmf_mj.plant.parameters.hydraulics import (
+    HydraulicParameters,
+    cap_area,
+    piston_leakage,
+    rod_area,
+)
 from cmf_mj.plant.table import table
 
 CAP, ROD = 0, 1

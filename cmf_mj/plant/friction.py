@@ -16,8 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmf_mj.compiled import compiled
-from cmf_mj.parameters import HydraulicParameters, Quantity
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.quantity import Quantity
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.table import table
 
 _DAMPING_TIME = 0.005

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 from scipy.spatial.transform import Rotation
 
-from cmf_mj import kinematics, models
-from cmf_mj.parameters import HydraulicParameters
+from cmf_mj.machine import kinematics, models
 from cmf_mj.plant import cylinder
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import set_timestep
 

@@ -22,8 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.compiled import compiled
-from cmf_mj.parameters import HydraulicParameters
+from cmf_mj.core.compiled import compiled
 from cmf_mj.plant.cylinder import (
     CAP,
     ROD,
@@ -35,15 +34,8 @@ from cmf_mj.plant.cylinder import (
 )
 from cmf_mj.plant.faults import ACCUMULATORS_LOST, BURST_AREA, PUMP_LOST, STOPPED
 from cmf_mj.plant.friction import make_frictions, slide
-from cmf_mj.plant.oil import (
-    ATMOSPHERE,
-    Oil,
-    density,
-    enthalpy,
-    least_pressure,
-    make_oil,
-    stored,
-)
+from cmf_mj.plant.oil import ATMOSPHERE, Oil, density, enthalpy, least_pressure, make_oil, stored
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.solver import FLOWS, Stage, make_stage, solve
 from cmf_mj.plant.supply import (
     ACCUMULATOR,

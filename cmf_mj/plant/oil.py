@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmf_mj.compiled import compiled
-from cmf_mj.parameters import HydraulicParameters
+from cmf_mj.core.compiled import compiled
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 
 ATMOSPHERE = 101325.0
 """Standard atmosphere [Pa]."""

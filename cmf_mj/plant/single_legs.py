@@ -11,9 +11,10 @@ from pathlib import Path
 import mujoco
 from numpy.typing import ArrayLike
 
-from cmf_mj import models, units
-from cmf_mj.kinematics import pose_to_legs
-from cmf_mj.parameters import HydraulicParameters
+from cmf_mj.core import units
+from cmf_mj.machine import models
+from cmf_mj.machine.kinematics import pose_to_legs
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 
 EFFECTIVE_MASS = 7200.0 * units.POUND_MASS

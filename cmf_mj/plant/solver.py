@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.compiled import compiled
+from cmf_mj.core.compiled import compiled
 from cmf_mj.plant.oil import density, enthalpy, least_pressure
 from cmf_mj.plant.supply import ACCUMULATOR, PUMP, RETURN, SUPPLY, TANK, accumulator_flow, pump_flow
 from cmf_mj.plant.table import table

@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.compiled import compiled
-from cmf_mj.parameters import HydraulicParameters
+from cmf_mj.core.compiled import compiled
 from cmf_mj.plant.oil import ATMOSPHERE, Oil, density
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 
 SUPPLY, RETURN, ACCUMULATOR, PUMP, TANK, ISOLATION, SUPPLY_PRESSURE, RETURN_PRESSURE, GAS = range(9)
 """State of the supply: contents of both manifolds, oil in one accumulator [m^3], pump flow

@@ -26,10 +26,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmf_mj.compiled import compiled
-from cmf_mj.parameters import VALVES, HydraulicParameters
-from cmf_mj.parameters.hydraulics import cap_area, rod_area
+from cmf_mj.core.compiled import compiled
 from cmf_mj.plant.oil import density, make_oil
+from cmf_mj.plant.parameters.hydraulics import VALVES, HydraulicParameters, cap_area, rod_area
 from cmf_mj.plant.table import table
 
 NORMAL, OVERRIDE, JAMMED = 0.0, 1.0, 2.0

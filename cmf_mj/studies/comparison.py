@@ -14,24 +14,29 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cmf_mj import models, signals, units
-from cmf_mj.control.law import Law, load_law
-from cmf_mj.files import write_csv
-from cmf_mj.frequency_response import (
+from cmf_mj import signals
+from cmf_mj.analysis.frequency_response import (
     Bandwidths,
     FrequencyResponse,
     bandwidths,
     frequency_response,
 )
-from cmf_mj.kinematics import DOFS
-from cmf_mj.loop.electronics import ElectronicsSettings
-from cmf_mj.parameters import HydraulicParameters, load_hydraulics
-from cmf_mj.plant import Hexapod, Plant, SingleLegs
-from cmf_mj.published import published
-from cmf_mj.record import Record
-from cmf_mj.simulation import simulate
-from cmf_mj.step_response import StepMetrics, step_metrics
-from cmf_mj.threads import on_threads
+from cmf_mj.analysis.published import published
+from cmf_mj.analysis.step_response import StepMetrics, step_metrics
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.core import units
+from cmf_mj.core.files import write_csv
+from cmf_mj.core.threads import on_threads
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.facility.simulation import simulate
+from cmf_mj.machine import models
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.single_legs import SingleLegs
+from cmf_mj.record.record import Record
 
 DEFAULT_LAWS = ("velocity", "position_error_rate", "acceleration")
 """The law flown, and the report's two advances on it."""

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from cmf_mj.kinematics import DOFS
+from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.studies.intervals import Interval, mean, share
 from cmf_mj.studies.settings import NOMINAL
 

@@ -19,25 +19,27 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj import excitations, signals, units
-from cmf_mj.control.law import FRAME
-from cmf_mj.estimation import welch_response
-from cmf_mj.frequency_response import (
+from cmf_mj import signals
+from cmf_mj.analysis.frequency_response import (
     Bandwidths,
     bandwidths,
     dof_history,
     matrix_frequency_response,
 )
-from cmf_mj.kinematics import DOFS
-from cmf_mj.linear_models import closed_loop
-from cmf_mj.linear_models.dcl import labels
-from cmf_mj.linear_models.measures import STEP_DURATION
-from cmf_mj.linearization import linearize, pose_loop
-from cmf_mj.linearization.reduction import jacobian_of
-from cmf_mj.plant import Plant
-from cmf_mj.record import Record
-from cmf_mj.simulation import simulate
-from cmf_mj.step_response import step_metrics, step_shape
+from cmf_mj.analysis.linear_models.dcl import labels
+from cmf_mj.analysis.linear_models.loop import closed_loop
+from cmf_mj.analysis.linear_models.measures import STEP_DURATION
+from cmf_mj.analysis.linearization.assembly import linearize
+from cmf_mj.analysis.linearization.reduction import jacobian_of, pose_loop
+from cmf_mj.analysis.response.welch import welch_response
+from cmf_mj.analysis.step_response import step_metrics, step_shape
+from cmf_mj.core import units
+from cmf_mj.core.rates import FRAME
+from cmf_mj.facility.simulation import simulate
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.plant.plant import Plant
+from cmf_mj.record.record import Record
+from cmf_mj.signals import composite as excitations
 from cmf_mj.studies.comparison import (
     STEP_PER_AMPLITUDE,
     chirp_and_step,

@@ -17,8 +17,8 @@ from typing import Any, get_type_hints
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cmf_mj.files import whole_file, write_text
-from cmf_mj.kinematics import DOFS
+from cmf_mj.core.files import whole_file, write_text
+from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.studies.evaluation import StudyRow
 from cmf_mj.studies.settings import Study, StudyCase
 

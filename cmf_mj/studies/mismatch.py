@@ -20,10 +20,16 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy import stats
 
-from cmf_mj.loop.electronics import ElectronicsSettings
-from cmf_mj.parameters import ACTUATOR_FIELDS, VALVE_FIELDS, VALVES, HydraulicParameters, Quantity
-from cmf_mj.sensors.settings import CHANNELS, SensorSettings, load_sensors
-from cmf_mj.settings import Settings, validated
+from cmf_mj.core.quantity import Quantity
+from cmf_mj.core.settings import Settings, validated
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.electronics.sensors.settings import CHANNELS, SensorSettings, load_sensors
+from cmf_mj.plant.parameters.hydraulics import (
+    ACTUATOR_FIELDS,
+    VALVE_FIELDS,
+    VALVES,
+    HydraulicParameters,
+)
 
 LIMIT = 2.0
 """Deviations at which a normal distribution is cut off: parts beyond tolerance are sent back."""

@@ -29,11 +29,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from cmf_mj import models, units
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.kinematics import DOFS
-from cmf_mj.parameters import HydraulicParameters, load_hydraulics
-from cmf_mj.settings import Settings, read_toml, validated
+from cmf_mj.core import units
+from cmf_mj.core.settings import Settings, read_toml, validated
+from cmf_mj.machine import models
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.studies.mismatch import Mismatch
 from cmf_mj.studies.variants import rung_named
 

@@ -28,10 +28,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmf_mj.loop.electronics import ElectronicsSettings
-from cmf_mj.parameters import HydraulicParameters, load_hydraulics
-from cmf_mj.plant import Hexapod, Plant, SingleLegs
-from cmf_mj.plant.hexapod import hexapod_spec
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.plant.hexapod import Hexapod, hexapod_spec
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.single_legs import SingleLegs
 
 SMALL = 0.01
 """Share of an inertia that is left where there should be none."""

@@ -13,7 +13,6 @@ if not, it is refused as `unconfirmed`. So one wild frame never moves the platfo
 
 import numpy as np
 
-from cmf_mj.compiled import compiled
 from cmf_mj.control.dcu.motion import ACCELERATION, POSE, VELOCITY, copy, evaluate, joins
 from cmf_mj.control.dcu.state import (
     ACCELERATION_RANGE,
@@ -58,6 +57,7 @@ from cmf_mj.control.dcu.state import (
     USED,
     VELOCITY_RANGE,
 )
+from cmf_mj.core.compiled import compiled
 
 SEQUENCE_GAP = 4096
 """Most by which a sequence number may run ahead."""

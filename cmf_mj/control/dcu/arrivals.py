@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.compiled import compiled
 from cmf_mj.control.dcu.acceptance import receive
 from cmf_mj.control.dcu.play import step
 from cmf_mj.control.dcu.settings import Dcu
 from cmf_mj.control.dcu.state import DcuState
+from cmf_mj.core.compiled import compiled
 
 
 class Arrivals(NamedTuple):

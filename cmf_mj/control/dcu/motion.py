@@ -22,7 +22,7 @@ continuously differentiable from start to rest.
 
 import numpy as np
 
-from cmf_mj.compiled import compiled
+from cmf_mj.core.compiled import compiled
 
 POSE, VELOCITY, ACCELERATION = 0, 1, 2
 """Rows of a motion."""

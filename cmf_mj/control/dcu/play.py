@@ -11,7 +11,6 @@ A gap is taken up only if it is within the velocity and acceleration limits; oth
 goes on to rest, from where every stream can be taken up.
 """
 
-from cmf_mj.compiled import compiled
 from cmf_mj.control.dcu.acceptance import clear, drop_held
 from cmf_mj.control.dcu.motion import (
     ACCELERATION,
@@ -47,7 +46,8 @@ from cmf_mj.control.dcu.state import (
     SYNCHRONISED,
     USED,
 )
-from cmf_mj.control.law import FRAME
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.rates import FRAME
 
 
 @compiled

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationInfo, field_validator, model_validator
 
-from cmf_mj.control.law import FRAME
-from cmf_mj.parameters import Quantity
-from cmf_mj.settings import Settings, overlaid_default
+from cmf_mj.core.quantity import Quantity
+from cmf_mj.core.rates import FRAME
+from cmf_mj.core.settings import Settings, overlaid_default
 
 _FILE = Path(__file__).with_name("dcu.toml")
 

@@ -1,0 +1,1 @@
+"""Measures of records and linear models: responses, modes, identification, what was published."""

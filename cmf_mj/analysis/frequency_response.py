@@ -1,0 +1,295 @@
+"""Frequency responses from records, and the bandwidths read off them.
+
+A response goes from the DCL's leg demand to the leg feedback, both transformed to the degree of
+freedom by `legs_to_pose`, as the report does, or of a single leg; host delay and DCU are outside.
+The estimator is H1,
+
+    H1 = S_xy / S_xx,    coherence = |S_xy|^2 / (S_xx S_yy)
+
+unbiased here because the demand is free of noise: periodic records are averaged over their whole
+periods after the first, others by Welch's method (`cmf_mj.analysis.response`, which has
+the others).
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from cmf_mj.analysis.response.estimate import SEGMENT, Estimate, Estimator
+from cmf_mj.analysis.response.matrix import matrix_response, stitch
+from cmf_mj.analysis.response.periodic import periodic_response, sine_response
+from cmf_mj.analysis.response.welch import from_h1, report_response, welch_response
+from cmf_mj.core.rates import RATE
+from cmf_mj.machine.kinematics import DOFS, legs_to_pose
+from cmf_mj.record.record import Record
+from cmf_mj.signals.single import dof_index
+
+DRIVEN_SHARE = 1e-2
+"""Demand power over its largest line from which on a line of single sines counts as driven."""
+
+NO_DEMAND = 1e-9
+"""Demand [m or rad] that is round-off of the transformation to a degree of freedom."""
+
+
+class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]
+    """A python-control frequency response that also carries its coherence and its bound."""
+
+    def __init__(
+        self,
+        response: NDArray[np.complex128],
+        omega: NDArray[np.float64],
+        coherence: NDArray[np.float64],
+        bound: NDArray[np.float64] | None = None,
+        **keywords: Any,
+    ) -> None:
+        """Wrap a SISO response at angular frequencies `omega` [rad/s], (K,)."""
+        super().__init__(response, omega, **keywords)
+        self.coherence = coherence
+        """Coherence of each line, 0 to 1, (K,)."""
+        self.bound = bound if bound is not None else np.full(np.shape(coherence), np.nan)
+        """Radius of the circle about each line's response that holds the true one with 95 %
+        probability, (K,): random error only; infinite from one average, NaN where not known."""
+
+    @property
+    def frequency(self) -> NDArray[np.float64]:
+        """Frequencies [Hz], (K,)."""
+        return np.asarray(self.omega) / (2.0 * np.pi)
+
+    @property
+    def response(self) -> NDArray[np.complex128]:
+        """Complex response, (K,)."""
+        return np.asarray(self.frdata[0, 0])
+
+    @property
+    def gain_db(self) -> NDArray[np.float64]:
+        """Gain [dB], (K,)."""
+        return 20.0 * np.log10(np.abs(self.response))
+
+    @property
+    def phase_deg(self) -> NDArray[np.float64]:
+        """Phase unwrapped from the lowest line, which lies within +-180 deg, [deg], (K,)."""
+        return np.degrees(np.unwrap(np.angle(self.response)))
+
+
+class Bandwidths(NamedTuple):
+    """Where a response leaves its pass band; NaN where it does not within the measured lines."""
+
+    phase_hz: float
+    """First frequency at which the phase falls through -90 deg [Hz]."""
+    gain_hz: float
+    """First frequency at which the gain falls through -3 dB, from absolute 0 dB [Hz]."""
+    peak_db: float
+    """Largest gain [dB]."""
+
+
+def dof_history(record: Record, channel: str, dof: str) -> NDArray[np.float64]:
+    """A leg channel (N, 6) transformed to one degree of freedom, or one leg of it, (N,) [m or rad].
+
+    Args:
+        record: holding the channel.
+        channel: name of a channel of leg positions.
+        dof: degree of freedom, or `leg_1` and so on.
+    """
+    if not dof.startswith("leg_"):
+        index = dof_index(dof)
+        return legs_to_pose(record[channel])[:, index]
+    legs = [f"leg_{i + 1}" for i in range(record[channel].shape[1])]
+    if dof not in legs:
+        raise ValueError(f"dof: {dof!r} is not one of {', '.join(legs)}")
+    return record[channel][:, legs.index(dof)]
+
+
+def frequency_response(
+    record: Record,
+    dof: str | None = None,
+    *,
+    segment: float = SEGMENT,
+    estimator: Estimator = "h1",
+) -> FrequencyResponse:
+    """Estimate the response from leg demand to leg feedback in one degree of freedom.
+
+    Args:
+        record: of a chirp, multisine or any other broad excitation.
+        dof: degree of freedom, or a leg, `leg_1` and so on; default the degree of freedom the
+            command moved.
+        segment: length of Welch's segments [s], for records that are not periodic.
+        estimator: `h1`, `h2`, `hv`, or `report`: Appendix A's, with its own segments, or over the
+            periods of a multisine the mean of H1 and H2.
+
+    Returns:
+        Lines within the excited band, with coherence and bound.
+
+    Raises:
+        ValueError: no excitation in this degree of freedom, a record shorter than a segment, or
+            legs that no pose has.
+    """
+    chosen = dof if dof is not None else str(record.metadata["command"].get("dof"))
+    demand = dof_history(record, "leg_reference", chosen)
+    feedback = dof_history(record, "leg_position", chosen)
+    command = record.metadata["command"]
+    if np.ptp(demand) < NO_DEMAND:
+        raise ValueError(
+            f"dof: the record holds no demand in {chosen}; it moved {command.get('dof', 'another')}"
+        )
+    if command.get("kind") == "multisine":
+        return _wrapped(from_h1(_periodic(record, demand, feedback), estimator))
+    # The rest before the excitation is the base line; it also lets the start-up settle.
+    begin = max(round(float(command.get("settle", 0.0)) * record.rate) - 1, 0)
+    x = demand[begin:] - demand[begin]
+    y = feedback[begin:] - feedback[begin]
+    low = max(float(command.get("start", 0.0)), 2.0 / segment)
+    band = (low, float(command.get("stop", record.rate / 4.0)))
+    if estimator == "report":
+        return _wrapped(report_response(x, y, record.rate, band=band))
+    return _wrapped(
+        welch_response(x, y, record.rate, estimator=estimator, segment=segment, band=band, pad=True)
+    )
+
+
+def rounds_response(
+    records: Sequence[Record], dof: str | None = None, *, segment: float = SEGMENT
+) -> FrequencyResponse:
+    """One response from several records of single sines, such as the facility's five rounds.
+
+    Where a record carries its dwells, each is fitted by least squares over whole cycles. Records
+    without are put end to end, as the report does, estimated by Welch's method, and of its lines
+    those are kept that the demand drives.
+
+    Args:
+        records: of one degree of freedom.
+        dof: degree of freedom, or a leg; default the one the first command moved.
+        segment: length of Welch's segments [s].
+
+    Raises:
+        ValueError: no records, different rates, or no demand in this degree of freedom.
+    """
+    if not records:
+        raise ValueError("records: none given; at least one is needed")
+    rates = sorted({record.rate for record in records})
+    if len(rates) > 1:
+        raise ValueError(f"records: rates are {', '.join(map(str, rates))} Hz; must be one")
+    chosen = dof if dof is not None else str(records[0].metadata["command"].get("dof"))
+    pairs = [
+        tuple(dof_history(record, name, chosen) for name in ("leg_reference", "leg_position"))
+        for record in records
+    ]
+    if max(np.ptp(x) for x, _ in pairs) < NO_DEMAND:
+        raise ValueError(f"dof: the records hold no demand in {chosen}")
+    if all("dwells" in record.metadata["command"] for record in records):
+        found = []
+        for record, (x, y) in zip(records, pairs, strict=True):
+            per_frame = record.rate / RATE
+            for dwell in record.metadata["command"]["dwells"]:
+                # Inwards to whole samples; the fit takes the whole cycles that are left.
+                first = int(np.ceil(dwell["start"] * per_frame))
+                last = int((dwell["start"] + dwell["frames"]) * per_frame) + 1
+                found.append(
+                    sine_response(x[first:last], y[first:last], record.rate, dwell["frequency"])
+                )
+        return _wrapped(stitch(found))
+    x, y = (
+        np.concatenate([part - part[0] for part in parts]) for parts in zip(*pairs, strict=True)
+    )
+    estimate = welch_response(x, y, rates[0], segment=segment, band=(2.0 / segment, 10.5), pad=True)
+    _, power = signal.welch(x, rates[0], nperseg=round(segment * rates[0]))
+    spectrum = np.interp(estimate.frequency, np.arange(power.size) / segment, power)
+    kept = spectrum > DRIVEN_SHARE * spectrum.max()
+    return FrequencyResponse(
+        estimate.response[kept],
+        2.0 * np.pi * estimate.frequency[kept],
+        estimate.coherence[kept],
+        estimate.radius[kept],
+    )
+
+
+def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
+    """The full 6 by 6 response from pose demand to pose feedback, of one run.
+
+    Each column is measured at its own lines and interpolated to the lines of all, NaN outside its
+    own; m and rad per m and rad, outputs in rows.
+
+    Args:
+        record: of `excitations.orthogonal_multisines` in all six degrees of freedom.
+
+    Raises:
+        ValueError: another excitation, or a degree of freedom at rest.
+    """
+    command = record.metadata["command"]
+    if command.get("kind") != "orthogonal_multisines":
+        kind = command.get("kind")
+        raise ValueError(f"record: its command is {kind!r}; orthogonal multisines are needed")
+    whole = slice(round(command["period"] * record.rate) * command["periods"])
+    demand, feedback = (
+        legs_to_pose(record[name][whole]) for name in ("leg_reference", "leg_position")
+    )
+    estimate = matrix_response(
+        demand,
+        feedback,
+        record.rate,
+        period=command["period"],
+        band=(command["start"], command["stop"]),
+        interpolate=True,
+    )
+    return control.FrequencyResponseData(
+        np.moveaxis(estimate.response, 0, -1),
+        2.0 * np.pi * estimate.frequency,
+        inputs=[f"{dof}_demand" for dof in DOFS],
+        outputs=list(DOFS),
+    )
+
+
+def _wrapped(estimate: Estimate) -> FrequencyResponse:
+    return FrequencyResponse(
+        estimate.response, 2.0 * np.pi * estimate.frequency, estimate.coherence, estimate.radius
+    )
+
+
+def _periodic(
+    record: Record, demand: NDArray[np.float64], feedback: NDArray[np.float64]
+) -> Estimate:
+    command = record.metadata["command"]
+    samples = round(command["period"] * record.rate)
+    if abs(samples - command["period"] * record.rate) > 1e-9:
+        raise ValueError(
+            f"record_every: a period is not a whole number of samples at {record.rate}"
+        )
+    frequency = np.fft.rfftfreq(samples, 1.0 / record.rate)
+    orders = np.arange(frequency.size)
+    lines = (orders % 2 == 1) & (frequency >= command["start"] - 1e-9)
+    lines &= frequency <= command["stop"] + 1e-9
+    whole = slice(command["periods"] * samples)
+    return periodic_response(
+        demand[whole], feedback[whole], record.rate, command["period"], lines=orders[lines]
+    )
+
+
+def bandwidths(response: control.FrequencyResponseData) -> Bandwidths:
+    """Read -90 deg and -3 dB bandwidth and peak gain off a SISO response.
+
+    Crossings are interpolated linearly between lines; -3 dB counts from absolute 0 dB, so a law
+    with a static error starts below it.
+    """
+    values = np.asarray(response.frdata[0, 0])
+    frequency = np.asarray(response.omega) / (2.0 * np.pi)
+    gain = 20.0 * np.log10(np.abs(values))
+    phase = np.degrees(np.unwrap(np.angle(values)))
+    return Bandwidths(
+        _falls_through(frequency, phase, -90.0),
+        _falls_through(frequency, gain, -3.0),
+        float(gain.max()),
+    )
+
+
+def _falls_through(
+    frequency: NDArray[np.float64], values: NDArray[np.float64], level: float
+) -> float:
+    below = np.flatnonzero((values[1:] < level) & (values[:-1] >= level))
+    if below.size == 0:
+        return float("nan")
+    i = int(below[0])
+    share = (level - values[i]) / (values[i + 1] - values[i])
+    return float(frequency[i] + share * (frequency[i + 1] - frequency[i]))

@@ -1,0 +1,274 @@
+"""Equation-error least squares (ARX) and the choice of its orders.
+
+Each row of the model is linear in its parameters (Eq 4.10),
+
+    y[k] = phi[k] theta + e[k],   phi = (-y[k-1] .. -y[k-na], u_j[k-nk] .. u_j[k-nk-nb+1])
+
+and is solved by QR of the regressors of all experiments together, each scaled to unit size:
+
+    cov theta = s^2 (R^T R)^-1,   s^2 = |e|^2 / (N - p)
+
+Consistent where the noise really enters as A y = B u + e. Noise on a motion sensor enters as
+y = B/A u + v: the past outputs in phi then hold the noise, and poles are biased towards more
+damping. `output_error` and `instrumental_variable` are free of that.
+
+Orders: with V the mean square of e over the samples that every candidate explains,
+
+    AIC = N ln V + 2 p,   BIC = N ln V + p ln N      (summed over the rows)
+
+and the fit (NRMSE, `fit_percentage`) of the simulated model to experiments not used in the fit. On
+records without noise V falls with every order and AIC and BIC choose the largest; the validation
+fit tells what is worth it.
+"""
+
+from collections.abc import Iterable, Sequence
+from itertools import product
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from cmf_mj.analysis.identification.data import Experiment, Real
+from cmf_mj.analysis.identification.model import Orders, PolynomialModel, from_parameters
+from cmf_mj.analysis.identification.validation import simulation_fit
+
+Criterion = Literal["aic", "bic", "validation"]
+Unstable = Literal["report", "reflect", "refuse"]
+
+
+def as_experiments(experiments: Experiment | Sequence[Experiment]) -> list[Experiment]:
+    """One or several experiments as a list of at least one, all of the same signals and rate.
+
+    Raises:
+        ValueError: none, or they differ.
+    """
+    runs = [experiments] if isinstance(experiments, Experiment) else list(experiments)
+    if not runs:
+        raise ValueError("experiments: none given; at least one is needed")
+    for run in runs[1:]:
+        for field in ("input_names", "output_names"):
+            if getattr(run, field) != getattr(runs[0], field):
+                raise ValueError(f"experiments: {field} differ between them")
+        if abs(run.step / runs[0].step - 1.0) > 1e-9:
+            raise ValueError(f"experiments: steps {runs[0].step} and {run.step} s; must be one")
+    return runs
+
+
+def regressors(experiment: Experiment, row: int, orders: Orders, lag: int) -> Real:
+    """Regressors phi of one row from sample `lag` on, (N - lag, p)."""
+    y, u = experiment.output[:, row], experiment.input
+    end = experiment.samples
+    past = [-y[lag - i : end - i] for i in range(1, orders.na + 1)]
+    drive = [
+        u[lag - i : end - i, j]
+        for j in range(u.shape[1])
+        for i in range(orders.nk, orders.nk + orders.nb)
+    ]
+    return np.column_stack(past + drive)
+
+
+def handled(model: PolynomialModel, unstable: Unstable) -> PolynomialModel:
+    """A model with its unstable poles reported, reflected or refused.
+
+    Raises:
+        ValueError: `refuse`, and there are some; or another word.
+    """
+    if unstable not in ("report", "reflect", "refuse"):
+        raise ValueError(f"unstable: {unstable!r} is not one of report, reflect, refuse")
+    if unstable == "refuse" and model.unstable_poles:
+        sizes = ", ".join(f"{abs(p):.6f}" for p in model.unstable_poles)
+        raise ValueError(f"unstable: poles of modulus {sizes}; allowed: at most 1")
+    return model.stabilised() if unstable == "reflect" else model
+
+
+def arx(
+    experiments: Experiment | Sequence[Experiment],
+    orders: Orders | tuple[int, int, int],
+    *,
+    unstable: Unstable = "report",
+) -> PolynomialModel:
+    """Fit an ARX model to one or several experiments by least squares.
+
+    Args:
+        experiments: of the same signals and rate; an experiment's rest is not joined to the next.
+        orders: na, nb and nk.
+        unstable: what to do with poles outside the unit circle: `report` leaves them, see
+            `PolynomialModel.unstable_poles`; `reflect` puts them inside, see `stabilised`;
+            `refuse` raises.
+
+    Raises:
+        ValueError: orders out of range, too few samples, inputs that do not excite the model
+            (regressors linearly dependent), or refused poles.
+    """
+    runs = as_experiments(experiments)
+    chosen = Orders(*orders).check()
+    factors = [_factor(runs, row, chosen, chosen.lag) for row in range(runs[0].output.shape[1])]
+    solved = [_solve(factor, np.arange(factor.triangle.shape[1] - 1)) for factor in factors]
+    return handled(_assembled(solved, chosen, runs, factors[0].samples), unstable)
+
+
+def _assembled(
+    rows: list["_Solved"], orders: Orders, runs: list[Experiment], samples: int
+) -> PolynomialModel:
+    return from_parameters(
+        orders,
+        np.stack([row.parameters for row in rows]),
+        runs[0],
+        covariances=np.stack([row.covariance for row in rows]),
+        noise_variance=np.array([row.variance for row in rows]),
+        noise="equation",
+        method="arx",
+        samples=samples,
+    )
+
+
+class _Factor(NamedTuple):
+    """Triangle of (phi, y), its columns scaled to unit length."""
+
+    triangle: Real
+    scale: Real
+    samples: int
+
+
+class _Solved(NamedTuple):
+    parameters: Real
+    covariance: Real
+    variance: float
+    loss: float
+    """Mean square of e."""
+
+
+def _factor(runs: list[Experiment], row: int, orders: Orders, lag: int) -> _Factor:
+    for run in runs:
+        if run.samples <= lag:
+            raise ValueError(f"orders: reach back {lag} samples; the experiment has {run.samples}")
+    phi = np.concatenate([regressors(run, row, orders, lag) for run in runs])
+    y = np.concatenate([run.output[lag:, row] for run in runs])
+    if y.size <= phi.shape[1]:
+        raise ValueError(
+            f"orders: {phi.shape[1]} parameters; the experiments give {y.size} samples"
+        )
+    table = np.column_stack([phi, y])
+    scale = np.linalg.norm(table, axis=0)
+    silent = np.flatnonzero(scale == 0.0)
+    if silent.size:
+        raise ValueError("experiments: an input or output is zero all the time")
+    (triangle,) = linalg.qr(table / scale, mode="r", overwrite_a=True, check_finite=False)[:1]
+    return _Factor(triangle[: table.shape[1]], scale, y.size)
+
+
+def _solve(factor: _Factor, columns: Real) -> _Solved:
+    """Least squares with some of the regressors."""
+    count = columns.size
+    keep = np.concatenate([columns, [factor.triangle.shape[1] - 1]])
+    triangle = linalg.qr(factor.triangle[:, keep], mode="r")[0][: count + 1]
+    r = triangle[:count, :count]
+    if np.abs(np.diag(r)).min() < 1e-13 * np.abs(np.diag(r)).max():
+        raise ValueError("orders: the experiments do not tell these parameters apart; lower them")
+    scale = factor.scale[keep]
+    theta = linalg.solve_triangular(r, triangle[:count, count])
+    inverse = linalg.solve_triangular(r, np.eye(count))
+    square = float((triangle[count, count] * scale[-1]) ** 2)
+    variance = square / (factor.samples - count)
+    shrink = 1.0 / scale[:-1]
+    return _Solved(
+        theta * scale[-1] * shrink,
+        variance * (inverse @ inverse.T) * np.outer(shrink, shrink),
+        variance,
+        square / factor.samples,
+    )
+
+
+class Candidate(NamedTuple):
+    """One row of an order selection."""
+
+    orders: Orders
+    parameters: int
+    """Of all rows of the model."""
+    loss: float
+    """Mean square of e over the mean square of y, mean over the outputs."""
+    aic: float
+    bic: float
+    fit: float
+    """Least fit of an output in simulation of the validation experiments [%]; -inf if unstable."""
+    stable: bool
+
+
+class Selection(NamedTuple):
+    """Result of an order selection."""
+
+    candidates: tuple[Candidate, ...]
+
+    def best(self, criterion: Criterion = "validation", *, slack: float = 0.2) -> Candidate:
+        """The best of the stable candidates; if there is none, of all.
+
+        Args:
+            criterion: `validation` takes the fewest parameters whose fit is within the slack of the
+                best one; `aic` and `bic` their minimum.
+            slack: of the validation fit [%].
+
+        Raises:
+            ValueError: another criterion.
+        """
+        if criterion not in ("aic", "bic", "validation"):
+            raise ValueError(f"criterion: {criterion!r} is not one of aic, bic, validation")
+        pool = [c for c in self.candidates if c.stable] or list(self.candidates)
+        if criterion == "validation":
+            enough = max(c.fit for c in pool) - slack
+            good = [c for c in pool if c.fit >= enough]
+            return min(good, key=lambda c: (c.parameters, -c.fit))
+        return min(pool, key=lambda c: c.aic if criterion == "aic" else c.bic)
+
+
+def select_orders(
+    estimation: Experiment | Sequence[Experiment],
+    validation: Experiment | Sequence[Experiment],
+    *,
+    na: Iterable[int],
+    nb: Iterable[int],
+    nk: Iterable[int] = (1,),
+) -> Selection:
+    """Compare ARX orders by AIC, BIC and validation fit on a grid.
+
+    One QR of the largest regressors serves all candidates, and all are judged on the same samples.
+
+    Raises:
+        ValueError: an empty grid, orders out of range, or experiments that cannot be fitted.
+    """
+    runs, others = as_experiments(estimation), as_experiments(validation)
+    grid = [Orders(*o).check() for o in product(na, nb, nk)]
+    if not grid:
+        raise ValueError("na, nb, nk: the grid is empty")
+    first = min(o.nk for o in grid)
+    span = max(o.nk + o.nb for o in grid) - first
+    widest = Orders(max(o.na for o in grid), span, first)
+    inputs = runs[0].input.shape[1]
+    factors = [_factor(runs, row, widest, widest.lag) for row in range(runs[0].output.shape[1])]
+    power = [
+        np.mean(np.concatenate([r.output[:, i] for r in runs]) ** 2) for i in range(len(factors))
+    ]
+    found = []
+    for orders in grid:
+        places = [np.arange(orders.na)]
+        places += [
+            widest.na + span * j + orders.nk - first + np.arange(orders.nb) for j in range(inputs)
+        ]
+        solved = [_solve(factor, np.concatenate(places)) for factor in factors]
+        model = _assembled(solved, orders, runs, factors[0].samples)
+        count = orders.parameters(inputs)
+        misfit = sum(f.samples * np.log(s.loss) for f, s in zip(factors, solved, strict=True))
+        penalty = sum(np.log(f.samples) for f in factors)
+        stable = not model.unstable_poles
+        fit = min(float(simulation_fit(model, run).min()) for run in others) if stable else -np.inf
+        found.append(
+            Candidate(
+                orders,
+                count * len(factors),
+                float(np.mean([s.loss / p for s, p in zip(solved, power, strict=True)])),
+                float(misfit + 2.0 * count * len(factors)),
+                float(misfit + count * penalty),
+                fit,
+                stable,
+            )
+        )
+    return Selection(tuple(found))

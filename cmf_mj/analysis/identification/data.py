@@ -1,0 +1,289 @@
+"""Input and output series for identification, taken from records.
+
+The valve command acts on the legs one computing frame late and is held over a frame. At its own
+sampling instants the held command jumps; its band-limited value there is the mean of both sides,
+
+    u(t[k]) = (c[k-d] + c[k-d-1]) / 2,    d = command_delay of the run
+
+which is exact to (pi f / 2048)^2 / 2. A model identified from u to the legs therefore holds neither
+the computing frame nor the hold, as a linear plant of `cmf_mj.analysis.linear_models` does.
+
+Degrees of freedom: any leg signal s (n,) of the loop, commands and velocities alike, is mapped by
+the Jacobian of the pose, J^-1 s; leg positions by `legs_to_pose`. The law has the same gains for
+all legs and so acts on mapped signals as it acts on legs: a model of a degree of freedom is closed
+with the law like a model of a leg, and has its unit, m/s per command.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from math import ceil
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import interpolate, signal
+
+from cmf_mj.core.rates import RATE as FRAMES
+from cmf_mj.machine.kinematics import DOFS, leg_motion_to_pose, legs_to_pose
+from cmf_mj.record.record import Record
+
+Real = NDArray[np.float64]
+
+RATE = 64.0
+"""Default sampling rate [Hz], half the facility recorder's: the legs' modes lie below 15 Hz, and a
+model at a rate far above what is excited is told little and distorted much by noise."""
+
+POSITIONS = ("leg_position", "leg_reference")
+"""Leg channels that are mapped to a pose; all others by the Jacobian."""
+
+_SHORTEST = 32
+"""Least samples behind a decimation."""
+
+_LONGEST = 8
+"""Largest decimation in one stage of the anti-alias filter."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One run as input and output series; arrays are read-only."""
+
+    input: Real
+    """(N, nu)."""
+    output: Real
+    """(N, ny)."""
+    step: float
+    """Sampling interval [s]."""
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_units: tuple[str, ...]
+    reference: Real | None = None
+    """External excitation, (N, nr), free of noise: the instrument of `instrumental_variable`."""
+    name: str = ""
+    """Of the run."""
+
+    def __post_init__(self) -> None:
+        """Check shapes and freeze."""
+        if not (np.isfinite(self.step) and self.step > 0.0):
+            raise ValueError(f"step: {self.step} s must be a finite number greater than 0")
+        for field in ("input", "output", "reference"):
+            given = getattr(self, field)
+            if given is None and field == "reference":
+                continue
+            values = np.array(given, dtype=float)
+            values = values[:, None] if values.ndim == 1 else values
+            if values.ndim != 2 or values.shape[0] < 2:
+                raise ValueError(f"{field}: shape is {values.shape}; allowed: (N, k) with N >= 2")
+            if not np.isfinite(values).all():
+                row = int(np.argmin(np.isfinite(values).all(axis=1)))
+                raise ValueError(f"{field}: sample {row} is not finite")
+            values.setflags(write=False)
+            object.__setattr__(self, field, values)
+            if values.shape[0] != self.input.shape[0]:
+                raise ValueError(
+                    f"{field}: has {values.shape[0]} samples; input has {self.input.shape[0]}"
+                )
+        for field in ("input", "output"):
+            count = getattr(self, field).shape[1]
+            for kind in ("names", "units"):
+                given = len(getattr(self, f"{field}_{kind}"))
+                if given != count:
+                    raise ValueError(f"{field}_{kind}: has {given} entries; {field} has {count}")
+
+    @property
+    def samples(self) -> int:
+        """Number of samples N."""
+        return int(self.input.shape[0])
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate [Hz]."""
+        return 1.0 / self.step
+
+    def _mapped(self, function: Callable[[Real], Real]) -> "Experiment":
+        reference = None if self.reference is None else function(self.reference)
+        return replace(
+            self, input=function(self.input), output=function(self.output), reference=reference
+        )
+
+    def decimated(self, factor: int) -> "Experiment":
+        """Keep one sample in `factor` behind a zero-phase anti-alias filter.
+
+        The filter is SciPy's Chebyshev filter of eighth order, forwards and backwards, in stages of
+        at most 8; it passes 0.8 of the new Nyquist frequency within 0.1 dB a stage and is the same
+        for all series, so that ratios of them are not touched.
+
+        Raises:
+            ValueError: a factor below 1, or too few samples.
+        """
+        thin = self._mapped(partial(decimated, factor=factor))
+        return replace(thin, step=self.step * factor)
+
+    def detrended(self, kind: Literal["constant", "linear"] = "constant") -> "Experiment":
+        """Take the mean or the straight line of least squares out of every series.
+
+        Raises:
+            ValueError: another kind.
+        """
+        if kind not in ("constant", "linear"):
+            raise ValueError(f"kind: {kind!r} is not one of constant, linear")
+        return self._mapped(lambda x: signal.detrend(x, axis=0, type=kind))
+
+    def between(self, start: float = 0.0, stop: float = float("inf")) -> "Experiment":
+        """The samples from `start` to before `stop` [s], counted from the first.
+
+        Raises:
+            ValueError: fewer than two samples lie between.
+        """
+        first = max(ceil(start / self.step - 1e-9), 0)
+        last = self.samples
+        if np.isfinite(stop):
+            last = min(ceil(stop / self.step - 1e-9), last)
+        if last - first < 2:
+            end = self.samples * self.step
+            raise ValueError(f"start, stop: {start} to {stop} s hold no samples of 0 to {end:.3f}")
+        return self._mapped(lambda x: x[first:last])
+
+    def split(self, share: float = 0.5) -> tuple["Experiment", "Experiment"]:
+        """Estimation and validation parts: the first `share` of the run, and the rest.
+
+        Raises:
+            ValueError: a share that leaves one of the two without samples.
+        """
+        if not 0.0 < share < 1.0:
+            raise ValueError(f"share: {share} must be greater than 0 and less than 1")
+        middle = share * self.samples * self.step
+        return self.between(0.0, middle), self.between(middle)
+
+    def select(
+        self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None
+    ) -> "Experiment":
+        """Some of the inputs and outputs, by name; the reference stays whole.
+
+        Raises:
+            ValueError: a name the experiment does not have.
+        """
+        u = _indices("inputs", self.input_names, inputs)
+        y = _indices("outputs", self.output_names, outputs)
+        return replace(
+            self,
+            input=self.input[:, u],
+            output=self.output[:, y],
+            input_names=tuple(self.input_names[i] for i in u),
+            output_names=tuple(self.output_names[i] for i in y),
+            input_units=tuple(self.input_units[i] for i in u),
+            output_units=tuple(self.output_units[i] for i in y),
+        )
+
+
+def decimated(values: Real, factor: int) -> Real:
+    """Series (N, ...) at a `factor` times lower rate; see `Experiment.decimated`."""
+    if factor != int(factor) or factor < 1:
+        raise ValueError(f"factor: {factor} must be a whole number, at least 1")
+    if factor > 1 and values.shape[0] < _SHORTEST * factor:
+        raise ValueError(f"factor: {factor} is too much for {values.shape[0]} samples")
+    left = int(factor)
+    while left > 1:
+        stage = next((q for q in range(_LONGEST, 1, -1) if left % q == 0), left)
+        values = np.asarray(signal.decimate(values, stage, axis=0))
+        left //= stage
+    return values
+
+
+def _indices(field: str, have: tuple[str, ...], wanted: Sequence[str] | None) -> list[int]:
+    if wanted is None:
+        return list(range(len(have)))
+    for name in wanted:
+        if name not in have:
+            raise ValueError(f"{field}: {name!r} is not one of {', '.join(have)}")
+    return [have.index(name) for name in wanted]
+
+
+def _along(legs: Mapping[str, Real], channel: str, axes: Sequence[str]) -> Real:
+    """A leg channel (N, n) along the axes, (N, axes)."""
+    values = legs[channel]
+    names = [*DOFS, *(f"leg_{i + 1}" for i in range(values.shape[1]))]
+    chosen = _indices("axes", tuple(names), axes)
+    if min(chosen) >= len(DOFS):
+        return values[:, [i - len(DOFS) for i in chosen]]
+    pose = legs_to_pose(legs[channel if channel in POSITIONS else "leg_position"])
+    if channel not in POSITIONS:
+        pose = leg_motion_to_pose(pose, values, np.zeros_like(values)).velocity
+    return np.column_stack([pose, values])[:, chosen]
+
+
+def experiment(
+    record: Record,
+    axes: str | Sequence[str],
+    *,
+    outputs: str | Sequence[str] = "leg_velocity",
+    rate: float = RATE,
+    command_delay: int | None = None,
+    detrend: Literal["constant", "linear", "none"] = "constant",
+    start: float = 0.0,
+) -> Experiment:
+    """Valve command to leg signals along legs or degrees of freedom, decimated and detrended.
+
+    Args:
+        record: holding `valve_command`, `leg_reference`, `leg_position` and the outputs.
+        axes: one or several of surge, sway, heave, roll, pitch, yaw, leg_1 and so on.
+        outputs: channels, each taken along every axis.
+        rate: samples a second afterwards [Hz]; the record's must be a whole multiple of it.
+        command_delay: frames of 1/2048 s from command to valve; default the run's own, 1 where
+            the record does not say.
+        detrend: what is taken out of every series.
+        start: time to drop at the beginning [s], such as the transient of a multisine.
+
+    Returns:
+        Inputs `<axis>_command` as fractions of full command (rotations: times rad/m), outputs
+        `<axis>_velocity` and so on in SI, the leg reference along the axes as reference.
+
+    Raises:
+        ValueError: a channel, axis or rate the record does not have.
+    """
+    names = [axes] if isinstance(axes, str) else list(axes)
+    channels = [outputs] if isinstance(outputs, str) else list(outputs)
+    factor = round(record.rate / rate)
+    if factor < 1 or abs(record.rate / rate - factor) > 1e-9:
+        raise ValueError(f"rate: {rate} Hz; the record's {record.rate} Hz must be a multiple of it")
+    frames = command_delay
+    if frames is None:
+        frames = int(record.metadata.get("command_delay", 1))
+    if frames < 0:
+        raise ValueError(f"command_delay: {frames} frames must be at least 0")
+    needed = dict.fromkeys(("valve_command", "leg_reference", "leg_position", *channels))
+    legs = {channel: record[channel] for channel in needed}
+    legs["valve_command"] = _at_valve(legs["valve_command"], frames, record.rate)
+    legs = {channel: decimated(values, factor) for channel, values in legs.items()}
+    along = {channel: _along(legs, channel, names) for channel in needed}
+    measured = Experiment(
+        input=along["valve_command"],
+        output=np.column_stack([along[channel] for channel in channels]),
+        step=factor / record.rate,
+        input_names=tuple(f"{axis}_command" for axis in names),
+        output_names=tuple(
+            f"{axis}_{channel.removeprefix('leg_')}" for channel in channels for axis in names
+        ),
+        input_units=tuple(_unit(axis, "1") for axis in names),
+        output_units=tuple(
+            _unit(axis, record.units[channel]) for channel in channels for axis in names
+        ),
+        reference=along["leg_reference"],
+        name=str(record.metadata["command"].get("kind", "")),
+    )
+    kept = measured.between(start)
+    return kept if detrend == "none" else kept.detrended(detrend)
+
+
+def _at_valve(command: Real, frames: int, rate: float) -> Real:
+    """Band-limited value of the held, delayed command at the sampling instants."""
+    place = np.arange(command.shape[0], dtype=float)
+    late = np.clip(place - (frames + 0.5) * rate / FRAMES, 0.0, None)
+    return np.asarray(interpolate.make_interp_spline(place, command, k=3, axis=0)(late))
+
+
+def _unit(axis: str, unit: str) -> str:
+    """Unit of a leg signal along an axis: times rad/m where the axis is a rotation."""
+    turned = {"1": "rad/m", "m": "rad", "m/s": "rad/s", "m/s^2": "rad/s^2"}
+    return turned.get(unit, f"{unit} rad/m") if axis in DOFS[3:] else unit

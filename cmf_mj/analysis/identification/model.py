@@ -1,0 +1,358 @@
+"""Discrete polynomial models of several inputs and outputs, with what is known of their error.
+
+Each output i has one denominator, common to all inputs j, with n_a coefficients, n_b coefficients
+an input and a delay of n_k samples:
+
+    A_i(q) y_i[k] = sum_j B_ij(q) u_j[k] + noise
+    A = 1 + a_1 q^-1 + ... + a_na q^-na,   B = b_1 q^-nk + ... + b_nb q^-(nk + nb - 1)
+
+The noise enters as white e[k] on the right (`equation`: ARX, Eqs 4.8, 4.9) or as y = B/A u + v
+(`output`: output error, instrumental variables). The parameters of a row are a_1 .. a_na, then b of
+the first input, of the second and so on; `covariances` holds one matrix a row in that order.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import control
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg, signal
+
+from cmf_mj.analysis.identification.data import Experiment, Real
+
+Complex = NDArray[np.complex128]
+
+STABILITY = 1e-9
+"""Distance from the unit circle below which a pole counts as on it, not outside."""
+
+
+class Orders(NamedTuple):
+    """Orders of an ARX or output-error model."""
+
+    na: int
+    """Coefficients of A besides its leading 1, at least 1."""
+    nb: int
+    """Coefficients of each B, at least 1."""
+    nk: int = 1
+    """Delay from input to output [samples], at least 0."""
+
+    def check(self) -> "Orders":
+        """Refuse orders out of range, by their name."""
+        for name, least in (("na", 1), ("nb", 1), ("nk", 0)):
+            value = getattr(self, name)
+            if value != int(value) or value < least:
+                raise ValueError(f"{name}: {value} must be a whole number, at least {least}")
+        return self
+
+    @property
+    def lag(self) -> int:
+        """Samples before the first that the model can explain."""
+        return max(self.na, self.nk + self.nb - 1)
+
+    def parameters(self, inputs: int) -> int:
+        """Parameters of a row."""
+        return self.na + self.nb * inputs
+
+
+class Root(NamedTuple):
+    """A pole or zero with its standard deviations."""
+
+    value: complex
+    """In the z plane."""
+    covariance: Real
+    """Of real and imaginary part, (2, 2); NaN where nothing is known."""
+
+
+@dataclass(frozen=True)
+class PolynomialModel:
+    """A discrete model B/A of nu inputs and ny outputs."""
+
+    orders: Orders
+    denominators: Real
+    """A of each row, (ny, na + 1), leading 1."""
+    numerators: Real
+    """B with its leading zeros, (ny, nu, nk + nb)."""
+    step: float
+    """Sampling interval [s]."""
+    covariances: Real
+    """Of the parameters of each row, (ny, p, p)."""
+    noise_variance: Real
+    """Of e or v, (ny,), in squares of the outputs' units."""
+    noise: Literal["equation", "output"]
+    """Where the noise enters."""
+    method: str
+    """How the model was found."""
+    samples: int
+    """Samples the fit used."""
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_units: tuple[str, ...]
+    reflected: tuple[complex, ...] = ()
+    """Poles outside the unit circle that were reflected into it, as found."""
+    converged: bool = True
+    """Whether an iteration ended by its tolerance, not by its largest number of steps."""
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        for name in ("denominators", "numerators", "covariances", "noise_variance"):
+            getattr(self, name).setflags(write=False)
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+        return int(self.numerators.shape[1])
+
+    @property
+    def outputs(self) -> int:
+        """Number of outputs."""
+        return int(self.numerators.shape[0])
+
+    def parameters(self, row: int = 0) -> Real:
+        """Parameters of a row: a, then b of each input, (p,)."""
+        return np.concatenate(
+            [self.denominators[row, 1:], self.numerators[row, :, self.orders.nk :].ravel()]
+        )
+
+    def standard_errors(self, row: int = 0) -> Real:
+        """Standard deviations of the parameters of a row, (p,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariances[row])))
+
+    def poles(self, row: int = 0) -> tuple[Root, ...]:
+        """Poles of a row with their covariances, to first order in those of the parameters."""
+        na = self.orders.na
+        return _roots(self.denominators[row], self.covariances[row][:na, :na])
+
+    def zeros(self, row: int = 0, column: int = 0) -> tuple[Root, ...]:
+        """Zeros from an input to an output with their covariances."""
+        b = self.numerators[row, column, self.orders.nk :]
+        at = self.orders.na + self.orders.nb * column + np.arange(b.size)
+        covariance = self.covariances[row][np.ix_(at, at)]
+        lead = b[0]
+        if lead == 0.0:
+            return _roots(b, np.full((b.size - 1, b.size - 1), np.nan))
+        # The roots are those of b / b_1: take the covariance of the ratios.
+        ratios = np.hstack([-b[1:, None] / lead**2, np.eye(b.size - 1) / lead])
+        return _roots(b / lead, ratios @ covariance @ ratios.T)
+
+    @property
+    def unstable_poles(self) -> tuple[complex, ...]:
+        """Poles outside the unit circle, of all rows."""
+        roots = [np.roots(a) for a in self.denominators]
+        return tuple(complex(p) for r in roots for p in r if abs(p) > 1.0 + STABILITY)
+
+    def stabilised(self) -> "PolynomialModel":
+        """Poles p outside the unit circle put at 1 / conj(p), gain kept at every frequency.
+
+        |B/A| on the unit circle does not change; the phase does. The poles as found are kept in
+        `reflected`; covariances become NaN. A stable model is returned as it is.
+        """
+        found = self.unstable_poles
+        if not found:
+            return self
+        a, b = self.denominators.copy(), self.numerators.copy()
+        for row in range(self.outputs):
+            roots = np.roots(a[row]).astype(complex)
+            outside = np.abs(roots) > 1.0 + STABILITY
+            b[row] /= np.prod(np.abs(roots[outside]))
+            roots[outside] = 1.0 / np.conj(roots[outside])
+            a[row] = np.poly(roots).real
+        unknown = np.full_like(self.covariances, np.nan)
+        return replace(self, denominators=a, numerators=b, covariances=unknown, reflected=found)
+
+    def labelled_like(self, experiment: Experiment) -> "PolynomialModel":
+        """The same model taken for the signals of an experiment.
+
+        Raises:
+            ValueError: the experiment has other numbers of inputs or outputs.
+        """
+        shape = (experiment.output.shape[1], experiment.input.shape[1])
+        if shape != (self.outputs, self.inputs):
+            raise ValueError(
+                f"experiment: has {shape[1]} inputs and {shape[0]} outputs; the model has "
+                f"{self.inputs} and {self.outputs}"
+            )
+        return replace(
+            self,
+            input_names=experiment.input_names,
+            output_names=experiment.output_names,
+            input_units=experiment.input_units,
+            output_units=experiment.output_units,
+        )
+
+    def transfer_function(self, row: int = 0, column: int = 0) -> control.TransferFunction:
+        """One input to one output as a python-control transfer function in z, with labels."""
+        a, b = self.denominators[row], self.numerators[row, column]
+        width = max(a.size, b.size)
+        return control.tf(
+            np.pad(b, (0, width - b.size)),
+            np.pad(a, (0, width - a.size)),
+            self.step,
+            inputs=[self.input_names[column]],
+            outputs=[self.output_names[row]],
+            name=self.method,
+        )
+
+    def state_space(self) -> control.StateSpace:
+        """All inputs to all outputs in observer form, a block a row, with labels."""
+        blocks = [self._row(row) for row in range(self.outputs)]
+        a, b, c, d = zip(*blocks, strict=True)
+        return control.ss(
+            linalg.block_diag(*a),
+            np.vstack(b),
+            linalg.block_diag(*c),
+            np.vstack(d),
+            self.step,
+            inputs=list(self.input_names),
+            outputs=list(self.output_names),
+            name=self.method,
+        )
+
+    def _row(self, row: int) -> tuple[Real, Real, Real, Real]:
+        order = max(self.denominators.shape[1], self.numerators.shape[2]) - 1
+        a = np.pad(self.denominators[row], (0, order + 1 - self.denominators.shape[1]))
+        b = np.pad(self.numerators[row], ((0, 0), (0, order + 1 - self.numerators.shape[2])))
+        d = b[:, :1].T
+        matrix = np.eye(order, k=1)
+        matrix[:, 0] = -a[1:]
+        return matrix, b[:, 1:].T - np.outer(a[1:], d), np.eye(1, order), d
+
+    def simulate(self, inputs: ArrayLike) -> Real:
+        """Outputs (N, ny) of inputs (N, nu) from rest.
+
+        Raises:
+            ValueError: another number of inputs.
+        """
+        u = np.asarray(inputs, dtype=float)
+        if u.ndim != 2 or u.shape[1] != self.inputs:
+            raise ValueError(f"inputs: shape is {u.shape}; allowed: (N, {self.inputs})")
+        return np.column_stack(
+            [
+                sum(
+                    signal.lfilter(self.numerators[i, j], self.denominators[i], u[:, j])
+                    for j in range(self.inputs)
+                )
+                for i in range(self.outputs)
+            ]
+        )
+
+    def free_responses(self, row: int, samples: int) -> Real:
+        """Responses (samples, na) to unit values of the row's states: any start is a sum of them.
+
+        They are the responses of 1/A to an impulse 0 to na - 1 samples after the start.
+        """
+        impulse = np.zeros(samples)
+        impulse[0] = 1.0
+        first = signal.lfilter([1.0], self.denominators[row], impulse)
+        return np.column_stack(
+            [np.concatenate([np.zeros(i), first[: samples - i]]) for i in range(self.orders.na)]
+        )
+
+    def predicted(self, experiment: Experiment) -> Real:
+        """One-step predictions (N, ny): with past outputs (`equation`), without them (`output`).
+
+        The first `orders.lag` rows of a prediction with past outputs lack some of their past.
+        """
+        self.check(experiment)
+        if self.noise == "output":
+            return self.simulate(experiment.input)
+        past = [
+            signal.lfilter(np.concatenate([[0.0], -a[1:]]), [1.0], experiment.output[:, i])
+            + sum(
+                signal.lfilter(self.numerators[i, j], [1.0], experiment.input[:, j])
+                for j in range(self.inputs)
+            )
+            for i, a in enumerate(self.denominators)
+        ]
+        return np.column_stack(past)
+
+    def check(self, experiment: Experiment) -> None:
+        """Refuse an experiment of other signals or another rate.
+
+        Raises:
+            ValueError: names or rate differ; both are named.
+        """
+        for field in ("input_names", "output_names"):
+            have, need = getattr(experiment, field), getattr(self, field)
+            if have != need:
+                raise ValueError(f"{field}: {', '.join(have)}; the model's are {', '.join(need)}")
+        if abs(experiment.step / self.step - 1.0) > 1e-9:
+            raise ValueError(f"step: {experiment.step} s; the model's is {self.step} s")
+
+    def response(self, frequency: ArrayLike) -> Complex:
+        """Frequency response (K, ny, nu) at `frequency` [Hz]."""
+        delay = self._delay(frequency)
+        numerator = np.einsum("kl,ijl->kij", delay[:, : self.numerators.shape[2]], self.numerators)
+        denominator = delay[:, : self.denominators.shape[1]] @ self.denominators.T
+        return np.asarray(numerator / denominator[:, :, None])
+
+    def response_covariance(self, frequency: ArrayLike, row: int = 0, column: int = 0) -> Real:
+        """Covariance (K, 2, 2) of real and imaginary part of one response, to first order."""
+        na, nb, nk = self.orders
+        delay = self._delay(frequency)
+        a = delay[:, : na + 1] @ self.denominators[row]
+        g = self.response(frequency)[:, row, column]
+        slope = np.zeros((g.size, self.covariances.shape[1]), dtype=complex)
+        slope[:, :na] = -delay[:, 1 : na + 1] * (g / a)[:, None]
+        first = na + nb * column
+        slope[:, first : first + nb] = delay[:, nk : nk + nb] / a[:, None]
+        parts = np.stack([slope.real, slope.imag], axis=1)
+        return np.asarray(parts @ self.covariances[row] @ np.swapaxes(parts, 1, 2))
+
+    def _delay(self, frequency: ArrayLike) -> Complex:
+        """q^-l at the frequencies, (K, longest + 1)."""
+        angle = 2.0 * np.pi * np.atleast_1d(np.asarray(frequency, dtype=float)) * self.step
+        longest = max(self.denominators.shape[1], self.numerators.shape[2])
+        return np.asarray(np.exp(-1j * np.outer(angle, np.arange(longest))))
+
+
+def _roots(polynomial: Real, covariance: Real) -> tuple[Root, ...]:
+    """Roots of a monic polynomial whose other coefficients have this covariance.
+
+    dp/da_i = -p^(n - i) / A'(p) for a simple root.
+    """
+    degree = polynomial.size - 1
+    slope = np.polyder(polynomial)
+    found = []
+    for p in np.roots(polynomial):
+        steep = np.polyval(slope, p)
+        if steep == 0.0:
+            found.append(Root(complex(p), np.full((2, 2), np.nan)))
+            continue
+        change = -(p ** np.arange(degree - 1, -1, -1)) / steep
+        parts = np.stack([change.real, change.imag])
+        found.append(Root(complex(p), np.asarray(parts @ covariance @ parts.T)))
+    return tuple(found)
+
+
+def from_parameters(
+    orders: Orders,
+    rows: ArrayLike,
+    like: Experiment,
+    *,
+    covariances: Real,
+    noise_variance: Real,
+    noise: Literal["equation", "output"],
+    method: str,
+    samples: int,
+) -> PolynomialModel:
+    """Build a model from the parameters of its rows, (ny, p), and an experiment's labels."""
+    theta = np.atleast_2d(np.asarray(rows, dtype=float))
+    count = like.input.shape[1]
+    b = theta[:, orders.na :].reshape(theta.shape[0], count, orders.nb)
+    return PolynomialModel(
+        orders=orders,
+        denominators=np.hstack([np.ones((theta.shape[0], 1)), theta[:, : orders.na]]),
+        numerators=np.concatenate([np.zeros((*b.shape[:2], orders.nk)), b], axis=2),
+        step=like.step,
+        covariances=covariances,
+        noise_variance=noise_variance,
+        noise=noise,
+        method=method,
+        samples=samples,
+        input_names=like.input_names,
+        output_names=like.output_names,
+        input_units=like.input_units,
+        output_units=like.output_units,
+    )

@@ -1,0 +1,100 @@
+"""Models of all degrees of freedom: one for all, one each, or one matrix.
+
+The report identified heave and took that model for every leg and every motion (section 4.4). Three
+claims about the same run, in which all degrees of freedom move at once:
+
+    shared   y_i = G_heave u_i        the heave model everywhere
+    own      y_i = G_i u_i            a model per degree of freedom, of its own command alone
+    matrix   y_i = sum_j G_ij u_j     a row of the full matrix
+
+scored by the fit (NRMSE) of their simulation to a run that was not used. All three take commands
+and velocities mapped to degrees of freedom by the Jacobian (`experiment`).
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from cmf_mj.analysis.identification.arx import arx, as_experiments
+from cmf_mj.analysis.identification.data import Experiment
+from cmf_mj.analysis.identification.model import Orders, PolynomialModel
+from cmf_mj.analysis.identification.validation import simulation_fit
+
+Fitter = Callable[[Experiment | Sequence[Experiment], Orders], PolynomialModel]
+
+
+class DofScore(NamedTuple):
+    """Validation fits of one degree of freedom [%]."""
+
+    axis: str
+    shared: float
+    """With the model of the shared axis."""
+    own: float
+    """With its own model of its own command."""
+    matrix: float
+    """With its row of the matrix."""
+
+
+class DofComparison(NamedTuple):
+    """Models per degree of freedom and what each is worth."""
+
+    scores: tuple[DofScore, ...]
+    shared: str
+    """The axis whose model stands for all."""
+    own: tuple[PolynomialModel, ...]
+    """One input, one output each."""
+    matrix: PolynomialModel
+    """All inputs to all outputs."""
+
+
+def compare_dofs(
+    estimation: Experiment | Sequence[Experiment],
+    validation: Experiment,
+    orders: Orders | tuple[int, int, int],
+    *,
+    shared: str = "heave",
+    fitter: Fitter = arx,
+) -> DofComparison:
+    """Identify models of every axis and score them on another run.
+
+    Args:
+        estimation: runs with as many outputs as inputs, output i along the axis of input i.
+        validation: another run of the same signals.
+        orders: of all models.
+        shared: axis whose model is tried everywhere.
+        fitter: `arx`, `instrumental_variable`, `output_error` or one of your own.
+
+    Raises:
+        ValueError: outputs that do not pair with inputs, an axis the runs do not have, or as the
+            fitter does.
+    """
+    runs = as_experiments(estimation)
+    axes = [name.removesuffix("_command") for name in runs[0].input_names]
+    if len(runs[0].output_names) != len(axes):
+        raise ValueError(
+            f"estimation: has {len(axes)} inputs and {len(runs[0].output_names)} outputs; "
+            "allowed: one output an input"
+        )
+    if shared not in axes:
+        raise ValueError(f"shared: {shared!r} is not one of {', '.join(axes)}")
+    chosen = Orders(*orders).check()
+    alone = [_alone(runs, i) for i in range(len(axes))]
+    own = [fitter(series, chosen) for series in alone]
+    matrix = fitter(runs, chosen)
+    matrix_fit = simulation_fit(matrix, validation)
+    common = own[axes.index(shared)]
+    scores = []
+    for i, axis in enumerate(axes):
+        (tried,) = _alone([validation], i)
+        scores.append(
+            DofScore(
+                axis,
+                float(simulation_fit(common.labelled_like(tried), tried)[0]),
+                float(simulation_fit(own[i], tried)[0]),
+                float(matrix_fit[i]),
+            )
+        )
+    return DofComparison(tuple(scores), shared, tuple(own), matrix)
+
+
+def _alone(runs: list[Experiment], i: int) -> list[Experiment]:
+    return [run.select([run.input_names[i]], [run.output_names[i]]) for run in runs]

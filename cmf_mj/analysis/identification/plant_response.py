@@ -1,0 +1,148 @@
+"""Measured responses from valve command to leg signals of a machine in closed loop.
+
+The law drives the valves, so output over input is not what an open-loop estimator makes of it:
+under feedback S_uy / S_uu lies between the plant's response and minus the inverse of the law's.
+With the external reference r, which no noise of the loop reaches,
+
+    G = H_ry H_ru^-1
+
+is free of that bias (Soderstrom and Stoica, System Identification, section 12.3): two responses of
+the kind `frequency_response` measures. The 95 % radius is the sum of the two relative ones, at most
+what the error can be when they add up.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import control
+import numpy as np
+
+from cmf_mj.analysis.frequency_response import FrequencyResponse
+from cmf_mj.analysis.identification.data import Real, experiment
+from cmf_mj.analysis.response.estimate import SEGMENT, Estimate
+from cmf_mj.analysis.response.matrix import matrix_response
+from cmf_mj.analysis.response.periodic import periodic_response
+from cmf_mj.analysis.response.welch import welch_response
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.record.record import Record
+
+RATE = 128.0
+"""Sampling rate of the analysis [Hz], the facility recorder's."""
+
+
+def plant_response(
+    record: Record,
+    axis: str,
+    *,
+    output: str = "leg_velocity",
+    segment: float = SEGMENT,
+    command_delay: int | None = None,
+) -> FrequencyResponse:
+    """Response from the command at the valve to a leg signal along a leg or degree of freedom.
+
+    Args:
+        record: of a chirp, noise or multisine along this axis.
+        axis: surge to yaw, or leg_1 and so on.
+        output: channel.
+        segment: length of Welch's segments [s], for records that are not periodic.
+        command_delay: see `experiment`.
+
+    Returns:
+        Lines in the band of the excitation, in SI per full command; the coherence is the lesser of
+        reference to input and reference to output.
+
+    Raises:
+        ValueError: no excitation along the axis, a record too short, a rate that does not fit.
+    """
+    series = experiment(
+        record, axis, outputs=output, rate=_rate(record), command_delay=command_delay
+    )
+    if series.reference is None or np.ptp(series.reference[:, 0]) < 1e-9:
+        raise ValueError(f"axis: the record holds no demand in {axis}")
+    command = record.metadata["command"]
+    to_input, to_output = (
+        _response(series.reference[:, 0], values[:, 0], series.rate, command, segment)
+        for values in (series.input, series.output)
+    )
+    response = to_output.response / to_input.response
+    share = to_output.radius / np.abs(to_output.response) + to_input.radius / np.abs(
+        to_input.response
+    )
+    return FrequencyResponse(
+        response,
+        2.0 * np.pi * to_input.frequency,
+        np.minimum(to_input.coherence, to_output.coherence),
+        share * np.abs(response),
+        inputs=list(series.input_names),
+        outputs=list(series.output_names),
+    )
+
+
+def _rate(record: Record) -> float:
+    """The analysis rate, or the record's own where it is lower or no multiple."""
+    factor = record.rate / RATE
+    return RATE if factor >= 1.0 and abs(factor - round(factor)) < 1e-9 else record.rate
+
+
+def _response(
+    x: Real, y: Real, rate: float, command: Mapping[str, Any], segment: float
+) -> Estimate:
+    """Response from x to y over whole periods of a multisine, by Welch's method otherwise."""
+    low, high = float(command.get("start", 0.0)), float(command.get("stop", 10.0))
+    if command.get("kind") == "multisine":
+        period, periods = command["period"], command["periods"]
+        samples = round(period * rate)
+        if abs(samples - period * rate) > 1e-9:
+            raise ValueError(f"rate: a period of {period} s has no whole samples at {rate}")
+        orders = np.arange(1, samples // 2, 2)
+        lines = orders[(orders >= low * period - 1e-9) & (orders <= high * period + 1e-9)]
+        whole = slice(periods * samples)
+        return periodic_response(x[whole], y[whole], rate, period, lines=lines)
+    band = (max(low, 2.0 / segment), high)
+    return welch_response(x, y, rate, segment=segment, band=band, pad=True)
+
+
+def plant_matrix(record: Record, *, output: str = "leg_velocity") -> control.FrequencyResponseData:
+    """Response from commands at the valves to a leg signal, 6 by 6 degrees of freedom, of one run.
+
+    Columns of reference to input and to output are measured on each reference's own lines and drawn
+    straight between them before the two are divided: look at it, but fit models to the series.
+
+    Args:
+        record: of `excitations.orthogonal_multisines` in all six degrees of freedom.
+        output: channel.
+
+    Raises:
+        ValueError: another excitation.
+    """
+    command = record.metadata["command"]
+    if command.get("kind") != "orthogonal_multisines":
+        kind = command.get("kind")
+        raise ValueError(f"record: its command is {kind!r}; orthogonal multisines are needed")
+    series = experiment(record, DOFS, outputs=output, rate=_rate(record))
+    whole = slice(round(command["period"] * series.rate) * command["periods"])
+    reference = series.reference
+    if reference is None or (np.ptp(reference, axis=0) < 1e-9).any():
+        raise ValueError("record: a degree of freedom is at rest; all six are needed")
+    to_input, to_output = (
+        matrix_response(
+            reference[whole],
+            values[whole],
+            series.rate,
+            period=command["period"],
+            band=(command["start"], command["stop"]),
+            interpolate=True,
+        )
+        for values in (series.input, series.output)
+    )
+    known = np.isfinite(to_input.response).all(axis=(1, 2))
+    # G U = Y, line by line: U^T G^T = Y^T.
+    transposed = np.linalg.solve(
+        np.swapaxes(to_input.response[known], 1, 2), np.swapaxes(to_output.response[known], 1, 2)
+    )
+    return control.FrequencyResponseData(
+        np.moveaxis(np.swapaxes(transposed, 1, 2), 0, -1),
+        2.0 * np.pi * to_input.frequency[known],
+        inputs=list(series.input_names),
+        outputs=list(series.output_names),
+    )

@@ -1,0 +1,318 @@
+"""Output error and instrumental variables: models free of the bias that ARX has on noisy outputs.
+
+Output error minimises the simulation error over all experiments at once,
+
+    sum_k (y[k] - sum_j B_j(q)/A(q) u_j[k] - free response)^2
+
+by Gauss-Newton steps in a trust region (`scipy.optimize.least_squares`), with the exact Jacobian
+dy/da_i = -q^-i yhat / A, dy/db = q^-l u / A, every column scaled. The initial state of every run is
+one of the unknowns; it is linear and taken out at each step. Consistent for noise v of any colour
+that the inputs do not know.
+
+Instrumental variables solve Z^T (y - phi theta) = 0 with instruments Z that the noise does not
+reach. The refined form (Young; SRIV) filters everything by 1/A of the iteration before and takes as
+instruments the noise-free regressors of the model before, which makes it efficient for white v:
+
+    Z = 1/A (-x[k-i], w[k-l]),   x = B/A w,   cov theta = s^2 (Z^T phi)^-1 Z^T Z (phi^T Z)^-1
+
+Closed loop: where the law feeds the noise of the outputs back to the valves, the input knows v, and
+output error is biased unless v is white; so are instruments made of the input. With
+`instrument="reference"` w is the part of the input that the external reference explains, from a
+long ARX model of reference to input; Z then depends on the reference alone and the estimate is
+consistent under any feedback and noise (Gilson and Van den Hof, Automatica 41 (2005) 241-249).
+Records of simulated runs hold no noise, only the distortion of orifices; records of the machine
+hold both.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, optimize, signal
+
+from cmf_mj.analysis.identification.arx import Unstable, arx, as_experiments, handled, regressors
+from cmf_mj.analysis.identification.data import Experiment, Real
+from cmf_mj.analysis.identification.model import STABILITY, Orders, PolynomialModel, from_parameters
+
+Instrument = Literal["input", "reference"]
+
+PREFILTER = 24
+"""Orders of the ARX model from reference to input."""
+
+_SINGULAR = 1e12
+"""Condition from which on parameters count as not told apart."""
+
+
+class _Row(NamedTuple):
+    """One row of a model."""
+
+    parameters: Real
+    covariance: Real
+    variance: float
+    converged: bool
+
+
+def _assembled(
+    rows: list[_Row], orders: Orders, runs: list[Experiment], method: str
+) -> PolynomialModel:
+    model = from_parameters(
+        orders,
+        np.stack([row.parameters for row in rows]),
+        runs[0],
+        covariances=np.stack([row.covariance for row in rows]),
+        noise_variance=np.array([row.variance for row in rows]),
+        noise="output",
+        method=method,
+        samples=sum(run.samples for run in runs),
+    )
+    return replace(model, converged=all(row.converged for row in rows))
+
+
+def instrumental_variable(
+    experiments: Experiment | Sequence[Experiment],
+    orders: Orders | tuple[int, int, int],
+    *,
+    instrument: Instrument = "input",
+    iterations: int = 30,
+    tolerance: float = 0.02,
+    unstable: Unstable = "report",
+) -> PolynomialModel:
+    """Refined instrumental variables, started from ARX.
+
+    Args:
+        experiments: of the same signals and rate.
+        orders: na, nb and nk.
+        instrument: `input` where the inputs are free of the outputs' noise (open loop), `reference`
+            where the outputs are fed back; the experiments then need a reference an input or more.
+        iterations: at most.
+        tolerance: change of the parameters in standard deviations that ends the iteration.
+        unstable: as for `arx`. Within the iteration poles outside the unit circle are reflected
+            for the filter and the instruments, not in the estimate.
+
+    Raises:
+        ValueError: as `arx`; no reference; another instrument; an iteration that diverges. One that
+            only has not ended is told by the result's `converged`.
+    """
+    if instrument not in ("input", "reference"):
+        raise ValueError(f"instrument: {instrument!r} is not one of input, reference")
+    runs = as_experiments(experiments)
+    chosen = Orders(*orders).check()
+    drives = [run.input for run in runs] if instrument == "input" else _driven(runs)
+    model = arx(runs, chosen)
+    rows = [
+        _refined(runs, drives, model, row, iterations, tolerance) for row in range(model.outputs)
+    ]
+    result = _assembled(rows, chosen, runs, "iv")
+    return handled(result, unstable)
+
+
+def _driven(runs: list[Experiment]) -> list[Real]:
+    """The part of each input that the references explain: simulated from them alone."""
+    swapped = []
+    for run in runs:
+        if run.reference is None:
+            raise ValueError("instrument: the experiments have no reference")
+        names = tuple(f"reference_{i + 1}" for i in range(run.reference.shape[1]))
+        swapped.append(
+            replace(
+                run,
+                input=run.reference,
+                output=run.input,
+                input_names=names,
+                output_names=run.input_names,
+                input_units=("1",) * len(names),
+                output_units=run.input_units,
+            )
+        )
+    model = arx(swapped, (PREFILTER, PREFILTER, 0), unstable="reflect")
+    return [model.simulate(run.input) for run in swapped]
+
+
+def _refined(
+    runs: list[Experiment],
+    drives: list[Real],
+    start: PolynomialModel,
+    row: int,
+    iterations: int,
+    tolerance: float,
+) -> "_Row":
+    theta = start.parameters(row)
+    for sweep in range(iterations):
+        model = _single(start, row, theta).stabilised()
+        phi, y, z = _filtered(runs, drives, model, row, theta.size)
+        new, half = _instrumented(z, phi, y)
+        misfit = y - phi @ new
+        variance = float(misfit @ misfit) / (y.size - theta.size)
+        covariance = variance * (half @ half.T)
+        change = float(np.max(np.abs(new - theta) / np.sqrt(np.diag(covariance))))
+        # Where distortion is taken for noise the iteration may swing about its end: halve it.
+        theta = new if sweep < iterations // 3 else 0.5 * (theta + new)
+        if change < tolerance:
+            return _Row(new, covariance, variance, True)
+    return _Row(theta, covariance, variance, False)
+
+
+def _single(like: PolynomialModel, row: int, theta: Real) -> PolynomialModel:
+    """The model of one row with other parameters."""
+    na, nb, nk = like.orders
+    b = theta[na:].reshape(-1, nb)
+    return replace(
+        like,
+        denominators=np.concatenate([[1.0], theta[:na]])[None],
+        numerators=np.hstack([np.zeros((b.shape[0], nk)), b])[None],
+        covariances=like.covariances[row : row + 1].copy(),
+        noise_variance=like.noise_variance[row : row + 1].copy(),
+        output_names=like.output_names[row : row + 1],
+        output_units=like.output_units[row : row + 1],
+    )
+
+
+def _filtered(
+    runs: list[Experiment], drives: list[Real], model: PolynomialModel, row: int, count: int
+) -> tuple[Real, Real, Real]:
+    """Filtered regressors, outputs and instruments of all runs."""
+    a = model.denominators[0]
+    lag = model.orders.lag
+    phis, ys, zs = [], [], []
+    for run, drive in zip(runs, drives, strict=True):
+        x = model.simulate(drive)
+        thin = replace(
+            run,
+            input=signal.lfilter([1.0], a, run.input, axis=0),
+            output=signal.lfilter([1.0], a, run.output[:, [row]], axis=0),
+            output_names=model.output_names,
+            output_units=model.output_units,
+        )
+        clean = replace(
+            thin,
+            input=signal.lfilter([1.0], a, drive, axis=0),
+            output=signal.lfilter([1.0], a, x, axis=0),
+        )
+        phis.append(regressors(thin, 0, model.orders, lag))
+        zs.append(regressors(clean, 0, model.orders, lag))
+        ys.append(thin.output[lag:, 0])
+    phi, z = np.concatenate(phis), np.concatenate(zs)
+    if phi.shape[1] != count or phi.shape[0] <= count:
+        raise ValueError(f"orders: {count} parameters; the experiments give {phi.shape[0]} samples")
+    return phi, np.concatenate(ys), z
+
+
+def _instrumented(z: Real, phi: Real, y: Real) -> tuple[Real, Real]:
+    """Solution of Z^T (y - phi theta) = 0 and (Q^T phi)^-1, by the QR of the scaled Z = Q R.
+
+    (Q^T phi)^-1 (Q^T phi)^-T = (Z^T phi)^-1 Z^T Z (phi^T Z)^-1, without squaring conditions.
+    """
+    size = np.linalg.norm(phi, axis=0)
+    length = np.linalg.norm(z, axis=0)
+    if not (np.isfinite(size).all() and np.isfinite(length).all() and (length > 0.0).all()):
+        raise ValueError("orders: the iteration has left the finite numbers; other orders may do")
+    q, _ = np.linalg.qr(z / length)
+    matrix = q.T @ (phi / size)
+    if np.linalg.cond(matrix) > _SINGULAR:
+        raise ValueError("orders: the instruments do not tell the parameters apart; lower them")
+    inverse = np.linalg.inv(matrix) / size[:, None]
+    return inverse @ (q.T @ y), inverse
+
+
+def output_error(
+    experiments: Experiment | Sequence[Experiment],
+    orders: Orders | tuple[int, int, int],
+    *,
+    start: PolynomialModel | Literal["arx", "iv"] = "iv",
+    evaluations: int = 200,
+) -> PolynomialModel:
+    """Fit an output-error model to one or several experiments.
+
+    Args:
+        experiments: of the same signals and rate.
+        orders: na, nb and nk.
+        start: a model of the same orders, or how to find one. Poles outside the unit circle are
+            reflected first and listed in the result's `reflected`; the fit stays stable.
+        evaluations: of the simulation a row, at most.
+
+    Raises:
+        ValueError: as `arx`; another start. A search that has not ended is told by the result's
+            `converged`.
+    """
+    runs = as_experiments(experiments)
+    chosen = Orders(*orders).check()
+    if isinstance(start, PolynomialModel):
+        if start.orders != chosen:
+            raise ValueError(f"start: has orders {tuple(start.orders)}; wanted {tuple(chosen)}")
+        start.check(runs[0])
+        first = start
+    elif start in ("arx", "iv"):
+        first = (arx if start == "arx" else instrumental_variable)(runs, chosen)
+    else:
+        raise ValueError(f"start: {start!r} is not one of arx, iv, a model")
+    begin = first.stabilised()
+    rows = [_OutputError(runs, begin, row).solve(evaluations) for row in range(begin.outputs)]
+    result = _assembled(rows, chosen, runs, "oe")
+    return replace(result, reflected=begin.reflected)
+
+
+class _OutputError:
+    """The simulation error of one row and its Jacobian."""
+
+    def __init__(self, runs: list[Experiment], start: PolynomialModel, row: int) -> None:
+        self.runs, self.like, self.row = runs, start, row
+        self.first = start.parameters(row)
+        self.size = float(np.sqrt(np.mean(np.concatenate([r.output[:, row] for r in runs]) ** 2)))
+
+    def errors(self, theta: Real) -> Real:
+        """Scaled simulation errors of all runs; infinite where a pole is outside."""
+        model = _single(self.like, self.row, theta)
+        if np.abs(np.roots(model.denominators[0])).max() > 1.0 + STABILITY:
+            return np.full(sum(run.samples for run in self.runs), np.inf)
+        return np.concatenate([self._one(model, run, jacobian=False) for run in self.runs])
+
+    def jacobian(self, theta: Real) -> Real:
+        model = _single(self.like, self.row, theta)
+        return np.concatenate([self._one(model, run, jacobian=True) for run in self.runs])
+
+    def _one(self, model: PolynomialModel, run: Experiment, *, jacobian: bool) -> Real:
+        """Of one run, with its best initial state, or the Jacobian of that (Kaufman's form)."""
+        a = model.denominators[0]
+        free, _ = np.linalg.qr(model.free_responses(0, run.samples))
+        y = model.simulate(run.input)[:, 0]
+        missing = run.output[:, self.row] - y
+        start = free @ (free.T @ missing)
+        if not jacobian:
+            return np.asarray((missing - start) / self.size)
+        na, nb, nk = model.orders
+        back = signal.lfilter([1.0], a, y + start)
+        drives = signal.lfilter([1.0], a, run.input, axis=0)
+        columns = [-_late(back, i) for i in range(1, na + 1)]
+        columns += [
+            _late(drives[:, j], i) for j in range(drives.shape[1]) for i in range(nk, nk + nb)
+        ]
+        slope = np.column_stack(columns)
+        return np.asarray((free @ (free.T @ slope) - slope) / self.size)
+
+    def solve(self, evaluations: int) -> _Row:
+        found = optimize.least_squares(
+            self.errors,
+            self.first,
+            self.jacobian,
+            method="trf",
+            x_scale="jac",
+            ftol=1e-8,
+            xtol=1e-9,
+            gtol=1e-9,
+            max_nfev=evaluations,
+        )
+        states = self.like.orders.na * len(self.runs)
+        freedom = found.fun.size - found.x.size - states
+        variance = 2.0 * float(found.cost) / freedom
+        scale = np.linalg.norm(found.jac, axis=0)
+        r = np.linalg.qr(found.jac / scale, mode="r")
+        half = linalg.solve_triangular(r, np.eye(scale.size)) / scale[:, None]
+        return _Row(
+            found.x, variance * (half @ half.T), variance * self.size**2, bool(found.success)
+        )
+
+
+def _late(series: NDArray[np.float64], samples: int) -> Real:
+    return np.concatenate([np.zeros(samples), series[: series.size - samples]])

@@ -1,0 +1,315 @@
+"""Continuous transfer functions fitted to a measured frequency response.
+
+    H(s) = g N(s) / D(s) e^(-s tau),   minimise sum_k |H(j w_k) - H_k|^2 / sigma_k^2
+
+Two steps. Relaxed vector fitting (`vector_fit`) finds poles without a
+starting guess. Then poles, zeros, gain and delay are refined together on the complex residuals by
+`scipy.optimize.least_squares` with the exact Jacobian. Poles are second-order sections
+s^2 + a1 s + a0 in the logarithms of a1 and a0 and so remain stable whether they are complex or
+real; zeros are free.
+
+sigma is the standard deviation of each line's response: from coherence c and n averages (Bendat and
+Piersol, Random Data)
+
+    sigma = |H| sqrt((1 - c) / (2 c n))
+
+Without it the misfit counts relative to |H|.
+"""
+
+from collections.abc import Iterable
+from itertools import product
+from typing import NamedTuple
+
+import control
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import optimize
+
+from cmf_mj.analysis.identification.data import Real
+from cmf_mj.analysis.identification.model import Complex
+from cmf_mj.analysis.identification.vector_fit import checked_lines, vector_fit
+
+_LARGEST = 60.0
+"""Bound of the logarithms of a1 and a0, which are in units of the band's middle."""
+
+
+class ResponseFit(NamedTuple):
+    """A transfer function fitted to a response."""
+
+    rational: control.TransferFunction
+    """g N / D, continuous, without the delay."""
+    delay: float
+    """tau [s]."""
+    poles: Complex
+    """[rad/s], by modulus."""
+    zeros: Complex
+    """[rad/s], by modulus."""
+    pole_errors: Real
+    """Standard deviation of each pole, sqrt(var re + var im) [rad/s]."""
+    misfit: float
+    """Root of the mean of |H - H_k|^2 / |H_k|^2."""
+    loss: float
+    """Sum of the squared weighted residuals."""
+    aic: float
+    bic: float
+    reflected: int
+    """Poles of the vector fitting's last sweep that had to be reflected."""
+    input_unit: str = ""
+    output_unit: str = ""
+
+    def response(self, frequency: ArrayLike) -> Complex:
+        """H at `frequency` [Hz], (K,)."""
+        s = 2j * np.pi * np.atleast_1d(np.asarray(frequency, dtype=float))
+        value = np.polyval(self.rational.num[0][0], s) / np.polyval(self.rational.den[0][0], s)
+        return np.asarray(value * np.exp(-s * self.delay))
+
+
+def response_deviation(response: ArrayLike, coherence: ArrayLike, averages: ArrayLike) -> Real:
+    """Standard deviation sigma of each line of a response, (K,).
+
+    Raises:
+        ValueError: a coherence outside 0 to 1, or averages below 1.
+    """
+    c, n = np.asarray(coherence, dtype=float), np.asarray(averages, dtype=float)
+    if not ((c > 0.0) & (c <= 1.0)).all():
+        raise ValueError("coherence: must be above 0 and at most 1 at every line")
+    if not (n >= 1.0).all():
+        raise ValueError("averages: must be at least 1 at every line")
+    return np.asarray(np.abs(response) * np.sqrt((1.0 - c) / (2.0 * c * n)))
+
+
+def fit_response(
+    frequency: ArrayLike,
+    response: ArrayLike,
+    poles: int,
+    zeros: int,
+    *,
+    deviation: ArrayLike | None = None,
+    delay: float = 0.0,
+    fit_delay: bool = False,
+    input_name: str = "u",
+    output_name: str = "y",
+    input_unit: str = "",
+    output_unit: str = "",
+) -> ResponseFit:
+    """Fit a stable rational transfer function, with a pure delay on demand, to a response.
+
+    Args:
+        frequency: lines [Hz], (K,), rising, above 0.
+        response: complex, (K,).
+        poles: number of poles.
+        zeros: number of zeros, at most as many.
+        deviation: standard deviation of each line, e.g. `response_deviation` or an `Estimate`'s
+            radius; default |response|, a relative fit.
+        delay: pure delay [s], or where to start it.
+        fit_delay: whether the delay is fitted too; it stays at or above 0.
+        input_name: label.
+        output_name: label.
+        input_unit: kept in the result.
+        output_unit: kept in the result.
+
+    Raises:
+        ValueError: bad lines, orders out of range, too few lines.
+    """
+    f, h, sigma = checked_lines(frequency, response, deviation)
+    if not 0 <= zeros <= poles:
+        raise ValueError(f"zeros: {zeros}; allowed with {poles} poles: 0 to {poles}")
+    unknowns = poles + zeros + 1 + int(fit_delay)
+    if 2 * f.size <= unknowns:
+        raise ValueError(f"poles, zeros: {unknowns} unknowns; {f.size} lines are too few")
+    if not (np.isfinite(delay) and delay >= 0.0):
+        raise ValueError(f"delay: {delay} s must be a finite number, at least 0")
+    scale = 2.0 * np.pi * float(np.sqrt(f[0] * f[-1]))
+    s: Complex = np.asarray(2j * np.pi * f / scale, dtype=np.complex128)
+    advanced = h * np.exp(s * delay * scale)
+    roots, reflected = vector_fit(f, advanced, poles, deviation=sigma)
+    problem = _Refinement(s, h, sigma, poles, zeros, delay * scale, fit_delay)
+    found = optimize.least_squares(
+        problem.errors,
+        problem.start(roots / scale),
+        problem.jacobian,
+        method="trf",
+        x_scale="jac",
+        bounds=problem.bounds(),
+        ftol=1e-12,
+        xtol=1e-12,
+        gtol=1e-12,
+        max_nfev=2000,
+    )
+    gain, numerator, denominator, late = problem.parts(found.x)
+    loss = 2.0 * float(found.cost)
+    count = 2 * f.size
+    variance = loss / max(count - unknowns, 1)
+    order = np.arange(poles, -1, -1)
+    rational = control.tf(
+        gain * numerator * scale ** (poles - np.arange(zeros, -1, -1.0)),
+        denominator * scale ** (poles - order.astype(float)),
+        inputs=[input_name],
+        outputs=[output_name],
+        name="response_fit",
+    )
+    values, errors = _pole_errors(problem, found, variance)
+    by_size = np.argsort(np.abs(values), kind="stable")
+    nought = np.roots(numerator)
+    modelled = problem.model(found.x)
+    return ResponseFit(
+        rational,
+        late / scale,
+        np.asarray(values[by_size] * scale, dtype=complex),
+        np.asarray(nought[np.argsort(np.abs(nought), kind="stable")] * scale, dtype=complex),
+        errors[by_size] * scale,
+        float(np.sqrt(np.mean(np.abs(modelled / h - 1.0) ** 2))),
+        loss,
+        float(count * np.log(loss / count) + 2.0 * unknowns),
+        float(count * np.log(loss / count) + unknowns * np.log(count)),
+        reflected,
+        input_unit,
+        output_unit,
+    )
+
+
+def _pole_errors(
+    problem: "_Refinement", found: optimize.OptimizeResult, variance: float
+) -> tuple[Complex, Real]:
+    """Standard deviations of the poles from the Jacobian of the residuals, by sections."""
+    size = np.linalg.norm(found.jac, axis=0)
+    size[size == 0.0] = 1.0
+    covariance = np.linalg.pinv((found.jac / size).T @ (found.jac / size)) / np.outer(size, size)
+    values, errors = [], []
+    for section, columns in problem.sections(found.x):
+        degree = section.size - 1
+        for p in np.roots(section):
+            steep = np.polyval(np.polyder(section), p)
+            powers = p ** np.arange(degree - 1, -1, -1)
+            slope = -powers / steep * section[1:] if steep != 0.0 else np.full(degree, np.inf)
+            part = covariance[np.ix_(columns, columns)] * variance
+            total = np.real(slope.conj() @ part @ slope) if steep != 0.0 else np.inf
+            values.append(p)
+            errors.append(np.sqrt(max(total, 0.0)))
+    return np.array(values, dtype=complex), np.array(errors)
+
+
+class _Refinement:
+    """Residuals of g N / D e^(-s tau) and their Jacobian; s is scaled to the band's middle.
+
+    Unknowns: ln a1, ln a0 of each pair of poles, ln a of an odd pole; numerator coefficients from
+    the highest power; tau.
+    """
+
+    def __init__(
+        self, s: Complex, h: Complex, sigma: Real, poles: int, zeros: int, delay: float, fit: bool
+    ) -> None:
+        self.s, self.h, self.sigma = s, h, sigma
+        self.poles, self.zeros, self.delay, self.fit_delay = poles, zeros, delay, fit
+
+    def start(self, roots: Complex) -> Real:
+        """From the poles of the vector fitting: the numerator by linear least squares."""
+        # The section of a pair is s^2 - 2 Re p s + |p|^2; real poles pair up by size.
+        above = roots[roots.imag > 0.0]
+        real = np.sort(-roots[roots.imag == 0.0].real)
+        logs: list[float] = []
+        floor = 1e-6
+        for p in above:
+            logs += [np.log(max(-2.0 * p.real, floor)), np.log(max(abs(p) ** 2, floor))]
+        for low, high in zip(real[0::2], real[1::2], strict=False):
+            logs += [np.log(max(low + high, floor)), np.log(max(low * high, floor))]
+        if real.size % 2:
+            logs.append(np.log(max(real[-1], floor)))
+        denominator = self._denominator(np.array(logs))
+        base = np.exp(-self.s * self.delay) / np.polyval(denominator, self.s)
+        table = self.s[:, None] ** np.arange(self.zeros, -1, -1) * (base / self.sigma)[:, None]
+        right = self.h / self.sigma
+        numerator = np.linalg.lstsq(
+            np.vstack([table.real, table.imag]),
+            np.concatenate([right.real, right.imag]),
+            rcond=None,
+        )[0]
+        return np.concatenate([logs, numerator, [self.delay] if self.fit_delay else []])
+
+    def bounds(self) -> tuple[Real, Real]:
+        """The delay is not below 0; logarithms keep within what a double can square."""
+        high = np.full(self.poles + self.zeros + 1 + int(self.fit_delay), np.inf)
+        high[: self.poles] = _LARGEST
+        low = -high
+        if self.fit_delay:
+            low[-1] = -1e-12
+        return low, high
+
+    def _denominator(self, logs: Real) -> Real:
+        result: Real = np.ones(1)
+        for section, _ in self.sections(logs):
+            result = np.asarray(np.polymul(result, section), dtype=float)
+        return result
+
+    def sections(self, x: Real) -> list[tuple[Real, list[int]]]:
+        """Sections of the denominator and the places of their unknowns."""
+        pairs = [
+            (np.array([1.0, np.exp(x[i]), np.exp(x[i + 1])]), [i, i + 1])
+            for i in range(0, self.poles - 1, 2)
+        ]
+        last = self.poles - 1
+        odd = [(np.array([1.0, np.exp(x[last])]), [last])] if self.poles % 2 else []
+        return pairs + odd
+
+    def parts(self, x: Real) -> tuple[float, Real, Real, float]:
+        """Gain, monic numerator, monic denominator, delay."""
+        numerator = x[self.poles : self.poles + self.zeros + 1]
+        late = float(max(x[-1], 0.0)) if self.fit_delay else self.delay
+        lead = float(numerator[0])
+        if lead == 0.0:
+            raise ValueError(f"zeros: {self.zeros} are too many; the highest coefficient is 0")
+        return lead, numerator / lead, self._denominator(x[: self.poles]), late
+
+    def model(self, x: Real) -> Complex:
+        numerator = x[self.poles : self.poles + self.zeros + 1]
+        late = x[-1] if self.fit_delay else self.delay
+        value = np.polyval(numerator, self.s) * np.exp(-self.s * late)
+        for section, _ in self.sections(x):
+            value = value / np.polyval(section, self.s)
+        return np.asarray(value)
+
+    def errors(self, x: Real) -> Real:
+        e = (self.model(x) - self.h) / self.sigma
+        return np.concatenate([e.real, e.imag])
+
+    def jacobian(self, x: Real) -> Real:
+        value = self.model(x)
+        slope = np.zeros((self.s.size, x.size), dtype=complex)
+        for section, columns in self.sections(x):
+            below = np.polyval(section, self.s)
+            for power, i in zip(range(len(columns) - 1, -1, -1), columns, strict=True):
+                slope[:, i] = -value * self.s**power * np.exp(x[i]) / below
+        late = x[-1] if self.fit_delay else self.delay
+        base = np.exp(-self.s * late) / np.polyval(self._denominator(x[: self.poles]), self.s)
+        powers = np.arange(self.zeros, -1, -1)
+        slope[:, self.poles : self.poles + self.zeros + 1] = (
+            self.s[:, None] ** powers * base[:, None]
+        )
+        if self.fit_delay:
+            slope[:, -1] = -self.s * value
+        slope /= self.sigma[:, None]
+        return np.vstack([slope.real, slope.imag])
+
+
+def select_response_orders(
+    frequency: ArrayLike,
+    response: ArrayLike,
+    *,
+    poles: Iterable[int],
+    zeros: Iterable[int],
+    deviation: ArrayLike | None = None,
+    fit_delay: bool = False,
+) -> list[ResponseFit]:
+    """Fits of every allowed pair of orders, best BIC first; pairs with more zeros are left out.
+
+    Raises:
+        ValueError: no pair is allowed, or bad lines.
+    """
+    pairs = [(n, m) for n, m in product(poles, zeros) if m <= n]
+    if not pairs:
+        raise ValueError("poles, zeros: no pair with at most as many zeros as poles")
+    fits = [
+        fit_response(frequency, response, n, m, deviation=deviation, fit_delay=fit_delay)
+        for n, m in pairs
+    ]
+    return sorted(fits, key=lambda fit: fit.bic)

@@ -1,0 +1,151 @@
+"""How good a model is: fit to measured outputs and what is left in the residuals.
+
+    fit = 100 (1 - |y - yhat| / |y - mean y|)  %     (NRMSE; as MATLAB's `compare` prints it)
+
+Residuals e[k] of a right model are white (where the noise is modelled) and, whatever the noise, not
+correlated with past inputs. With R_ab(l) = mean(a[k] b[k-l]) and a probability of 99 %,
+
+    |R_ee(l)| / R_ee(0) < 2.576 / sqrt(N),
+    |R_eu(l)| / sqrt(R_ee(0) R_uu(0)) < 2.576 sqrt(P / N),   P = sum_l R_ee(l) R_uu(l) / (R_ee R_uu)
+
+(Ljung, System Identification, 2nd ed., section 16.6). Under feedback e is correlated with later
+inputs, l < 0, even for the right model: only l >= 0 judges it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import signal, stats
+
+from cmf_mj.analysis.identification.data import Experiment, Real
+from cmf_mj.analysis.identification.model import PolynomialModel
+
+
+def fit_percentage(measured: ArrayLike, modelled: ArrayLike) -> Real:
+    """Fit of each output (ny,) in per cent: 100 is perfect, 0 no better than the mean.
+
+    A model that leaves the finite numbers has -inf.
+
+    Raises:
+        ValueError: shapes that differ, or an output that does not move.
+    """
+    y, model = np.asarray(measured, dtype=float), np.asarray(modelled, dtype=float)
+    if y.shape != model.shape:
+        raise ValueError(f"modelled: shape is {model.shape}; measured has {y.shape}")
+    y, model = (x[:, None] if x.ndim == 1 else x for x in (y, model))
+    spread = np.linalg.norm(y - y.mean(axis=0), axis=0)
+    if not (spread > 0.0).all():
+        raise ValueError("measured: an output does not move; a fit to it is not defined")
+    with np.errstate(over="ignore", invalid="ignore"):
+        missed = np.linalg.norm(y - model, axis=0) / spread
+    return np.asarray(100.0 * (1.0 - np.where(np.isnan(missed), np.inf, missed)))
+
+
+def simulated(model: PolynomialModel, experiment: Experiment, *, start: str = "estimate") -> Real:
+    """Outputs (N, ny) of the model, driven by the inputs alone.
+
+    Args:
+        model: of the experiment's signals.
+        experiment: what drives it.
+        start: `estimate` fits the initial state of every row to the measured output by least
+            squares, as `compare` does; `rest` begins at zero.
+
+    Raises:
+        ValueError: another start, or an experiment of other signals.
+    """
+    if start not in ("estimate", "rest"):
+        raise ValueError(f"start: {start!r} is not one of estimate, rest")
+    model.check(experiment)
+    outputs = model.simulate(experiment.input)
+    if start == "rest":
+        return outputs
+    for row in range(model.outputs):
+        free = model.free_responses(row, experiment.samples)
+        missing = experiment.output[:, row] - outputs[:, row]
+        if np.isfinite(free).all() and np.isfinite(missing).all():
+            outputs[:, row] += free @ np.linalg.lstsq(free, missing, rcond=None)[0]
+    return outputs
+
+
+def simulation_fit(
+    model: PolynomialModel, experiment: Experiment, *, start: str = "estimate"
+) -> Real:
+    """Fit of each output (ny,) of the simulated model in per cent."""
+    return fit_percentage(experiment.output, simulated(model, experiment, start=start))
+
+
+def residuals(model: PolynomialModel, experiment: Experiment) -> Real:
+    """What the model leaves of the outputs, (N - lag, ny): e (`equation`) or v (`output`)."""
+    modelled = (
+        simulated(model, experiment) if model.noise == "output" else model.predicted(experiment)
+    )
+    return (experiment.output - modelled)[model.orders.lag :]
+
+
+class Residuals(NamedTuple):
+    """Correlations of the residual of one output, with the bounds of a right model."""
+
+    lags: Real
+    """0 to the largest [samples], (L,)."""
+    auto: Real
+    """R_ee / R_ee(0), (L,)."""
+    auto_bound: float
+    cross: Real
+    """R_eu / sqrt(R_ee(0) R_uu(0)) for each input, (nu, L)."""
+    cross_bound: Real
+    """(nu,)."""
+
+    @property
+    def auto_outside(self) -> float:
+        """Share of the lags from 1 on at which the auto-correlation exceeds its bound."""
+        return float(np.mean(np.abs(self.auto[1:]) > self.auto_bound))
+
+    @property
+    def cross_outside(self) -> Real:
+        """Share of the lags at which the cross-correlation exceeds its bound, (nu,)."""
+        return np.asarray(np.mean(np.abs(self.cross) > self.cross_bound[:, None], axis=1))
+
+
+def residual_analysis(
+    model: PolynomialModel,
+    experiment: Experiment,
+    row: int = 0,
+    *,
+    lags: int = 40,
+    confidence: float = 0.99,
+) -> Residuals:
+    """Correlate a model's residuals with themselves and with the inputs.
+
+    Raises:
+        ValueError: a confidence out of range, lags out of range, or residuals that are all zero.
+    """
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"confidence: {confidence} must be greater than 0 and less than 1")
+    e = residuals(model, experiment)[:, row]
+    if not 1 <= lags < e.size:
+        raise ValueError(f"lags: {lags}; allowed: 1 to {e.size - 1}")
+    u = experiment.input[model.orders.lag :]
+    e, u = e - e.mean(), u - u.mean(axis=0)
+    size = float(np.sqrt(np.mean(e**2)))
+    if size == 0.0:
+        raise ValueError("experiment: the residuals are zero; they have no correlation")
+    e = e / size
+    u = u / np.sqrt(np.mean(u**2, axis=0))
+    auto = _correlation(e, e, lags)
+    point = float(stats.norm.ppf(0.5 + 0.5 * confidence))
+    drives = [_correlation(column, column, lags) for column in u.T]
+    spread = np.array([1.0 + 2.0 * float(np.sum(auto[1:] * drive[1:])) for drive in drives])
+    return Residuals(
+        np.arange(lags + 1.0),
+        auto,
+        point / np.sqrt(e.size),
+        np.stack([_correlation(e, column, lags) for column in u.T]),
+        point * np.sqrt(np.clip(spread, 0.0, None) / e.size),
+    )
+
+
+def _correlation(a: Real, b: Real, lags: int) -> Real:
+    """mean(a[k] b[k-l]) for l = 0 .. lags."""
+    full = signal.correlate(a, b, mode="full", method="fft") / a.size
+    return np.asarray(full[b.size - 1 : b.size + lags])

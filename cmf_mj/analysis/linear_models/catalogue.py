@@ -1,0 +1,155 @@
+"""The report's transfer functions by equation number, as printed and with misprints put right."""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import Field, model_validator
+
+from cmf_mj.analysis.linear_models.second_order import FeedbackLoop, Variant, feedback_model
+from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
+from cmf_mj.core.settings import Settings, read_toml, validated
+
+_FILE = Path(__file__).with_name("report_models.toml")
+
+
+class Correction(Settings):
+    """What differs from the print, and why."""
+
+    reason: str = Field(min_length=1)
+    model: str | None = None
+    numerator: tuple[float, ...] | None = None
+    denominator: tuple[float, ...] | None = None
+    formula: str | None = None
+
+
+class ReportModel(Settings):
+    """One numbered transfer function of the report."""
+
+    number: str
+    """Of the equation."""
+    model: str = ""
+    """The name the report gives the set it belongs to."""
+    title: str
+    """What it is."""
+    section: str
+    """Where it stands."""
+    input: str
+    """Label of the input."""
+    input_unit: str
+    """Unit of the input."""
+    output: str
+    """Label of the output."""
+    output_unit: str
+    """Unit of the output."""
+    unit_evidence: str = ""
+    """How the units are known; the report prints none."""
+    numerator: tuple[float, ...] = ()
+    """Coefficients, highest power first; empty where a formula takes parameters."""
+    denominator: tuple[float, ...] = ()
+    rate: float | None = Field(default=None, gt=0.0)
+    """Sampling rate of a discrete one [Hz]."""
+    formula: str = ""
+    """Of an equation with parameters, `FeedbackLoop`."""
+    note: str = ""
+    """What to know before trusting it."""
+    corrected: Correction | None = None
+    """What the print has wrong."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _tuples(cls, table: Any) -> Any:
+        """TOML has arrays where the strict fields want tuples."""
+
+        def frozen(value: Any) -> Any:
+            if isinstance(value, dict):
+                return {key: frozen(item) for key, item in value.items()}
+            return tuple(value) if isinstance(value, list) else value
+
+        return frozen(table)
+
+    @property
+    def variants(self) -> tuple[Variant, ...]:
+        """`printed`, and `corrected` where there is a misprint."""
+        return ("printed", "corrected") if self.corrected else ("printed",)
+
+    def read(self, variant: Variant) -> "ReportModel":
+        """The entry as printed, or with its correction put in."""
+        if variant == "printed" or self.corrected is None:
+            return self
+        changed = self.corrected.model_dump(exclude_none=True, exclude={"reason"})
+        return self.model_copy(update=changed)
+
+
+@lru_cache
+def report_models() -> tuple[ReportModel, ...]:
+    """All transfer functions of sections 3.4 and 4, in the report's order."""
+    rows = read_toml(_FILE)["model"]
+    return tuple(
+        validated(ReportModel, row, f"{_FILE.name}: {row.get('number', i)}")
+        for i, row in enumerate(rows)
+    )
+
+
+def report_entry(number: str, variant: Variant = "corrected") -> ReportModel:
+    """The entry of an equation; `corrected` is the print where nothing is wrong with it.
+
+    Raises:
+        ValueError: no such equation or variant.
+    """
+    if variant not in get_args(Variant):
+        raise ValueError(f"variant: {variant!r} is not one of {', '.join(get_args(Variant))}")
+    entries = {entry.number: entry for entry in report_models()}
+    if number not in entries:
+        raise ValueError(f"number: {number!r} is not one of {', '.join(entries)}")
+    return entries[number].read(variant)
+
+
+def report_model(
+    number: str, variant: Variant = "corrected", loop: FeedbackLoop | None = None
+) -> UnitTransferFunction:
+    """A transfer function of the report, in the report's units.
+
+    Args:
+        number: of the equation, e.g. `4.12`.
+        variant: `printed`, or `corrected`: with a misprint put right, else as printed.
+        loop: plant and gains, for Eqs 3.1 to 3.4 and only for them.
+
+    Returns:
+        With its labels and units; `to_si` converts. Eq 3.6 is discrete at 2048 Hz.
+
+    Raises:
+        ValueError: no such equation or variant, or `loop` missing or out of place.
+    """
+    entry = report_entry(number, variant)
+    if entry.formula:
+        if loop is None:
+            raise ValueError(f"loop: Eq {number} needs a FeedbackLoop: {entry.formula}")
+        return feedback_model(number, loop, variant)
+    if loop is not None:
+        raise ValueError(f"loop: Eq {number} has coefficients and takes none")
+    return UnitTransferFunction(
+        entry.numerator,
+        entry.denominator,
+        0.0 if entry.rate is None else 1.0 / entry.rate,
+        input_unit=entry.input_unit,
+        output_unit=entry.output_unit,
+        inputs=entry.input,
+        outputs=entry.output,
+        name=f"Eq_{number.replace('.', '_')}",
+    )
+
+
+HARDWARE_MODELS = {1: "4.12", 2: "4.15", 3: "4.18"}
+"""Linear models 1 to 3 of Table 4-1: equations of leg velocity per command."""
+
+
+def hardware_velocity(number: int) -> UnitTransferFunction:
+    """Leg velocity per command [in/s per %] of the report's linear model 1, 2 or 3.
+
+    Raises:
+        ValueError: there is no such model.
+    """
+    if number not in HARDWARE_MODELS:
+        raise ValueError(f"number: {number} is not one of {', '.join(map(str, HARDWARE_MODELS))}")
+    return report_model(HARDWARE_MODELS[number])

@@ -1,0 +1,108 @@
+"""The digital control law as a linear system: any law, any number of legs, no clamps.
+
+The blocks of `cmf_mj.control` in their linear range: no demand or command clamped, the error
+integral engaged and away from its bounds. The matrices are what the compiled law answers to states
+and inputs of one unit each, so that they are those of what runs.
+"""
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.control.dcl import Dcl, DclState, LegFeedback, make_dcl, step
+from cmf_mj.control.law import SIGNALS, Law, load_law
+from cmf_mj.core.rates import FRAME
+
+FEEDBACK = ("leg_position", "leg_velocity", "leg_acceleration", "cap_pressure", "rod_pressure")
+"""What a leg's sensors give the DCL [m, m/s, m/s^2, Pa, Pa]."""
+
+DCL_INPUTS = ("reference", *FEEDBACK)
+"""Inputs of `dcl_state_space` for each leg; the reference in m."""
+
+Matrix = NDArray[np.float64]
+
+_STATES = tuple("error_integral" if name == "integral" else name for name in DclState._fields)
+
+_SIZE = 2.0**-30
+"""Size of states and inputs that the law is asked with: no clamp acts, and no digit is lost."""
+
+
+def labels(names: tuple[str, ...], legs: int) -> list[str]:
+    """Signal names of all legs, bare for one leg, else `name_1`, `name_2`, name by name."""
+    if legs == 1:
+        return list(names)
+    return [f"{name}_{leg + 1}" for name in names for leg in range(legs)]
+
+
+def _answers(
+    dcl: Dcl, legs: int, states: Matrix, inputs: Matrix
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Output and next state of one frame, per unit; states (m, n) and inputs (6, n)."""
+    state = DclState(*(_SIZE * row for row in states))
+    reference, *feedback = _SIZE * inputs
+    output, command = np.zeros(legs), np.zeros(legs)
+    signals = np.zeros((legs, len(SIGNALS)))
+    step(dcl, state, reference, LegFeedback(*feedback), signals, output, command)
+    return output / _SIZE, np.array(state).ravel() / _SIZE
+
+
+def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
+    """The DCL without its clamps: discrete at 2048 Hz.
+
+    The compiled law is asked with one state or input at a time. Of the states of each leg or mode
+    those are kept that can act on the command. An adapting law is linear while its factor stands
+    still: this is the law with the factor at 1.
+
+    Args:
+        law: name, TOML file or loaded law; one in hydraulic modes must be `mounted`.
+        legs: number of legs.
+
+    Returns:
+        Inputs `DCL_INPUTS`, output `command` [fraction]; with several legs `reference_1` and so on.
+
+    Raises:
+        ValueError: the law is refused, or less than one leg.
+    """
+    if legs < 1:
+        raise ValueError(f"legs: {legs} must be at least 1")
+    dcl = make_dcl(load_law(law), legs)
+    wide = len(DCL_INPUTS)
+    count = len(_STATES) * legs
+    rows = []
+    for i in range(count + wide * legs):
+        unit = np.zeros(count + wide * legs)
+        unit[i] = 1.0
+        asked = unit[:count].reshape(-1, legs), unit[count:].reshape(-1, legs)
+        rows.append(np.concatenate(_answers(dcl, legs, *asked)))
+    found = np.array(rows).T
+    c, d, a, b = (
+        found[:legs, :count],
+        found[:legs, count:],
+        found[legs:, :count],
+        found[legs:, count:],
+    )
+    kept = _acting(a, c, legs)
+    return control.ss(
+        a[np.ix_(kept, kept)],
+        b[kept],
+        c[:, kept],
+        d,
+        FRAME,
+        inputs=labels(DCL_INPUTS, legs),
+        outputs=labels(("command",), legs),
+        states=[labels(_STATES, legs)[i] for i in kept],
+        name="DCL",
+    )
+
+
+def _acting(a: Matrix, c: Matrix, legs: int) -> NDArray[np.int64]:
+    """States that reach the output, of all legs where they do of one; the compensator always."""
+    reached = np.zeros((a.shape[0] // legs, legs), dtype=bool)
+    reached[0] = True
+    reached |= (c != 0.0).any(axis=0).reshape(reached.shape)
+    while True:
+        drives = (a[reached.ravel()] != 0.0).any(axis=0).reshape(reached.shape)
+        wider = np.repeat((reached | drives).any(axis=1, keepdims=True), legs, axis=1)
+        if (wider == reached).all():
+            return np.flatnonzero(reached)
+        reached = wider

@@ -1,0 +1,253 @@
+"""State space of a plant with its hydraulics about rest, assembled from the slopes of its parts.
+
+With d, u drive and spool of a valve, l, v extensions and speeds, p chamber pressures, r(p) what the
+oil holds per volume, q the port flows, and M_leg, D, G of the mechanics,
+
+    dd/dt = a (c - d)                                      du/dt = b (d - u)
+    dl/dt = v                  M_leg dv/dt = A_cap p_cap - A_rod p_rod - (D + b) v - G l
+    V r' dp_cap/dt = dq_cap - r A_cap v                    V r' dp_rod/dt = dq_rod + r A_rod v
+
+and of a supply of pump, accumulators and manifolds, P its pressures and o the oil in each of m
+accumulators,
+
+    V r' dP_supply/dt = Q + m (g o - P_supply) / Ra - drawn
+    V r' dP_return/dt = returned - P_return / R
+    do/dt = -(g o - P_supply) / Ra,    T dQ/dt = -(Qm / w) (P_supply + Rp Q) - Q
+
+all as deviations. The relief valve is shut. The pump counts as working: any motion draws oil, which
+takes the compensator off the end of its range, where it stands at perfect rest.
+"""
+
+import control
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmf_mj.analysis.linear_models.dcl import FEEDBACK, labels
+from cmf_mj.analysis.linearization.describing import Excitation
+from cmf_mj.analysis.linearization.operating_point import OperatingPoint, operating_point
+from cmf_mj.analysis.linearization.ports import CAP, DRAWN, HIGH, LOW, RETURNED, ROD, port_slopes
+from cmf_mj.plant.cylinder import volumes
+from cmf_mj.plant.oil import density
+from cmf_mj.plant.parameters.hydraulics import VALVES
+from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.supply import gas_pressure
+
+Matrix = NDArray[np.float64]
+
+
+class _Rows:
+    """Matrices filled by the names of states and inputs."""
+
+    def __init__(self, states: list[str], inputs: list[str]) -> None:
+        self.row = {name: i for i, name in enumerate(states)}
+        self.column = {name: i for i, name in enumerate(inputs)}
+        self.a = np.zeros((len(states), len(states)))
+        self.b = np.zeros((len(states), len(inputs)))
+
+    def add(self, state: str, **terms: float) -> None:
+        """Add terms to the derivative of a state; those of absent states are left out."""
+        for name, value in terms.items():
+            if name in self.row:
+                self.a[self.row[state], self.row[name]] += value
+            elif name in self.column:
+                self.b[self.row[state], self.column[name]] += value
+
+
+def linearize(
+    plant: Plant,
+    pose: ArrayLike | None = None,
+    *,
+    excitation: Excitation = "noise",
+    at: OperatingPoint | None = None,
+) -> control.StateSpace:
+    """Linearise a plant with its hydraulics at rest in a configuration; the plant is left there.
+
+    Continuous, SI, deviations from rest. Two valves of an actuator that have the same lags share
+    their states, as they answer alike.
+
+    Args:
+        plant: `Hexapod`, `SingleLegs`, or any `Plant` whose cylinders determine its motion.
+        pose: configuration as `plant.place` takes it; default neutral.
+        excitation: what moves the valves, `noise`, `sine` or `mean`, see `describing`.
+        at: the operating point, where it is known, instead of both.
+
+    Returns:
+        Inputs `command_1` and on, fractions; outputs `leg_position` [m], `leg_velocity`,
+        `leg_acceleration`, `cap_pressure` and `rod_pressure` [Pa] of all legs, name by name as
+        `linear_models.closed_loop` reads them, and of a supply that is no constant one
+        `supply_pressure` and `return_pressure` [Pa]. States `drive`, `spool`, `leg_position`,
+        `leg_velocity`, `cap_pressure`, `rod_pressure`, each with the leg's number, and of the
+        supply `supply_pressure`, `return_pressure`, `accumulator_oil`, `pump_flow`. A single leg
+        has bare names.
+
+    Raises:
+        ValueError: what has no linearisation (overlap, hysteresis, dry friction), named with the
+            set and the actuator; a configuration on a stop or beyond what the supply can hold.
+    """
+    point = at if at is not None else operating_point(plant, pose, excitation=excitation)
+    legs = plant.legs
+    valves = [_valve_states(plant, name) for name in plant.actuators]
+    number = [f"_{leg + 1}" if legs > 1 else "" for leg in range(legs)]
+    lags = [
+        f"{kind}{valve}{number[leg]}"
+        for kind in ("drive", "spool")
+        for leg in range(legs)
+        for valve in dict.fromkeys(valves[leg])
+    ]
+    motion = ("leg_position", "leg_velocity", "cap_pressure", "rod_pressure")
+    network = _network(plant)
+    system = _Rows(
+        [*lags, *labels(motion, legs), *network],
+        labels(("command",), legs),
+    )
+    _fill_mechanics(plant, point, system)
+    drawn: dict[str, float] = {}
+    returned: dict[str, float] = {}
+    for leg in range(legs):
+        _fill_hydraulics(plant, point, system, leg, valves[leg], drawn, returned)
+    if network:
+        _fill_supply(plant, point, system, drawn, returned)
+    rows = [system.row[name] for name in labels(("leg_velocity",), legs)]
+    outputs = labels(FEEDBACK, legs)
+    c = np.zeros((len(outputs), system.a.shape[0]))
+    for i, name in enumerate(outputs):
+        if name in system.row:
+            c[i, system.row[name]] = 1.0
+    c[2 * legs : 3 * legs] = system.a[rows]
+    seen = [name for name in ("supply_pressure", "return_pressure") if name in network]
+    c = np.vstack([c, np.eye(system.a.shape[0])[[system.row[name] for name in seen]]])
+    return control.ss(
+        system.a,
+        system.b,
+        c,
+        np.zeros((c.shape[0], legs)),
+        inputs=list(system.column),
+        outputs=[*outputs, *seen],
+        states=list(system.row),
+        name=plant.name,
+    )
+
+
+def _corners(plant: Plant, actuator: str, valve: int) -> tuple[float, float]:
+    own = plant.parameters.actuator(actuator, valve)
+    return own["drive_lag"].si, own["valve_lag"].si
+
+
+def _valve_states(plant: Plant, actuator: str) -> list[str]:
+    """Suffix of the lag states of each valve: none where both have the same lags."""
+    corners = [_corners(plant, actuator, i) for i in range(len(VALVES))]
+    if len(set(corners)) == 1:
+        return [""] * len(VALVES)
+    return [f"_{name}" for name in VALVES]
+
+
+def _network(plant: Plant) -> list[str]:
+    supply = plant.hydraulics.supply
+    if supply.constant:
+        return []
+    states = ["supply_pressure", "return_pressure", "accumulator_oil", "pump_flow"]
+    return [name for name in states if name != "accumulator_oil" or supply.accumulators > 0.0]
+
+
+def _fill_mechanics(plant: Plant, point: OperatingPoint, system: _Rows) -> None:
+    mechanics, cylinder = point.mechanics, plant.hydraulics.cylinder
+    position, speed, cap, rod = (
+        labels((name,), plant.legs)
+        for name in ("leg_position", "leg_velocity", "cap_pressure", "rod_pressure")
+    )
+    inverse = np.linalg.inv(mechanics.mass)
+    damping = mechanics.damping + np.diag(plant.hydraulics.friction.viscous)
+    slopes = {
+        "position": (position, -inverse @ mechanics.stiffness),
+        "speed": (speed, -inverse @ damping),
+        "cap": (cap, inverse * cylinder.cap_area),
+        "rod": (rod, -inverse * cylinder.rod_area),
+    }
+    for leg in range(plant.legs):
+        system.add(position[leg], **{speed[leg]: 1.0})
+        for names, matrix in slopes.values():
+            system.add(speed[leg], **dict(zip(names, matrix[leg], strict=True)))
+
+
+def _fill_hydraulics(
+    plant: Plant,
+    point: OperatingPoint,
+    system: _Rows,
+    leg: int,
+    valves: list[str],
+    drawn: dict[str, float],
+    returned: dict[str, float],
+) -> None:
+    """Lags and chambers of one leg; what it draws and returns is added to the two rows."""
+    hydraulics, number = plant.hydraulics, f"_{leg + 1}" if plant.legs > 1 else ""
+    cylinder = hydraulics.cylinder[leg]
+    for index, valve in dict(zip(valves, range(len(valves)), strict=True)).items():
+        a, b = _corners(plant, plant.actuators[leg], valve)
+        drive, spool = f"drive{index}{number}", f"spool{index}{number}"
+        system.add(drive, **{drive: -a, f"command{number}": a})
+        system.add(spool, **{spool: -b, drive: b})
+    extension = point.mechanics.extension[leg]
+    ends = np.array([point.supply_pressure, point.return_pressure])
+    pressures = np.append(point.pressure[leg], ends)
+    slopes = port_slopes(
+        hydraulics, leg, point.spool[leg], pressures, extension, point.outward[leg]
+    )
+    cap, rod, speed = f"cap_pressure{number}", f"rod_pressure{number}", f"leg_velocity{number}"
+    position = f"leg_position{number}"
+
+    def flow(row: int) -> dict[str, float]:
+        terms = {
+            cap: slopes.pressure[row, CAP],
+            rod: slopes.pressure[row, ROD],
+            "supply_pressure": slopes.pressure[row, HIGH],
+            "return_pressure": slopes.pressure[row, LOW],
+            position: slopes.extension[row],
+        }
+        for valve, suffix in enumerate(valves):
+            name = f"spool{suffix}{number}"
+            terms[name] = terms.get(name, 0.0) + slopes.opening[row, valve]
+        return terms
+
+    whole = volumes(cylinder, extension)
+    for row, name, volume, area in (
+        (CAP, cap, whole[0], cylinder.cap_area),
+        (ROD, rod, whole[1], -cylinder.rod_area),
+    ):
+        content, rise = density(hydraulics.oil, pressures[row])
+        terms = flow(row) | {speed: -content * area}
+        system.add(name, **{key: value / (volume * rise) for key, value in terms.items()})
+    for row, total in ((DRAWN, drawn), (RETURNED, returned)):
+        for key, value in flow(row).items():
+            total[key] = total.get(key, 0.0) + value
+
+
+def _fill_supply(
+    plant: Plant,
+    point: OperatingPoint,
+    system: _Rows,
+    drawn: dict[str, float],
+    returned: dict[str, float],
+) -> None:
+    supply, oil = plant.hydraulics.supply, plant.hydraulics.oil
+    high = 1.0 / (supply.supply_volume * density(oil, point.supply_pressure)[1])
+    low = 1.0 / (supply.return_volume * density(oil, point.return_pressure)[1])
+    system.add("supply_pressure", pump_flow=high)
+    system.add("supply_pressure", **{key: -high * value for key, value in drawn.items()})
+    system.add("return_pressure", return_pressure=-low / supply.tank_line)
+    system.add("return_pressure", **{key: low * value for key, value in returned.items()})
+    gain = supply.pump_flow / supply.pump_droop
+    system.add(
+        "pump_flow",
+        pump_flow=-(1.0 + gain * supply.pump_line) / supply.pump_lag,
+        supply_pressure=-gain / supply.pump_lag,
+    )
+    if "accumulator_oil" not in system.row:
+        return
+    rise = gas_pressure(supply, point.accumulator_oil)[1]
+    one, line = supply.accumulators, supply.accumulator_line
+    system.add(
+        "supply_pressure",
+        accumulator_oil=high * one * rise / line,
+        supply_pressure=-high * one / line,
+    )
+    system.add("accumulator_oil", accumulator_oil=-rise / line, supply_pressure=1.0 / line)

@@ -1,0 +1,211 @@
+"""The operating point: openings and pressures that hold a plant still.
+
+With valves that have no bias and bearings that do not leak the valves are closed, and piston
+leakage ends at p_cap = p_rod = F / (A_cap - A_rod). Between the loads at which opening a valve by a
+trace, either way, fills both chambers together in the direction of opening, this is the rest of a
+leg under control (about 3600 to 14 100 lbf at 1500 psi). A leg loaded less or more, one with a
+leaking bearing, or one whose two valves stand apart, rests at the opening at which no oil gathers
+in either chamber:
+
+    q_cap(c, p) = q_rod(c, p) = 0,    A_cap p_cap - A_rod p_rod = F
+
+and the supply stands where the pump gives what is drawn,
+
+    P_supply = Ps - (w / Qm + Rp) Q,    P_return = Pt + R Q.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import optimize
+
+from cmf_mj.analysis.linearization.describing import Excitation, outward_share
+from cmf_mj.analysis.linearization.mechanics import Mechanics, linear_mechanics
+from cmf_mj.analysis.linearization.ports import CAP, DRAWN, RETURNED, ROD, port_slopes
+from cmf_mj.plant.cylinder import holding_pressures
+from cmf_mj.plant.hydraulics import Hydraulics
+from cmf_mj.plant.oil import ATMOSPHERE
+from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.supply import Supply
+
+_SCAN = 41
+"""Pressures at which the balance of an actuator is looked at before it is solved."""
+_ROUNDS = 50
+
+
+class OperatingPoint(NamedTuple):
+    """Rest of a plant with its hydraulics."""
+
+    mechanics: Mechanics
+    """Extensions, loads and the linear mechanics."""
+    command: NDArray[np.float64]
+    """Valve commands that hold the legs, fractions, (n,)."""
+    spool: NDArray[np.float64]
+    """Spool positions, fractions, (n, 2)."""
+    pressure: NDArray[np.float64]
+    """Pressures of cap and rod [Pa], (n, 2)."""
+    supply_pressure: float
+    """Of the supply manifold [Pa]."""
+    return_pressure: float
+    """Of the return manifold [Pa]."""
+    pump_flow: float
+    """[m^3/s]."""
+    accumulator_oil: float
+    """In one accumulator [m^3]."""
+    outward: NDArray[np.float64]
+    """Share of outward motion in the gains of closed valves, see `describing`, (n,)."""
+
+
+def operating_point(
+    plant: Plant, pose: ArrayLike | None = None, *, excitation: Excitation = "noise"
+) -> OperatingPoint:
+    """Find the rest of a plant in a configuration; the plant is left there.
+
+    Args:
+        plant: any plant.
+        pose: configuration as `plant.place` takes it; default neutral.
+        excitation: what moves the valves, `noise`, `sine` or `mean`, see `describing`.
+
+    Raises:
+        ValueError: what has no linearisation (overlap, hysteresis, dry friction), named with the
+            set and the actuator; a load or a flow the supply cannot hold; a configuration on a
+            stop.
+    """
+    _check_linear(plant)
+    mechanics = linear_mechanics(plant, pose)
+    hydraulics = plant.hydraulics
+    supply, name = hydraulics.supply, plant.parameters.name
+    high, low = supply.pressure, supply.return_pressure
+    for _ in range(_ROUNDS):
+        held = [_hold(plant, leg, mechanics, high, low) for leg in range(plant.legs)]
+        command = np.array([rest.command for rest in held])
+        pressure = np.array([rest.pressure for rest in held])
+        spool = command[:, None] + hydraulics.valve.null_bias
+        ends = np.array([high, low])
+        flows = [
+            port_slopes(
+                hydraulics, i, spool[i], np.append(pressure[i], ends), mechanics.extension[i]
+            ).flow
+            for i in range(plant.legs)
+        ]
+        drawn = float(sum(flow[DRAWN] for flow in flows))
+        returned = float(sum(flow[RETURNED] for flow in flows))
+        if supply.constant:
+            break
+        if drawn > supply.pump_flow:
+            raise ValueError(
+                f"pump_flow: set {name!r} draws {drawn:.4g} m^3/s at rest; the pump gives at most "
+                f"{supply.pump_flow:.4g} m^3/s"
+            )
+        fall = (supply.pump_droop / supply.pump_flow + supply.pump_line) * drawn
+        after = supply.pressure - fall, supply.return_pressure + supply.tank_line * returned
+        moved = max(abs(after[0] - high), abs(after[1] - low))
+        high, low = after
+        if moved < 1e-6:
+            break
+    _check_supply(plant, supply, high, low)
+    oil = _accumulator_oil(supply, high)
+    outward = np.array([outward_share(rest.ratio, excitation) for rest in held])
+    return OperatingPoint(mechanics, command, spool, pressure, high, low, drawn, oil, outward)
+
+
+class _Rest(NamedTuple):
+    """What holds one leg."""
+
+    command: float
+    pressure: NDArray[np.float64]
+    """Of cap and rod [Pa], (2,)."""
+    ratio: float = 1.0
+    """Openings outward over openings inward of a valve that is closed on average."""
+
+
+def _hold(plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float) -> _Rest:
+    """The rest of one leg at given pressures of the manifolds."""
+    hydraulics = plant.hydraulics
+    cylinder, load = hydraulics.cylinder[leg], float(mechanics.load[leg])
+    bias = hydraulics.valve[leg].null_bias
+    closed = holding_pressures(cylinder, load, high, low)[0]
+    null = cylinder.leakage == 0.0 or abs(closed[0] - closed[1]) < 1e-6 * high
+    if bias[0] == bias[1] and cylinder.bearing == 0.0 and null:
+        at = (np.zeros(2), np.append(closed, [high, low]), mechanics.extension[leg])
+        fills = [
+            float(port_slopes(hydraulics, leg, *at, way).opening[[CAP, ROD]].sum())
+            for way in (0.0, 1.0)
+        ]
+        if min(fills) > 0.0:
+            return _Rest(-float(bias[0]), closed, fills[0] / fills[1])
+    areas = cylinder.cap_area, cylinder.rod_area
+    reach = 1.0 + float(np.abs(bias).max())
+
+    def pressures(rod: float) -> NDArray[np.float64]:
+        return np.array([(load + areas[1] * rod) / areas[0], rod, high, low])
+
+    def flows(command: float, rod: float) -> NDArray[np.float64]:
+        found = port_slopes(
+            hydraulics, leg, command + bias, pressures(rod), mechanics.extension[leg]
+        ).flow
+        return found[[CAP, ROD]] / areas
+
+    def command_at(rod: float) -> float:
+        """The command that moves the leg nowhere: both chambers fill alike."""
+        return float(
+            optimize.brentq(lambda c: np.subtract(*flows(c, rod)), -reach, reach, xtol=1e-15)
+        )
+
+    def gathering(rod: float) -> float:
+        return float(flows(command_at(rod), rod).sum())
+
+    least = max(low, (areas[0] * low - load) / areas[1])
+    most = min(high, (areas[0] * high - load) / areas[1])
+    margin = 1e-9 * (most - least)
+    scan = np.linspace(least + margin, most - margin, _SCAN)
+    balance = np.array([gathering(rod) for rod in scan])
+    # Falling through 0: a pressure too high loses oil, so that the balance keeps itself.
+    found = [
+        optimize.brentq(gathering, scan[i], scan[i + 1], xtol=1e-6)
+        for i in np.flatnonzero((balance[:-1] > 0.0) & (balance[1:] <= 0.0))
+    ]
+    if not found:
+        raise ValueError(
+            f"{plant.actuators[leg]}: set {plant.parameters.name!r} has no opening of the valves "
+            f"that holds {load:.0f} N still"
+        )
+    rod = min(found, key=lambda p: abs(command_at(p) + float(bias.mean())))
+    return _Rest(command_at(rod), pressures(rod)[:2])
+
+
+def _accumulator_oil(supply: Supply, pressure: float) -> float:
+    ratio = (supply.precharge + ATMOSPHERE) / (pressure + ATMOSPHERE)
+    return float(supply.gas_volume * (1.0 - ratio ** (1.0 / supply.exponent)))
+
+
+def _check_linear(plant: Plant) -> None:
+    hydraulics: Hydraulics = plant.hydraulics
+    for leg, name in enumerate(plant.actuators):
+        valve, friction = hydraulics.valve[leg], hydraulics.friction[leg]
+        for field, value in (
+            ("overlap", valve.overlap.max()),
+            ("hysteresis", 2.0 * valve.play.max()),
+            ("coulomb_friction", friction.coulomb),
+        ):
+            if value > 0.0:
+                raise ValueError(
+                    f"{field}: {value:g} of {name} in the set {plant.parameters.name!r} has no "
+                    "linearisation; allowed: 0"
+                )
+
+
+def _check_supply(plant: Plant, supply: Supply, high: float, low: float) -> None:
+    name = plant.parameters.name
+    needed = float(plant.hydraulics.valve.threshold.max())
+    if high - low < needed:
+        raise ValueError(
+            f"threshold_pressure: set {name!r} has {high - low:.4g} Pa across the valves; "
+            f"they open from {needed:.4g} Pa on"
+        )
+    if not supply.constant and supply.accumulators > 0.0 and high <= supply.precharge:
+        raise ValueError(
+            f"precharge_pressure: {supply.precharge:.4g} Pa of set {name!r} must be less than the "
+            f"supply's {high:.4g} Pa at rest; the accumulators would be empty"
+        )

@@ -1,0 +1,278 @@
+"""Smaller systems: one leg, one degree of freedom, and without states that do nothing.
+
+A linearised machine has states that some input never reaches or some output never shows: the valves
+of other legs, the supply while the valves are closed. Nothing needs SLICOT.
+"""
+
+from collections.abc import Sequence
+
+import control
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
+
+from cmf_mj.analysis.linear_models.dcl import FEEDBACK, labels
+from cmf_mj.machine.kinematics import DOFS, pose_jacobian, read_geometry
+from cmf_mj.plant.plant import Plant
+from cmf_mj.signals.single import dof_index
+
+Matrix = NDArray[np.float64]
+
+_SAME = 1e-6
+"""Distance of poles that coincide, over 1 rad/s and their size."""
+_RANK = 1e-9
+"""Singular value of a residue that counts, over the largest."""
+_DEFECTIVE = 1e12
+"""Condition of the eigenvectors of a system with defective poles."""
+_AXIS = (1e-3, 1e5)
+"""Frequencies at which modes are weighed [rad/s]."""
+
+
+def reduced(
+    system: control.StateSpace,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+) -> control.StateSpace:
+    """A system between some of its signals, without the states that cannot matter there.
+
+    A state is dropped where no chain of non-zero entries leads to it from an input or from it to
+    an output. The others are kept as they are, with their names.
+
+    Args:
+        system: continuous or discrete.
+        inputs: names of the inputs to keep; default all.
+        outputs: names of the outputs to keep; default all.
+
+    Raises:
+        ValueError: a name that is not there, or none.
+    """
+    columns = _chosen("inputs", inputs, system.input_labels)
+    rows = _chosen("outputs", outputs, system.output_labels)
+    a, b, c, d = (np.asarray(m) for m in (system.A, system.B, system.C, system.D))
+    b, c, d = b[:, columns], c[rows], d[np.ix_(rows, columns)]
+    links = a != 0.0
+    kept = np.flatnonzero(
+        _spread(links, (b != 0.0).any(axis=1)) & _spread(links.T, (c != 0.0).any(axis=0))
+    )
+    return control.ss(
+        a[np.ix_(kept, kept)],
+        b[kept],
+        c[:, kept],
+        d,
+        system.dt,
+        inputs=[system.input_labels[i] for i in columns],
+        outputs=[system.output_labels[i] for i in rows],
+        states=[system.state_labels[i] for i in kept],
+        name=system.name,
+    )
+
+
+def _chosen(field: str, names: Sequence[str] | None, there: list[str]) -> list[int]:
+    if names is None:
+        return list(range(len(there)))
+    if len(names) == 0:
+        raise ValueError(f"{field}: none is given; allowed: some of {', '.join(there)}")
+    for name in names:
+        if name not in there:
+            raise ValueError(f"{field}: {name!r} is not one of {', '.join(there)}")
+    return [there.index(name) for name in names]
+
+
+def _spread(links: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """All states that a chain of links, row from column, reaches."""
+    reached = start
+    while True:
+        after = reached | (links[:, reached].any(axis=1))
+        if (after == reached).all():
+            return reached
+        reached = after
+
+
+def minimal(system: control.StateSpace, tolerance: float = 1e-4) -> control.StateSpace:
+    """A system of the modes that matter, poles that coincide taken together.
+
+    H(s) = D + sum of M_i / (s - p_i): of coinciding poles only the rank of M_i remains, which is
+    one between one input and one output, and a mode is dropped that nowhere on the imaginary axis
+    makes up `tolerance` of any entry of H. For sums of like parts, such as six valves behind one
+    degree of freedom, which `reduced` cannot see through. The states lose their names.
+
+    Args:
+        system: continuous, without defective poles.
+        tolerance: share of the response at which a mode is worth keeping; 0 keeps all that are
+            reached and shown.
+
+    Raises:
+        ValueError: a discrete system, or one whose poles are defective.
+    """
+    if not system.isctime():
+        raise ValueError("system: is discrete; a continuous one is needed")
+    direct = np.asarray(system.D)
+    matrix, (scale, _) = linalg.matrix_balance(np.asarray(system.A), permute=False, separate=True)
+    poles, right = np.linalg.eig(matrix)
+    if poles.size and np.linalg.cond(right) > _DEFECTIVE:
+        raise ValueError("system: has defective poles, which have no modes of their own")
+    b = np.linalg.solve(right, np.asarray(system.B) / scale[:, None])
+    c = np.asarray(system.C) * scale @ right
+    omega = np.geomspace(*_AXIS, 2000)
+    groups = [np.flatnonzero(np.abs(poles - p) < _SAME * (1.0 + abs(p))) for p in poles]
+    groups = [g for i, g in enumerate(groups) if g[0] == i and poles[i].imag > -_SAME]
+    parts = []
+    for group in groups:
+        pole, residue = poles[group].mean(), c[:, group] @ b[group]
+        real = abs(pole.imag) < _SAME * (1.0 + abs(pole))
+        part = residue / (1j * omega[:, None, None] - pole)
+        if not real:
+            part = part + np.conj(residue) / (1j * omega[:, None, None] - np.conj(pole))
+        parts.append((complex(pole), residue, real, part))
+    whole = np.abs(direct + sum((part for *_, part in parts), np.zeros(direct.shape)))
+    floor = np.finfo(float).tiny
+    blocks: list[tuple[Matrix, Matrix, Matrix]] = []
+    for pole, residue, real, part in parts:
+        if (np.abs(part) <= tolerance * whole + floor).all():
+            continue
+        u, size, v = np.linalg.svd(residue.real if real else residue, full_matrices=False)
+        rank = int((size > _RANK * size[0]).sum())
+        root = np.sqrt(size[:rank])
+        shown, reached, eye = u[:, :rank] * root, root[:, None] * v[:rank], np.eye(rank)
+        if real:
+            blocks.append((pole.real * eye, reached, shown))
+            continue
+        turn = np.array([[pole.real, -pole.imag], [pole.imag, pole.real]])
+        blocks.append(
+            (
+                np.kron(turn, eye),
+                np.vstack([reached.real, reached.imag]),
+                2.0 * np.hstack([shown.real, -shown.imag]),
+            )
+        )
+    return control.ss(
+        linalg.block_diag(*(block[0] for block in blocks)),
+        np.vstack([block[1] for block in blocks]),
+        np.hstack([block[2] for block in blocks]),
+        direct,
+        inputs=system.input_labels,
+        outputs=system.output_labels,
+        name=system.name,
+    )
+
+
+def leg_model(system: control.StateSpace, leg: int) -> control.StateSpace:
+    """One leg of a linearised plant, the commands of all others held.
+
+    The others' oil still gives way: a leg of the hexapod keeps the modes of the whole machine.
+
+    Args:
+        system: of `linearize`.
+        leg: number, from 1 on.
+
+    Returns:
+        Input `command`, outputs `FEEDBACK` with bare names; `reduced(..., outputs=[one])` of it is
+        a single output.
+
+    Raises:
+        ValueError: no such leg.
+    """
+    legs = int(system.ninputs)
+    if leg not in range(1, legs + 1):
+        raise ValueError(f"leg: {leg} is not one of 1 to {legs}")
+    end = f"_{leg}" if legs > 1 else ""
+    found = reduced(system, [f"command{end}"], [f"{name}{end}" for name in FEEDBACK])
+    return control.ss(
+        found, inputs=["command"], outputs=list(FEEDBACK), name=f"{system.name}_leg_{leg}"
+    )
+
+
+def jacobian_of(plant: Plant, pose: ArrayLike | None = None) -> Matrix:
+    """d(legs)/d(pose), (6, 6), of a plant with the legs of the facility.
+
+    Raises:
+        ValueError: a plant of another number of legs.
+    """
+    if plant.legs != len(DOFS):
+        raise ValueError(
+            f"plant: has {plant.legs} legs; degrees of freedom need the facility's {len(DOFS)}"
+        )
+    geometry = getattr(plant, "geometry", None) or read_geometry()
+    return pose_jacobian(np.zeros(6) if pose is None else pose, geometry)
+
+
+def dof_model(
+    system: control.StateSpace, plant: Plant, pose: ArrayLike | None, dof: str
+) -> control.StateSpace:
+    """One degree of freedom of a linearised plant, moved by all legs and read from all legs.
+
+    With J = d(legs)/d(pose) the commands are c = J_i w and the pose J^-1 l. A leg of full speed k
+    then makes a pose of speed k w while the oil does not give way. The motion the others make
+    along is left free.
+
+    Args:
+        system: of `linearize` for the plant in the pose.
+        plant: with the legs of the facility.
+        pose: (6,) [m, rad], z down; None for neutral.
+        dof: degree of freedom.
+
+    Returns:
+        Input `<dof>_command`, fraction of full command per leg and unit of J [1 for m, 1/m for
+        rad]; outputs `<dof>` [m or rad], `<dof>_rate` and `<dof>_acceleration`.
+
+    Raises:
+        ValueError: no such degree of freedom, or a plant with other legs.
+    """
+    index = dof_index(dof)
+    jacobian = jacobian_of(plant, pose)
+    inverse = np.linalg.inv(jacobian)[index]
+    rows = np.zeros((3, int(system.noutputs)))
+    for i, name in enumerate(FEEDBACK[:3]):
+        places = [system.output_labels.index(n) for n in labels((name,), plant.legs)]
+        rows[i, places] = inverse
+    places = [system.input_labels.index(n) for n in labels(("command",), plant.legs)]
+    columns = np.zeros((int(system.ninputs), 1))
+    columns[places, 0] = jacobian[:, index]
+    return reduced(
+        control.ss(
+            system.A,
+            np.asarray(system.B) @ columns,
+            rows @ np.asarray(system.C),
+            rows @ np.asarray(system.D) @ columns,
+            system.dt,
+            inputs=[f"{dof}_command"],
+            outputs=[dof, f"{dof}_rate", f"{dof}_acceleration"],
+            states=system.state_labels,
+            name=f"{system.name}_{dof}",
+        )
+    )
+
+
+def pose_loop(
+    loop: control.StateSpace, plant: Plant, pose: ArrayLike | None = None
+) -> control.StateSpace:
+    """A closed loop of six legs as one of the pose: J^-1 H J.
+
+    Args:
+        loop: of `linear_models.closed_loop` around all legs, with the output `leg_position`.
+        plant: with the legs of the facility.
+        pose: (6,) [m, rad], z down; default neutral.
+
+    Returns:
+        From `surge_demand` and on to `surge` and on, m and rad, as
+        `frequency_response.matrix_frequency_response` measures it.
+
+    Raises:
+        ValueError: a plant with other legs, or a loop without its signals.
+    """
+    jacobian = jacobian_of(plant, pose)
+    legs = plant.legs
+    columns = _chosen("inputs", labels(("reference",), legs), loop.input_labels)
+    rows = _chosen("outputs", labels(("leg_position",), legs), loop.output_labels)
+    c, d = np.asarray(loop.C)[rows], np.asarray(loop.D)[np.ix_(rows, columns)]
+    inverse = np.linalg.inv(jacobian)
+    return control.ss(
+        loop.A,
+        np.asarray(loop.B)[:, columns] @ jacobian,
+        inverse @ c,
+        inverse @ d @ jacobian,
+        loop.dt,
+        inputs=[f"{dof}_demand" for dof in DOFS],
+        outputs=list(DOFS),
+        name=f"{loop.name}_pose",
+    )

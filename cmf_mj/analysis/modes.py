@@ -1,0 +1,370 @@
+"""Hydraulic modes of the hexapod over its envelope, cab by cab.
+
+With the valves shut the platform rings on the oil of its legs,
+
+    M_leg(x) d2l/dt2 + K(x) l = 0,    M_leg = J^-T M J^-1,
+
+M the inertia about the centroid, J = dl/dx and K the springs of the oil columns, all of
+them functions of the pose x. A mode of frequency w and leg shape s (s' M_leg s = 1) has
+
+    mass a leg feels       1 / s's
+    share of a degree d    p_d (M p)_d,   p = J^-1 s,   M = J' M_leg J,   their sum is 1
+
+so that single legs have one mode of the mass of their payload. The envelope is every pose within
+the operational limits (Table 2-1) whose legs stay within their working stroke (section 3.2.1).
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import optimize
+from scipy.stats import qmc
+
+from cmf_mj.machine import kinematics
+from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE, legs_to_pose, pose_to_legs
+from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
+from cmf_mj.plant.hexapod import Hexapod
+
+
+class ModeSet(NamedTuple):
+    """The six modes at one pose, lowest first."""
+
+    cab: str
+    pose: NDArray[np.float64]
+    """(6,) [m, rad], z down."""
+    reflected_mass: NDArray[np.float64]
+    """M_leg [kg], (6, 6)."""
+    frequency_hz: NDArray[np.float64]
+    """(6,) [Hz]."""
+    leg_mass: NDArray[np.float64]
+    """Mass a leg feels in each mode [kg], (6,)."""
+    leg_shape: NDArray[np.float64]
+    """A column a mode, unit reflected mass, (6, 6)."""
+    pose_shape: NDArray[np.float64]
+    """The same as platform motion [m, rad], (6, 6)."""
+    share: NDArray[np.float64]
+    """Part of each degree of freedom (rows) in the kinetic energy of each mode (columns)."""
+
+
+class Sweep(NamedTuple):
+    """Frequencies along one degree of freedom."""
+
+    dof: str
+    excursion: NDArray[np.float64]
+    """(n,) [m or rad]."""
+    frequency_hz: NDArray[np.float64]
+    """(n, 6) [Hz]."""
+
+
+class PlaneMap(NamedTuple):
+    """Frequencies over two degrees of freedom, all others at neutral."""
+
+    dofs: tuple[str, str]
+    first: NDArray[np.float64]
+    """Excursions of the first degree of freedom [m or rad], (rays, rings): each ray goes from
+    neutral to the end of the envelope, the last is the first again."""
+    second: NDArray[np.float64]
+    """Of the second, (rays, rings)."""
+    frequency_hz: NDArray[np.float64]
+    """(rays, rings, 6) [Hz]."""
+
+
+class Range(NamedTuple):
+    """Modes over the whole envelope."""
+
+    modes: tuple[ModeSet, ...]
+    """At the poses looked at."""
+    worst: ModeSet
+    """Where the lowest mode is lowest."""
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """Poses looked at, (n, 6) [m, rad]."""
+        return np.array([modes.pose for modes in self.modes])
+
+    @property
+    def frequency_hz(self) -> NDArray[np.float64]:
+        """Frequencies there, (n, 6) [Hz]."""
+        return np.array([modes.frequency_hz for modes in self.modes])
+
+
+def modes_at(plant: Hexapod, pose: ArrayLike | None = None) -> ModeSet:
+    """Modes at a pose, (6,) [m, rad], z down; default neutral."""
+    target = np.zeros(6) if pose is None else kinematics.one_pose(pose)
+    found = plant.hydraulic_modes(target)
+    mass = plant.reflected_mass(target)
+    jacobian = kinematics.pose_jacobian(target, plant.geometry)
+    momentum = jacobian.T @ mass @ found.leg_shape
+    return ModeSet(
+        plant.cab,
+        target,
+        mass,
+        found.frequency / (2.0 * np.pi),
+        1.0 / np.sum(found.leg_shape**2, axis=0),
+        found.leg_shape,
+        found.pose_shape,
+        found.pose_shape * momentum,
+    )
+
+
+def reserve(pose: ArrayLike, plant: Hexapod) -> NDArray[np.float64]:
+    """Stroke left to the leg nearest its working limit [m], negative beyond it.
+
+    Args:
+        pose: (..., 6) [m, rad], z down.
+        plant: the hexapod.
+
+    Returns:
+        (...).
+    """
+    return WORKING_STROKE - np.abs(pose_to_legs(pose, plant.geometry)).max(axis=-1)
+
+
+def _frequencies(plant: Hexapod, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    return plant.hydraulic_modes(pose).frequency / (2.0 * np.pi)
+
+
+def _excursions(plant: Hexapod, dof: int, limits: MotionLimits, count: int) -> NDArray[np.float64]:
+    """Excursions over the envelope of one degree of freedom: neutral, and denser to the ends."""
+    reach = kinematics.excursion_envelope(WORKING_STROKE, plant.geometry)[dof]
+    low = max(reach[0], limits.operational[dof, 0])
+    high = min(reach[1], limits.operational[dof, 1])
+    along = np.sin(0.5 * np.pi * np.linspace(-1.0, 1.0, 2 * (count // 2) + 1))
+    return np.where(along < 0.0, -low, high) * along
+
+
+def sweep(
+    plant: Hexapod, dof: str, *, count: int = 21, limits: MotionLimits | None = None
+) -> Sweep:
+    """Frequencies along one degree of freedom, neutral included.
+
+    Args:
+        plant: the hexapod.
+        dof: degree of freedom.
+        count: excursions, odd.
+        limits: of motion; default the shipped ones.
+    """
+    index = DOFS.index(dof)
+    excursions = _excursions(plant, index, limits or load_motion_limits(), count)
+    poses = np.zeros((excursions.size, 6))
+    poses[:, index] = excursions
+    return Sweep(dof, excursions, np.array([_frequencies(plant, pose) for pose in poses]))
+
+
+def _reach(plant: Hexapod, direction: NDArray[np.float64], limits: MotionLimits) -> float:
+    """How many times a direction (6,) leads from neutral to the end of the envelope."""
+    low, high = limits.operational.T
+    moved = np.flatnonzero(direction)
+    end = float((np.where(direction > 0.0, high, low)[moved] / direction[moved]).min())
+    tried = np.linspace(0.0, end, 65)
+    outside = np.flatnonzero(reserve(tried[:, None] * direction, plant) < 0.0)
+    if not outside.size:
+        return end
+    inner, outer = tried[outside[0] - 1], tried[outside[0]]
+    return float(optimize.brentq(lambda far: reserve(far * direction, plant), inner, outer))
+
+
+def plane_map(
+    plant: Hexapod,
+    dofs: tuple[str, str],
+    *,
+    count: int = 21,
+    limits: MotionLimits | None = None,
+) -> PlaneMap:
+    """Frequencies over two degrees of freedom, on rays from neutral to the end of the envelope.
+
+    Args:
+        plant: the hexapod.
+        dofs: two different degrees of freedom.
+        count: poses along each axis, odd, at least 3; there are four times as many rays, less 4.
+        limits: of motion; default the shipped ones.
+
+    Raises:
+        ValueError: twice the same or an unknown degree of freedom, or too few poses.
+    """
+    if dofs[0] == dofs[1] or not set(dofs) <= set(DOFS):
+        raise ValueError(f"dofs: {dofs} must be two different ones of {', '.join(DOFS)}")
+    if count < 3:
+        raise ValueError(f"count: {count} poses along each axis must be at least 3")
+    allowed = limits or load_motion_limits()
+    indices = [DOFS.index(dof) for dof in dofs]
+    rays, rings = 4 * (count - 1), count // 2 + 1
+    poses = np.zeros((rays + 1, rings, 6))
+    for ray in range(rays):
+        # Whole quarters are the axes themselves.
+        angle = np.array([np.cos(2.0 * np.pi * ray / rays), np.sin(2.0 * np.pi * ray / rays)])
+        direction = np.zeros(6)
+        direction[indices] = np.ptp(allowed.operational[indices], axis=1) * angle.round(12)
+        far = np.linspace(0.0, _reach(plant, direction, allowed), rings)
+        poses[ray] = far[:, None] * direction
+    poses[rays] = poses[0]
+    frequencies = np.empty(poses.shape)
+    frequencies[:, 0] = _frequencies(plant, np.zeros(6))
+    for ray, ring in np.ndindex(rays, rings - 1):
+        frequencies[ray, ring + 1] = _frequencies(plant, poses[ray, ring + 1])
+    frequencies[rays] = frequencies[0]
+    return PlaneMap(dofs, poses[..., indices[0]], poses[..., indices[1]], frequencies)
+
+
+def envelope_poses(
+    plant: Hexapod, count: int, *, seed: int = 0, limits: MotionLimits | None = None
+) -> NDArray[np.float64]:
+    """Neutral, and poses spread over the envelope by a scrambled Sobol sequence, (count, 6).
+
+    Args:
+        plant: the hexapod.
+        count: poses.
+        seed: of the scrambling.
+        limits: of motion; default the shipped ones.
+    """
+    low, high = (limits or load_motion_limits()).operational.T
+    source = qmc.Sobol(6, seed=seed)
+    found = [np.zeros(6)]
+    while len(found) < count:
+        drawn = low + (high - low) * source.random(256)
+        found += list(drawn[reserve(drawn, plant) >= 0.0])
+    return np.array(found[:count])
+
+
+def over_envelope(
+    plant: Hexapod,
+    *,
+    samples: int = 1000,
+    rounds: int = 200,
+    seed: int = 0,
+    limits: MotionLimits | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Range:
+    """Modes over the whole envelope, and the pose where the lowest mode is lowest.
+
+    The worst pose is sought by differential evolution from the lowest of the sampled poses, the
+    stroke of the legs a constraint.
+
+    Args:
+        plant: the hexapod.
+        samples: poses looked at, at least 90.
+        rounds: generations of the search, at most; with 200 the frequency is within 1e-4.
+        seed: of samples and search.
+        limits: of motion; default the shipped ones.
+        progress: called with (done, in all) now and then.
+
+    Raises:
+        ValueError: fewer than 90 samples.
+    """
+    if samples < 90:
+        raise ValueError(f"samples: {samples} must be at least 90")
+    allowed = limits or load_motion_limits()
+    poses = envelope_poses(plant, samples, seed=seed, limits=allowed)
+    looked_at = tuple(modes_at(plant, pose) for pose in poses)
+    lowest_ones = np.array([modes.frequency_hz[0] for modes in looked_at])
+    tell = progress or (lambda done, total: None)
+    tell(1, rounds + 1)
+    done = 1
+
+    def passed(intermediate_result: optimize.OptimizeResult) -> None:
+        nonlocal done
+        done += 1
+        tell(min(done, rounds), rounds + 1)
+
+    def lowest(pose: NDArray[np.float64]) -> float:
+        # Beyond the mechanical stroke there is no plant to ask.
+        if (left := float(reserve(pose, plant))) < 0.0:
+            return float(lowest_ones.max()) - left
+        return float(_frequencies(plant, pose)[0])
+
+    found = optimize.differential_evolution(
+        lowest,
+        list(zip(*allowed.operational.T, strict=True)),
+        init=poses[np.argsort(lowest_ones)[:90]],
+        maxiter=rounds,
+        tol=1e-6,
+        rng=np.random.default_rng(seed),
+        callback=passed,
+        polish=False,
+    )
+    tell(rounds + 1, rounds + 1)
+    return Range(looked_at, modes_at(plant, found.x))
+
+
+def with_room(plant: Hexapod, modes: ModeSet, room: float) -> ModeSet:
+    """Modes at a pose, or as far on the way there from neutral as all legs keep some stroke.
+
+    Args:
+        plant: the hexapod.
+        modes: modes at the pose.
+        room: working stroke to be left to every leg [m].
+
+    Raises:
+        ValueError: not even neutral leaves that much.
+    """
+    if not 0.0 <= room < (most := float(reserve(np.zeros(6), plant))):
+        raise ValueError(f"room: {room} m must be at least 0 and less than {most:.4f} m")
+    if reserve(modes.pose, plant) >= room:
+        return modes
+    share = optimize.brentq(lambda part: reserve(part * modes.pose, plant) - room, 0.0, 1.0)
+    return modes_at(plant, share * modes.pose)
+
+
+def stroke_room(plant: Hexapod, modes: ModeSet, mode: int) -> float:
+    """Largest leg motion [m] of a mode about its pose that the working stroke allows.
+
+    With extensions l and a leg shape s whose largest part is 1 it is min_j (L - |l_j|) / |s_j|,
+    L the working stroke.
+
+    Args:
+        plant: the hexapod.
+        modes: modes at the pose about which it swings.
+        mode: index of the mode, 0 the lowest.
+
+    Raises:
+        ValueError: a leg is at the end of its working stroke or beyond.
+    """
+    left = WORKING_STROKE - np.abs(pose_to_legs(modes.pose, plant.geometry))
+    least = int(left.argmin())
+    if left[least] <= 0.0:
+        raise ValueError(
+            f"pose: leaves leg {least + 1} {left[least]:.4f} m of its working stroke to swing in; "
+            "must be greater than 0"
+        )
+    shape = np.abs(modes.leg_shape[:, mode])
+    return float(shape.max() * (left / np.maximum(shape, 1e-9 * shape.max())).min())
+
+
+def swinging(
+    plant: Hexapod, modes: ModeSet, mode: int, time: ArrayLike, *, stroke: float
+) -> NDArray[np.float64]:
+    """Configurations of a mode swinging from its pose, l(t) = l + stroke s sin(2 pi f t).
+
+    The legs swing, as in the equation of the modes; the platform follows through the forward
+    kinematics, so that all gimbals stay closed however large the stroke.
+
+    Args:
+        plant: the hexapod; it is left in the last configuration.
+        modes: modes at the pose about which it swings.
+        mode: index of the mode, 0 the lowest.
+        time: (n,) [s].
+        stroke: largest leg motion [m], at most `stroke_room`.
+
+    Returns:
+        MuJoCo's qpos, (n, nq).
+
+    Raises:
+        ValueError: a leg would leave its working stroke.
+    """
+    room = stroke_room(plant, modes, mode)
+    if not 0.0 < stroke <= room:
+        raise ValueError(
+            f"stroke: {stroke:.4f} m must be greater than 0 and at most {room:.4f} m, where mode "
+            f"{mode + 1} takes a leg to the end of its working stroke"
+        )
+    shape = modes.leg_shape[:, mode] / np.abs(modes.leg_shape[:, mode]).max()
+    phase = 2.0 * np.pi * modes.frequency_hz[mode] * np.asarray(time, dtype=float)
+    rest = pose_to_legs(modes.pose, plant.geometry)
+    poses = legs_to_pose(rest + stroke * np.sin(phase)[:, None] * shape, plant.geometry)
+    found = np.empty((poses.shape[0], plant.model.nq))
+    for row, pose in enumerate(poses):
+        plant.place(pose)
+        found[row] = plant.data.qpos
+    return found

@@ -1,0 +1,91 @@
+"""The report's tables of results and gains, to compare with. They never enter a computation."""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import model_validator
+
+from cmf_mj.core.settings import Settings, read_toml, validated
+
+_FILE = Path(__file__).with_name("published.toml")
+_GAINS = Path(__file__).with_name("published_gains.toml")
+
+_READ_AS = {"acceleration_opposing": "acceleration", "original_as_printed": "original"}
+"""Laws that are other readings of a published one, and are compared with its results."""
+
+
+class Published(Settings):
+    """One published result."""
+
+    table: str
+    """Table or section of the report."""
+    law: str
+    dof: str
+    of: Literal["hardware", "nonlinear", "linear_1", "linear_2", "linear_3"]
+    """What was measured: the machine, the report's non-linear model or a linear model."""
+    phase_bandwidth_hz: float | None = None
+    gain_bandwidth_hz: float | None = None
+    damping_ratio: float | None = None
+
+
+class PublishedGains(Settings):
+    """One set of compensator gains as printed; units as in `control/laws.toml`."""
+
+    table: str
+    law: str
+    a: float
+    b: tuple[float, ...]
+    """B, a column a signal."""
+    c: float
+    d: tuple[float, ...]
+    """D, a column a signal."""
+    signals: tuple[str, ...]
+    """What the columns act on."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _tuples(cls, table: dict[str, Any]) -> dict[str, Any]:
+        return {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
+
+    @model_validator(mode="after")
+    def _columns(self) -> "PublishedGains":
+        if not len(self.b) == len(self.d) == len(self.signals):
+            raise ValueError(
+                f"signals: {len(self.signals)} for {len(self.b)} columns of B and {len(self.d)} "
+                "of D"
+            )
+        return self
+
+
+@lru_cache
+def published_gains() -> tuple[PublishedGains, ...]:
+    """All gain tables, in the report's order."""
+    rows = read_toml(_GAINS)["gains"]
+    return tuple(
+        validated(PublishedGains, row, f"{_GAINS.name}: gains {i}") for i, row in enumerate(rows)
+    )
+
+
+@lru_cache
+def published_results() -> tuple[Published, ...]:
+    """All rows, in the report's order."""
+    rows = read_toml(_FILE)["result"]
+    return tuple(
+        validated(Published, row, f"{_FILE.name}: result {i}") for i, row in enumerate(rows)
+    )
+
+
+def published(law: str, dof: str, hydraulics: str) -> Published | None:
+    """The published result to set beside a run, or None.
+
+    Runs with the `report` hydraulics stand beside the report's non-linear model; others stand
+    beside the hardware where it was measured, beside the non-linear model where it was not.
+    """
+    name = _READ_AS.get(law, law)
+    rows = {row.of: row for row in published_results() if row.law == name and row.dof == dof}
+    wanted = ("nonlinear",) if hydraulics == "report" else ("hardware", "nonlinear")
+    for of in wanted:
+        if of in rows and rows[of].phase_bandwidth_hz is not None:
+            return rows[of]
+    return None

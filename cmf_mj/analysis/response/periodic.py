@@ -1,0 +1,152 @@
+"""Responses of periodic excitations and of single sines."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cmf_mj.analysis.response.estimate import Estimate
+from cmf_mj.analysis.response.spectra import (
+    _driven,
+    _frozen,
+    _near,
+    _orders,
+    _pair,
+    _periods,
+    _radius,
+    _share,
+    _variance,
+    _with_harmonics,
+)
+
+
+def periodic_response(
+    x: ArrayLike,
+    y: ArrayLike,
+    rate: float,
+    period: float,
+    *,
+    transient: int = 1,
+    lines: ArrayLike | None = None,
+) -> Estimate:
+    """Response to a periodic input, averaged over whole periods and over realisations.
+
+    No leakage, no window. The scatter from period to period is noise, the scatter of realisations
+    beyond it is stochastic non-linear distortion: the robust method of Pintelon and Schoukens,
+    System Identification, 2nd ed., chapter 4. With G_mp of realisation m and period p,
+
+        var_n = sum_m scatter_p(G_mp) / (P M^2),    var = scatter_m(G_m) / M
+        distortion = M (var - var_n), at least 0
+
+    Two periods and seven realisations of an odd random-phase multisine tell the two apart. One
+    realisation's bound holds the noise alone, several realisations' both.
+
+    Args:
+        x: input, (N,), or a sequence of realisations' inputs, which share amplitude spectrum and
+            length and differ in phases.
+        y: output, or outputs, likewise.
+        rate: samples a second [Hz].
+        period: of the input [s], a whole number of samples; a rest of the record is ignored.
+        transient: first periods to drop.
+        lines: driven multiples of 1 / `period`, (K,); default those on which the input has more
+            than `DRIVEN` of its largest amplitude. State them where the input was measured.
+
+    Raises:
+        ValueError: a period that is no whole number of samples, no period left, no line driven.
+    """
+    spectra_x = _periods("x", x, rate, period, transient)
+    spectra_y = _periods("y", y, rate, period, transient)
+    if spectra_x.shape != spectra_y.shape:
+        raise ValueError(f"x, y: shapes are {np.shape(x)}, {np.shape(y)}; must be the same")
+    power = np.mean(np.abs(spectra_x) ** 2, axis=(0, 1))
+    chosen = _orders(lines, power.size) if lines is not None else _driven(power)
+    xs, ys = spectra_x[..., chosen], spectra_y[..., chosen]
+    if not np.all(power[chosen] > 0.0):
+        raise ValueError(f"lines: {chosen[power[chosen] == 0.0][0]} holds no input")
+    realisations, periods, _ = xs.shape
+    power_x = np.mean(np.abs(xs) ** 2, axis=1)
+    each = np.mean(np.conj(xs) * ys, axis=1) / power_x  # (M, K)
+    response = each.mean(axis=0)
+    noise = _variance(np.sum(np.abs(ys - each[:, None] * xs) ** 2, axis=1) / power_x, periods)
+    noise = noise.sum(axis=0) / realisations**2
+    total = _variance(np.sum(np.abs(each - response) ** 2, axis=0), realisations)
+    if realisations > 1:
+        radius, averages = _radius(total, realisations - 1.0), realisations
+    else:
+        radius, averages = _radius(noise, periods - 1.0), periods
+    cross = np.abs(np.mean(np.conj(xs) * ys, axis=(0, 1))) ** 2
+    return _frozen(
+        Estimate(
+            chosen / period,
+            response,
+            _share(cross, power[chosen] * np.mean(np.abs(ys) ** 2, axis=(0, 1))),
+            radius,
+            np.full(chosen.size, float(averages)),
+            noise,
+            np.clip(realisations * (total - noise), 0.0, None),
+        )
+    )
+
+
+def sine_response(
+    x: ArrayLike,
+    y: ArrayLike,
+    rate: float,
+    frequency: ArrayLike,
+    *,
+    settle: float = 0.0,
+    harmonics: int = 3,
+) -> Estimate:
+    """Response at the frequency of a sine, or of several in one run, by least squares.
+
+    A constant, the sines and their harmonics are fitted at once to whole cycles of the lowest, so
+    that neither an offset nor a harmonic reaches the response. The noise at a line is the mean
+    power of the residual on the `NEIGHBOURS` lines about it.
+
+    Args:
+        x: input, (N,).
+        y: output, (N,).
+        rate: samples a second [Hz].
+        frequency: of the sine [Hz], or of the sines that run at the same time, (K,).
+        settle: time to drop before the first cycle [s].
+        harmonics: highest harmonic in the fit; those above half the rate are left out.
+
+    Raises:
+        ValueError: frequencies out of range or too close, no whole cycle, no input at one of them.
+    """
+    xs, ys = _pair(x, y)
+    wanted = np.sort(np.atleast_1d(np.asarray(frequency, dtype=float)))
+    if wanted.size == 0 or not (wanted[0] > 0.0 and wanted[-1] < 0.5 * rate):
+        raise ValueError(f"frequency: {wanted} Hz; allowed: above 0 and below {0.5 * rate} Hz")
+    begin = round(settle * rate)
+    cycles = int((xs.size - begin) * wanted[0] / rate + 1e-9)
+    if cycles < 1:
+        raise ValueError(f"frequency: no whole cycle of {wanted[0]} Hz after settle, {settle} s")
+    size = round(cycles * rate / wanted[0])
+    resolution = rate / size
+    if wanted.size > 1 and np.diff(wanted).min() < 0.9 * resolution:
+        raise ValueError(
+            f"frequency: {wanted} Hz are closer than the {resolution:.3g} Hz the record resolves"
+        )
+    sines = _with_harmonics(wanted, harmonics, resolution, 0.5 * rate)
+    angle = 2.0 * np.pi * np.outer(np.arange(size) / rate, sines)
+    design = np.hstack([np.cos(angle), np.sin(angle), np.ones((size, 1))])
+    both = np.column_stack([xs, ys])[begin : begin + size]
+    parts = np.linalg.lstsq(design, both, rcond=None)[0]
+    found = parts[: wanted.size] - 1j * parts[sines.size : sines.size + wanted.size]
+    amplitude = np.abs(found[:, 0])
+    if np.any(amplitude <= 1e-12 * np.ptp(both[:, 0])):
+        raise ValueError(f"x: holds no sine at {wanted[amplitude.argmin()]} Hz")
+    response = found[:, 1] / found[:, 0]
+    residual = np.abs(np.fft.rfft(both[:, 1] - design @ parts[:, 1])) ** 2
+    power, count = _near(residual, wanted / resolution, sines / resolution)
+    noise = power / (0.5 * size * amplitude) ** 2
+    explained = np.abs(response) ** 2
+    return _frozen(
+        Estimate(
+            wanted,
+            response,
+            _share(explained, explained + np.nan_to_num(noise)),
+            _radius(noise, count),
+            count + 1.0,
+            noise,
+        )
+    )

@@ -1,0 +1,156 @@
+"""Measures of a step response, and the stability verdict.
+
+With y0 the rest before the step, y1 the mean of the last second and r the demanded step,
+
+    overshoot           OS = max((y - y1) / (y1 - y0))
+    damping ratio       zeta = -ln OS / sqrt(pi^2 + ln^2 OS)     second order, from overshoot
+    steady-state error  (r - (y1 - y0)) / r
+    rise time           10 % to 90 % of y1 - y0,   settling time into 2 % of it
+
+A run is *stable* when its ringing ends or is ending: over the last second no leg swings more than
+2 % of the largest leg step, or the swing is less than 0.75 of that three seconds earlier. A mode at
+3 Hz then has a damping ratio of at least 0.005; a limit cycle has a ratio of 1.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.analysis.frequency_response import NO_DEMAND, dof_history
+from cmf_mj.record.record import Record
+
+TAIL = 1.0
+"""Length of the window that gives the final value and the verdict [s]."""
+
+NO_OVERSHOOT = 1e-3
+"""Overshoot below which a step response counts as having none (damping ratio 0.91)."""
+
+RESIDUAL = 0.02
+"""Swing over the last window, relative to the leg step, that counts as settled."""
+
+DECAY = 0.75
+"""Swing of the last window over that of `DECAY_TIME` earlier that counts as ending."""
+
+DECAY_TIME = 3.0
+"""Distance of the two windows of the verdict [s]."""
+
+
+class StepMetrics(NamedTuple):
+    """Measures of one step; fractions of the step unless a unit is given."""
+
+    overshoot: float
+    """Largest excess over the final value."""
+    damping_ratio: float
+    """From the overshoot; NaN below an overshoot of 0.001."""
+    steady_state_error: float
+    """Demanded minus reached."""
+    rise_time: float
+    """10 to 90 % [s]."""
+    settling_time: float
+    """From the step to staying within 2 % of the final value [s]."""
+    residual: float
+    """Largest leg swing of the last second over the largest leg step."""
+    stable: bool
+    """The verdict."""
+
+
+def damping_from_overshoot(overshoot: float) -> float:
+    """Damping ratio of the second-order system with this overshoot; 0 from 1, NaN without one."""
+    if not 0.0 < overshoot < 1.0:
+        return 0.0 if overshoot >= 1.0 else float("nan")
+    logarithm = np.log(overshoot)
+    return float(-logarithm / np.hypot(np.pi, logarithm))
+
+
+def resonant_damping(peak: float) -> float:
+    """Damping ratio of the second-order system whose gain peaks at `peak`: 1 / (2 z sqrt(1 - z^2)).
+
+    NaN for a peak of no more than 1, which every damping ratio above 0.707 has.
+    """
+    return float(np.sin(0.5 * np.arcsin(1.0 / peak))) if peak > 1.0 else float("nan")
+
+
+class StepShape(NamedTuple):
+    """Measures of a step response's shape, fractions of the step unless a unit is given."""
+
+    overshoot: float
+    """Largest excess over the final value."""
+    damping_ratio: float
+    """From the overshoot; NaN below an overshoot of 0.001."""
+    rise_time: float
+    """10 to 90 % [s]."""
+    settling_time: float
+    """From the step to staying within 2 % of the final value [s]."""
+
+
+def step_shape(shape: NDArray[np.float64], rate: float) -> StepShape:
+    """Measure a response scaled to a final value of 1, sampled from the step on, (N,)."""
+    overshoot = float(shape.max() - 1.0)
+    ten = int(np.argmax(shape >= 0.1))
+    ninety = int(np.argmax(shape >= 0.9))
+    outside = np.flatnonzero(np.abs(shape - 1.0) > 0.02)
+    settled = int(outside[-1]) + 1 if outside.size else 0
+    return StepShape(
+        overshoot=overshoot,
+        damping_ratio=damping_from_overshoot(overshoot if overshoot >= NO_OVERSHOOT else 0.0),
+        rise_time=(ninety - ten) / rate,
+        settling_time=settled / rate,
+    )
+
+
+def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
+    """Measure a step response from leg demand to leg feedback in one degree of freedom.
+
+    Where the legs have gone so far apart that no pose has them, the run is unstable and the
+    measures of shape are NaN.
+
+    Args:
+        record: of a `signals.step` that goes on for at least five seconds after the step.
+        dof: degree of freedom; default the one the command moved.
+
+    Raises:
+        ValueError: the record is not of a step, or too short.
+    """
+    command = record.metadata["command"]
+    if command.get("kind") != "step":
+        raise ValueError(f"record: its command is a {command.get('kind')}; a step is needed")
+    if command["duration"] - command["at"] < DECAY_TIME + 2.0 * TAIL:
+        raise ValueError(f"record: must go on for {DECAY_TIME + 2.0 * TAIL} s after the step")
+    residual, stable = _verdict(record)
+    chosen = dof if dof is not None else str(command["dof"])
+    demand = dof_history(record, "leg_reference", chosen)
+    try:
+        feedback = dof_history(record, "leg_position", chosen)
+    except ValueError:
+        nan = float("nan")
+        return StepMetrics(nan, nan, nan, nan, nan, residual, False)
+    at = int(np.searchsorted(record.time, command["at"] - 1e-9))
+    tail = round(TAIL * record.rate)
+    rest = float(feedback[at - 1])
+    final = float(feedback[-tail:].mean())
+    size = final - rest
+    demanded = float(demand[-1] - demand[at - 1])
+    if abs(demanded) < NO_DEMAND:
+        raise ValueError(f"dof: the record holds no step in {chosen}; it moved {command['dof']}")
+    shape = step_shape((feedback[at:] - rest) / size, record.rate)
+    return StepMetrics(
+        overshoot=shape.overshoot,
+        damping_ratio=shape.damping_ratio,
+        steady_state_error=1.0 - size / demanded,
+        rise_time=shape.rise_time,
+        settling_time=shape.settling_time,
+        residual=residual,
+        stable=stable,
+    )
+
+
+def _verdict(record: Record) -> tuple[float, bool]:
+    legs: NDArray[np.float64] = record["leg_position"]
+    reference = record["leg_reference"]
+    size = float(np.abs(reference[-1] - reference[0]).max())
+    tail, back = round(TAIL * record.rate), round(DECAY_TIME * record.rate)
+    last = float(np.ptp(legs[-tail:], axis=0).max())
+    earlier = float(np.ptp(legs[-tail - back : -back], axis=0).max())
+    residual = last / size
+    return residual, bool(residual < RESIDUAL or last < DECAY * earlier)

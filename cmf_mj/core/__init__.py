@@ -1,0 +1,1 @@
+"""Ground for all rooms: units, settings, files, filters, the compiler."""

@@ -1,0 +1,97 @@
+"""The project's Numba decorator: compiled, lock-free, cached on disk, never stale.
+
+Numba's cache asks whether the *file* of a function has changed, not the files of the functions it
+calls. The frame loop inlines blocks from a dozen modules, so an edited valve would go on running
+as it was. Here the stamp of every cached function is a digest of all sources that compiled code can
+take anything from: the modules that import this one, and all they import.
+"""
+
+import hashlib
+import re
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core import caching
+
+_PACKAGE = Path(__file__).parents[1]
+_IMPORT = re.compile(
+    r"^\s*from (cmf_mj(?:\.\w+)*) import (\([^)]*\)|.*)|^\s*import (cmf_mj(?:\.\w+)*)", re.MULTILINE
+)
+
+
+def _imported(source: str) -> set[Path]:
+    """Files of the package, its root aside, that a source imports from."""
+    found = set()
+    for module, names, plain in _IMPORT.findall(source):
+        parts = (module or plain).split(".")[1:]
+        for name in ["", *re.findall(r"\w+", names)]:
+            path = _PACKAGE.joinpath(*parts, *([name] if name else []))
+            found |= {path.with_suffix(".py"), path / "__init__.py"}
+    return {path for path in found if path.is_file()} - {_PACKAGE / "__init__.py"}
+
+
+def kernel_sources() -> list[Path]:
+    """Files that compiled functions stand in or can take a constant or a function from."""
+    texts = {path: path.read_text(encoding="utf-8") for path in _PACKAGE.rglob("*.py")}
+    pending = {path for path, text in texts.items() if Path(__file__) in _imported(text)}
+    reached = set()
+    while pending:
+        path = pending.pop()
+        reached.add(path)
+        pending |= _imported(texts[path]) - reached
+    return sorted(reached)
+
+
+@lru_cache
+def _digest() -> str:
+    return hashlib.sha256(b"\0".join(path.read_bytes() for path in kernel_sources())).hexdigest()
+
+
+class _PackageStamp:
+    def get_source_stamp(self) -> str:
+        """Digest of all sources that compiled code depends on."""
+        return _digest()
+
+
+class UserProvided(_PackageStamp, caching.UserProvidedCacheLocator):  # type: ignore[misc]
+    """Cache in NUMBA_CACHE_DIR, where the user has set it."""
+
+
+class InTree(_PackageStamp, caching.InTreeCacheLocator):  # type: ignore[misc]
+    """Cache beside the sources."""
+
+
+class UserWide(_PackageStamp, caching.UserWideCacheLocator):  # type: ignore[misc]
+    """Cache in the user's cache folder, where the sources cannot be written to."""
+
+
+_LOCATORS = ",".join(f"{__name__}.{c.__name__}" for c in (UserProvided, InTree, UserWide))
+
+
+def _cached(function: Callable[..., Any], **options: bool) -> Callable[..., Any]:
+    before = numba.config.CACHE_LOCATOR_CLASSES
+    numba.config.CACHE_LOCATOR_CLASSES = _LOCATORS
+    try:
+        return numba.njit(nogil=True, cache=True, error_model="numpy", **options)(function)
+    finally:
+        numba.config.CACHE_LOCATOR_CLASSES = before
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function in nopython mode, without the interpreter lock, cached on disk.
+
+    Division by zero gives infinity or NaN, as in NumPy: testing for it costs more than dividing.
+    """
+    return _cached(function)
+
+
+def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function into its callers, as `compiled` otherwise.
+
+    For functions that take many arrays and are called each frame from one place: handing the
+    arrays over would cost more than the work done with them.
+    """
+    return _cached(function, forceinline=True)

@@ -1,0 +1,114 @@
+"""One number with unit, status and source, and the range each kind of number may take."""
+
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import AfterValidator, Field, field_validator
+from pydantic.fields import FieldInfo
+
+from cmf_mj.core import units
+from cmf_mj.core.settings import Settings
+
+
+class Quantity(Settings):
+    """One number as a source gives it."""
+
+    value: float
+    """Value in `unit`."""
+    unit: str
+    """Unit as published, e.g. `in/s/%`."""
+    status: Literal["stated", "derived", "calibrated", "assumed", "published", "recalled"]
+    """How the number is known: `published` by another source than the report, `recalled` from
+    general knowledge of the field and not checked."""
+    source: str = Field(min_length=1)
+    """Where it comes from, or why it was chosen."""
+
+    @field_validator("unit")
+    @classmethod
+    def _known(cls, unit: str) -> str:
+        units.factor(unit)
+        return unit
+
+    @property
+    def si(self) -> float:
+        """The value in SI."""
+        return units.to_si(self.unit, self.value)
+
+    def __str__(self) -> str:
+        """Value and unit."""
+        return f"{self.value:g} {self.unit}"
+
+
+def positive_in(*allowed: str) -> AfterValidator:
+    """Validator of an `Annotated` quantity greater than 0 in one of the units `allowed`."""
+    return AfterValidator(Kind(allowed).check)
+
+
+class Kind(NamedTuple):
+    """What a quantity may be."""
+
+    units: tuple[str, ...]
+    """Units it may be given in."""
+    signed: bool = False
+    """Any sign."""
+    zero: bool = False
+    """Zero is allowed, and switches the effect off."""
+    below: float = float("inf")
+    """Upper bound of the SI value, excluded."""
+    at_most: float = float("inf")
+    """Upper bound of the SI value."""
+
+    def check(self, quantity: Quantity) -> Quantity:
+        """The quantity, if it has the right dimension and lies in range.
+
+        Raises:
+            ValueError: says what is allowed, in the quantity's own unit.
+        """
+        unit = quantity.unit
+        if unit not in self.units:
+            raise ValueError(f"unit must be one of {', '.join(self.units)}")
+        if not self.signed and self.zero and quantity.value < 0.0:
+            raise ValueError(f"must be at least 0 {unit}")
+        if not self.signed and not self.zero and quantity.value <= 0.0:
+            raise ValueError(f"must be greater than 0 {unit}")
+        size = abs(quantity.si)
+        if size >= self.below:
+            raise ValueError(f"must be less than {units.from_si(unit, self.below):g} {unit}")
+        if size > self.at_most:
+            raise ValueError(f"must be at most {units.from_si(unit, self.at_most):g} {unit}")
+        return quantity
+
+
+_LENGTH, _PRESSURE = ("in", "m", "mm"), ("psi", "Pa", "bar")
+_FORCE, _VOLUME, _FLOW = ("lbf", "N", "kN"), ("gal", "m^3", "l"), ("gpm", "m^3/s", "l/min", "lpm")
+_CONDUCTANCE = ("gpm/psi", "m^3/s/Pa", "lpm/bar")
+_RESISTANCE = ("psi/gpm", "Pa s/m^3", "bar/lpm")
+
+Length = Annotated[Quantity, AfterValidator(Kind(_LENGTH).check)]
+Travel = Annotated[Quantity, AfterValidator(Kind(_LENGTH, zero=True).check)]
+Area = Annotated[Quantity, AfterValidator(Kind(("in^2", "m^2")).check)]
+Pressure = Annotated[Quantity, AfterValidator(Kind(_PRESSURE).check)]
+Gauge = Annotated[Quantity, AfterValidator(Kind(_PRESSURE, zero=True).check)]
+Corner = Annotated[Quantity, AfterValidator(Kind(("Hz", "rad/s")).check)]
+LegSpeed = Annotated[Quantity, AfterValidator(Kind(("in/s/%", "m/s/%", "mm/s/%")).check)]
+Speed = Annotated[Quantity, AfterValidator(Kind(("in/s", "m/s", "mm/s")).check)]
+Rate = Annotated[Quantity, AfterValidator(Kind(("1/s",), zero=True).check)]
+Time = Annotated[Quantity, AfterValidator(Kind(("s",)).check)]
+Force = Annotated[Quantity, AfterValidator(Kind(_FORCE, zero=True).check)]
+Viscous = Annotated[Quantity, AfterValidator(Kind(("lbf s/in", "N s/m"), zero=True).check)]
+Volume = Annotated[Quantity, AfterValidator(Kind(_VOLUME).check)]
+Flow = Annotated[Quantity, AfterValidator(Kind(_FLOW).check)]
+Conductance = Annotated[Quantity, AfterValidator(Kind(_CONDUCTANCE, zero=True).check)]
+Resistance = Annotated[Quantity, AfterValidator(Kind(_RESISTANCE).check)]
+Line = Annotated[Quantity, AfterValidator(Kind(_RESISTANCE, zero=True).check)]
+Ratio = Annotated[Quantity, AfterValidator(Kind(("1",)).check)]
+Share = Annotated[Quantity, AfterValidator(Kind(("1", "%"), zero=True, below=1.0).check)]
+Bias = Annotated[Quantity, AfterValidator(Kind(("1", "%"), signed=True, below=1.0).check)]
+Opening = Annotated[Quantity, AfterValidator(Kind(("1", "%"), at_most=1.0).check)]
+Exponent = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=1.67).check)]
+Count = Annotated[Quantity, AfterValidator(Kind(("1",), zero=True).check)]
+Density = Annotated[Quantity, AfterValidator(Kind(("kg/m^3",)).check)]
+
+
+def optional(field: FieldInfo) -> Any:
+    """The annotation of a field, its range check included, or None."""
+    return Annotated[field.annotation, *field.metadata] | None

@@ -1,0 +1,7 @@
+"""The facility's clock: the control frame, which is also the rate of demands and records."""
+
+RATE = 2048
+"""Control frames a second [Hz]; the facility's DCL runs at 2048 Hz."""
+
+FRAME = 1.0 / RATE
+"""Control frame [s]; exact in binary."""

@@ -1,0 +1,1 @@
+"""Between plant and control law: sensors, converters, servo electronics."""

@@ -1,0 +1,263 @@
+"""What stands between the machine and the control law: sensors, converters, servo electronics.
+
+    truth -> sensors -> (faults) -> anti-alias filter, ADC -> without gravity -> DCL, protection
+    DCL's command -> DAC, limit switches, velocity clamp, rate limiter -> valves
+
+The protection always watches accelerations without gravity; whether the DCL reads them so is the
+law's choice. A run without electronics passes None: readings and commands go through to the bit, at
+no cost.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+from numba.extending import overload
+from numpy.typing import NDArray
+
+from cmf_mj.control.dcl import LegFeedback
+from cmf_mj.control.feedback import (
+    GravityCompensation,
+    find_gravity,
+    gravity_compensation_state,
+    make_gravity_compensation,
+)
+from cmf_mj.core.compiled import compiled, inlined
+from cmf_mj.core.rates import FRAME
+from cmf_mj.electronics import servo_electronics as servo
+from cmf_mj.electronics.converter import (
+    Converters,
+    ConverterSettings,
+    ConverterState,
+    converter_state,
+    digitise,
+    load_converters,
+    make_converters,
+)
+from cmf_mj.electronics.sensors.settings import SensorSettings, load_sensors
+from cmf_mj.electronics.sensors.suite import (
+    Sensors,
+    SensorState,
+    Truth,
+    make_sensors,
+    sense,
+    sensor_state,
+)
+from cmf_mj.electronics.servo_electronics import ServoElectronics, ServoSettings, ServoState
+from cmf_mj.machine.gravity import LegAxesState
+from cmf_mj.plant.events import read_position
+
+
+class ElectronicsSettings(NamedTuple):
+    """Choice of the electronics of a run; sets by name, TOML files, or loaded settings."""
+
+    sensors: str | Path | SensorSettings = "noisy"
+    """`ideal` or `noisy`."""
+    converters: str | Path | ConverterSettings = "sixteen_bit"
+    """`off` or `sixteen_bit`."""
+    servo: str | Path | ServoSettings | None = None
+    """File of changes to the servo electronics; default the shipped ones."""
+    seed: int = 0
+    """Of the sensors' noise."""
+
+    def describe(self) -> dict[str, Any]:
+        """What a record keeps of the electronics."""
+        return {
+            "sensors": load_sensors(self.sensors).model_dump(mode="json"),
+            "converters": load_converters(self.converters).model_dump(mode="json"),
+            "servo": servo.load_servo_settings(self.servo).model_dump(mode="json"),
+            "sensor_seed": self.seed,
+        }
+
+
+class Electronics(NamedTuple):
+    """Compiled parameters, states and workspace."""
+
+    sensors: Sensors
+    sensor_state: SensorState
+    converters: Converters
+    converter_state: ConverterState
+    compensation: GravityCompensation
+    compensation_state: LegAxesState
+    gravity: NDArray[np.float64]
+    """What the accelerometers feel of it, (n,) [m/s^2]; 0 where they feel none."""
+    inertial: NDArray[np.float64]
+    """Measured accelerations without it, (n,) [m/s^2]."""
+    servo: ServoElectronics
+    servo_state: ServoState
+    reading: LegFeedback
+    """What the sensors put out."""
+    counts: NDArray[np.float64]
+    """At the DAC, (n,)."""
+    volts: NDArray[np.float64]
+    """At the DAC [V], (n,)."""
+
+
+def make_electronics(settings: ElectronicsSettings, at_rest: LegFeedback) -> Electronics:
+    """Electronics that have seen a machine at rest for a long time.
+
+    Args:
+        settings: which.
+        at_rest: true motion and pressures at the start.
+
+    Raises:
+        ValueError: a refused setting, or sensors that feel gravity on other than six legs.
+    """
+    legs = at_rest.position.shape[0]
+    truth = Truth(*(np.array(values, dtype=float) for values in at_rest))
+    sensors = make_sensors(load_sensors(settings.sensors), 1.0 / FRAME, settings.seed)
+    converters = make_converters(load_converters(settings.converters))
+    compensation = make_gravity_compensation(enabled=sensors.gravity)
+    state = sensor_state(sensors, truth)
+    reading = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
+    sense(sensors, state, 0, truth, reading)
+    return Electronics(
+        sensors,
+        state,
+        converters,
+        converter_state(converters, reading),
+        compensation,
+        gravity_compensation_state(compensation, reading.position),
+        np.zeros(legs),
+        np.zeros(legs),
+        servo.make_servo_electronics(servo.load_servo_settings(settings.servo)),
+        servo.start(legs),
+        reading,
+        np.zeros(legs),
+        np.zeros(legs),
+    )
+
+
+@inlined
+def _copy(faults, truth, feedback):  # type: ignore[no-untyped-def]
+    for leg in range(truth.position.shape[0]):
+        feedback.position[leg] = read_position(faults, leg, truth.position[leg])
+        feedback.velocity[leg] = truth.velocity[leg]
+        feedback.acceleration[leg] = truth.acceleration[leg]
+        feedback.cap_pressure[leg] = truth.cap_pressure[leg]
+        feedback.rod_pressure[leg] = truth.rod_pressure[leg]
+
+
+@compiled
+def _measure(electronics, faults, frame, truth, compensated, feedback):  # type: ignore[no-untyped-def]
+    reading = electronics.reading
+    sense(electronics.sensors, electronics.sensor_state, frame, truth, reading)
+    for leg in range(truth.position.shape[0]):
+        reading.position[leg] = read_position(faults, leg, reading.position[leg])
+    digitise(electronics.converters, electronics.converter_state, reading, feedback)
+    find_gravity(
+        electronics.compensation,
+        electronics.compensation_state,
+        feedback.position,
+        electronics.gravity,
+    )
+    for leg in range(truth.position.shape[0]):
+        inertial = feedback.acceleration[leg] - electronics.gravity[leg]
+        electronics.inertial[leg] = inertial
+        if compensated:
+            feedback.acceleration[leg] = inertial
+
+
+def measure(electronics, faults, frame, truth, compensated, feedback):  # type: ignore[no-untyped-def]
+    """What the DCL reads of the truth.
+
+    Args:
+        electronics: `Electronics`, or None to read the truth itself.
+        faults: broken position sensors.
+        frame: number of the control frame, chooses the noise.
+        truth: `LegFeedback`.
+        compensated: whether the law reads accelerations without gravity.
+        feedback: `LegFeedback`, overwritten.
+    """
+    if electronics is None:
+        _copy(faults, truth, feedback)
+    else:
+        _measure(electronics, faults, frame, truth, compensated, feedback)
+
+
+@overload(measure, jit_options={"forceinline": True})
+def _compiled_measure(electronics, faults, frame, truth, compensated, feedback):  # type: ignore[no-untyped-def]
+    if isinstance(electronics, types.NoneType):
+        return lambda electronics, faults, frame, truth, compensated, feedback: _copy(
+            faults, truth, feedback
+        )
+    return lambda electronics, faults, frame, truth, compensated, feedback: _measure(
+        electronics, faults, frame, truth, compensated, feedback
+    )
+
+
+def without_gravity(electronics, feedback):  # type: ignore[no-untyped-def]
+    """View of the feedback with inertial accelerations, for the protection."""
+    if electronics is None:
+        return feedback
+    return feedback._replace(acceleration=electronics.inertial)
+
+
+@overload(without_gravity, jit_options={"forceinline": True})
+def _compiled_without_gravity(electronics, feedback):  # type: ignore[no-untyped-def]
+    if isinstance(electronics, types.NoneType):
+        return lambda electronics, feedback: feedback
+    return lambda electronics, feedback: LegFeedback(
+        feedback.position,
+        feedback.velocity,
+        electronics.inertial,
+        feedback.cap_pressure,
+        feedback.rod_pressure,
+    )
+
+
+@compiled
+def _deliver(electronics, raised, position, command):  # type: ignore[no-untyped-def]
+    return servo.step(
+        electronics.servo,
+        electronics.servo_state,
+        raised,
+        command,
+        position,
+        electronics.counts,
+        electronics.volts,
+        command,
+    )
+
+
+def deliver(electronics, raised, position, command):  # type: ignore[no-untyped-def]
+    """Pass the DCL's commands on to the valves, in place.
+
+    Args:
+        electronics: `Electronics`, or None to pass them as they are.
+        raised: whether the lower limit switches are watched.
+        position: true extensions [m], (n,).
+        command: fractions, (n,), overwritten.
+
+    Returns:
+        Whether a limit switch has tripped.
+    """
+    return False if electronics is None else _deliver(electronics, raised, position, command)
+
+
+@overload(deliver, jit_options={"forceinline": True})
+def _compiled_deliver(electronics, raised, position, command):  # type: ignore[no-untyped-def]
+    if isinstance(electronics, types.NoneType):
+        return lambda electronics, raised, position, command: False
+    return lambda electronics, raised, position, command: _deliver(
+        electronics, raised, position, command
+    )
+
+
+@compiled
+def _release(electronics):  # type: ignore[no-untyped-def]
+    servo.reset(electronics.servo_state)
+
+
+def release(electronics):  # type: ignore[no-untyped-def]
+    """Release latched limit switches."""
+    if electronics is not None:
+        _release(electronics)
+
+
+@overload(release, jit_options={"forceinline": True})
+def _compiled_release(electronics):  # type: ignore[no-untyped-def]
+    if isinstance(electronics, types.NoneType):
+        return lambda electronics: None
+    return lambda electronics: _release(electronics)

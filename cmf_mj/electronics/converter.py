@@ -1,0 +1,248 @@
+"""Analogue to digital conversion of the DCL's feedback: anti-alias filter, range, resolution.
+
+    v = s y                      volts of a sensor signal, s = full-scale volts / full scale
+    w = H(v)                     analogue Butterworth low-pass before sampling
+    c = clip(round(w / q), -2^(b-1), 2^(b-1) - 1),   q = 2 full-scale volts / 2^b
+    y_digital = q c / s
+
+H runs at the frame rate by the bilinear transform, pre-warped to its corner
+(`cmf_mj.core.filters`).
+
+Aliasing. The simulation has no contents above half the frame rate f_s = 2048 Hz, so nothing folds
+in it. On the machine a tone at f appears at |f - f_s round(f / f_s)|, damped to |H(f)|: `aliased`.
+
+Everything is off in the set `off`, the default: readings pass bit for bit. The facility published
+neither bits nor range nor filter; the set `sixteen_bit` is assumed.
+"""
+
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from cmf_mj.core import filters
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.quantity import Quantity
+from cmf_mj.core.rates import FRAME
+from cmf_mj.core.settings import Settings, named_set, validated
+
+CONVERTER_SETS = ("off", "sixteen_bit")
+"""Names of the shipped sets."""
+
+_FILE = Path(__file__).with_name("converters.toml")
+_CHANNEL_UNITS = {
+    "position": ("in", "m"),
+    "velocity": ("in/s", "m/s"),
+    "acceleration": ("g", "in/s/s", "m/s/s"),
+    "cap_pressure": ("psi", "Pa"),
+    "rod_pressure": ("psi", "Pa"),
+}
+
+
+class FullScale(Settings):
+    """Reading of each channel at full-scale volts."""
+
+    position: Quantity
+    velocity: Quantity
+    acceleration: Quantity
+    cap_pressure: Quantity
+    rod_pressure: Quantity
+
+    @model_validator(mode="after")
+    def _in_range(self) -> "FullScale":
+        for channel, units in _CHANNEL_UNITS.items():
+            quantity = getattr(self, channel)
+            if quantity.unit not in units or quantity.value <= 0.0:
+                raise ValueError(
+                    f"{channel}: {quantity.value:g} {quantity.unit} is refused: must be greater "
+                    f"than 0 {' or '.join(units)}"
+                )
+        return self
+
+
+class ConverterSettings(Settings):
+    """The analogue input card and its anti-alias filter."""
+
+    name: str
+    """Name of the set."""
+    quantise: bool
+    """Whether range and resolution act."""
+    bits: Annotated[int, Field(ge=4, le=32)]
+    """Resolution b of the converter."""
+    volts: Quantity
+    """Full-scale volts, either way."""
+    filter_order: Annotated[int, Field(ge=0, le=8)]
+    """Order of the anti-alias filter; 0 for none."""
+    filter_corner: Quantity
+    """Its -3 dB corner, below half the frame rate."""
+    full_scale: FullScale
+
+    @model_validator(mode="after")
+    def _in_range(self) -> "ConverterSettings":
+        if self.volts.unit != "V" or self.volts.value <= 0.0:
+            raise ValueError(
+                f"volts: {self.volts.value:g} {self.volts.unit} is refused: must be more than 0 V"
+            )
+        corner = self.filter_corner
+        nyquist = np.pi / FRAME
+        if corner.unit not in ("Hz", "rad/s") or not 0.0 < corner.si < nyquist:
+            raise ValueError(
+                f"filter_corner: {corner.value:g} {corner.unit} is refused: must be between 0 and "
+                f"{0.5 / FRAME:g} Hz"
+            )
+        return self
+
+
+class Converter(NamedTuple):
+    """Compiled parameters of one channel."""
+
+    low_pass: NDArray[np.float64]
+    """Anti-alias filter, sections (s, 6)."""
+    quantise: bool
+    """Whether range and resolution act."""
+    step: float
+    """Smallest change of the reading, q / s [SI]."""
+    codes: float
+    """2^(b-1): codes are -codes to codes - 1."""
+
+
+class Converters(NamedTuple):
+    """Converters of the five feedback channels, named as in `LegFeedback`."""
+
+    position: Converter
+    velocity: Converter
+    acceleration: Converter
+    cap_pressure: Converter
+    rod_pressure: Converter
+
+
+class ConverterState(NamedTuple):
+    """Filter states of the five channels, (n, s, 2) each."""
+
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    acceleration: NDArray[np.float64]
+    cap_pressure: NDArray[np.float64]
+    rod_pressure: NDArray[np.float64]
+
+
+class Alias(NamedTuple):
+    """What sampling makes of a tone."""
+
+    frequency: float
+    """Where it appears [Hz], 0 to half the rate."""
+    gain: float
+    """Amplitude that the anti-alias filter leaves of it."""
+
+
+def load_converters(source: str | Path | ConverterSettings = "off") -> ConverterSettings:
+    """Load converter settings.
+
+    Args:
+        source: `off`, `sixteen_bit`, settings already loaded, or the path of a TOML file of one
+            table with all that `converters.toml` has.
+
+    Raises:
+        ValueError: unknown set, unreadable file or a refused field; each is named.
+    """
+    if isinstance(source, ConverterSettings):
+        return source
+    table, where = named_set("converters", CONVERTER_SETS, _FILE, source, based=False)
+    return validated(ConverterSettings, table, where)
+
+
+def make_converters(settings: ConverterSettings) -> Converters:
+    """Derive the converters of all channels."""
+    corner = settings.filter_corner.si / (2.0 * np.pi)
+    low_pass = filters.low_pass(settings.filter_order, corner, 1.0 / FRAME)
+    codes = 2.0 ** (settings.bits - 1)
+
+    def channel(name: str) -> Converter:
+        full = getattr(settings.full_scale, name).si
+        return Converter(low_pass, settings.quantise, full / codes, codes)
+
+    return Converters(*(channel(name) for name in Converters._fields))
+
+
+def converter_state(converters: Converters, feedback: NamedTuple) -> ConverterState:
+    """State of converters that have seen the feedback for a long time.
+
+    Args:
+        converters: of `make_converters`.
+        feedback: `LegFeedback`, or another named tuple with its fields.
+    """
+    return ConverterState(
+        *(
+            filters.settled(getattr(converters, name).low_pass, getattr(feedback, name))
+            for name in Converters._fields
+        )
+    )
+
+
+@compiled
+def convert(converter, state, analogue, digital):  # type: ignore[no-untyped-def]
+    """One channel of all legs after filter, range and resolution [SI].
+
+    Args:
+        converter: parameters.
+        state: (n, s, 2) filter states, overwritten.
+        analogue: (n,) readings of the sensors.
+        digital: (n,) overwritten; may be `analogue` itself.
+    """
+    count = analogue.shape[0]
+    for leg in range(count):
+        digital[leg] = analogue[leg]
+    if converter.low_pass.shape[0] > 0:
+        for leg in range(count):
+            digital[leg] = filters.filtered(converter.low_pass, state[leg], digital[leg])
+    if converter.quantise:
+        for leg in range(count):
+            code = np.floor(digital[leg] / converter.step + 0.5)
+            code = min(max(code, -converter.codes), converter.codes - 1.0)
+            digital[leg] = code * converter.step
+
+
+@compiled
+def digitise(converters, state, analogue, digital):  # type: ignore[no-untyped-def]
+    """All channels of all legs, one frame.
+
+    Args:
+        converters: parameters.
+        state: overwritten.
+        analogue: `LegFeedback` of the sensors.
+        digital: `LegFeedback` for the DCL, overwritten; may be `analogue` itself.
+    """
+    convert(converters.position, state.position, analogue.position, digital.position)
+    convert(converters.velocity, state.velocity, analogue.velocity, digital.velocity)
+    convert(
+        converters.acceleration, state.acceleration, analogue.acceleration, digital.acceleration
+    )
+    convert(
+        converters.cap_pressure, state.cap_pressure, analogue.cap_pressure, digital.cap_pressure
+    )
+    convert(
+        converters.rod_pressure, state.rod_pressure, analogue.rod_pressure, digital.rod_pressure
+    )
+
+
+def aliased(frequency: float, settings: ConverterSettings) -> Alias:
+    """Where a tone of the analogue signal appears in the samples, and how large.
+
+    |H(f)| = 1 / sqrt(1 + (f / corner)^(2 order)), the analogue Butterworth filter.
+
+    Args:
+        frequency: of the tone [Hz], 0 or more.
+        settings: of `load_converters`.
+
+    Raises:
+        ValueError: a negative frequency.
+    """
+    if not frequency >= 0.0:
+        raise ValueError(f"frequency: {frequency} Hz must be at least 0")
+    rate = 1.0 / FRAME
+    ratio = frequency / (settings.filter_corner.si / (2.0 * np.pi))
+    order = settings.filter_order
+    gain = 1.0 / np.sqrt(1.0 + ratio ** (2 * order)) if order else 1.0
+    return Alias(float(abs(frequency - rate * np.round(frequency / rate))), float(gain))

@@ -1,0 +1,247 @@
+"""All sensors of a machine: `make_sensors`, `sensor_state`, and `sense` once a frame.
+
+    truth (motion, pressures) -> leg accelerometer's gravity and swing -> channels -> readings
+
+`Truth` and what is read are named tuples with arrays of the same names as the DCL's `LegFeedback`,
+which may be passed for both.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.core import filters
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.units import STANDARD_GRAVITY
+from cmf_mj.electronics.sensors.channel import Channel, make_channel, read
+from cmf_mj.electronics.sensors.settings import CHANNELS, SensorSettings
+from cmf_mj.machine.gravity import (
+    LegAxes,
+    LegAxesState,
+    accelerometer_distance,
+    leg_axes_state,
+    make_leg_axes,
+    track,
+    upward,
+)
+
+_FIELDS = {name.removeprefix("leg_"): name for name in CHANNELS}
+"""Fields of `Sensors` and `SensorState` to channels."""
+
+_STILL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, STANDARD_GRAVITY])
+"""Angular velocity and specific force of a level platform at rest."""
+
+
+class Truth(NamedTuple):
+    """True motion and pressures of the legs, every array (n,), or (N, n) for a history."""
+
+    position: NDArray[np.float64]
+    """Extension from neutral [m]."""
+    velocity: NDArray[np.float64]
+    """[m/s]."""
+    acceleration: NDArray[np.float64]
+    """Second derivative of the extension [m/s^2]."""
+    cap_pressure: NDArray[np.float64]
+    """[Pa]."""
+    rod_pressure: NDArray[np.float64]
+    """[Pa]."""
+
+
+class Sensors(NamedTuple):
+    """Compiled parameters of all sensors."""
+
+    position: Channel
+    velocity: Channel
+    acceleration: Channel
+    cap_pressure: Channel
+    rod_pressure: Channel
+    platform_gyro: Channel
+    platform_accelerometer: Channel
+    gravity: bool
+    """Whether the leg accelerometers feel gravity and swing."""
+    axes: LegAxes
+    distance: float
+    """d, from an upper gimbal down to the accelerometer [m]."""
+    rate: float
+    """Frames a second [Hz]."""
+
+
+class SensorState(NamedTuple):
+    """States of the channels' filters (n, s, 2), and the legs as tracked."""
+
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    acceleration: NDArray[np.float64]
+    cap_pressure: NDArray[np.float64]
+    rod_pressure: NDArray[np.float64]
+    platform_gyro: NDArray[np.float64]
+    platform_accelerometer: NDArray[np.float64]
+    axes: LegAxesState
+    before: NDArray[np.float64]
+    """Directions of the legs one frame ago, (6, 3)."""
+
+
+def make_sensors(settings: SensorSettings, rate: float, seed: int = 0) -> Sensors:
+    """Derive all sensors from a set.
+
+    Args:
+        settings: of `load_sensors`.
+        rate: frames a second [Hz].
+        seed: of the noise; each channel has a stream of its own.
+
+    Raises:
+        ValueError: a bandwidth of half the rate or more, or a seed out of range.
+    """
+    channels = {
+        field: make_channel(name, settings.channel(name), rate, seed)
+        for field, name in _FIELDS.items()
+    }
+    return Sensors(
+        **channels,
+        gravity=settings.gravity,
+        axes=make_leg_axes(),
+        distance=accelerometer_distance(),
+        rate=rate,
+    )
+
+
+def sensor_state(
+    sensors: Sensors,
+    truth: Truth,
+    gyro: NDArray[np.float64] | None = None,
+    accelerometer: NDArray[np.float64] | None = None,
+) -> SensorState:
+    """State of sensors that have seen the truth at rest for a long time.
+
+    Args:
+        sensors: of `make_sensors`.
+        truth: legs at the start, (n,) each.
+        gyro: platform's angular velocity (3,) [rad/s]; default 0.
+        accelerometer: platform's specific force (3,) [m/s^2]; default that of a level platform.
+
+    Raises:
+        ValueError: gravity on the legs needs six legs, at positions that a pose has; gains that
+            are not one a leg or axis.
+    """
+    for field, name in _FIELDS.items():
+        given = getattr(sensors, field).gain.shape[0]
+        count = 3 if name.startswith("platform_") else truth.position.shape[0]
+        if given not in (0, count):
+            raise ValueError(f"{name}.gain_errors: {given} are given; allowed: {count} or none")
+    if sensors.gravity and truth.position.shape != (6,):
+        raise ValueError(
+            f"position: shape is {truth.position.shape}; gravity along the legs needs (6,)"
+        )
+    axes = leg_axes_state(sensors.axes, truth.position if sensors.gravity else np.zeros(6))
+    acceleration = np.array(truth.acceleration, dtype=float)
+    if sensors.gravity:
+        acceleration -= STANDARD_GRAVITY * axes.direction[:, 2]
+    values = truth._asdict() | {
+        "acceleration": acceleration,
+        "platform_gyro": _STILL[:3] if gyro is None else gyro,
+        "platform_accelerometer": _STILL[3:] if accelerometer is None else accelerometer,
+    }
+    filled = {
+        field: filters.settled(getattr(sensors, field).low_pass, np.asarray(values[field], float))
+        for field in _FIELDS
+    }
+    return SensorState(**filled, axes=axes, before=axes.direction.copy())
+
+
+@compiled
+def sense(sensors, state, frame, truth, reading):  # type: ignore[no-untyped-def]
+    """Leg sensors, one frame.
+
+    Args:
+        sensors: parameters.
+        state: overwritten.
+        frame: number of the frame, chooses the noise.
+        truth: `Truth` or `LegFeedback`; not changed.
+        reading: `Truth` or `LegFeedback` with arrays of its own, overwritten.
+    """
+    read(sensors.position, state.position, frame, truth.position, reading.position)
+    read(sensors.velocity, state.velocity, frame, truth.velocity, reading.velocity)
+    for leg in range(truth.acceleration.shape[0]):
+        reading.acceleration[leg] = truth.acceleration[leg]
+    if sensors.gravity:
+        track(sensors.axes, state.axes, truth.position)
+        for leg in range(6):
+            turning = 0.0
+            for i in range(3):
+                change = (state.axes.direction[leg, i] - state.before[leg, i]) * sensors.rate
+                turning += change * change
+                state.before[leg, i] = state.axes.direction[leg, i]
+            reading.acceleration[leg] += STANDARD_GRAVITY * upward(state.axes, leg)
+            reading.acceleration[leg] -= (state.axes.length[leg] - sensors.distance) * turning
+    read(
+        sensors.acceleration, state.acceleration, frame, reading.acceleration, reading.acceleration
+    )
+    read(sensors.cap_pressure, state.cap_pressure, frame, truth.cap_pressure, reading.cap_pressure)
+    read(sensors.rod_pressure, state.rod_pressure, frame, truth.rod_pressure, reading.rod_pressure)
+
+
+@compiled
+def sense_platform(sensors, state, frame, gyro, accelerometer, gyro_reading, accelerometer_reading):  # type: ignore[no-untyped-def]
+    """Platform's rate gyros and accelerometers, one frame; (3,) each."""
+    read(sensors.platform_gyro, state.platform_gyro, frame, gyro, gyro_reading)
+    read(
+        sensors.platform_accelerometer,
+        state.platform_accelerometer,
+        frame,
+        accelerometer,
+        accelerometer_reading,
+    )
+
+
+@compiled
+def _histories(sensors, state, truth, now, reading, platform, platform_reading):  # type: ignore[no-untyped-def]
+    for frame in range(truth.position.shape[0]):
+        now.position[:] = truth.position[frame]
+        now.velocity[:] = truth.velocity[frame]
+        now.acceleration[:] = truth.acceleration[frame]
+        now.cap_pressure[:] = truth.cap_pressure[frame]
+        now.rod_pressure[:] = truth.rod_pressure[frame]
+        row = Truth(
+            reading.position[frame],
+            reading.velocity[frame],
+            reading.acceleration[frame],
+            reading.cap_pressure[frame],
+            reading.rod_pressure[frame],
+        )
+        sense(sensors, state, frame, now, row)
+        sense_platform(
+            sensors,
+            state,
+            frame,
+            platform[frame, :3],
+            platform[frame, 3:],
+            platform_reading[frame, :3],
+            platform_reading[frame, 3:],
+        )
+
+
+def sense_history(
+    sensors: Sensors, truth: Truth, platform: NDArray[np.float64] | None = None
+) -> tuple[Truth, NDArray[np.float64]]:
+    """Readings of whole histories, frame 0 first, the sensors at rest before it.
+
+    Args:
+        sensors: of `make_sensors`.
+        truth: (N, n) histories at the sensors' rate.
+        platform: (N, 6) angular velocity and specific force of the platform; default at rest.
+
+    Returns:
+        Readings as a `Truth` of histories, and (N, 6) of the platform's sensors.
+
+    Raises:
+        ValueError: gravity needs six legs, at positions that a pose has.
+    """
+    own = Truth(*(np.ascontiguousarray(channel, dtype=float) for channel in truth))
+    first = Truth(*(channel[0].copy() for channel in own))
+    frames = own.position.shape[0]
+    moving = np.tile(_STILL, (frames, 1)) if platform is None else np.ascontiguousarray(platform)
+    state = sensor_state(sensors, first, moving[0, :3], moving[0, 3:])
+    reading, platform_reading = Truth(*(np.empty_like(c) for c in own)), np.empty_like(moving)
+    _histories(sensors, state, own, first, reading, moving, platform_reading)
+    return reading, platform_reading

@@ -1,0 +1,185 @@
+r"""Servo electronics of Figure 2-7, between the control law's valve command and the valve.
+
+    command -> counts -> volts -> limit switches -> velocity clamp -> rate limiter -> valve
+              \___ DAC ___/      \____ safety module ____/        \_ drive card _/
+
+With full-scale voltage R, n bits and F volts for full command u = 1:
+
+    counts = round(u F / q) within -2^(n-1) .. 2^(n-1) - 1,  q = 2 R / 2^n,  volts = q counts
+
+The DAC rounds halves to even and saturates one count below +R. A **limit switch** trips when a leg
+passes the switch position either way and stays so until reset; one tripped switch takes the command
+from all legs. The lower switches are watched only while told so, since legs pass them on their way
+to and from the stops. The **velocity clamp** bounds the command, which equates to leg velocity
+(section 2.3.3), to a share of full opening. The **rate limiter** bounds the change of the command
+per time, also when a switch trips. These act on hardware voltages and know nothing of the control
+law, whose own limits should be met first.
+"""
+
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.quantity import Quantity, positive_in
+from cmf_mj.core.settings import Settings, overlaid
+
+_FILE = Path(__file__).with_suffix(".toml")
+
+
+class Bits(Settings):
+    """Resolution of a converter."""
+
+    value: Annotated[int, Field(ge=0, le=32)]
+    """Bits; 0 for no quantisation."""
+    status: Literal["stated", "derived", "calibrated", "assumed"]
+    """How the number is known."""
+    source: str = Field(min_length=1)
+    """Where it comes from, or why it was chosen."""
+
+
+class ServoSettings(Settings):
+    """Servo electronics of one leg."""
+
+    switch_position: Annotated[Quantity, positive_in("in", "m")]
+    """Leg extension or retraction from neutral at which a limit switch trips."""
+    velocity_clamp: Annotated[Quantity, positive_in("%", "1")]
+    """Largest command the safety module passes."""
+    rate_limit: Annotated[Quantity, positive_in("%/s", "1/s")]
+    """Largest change of the command on the drive card."""
+    dac_range: Annotated[Quantity, positive_in("V")]
+    """Full-scale voltage R either way."""
+    full_command: Annotated[Quantity, positive_in("V")]
+    """Voltage F of full command."""
+    dac_bits: Bits
+    """Resolution n of the DAC."""
+
+
+def load_servo_settings(source: str | Path | ServoSettings | None = None) -> ServoSettings:
+    """Load the settings of the servo electronics.
+
+    Args:
+        source: path of a TOML file that repeats what it changes, or settings already loaded;
+            default the shipped ones.
+
+    Raises:
+        ValueError: unreadable file or a refused field; each is named.
+    """
+    return overlaid(ServoSettings, _FILE, source)
+
+
+class ServoElectronics(NamedTuple):
+    """Compiled parameters, SI, commands as fractions."""
+
+    switch_position: float
+    """Switch position either way [m]."""
+    velocity_clamp: float
+    """Largest command that passes."""
+    change: float
+    """Largest change of the command in one frame."""
+    full_command: float
+    """F [V]."""
+    dac_range: float
+    """R [V]."""
+    quantum: float
+    """q [V]; 0 without quantisation."""
+
+
+class ServoState(NamedTuple):
+    """State of the servo electronics."""
+
+    tripped: NDArray[np.bool_]
+    """Latched switches, (n, 2): retracted, extended."""
+    command: NDArray[np.float64]
+    """Command behind the rate limiter, fractions, (n,)."""
+
+
+def make_servo_electronics(
+    settings: ServoSettings | None = None, rate: int = 2048
+) -> ServoElectronics:
+    """Compile the settings; default the shipped ones.
+
+    Args:
+        settings: numbers of the electronics.
+        rate: frames a second [Hz] at which `step` is called.
+    """
+    given = settings or load_servo_settings()
+    bits = given.dac_bits.value
+    return ServoElectronics(
+        switch_position=given.switch_position.si,
+        velocity_clamp=given.velocity_clamp.si,
+        change=given.rate_limit.si / rate,
+        full_command=given.full_command.si,
+        dac_range=given.dac_range.si,
+        quantum=2.0 * given.dac_range.si / 2.0**bits if bits else 0.0,
+    )
+
+
+def start(legs: int = 6) -> ServoState:
+    """State with no switch tripped and no command."""
+    return ServoState(np.zeros((legs, 2), dtype=np.bool_), np.zeros(legs))
+
+
+@compiled
+def reset(state):  # type: ignore[no-untyped-def]
+    """Release all latched switches; those still passed trip again in the next frame."""
+    state.tripped[:] = False
+
+
+@compiled
+def convert(electronics, command):  # type: ignore[no-untyped-def]
+    """Counts and volts of a command fraction; without quantisation counts are 0.
+
+    A command that is no number gives no voltage.
+    """
+    volts = command * electronics.full_command
+    if np.isnan(volts):
+        return 0.0, 0.0
+    top = electronics.dac_range
+    if electronics.quantum == 0.0:
+        return 0.0, min(max(volts, -top), top)
+    most = np.rint(top / electronics.quantum)
+    counts = min(max(np.rint(volts / electronics.quantum), -most), most - 1.0)
+    return counts, counts * electronics.quantum
+
+
+@compiled
+def step(  # type: ignore[no-untyped-def]
+    electronics, state, raised, command, position, counts, volts, valve
+):
+    """One frame from the control law's command to the valve.
+
+    Args:
+        electronics: parameters.
+        state: overwritten by the state of the next frame.
+        raised: whether the lower switches are watched: in hold and engaged, not on the stops, in
+            raise, return and fault.
+        command: (n,) valve commands of the control law, fractions.
+        position: (n,) leg extensions from neutral [m]; no number trips the switches watched.
+        counts: (n,) receives the DAC's counts.
+        volts: (n,) receives the DAC's voltages [V].
+        valve: (n,) receives the commands at the valves, fractions.
+
+    Returns:
+        Whether a switch has tripped, now or earlier.
+    """
+    end = electronics.switch_position
+    tripped = False
+    for leg in range(command.shape[0]):
+        if raised and not position[leg] >= -end:
+            state.tripped[leg, 0] = True
+        if not position[leg] <= end:
+            state.tripped[leg, 1] = True
+        tripped |= state.tripped[leg, 0] | state.tripped[leg, 1]
+    for leg in range(command.shape[0]):
+        counts[leg], volts[leg] = convert(electronics, command[leg])
+        wanted = 0.0 if tripped else volts[leg] / electronics.full_command
+        wanted = min(max(wanted, -electronics.velocity_clamp), electronics.velocity_clamp)
+        before, change = state.command[leg], electronics.change
+        # A bound at a time, so that an unlimited command passes to the bit.
+        state.command[leg] = min(max(wanted, before - change), before + change)
+        valve[leg] = state.command[leg]
+    return tripped

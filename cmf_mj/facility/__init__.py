@@ -1,0 +1,1 @@
+"""The facility: the closed loop in compiled frames, runs, scenarios, hosts."""

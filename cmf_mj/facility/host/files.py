@@ -1,0 +1,137 @@
+"""Host streams and sessions in files: CSV and Parquet tables of the same columns, SI.
+
+time                                           [s]
+surge, sway, heave, roll, pitch, yaw           pose [m, rad], z down
+surge_velocity ... yaw_velocity                [m/s, rad/s]      both or neither
+surge_acceleration ... yaw_acceleration        [m/s^2, rad/s^2]
+sequence                                       optional
+control_frame                                  sessions only
+"""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from cmf_mj.control.dcu.arrivals import Arrivals, upsample
+from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
+from cmf_mj.control.dcu.state import resting
+from cmf_mj.core.files import read_column, read_table, write_parquet, write_table
+from cmf_mj.core.settings import validated
+from cmf_mj.facility.host.stream import HostStream, make_stream
+from cmf_mj.machine.kinematics import DOFS
+
+_KINDS = ("", "_velocity", "_acceleration")
+_SCHEMA_KEY = b"cmf_mj_host"
+
+
+def read_stream(path: str | Path, *, derivatives: str = "spline") -> HostStream:
+    """Read a stream from a CSV or Parquet file.
+
+    Args:
+        path: ends in .csv or .parquet; columns by name in any order, others are ignored.
+        derivatives: how to make them where the file has only poses, as in `make_stream`.
+
+    Raises:
+        ValueError: file, column or frame that cannot be taken, named.
+    """
+    source = Path(path)
+    table = read_table(source)
+    poses, first, second = (f"{DOFS[0]}{kind}" for kind in _KINDS)
+    if (first in table.column_names) != (second in table.column_names):
+        raise ValueError(f"{source}: velocity and acceleration columns: give both or neither")
+    time = read_column(source, table, "time")
+    motion = [
+        np.column_stack([read_column(source, table, f"{dof}{kind}") for dof in DOFS])
+        for kind in (_KINDS if first in table.column_names else _KINDS[:1])
+    ]
+    numbers = None
+    if "sequence" in table.column_names:
+        numbers = read_column(source, table, "sequence", pa.int64())
+    try:
+        return make_stream(time, *motion, sequence=numbers, derivatives=derivatives)
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}") from error
+
+
+def write_stream(stream: HostStream, path: str | Path) -> Path:
+    """Write a stream as CSV or Parquet, by the name's end; it reads back bit for bit.
+
+    Raises:
+        ValueError: the name ends in neither.
+    """
+    return write_table(_table(stream.sequence, stream.time, stream.values), Path(path))
+
+
+@dataclass(frozen=True)
+class HostSession:
+    """Everything a DCU got in a run, good or bad, and all it takes to run it again."""
+
+    arrivals: Arrivals
+    """Frames with the control frame in which they reached the DCU."""
+    frames: int
+    """Control frames of the run."""
+    start: NDArray[np.float64] = field(default_factory=lambda: np.zeros(6))
+    """Pose the demand rested at before [m, rad], (6,)."""
+    settings: DcuSettings = field(default_factory=load_dcu)
+    """The DCU."""
+
+    def replay(self) -> NDArray[np.float64]:
+        """The demand (frames, 3, 6) of the run, bit for bit."""
+        compiled = make_dcu(self.settings)
+        return upsample(compiled, resting(compiled, self.start), self.arrivals, self.frames)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the session as Parquet; the file appears only when it is complete."""
+        table = _table(self.arrivals.sequence, self.arrivals.time, self.arrivals.values)
+        table = table.append_column("control_frame", pa.array(self.arrivals.frame))
+        header = {
+            "frames": self.frames,
+            "start": np.asarray(self.start, dtype=float).tolist(),
+            "settings": self.settings.model_dump(),
+        }
+        table = table.replace_schema_metadata({_SCHEMA_KEY: json.dumps(header).encode()})
+        return write_parquet(table, Path(path))
+
+    @staticmethod
+    def load(path: str | Path) -> "HostSession":
+        """Read a session written by `save`; numbers come back bit for bit.
+
+        Raises:
+            ValueError: the file is not a host session.
+        """
+        source = Path(path)
+        table = read_table(source)
+        raw = (table.schema.metadata or {}).get(_SCHEMA_KEY)
+        if raw is None:
+            raise ValueError(f"{source}: is not a host session")
+        header = json.loads(raw)
+        values = np.stack(
+            [
+                np.column_stack([read_column(source, table, f"{dof}{kind}") for dof in DOFS])
+                for kind in _KINDS
+            ],
+            axis=1,
+        )
+        arrivals = Arrivals(
+            read_column(source, table, "control_frame", pa.int64()),
+            read_column(source, table, "sequence", pa.int64()),
+            read_column(source, table, "time"),
+            np.ascontiguousarray(values),
+        )
+        settings = validated(DcuSettings, header["settings"], str(source))
+        return HostSession(arrivals, header["frames"], np.array(header["start"]), settings)
+
+
+def _table(
+    sequence: NDArray[np.int64], time: NDArray[np.float64], values: NDArray[np.float64]
+) -> pa.Table:
+    columns: dict[str, NDArray[Any]] = {"sequence": sequence, "time": time}
+    for row, kind in enumerate(_KINDS):
+        for i, dof in enumerate(DOFS):
+            columns[f"{dof}{kind}"] = np.ascontiguousarray(values[:, row, i])
+    return pa.table({name: pa.array(column) for name, column in columns.items()})

@@ -1,0 +1,135 @@
+"""From the receiving thread to the frame loop without a lock: a ring of the latest frames.
+
+One writer, one reader. The writer marks a slot as being written, fills it, marks it with the
+frame's count and only then raises `written`. The reader copies a slot between two looks at the
+mark; where they differ from what it expects, the writer has lapped it and the frame is lost, which
+is counted. Neither waits. A slot's mark and the counters are aligned 8-octet words.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.control.dcu.arrivals import Arrivals
+from cmf_mj.control.dcu.motion import copy
+from cmf_mj.core.compiled import compiled
+from cmf_mj.facility.host.stream import HostFrame
+
+NEVER = np.iinfo(np.int64).max
+"""Control frame of a place in a log that is not filled."""
+
+
+class Ring(NamedTuple):
+    """The latest frames, as arrays that writer and reader both hold."""
+
+    mark: NDArray[np.int64]
+    """Count of the frame in each slot, -1 while it is written, (slots,)."""
+    sequence: NDArray[np.int64]
+    """(slots,)."""
+    time: NDArray[np.float64]
+    """(slots,)."""
+    values: NDArray[np.float64]
+    """(slots, 3, 6)."""
+    written: NDArray[np.int64]
+    """Frames written so far, (1,); the writer's."""
+    read: NDArray[np.int64]
+    """Frames read or lost so far, (1,); the reader's."""
+    lost: NDArray[np.int64]
+    """Frames the reader came too late for or had no room for, (1,); the reader's."""
+
+
+def make_ring(slots: int = 256) -> Ring:
+    """An empty ring; 256 slots are three seconds of an 80 Hz host.
+
+    Raises:
+        ValueError: fewer than two slots.
+    """
+    if slots < 2:
+        raise ValueError(f"slots: {slots} must be at least 2")
+    counters = (np.zeros(1, dtype=np.int64) for _ in range(3))
+    return Ring(
+        np.full(slots, -1),
+        np.zeros(slots, dtype=np.int64),
+        np.zeros(slots),
+        np.zeros((slots, 3, 6)),
+        *counters,
+    )
+
+
+def make_log(capacity: int) -> Arrivals:
+    """An empty log for `collect`, with room for a number of frames.
+
+    Raises:
+        ValueError: no room.
+    """
+    if capacity < 1:
+        raise ValueError(f"capacity: {capacity} must be at least 1")
+    return Arrivals(
+        np.full(capacity, NEVER),
+        np.zeros(capacity, dtype=np.int64),
+        np.zeros(capacity),
+        np.zeros((capacity, 3, 6)),
+    )
+
+
+def put(ring: Ring, frame: HostFrame) -> None:
+    """Write a frame; called by the receiving thread alone."""
+    count = int(ring.written[0])
+    slot = count % ring.mark.size
+    ring.mark[slot] = -1
+    ring.sequence[slot] = frame.sequence
+    ring.time[slot] = frame.time
+    ring.values[slot, 0] = frame.pose
+    ring.values[slot, 1] = frame.velocity
+    ring.values[slot, 2] = frame.acceleration
+    ring.mark[slot] = count
+    ring.written[0] = count + 1
+
+
+@compiled
+def collect(ring, log, filled, frame):  # type: ignore[no-untyped-def]
+    """Move all new frames from the ring to the log, as arrived in this control frame.
+
+    The log is an `Arrivals`: hand it to `feed` afterwards, and keep it as the session.
+
+    Args:
+        ring: `Ring`.
+        log: `Arrivals` of `make_log`.
+        filled: places of the log in use.
+        frame: index of the present control frame.
+
+    Returns:
+        Places in use now.
+    """
+    slots = ring.mark.shape[0]
+    end = ring.written[0]
+    if end - ring.read[0] > slots:
+        ring.lost[0] += end - slots - ring.read[0]
+        ring.read[0] = end - slots
+    while ring.read[0] < end:
+        count = ring.read[0]
+        slot = count % slots
+        whole = filled < log.frame.shape[0] and ring.mark[slot] == count
+        if whole:
+            log.sequence[filled] = ring.sequence[slot]
+            log.time[filled] = ring.time[slot]
+            copy(ring.values[slot], log.values[filled])
+            whole = ring.mark[slot] == count
+        if whole:
+            log.frame[filled] = frame
+            filled += 1
+        else:
+            ring.lost[0] += 1
+        ring.read[0] = count + 1
+    return filled
+
+
+def logged(log: Arrivals, filled: int) -> Arrivals:
+    """The part of a log that is in use, as copies."""
+    return Arrivals(
+        log.frame[:filled].copy(),
+        log.sequence[:filled].copy(),
+        log.time[:filled].copy(),
+        log.values[:filled].copy(),
+    )

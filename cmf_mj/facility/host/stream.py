@@ -1,0 +1,208 @@
+"""Host frames as arrays: a stream the host means to send, with derivatives made where it has none.
+
+Derivatives of a stream of poses are those of the quintic spline through them (not-a-knot ends).
+Its pieces are what the DCU puts between two frames, so that the demand is that spline. It looks
+ahead and rings at jumps: take it for histories without; a host that steps sends zero derivatives.
+"""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import BPoly, make_interp_spline
+
+from cmf_mj.control.dcu.arrivals import Arrivals
+from cmf_mj.core.rates import RATE
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.signals.single import Command, check_positive
+
+DERIVATIVES = ("spline", "zero")
+"""How velocity and acceleration are made: of the quintic spline, or none."""
+
+LEAST = 6
+"""Frames a quintic spline needs."""
+
+
+class HostFrame(NamedTuple):
+    """One frame of the host."""
+
+    sequence: int
+    """Number, rising by one from frame to frame, 0 to 2^63 - 1."""
+    time: float
+    """Host time [s], of any origin."""
+    pose: NDArray[np.float64]
+    """Surge, sway, heave, roll, pitch, yaw [m, rad], z down, (6,)."""
+    velocity: NDArray[np.float64]
+    """First derivative of the pose [m/s, rad/s], Euler rates, (6,)."""
+    acceleration: NDArray[np.float64]
+    """Second derivative of the pose [m/s^2, rad/s^2], (6,)."""
+
+
+class HostStream(NamedTuple):
+    """Frames of a host in the order in which it sends them."""
+
+    sequence: NDArray[np.int64]
+    """Numbers, (N,)."""
+    time: NDArray[np.float64]
+    """Host times [s], (N,)."""
+    pose: NDArray[np.float64]
+    """Poses [m, rad], z down, (N, 6)."""
+    velocity: NDArray[np.float64]
+    """First derivatives of the poses [m/s, rad/s], (N, 6)."""
+    acceleration: NDArray[np.float64]
+    """Second derivatives of the poses [m/s^2, rad/s^2], (N, 6)."""
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """Pose, velocity and acceleration, (N, 3, 6)."""
+        return np.stack([self.pose, self.velocity, self.acceleration], axis=1)
+
+    def frames(self) -> Iterator[HostFrame]:
+        """The frames one by one: a stream is a `PlatformHost`."""
+        return (self.row(index) for index in range(self.time.size))
+
+    def row(self, index: int) -> HostFrame:
+        """One frame."""
+        return HostFrame(
+            int(self.sequence[index]),
+            float(self.time[index]),
+            self.pose[index],
+            self.velocity[index],
+            self.acceleration[index],
+        )
+
+
+def make_stream(
+    time: ArrayLike,
+    pose: ArrayLike,
+    velocity: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+    *,
+    sequence: ArrayLike | None = None,
+    derivatives: str = "spline",
+) -> HostStream:
+    """Build a stream from arrays.
+
+    Args:
+        time: host times [s], rising, (N,).
+        pose: (N, 6) [m, rad], z down.
+        velocity: (N, 6), or None with `acceleration` to make both.
+        acceleration: (N, 6), or None.
+        sequence: (N,) rising numbers; default 0, 1, 2 ...
+        derivatives: `spline` or `zero`, where they are to be made.
+
+    Raises:
+        ValueError: shape, order or a number that is not finite; the frame is named.
+    """
+    stamps, poses = np.array(time, dtype=float), np.array(pose, dtype=float)
+    count = stamps.size
+    if stamps.ndim != 1 or count < 1 or poses.shape != (count, len(DOFS)):
+        raise ValueError(
+            f"pose: shape is {poses.shape}, time has {stamps.shape}; allowed: (N, 6) and (N,)"
+        )
+    _refuse(~np.isfinite(stamps), "time", stamps, "a finite number")
+    _refuse(np.diff(stamps, prepend=-np.inf) <= 0.0, "time", stamps, "above the frame before")
+    _refuse(~np.isfinite(poses).all(axis=1), "pose", poses, "finite numbers")
+    if (velocity is None) != (acceleration is None):
+        raise ValueError("velocity, acceleration: give both or neither")
+    if velocity is None or acceleration is None:
+        first, second = differentiate(stamps, poses, derivatives)
+    else:
+        first, second = np.array(velocity, dtype=float), np.array(acceleration, dtype=float)
+    for name, values in (("velocity", first), ("acceleration", second)):
+        if values.shape != poses.shape:
+            raise ValueError(f"{name}: shape is {values.shape}; allowed: {poses.shape}")
+        _refuse(~np.isfinite(values).all(axis=1), name, values, "finite numbers")
+    numbers = np.arange(count) if sequence is None else np.array(sequence)
+    if numbers.shape != (count,) or numbers.dtype.kind != "i":
+        raise ValueError(f"sequence: {numbers.dtype} {numbers.shape}; allowed: integers ({count},)")
+    _refuse(np.diff(numbers, prepend=-1) <= 0, "sequence", numbers, "above the frame before")
+    return HostStream(numbers.astype(np.int64), stamps, poses, first, second)
+
+
+def differentiate(
+    time: NDArray[np.float64], pose: NDArray[np.float64], derivatives: str = "spline"
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Velocity and acceleration (N, 6) of poses (N, 6): of the quintic spline, or zero.
+
+    On a uniform grid h the spline's error is of the order h^5 f^(6) in velocity and h^4 f^(6) in
+    acceleration.
+
+    Raises:
+        ValueError: unknown way, or fewer than six frames for a spline.
+    """
+    if derivatives not in DERIVATIVES:
+        raise ValueError(f"derivatives: {derivatives!r} is not one of {', '.join(DERIVATIVES)}")
+    if derivatives == "zero":
+        return np.zeros_like(pose), np.zeros_like(pose)
+    if time.size < LEAST:
+        raise ValueError(f"pose: {time.size} frames; a spline needs at least {LEAST}")
+    spline = make_interp_spline(time - time[0], pose, k=5)
+    at = time - time[0]
+    return spline(at, nu=1), spline(at, nu=2)
+
+
+def from_command(
+    command: Command, rate: float = 80.0, *, derivatives: str = "spline"
+) -> HostStream:
+    """The stream of a host that means a command.
+
+    Args:
+        command: poses at 2048 Hz.
+        rate: frames a second, at most 2048 Hz.
+        derivatives: `spline` samples the quintic spline through the command and its derivatives;
+            `zero` takes the newest pose of the command and sends no derivatives (steps, pulses).
+
+    Raises:
+        ValueError: rate out of range, or a command the spline cannot take.
+    """
+    check_positive(rate=rate)
+    if rate > RATE:
+        raise ValueError(f"rate: {rate} Hz must be at most {RATE} Hz")
+    frames = command.pose.shape[0]
+    grid = np.arange(frames) / RATE
+    time = np.arange(int(np.floor(grid[-1] * rate + 1e-9)) + 1) / rate
+    if derivatives != "spline":
+        newest = np.minimum(np.floor(time * RATE + 1e-6).astype(int), frames - 1)
+        return make_stream(time, command.pose[newest], derivatives=derivatives)
+    if frames < LEAST:
+        raise ValueError(f"command: {frames} frames; a spline needs at least {LEAST}")
+    spline = make_interp_spline(grid, command.pose, k=5)
+    return make_stream(time, spline(time), spline(time, nu=1), spline(time, nu=2))
+
+
+def resample(stream: HostStream, rate: float) -> HostStream:
+    """The same motion in frames at another rate: quintic Hermite between the given frames.
+
+    Raises:
+        ValueError: rate out of range, or fewer than two frames.
+    """
+    check_positive(rate=rate)
+    if stream.time.size < 2:
+        raise ValueError(f"stream: {stream.time.size} frames; resampling needs at least 2")
+    start = float(stream.time[0])
+    curve = BPoly.from_derivatives(stream.time - start, stream.values)
+    time = np.arange(int(np.floor((stream.time[-1] - start) * rate + 1e-9)) + 1) / rate
+    motion = [curve(time, nu=order) for order in range(3)]
+    return make_stream(time + start, *motion)
+
+
+def arrivals(stream: HostStream, *, delay: int = 0) -> Arrivals:
+    """The stream as it reaches a DCU whose control frame 0 is the first frame's time.
+
+    Args:
+        stream: what the host sends.
+        delay: whole control frames on the way, at least 0.
+    """
+    if delay < 0:
+        raise ValueError(f"delay: {delay} control frames must be at least 0")
+    since = stream.time - stream.time[0]
+    frame = np.ceil(since * RATE - 1e-6).astype(np.int64) + delay
+    return Arrivals(frame, stream.sequence, stream.time, stream.values)
+
+
+def _refuse(bad: ArrayLike, name: str, values: NDArray[Any], allowed: str) -> None:
+    if np.any(bad):
+        index = int(np.argmax(bad))
+        raise ValueError(f"{name}: frame {index}: {values[index]} is refused; allowed: {allowed}")

@@ -1,0 +1,220 @@
+"""Host frames over UDP: a receiving thread and a sender that keeps its time.
+
+The receiver binds to the loopback address unless told otherwise and takes datagrams of one host
+only; all others are dropped and counted.
+"""
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from cmf_mj.facility.host.datagram import DATAGRAM_REASONS, SIZE, DatagramError, decode, encode
+from cmf_mj.facility.host.handover import Ring, make_ring, put
+from cmf_mj.facility.host.stream import HostFrame, HostStream
+from cmf_mj.signals.single import check_positive
+
+LOOPBACK = "127.0.0.1"
+
+_LONGEST_WAIT = 0.05
+"""How long the thread waits before it looks whether it is to end [s]."""
+
+
+class UdpReceiver:
+    """Receives host frames in a thread of its own and puts them into a ring.
+
+    Use it as a context manager, or call `close`.
+    """
+
+    def __init__(
+        self,
+        port: int = 0,
+        *,
+        host: str = LOOPBACK,
+        host_port: int | None = None,
+        bind: str = LOOPBACK,
+        ring: Ring | None = None,
+    ) -> None:
+        """Bind the socket and start the thread.
+
+        Args:
+            port: UDP port to listen on; 0 takes a free one, see `address`.
+            host: IPv4 address of the only host whose datagrams are taken.
+            host_port: port it must send from; default any.
+            bind: IPv4 address to listen on.
+            ring: where frames go; default a new one.
+
+        Raises:
+            ValueError: a port out of range or an address that is not IPv4.
+            OSError: the port is taken or the address is not of this machine.
+        """
+        for name, number in (("port", port), ("host_port", host_port or 0)):
+            if not 0 <= number <= 65535:
+                raise ValueError(f"{name}: {number} is refused; allowed: 0 to 65535")
+        for name, address in (("host", host), ("bind", bind)):
+            _check_address(name, address)
+        self.ring = ring if ring is not None else make_ring()
+        """Frames received, good form only."""
+        self._refused = np.zeros(len(DATAGRAM_REASONS), dtype=np.int64)
+        self._host, self._host_port = host, host_port
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((bind, port))
+        except OSError:
+            self._socket.close()
+            raise
+        self._socket.settimeout(_LONGEST_WAIT)
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._receive, name="host frames", daemon=True)
+        self._thread.start()
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Address and port it listens on."""
+        address, port = self._socket.getsockname()
+        return address, port
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Datagrams dropped so far, by reason."""
+        return dict(zip(DATAGRAM_REASONS, self._refused.tolist(), strict=True))
+
+    @property
+    def received(self) -> int:
+        """Frames put into the ring so far."""
+        return int(self.ring.written[0])
+
+    def close(self) -> None:
+        """End the thread and close the socket; what was received stays in the ring."""
+        self._ending.set()
+        self._thread.join()
+        self._socket.close()
+
+    def __enter__(self) -> "UdpReceiver":
+        """Return the running receiver."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
+    def _receive(self) -> None:
+        while not self._ending.is_set():
+            try:
+                # One octet more than a frame, so that a longer datagram is seen to be longer.
+                data, (address, port) = self._socket.recvfrom(SIZE + 1)
+            except OSError:  # nothing came, or the network refused an earlier datagram
+                continue
+            try:
+                if address != self._host or self._host_port not in (None, port):
+                    raise DatagramError("wrong_sender", f"{address}:{port}")
+                put(self.ring, decode(data))
+            except DatagramError as error:
+                self._refused[DATAGRAM_REASONS.index(error.reason)] += 1
+
+
+class SendReport(NamedTuple):
+    """How a stream was sent."""
+
+    frames: int
+    """Datagrams sent."""
+    duration: float
+    """From the first to the last [s]."""
+    mean_lateness: float
+    """Mean time of sending behind the deadlines [s]."""
+    worst_lateness: float
+    """Largest of it [s]."""
+
+
+class UdpSender:
+    """Sends host frames to one address. Use it as a context manager, or call `close`."""
+
+    def __init__(self, address: str, port: int) -> None:
+        """Open a socket.
+
+        Raises:
+            ValueError: port out of range or an address that is not IPv4.
+        """
+        if not 1 <= port <= 65535:
+            raise ValueError(f"port: {port} is refused; allowed: 1 to 65535")
+        _check_address("address", address)
+        self._target = (address, port)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def __enter__(self) -> "UdpSender":
+        """Return the sender."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
+    def send(self, frame: HostFrame) -> None:
+        """Send one frame."""
+        self._socket.sendto(encode(frame), self._target)
+
+    def play(
+        self,
+        stream: HostStream,
+        *,
+        speed: float = 1.0,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> SendReport:
+        """Send a stream in real time by its own time stamps.
+
+        Each deadline is start + (time[k] - time[0]) / speed: absolute, so that no lateness adds up.
+
+        Args:
+            stream: frames.
+            speed: how many times faster than real time.
+            clock: monotonic clock [s].
+            sleep: waits for a number of seconds.
+
+        Raises:
+            ValueError: the speed is not above 0.
+        """
+        check_positive(speed=speed)
+        datagrams = [encode(stream.row(index)) for index in range(stream.time.size)]
+        deadlines = (stream.time - stream.time[0]) / speed
+        lateness = np.zeros(stream.time.size)
+        start = clock()
+        for index, datagram in enumerate(datagrams):
+            deadline = start + float(deadlines[index])
+            while (left := deadline - clock()) > 0.0:
+                sleep(left)
+            self._socket.sendto(datagram, self._target)
+            lateness[index] = clock() - deadline
+        return SendReport(
+            frames=len(datagrams),
+            duration=float(deadlines[-1] + lateness[-1] - lateness[0]),
+            mean_lateness=float(lateness.mean()),
+            worst_lateness=float(lateness.max()),
+        )
+
+
+def parse_target(text: str) -> tuple[str, int]:
+    """Address and port of `127.0.0.1:2048`.
+
+    Raises:
+        ValueError: the text is not of that form.
+    """
+    address, colon, port = text.rpartition(":")
+    if not (colon and port.isascii() and port.isdigit()):
+        raise ValueError(f"to: {text!r} is refused; allowed: ADDRESS:PORT, e.g. 127.0.0.1:2048")
+    _check_address("to", address)
+    return address, int(port)
+
+
+def _check_address(name: str, address: str) -> None:
+    try:
+        socket.inet_pton(socket.AF_INET, address)
+    except OSError as error:
+        raise ValueError(f"{name}: {address!r} is not an IPv4 address") from error

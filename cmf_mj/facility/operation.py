@@ -1,0 +1,359 @@
+"""The facility in operation: host frames to the legs through the whole chain of Figures 2-5 to 2-7.
+
+    host -> DCU -> platform limits -> demand -> operating states -> leg limits -> DCL
+         -> servo electronics -> valves -> machine -> sensors -> ADC -> DCL
+
+`operate` runs recorded or made-up frames as fast as it can; `serve` runs the machine in real time
+on frames from the network. Both give an `Operation`: the record, what became of the host's frames,
+and the session, which run again gives the same demand bit for bit.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.control import governor, states
+from cmf_mj.control.dcu.arrivals import Arrivals
+from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
+from cmf_mj.control.demand import Demand, make_demand
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.control.protection import ProtectionSettings, load_protection
+from cmf_mj.control.state_settings import StateSettings, load_state_settings
+from cmf_mj.control.states import Request, State
+from cmf_mj.core import units
+from cmf_mj.core.rates import FRAME, RATE
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.facility import host as hosts
+from cmf_mj.facility.front import LOG, Chain, make_chain
+from cmf_mj.facility.pace import Pace, make_pace
+from cmf_mj.facility.session import Session
+from cmf_mj.machine import kinematics
+from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
+from cmf_mj.plant.events import Event
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.record.record import Record
+
+_RESTING = -37.95 * units.INCH
+"""Leg position on the stops: a little above the mechanical end at -38 in [m]."""
+
+_LOG_CAPACITY = 200.0
+"""Host frames a second to keep room for; the DCU refuses what comes faster."""
+
+
+class FacilitySettings(NamedTuple):
+    """Choice of everything between host and valves; names, TOML files or loaded settings."""
+
+    dcu: str | Path | DcuSettings = "default"
+    """Digital Control Unit."""
+    limits: str | Path | MotionLimits | None = None
+    """Limits of platform and legs; default Table 2-1 with the assumed rates."""
+    states: str | Path | StateSettings | None = None
+    """Operating states."""
+    demand: Demand | None = None
+    """Leg demand, with body flexibility if wanted; default rigid."""
+    electronics: ElectronicsSettings | None = ElectronicsSettings()
+    """Sensors, converters, servo electronics; None for ideal ones."""
+    protection: str | Path | ProtectionSettings | None = "default"
+    """Fault detection; None for none."""
+
+
+class Timing(NamedTuple):
+    """How a run in real time kept up."""
+
+    busy: NDArray[np.float64]
+    """Computing time of each control frame [s], (N,)."""
+    late: NDArray[np.float64]
+    """How late each began [s], (N,)."""
+
+    @property
+    def over(self) -> int:
+        """Frames that computed for longer than a control frame."""
+        return int((self.busy > FRAME).sum())
+
+    def percentile(self, share: float) -> float:
+        """Computing time that a share of the frames, in per cent, stays below [s]."""
+        return float(np.percentile(self.busy, share))
+
+
+class Operation(NamedTuple):
+    """What a run of the facility gave."""
+
+    record: Record
+    """All signals; `demand_pose`, its derivatives, `operating_state`, `host_stale` and
+    `valve_gain` besides those of `simulate`."""
+    session: hosts.HostSession
+    """The host's frames as they arrived."""
+    counts: dict[str, int]
+    """What the DCU made of the frames: accepted, late, missing and so on."""
+    rejections: dict[str, int]
+    """Frames the DCU refused, by reason."""
+    unused: dict[str, int]
+    """Frames received that never came to the DCU, of a run in real time: `early` before the clock
+    started, `lost` between receiver and loop."""
+    timing: Timing | None
+    """Of a run in real time."""
+
+
+def operate(
+    plant: Hexapod,
+    law: str | Path | Law,
+    frames: hosts.HostStream | Arrivals,
+    *,
+    seconds: float | None = None,
+    begin: State = State.ENGAGED,
+    requests: Sequence[tuple[float, Request]] = (),
+    events: Sequence[Event] = (),
+    facility: FacilitySettings | None = None,
+    record_every: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> Operation:
+    """Run the facility on host frames.
+
+    Args:
+        plant: the hexapod.
+        law: name, TOML file or loaded `Law`.
+        frames: a `HostStream`, or frames with the control frame they arrive in.
+        seconds: length of the run; default until the last frame has had its turn. The host's
+            silence trips the host watchdog soon after.
+        begin: operating state to begin in: off, settled, hold or engaged. Off and settled begin on
+            the stops, the others at the first frame's pose, or neutral if that is beyond the
+            operational limits or the legs' working stroke. Settled has its valves open from the
+            first frame, so that a law whose balance is elsewhere jumps; off fades them in.
+        requests: operator's requests and their times [s].
+        events: failures on the time line.
+        facility: everything between host and valves.
+        record_every: keep one frame in this many.
+        progress: called with the seconds simulated, about once a second of them.
+
+    Raises:
+        ValueError: an argument out of range, named.
+        OutOfBounds: the state left its physical bounds; leg, time and value are named.
+    """
+    arrivals = hosts.arrivals(frames) if isinstance(frames, hosts.HostStream) else frames
+    if not arrivals.frame.size:
+        raise ValueError("frames: the host sends none; give at least one")
+    settings = facility or FacilitySettings()
+    last = arrivals.frame[-1] / RATE + load_dcu(settings.dcu).delay.total
+    count = _count(last if seconds is None else seconds)
+    pose = starting_pose(arrivals.values[0, 0], load_motion_limits(settings.limits))
+    session, unit = prepare(
+        plant,
+        load_law(law),
+        arrivals,
+        hosts.make_ring(2),
+        False,
+        count,
+        begin,
+        pose,
+        requests,
+        events,
+        settings,
+        None,
+        record_every,
+    )
+    while session.frame < count:
+        session.run(RATE)
+        if progress is not None:
+            progress(session.frame / RATE)
+    return _operation(session, arrivals, unit, pose, {}, None)
+
+
+def serve(
+    plant: Hexapod,
+    law: str | Path | Law,
+    ring: hosts.Ring,
+    seconds: float,
+    *,
+    begin: State = State.ENGAGED,
+    requests: Sequence[tuple[float, Request]] = (),
+    events: Sequence[Event] = (),
+    facility: FacilitySettings | None = None,
+    record_every: int = 16,
+    progress: Callable[[float], None] | None = None,
+) -> Operation:
+    """Run the facility in real time on frames that a receiver puts into a ring.
+
+    Compiles and warms up first; the clock starts after that.
+
+    Args:
+        plant: the hexapod.
+        law: name, TOML file or loaded `Law`.
+        ring: of `host.UdpReceiver`, or filled by `host.put`.
+        seconds: length of the run.
+        begin: operating state to begin in.
+        requests: operator's requests and their times [s].
+        events: failures on the time line.
+        facility: everything between host and valves.
+        record_every: keep one frame in this many.
+        progress: called with the seconds run, 0 when the clock starts and about once a second.
+
+    Raises:
+        ValueError: an argument out of range, named.
+        OSError: no monotonic clock to keep time by.
+        OutOfBounds: the state left its physical bounds; leg, time and value are named.
+    """
+    settings, loaded, neutral = facility or FacilitySettings(), load_law(law), np.zeros(6)
+
+    def prepared(count: int, source: hosts.Ring, pace: Pace) -> tuple[Session, DcuSettings]:
+        log = hosts.make_log(int(count / RATE * _LOG_CAPACITY) + 256)
+        return prepare(
+            plant, loaded, log, source, True, count, begin, neutral, requests, events, settings,
+            pace, record_every,
+        )  # fmt: skip
+
+    prepared(8, hosts.make_ring(2), make_pace(8))[0].run()
+    count = _count(seconds)
+    pace = make_pace(count)
+    session, unit = prepared(count, ring, pace)
+    if progress is not None:
+        progress(0.0)
+    started, lost = int(ring.written[0]), int(ring.lost[0])
+    unused = {"early": started - int(ring.read[0])}
+    ring.read[0] = started
+    while session.frame < count:
+        session.run(RATE)
+        if progress is not None:
+            progress(session.frame / RATE)
+    log = _chain(session).arrivals
+    arrivals = hosts.logged(log, int((log.frame < hosts.NEVER).sum()))
+    unused["lost"] = int(ring.lost[0]) - lost
+    return _operation(session, arrivals, unit, neutral, unused, Timing(pace.busy, pace.late))
+
+
+def starting_pose(pose: NDArray[np.float64], limits: MotionLimits) -> NDArray[np.float64]:
+    """The pose, or neutral where the limits forbid it."""
+    low, high = limits.operational.T
+    inside = bool(((pose >= low) & (pose <= high)).all())
+    if inside and np.abs(kinematics.pose_to_legs(pose)).max() <= limits.leg.position.si:
+        return np.array(pose)
+    return np.zeros(6)
+
+
+def _chain(session: Session) -> Chain:
+    chain = session.controller.chain
+    if chain is None:
+        raise TypeError("session: runs on a table, not on a chain")
+    return chain
+
+
+def _count(seconds: float) -> int:
+    if not (np.isfinite(seconds) and seconds > 0.0):
+        raise ValueError(f"seconds: {seconds} must be greater than 0")
+    return max(round(seconds * RATE), 1)
+
+
+def prepare(
+    plant: Hexapod,
+    law: Law,
+    arrivals: Arrivals,
+    ring: hosts.Ring,
+    live: bool,
+    count: int,
+    begin: State,
+    pose: NDArray[np.float64],
+    requests: Sequence[tuple[float, Request]],
+    events: Sequence[Event],
+    facility: FacilitySettings,
+    pace: Pace | None,
+    every: int,
+    window: int | None = None,
+) -> tuple[Session, DcuSettings]:
+    """Make a session of the whole chain, and its DCU's settings.
+
+    Args:
+        plant: the hexapod.
+        law: loaded law.
+        arrivals: host frames, or a log to collect them in.
+        ring: hand-over of live frames.
+        live: whether frames come from it.
+        count: control frames of the run.
+        begin: operating state to begin in.
+        pose: of the demand at the start, (6,) [m, rad].
+        requests: operator's requests and their times [s].
+        events: failures on the time line.
+        facility: everything between host and valves.
+        pace: real time; None for as fast as possible.
+        every: keep one frame in this many.
+        window: control frames to keep in the record; default all.
+
+    Raises:
+        ValueError: an argument out of range, named.
+    """
+    if every < 1:
+        raise ValueError(f"record_every: {every} frames must be at least 1")
+    settings = load_dcu(facility.dcu)
+    limits = load_motion_limits(facility.limits)
+    shown = states.make_states(load_state_settings(facility.states))
+    down = begin in (State.OFF, State.SETTLED)
+    legs = np.full(6, _RESTING) if down else kinematics.pose_to_legs(pose)
+    start = kinematics.legs_to_pose(legs) if down else pose
+    chain = make_chain(
+        make_dcu(settings),
+        arrivals,
+        sorted((round(at * RATE), code) for at, code in requests),
+        -(-(count if window is None else window) // every),
+        begin=begin,
+        ring=ring,
+        live=live,
+        limits=(governor.make_pose_governor(limits), governor.make_leg_governor(limits)),
+        shown=shown,
+        geometry=facility.demand or make_demand(),
+        position=legs,
+        pose=pose,
+    )
+    protection = facility.protection
+    session = Session(
+        plant,
+        law,
+        chain.reference[:1].copy(),
+        frames=count,
+        window=window,
+        start=start,
+        events=events,
+        protection=None if protection is None else load_protection(protection),
+        electronics=facility.electronics,
+        chain=chain,
+        pace=pace,
+        record_every=every,
+    )
+    if down:
+        session.controller.state.integral[:] = 0.0
+    return session, settings
+
+
+def chain_channels(
+    log: NDArray[np.float64],
+) -> tuple[dict[str, NDArray[np.float64]], dict[str, str]]:
+    """Channels and units of rows of a chain's log, (N, 21)."""
+    shapes = ("m, rad", "m/s, rad/s", "m/s^2, rad/s^2")
+    channels = {name: log[:, 6 * i : 6 * i + 6] for i, name in enumerate(LOG[:3])}
+    channels |= {name: log[:, 18 + i] for i, name in enumerate(LOG[3:])}
+    return channels, dict(zip(LOG, (*shapes, "1", "1", "1"), strict=True))
+
+
+def _operation(
+    session: Session,
+    arrivals: Arrivals,
+    unit: DcuSettings,
+    pose: NDArray[np.float64],
+    unused: dict[str, int],
+    timing: Timing | None,
+) -> Operation:
+    time, channels, channel_units = session.history()
+    chain = _chain(session)
+    named, log_units = chain_channels(chain.log[: time.size])
+    channel_units |= log_units
+    counts, rejections = chain.dcu_state.counts, chain.dcu_state.rejections
+    context: dict[str, Any] = {
+        "command": {"signal": "host frames", "frames": int(arrivals.frame.size)},
+        "seed": None,
+        "dcu": unit.model_dump(mode="json"),
+        "host_counts": counts,
+        "host_rejections": rejections,
+    }
+    record = Record(time, named | channels, channel_units, session.describe() | context)
+    played = hosts.HostSession(arrivals, session.frame, pose, unit)
+    return Operation(record, played, counts, rejections, unused, timing)

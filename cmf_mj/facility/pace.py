@@ -1,0 +1,134 @@
+"""Real time: each control frame begins when its time has come, and its computing time is logged.
+
+The compiled loop reads the system's monotonic clock and sleeps through the C library, called like
+MuJoCo by its address. A run that is not paced passes None, or the `idle_pace` where both kinds of
+run are to share one compilation.
+"""
+
+import ctypes
+import sys
+import time
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+from numba.extending import overload
+from numpy.typing import NDArray
+
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.rates import FRAME
+from cmf_mj.plant.native import call
+
+_SPIN = 100e-6
+"""Time before a frame that is waited out awake [s]; sleeping wakes late."""
+
+
+class Pace(NamedTuple):
+    """Clock and log of a paced run."""
+
+    gettime: int
+    """Address of clock_gettime."""
+    nanosleep: int
+    """Address of nanosleep."""
+    clock: int
+    """Number of the monotonic clock."""
+    spec: NDArray[np.int64]
+    """Seconds and nanoseconds, workspace, (2,)."""
+    rest: NDArray[np.int64]
+    """Workspace, (2,)."""
+    origin: NDArray[np.float64]
+    """When frame 0 began [s]; NaN before, (1,)."""
+    busy: NDArray[np.float64]
+    """Computing time of each frame [s], (N,)."""
+    late: NDArray[np.float64]
+    """How late each frame began [s], (N,)."""
+
+
+def make_pace(frames: int) -> Pace:
+    """Pace for a number of frames.
+
+    Raises:
+        OSError: the system has no clock_gettime.
+    """
+    if sys.platform == "win32":
+        raise OSError("real time: needs a system with clock_gettime and nanosleep")
+    library = ctypes.CDLL(None)
+
+    def address(name: str) -> int:
+        return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
+
+    return Pace(
+        address("clock_gettime"),
+        address("nanosleep"),
+        time.CLOCK_MONOTONIC,
+        np.zeros(2, dtype=np.int64),
+        np.zeros(2, dtype=np.int64),
+        np.full(1, np.nan),
+        np.zeros(frames),
+        np.zeros(frames),
+    )
+
+
+def idle_pace() -> Pace:
+    """A pace that neither waits nor logs; needs no clock."""
+    spec, rest = np.zeros((2, 2), dtype=np.int64)
+    busy, late = np.zeros((2, 0))
+    return Pace(0, 0, 0, spec, rest, np.zeros(1), busy, late)
+
+
+@compiled
+def _now(pace):  # type: ignore[no-untyped-def]
+    call(pace.gettime, pace.clock, pace.spec.ctypes.data)
+    return pace.spec[0] + 1e-9 * pace.spec[1]
+
+
+@compiled
+def _begin(pace, frame):  # type: ignore[no-untyped-def]
+    if pace.busy.shape[0] == 0:
+        return
+    now = _now(pace)
+    if np.isnan(pace.origin[0]):
+        pace.origin[0] = now - frame * FRAME
+    due = pace.origin[0] + frame * FRAME
+    if due - now > _SPIN:
+        wait = int((due - now - _SPIN) * 1e9)
+        pace.spec[0], pace.spec[1] = wait // 1_000_000_000, wait % 1_000_000_000
+        call(pace.nanosleep, pace.spec.ctypes.data, pace.rest.ctypes.data)
+        now = _now(pace)
+    while now < due:
+        now = _now(pace)
+    pace.late[frame] = now - due
+    pace.busy[frame] = -now
+
+
+@compiled
+def _end(pace, frame):  # type: ignore[no-untyped-def]
+    if pace.busy.shape[0] == 0:
+        return
+    pace.busy[frame] += _now(pace)
+
+
+def begin(pace, frame):  # type: ignore[no-untyped-def]
+    """Wait for a frame's time; None and the idle pace do not wait."""
+    if pace is not None:
+        _begin(pace, frame)
+
+
+@overload(begin, jit_options={"forceinline": True})
+def _compiled_begin(pace, frame):  # type: ignore[no-untyped-def]
+    if isinstance(pace, types.NoneType):
+        return lambda pace, frame: None
+    return lambda pace, frame: _begin(pace, frame)
+
+
+def end(pace, frame):  # type: ignore[no-untyped-def]
+    """Log a frame's computing time; None and the idle pace do not."""
+    if pace is not None:
+        _end(pace, frame)
+
+
+@overload(end, jit_options={"forceinline": True})
+def _compiled_end(pace, frame):  # type: ignore[no-untyped-def]
+    if isinstance(pace, types.NoneType):
+        return lambda pace, frame: None
+    return lambda pace, frame: _end(pace, frame)

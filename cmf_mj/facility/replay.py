@@ -1,0 +1,241 @@
+"""Replay: the DCL and its fault detection run open loop on recorded feedback.
+
+    recorded reference, feedback -> DCL -> compensator output, beside the recorded one
+
+The law that made a record starts in the state in which the record says it began, so that at the
+control rate its output comes back bit for bit. Any other starts engaged at the first sample.
+A recording at a lower rate, such as the
+facility's 128 Hz, is brought to 2048 Hz by cubic splines, which cannot be exact: what lay between
+the samples is lost.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from cmf_mj.control import dcl as control
+from cmf_mj.control.feedback import gravity_history
+from cmf_mj.control.law import SIGNALS, Law, load_law
+from cmf_mj.control.protection import Fault, Protection, latched, protect, protection_state
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.rates import FRAME
+from cmf_mj.record.record import Record
+
+FEEDBACK = {
+    "position": "leg_position",
+    "velocity": "leg_velocity",
+    "acceleration": "leg_acceleration",
+    "cap_pressure": "cap_pressure",
+    "rod_pressure": "rod_pressure",
+}
+"""Feedback of the DCL and the channels it is recorded in."""
+
+_NEEDS = {
+    "velocity": ("velocity", "velocity_error"),
+    "acceleration": ("acceleration",),
+    "cap_pressure": ("cap_pressure", "force"),
+    "rod_pressure": ("rod_pressure", "force"),
+}
+"""Signals of the compensator that a feedback acts through; the position always acts."""
+
+
+class Replay(NamedTuple):
+    """A law's answer to recorded feedback."""
+
+    law: str
+    """Name of the law."""
+    time: NDArray[np.float64]
+    """Times of the record [s], (N,)."""
+    output: NDArray[np.float64]
+    """Compensator output, command fraction, (N, n)."""
+    recorded: NDArray[np.float64] | None
+    """The record's own, where it has one."""
+    interpolated: bool
+    """Whether the recording was below the control rate."""
+    factor: NDArray[np.float64]
+    """Factor of an adapting law on its feed-forward, (N, n); 1 for any other."""
+
+    @property
+    def difference(self) -> float:
+        """Largest difference of the two outputs; NaN where nothing was recorded."""
+        if self.recorded is None:
+            return float("nan")
+        return float(np.abs(self.output - self.recorded).max())
+
+    @property
+    def identical(self) -> bool:
+        """Whether the recorded output came back bit for bit."""
+        return self.recorded is not None and self.output.tobytes() == self.recorded.tobytes()
+
+
+@compiled
+def _run(dcl, state, reference, feedback, signals, command, output, factor):  # type: ignore[no-untyped-def]
+    for frame in range(reference.shape[0]):
+        for leg in range(reference.shape[1]):
+            factor[frame, leg] = 1.0 + state.adaptation[leg]
+        now = control.LegFeedback(
+            feedback.position[frame],
+            feedback.velocity[frame],
+            feedback.acceleration[frame],
+            feedback.cap_pressure[frame],
+            feedback.rod_pressure[frame],
+        )
+        control.step(dcl, state, reference[frame], now, signals, output[frame], command)
+
+
+@compiled
+def _watch(protection, state, reference, feedback, supply_pressure):  # type: ignore[no-untyped-def]
+    for frame in range(reference.shape[0]):
+        now = control.LegFeedback(
+            feedback.position[frame],
+            feedback.velocity[frame],
+            feedback.acceleration[frame],
+            feedback.cap_pressure[frame],
+            feedback.rod_pressure[frame],
+        )
+        protect(protection, state, frame, reference[frame], now, supply_pressure[frame])
+
+
+def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = None) -> Replay:
+    """Run a law on the recorded demand and feedback of a run.
+
+    Args:
+        record: with `leg_reference`, `leg_position` and whatever else the law reads, at the control
+            rate or a whole fraction of it.
+        law: name, TOML file or loaded `Law`.
+        feedback: recorded channel of each feedback in `FEEDBACK`, where it is another.
+
+    Raises:
+        ValueError: a channel that the law reads is missing, its shape is another, or the rate does
+            not divide the control rate.
+    """
+    told = record.metadata
+    loaded = load_law(law).mounted(told.get("cab") or str(told.get("plant", "")))
+    every = _every(record)
+    histories = _feedback(record, loaded, feedback or {})
+    reference = _legs(record, "leg_reference")
+    if every > 1:
+        reference = _raised(reference, every)
+        histories = control.LegFeedback(*(_raised(h, every) for h in histories))
+    frames, legs = reference.shape
+    dcl = control.make_dcl(loaded, legs)
+    first = control.LegFeedback(*(history[0].copy() for history in histories))
+    state = _begun(record, loaded, legs) or control.engaged(dcl, reference[0], first)
+    output = np.empty((frames, legs))
+    signals = np.zeros((legs, len(SIGNALS)))
+    factor = np.empty((frames, legs))
+    _run(dcl, state, reference, histories, signals, np.zeros(legs), output, factor)
+    known = "compensator_output" in record.channels
+    recorded = _legs(record, "compensator_output") if known else None
+    picked = np.ascontiguousarray(output[::every])
+    return Replay(loaded.name, record.time, picked, recorded, every > 1, factor[::every])
+
+
+def replay_protection(
+    record: Record,
+    protection: Protection,
+    supply_pressure: float | NDArray[np.float64],
+) -> Fault | None:
+    """The fault that the protection finds in a record, or none.
+
+    Args:
+        record: at the control rate, with all channels of `FEEDBACK` and `leg_reference`.
+        protection: of `make_protection`.
+        supply_pressure: constant, or (N,) [Pa].
+
+    Raises:
+        ValueError: a missing channel, or another rate.
+    """
+    if _every(record) != 1:
+        raise ValueError(f"sample_rate: {record.rate} Hz is refused; allowed: {1 / FRAME:g} Hz")
+    reference = _legs(record, "leg_reference")
+    histories = control.LegFeedback(*(_legs(record, name) for name in FEEDBACK.values()))
+    histories.acceleration[:] -= _felt(record) * (not _compensated(record))
+    state = protection_state(histories.position[0])
+    supply = np.array(np.broadcast_to(supply_pressure, reference.shape[0]), dtype=float)
+    _watch(protection, state, reference, histories, supply)
+    return latched(state)
+
+
+def _begun(record: Record, law: Law, legs: int) -> control.DclState | None:
+    """The state in which the law began; none where the record does not say, or of another law."""
+    said = record.metadata.get("law_state")
+    if not said or record.metadata.get("law_parameters") != law.model_dump(mode="json"):
+        return None
+    state = control.DclState(
+        **{name: np.array(values, dtype=float) for name, values in said.items()}
+    )
+    return state if all(values.shape == (legs,) for values in state) else None
+
+
+def _every(record: Record) -> int:
+    every = 1.0 / (FRAME * record.rate)
+    if not (every >= 1.0 and every.is_integer()):
+        raise ValueError(
+            f"sample_rate: {record.rate} Hz is refused; allowed: {1 / FRAME:g} Hz over an integer"
+        )
+    return int(every)
+
+
+def _legs(record: Record, channel: str) -> NDArray[np.float64]:
+    values = record[channel]
+    legs = record["leg_position"].shape
+    if values.ndim != 2 or values.shape != legs or values.shape[0] < 2:
+        raise ValueError(f"{channel}: shape is {values.shape}; allowed: (N, n) with N >= 2")
+    return np.array(values, order="C")  # the compiled law takes writable ones only
+
+
+def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> control.LegFeedback:
+    odd = sorted(set(names) - set(FEEDBACK))
+    if odd:
+        raise ValueError(f"feedback: {odd[0]!r} is not one of {', '.join(FEEDBACK)}")
+    histories = []
+    for field, channel in (FEEDBACK | dict(names)).items():
+        acting = (
+            field == "position"
+            or (field == "velocity" and law.reads_velocity)
+            or (field.endswith("_pressure") and law.load_feedback is not None)
+            or any(
+                np.any(getattr(gains, signal))
+                for signal in _NEEDS[field]
+                for gains in (law.direct_gain, law.input_gain)
+            )
+        )
+        if acting and channel not in record.channels:
+            raise ValueError(
+                f"{channel}: is not recorded, and the law {law.name} reads it; recorded: "
+                f"{', '.join(record.channels)}"
+            )
+        present = channel in record.channels
+        still = np.zeros(record["leg_position"].shape)
+        histories.append(_legs(record, channel) if present else still)
+    found = control.LegFeedback(*histories)
+    if "acceleration" not in names and FEEDBACK["acceleration"] in record.channels:
+        shift = int(_compensated(record)) - int(law.gravity_compensation)
+        if shift:
+            found.acceleration[:] += shift * _felt(record)
+    return found
+
+
+def _compensated(record: Record) -> bool:
+    """Whether the recorded leg accelerations, those that the law read, are without gravity."""
+    return bool(record.metadata.get("law_parameters", {}).get("gravity_compensation", True))
+
+
+def _felt(record: Record) -> NDArray[np.float64]:
+    """Gravity that the accelerometers of a run felt, (N, n) [m/s^2]; 0 where it does not say."""
+    electronics = record.metadata.get("electronics") or {}
+    position = _legs(record, "leg_position")
+    if not electronics.get("sensors", {}).get("gravity", False):
+        return np.zeros(position.shape)
+    return gravity_history(position)
+
+
+def _raised(values: NDArray[np.float64], every: int) -> NDArray[np.float64]:
+    """Values at `every` times the rate through the same samples, to the last one."""
+    coarse = np.arange(values.shape[0])
+    fine = np.arange((values.shape[0] - 1) * every + 1) / every
+    return np.ascontiguousarray(CubicSpline(coarse, values, axis=0)(fine))

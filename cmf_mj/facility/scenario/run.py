@@ -1,0 +1,340 @@
+"""Runs of a scenario, live or in one go.
+
+The demand is made in blocks of frames, and the record is taken out of the loop block by block. A
+block begins at a multiple of its length whatever the parts a run is advanced in, so that a live run
+and the scenario it leaves behind compute the same numbers in the same arrays: the same bits.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.control.dcl import make_dcl
+from cmf_mj.control.law import load_law
+from cmf_mj.control.protection import Fault
+from cmf_mj.control.states import State
+from cmf_mj.core.rates import FRAME, RATE
+from cmf_mj.facility.scenario.demand import Demand
+from cmf_mj.facility.scenario.handover import handed_over
+from cmf_mj.facility.scenario.settings import (
+    Change,
+    Push,
+    Scenario,
+    changed_law,
+    overlaid_law,
+    request_code,
+)
+from cmf_mj.facility.scenario.signal import Motion, added
+from cmf_mj.facility.scenario.source import BLOCK, ChainSource, TableSource
+from cmf_mj.facility.session import SUPPLY_CHANNELS
+from cmf_mj.plant.cylinder import CAP, ROD
+from cmf_mj.plant.faults import OVERLOAD
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.single_legs import SingleLegs
+from cmf_mj.record.record import Record
+
+_SUPPLY = tuple(SUPPLY_CHANNELS)
+_FOREVER = 2**62
+"""Frames of a run without end."""
+
+
+class Live(NamedTuple):
+    """A look at a run, copied; arrays with a leg axis are (n,)."""
+
+    time: float
+    """Time of the next frame [s]."""
+    qpos: NDArray[np.float64]
+    """MuJoCo's generalised positions, (nq,)."""
+    demand: NDArray[np.float64]
+    """Platform demand of the last frame [m, rad], z down, (6,)."""
+    reference: NDArray[np.float64]
+    """Leg reference [m]."""
+    extension: NDArray[np.float64]
+    """True leg extension from neutral [m]."""
+    valve_command: NDArray[np.float64]
+    """Fraction of full command."""
+    cap_pressure: NDArray[np.float64]
+    """[Pa] gauge."""
+    rod_pressure: NDArray[np.float64]
+    """[Pa] gauge."""
+    force: NDArray[np.float64]
+    """Cylinder force [N], positive extending."""
+    supply_pressure: float
+    """[Pa] gauge."""
+    return_pressure: float
+    """[Pa] gauge."""
+    law: str
+    """Name of the law in force."""
+    state: str
+    """Operating state; empty without the chain."""
+    fault: Fault | None
+    """Fault detected."""
+
+
+class _Due(NamedTuple):
+    frame: int
+    change: Change
+    motion: Motion | None
+
+
+class ScenarioRun:
+    """A scenario as it goes: advance it, look at it, change it, and take away what was done."""
+
+    def __init__(self, scenario: Scenario, *, keep: float = 600.0) -> None:
+        """Build the plant, put it at rest at the first pose of the demand and engage the law.
+
+        Args:
+            scenario: what to run. Its changes happen as their frames come.
+            keep: of an `open` run, how much of the past the record keeps [s].
+
+        Raises:
+            ValueError: an argument out of range, named.
+        """
+        self._begun = scenario
+        self.plant = make_plant(scenario)
+        """The machine; its MuJoCo data is that of the run."""
+        self._law = overlaid_law(load_law(scenario.law), scenario.gains)
+        self._demand = Demand(added(scenario.signal, scenario.seed))
+        source = TableSource if scenario.operation is None else ChainSource
+        self._source: TableSource | ChainSource = source(
+            self._demand, self.plant, self._law, scenario
+        )
+        self._session = self._source.session
+        if scenario.frames is None:
+            self._session.frames = _FOREVER
+        self._filled = 0
+        self._due = deque(self._checked(change.when(), change) for change in scenario.change)
+        self._done: list[Change] = []
+        self._pushes: dict[int, Push] = {}
+        self._strikes = sorted(round(event.at / FRAME) + 1 for event in scenario.event)
+        self._parts: deque[tuple[NDArray[np.float64], NDArray[np.float64]]] = deque()
+        self._first = self._next = 0
+        self._most = _FOREVER if scenario.frames else max(round(keep * RATE / BLOCK), 1)
+
+    @property
+    def frame(self) -> int:
+        """Control frames run so far."""
+        return self._session.frame
+
+    @property
+    def finished(self) -> bool:
+        """Whether the scenario's duration is over."""
+        return self.frame >= self._session.frames
+
+    def advance(self, frames: int) -> None:
+        """Run a number of control frames, at most to the end of the duration.
+
+        Raises:
+            OutOfBounds: the state left its physical bounds; leg, time and value are named.
+        """
+        session = self._session
+        target = min(self.frame + frames, session.frames)
+        while self.frame < target:
+            while self._due and self._due[0].frame <= self.frame:
+                self._happen(self._due.popleft())
+            if self.frame % BLOCK == 0:
+                self._fill(self.frame)
+            self._push()
+            ends = [target, (self.frame // BLOCK + 1) * BLOCK]
+            ends += [due.frame for due in self._due]
+            ends += [strike for strike in self._strikes if strike > self.frame]
+            session.run(min(ends) - self.frame)
+            if self.frame % BLOCK == 0:
+                self._take()
+
+    def apply(self, change: Change) -> None:
+        """Change something from the next frame on.
+
+        A law takes over as `handover` says, signals as `demand` says.
+
+        Raises:
+            ValueError: the change has a time of its own, or something in it is refused.
+        """
+        for field in ("at", "frame"):
+            if getattr(change, field) is not None:
+                raise ValueError(
+                    f"{field}: {getattr(change, field)} is refused; a change applied live happens "
+                    "in the next frame"
+                )
+        at = sum(due.frame <= self.frame for due in self._due)
+        self._due.insert(at, self._checked(self.frame, change))
+
+    def latest(self) -> Live:
+        """How things stand."""
+        session, memory = self._session, self._session.memory
+        state = session.machine.state
+        code = self._source.state()
+        supply = dict(zip(_SUPPLY, state.supply.tolist(), strict=True))
+        return Live(
+            time=self.frame * FRAME,
+            qpos=self.plant.data.qpos.copy(),
+            demand=self._source.pose(max(self.frame - 1, 0)),
+            reference=memory.reference.copy(),
+            extension=self.plant.extensions(),
+            valve_command=memory.command[0].copy(),
+            cap_pressure=state.pressure[:, CAP].copy(),
+            rod_pressure=state.pressure[:, ROD].copy(),
+            force=memory.load.copy(),
+            supply_pressure=supply["supply_pressure"],
+            return_pressure=supply["return_pressure"],
+            law=self._law.name,
+            state="" if code is None else State(code).name.lower(),
+            fault=session.fault,
+        )
+
+    def scenario(self) -> Scenario:
+        """What has been done so far, as a scenario that does it again bit for bit."""
+        changes = tuple(change for change in self._done if change.when() < self.frame)
+        past = {"change": changes, "duration": max(self.frame, 1) * FRAME}
+        return self._begun.model_copy(update=past)
+
+    def record(self) -> Record:
+        """All signals so far; of an `open` run those of the last `keep` seconds."""
+        session = self._session
+        last = -(-self.frame // session.every)
+        parts = [*self._parts, self._rows(self._next, last)]
+        loop, front = (np.concatenate(rows) for rows in zip(*parts, strict=True))
+        time, channels, units = session.history(loop, self._first)
+        own, own_units = self._source.channels(front)
+        scenario = self.scenario()
+        context: dict[str, Any] = {
+            "command": _command(scenario),
+            "seed": scenario.seed,
+            "scenario": scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True),
+        }
+        context |= session.describe() | self._source.described()
+        return Record(time, own | channels, own_units | units, context)
+
+    def _checked(self, frame: int, change: Change) -> _Due:
+        """The change with its motion, after everything in it was found to be possible."""
+        legs = self.plant.legs
+        for failure in change.failure:
+            if failure.leg is not None and failure.leg > legs:
+                raise ValueError(
+                    f"leg: {failure.leg} of {failure.kind} is not a leg; allowed: 1 to {legs}"
+                )
+        if change.push is not None:
+            self._body(change.push)
+        if change.request is not None and not isinstance(self._source, ChainSource):
+            raise ValueError(f"request: {change.request!r} needs [operation]")
+        law = self._law
+        for due in getattr(self, "_due", ()):
+            law = changed_law(law, due.change)
+        changed_law(law, change)
+        signal = change.signal
+        motion = None if signal is None else added(signal, self._begun.seed)
+        return _Due(frame, change, motion)
+
+    def _happen(self, due: _Due) -> None:
+        change, session = due.change, self._session
+        self._done.append(change.model_copy(update={"at": None, "frame": self.frame}))
+        if change.law is not None or change.gains:
+            self._law = changed_law(self._law, change)
+            after = make_dcl(self._law, self.plant.legs)
+            controller, memory = session.controller, session.memory
+            reference = memory.signals[:, 0] if self.frame else memory.feedback.position
+            parts = controller.electronics
+            state = handed_over(
+                controller.dcl,
+                controller.state,
+                after,
+                reference,
+                memory.feedback,
+                None if parts is None else parts.gravity,
+            )
+            session.engage(self._law, after, state)
+        if due.motion is not None:
+            self._demand.change(self.frame, due.motion, round(change.fade * RATE))
+            if self.frame % BLOCK:
+                self._fill(self._filled)
+        for failure in change.failure:
+            session.inject(failure.event(self.frame * FRAME))
+            self._strikes.append(self.frame + 1)
+        if change.push is not None:
+            self._pushes[self._body(change.push)] = change.push
+        if change.request is not None and isinstance(self._source, ChainSource):
+            self._source.request(self.frame, request_code(change.request))
+
+    def _fill(self, first: int) -> None:
+        self._source.fill(first)
+        self._filled = first
+
+    def _body(self, push: Push) -> int:
+        """Number of the pushed body.
+
+        Raises:
+            ValueError: the model has no such body.
+        """
+        model = self.plant.model
+        names = [model.body(i).name for i in range(1, model.nbody)]
+        if not push.body:
+            return int(self._session.machine.mechanics.payload_bodies[0])
+        if push.body not in names:
+            raise ValueError(f"body: {push.body!r} is not one of {', '.join(names)}")
+        return int(model.body(push.body).id)
+
+    def _push(self) -> None:
+        """Apply the external forces, beside an overload."""
+        machine = self._session.machine
+        forces, loaded = machine.mechanics.payload, machine.mechanics.payload_bodies
+        for body, push in self._pushes.items():
+            forces[body] = (*push.force, *push.torque)
+            if body in loaded:
+                forces[body, 2] -= machine.faults.plant[OVERLOAD] / loaded.size
+
+    def _rows(self, first: int, last: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return self._session.rows(first, last), self._source.rows(first, last)
+
+    def _take(self) -> None:
+        """Take the block just run out of the loop."""
+        last = -(-self.frame // self._session.every)
+        self._parts.append(self._rows(self._next, last))
+        self._next = last
+        while len(self._parts) > self._most:
+            self._first += self._parts.popleft()[0].shape[0]
+
+
+def make_plant(scenario: Scenario) -> Plant:
+    """The machine of a scenario."""
+    hydraulics = load_hydraulics(scenario.hydraulics)
+    if scenario.plant == "hexapod":
+        return Hexapod(scenario.cab, hydraulics)
+    return SingleLegs(hydraulics)
+
+
+def run_scenario(
+    scenario: Scenario, *, progress: Callable[[int, int], None] | None = None
+) -> Record:
+    """Run a scenario from beginning to end.
+
+    Args:
+        scenario: with a duration.
+        progress: called with the control frames run and those in all, about twice a second of the
+            run.
+
+    Raises:
+        ValueError: an argument out of range, named; an `open` duration.
+        OutOfBounds: the state left its physical bounds; leg, time and value are named.
+    """
+    frames = scenario.frames
+    if frames is None:
+        raise ValueError("duration: is open; a run to the end needs one in s")
+    run = ScenarioRun(scenario)
+    while not run.finished:
+        run.advance(BLOCK)
+        if progress is not None:
+            progress(run.frame, frames)
+    return run.record()
+
+
+def _command(scenario: Scenario) -> dict[str, Any]:
+    """Description of the demand: of its signal, where it is one to the end."""
+    changed = any(change.signal is not None for change in scenario.change)
+    if changed or len(scenario.signal) != 1:
+        return {"kind": "scenario"}
+    return scenario.signal[0].description(scenario.seed)

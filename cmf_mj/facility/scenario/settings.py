@@ -1,0 +1,375 @@
+"""A scenario: one run as a file, from plant and law to the changes that happen while it goes."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import tomlkit
+from pydantic import AfterValidator, Field, model_validator
+
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.control.protection import load_protection
+from cmf_mj.control.states import Request, State
+from cmf_mj.core.files import write_text
+from cmf_mj.core.rates import RATE
+from cmf_mj.core.settings import Settings, merged, parsed_toml, read_toml, validated
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.facility.operation import FacilitySettings
+from cmf_mj.facility.scenario.signal import Signal
+from cmf_mj.machine import models
+from cmf_mj.plant.events import Event, Kind
+from cmf_mj.plant.parameters.loading import load_hydraulics
+
+Gains = dict[str, float | dict[str, float | dict[str, float]]]
+"""Fields of a law to replace, as `laws.toml` names them: `{direct_gain = {velocity = -2.0}}`."""
+
+Vector = tuple[float, float, float]
+RequestName = Literal["off", "settle", "raise", "hold", "engage", "trip", "reset"]
+Length = Annotated[float, Field(gt=0.0)]
+
+
+def _ending(*allowed: str) -> AfterValidator:
+    def check(name: str) -> str:
+        if Path(name).suffix not in allowed or Path(name).name != name:
+            raise ValueError(f"must be a plain file name that ends in {' or '.join(allowed)}")
+        return name
+
+    return AfterValidator(check)
+
+
+class Failure(Settings):
+    """Something that fails at the time of a change."""
+
+    kind: Kind
+    """What fails."""
+    leg: Annotated[int, Field(ge=1)] | None = None
+    """Leg of a valve or sensor, from 1."""
+    valve: Annotated[int, Field(ge=1, le=2)] | None = None
+    """Valve of the leg, 1 or 2; both if left out."""
+    size: tuple[float, str] | None = None
+    """How much, with its unit, as in `Event`."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        self.event(0.0)
+        return self
+
+    def event(self, at: float) -> Event:
+        """The event at a time [s]."""
+        return Event(at=at, kind=self.kind, leg=self.leg, valve=self.valve, size=self.size)
+
+
+class Push(Settings):
+    """An external force on a body, held until the next push on it; without force it lets go.
+
+    On the platform an `overload` that strikes while it is pushed suspends the vertical push for
+    that one frame.
+    """
+
+    body: str = ""
+    """Body of the MuJoCo model; default the one that carries the payload."""
+    force: Vector = (0.0, 0.0, 0.0)
+    """At the body's centre of mass in MuJoCo's world axes: forward, left, up [N]."""
+    torque: Vector = (0.0, 0.0, 0.0)
+    """In the same axes [N m]."""
+
+
+class Change(Settings):
+    """What changes from a control frame on. Nothing that is left out does."""
+
+    at: Annotated[float, Field(ge=0.0)] | None = None
+    """When [s], to the nearest control frame; in a file this or `frame`."""
+    frame: Annotated[int, Field(ge=0)] | None = None
+    """In which control frame."""
+    law: str | None = None
+    """Law that takes over, by name or TOML file; drops earlier `gains`."""
+    gains: Gains = {}
+    """Fields of the law in force to replace."""
+    signal: tuple[Signal, ...] | None = None
+    """Signals that take over, beginning now; `[]` goes to neutral."""
+    fade: Annotated[float, Field(ge=0.0)] = 1.0
+    """Time in which they do [s]; 0 jumps."""
+    failure: tuple[Failure, ...] = ()
+    """What fails."""
+    push: Push | None = None
+    """External force from now on."""
+    request: RequestName | None = None
+    """Operator's request, with `operation`."""
+
+    @model_validator(mode="after")
+    def _once(self) -> Self:
+        if self.at is not None and self.frame is not None:
+            raise ValueError("at, frame: both are given; allowed: one of them")
+        return self
+
+    def when(self) -> int:
+        """Control frame of the change.
+
+        Raises:
+            ValueError: neither `at` nor `frame` is given.
+        """
+        if self.frame is not None:
+            return self.frame
+        if self.at is None:
+            raise ValueError("at: is missing; a change in a scenario needs `at` or `frame`")
+        return round(self.at * RATE)
+
+
+class ElectronicsChoice(Settings):
+    """Sensors, converters and servo electronics; sets by name or TOML file."""
+
+    sensors: str = "noisy"
+    """`ideal`, `noisy` or a file."""
+    converters: str = "sixteen_bit"
+    """`off`, `sixteen_bit` or a file."""
+    servo: str | None = None
+    """File of changes to the servo electronics."""
+
+    def chosen(self, seed: int) -> ElectronicsSettings:
+        """The same for a run."""
+        return ElectronicsSettings(self.sensors, self.converters, self.servo, seed)
+
+
+class RequestAt(Settings):
+    """One request of the operator."""
+
+    at: Annotated[float, Field(ge=0.0)]
+    """When [s]."""
+    request: RequestName
+    """What is requested."""
+
+
+class OperationChoice(Settings):
+    """The whole chain from host to valves; without it the signal is the demand itself."""
+
+    begin: Literal["off", "settled", "hold", "engaged"] = "settled"
+    """Operating state to begin in."""
+    request: tuple[RequestAt, ...] = (RequestAt(at=0.0, request="engage"),)
+    """Operator's requests."""
+    host_every: Annotated[int, Field(ge=1)] = 26
+    """Control frames from one host frame to the next; 26 are 78.8 Hz."""
+    dcu: str = "default"
+    """Digital Control Unit, `default` or a file."""
+    limits: str | None = None
+    """File of the limits of platform and legs."""
+    states: str | None = None
+    """File of the operating states' times."""
+
+    @property
+    def state(self) -> State:
+        """State to begin in."""
+        return State[self.begin.upper()]
+
+    def facility(self, scenario: "Scenario") -> FacilitySettings:
+        """The same for a run."""
+        return FacilitySettings(
+            dcu=self.dcu,
+            limits=self.limits,
+            states=self.states,
+            electronics=scenario.chosen_electronics(),
+            protection=scenario.protection,
+        )
+
+
+class VideoChoice(Settings):
+    """A film of the run."""
+
+    file: Annotated[str, _ending(".mp4", ".gif")] = "video.mp4"
+    """Name."""
+    camera: str = "overview"
+    """Camera of the model."""
+    fps: Annotated[int, Field(ge=1, le=120)] = 30
+    """Pictures a second."""
+    speed: Annotated[float, Field(gt=0.0)] = 1.0
+    """Times real speed; below 1 is slow motion."""
+
+
+class Outputs(Settings):
+    """What `cmf run` writes, besides the scenario itself."""
+
+    record: Annotated[str, _ending(".parquet")] | Literal[False] = "record.parquet"
+    """All signals, or false."""
+    plot: Annotated[str, _ending(".png", ".svg", ".pdf")] | Literal[False] = "overview.png"
+    """Figure of demand, response, valves and pressures, or false."""
+    video: VideoChoice | None = None
+    """Film."""
+
+
+class Scenario(Settings):
+    """One run."""
+
+    title: str = ""
+    """What it shows."""
+    plant: Literal["hexapod", "single_legs"] = "hexapod"
+    """The machine."""
+    cab: Literal["gfd", "rfd", "ifd"] = "gfd"
+    """Its cab; single legs have none."""
+    hydraulics: str = "hardware"
+    """`report`, `hardware`, `lossy` or a TOML file."""
+    law: str = "velocity"
+    """Control law by name or TOML file."""
+    gains: Gains = {}
+    """Fields of the law to replace."""
+    signal: tuple[Signal, ...] = ()
+    """Demand: the sum of these; none is rest at neutral."""
+    event: tuple[Event, ...] = ()
+    """Failures on the time line."""
+    electronics: ElectronicsChoice | None = None
+    """Noisy sensors and servo electronics; default ideal ones."""
+    protection: str | None = None
+    """Fault detection that makes an emergency stop, `default` or a file; default none."""
+    operation: OperationChoice | None = None
+    """The chain from host to valves; default none."""
+    duration: Length | Literal["open"] = 10.0
+    """Length [s]; an `open` run goes on until it is ended, and can only be run live."""
+    seed: int = 0
+    """Of noise and random phases."""
+    record_every: Annotated[int, Field(ge=1)] = 1
+    """Keep one control frame in this many."""
+    outputs: Outputs = Outputs()
+    """What to write."""
+    change: tuple[Change, ...] = ()
+    """What changes, in order of time."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.operation is not None and self.plant != "hexapod":
+            raise ValueError(f"operation: is for the hexapod, plant is {self.plant}")
+        load_hydraulics(self.hydraulics)
+        models.cab_path(self.cab)
+        if self.protection is not None:
+            load_protection(self.protection)
+        law, last = overlaid_law(load_law(self.law), self.gains), 0
+        for number, change in enumerate(self.change):
+            if change.at is None and change.frame is None:
+                raise ValueError(f"change.{number}: needs `at` in s or `frame`")
+            frame = change.when()
+            if frame < last:
+                raise ValueError(f"change: frame {frame} comes after frame {last}; sort by time")
+            last = frame
+            law = changed_law(law, change)
+            if change.request is not None and self.operation is None:
+                raise ValueError(f"change: request {change.request!r} needs [operation]")
+        return self
+
+    @property
+    def frames(self) -> int | None:
+        """Control frames of the run; None for ever."""
+        return None if self.duration == "open" else max(round(self.duration * RATE), 1)
+
+    def chosen_electronics(self) -> ElectronicsSettings | None:
+        """Electronics of the run."""
+        return None if self.electronics is None else self.electronics.chosen(self.seed)
+
+
+def overlaid_law(law: Law, gains: Mapping[str, Any]) -> Law:
+    """A law with some of its fields replaced, tables entry by entry.
+
+    Raises:
+        ValueError: a field that is not one of a law, or is out of range.
+    """
+    return validated(Law, merged(law.model_dump(), gains), "gains") if gains else law
+
+
+def changed_law(law: Law, change: Change) -> Law:
+    """The law after a change."""
+    return overlaid_law(law if change.law is None else load_law(change.law), change.gains)
+
+
+def request_code(name: RequestName) -> Request:
+    """The request of a name."""
+    return Request[name.upper()]
+
+
+def read_scenario(text: str, where: str, folder: Path | None = None) -> Scenario:
+    """A scenario from TOML text.
+
+    Args:
+        text: TOML.
+        where: how it is called in errors.
+        folder: that relative file names count from; default the working folder.
+
+    Raises:
+        ValueError: not TOML, or one line a refused key with what is allowed.
+    """
+    return scenario_of(parsed_toml(text, where), where, folder)
+
+
+def scenario_of(table: Mapping[str, Any], where: str, folder: Path | None = None) -> Scenario:
+    """A scenario from plain values, lists included, as TOML and JSON have them.
+
+    Args:
+        table: keys of a scenario.
+        where: how it is called in errors.
+        folder: that relative file names count from; default the working folder.
+
+    Raises:
+        ValueError: one line a refused key with what is allowed.
+    """
+    scenario: Scenario = validated(
+        Scenario, _located(_frozen(table), (folder or Path()).resolve()), where
+    )
+    return scenario
+
+
+def change_of(table: Mapping[str, Any], where: str = "change") -> Change:
+    """A change from plain values, lists included.
+
+    Raises:
+        ValueError: one line a refused key with what is allowed.
+    """
+    change: Change = validated(Change, _frozen(table), where)
+    return change
+
+
+def load_scenario(path: str | Path) -> Scenario:
+    """Read a scenario; names of files in it count from its own folder.
+
+    Raises:
+        ValueError: unreadable file, or one line a refused key with what is allowed.
+    """
+    source = Path(path)
+    return scenario_of(read_toml(source), str(source), source.parent)
+
+
+def save_scenario(scenario: Scenario, path: str | Path) -> Path:
+    """Write a scenario as TOML, defaults left out; it reads back equal."""
+    target = Path(path)
+    write_text(target, scenario_toml(scenario))
+    return target
+
+
+def scenario_toml(scenario: Scenario) -> str:
+    """A scenario as TOML text, defaults left out."""
+    text: str = tomlkit.dumps(
+        scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
+    )
+    return text
+
+
+_FILES = (
+    *("hydraulics", "law", "protection", "sensors", "converters", "servo"),
+    *("dcu", "limits", "states"),
+)
+"""Keys that hold a name or a TOML file."""
+
+
+def _located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The table with its file names counted from a folder."""
+
+    def one(key: str, value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return value if key == "outputs" else _located(value, folder)
+        if isinstance(value, tuple):
+            return tuple(one("", entry) for entry in value)
+        named = key in _FILES and isinstance(value, str) and ".toml" in value
+        return str(folder / value) if named or (key == "file" and value) else value
+
+    return {key: one(key, value) for key, value in table.items()}
+
+
+def _frozen(value: Any) -> Any:
+    """Lists as tuples, all the way down."""
+    if isinstance(value, Mapping):
+        return {key: _frozen(entry) for key, entry in value.items()}
+    return tuple(_frozen(entry) for entry in value) if isinstance(value, list | tuple) else value

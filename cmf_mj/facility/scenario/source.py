@@ -1,0 +1,189 @@
+"""Where a scenario's run takes its demand from, block by block.
+
+It is a table of leg references, or the frames of a host that means the demand.
+
+The host of the chain sends the demand every so many control frames, with the derivatives of central
+differences at 2048 Hz, exact to T^2/6 of the third and T^2/12 of the fourth derivative.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.control.demand import leg_demand
+from cmf_mj.control.law import Law
+from cmf_mj.control.protection import load_protection
+from cmf_mj.core.rates import FRAME
+from cmf_mj.facility import host as hosts
+from cmf_mj.facility.front import Chain
+from cmf_mj.facility.operation import chain_channels, prepare, starting_pose
+from cmf_mj.facility.scenario.demand import Demand
+from cmf_mj.facility.scenario.settings import Scenario, request_code
+from cmf_mj.facility.session import Session
+from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.plant import Plant
+
+BLOCK = 1024
+"""Control frames of a block."""
+
+Channels = tuple[dict[str, NDArray[np.float64]], dict[str, str]]
+
+
+class TableSource:
+    """Leg references of the demand, rigid platform."""
+
+    def __init__(self, demand: Demand, plant: Plant, law: Law, scenario: Scenario) -> None:
+        """Make the session of a scenario without chain."""
+        self._demand = demand
+        self._poses = np.zeros((BLOCK, 6))
+        self._table = np.zeros((BLOCK, plant.legs))
+        self.fill(0)
+        protection = scenario.protection
+        self.session = Session(
+            plant,
+            law,
+            self._table,
+            frames=scenario.frames,
+            window=BLOCK,
+            start=self._poses[0],
+            events=scenario.event,
+            protection=None if protection is None else load_protection(protection),
+            electronics=scenario.chosen_electronics(),
+            record_every=scenario.record_every,
+        )
+
+    def fill(self, first: int) -> None:
+        """Make the block of frames from `first` on."""
+        self._poses[:] = self._demand.poses(first, BLOCK)
+        self._table[:] = leg_demand(self._poses)
+
+    def rows(self, first: int, last: int) -> NDArray[np.float64]:
+        """Rows of the record from `first` to before `last`, of the present block."""
+        return self._poses[np.arange(first, last) * self.session.every % BLOCK]
+
+    @staticmethod
+    def channels(rows: NDArray[np.float64]) -> Channels:
+        """Channels and units of rows."""
+        return {"demand_pose": rows}, {"demand_pose": "m, rad"}
+
+    def pose(self, frame: int) -> NDArray[np.float64]:
+        """Platform demand of a frame of the present block, (6,)."""
+        return self._poses[frame % BLOCK].copy()
+
+    def state(self) -> int | None:
+        """There is no operating state."""
+        return None
+
+    def described(self) -> dict[str, Any]:
+        """What a record keeps of it."""
+        return {}
+
+
+class ChainSource:
+    """Host frames of the demand, sent to the DCU of the whole chain."""
+
+    def __init__(self, demand: Demand, plant: Plant, law: Law, scenario: Scenario) -> None:
+        """Make the session of a scenario with the chain from host to valves.
+
+        Raises:
+            ValueError: the plant is not the hexapod.
+        """
+        operation = scenario.operation
+        if operation is None or not isinstance(plant, Hexapod):
+            raise ValueError("operation: needs the hexapod")
+        self._demand = demand
+        self._every = operation.host_every
+        frames = scenario.frames
+        self._arrivals = hosts.make_log((frames or BLOCK) // self._every + BLOCK)
+        self.fill(0)
+        limits = load_motion_limits(operation.limits)
+        self.session, self._unit = prepare(
+            plant,
+            law,
+            self._arrivals,
+            hosts.make_ring(2),
+            False,
+            frames or BLOCK,
+            operation.state,
+            starting_pose(self._arrivals.values[0, 0], limits),
+            [(one.at, request_code(one.request)) for one in operation.request],
+            scenario.event,
+            operation.facility(scenario),
+            None,
+            scenario.record_every,
+            window=BLOCK,
+        )
+
+    @property
+    def _chain(self) -> Chain:
+        chain = self.session.controller.chain
+        if chain is None:
+            raise TypeError("session: runs on a table, not on a chain")
+        return chain
+
+    def fill(self, first: int) -> None:
+        """Make the host frames that arrive in the block of frames from `first` on."""
+        poses = self._demand.poses(first - 1, BLOCK + 2)
+        numbers = np.arange(-(-first // self._every), -(-(first + BLOCK) // self._every))
+        self._make_room(int(numbers[-1]) + 1 if numbers.size else 0)
+        frames = numbers * self._every
+        at = frames - first + 1
+        before, here, after = poses[at - 1], poses[at], poses[at + 1]
+        log = self._arrivals
+        log.frame[numbers], log.sequence[numbers], log.time[numbers] = (
+            frames,
+            numbers,
+            frames * FRAME,
+        )
+        log.values[numbers, 0] = here
+        log.values[numbers, 1] = (after - before) / (2.0 * FRAME)
+        log.values[numbers, 2] = (after - 2.0 * here + before) / FRAME**2
+
+    def _make_room(self, count: int) -> None:
+        if count <= self._arrivals.frame.size:
+            return
+        larger = hosts.make_log(2 * count)
+        for new, old in zip(larger, self._arrivals, strict=True):
+            new[: old.shape[0]] = old
+        self._arrivals = larger
+        self._exchange(arrivals=larger)
+
+    def request(self, frame: int, code: int) -> None:
+        """Let the operator request something in a frame."""
+        chain = self._chain
+        self._exchange(
+            request_frame=np.append(chain.request_frame, frame),
+            request=np.append(chain.request, code),
+        )
+
+    def _exchange(self, **parts: Any) -> None:
+        session = self.session
+        session.controller = session.controller._replace(chain=self._chain._replace(**parts))
+
+    def rows(self, first: int, last: int) -> NDArray[np.float64]:
+        """Rows of the record from `first` to before `last`, of the present block."""
+        return self._chain.log[np.arange(first, last) % self._chain.log.shape[0]]
+
+    @staticmethod
+    def channels(rows: NDArray[np.float64]) -> Channels:
+        """Channels and units of rows."""
+        return chain_channels(rows)
+
+    def pose(self, frame: int) -> NDArray[np.float64]:
+        """Platform demand within its limits of the frame just run, (6,)."""
+        return self._chain.motion[0].copy()
+
+    def state(self) -> int | None:
+        """Operating state."""
+        return int(self._chain.marks[3])
+
+    def described(self) -> dict[str, Any]:
+        """What a record keeps of it."""
+        state = self._chain.dcu_state
+        return {
+            "dcu": self._unit.model_dump(mode="json"),
+            "host_counts": state.counts,
+            "host_rejections": state.rejections,
+        }

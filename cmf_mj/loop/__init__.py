@@ -1,1 +1,0 @@
-"""The compiled frame loop and the blocks around the control law."""

@@ -1,0 +1,1 @@
+"""What a motion base is: geometry, kinematics, gravity in its legs, motion limits, model files."""

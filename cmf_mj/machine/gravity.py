@@ -1,0 +1,220 @@
+"""Gravity along the legs (Appendix C), and what an accelerometer on a leg reads.
+
+With l_j the vector of leg j from lower to upper gimbal (Eq C.6, T of Eq C.7), L its length and
+n = l / L, in the report's axes (z down), up = -z:
+
+    axial gravity     g_j = g n_j . up                           0.832 g at neutral
+    Eq C.3            |(I - r/L P) g|,  P = I - n n'  (Eq C.1)   g_j for r = L, g for r = 0
+    specific force    f_j = d2l_j/dt2 + g_j - (L_j - d) |dn_j/dt|^2
+
+The specific force is exact for a sensor on the rod, on the leg's axis, at the distance d below the
+upper gimbal: the rod slides with l and swings about the lower gimbal. It points up the leg, so that
+a leg at rest reads +g_j.
+
+`track` follows the pose from leg extensions, one chord step of Newton's method a frame,
+
+    pose += J0^-1 (legs - legs(pose)),   J0 the Jacobian at neutral.
+
+Each step shrinks the error to at most 0.36 of it within the working strokes, so the pose lags the
+legs by half a frame at most.
+"""
+
+import xml.etree.ElementTree as ElementTree
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.units import STANDARD_GRAVITY
+from cmf_mj.machine import kinematics, models
+from cmf_mj.machine.kinematics import Geometry
+
+
+class LegAxes(NamedTuple):
+    """Compiled parameters of the tracker."""
+
+    geometry: Geometry
+    inverse: NDArray[np.float64]
+    """J0^-1, (6, 6): pose change per leg change."""
+
+
+class LegAxesState(NamedTuple):
+    """Pose and legs as tracked."""
+
+    pose: NDArray[np.float64]
+    """(6,) [m, rad]."""
+    turn: NDArray[np.float64]
+    """T at the pose, (3, 3)."""
+    length: NDArray[np.float64]
+    """Pin-to-pin lengths [m], (6,)."""
+    direction: NDArray[np.float64]
+    """n, (6, 3), report axes."""
+
+
+def make_leg_axes(geometry: Geometry | None = None) -> LegAxes:
+    """Parameters of the tracker; default the CMF's gimbals."""
+    shape = geometry or kinematics.read_geometry()
+    jacobian = kinematics.pose_jacobian(np.zeros(6), shape)
+    return LegAxes(shape, np.array(np.linalg.inv(jacobian), dtype=np.float64))
+
+
+def leg_axes_state(axes: LegAxes, legs: NDArray[np.float64]) -> LegAxesState:
+    """State that has found the pose of the leg extensions (6,) [m].
+
+    Raises:
+        ValueError: no pose has these legs.
+    """
+    pose = kinematics.legs_to_pose(legs, axes.geometry)
+    state = LegAxesState(pose, np.empty((3, 3)), np.empty(6), np.empty((6, 3)))
+    _evaluate(axes, state)
+    return state
+
+
+@compiled
+def _evaluate(axes, state):  # type: ignore[no-untyped-def]
+    """Lengths and directions of all legs at the pose of the state, Eq C.6."""
+    pose, turn = state.pose, state.turn
+    kinematics.rotate(pose[3], pose[4], pose[5], turn)
+    for j in range(6):
+        square = 0.0
+        for i in range(3):
+            along = pose[i] - axes.geometry.lower[j, i]
+            for k in range(3):
+                along += turn[i, k] * axes.geometry.upper[j, k]
+            state.direction[j, i] = along
+            square += along * along
+        state.length[j] = np.sqrt(square)
+        for i in range(3):
+            state.direction[j, i] /= state.length[j]
+
+
+@compiled
+def track(axes, state, legs):  # type: ignore[no-untyped-def]
+    """Follow the legs by one chord step.
+
+    A pose that has run away, for legs that no pose has, starts again from neutral.
+
+    Args:
+        axes: parameters.
+        state: overwritten.
+        legs: (6,) extensions of this frame [m].
+    """
+    for j in range(6):
+        error = legs[j] + axes.geometry.neutral[j] - state.length[j]
+        for i in range(6):
+            state.pose[i] += axes.inverse[i, j] * error
+    sound = True
+    for i in range(6):  # metres and radians; written so that NaN is unsound
+        sound = sound and abs(state.pose[i]) < 0.5 * np.pi
+    if not sound:
+        state.pose[:] = 0.0
+    _evaluate(axes, state)
+
+
+@compiled
+def upward(state, leg):  # type: ignore[no-untyped-def]
+    """Cosine between a leg and the vertical, n . up."""
+    return -state.direction[leg, 2]
+
+
+@compiled
+def _directions(axes, state, poses, lengths, directions):  # type: ignore[no-untyped-def]
+    for row in range(poses.shape[0]):
+        state.pose[:] = poses[row]
+        _evaluate(axes, state)
+        lengths[row] = state.length
+        directions[row] = state.direction
+
+
+def leg_directions(
+    pose: ArrayLike, geometry: Geometry | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lengths (..., 6) [m] and unit vectors (..., 6, 3), report axes, of the legs, Eq C.6.
+
+    Args:
+        pose: (..., 6) [m, rad], z down.
+        geometry: gimbals; default the CMF's.
+
+    Raises:
+        ValueError: another shape.
+    """
+    poses = np.asarray(pose, dtype=float)
+    if poses.ndim == 0 or poses.shape[-1] != 6:
+        raise ValueError(f"pose: shape is {poses.shape}; the last axis must have length 6")
+    axes = make_leg_axes(geometry)
+    lengths, directions = np.empty(poses.shape), np.empty((*poses.shape, 3))
+    state = leg_axes_state(axes, np.zeros(6))
+    flat = np.ascontiguousarray(poses.reshape(-1, 6))
+    _directions(axes, state, flat, lengths.reshape(-1, 6), directions.reshape(-1, 6, 3))
+    return lengths, directions
+
+
+def axial_gravity(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
+    """What accelerometers along the legs read at rest, g n . up [m/s^2], (..., 6)."""
+    return -STANDARD_GRAVITY * leg_directions(pose, geometry)[1][..., 2]
+
+
+def projected_gravity(
+    pose: ArrayLike, distance: float, geometry: Geometry | None = None
+) -> NDArray[np.float64]:
+    """Magnitude of Eq C.3, |(I - r/L P) g| [m/s^2], (..., 6).
+
+    Args:
+        pose: (..., 6) [m, rad], z down.
+        distance: r [m], from the upper gimbal to the centre of mass of the leg's moving part.
+        geometry: gimbals; default the CMF's.
+    """
+    length, direction = leg_directions(pose, geometry)
+    gravity = np.array([0.0, 0.0, STANDARD_GRAVITY])
+    along = (direction @ gravity)[..., None] * direction
+    across = gravity - along
+    return np.linalg.norm(along + (1.0 - distance / length)[..., None] * across, axis=-1)
+
+
+@lru_cache
+def accelerometer_distance() -> float:
+    """Distance d [m] of the accelerometers below the upper gimbals, from the hexapod's MJCF."""
+    root = ElementTree.parse(models.hexapod_path()).getroot()
+    height = {e.get("name"): float(e.get("pos", "0 0 0").split()[2]) for e in root.iter("site")}
+    return round(height["rod_end_1"] - height["rod_accelerometer_1"], 9)
+
+
+def leg_specific_force(
+    pose: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    geometry: Geometry | None = None,
+) -> NDArray[np.float64]:
+    """Specific force f along the legs at the accelerometers [m/s^2], (..., 6).
+
+    Args:
+        pose: (..., 6) [m, rad], z down.
+        velocity: (..., 6) rates of the pose.
+        acceleration: (..., 6) second derivatives of the pose.
+        geometry: gimbals; default the CMF's.
+    """
+    shape = geometry or kinematics.read_geometry()
+    legs = kinematics.pose_motion_to_legs(pose, velocity, acceleration, shape)
+    length, direction = leg_directions(pose, shape)
+    gimbal = _gimbal_velocity(np.asarray(pose, float), np.asarray(velocity, float), shape)
+    swing = gimbal - legs.velocity[..., None] * direction
+    turning = np.sum(swing**2, axis=-1) / length**2
+    up = -STANDARD_GRAVITY * direction[..., 2]
+    return legs.acceleration + up - (length - accelerometer_distance()) * turning
+
+
+def _gimbal_velocity(
+    pose: NDArray[np.float64], rate: NDArray[np.float64], geometry: Geometry
+) -> NDArray[np.float64]:
+    """Velocities v + omega x T A of the upper gimbals [m/s], (..., 6, 3)."""
+    found = np.empty((*pose.shape, 3))
+    rows = found.reshape(-1, 6, 3)
+    for row, (place, moving) in enumerate(
+        zip(pose.reshape(-1, 6), rate.reshape(-1, 6), strict=True)
+    ):
+        omega = kinematics.euler_rate_matrix(place[4], place[5]) @ moving[3:]
+        arm = geometry.upper @ kinematics.rotation(*place[3:]).T
+        rows[row] = moving[:3] + np.cross(omega, arm)
+    return found

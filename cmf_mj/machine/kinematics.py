@@ -1,0 +1,409 @@
+"""Pose to leg extensions and back, Jacobians and the excursion envelope.
+
+With A_j the upper gimbals in platform axes and B_j the lower gimbals in inertial axes
+(Appendix A of the report), the platform centroid at p and T of Eq 2.2,
+
+    l_j = p + T(roll, pitch, yaw) A_j - B_j,    leg_j = |l_j| - |A_j - B_j|        (Eq C.6)
+
+Axes are the report's everywhere here: x forward, y right, z **down**; a pose is
+(surge, sway, heave, roll, pitch, yaw) in m and rad, a leg is its extension from neutral in m.
+The geometry itself is read from the MJCF, which owns it, and turned from MuJoCo's z-up axes,
+(x, y, z)_mj = (x, -y, -z)_report, in this module only.
+"""
+
+import xml.etree.ElementTree as ElementTree
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+
+from cmf_mj.core import units
+from cmf_mj.core.compiled import compiled
+from cmf_mj.machine import models
+
+DOFS = ("surge", "sway", "heave", "roll", "pitch", "yaw")
+"""Names of the six degrees of freedom, in the order of a pose."""
+
+WORKING_STROKE = 37.5 * units.INCH
+"""Half of the leg travel the control law works in [m]: -37.5 in to +37.5 in (section 3.2.1)."""
+
+FLIP = np.array([1.0, -1.0, -1.0])
+"""Report axes to MuJoCo axes and back, componentwise."""
+
+_NEWTON_ITERATIONS = 50
+_NEWTON_TOLERANCE = 1e-13
+_CLOSE = 0.02
+"""Leg change from row to row [m] up to which the solution before is a safe start."""
+
+
+class Geometry(NamedTuple):
+    """Gimbal positions of a Stewart platform, report axes."""
+
+    upper: NDArray[np.float64]
+    """Upper gimbals A in the platform frame [m], (6, 3)."""
+    lower: NDArray[np.float64]
+    """Lower gimbals B in the inertial frame [m], (6, 3)."""
+    neutral: NDArray[np.float64]
+    """Pin-to-pin leg lengths at the pose zero [m], (6,)."""
+
+
+def make_geometry(upper: ArrayLike, lower: ArrayLike) -> Geometry:
+    """Build a `Geometry` from upper (6, 3) and lower (6, 3) gimbals [m], report axes."""
+    a = np.ascontiguousarray(upper, dtype=float)
+    b = np.ascontiguousarray(lower, dtype=float)
+    if a.shape != (6, 3) or b.shape != (6, 3):
+        raise ValueError(f"upper, lower: shapes are {a.shape}, {b.shape}; both must be (6, 3)")
+    return Geometry(a, b, np.linalg.norm(a - b, axis=1))
+
+
+@lru_cache
+def read_geometry(path: Path | None = None) -> Geometry:
+    """Read the gimbal positions from an MJCF (default: the CMF hexapod).
+
+    Upper gimbals are the sites `upper_1`..`upper_6`, lower gimbals the bodies
+    `cylinder_1`..`cylinder_6`.
+    """
+    root = ElementTree.parse(path or models.hexapod_path()).getroot()
+
+    def positions(tag: str, prefix: str) -> NDArray[np.float64]:
+        elements = {e.get("name"): e.get("pos", "0 0 0") for e in root.iter(tag)}
+        return np.array([elements[f"{prefix}_{i}"].split() for i in range(1, 7)], dtype=float)
+
+    return make_geometry(positions("site", "upper") * FLIP, positions("body", "cylinder") * FLIP)
+
+
+@lru_cache
+def half_stroke() -> float:
+    """Mechanical travel of a leg from neutral either way [m], from the hexapod's MJCF."""
+    root = ElementTree.parse(models.hexapod_path()).getroot()
+    (slide,) = (e for e in root.iter("joint") if e.get("type") == "slide" and e.get("range"))
+    return float(slide.get("range", "").split()[1])
+
+
+@compiled
+def rotate(roll, pitch, yaw, turn):  # type: ignore[no-untyped-def]
+    """Write T of Eq 2.2, (3, 3): platform axes to inertial axes, Euler order yaw, pitch, roll."""
+    cf, sf = np.cos(roll), np.sin(roll)
+    ct, st = np.cos(pitch), np.sin(pitch)
+    cp, sp = np.cos(yaw), np.sin(yaw)
+    turn[0, 0], turn[0, 1], turn[0, 2] = ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp
+    turn[1, 0], turn[1, 1], turn[1, 2] = ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp
+    turn[2, 0], turn[2, 1], turn[2, 2] = -st, sf * ct, cf * ct
+
+
+@compiled
+def rotation(roll, pitch, yaw):  # type: ignore[no-untyped-def]
+    """T of Eq 2.2, (3, 3), as a new array."""
+    turn = np.empty((3, 3))
+    rotate(roll, pitch, yaw, turn)
+    return turn
+
+
+@compiled
+def euler_rate_matrix(pitch, yaw):  # type: ignore[no-untyped-def]
+    """E, (3, 3): inertial angular velocity = E (roll rate, pitch rate, yaw rate)."""
+    ct, st = np.cos(pitch), np.sin(pitch)
+    cp, sp = np.cos(yaw), np.sin(yaw)
+    return np.array([[ct * cp, -sp, 0.0], [ct * sp, cp, 0.0], [-st, 0.0, 1.0]])
+
+
+@compiled
+def _legs(geometry, pose, legs):  # type: ignore[no-untyped-def]
+    turn = rotation(pose[3], pose[4], pose[5])
+    for j in range(6):
+        square = 0.0
+        for i in range(3):
+            upper = 0.0
+            for k in range(3):
+                upper += turn[i, k] * geometry.upper[j, k]
+            square += (pose[i] + upper - geometry.lower[j, i]) ** 2
+        legs[j] = np.sqrt(square) - geometry.neutral[j]
+
+
+@compiled
+def _twist_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
+    arm = geometry.upper @ rotation(pose[3], pose[4], pose[5]).T
+    for j in range(6):
+        line = pose[:3] + arm[j] - geometry.lower[j]
+        line /= np.sqrt(line @ line)
+        jacobian[j, :3] = line
+        jacobian[j, 3] = arm[j, 1] * line[2] - arm[j, 2] * line[1]
+        jacobian[j, 4] = arm[j, 2] * line[0] - arm[j, 0] * line[2]
+        jacobian[j, 5] = arm[j, 0] * line[1] - arm[j, 1] * line[0]
+
+
+@compiled
+def _pose_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
+    _twist_jacobian(geometry, pose, jacobian)
+    jacobian[:, 3:] = np.ascontiguousarray(jacobian[:, 3:]) @ euler_rate_matrix(pose[4], pose[5])
+
+
+@compiled
+def _legs_history(geometry, poses, legs):  # type: ignore[no-untyped-def]
+    for row in range(poses.shape[0]):
+        _legs(geometry, poses[row], legs[row])
+
+
+@compiled
+def _newton(geometry, legs, pose):  # type: ignore[no-untyped-def]
+    """Newton iteration from `pose`, in place; whether it ended on the assembly of the pose zero.
+
+    The assemblies are separated by singular poses, so theirs is told by the determinant's sign.
+    """
+    found = np.empty(6)
+    jacobian = np.empty((6, 6))
+    _pose_jacobian(geometry, np.zeros(6), jacobian)
+    sense = np.linalg.det(jacobian)
+    error = legs.copy()
+    for _ in range(_NEWTON_ITERATIONS):
+        _legs(geometry, pose, found)
+        error[:] = legs - found
+        if np.max(np.abs(error)) < _NEWTON_TOLERANCE:
+            break
+        _pose_jacobian(geometry, pose, jacobian)
+        if abs(np.linalg.det(jacobian)) < 1e-9 * abs(sense):
+            return False
+        pose += np.linalg.solve(jacobian, error)
+    # Round-off can hold the error a little above the tolerance, never above the accuracy promised.
+    _pose_jacobian(geometry, pose, jacobian)
+    turned = np.max(np.abs(pose[3:])) < 0.5 * np.pi
+    return turned and np.max(np.abs(error)) < 1e-11 and np.linalg.det(jacobian) * sense > 0.0
+
+
+@compiled
+def _pose_history(geometry, legs, poses):  # type: ignore[no-untyped-def]
+    """Solve row by row; returns the first row that fails, or -1.
+
+    A row close to the one before starts from its solution, any other from the pose zero.
+    """
+    for row in range(legs.shape[0]):
+        if row > 0 and np.max(np.abs(legs[row] - legs[row - 1])) < _CLOSE:
+            poses[row] = poses[row - 1]
+            if _newton(geometry, legs[row], poses[row]):
+                continue
+        poses[row] = 0.0
+        if not _newton(geometry, legs[row], poses[row]):
+            return row
+    return -1
+
+
+def _rows(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    array = np.array(values, dtype=float, order="C")
+    if array.ndim == 0 or array.shape[-1] != 6:
+        raise ValueError(f"{name}: shape is {array.shape}; the last axis must have length 6")
+    if not np.isfinite(array).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise ValueError(f"{name}{list(where)}: {array[where]} is not a finite number")
+    return array
+
+
+def one_pose(values: ArrayLike) -> NDArray[np.float64]:
+    """A single pose (6,), checked.
+
+    Raises:
+        ValueError: another shape, or a number that is not finite.
+    """
+    pose = _rows("pose", values)
+    if pose.ndim != 1:
+        raise ValueError(f"pose: shape is {pose.shape}; one pose of shape (6,) is needed")
+    return pose
+
+
+def pose_to_legs(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
+    """Leg extensions from neutral [m] of platform poses, Eq C.6.
+
+    Args:
+        pose: (..., 6): surge, sway, heave [m], roll, pitch, yaw [rad], z down.
+        geometry: gimbals; default the CMF's.
+
+    Returns:
+        (..., 6) extensions [m]; zero at the pose zero.
+    """
+    poses = _rows("pose", pose)
+    legs = np.empty(poses.shape)
+    _legs_history(geometry or read_geometry(), poses.reshape(-1, 6), legs.reshape(-1, 6))
+    return legs
+
+
+def legs_to_pose(legs: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
+    """Platform poses of leg extensions: Newton iteration on Eq C.6 with the exact Jacobian.
+
+    Of the several assemblies a Stewart platform has, the solution is the one that holds the pose
+    zero; its angles lie within +-90 deg.
+
+    Args:
+        legs: (..., 6) extensions from neutral [m].
+        geometry: gimbals; default the CMF's.
+
+    Returns:
+        (..., 6) poses: m and rad, z down. `pose_to_legs` gives the legs back within 1e-11 m.
+
+    Raises:
+        ValueError: no pose has these legs; the message names the row and its legs.
+    """
+    rows = _rows("legs", legs)
+    poses = np.empty(rows.shape)
+    flat = rows.reshape(-1, 6)
+    failed = _pose_history(geometry or read_geometry(), flat, poses.reshape(-1, 6))
+    if failed >= 0:
+        where = [int(i) for i in np.unravel_index(failed, rows.shape[:-1])]
+        raise ValueError(
+            f"legs{where or ''}: no platform pose has the leg extensions "
+            f"{np.array2string(flat[failed], precision=4)} m"
+        )
+    return poses
+
+
+def leg_jacobian(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
+    """J of l_dot = J (v, w), (6, 6): centroid velocity and angular velocity in inertial axes.
+
+    Row j is (n_j, T A_j x n_j) with n_j the unit vector along leg j; its last three columns are
+    in m. J^-T M J^-1 turns a mass matrix of the platform into the reflected mass of the legs.
+    """
+    jacobian = np.empty((6, 6))
+    _twist_jacobian(geometry or read_geometry(), one_pose(pose), jacobian)
+    return jacobian
+
+
+def pose_jacobian(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
+    """d(legs)/d(pose), (6, 6): as `leg_jacobian`, but for the rates of the Euler angles."""
+    jacobian = np.empty((6, 6))
+    _pose_jacobian(geometry or read_geometry(), one_pose(pose), jacobian)
+    return jacobian
+
+
+@compiled
+def _leg_motion(geometry, pose, rate, turning, legs):  # type: ignore[no-untyped-def]
+    """Leg velocities and the velocity part of leg accelerations (centripetal and Euler terms).
+
+    With w_j = v + omega x r_j the velocity of upper gimbal j, n_j along the leg, L_j its length,
+    d2l/dt2 = n . (dv/dt + domega/dt x r + omega x (omega x r)) + (|w|^2 - (dl/dt)^2) / L.
+    """
+    arm = geometry.upper @ rotation(pose[3], pose[4], pose[5]).T
+    ct, st = np.cos(pose[4]), np.sin(pose[4])
+    cp, sp = np.cos(pose[5]), np.sin(pose[5])
+    omega = euler_rate_matrix(pose[4], pose[5]) @ rate[3:]
+    roll, pitch, yaw = rate[3], rate[4], rate[5]
+    euler = np.array(
+        [
+            (-st * cp * pitch - ct * sp * yaw) * roll - cp * yaw * pitch,
+            (-st * sp * pitch + ct * cp * yaw) * roll - sp * yaw * pitch,
+            -ct * pitch * roll,
+        ]
+    )
+    for j in range(6):
+        line = pose[:3] + arm[j] - geometry.lower[j]
+        length = np.sqrt(line @ line)
+        line /= length
+        swing = np.cross(omega, arm[j])
+        gimbal = rate[:3] + swing
+        legs[j] = line @ gimbal
+        inward = np.cross(euler, arm[j]) + np.cross(omega, swing)
+        turning[j] = line @ inward + (gimbal @ gimbal - legs[j] ** 2) / length
+
+
+@compiled
+def _motion_to_legs(geometry, poses, rates, accelerations, leg_rates, leg_accelerations):  # type: ignore[no-untyped-def]
+    jacobian = np.empty((6, 6))
+    for row in range(poses.shape[0]):
+        _leg_motion(geometry, poses[row], rates[row], leg_accelerations[row], leg_rates[row])
+        _pose_jacobian(geometry, poses[row], jacobian)
+        leg_accelerations[row] += jacobian @ accelerations[row]
+
+
+@compiled
+def _legs_to_motion(geometry, poses, leg_rates, leg_accelerations, rates, accelerations):  # type: ignore[no-untyped-def]
+    jacobian = np.empty((6, 6))
+    turning = np.empty(6)
+    again = np.empty(6)
+    for row in range(poses.shape[0]):
+        _pose_jacobian(geometry, poses[row], jacobian)
+        rates[row] = np.linalg.solve(jacobian, leg_rates[row])
+        _leg_motion(geometry, poses[row], rates[row], turning, again)
+        accelerations[row] = np.linalg.solve(jacobian, leg_accelerations[row] - turning)
+
+
+class Motion(NamedTuple):
+    """First and second time derivatives, of poses or of legs."""
+
+    velocity: NDArray[np.float64]
+    """(..., 6): m/s, and rad/s of the Euler angles."""
+    acceleration: NDArray[np.float64]
+    """(..., 6): m/s^2, and rad/s^2 of the Euler angles."""
+
+
+def _alike(**arrays: ArrayLike) -> list[NDArray[np.float64]]:
+    rows = {name: _rows(name, values) for name, values in arrays.items()}
+    (first, reference), *others = rows.items()
+    for name, values in others:
+        if values.shape != reference.shape:
+            raise ValueError(f"{name}: shape is {values.shape}; {first} has {reference.shape}")
+    return list(rows.values())
+
+
+def pose_motion_to_legs(
+    pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike, geometry: Geometry | None = None
+) -> Motion:
+    """Leg velocities and accelerations of a platform motion, exact with the Jacobian's change.
+
+    Args:
+        pose: (..., 6) [m, rad], z down.
+        velocity: (..., 6) rates of the pose.
+        acceleration: (..., 6) second derivatives of the pose.
+        geometry: gimbals; default the CMF's.
+    """
+    arrays = _alike(pose=pose, velocity=velocity, acceleration=acceleration)
+    found = Motion(np.empty(arrays[0].shape), np.empty(arrays[0].shape))
+    _motion_to_legs(geometry or read_geometry(), *(a.reshape(-1, 6) for a in (*arrays, *found)))
+    return found
+
+
+def leg_motion_to_pose(
+    pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike, geometry: Geometry | None = None
+) -> Motion:
+    """Platform motion of leg velocities and accelerations at known poses.
+
+    Args:
+        pose: (..., 6) [m, rad], z down, e.g. of `legs_to_pose`.
+        velocity: (..., 6) leg velocities [m/s].
+        acceleration: (..., 6) leg accelerations [m/s^2].
+        geometry: gimbals; default the CMF's.
+    """
+    arrays = _alike(pose=pose, velocity=velocity, acceleration=acceleration)
+    found = Motion(np.empty(arrays[0].shape), np.empty(arrays[0].shape))
+    _legs_to_motion(geometry or read_geometry(), *(a.reshape(-1, 6) for a in (*arrays, *found)))
+    return found
+
+
+def excursion_envelope(
+    travel: float = WORKING_STROKE, geometry: Geometry | None = None
+) -> NDArray[np.float64]:
+    """Single-axis excursions at which the first leg reaches its travel, (6, 2).
+
+    Args:
+        travel: largest leg extension and retraction from neutral [m].
+        geometry: gimbals; default the CMF's.
+
+    Returns:
+        Per degree of freedom the negative and the positive limit, m and rad, z down.
+    """
+    if not travel > 0.0:
+        raise ValueError(f"travel: {travel} m must be greater than 0")
+    shape = geometry or read_geometry()
+
+    def reserve(excursion: float, dof: int) -> float:
+        pose = np.zeros(6)
+        pose[dof] = excursion
+        return travel - float(np.abs(pose_to_legs(pose, shape)).max())
+
+    limits = np.empty((6, 2))
+    for dof in range(6):
+        for side, sign in enumerate((-1.0, 1.0)):
+            inner, outer = 0.0, sign * 0.01
+            while reserve(outer, dof) > 0.0:
+                inner, outer = outer, outer + sign * 0.01
+            limits[dof, side] = brentq(reserve, inner, outer, args=(dof,), xtol=1e-12)
+    return limits

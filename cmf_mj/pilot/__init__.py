@@ -1,0 +1,1 @@
+"""The pilot: aircraft, cueing, motion at the station, perception."""

@@ -1,0 +1,307 @@
+"""An aircraft of JSBSim: loaded, trimmed, flown step by step, felt at the pilot's eye.
+
+JSBSim integrates the rigid body in its own axes, which are ours: x forward, y right, z down. At
+the end of a step it knows the force on the body F (aerodynamic, engines, ground; not gravity), the
+mass m, and inertial rate w and acceleration dw/dt of the body. With r from the centre of
+gravity to the eyepoint, the specific force there is
+
+    f = F / m + dw/dt x r + w x (w x r)
+
+which is what JSBSim's own `accelerations/a-pilot-*` say one step later: it evaluates them at the
+start of a step from the forces of the step before. In structural axes (x aft, y right, z up, inch)
+r = (x_cg - x, y - y_cg, z_cg - z); the centre of gravity wanders with the fuel, 0.3 mm a second.
+
+Specific force and rate belong to the body; a seat, a neck or a bending fuselage are not modelled.
+"""
+
+import os
+import shutil
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.core import units
+
+RATE = 240
+"""Steps of the flight mechanics a second [Hz]: three a host frame of 80 Hz."""
+
+_AXES = ("x", "y", "z")
+_RATES = ("p", "q", "r")
+
+
+class State(NamedTuple):
+    """What the aircraft does at the end of a step, SI, body axes."""
+
+    time: float
+    """[s]."""
+    specific_force: NDArray[np.float64]
+    """At the eyepoint, without gravity [m/s^2], (3,)."""
+    centre_force: NDArray[np.float64]
+    """The same at the centre of gravity [m/s^2], (3,)."""
+    angular_rate: NDArray[np.float64]
+    """p, q, r against the Earth [rad/s], (3,)."""
+    inertial_rate: NDArray[np.float64]
+    """The same against inertial space, by the Earth's 7e-5 rad/s more or less [rad/s], (3,)."""
+    angular_acceleration: NDArray[np.float64]
+    """Derivative of `inertial_rate` [rad/s^2], (3,)."""
+    attitude: NDArray[np.float64]
+    """Roll, pitch, heading to the local level [rad], (3,)."""
+    lever: NDArray[np.float64]
+    """From the centre of gravity to the eyepoint [m], (3,)."""
+    airspeed: float
+    """Calibrated [m/s]."""
+    true_airspeed: float
+    """Against the air [m/s]."""
+    climb: float
+    """Rate of climb [m/s]."""
+    height: float
+    """Of the centre of gravity above the ground [m]."""
+    sideslip: float
+    """Angle of sideslip, positive with the wind from the right [rad]."""
+
+
+class Controls(NamedTuple):
+    """What the pilot moves, fractions of full travel."""
+
+    elevator: float = 0.0
+    """-1 to 1, positive pitches down: JSBSim's sign."""
+    aileron: float = 0.0
+    """-1 to 1, positive rolls to the right."""
+    rudder: float = 0.0
+    """-1 to 1, positive yaws to the left: JSBSim's sign."""
+    throttle: float = 0.0
+    """0 to 1, both engines."""
+    brakes: float = 0.0
+    """0 to 1."""
+    gear: float = 1.0
+    """1 down, 0 up."""
+    flaps: float = 0.0
+    """0 to 1."""
+
+
+class Airframe:
+    """One aircraft in the air or on the ground."""
+
+    def __init__(self, aircraft: str = "737", *, seed: int = 0) -> None:
+        """Load an aircraft that comes with JSBSim; its network ports stay closed.
+
+        Args:
+            aircraft: name of its folder.
+            seed: of the turbulence; the same seed gives the same bits.
+
+        Raises:
+            ModuleNotFoundError: JSBSim is not installed.
+            ValueError: no such aircraft.
+        """
+        self.aircraft, self.seed = aircraft, seed
+        self._failed: set[int] = set()
+        library = _library()
+        shipped = Path(library.get_default_root_dir()) / "aircraft"
+        names = sorted(path.name for path in shipped.iterdir() if path.is_dir())
+        if aircraft not in names:
+            raise ValueError(f"aircraft: {aircraft!r} is not one of {', '.join(names)}")
+        with _quiet():
+            self._fdm = library.FGFDMExec(library.get_default_root_dir())
+        self._trim_failure = library.TrimFailureError
+        self._fdm.set_dt(1.0 / RATE)
+        with tempfile.TemporaryDirectory(prefix="cmf_aircraft_") as folder:
+            without_network(shipped / aircraft, Path(folder) / aircraft)
+            self._fdm.set_aircraft_path(folder)
+            if not self._fdm.load_model(aircraft):
+                raise ValueError(f"aircraft: {aircraft!r} cannot be loaded by JSBSim")
+        self["simulation/randomseed"] = seed
+
+    def __getitem__(self, name: str) -> float:
+        """A property of JSBSim, in its units."""
+        return float(self._fdm[name])
+
+    def __setitem__(self, name: str, value: float) -> None:
+        """Set a property of JSBSim, in its units."""
+        self._fdm[name] = float(value)
+
+    def on_ground(self, controls: Controls, *, settle: float = 12.0) -> None:
+        """Stand on the ground with idling engines, after `settle` seconds of coming to rest."""
+        self._begin({"h-agl-ft": 8.0, "vc-kts": 0.0}, controls)
+        for _ in range(round(settle * RATE)):
+            self.step(controls)
+
+    def in_air(self, controls: Controls, *, height: float, airspeed: float, path: float) -> float:
+        """Fly straight, trimmed.
+
+        Args:
+            controls: gear and flaps; trim finds elevator trim and throttle.
+            height: above the ground [m].
+            airspeed: calibrated [m/s].
+            path: flight path angle, positive climbing [rad].
+
+        Returns:
+            Throttle of the trim.
+
+        Raises:
+            ValueError: JSBSim finds no trim.
+        """
+        start = {
+            "h-agl-ft": units.from_si("ft", height),
+            "vc-kts": units.from_si("kt", airspeed),
+            "gamma-deg": units.from_si("deg", path),
+        }
+        self._begin(start, controls)
+        try:
+            with _quiet():
+                self["simulation/do_simple_trim"] = 1.0
+        except self._trim_failure as error:
+            raise ValueError(
+                f"airspeed: {airspeed:.1f} m/s at {height:.0f} m on a path of {path:.3f} rad "
+                f"cannot be trimmed with the {self.aircraft}: {error}"
+            ) from error
+        return self["fcs/throttle-cmd-norm[0]"]
+
+    def _begin(self, start: Mapping[str, float], controls: Controls) -> None:
+        """Langley's place on the Earth, heading north; systems where the controls want them."""
+        for name, value in {"lat-geod-deg": 37.08, "long-gc-deg": -76.38, **start}.items():
+            self[f"ic/{name}"] = value
+        for name in ("gear/gear-cmd-norm", "gear/gear-pos-norm"):
+            self[name] = controls.gear
+        for name in ("fcs/flap-cmd-norm", "fcs/flap-pos-norm"):
+            self[name] = controls.flaps
+        if not self._fdm.run_ic():
+            raise ValueError(f"aircraft: {self.aircraft} refuses the start {dict(start)}")
+        self["propulsion/set-running"] = -1.0
+
+    def gust(self, velocity: tuple[float, float, float], length: float) -> None:
+        """Begin a gust v (1 - cos(2 pi t / T)) / 2 of the air in local axes (north, east, down).
+
+        Args:
+            velocity: v [m/s].
+            length: T [s].
+        """
+        v = np.array(velocity)
+        size = float(np.linalg.norm(v))
+        for name, value in (("startup", length / 2), ("steady", 0.0), ("end", length / 2)):
+            self[f"atmosphere/cosine-gust/{name}-duration-sec"] = value
+        self["atmosphere/cosine-gust/magnitude-ft_sec"] = units.from_si("ft", size)
+        self["atmosphere/cosine-gust/frame"] = 3.0
+        for axis, part in zip("XYZ", v / size, strict=True):
+            self[f"atmosphere/cosine-gust/{axis}-velocity-ft_sec"] = part
+        self["atmosphere/cosine-gust/start"] = 1.0
+
+    def turbulence(self, wind: float, model: str = "tustin", severity: int = 3) -> None:
+        """Turn on Dryden turbulence after MIL-F-8785C.
+
+        Args:
+            wind: mean wind 20 ft above the ground that sets its size below 2000 ft [m/s].
+            model: `milspec` or `tustin`, JSBSim's two discretisations.
+            severity: 1 to 7, which sets its size above 2000 ft.
+
+        Raises:
+            ValueError: unknown model.
+        """
+        kinds = {"milspec": 3.0, "tustin": 4.0}
+        if model not in kinds:
+            raise ValueError(f"model: {model!r} is not one of {', '.join(kinds)}")
+        speed = units.from_si("ft", wind)
+        self["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = speed
+        self["atmosphere/turbulence/milspec/severity"] = severity
+        self["atmosphere/turb-type"] = kinds[model]
+
+    def fail_engine(self, engine: int) -> None:
+        """Let an engine, 0 the left one, spool down to idle for the rest of the flight.
+
+        JSBSim's own fuel cut takes all thrust away within one step; spooling down takes 2 s to
+        4 % of the take-off thrust, which stays.
+        """
+        self._failed.add(engine)
+
+    def step(self, controls: Controls) -> None:
+        """Fly one step of 1/240 s."""
+        for name, value in (
+            ("fcs/elevator-cmd-norm", controls.elevator),
+            ("fcs/aileron-cmd-norm", controls.aileron),
+            ("fcs/rudder-cmd-norm", controls.rudder),
+            ("fcs/throttle-cmd-norm[0]", 0.0 if 0 in self._failed else controls.throttle),
+            ("fcs/throttle-cmd-norm[1]", 0.0 if 1 in self._failed else controls.throttle),
+            ("fcs/left-brake-cmd-norm", controls.brakes),
+            ("fcs/right-brake-cmd-norm", controls.brakes),
+            ("gear/gear-cmd-norm", controls.gear),
+            ("fcs/flap-cmd-norm", controls.flaps),
+        ):
+            self[name] = value
+        self._fdm.run()
+
+    def state(self) -> State:
+        """What is felt at the end of the last step."""
+        rate = self._vector("velocities/{}i-rad_sec", _RATES)
+        turning = self._vector("accelerations/{}idot-rad_sec2", _RATES)
+        force = self._vector("forces/fb{}-total-lbs") / self["inertia/mass-slugs"] * units.FOOT
+        lever = self.lever()
+        felt = force + np.cross(turning, lever) + np.cross(rate, np.cross(rate, lever))
+        return State(
+            self["simulation/sim-time-sec"],
+            felt,
+            force,
+            self._vector("velocities/{}-rad_sec", _RATES),
+            rate,
+            turning,
+            self._vector("attitude/{}-rad", ("phi", "theta", "psi")),
+            lever,
+            self["velocities/vc-kts"] * units.KNOT,
+            self["velocities/vt-fps"] * units.FOOT,
+            self["velocities/h-dot-fps"] * units.FOOT,
+            self["position/h-agl-ft"] * units.FOOT,
+            self["aero/beta-rad"],
+        )
+
+    def lever(self) -> NDArray[np.float64]:
+        """From the centre of gravity to the eyepoint, body axes [m], (3,)."""
+        eye = self._vector("metrics/eyepoint-{}-in")
+        centre = self._vector("inertia/cg-{}-in")
+        return (eye - centre) * np.array([-1.0, 1.0, -1.0]) * units.INCH
+
+    def own_pilot_force(self) -> NDArray[np.float64]:
+        """JSBSim's `a-pilot` [m/s^2], (3,): `state().specific_force` of one step before."""
+        return self._vector("accelerations/a-pilot-{}-ft_sec2") * units.FOOT
+
+    def _vector(self, pattern: str, names: tuple[str, ...] = _AXES) -> NDArray[np.float64]:
+        return np.array([self[pattern.format(name)] for name in names])
+
+
+def without_network(aircraft: Path, copy: Path) -> None:
+    """Copy an aircraft's folder without what would listen to or send on the network."""
+    shutil.copytree(aircraft, copy)
+    file = copy / f"{aircraft.name}.xml"
+    tree = ElementTree.parse(file)
+    for tag in ("input", "output"):
+        for element in tree.getroot().findall(tag):
+            tree.getroot().remove(element)
+    tree.write(file)
+
+
+def _library() -> ModuleType:
+    try:
+        import jsbsim
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "flying an aircraft needs JSBSim: pip install 'cmf-mj[flight]'", name="jsbsim"
+        ) from error
+    return jsbsim
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """JSBSim prints a banner unless this variable of its own says 0."""
+    before = os.environ.get("JSBSIM_DEBUG")
+    os.environ["JSBSIM_DEBUG"] = "0"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["JSBSIM_DEBUG"]
+        else:
+            os.environ["JSBSIM_DEBUG"] = before

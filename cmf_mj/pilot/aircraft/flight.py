@@ -1,0 +1,210 @@
+"""Flights in memory and in files: the motion at the pilot's station and where it comes from.
+
+A file is CSV or Parquet with the columns of `PilotMotion` and any others,
+
+    time, specific_force_x ... _z, angular_rate_x ... _z, roll, pitch, yaw [, airspeed, height ...]
+
+each with its unit: in a Parquet file as JSON in the schema, in a CSV file in the header, `time
+[s],specific_force_x [g],angular_rate_x [deg/s] ...`. Units that `cmf_mj.core.units` knows are
+converted; a column without one is in SI. The metadata stand beside the units in Parquet, and in the
+first line of a CSV file after `# cmf_mj_flight`, as JSON.
+"""
+
+import io
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+from numpy.typing import NDArray
+from pydantic import Field
+
+from cmf_mj.core import units
+from cmf_mj.core.files import read_column, read_table, whole_file, write_parquet
+from cmf_mj.core.settings import Settings, validated
+from cmf_mj.pilot.host import PilotSample, pilot_samples
+from cmf_mj.pilot.motion import COLUMNS, PilotMotion
+
+_KEY = "cmf_mj_flight"
+_HEADER = re.compile(r"^(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]+)\])?$")
+_UNITS = {
+    "time": "s",
+    "specific_force": "m/s^2",
+    "angular_rate": "rad/s",
+    "attitude": "rad",
+    "airspeed": "m/s",
+    "height": "m",
+}
+_SHIPPED = Path(__file__).parent / "flights"
+
+
+class Origin(Settings):
+    """Where a flight comes from."""
+
+    title: str
+    """In words."""
+    aircraft: str
+    """Type."""
+    lever_arm: Annotated[tuple[float, float, float], Field(strict=False)]
+    """From the centre of gravity to the pilot's station at the start, body axes [m]."""
+    source: str
+    """What flew it, with its version."""
+    seed: int | None = None
+    """Of its turbulence, where there is any."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A recorded flight; an `AircraftHost`."""
+
+    motion: PilotMotion
+    """At the pilot's station."""
+    origin: Origin
+    """Where it comes from."""
+    others: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    """More columns by name, such as `airspeed` [m/s] and `height` [m], (N,) each."""
+
+    def __post_init__(self) -> None:
+        """Freeze the other columns and check their lengths.
+
+        Raises:
+            ValueError: a column of another length or with a number that is not finite.
+        """
+        own = {name: np.array(values, dtype=float) for name, values in self.others.items()}
+        for name, values in own.items():
+            if values.shape != self.motion.time.shape:
+                raise ValueError(
+                    f"{name}: shape is {values.shape}; allowed: {self.motion.time.shape}"
+                )
+            if not np.isfinite(values).all():
+                row = int(np.argmin(np.isfinite(values)))
+                raise ValueError(f"{name}: row {row}: {values[row]}; allowed: finite numbers")
+            values.setflags(write=False)
+        object.__setattr__(self, "others", MappingProxyType(own))
+
+    def samples(self) -> Iterator[PilotSample]:
+        """The samples one by one, as a host in aircraft mode sends them."""
+        return pilot_samples(self.motion)
+
+    def save(self, path: str | Path, *, single: bool = False) -> Path:
+        """Write as CSV or Parquet, by the name's end; the file appears when it is complete.
+
+        Args:
+            path: where to.
+            single: round all but the time to single precision, which halves a Parquet file and
+                changes a specific force by at most 1e-6 m/s^2.
+
+        Raises:
+            ValueError: the name ends in neither.
+        """
+        target = Path(path)
+        kind = np.float32 if single else np.float64
+        columns: dict[str, NDArray[Any]] = {"time": self.motion.time}
+        column_units = {"time": "s"}
+        for channel, names in COLUMNS.items():
+            for name, values in zip(names, getattr(self.motion, channel).T, strict=True):
+                columns[name], column_units[name] = values.astype(kind), _UNITS[channel]
+        for name, values in self.others.items():
+            columns[name], column_units[name] = values.astype(kind), _UNITS.get(name, "1")
+        origin = self.origin.model_dump(mode="json")
+        if target.suffix == ".parquet":
+            table = pa.table({name: np.ascontiguousarray(v) for name, v in columns.items()})
+            header = json.dumps({"units": column_units, "origin": origin})
+            return write_parquet(table.replace_schema_metadata({_KEY: header}), target)
+        if target.suffix != ".csv":
+            raise ValueError(f"{target}: must end in .csv or .parquet")
+        titled = {f"{name} [{column_units[name]}]": values for name, values in columns.items()}
+        with whole_file(target) as partial, partial.open("wb") as file:
+            file.write(f"# {_KEY} {json.dumps(origin)}\n".encode())
+            pyarrow.csv.write_csv(pa.table(titled), file)
+        return target
+
+    @staticmethod
+    def load(path: str | Path) -> "Flight":
+        """Read a flight.
+
+        Raises:
+            ValueError: file, header, column, unit or number that cannot be taken, named.
+        """
+        source = Path(path)
+        table, column_units, origin = _parts(source)
+        named = {name: name for names in COLUMNS.values() for name in names}
+        others = [n for n in table.column_names if n not in named and n != "time"]
+
+        def column(name: str) -> NDArray[np.float64]:
+            values = read_column(source, table, name)
+            try:
+                return np.asarray(units.to_si(column_units.get(name, "1"), values))
+            except ValueError as error:
+                raise ValueError(f"{source}: {name}: {error}") from error
+
+        parts = [np.column_stack([column(name) for name in names]) for names in COLUMNS.values()]
+        try:
+            motion = PilotMotion(column("time"), *parts)
+            return Flight(motion, origin, {name: column(name) for name in others})
+        except ValueError as error:
+            if str(error).startswith(str(source)):
+                raise
+            raise ValueError(f"{source}: {error}") from error
+
+
+def flight_names() -> list[str]:
+    """Names of the flights that ship with the project."""
+    return sorted(path.stem for path in _SHIPPED.glob("*.parquet"))
+
+
+def load_flight(source: str | Path) -> Flight:
+    """Load a flight.
+
+    Args:
+        source: name of a shipped flight, or a CSV or Parquet file.
+
+    Raises:
+        ValueError: unknown name, or a file that is refused.
+    """
+    if Path(source).suffix:
+        return Flight.load(source)
+    if str(source) not in flight_names():
+        raise ValueError(
+            f"flight: {str(source)!r} is neither a .csv or .parquet file nor one of "
+            f"{', '.join(flight_names())}"
+        )
+    return Flight.load(_SHIPPED / f"{source}.parquet")
+
+
+def _parts(path: Path) -> tuple[pa.Table, dict[str, str], Origin]:
+    """Table, units of its columns and origin."""
+    if path.suffix != ".csv":
+        table = read_table(path)
+        raw = (table.schema.metadata or {}).get(_KEY.encode())
+        if raw is None:
+            raise ValueError(f"{path}: carries no {_KEY} header; is it a flight?")
+        header = json.loads(raw)
+        return table, dict(header["units"]), validated(Origin, header["origin"], str(path))
+    try:
+        first, _, rest = path.read_text(encoding="utf-8").partition("\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: cannot be read: {error}") from error
+    if not first.startswith(f"# {_KEY} "):
+        raise ValueError(
+            f"{path}: row 1: is {first[:40]!r}; allowed: '# {_KEY} ' and the origin as JSON"
+        )
+    try:
+        told = json.loads(first.removeprefix(f"# {_KEY} "))
+        table = pyarrow.csv.read_csv(io.BytesIO(rest.encode()))
+    except (json.JSONDecodeError, pa.ArrowInvalid) as error:
+        raise ValueError(f"{path}: cannot be read: {error}") from error
+    found = [_HEADER.match(cell.strip().strip('"')) for cell in table.column_names]
+    if not all(found):
+        odd = table.column_names[found.index(None)]
+        raise ValueError(f"{path}: row 2: {odd!r} is refused; allowed: name or name [unit]")
+    cells = [match.groupdict() for match in found if match]
+    column_units = {str(cell["name"]): cell["unit"] or "1" for cell in cells}
+    table = table.rename_columns([str(cell["name"]) for cell in cells])
+    return table, column_units, validated(Origin, told, f"{path}: row 1")

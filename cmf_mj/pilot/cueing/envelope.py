@@ -1,0 +1,121 @@
+"""How much of the machine a motion takes, and a motion kept within it.
+
+`excursion` sets the peaks of pose and legs, their velocities and accelerations, beside the limits
+of `motion_limits`. `confined` lets the DCL's own governors, at the host's rate, hold a motion back:
+first the degrees of freedom, then the legs, which share one scale so that the platform stays on its
+way. The legs have the last word: while they are held back, a degree of freedom may pass its own
+limit by a little. What keeps the limits passes to the bit.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.control.governor import govern, make_leg_governor, make_pose_governor
+from cmf_mj.facility.host.stream import HostStream
+from cmf_mj.machine.kinematics import (
+    DOFS,
+    leg_motion_to_pose,
+    legs_to_pose,
+    pose_motion_to_legs,
+    pose_to_legs,
+)
+from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
+
+LIMITS = (
+    "displacement",
+    "velocity",
+    "acceleration",
+    "leg_displacement",
+    "leg_velocity",
+    "leg_acceleration",
+)
+"""What a motion may use up: of the degrees of freedom, and of the legs."""
+
+_LEGS = tuple(f"leg_{leg}" for leg in range(1, 7))
+
+
+class Excursion(NamedTuple):
+    """Peaks of a motion over their limits."""
+
+    share: NDArray[np.float64]
+    """Peak over limit, a row for each of `LIMITS`, a column for each degree of freedom or leg,
+    (6, 6)."""
+    time: NDArray[np.float64]
+    """When [s], (6, 6)."""
+
+    @property
+    def largest(self) -> float:
+        """Largest share of a limit."""
+        return float(self.share.max())
+
+    @property
+    def binding(self) -> str:
+        """What comes closest to its limit, or exceeds it most, and where."""
+        row, column = np.unravel_index(int(self.share.argmax()), self.share.shape)
+        return f"{LIMITS[row]} of {(DOFS if row < 3 else _LEGS)[column]}"
+
+
+class Confined(NamedTuple):
+    """A motion within the limits."""
+
+    stream: HostStream
+    held: NDArray[np.bool_]
+    """Frames that differ from the demand, (N,)."""
+
+
+def excursion(stream: HostStream, limits: MotionLimits | None = None) -> Excursion:
+    """Peaks of a motion over the limits of platform and legs.
+
+    Args:
+        stream: host frames.
+        limits: default Table 2-1 and the rates assumed with it.
+    """
+    given = limits or load_motion_limits()
+    low, high = given.operational.T
+    legs = pose_to_legs(stream.pose)
+    rates = pose_motion_to_legs(stream.pose, stream.velocity, stream.acceleration)
+    leg = given.leg
+    used = np.array(
+        [
+            np.maximum(stream.pose / high, stream.pose / low),
+            np.abs(stream.velocity) / given.velocity,
+            np.abs(stream.acceleration) / given.acceleration,
+            np.abs(legs) / leg.position.si,
+            np.abs(rates.velocity) / leg.velocity.si,
+            np.abs(rates.acceleration) / leg.acceleration.si,
+        ]
+    )
+    return Excursion(used.max(axis=1), stream.time[used.argmax(axis=1)])
+
+
+def confined(stream: HostStream, limits: MotionLimits | None = None) -> Confined:
+    """A motion held back where it would leave the limits of platform or legs.
+
+    Args:
+        stream: evenly spaced host frames; the motion begins at rest.
+        limits: default Table 2-1 and the rates assumed with it.
+    """
+    if stream.time.size < 2:
+        return Confined(stream, np.zeros(stream.time.size, dtype=bool))
+    given = limits or load_motion_limits()
+    frame = float(stream.time[-1] - stream.time[0]) / (stream.time.size - 1)
+    platform = govern(
+        make_pose_governor(given)._replace(frame=frame),
+        stream.pose,
+        stream.velocity,
+        stream.acceleration,
+    )
+    pose, velocity, acceleration = (values.copy() for values in platform[:3])
+    legs = pose_to_legs(pose)
+    rates = pose_motion_to_legs(pose, velocity, acceleration)
+    governed = govern(make_leg_governor(given)._replace(frame=frame), legs, *rates, together=True)
+    moved = (governed.position != legs).any(axis=1)
+    if moved.any():
+        pose[moved] = legs_to_pose(governed.position[moved])
+        velocity[moved], acceleration[moved] = leg_motion_to_pose(
+            pose[moved], governed.velocity[moved], governed.acceleration[moved]
+        )
+    held = (pose != stream.pose).any(axis=1)
+    return Confined(stream._replace(pose=pose, velocity=velocity, acceleration=acceleration), held)

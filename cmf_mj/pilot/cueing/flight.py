@@ -1,0 +1,156 @@
+"""A flight in the simulator: washout, envelope, what the pilot senses; and gains for it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.facility.host.stream import HostStream
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
+from cmf_mj.pilot.cueing.envelope import Excursion, confined, excursion
+from cmf_mj.pilot.cueing.settings import WashoutSettings, load_washout
+from cmf_mj.pilot.cueing.washout import HOST_RATE, Washout
+from cmf_mj.pilot.motion import PilotMotion, pilot_station
+from cmf_mj.pilot.perception.error import CueingError, cueing_error
+from cmf_mj.pilot.perception.settings import Senses
+
+_HALVINGS = 20
+"""Bisections for the factor on the gains, which resolve it to 1e-6."""
+
+
+class Cue(NamedTuple):
+    """A flight as the simulator gives it."""
+
+    settings: WashoutSettings
+    aircraft: PilotMotion
+    """At the host's frames, from time 0."""
+    stream: HostStream
+    """The host's frames, within the limits."""
+    held: NDArray[np.bool_]
+    """Frames that the limits held back, (N,)."""
+    excursion: Excursion
+    """Of what the washout asked."""
+    simulator: PilotMotion
+    """At the pilot's station, if the machine does as it is told."""
+    error: CueingError
+    """Sensed in flight less sensed in the simulator."""
+
+
+def cue(
+    motion: PilotMotion,
+    washout: str | WashoutSettings = "simona",
+    *,
+    cab: str = "gfd",
+    limits: MotionLimits | None = None,
+    senses: Senses | str | None = None,
+    rate: float = HOST_RATE,
+) -> Cue:
+    """Fly a motion in the simulator, the machine taken as ideal.
+
+    Args:
+        motion: at the pilot's station in flight.
+        washout: name, TOML file or loaded parameters.
+        cab: whose pilot's station.
+        limits: of the machine; default Table 2-1 and the rates assumed with it.
+        senses: canals, otoliths and thresholds.
+        rate: frames a second [Hz].
+
+    Raises:
+        ValueError: an argument that is refused, named.
+    """
+    algorithm = Washout(washout, station=pilot_station(cab), rate=rate)
+    flown = algorithm.flown(motion)
+    demanded = algorithm.run(flown)
+    stream, held = confined(demanded, limits)
+    simulator = PilotMotion.from_platform(
+        stream.time, stream.pose, stream.velocity, stream.acceleration, algorithm.station
+    )
+    return Cue(
+        algorithm.settings,
+        flown,
+        stream,
+        held,
+        excursion(demanded, limits),
+        simulator,
+        cueing_error(flown, simulator, senses),
+    )
+
+
+class Tuned(NamedTuple):
+    """Gains that just use the envelope."""
+
+    settings: WashoutSettings
+    factor: float
+    """On the gains that were tuned."""
+    excursion: Excursion
+    """Of the flight with them."""
+    binding: str
+    """What limits the gains: a limit of the machine, or the largest gain allowed."""
+
+
+def tune(
+    motion: PilotMotion,
+    washout: str | WashoutSettings = "simona",
+    *,
+    cab: str = "gfd",
+    dofs: tuple[str, ...] = DOFS,
+    share: float = 1.0,
+    largest_gain: float = 1.0,
+    limits: MotionLimits | None = None,
+    rate: float = HOST_RATE,
+) -> Tuned:
+    """Scale gains by one factor so that a flight just uses its share of the machine's limits.
+
+    Bisection on the largest share of any limit, which mostly grows with the gains; where it does
+    not, the factor found is one at which it crosses, not always the largest.
+
+    Args:
+        motion: at the pilot's station in flight.
+        washout: name, TOML file or loaded parameters; their gains set the proportions.
+        cab: whose pilot's station.
+        dofs: degrees of freedom whose gains are scaled.
+        share: of the limits to use, above 0.
+        largest_gain: no gain that is scaled goes above it.
+        limits: of the machine; default Table 2-1 and the rates assumed with it.
+        rate: frames a second [Hz].
+
+    Raises:
+        ValueError: an argument out of range, no gain to scale, or gains that are left alone and
+            use more than the share already.
+    """
+    for name, value in (("share", share), ("largest_gain", largest_gain)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name}: {value} must be greater than 0")
+    settings = load_washout(washout)
+    unknown = [dof for dof in dofs if dof not in DOFS]
+    if unknown:
+        raise ValueError(f"dofs: {unknown[0]!r} is not one of {', '.join(DOFS)}")
+    scaled = np.array([dof in dofs for dof in DOFS])
+    if not (settings.gains[scaled] > 0.0).any():
+        raise ValueError(f"dofs: {', '.join(dofs)} have no gain above 0 to scale")
+    station, given = pilot_station(cab), limits or load_motion_limits()
+
+    def tried(factor: float) -> tuple[WashoutSettings, Excursion]:
+        gains = np.where(scaled, factor, 1.0) * settings.gains
+        changed = settings.with_gains(gains)
+        return changed, excursion(Washout(changed, station=station, rate=rate).run(motion), given)
+
+    most = largest_gain / float(settings.gains[scaled].max())
+    top = tried(most)
+    if top[1].largest <= share:
+        return Tuned(top[0], most, top[1], "largest gain")
+    low, high, found = 0.0, most, tried(0.0)
+    if found[1].largest > share:
+        raise ValueError(
+            f"dofs: the gains left alone use {found[1].largest:.3g} of {found[1].binding}; "
+            f"allowed: {share}"
+        )
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        now = tried(middle)
+        if now[1].largest <= share:
+            low, found = middle, now
+        else:
+            high = middle
+    return Tuned(found[0], low, found[1], found[1].binding)

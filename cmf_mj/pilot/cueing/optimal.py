@@ -1,0 +1,277 @@
+"""The optimal washout: linear filters that minimise the error sensed within the travel.
+
+After Sivan, Ish-Shalom and Huang (1982) and Telban and Cardullo (NASA CR-2005-213747). Per mode,
+with x_v the states of canals and otoliths driven by simulator less aircraft, x_d the states to be
+kept small and x_n the aircraft's inputs, taken for first-order noise of corner b,
+
+    dx_v/dt = A_v x_v + B_v (v_S - v_A),   e = C_v x_v + D_v (v_S - v_A)
+    dx_d/dt = A_d x_d + B_d u,             dx_n/dt = -b x_n + w,    v_A = x_n
+    J = E int (e/e0)^2 + (x_d/x_d0)^2 + (u/u0)^2 dt
+
+where v = (rate, specific force), and u = (rate, acceleration) of the simulator:
+
+    pitch, surge   f_S = a + g pitch         x_d = int p, p, dp/dt, angle
+    roll, sway     f_S = a - g roll          likewise
+    heave          f_S = a                   x_d = int p, p, dp/dt
+    yaw            rate only                 x_d = int angle, angle
+
+Unlike the originals the aircraft's specific force is an input of its own, not acceleration and
+tilt: it is known, and large attitudes need no small angles. The integrals make position and yaw
+wash out wholly. The Riccati equation gives u = -F (x_v, x_d, x_n); with x_n = v_A that is a linear
+filter from v_A to u, whose states hold the simulator's position and angle. Sizes e0, x_d0, u0 are
+the settings (Bryson's rule). The canals are taken without their lead of 0.06 s, to be proper.
+"""
+
+from typing import NamedTuple
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.hold import Held, advance, hold, read, settled
+from cmf_mj.core.units import STANDARD_GRAVITY
+from cmf_mj.pilot.cueing.settings import (
+    OptimalSettings,
+    RotationSizes,
+    TiltingSizes,
+    TranslationSizes,
+)
+from cmf_mj.pilot.perception.models import canal_response, otolith_response, state_space
+from cmf_mj.pilot.perception.settings import Senses, load_senses
+
+Matrix = NDArray[np.float64]
+
+
+class Mode(NamedTuple):
+    """A linear-quadratic problem and its solution."""
+
+    plant: tuple[Matrix, Matrix]
+    """A, B of dx/dt = A x + B u with x = (x_v, x_d, x_n)."""
+    cost: tuple[Matrix, Matrix, Matrix]
+    """Q, N, R of x Q x + 2 x N u + u R u."""
+    riccati: Matrix
+    """P of the algebraic Riccati equation."""
+    feedback: Matrix
+    """F of u = -F x."""
+    filter: tuple[Matrix, Matrix, Matrix, Matrix]
+    """A, B, C, D from the aircraft's inputs to the simulator's motion; states (x_v, x_d)."""
+
+    @property
+    def residual(self) -> float:
+        """Norm of the Riccati equation's residual over that of its largest term."""
+        (a, b), (q, n, r), p = self.plant, self.cost, self.riccati
+        cross = p @ b + n
+        terms = (a.T @ p, p @ a, -cross @ np.linalg.solve(r, cross.T), q)
+        return float(np.linalg.norm(sum(terms)) / max(np.linalg.norm(term) for term in terms))
+
+
+class Optimal(NamedTuple):
+    """Compiled parameters."""
+
+    filter: Held
+    """Euler rates (3), specific force less that of level rest (3) and slopes of the Euler rates
+    and the force (6) to angles and displacements with two derivatives (18)."""
+    interval: float
+    """T [s]."""
+
+
+class OptimalState(NamedTuple):
+    """State, overwritten by each step."""
+
+    filter: Matrix
+    inputs: Matrix
+    """Of the last step, (12,)."""
+
+
+def _solve(
+    vestibular: control.StateSpace,
+    tilt: float,
+    chain: tuple[Matrix, Matrix],
+    sizes: tuple[list[float], list[float], list[float]],
+    corners: list[float],
+    motion: tuple[Matrix, Matrix],
+) -> Mode:
+    """Solve one mode.
+
+    Args:
+        vestibular: from v to what is sensed.
+        tilt: specific force of the last input of `vestibular` per last state of the chain.
+        chain: A_d and B_d.
+        sizes: of errors, of x_d, of u.
+        corners: b of the aircraft's inputs [rad/s].
+        motion: rows of x_d and u that make up displacement or angle, rate and acceleration; see
+            `_outputs`.
+    """
+    av, bv, cv, dv = (
+        np.asarray(m) for m in (vestibular.A, vestibular.B, vestibular.C, vestibular.D)
+    )
+    ad, bd = chain
+    nv, nd, nn = len(av), len(ad), len(corners)
+    # v_S = S u + G x_d: tilt adds to the specific force.
+    gravity = np.zeros((nn, nd))
+    gravity[-1, -1] = tilt
+    a = np.block(
+        [
+            [av, bv @ gravity, -bv],
+            [np.zeros((nd, nv)), ad, np.zeros((nd, nn))],
+            [np.zeros((nn, nv + nd)), -np.diag(corners)],
+        ]
+    )
+    b = np.vstack([bv, bd, np.zeros((nn, nn))])
+    errors, states, efforts = (np.diag(1.0 / np.square(size)) for size in sizes)
+    sensed = np.hstack([cv, dv @ gravity, -dv])
+    q = sensed.T @ errors @ sensed
+    q = 0.5 * (q + q.T)
+    q[nv : nv + nd, nv : nv + nd] += states
+    n = sensed.T @ errors @ dv
+    r = efforts + dv.T @ errors @ dv
+    p = linalg.solve_continuous_are(a, b, q, r, s=n)
+    feedback = linalg.solve(r, b.T @ p + n.T, assume_a="pos")
+    kept, aircraft = feedback[:, : nv + nd], feedback[:, nv + nd :]
+    closed = (
+        a[: nv + nd, : nv + nd] - b[: nv + nd] @ kept,
+        a[: nv + nd, nv + nd :] - b[: nv + nd] @ aircraft,
+    )
+    rows, efforts_in = motion
+    c = np.hstack([np.zeros((len(rows), nv)), rows]) - efforts_in @ kept
+    return Mode((a, b), (q, n, r), p, feedback, (*closed, c, -efforts_in @ aircraft))
+
+
+def _pick(count: int, *places: int | None) -> Matrix:
+    rows = np.zeros((len(places), count))
+    for row, place in enumerate(places):
+        if place is not None:
+            rows[row, place] = 1.0
+    return rows
+
+
+def _translation(sizes: TranslationSizes) -> tuple[Matrix, Matrix, list[float]]:
+    """A_d and B_d of int p, p, dp/dt, and their sizes."""
+    a = np.diag([1.0, 1.0], 1)
+    b = np.array([[0.0], [0.0], [1.0]])
+    return a, b, [sizes.position_integral.si, sizes.position.si, sizes.velocity.si]
+
+
+def tilting_mode(sizes: TiltingSizes, senses: Senses, sign: float) -> Mode:
+    """Surge with pitch (sign 1) or sway with roll (sign -1).
+
+    Filter inputs: Euler rate, specific force; outputs: angle, its rate, displacement, velocity,
+    acceleration.
+    """
+    vestibular = control.append(_canals(senses), state_space(otolith_response(senses.otoliths)))
+    a, b, kept = _translation(sizes)
+    chain = (linalg.block_diag(a, [[0.0]]), linalg.block_diag(b, [[1.0]])[:, ::-1])
+    return _solve(
+        vestibular,
+        sign * STANDARD_GRAVITY,
+        chain,
+        (
+            [sizes.rate_error.si, sizes.force_error.si],
+            [*kept, sizes.angle.si],
+            [sizes.rate.si, sizes.acceleration.si],
+        ),
+        [sizes.rate_bandwidth.si, sizes.force_bandwidth.si],
+        (_pick(4, 3, None, 1, 2, None), _pick(2, None, 0, None, None, 1)),
+    )
+
+
+def heave_mode(sizes: TranslationSizes, senses: Senses) -> Mode:
+    """Heave; filter input: specific force; outputs: displacement, velocity, acceleration."""
+    a, b, kept = _translation(sizes)
+    return _solve(
+        state_space(otolith_response(senses.otoliths)),
+        0.0,
+        (a, b),
+        ([sizes.force_error.si], kept, [sizes.acceleration.si]),
+        [sizes.force_bandwidth.si],
+        (_pick(3, 1, 2, None), _pick(1, None, None, 0)),
+    )
+
+
+def yaw_mode(sizes: RotationSizes, senses: Senses) -> Mode:
+    """Yaw; filter input: Euler rate; outputs: angle, rate."""
+    return _solve(
+        _canals(senses),
+        0.0,
+        (np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])),
+        ([sizes.rate_error.si], [sizes.angle_integral.si, sizes.angle.si], [sizes.rate.si]),
+        [sizes.rate_bandwidth.si],
+        (_pick(2, 1, None), _pick(1, None, 0)),
+    )
+
+
+def _canals(senses: Senses) -> control.StateSpace:
+    proper = senses.canals.lead.model_copy(update={"value": 0.0})
+    return state_space(canal_response(senses.canals.model_copy(update={"lead": proper})))
+
+
+def modes(settings: OptimalSettings, senses: Senses | str | None = None) -> dict[str, Mode]:
+    """All four modes by name."""
+    loaded = load_senses(senses)
+    return {
+        "pitch_surge": tilting_mode(settings.pitch_surge, loaded, 1.0),
+        "roll_sway": tilting_mode(settings.roll_sway, loaded, -1.0),
+        "yaw": yaw_mode(settings.yaw, loaded),
+        "heave": heave_mode(settings.heave, loaded),
+    }
+
+
+_PLACES = {
+    "pitch_surge": ((1, 3), (1, 4, 9, 12, 15)),
+    "roll_sway": ((0, 4), (0, 3, 10, 13, 16)),
+    "yaw": ((2,), (2, 5)),
+    "heave": ((5,), (11, 14, 17)),
+}
+"""Inputs and outputs of each mode among those of `Optimal.filter`."""
+
+
+def make_optimal(
+    settings: OptimalSettings, interval: float, senses: Senses | str | None = None
+) -> Optimal:
+    """Compiled parameters at samples `interval` [s] apart."""
+    found = modes(settings, senses)
+    a = linalg.block_diag(*(mode.filter[0] for mode in found.values()))
+    b, c, d = np.zeros((len(a), 12)), np.zeros((18, len(a))), np.zeros((18, 12))
+    begin = 0
+    for name, mode in found.items():
+        own_a, own_b, own_c, own_d = mode.filter
+        states = slice(begin, begin + len(own_a))
+        begin = states.stop
+        inputs, outputs = (np.array(place) for place in _PLACES[name])
+        b[states, inputs] = own_b
+        c[outputs, states] = own_c
+        d[np.ix_(outputs, inputs)] = own_d
+        # Angular acceleration is the derivative of the rate, an output with direct feed-through.
+        for rate in outputs[(outputs >= 3) & (outputs < 6)]:
+            row = list(outputs).index(rate)
+            c[rate + 3, states] = own_c[row] @ own_a
+            d[rate + 3, inputs] = own_c[row] @ own_b
+            d[rate + 3, inputs + 6] = own_d[row]
+    return Optimal(hold(a, b, c, d, interval), interval)
+
+
+def start_optimal(optimal: Optimal, euler_rates: Matrix, force: Matrix) -> OptimalState:
+    """State after a long time at constant Euler rates (3,) and specific force f1 (3,)."""
+    beyond = force + [0.0, 0.0, STANDARD_GRAVITY]
+    inputs = np.concatenate([euler_rates, beyond, np.zeros(6)])
+    return OptimalState(settled(optimal.filter, inputs), inputs)
+
+
+@compiled
+def move_optimal(optimal, state, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
+    """One sample; arguments as for `move_classical`."""
+    inputs, work, out = np.empty(12), np.empty(state.filter.shape[0]), np.empty(18)
+    for axis in range(3):
+        inputs[axis] = euler_rates[axis]
+        inputs[3 + axis] = force[axis]
+        inputs[6 + axis] = slopes[axis]
+    inputs[5] += STANDARD_GRAVITY
+    for axis in range(3):
+        inputs[9 + axis] = (inputs[3 + axis] - state.inputs[3 + axis]) / optimal.interval
+    advance(optimal.filter, state.filter, state.inputs, inputs, work)
+    read(optimal.filter, state.filter, inputs, out)
+    state.inputs[:] = inputs
+    angular[:] = out[:9].reshape(3, 3)
+    linear[:] = out[9:].reshape(3, 3)

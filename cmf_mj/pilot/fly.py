@@ -1,0 +1,295 @@
+"""From the aircraft to the cab: host, washout, DCU, control law, machine, what the pilot feels.
+
+    aircraft -> washout -> frames within the limits -> DCU -> DCL -> valves -> cab -> pilot
+
+`fly` takes a host in aircraft mode through all of it, or one in direct mode through what comes
+after the washout, and compares three motions at the pilot's station, all at the host's times: that
+of the aircraft, that which the host's frames ask of the platform, and the true one of the cab. The
+first two differ by the washout, the last two by delay, law and machine.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+from scipy.interpolate import make_interp_spline
+from scipy.optimize import minimize_scalar
+
+from cmf_mj.control.law import Law
+from cmf_mj.control.states import State
+from cmf_mj.facility import host as hosts
+from cmf_mj.facility.operation import FacilitySettings, Operation, operate
+from cmf_mj.machine import kinematics
+from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.pilot import host as pilot_host
+from cmf_mj.pilot.cueing.envelope import confined
+from cmf_mj.pilot.cueing.flight import cue
+from cmf_mj.pilot.cueing.settings import WashoutSettings
+from cmf_mj.pilot.cueing.washout import HOST_RATE
+from cmf_mj.pilot.motion import PilotMotion, pilot_station
+from cmf_mj.pilot.perception.error import CueingError, cueing_error
+from cmf_mj.pilot.perception.settings import Senses
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.record.record import Record
+
+RECORD_EVERY = 8
+"""Control frames a row of the record: 256 Hz."""
+
+_CORNER = 30.0
+"""Of the zero-phase low-pass before 80 Hz samples are taken of the cab's motion [Hz]: rows of the
+record hold vibration beyond half the host's rate."""
+
+
+class Use(NamedTuple):
+    """Largest share of each limit in a run; 1 is the limit."""
+
+    leg_position: float
+    """Of the legs' working stroke, 37.5 in."""
+    leg_velocity: float
+    """Of the legs' limit, mean over a row of the record."""
+    pose: NDArray[np.float64]
+    """Of the operational limits of Table 2-1, (6,)."""
+    stops: float
+    """Largest force of a stop [N]; 0 if none was met."""
+
+    @property
+    def within(self) -> bool:
+        """Whether position and pose kept within their limits and no stop was met."""
+        return max(self.leg_position, float(self.pose.max())) <= 1.0 and self.stops == 0.0
+
+
+class Ride(NamedTuple):
+    """A flight in the cab."""
+
+    law: str
+    cab: str
+    aircraft: PilotMotion | None
+    """At the pilot's station of the aircraft; None in direct mode."""
+    stream: hosts.HostStream
+    """What the host sends to the DCU."""
+    held: NDArray[np.bool_]
+    """Frames that the limits held back before they were sent, (N,)."""
+    asked: PilotMotion
+    """At the pilot's station of the cab, if the machine followed the frames at once."""
+    simulator: PilotMotion
+    """At the pilot's station of the cab, in truth."""
+    cueing: CueingError | None
+    """Sensed in the aircraft less sensed in the cab."""
+    machine: CueingError
+    """Sensed if the machine followed at once less sensed in the cab."""
+    use: Use
+    """Of the envelope."""
+    host_delay: float
+    """From the host's frames to the leg reference, by `transient_delay` of leg velocities [s]."""
+    loop_delay: float
+    """From there to the legs, likewise [s]: a mean over the flight's band."""
+    operation: Operation
+    """Record and account of the run."""
+
+    @property
+    def fault(self) -> str | None:
+        """Name of the fault that ended the flight, or None."""
+        found = self.operation.record.metadata["fault"]
+        return None if found is None else str(found["name"])
+
+
+def fly(
+    host: pilot_host.AircraftHost | pilot_host.PlatformHost | PilotMotion,
+    law: str | Path | Law = "velocity",
+    *,
+    cab: str = "gfd",
+    cueing: str | WashoutSettings = "simona",
+    hydraulics: str | HydraulicParameters = "hardware",
+    facility: FacilitySettings | None = None,
+    senses: Senses | str | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Ride:
+    """Fly a host in the cab.
+
+    Args:
+        host: a recorded or live flight, a motion at a pilot's station, or platform frames.
+        law: name, TOML file or loaded `Law`.
+        cab: `gfd`, `rfd` or `ifd`.
+        cueing: washout by name, TOML file or loaded parameters; not used in direct mode.
+        hydraulics: set by name, TOML file or loaded parameters.
+        facility: everything between host and valves.
+        senses: canals, otoliths and thresholds.
+        progress: called with the seconds flown, about once a second of them.
+
+    Raises:
+        ValueError: an argument that is refused, named.
+        OutOfBounds: the state left its physical bounds; leg, time and value are named.
+    """
+    settings = facility or FacilitySettings()
+    limits = load_motion_limits(settings.limits)
+    aircraft = None
+    if isinstance(host, PilotMotion | pilot_host.AircraftHost):
+        flown = host if isinstance(host, PilotMotion) else pilot_host.pilot_motion(host)
+        cued = cue(flown, cueing, cab=cab, limits=limits, senses=senses)
+        aircraft, stream, held, asked = cued.aircraft, cued.stream, cued.held, cued.simulator
+    else:
+        stream, held = confined(_even(pilot_host.host_stream(host)), limits)
+        motion = (stream.time, stream.pose, stream.velocity, stream.acceleration)
+        asked = PilotMotion.from_platform(*motion, pilot_station(cab))
+    operation = operate(
+        Hexapod(cab, load_hydraulics(hydraulics)),
+        law,
+        stream,
+        facility=settings,
+        record_every=RECORD_EVERY,
+        progress=progress,
+    )
+    record = operation.record
+    simulator = felt(record, asked.time)
+    legs = kinematics.pose_to_legs(hosts.resample(stream, record.rate).pose)
+    host_delay, loop_delay = _delays(legs, record)
+    return Ride(
+        str(record.metadata["law"]),
+        cab,
+        aircraft,
+        stream,
+        held,
+        asked,
+        simulator,
+        None if aircraft is None else cueing_error(aircraft, simulator, senses),
+        cueing_error(asked, simulator, senses),
+        envelope_use(record, settings),
+        host_delay,
+        loop_delay,
+        operation,
+    )
+
+
+def felt(record: Record, time: NDArray[np.float64]) -> PilotMotion:
+    """The crew's motion of a record at given times [s], without what lies beyond 30 Hz.
+
+    Raises:
+        ValueError: a record too slow to have anything there.
+    """
+    if record.rate <= 2.0 * _CORNER:
+        raise ValueError(
+            f"record: {record.rate:g} rows a second; allowed: more than {2 * _CORNER:g}"
+        )
+    motion = PilotMotion.from_record(record)
+    sections = signal.butter(4, _CORNER, fs=record.rate, output="sos")
+    columns = (
+        signal.sosfiltfilt(sections, values, axis=0)
+        for values in (motion.specific_force, motion.angular_rate, motion.attitude)
+    )
+    since = time - time[0]
+    taken = (
+        np.column_stack([np.interp(since, motion.time, column) for column in values.T])
+        for values in columns
+    )
+    return PilotMotion(time, *taken)
+
+
+def envelope_use(record: Record, facility: FacilitySettings | None = None) -> Use:
+    """Largest shares of the limits in a run while engaged.
+
+    Args:
+        record: of `operate` or `serve`.
+        facility: whose limits; default Table 2-1 and the rates assumed with it.
+    """
+    limits = load_motion_limits((facility or FacilitySettings()).limits)
+    engaged = record["operating_state"] == State.ENGAGED
+    low, high = limits.operational.T
+    pose = record["platform_pose"][engaged]
+    legs = record["leg_extension"][engaged]
+    speed = np.abs(np.diff(legs, axis=0)).max() * record.rate
+    return Use(
+        float(np.abs(legs).max() / limits.leg.position.si),
+        float(speed / limits.leg.velocity.si),
+        np.maximum(pose / low, pose / high).max(axis=0),
+        float(np.abs(record["stop_force"][engaged]).max()),
+    )
+
+
+def error_spectra(
+    reference: PilotMotion, motion: PilotMotion, *, segment: float = 8.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Spectral density of the difference of two motions at the same times.
+
+    Welch's method, Hann segments with half overlap, each without its mean; one-sided.
+
+    Args:
+        reference: what should be felt.
+        motion: what is felt.
+        segment: length of a segment [s], at most that of the motions.
+
+    Returns:
+        Frequencies [Hz], (K,), and densities of specific force [(m/s^2)^2/Hz] and angular rate
+        [(rad/s)^2/Hz], (K, 6).
+    """
+    difference = np.hstack(
+        [
+            reference.specific_force - motion.specific_force,
+            reference.angular_rate - motion.angular_rate,
+        ]
+    )
+    rate = reference.rate
+    length = min(round(segment * rate), difference.shape[0])
+    frequency, density = signal.welch(difference, rate, nperseg=length, axis=0)
+    return frequency, density
+
+
+def _even(stream: hosts.HostStream) -> hosts.HostStream:
+    """Frames that the governors can take: evenly spaced, at most 80 Hz."""
+    step = np.diff(stream.time)
+    if step.size and np.ptp(step) > 1e-6 * step.mean():
+        return hosts.resample(stream, HOST_RATE)
+    return stream
+
+
+def _delays(sent: NDArray[np.float64], record: Record) -> tuple[float, float]:
+    """Host to reference and reference to legs [s], by the leg that moves most."""
+    reference, moved = record["leg_reference"], record["leg_extension"]
+    rows = min(sent.shape[0], reference.shape[0])
+    leg = int(np.ptp(reference, axis=0).argmax())
+    if np.ptp(reference[:, leg]) == 0.0:
+        return float("nan"), float("nan")
+    sent_rate, wanted_rate, true_rate = (
+        np.diff(values[:rows, leg]) for values in (sent, reference, moved)
+    )
+    return (
+        transient_delay(sent_rate, wanted_rate, record.rate),
+        transient_delay(wanted_rate, true_rate, record.rate),
+    )
+
+
+def transient_delay(
+    demand: NDArray[np.float64],
+    response: NDArray[np.float64],
+    rate: float,
+    *,
+    longest: float = 0.5,
+) -> float:
+    """Delay that brings a demand closest to its response, offset and gain left free [s].
+
+    The largest correlation coefficient of response and shifted demand over the same samples of the
+    response: a slow transient, unlike a stationary signal, pulls the peak of a cross-correlation
+    towards where more of it overlaps.
+
+    Args:
+        demand: (N,), at rest at the start.
+        response: (N,).
+        rate: samples a second [Hz].
+        longest: largest delay looked for [s].
+    """
+    time = np.arange(demand.size) / rate
+    spline = make_interp_spline(time, demand, k=3)
+
+    def unlike(delay: float) -> float:
+        shifted = spline(np.maximum(time - delay, 0.0))
+        return -float(np.corrcoef(shifted, response)[0, 1])
+
+    tried = np.linspace(0.0, longest, 26)
+    near = tried[int(np.argmin([unlike(delay) for delay in tried]))]
+    step = tried[1]
+    bounds = (max(near - step, 0.0), near + step)
+    return float(minimize_scalar(unlike, bounds=bounds, method="bounded").x)

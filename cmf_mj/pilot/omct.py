@@ -1,0 +1,284 @@
+"""Objective motion cueing test: frequency responses from the aircraft's pilot to the simulator's.
+
+A sine drives one input of the aircraft at the pilot's station; the fundamental of each output at
+the pilot's station of the simulator is its response. Ten tests, input > output:
+
+    pitch > pitch    roll > roll    yaw > yaw      angle over angle
+    surge > surge    sway > sway    heave > heave  specific force over specific force
+    pitch > surge    roll > sway                   specific force over angle [m/s^2/rad]
+    surge > pitch    sway > roll                   angle over specific force [rad/(m/s^2)]
+
+An input in pitch or roll turns the aircraft about the pilot's station, gravity with it, so that its
+own specific force over angle is g (minus g in roll). Responses are taken at three places: behind
+the washout (host frames), behind the DCU (an ideal machine), and at the crew's accelerometer of the
+machine under each control law; the last over the one before is the law's share. What an output has
+beside mean and fundamental, harmonics, ringing or a limit cycle, is told by its root mean square
+over that of the fundamental: where this is large the fundamental alone says little.
+
+Single sines, because the washout is not linear: its tilt rate is limited. The procedure is that of
+ICAO 9625 as far as it was known here: frequencies and amplitudes are recalled, not read, and the
+units of the cross tests are this project's. No boundary of acceptance is known, and none is given.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.analysis.response.periodic import sine_response
+from cmf_mj.control.dcu.arrivals import upsample
+from cmf_mj.control.dcu.settings import load_dcu, make_dcu
+from cmf_mj.control.dcu.state import resting
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.rates import RATE
+from cmf_mj.core.threads import on_threads
+from cmf_mj.core.units import DEGREE
+from cmf_mj.facility import host
+from cmf_mj.facility.operation import FacilitySettings, operate
+from cmf_mj.facility.session import OutOfBounds
+from cmf_mj.pilot.cueing.settings import WashoutSettings, load_washout
+from cmf_mj.pilot.cueing.washout import HOST_RATE, Washout
+from cmf_mj.pilot.motion import PilotMotion, gravity_in_body, pilot_station
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.signals.single import check_positive
+
+TESTS = (
+    ("pitch", "pitch"),
+    ("pitch", "surge"),
+    ("roll", "roll"),
+    ("roll", "sway"),
+    ("yaw", "yaw"),
+    ("surge", "surge"),
+    ("surge", "pitch"),
+    ("sway", "sway"),
+    ("sway", "roll"),
+    ("heave", "heave"),
+)
+"""Input and output of the ten tests."""
+
+FREQUENCIES = (0.1, 0.158, 0.251, 0.398, 0.631, 1.0, 1.585, 2.512, 3.981, 6.31, 10.0, 15.849)
+"""Frequencies [rad/s], five a decade; recalled."""
+
+FORCE = 1.0
+"""Amplitude of surge, sway and heave [m/s^2]; recalled."""
+
+ANGLE = 6.0 * DEGREE
+"""Largest amplitude of an angle [rad]; recalled."""
+
+ANGULAR_RATE = 1.0 * DEGREE
+"""Largest amplitude of an angle's rate [rad/s]; recalled."""
+
+STAGES = ("washout", "demand")
+"""Places without a machine: the host's frames, and the platform demand behind the DCU."""
+
+_SETTLE = 20.0
+"""Least time before the cycles that are measured [s]."""
+_MEASURE = 5.0
+"""Least time measured [s]."""
+_FADE = 5.0
+"""Longest fade-in [s]."""
+_EVERY = 16
+"""Control frames per sample of the machine's response: 128 Hz."""
+
+_TRANSLATIONS, _ROTATIONS = ("surge", "sway", "heave"), ("roll", "pitch", "yaw")
+
+
+class Omct(NamedTuple):
+    """Responses of all tests."""
+
+    washout: str
+    cab: str
+    hydraulics: str
+    frequency: NDArray[np.float64]
+    """[rad/s], (K,)."""
+    responses: dict[str, NDArray[np.complex128]]
+    """By `STAGES` and law: complex responses in SI, (10, K); NaN where the machine left its
+    bounds."""
+    remainder: dict[str, NDArray[np.float64]]
+    """By `STAGES` and law: what the output has beside mean and fundamental, rms over the rms of the
+    fundamental, (10, K); NaN likewise."""
+
+    def share(self, law: str) -> NDArray[np.complex128]:
+        """Response of the machine under a law over that of an ideal one, (10, K)."""
+        with np.errstate(invalid="ignore"):
+            return self.responses[law] / self.responses["demand"]
+
+
+def amplitude(dof: str, frequency: float) -> float:
+    """Amplitude of an input [m/s^2 or rad] at a frequency [rad/s]."""
+    if dof in _TRANSLATIONS:
+        return FORCE
+    return min(ANGLE, ANGULAR_RATE / frequency)
+
+
+def aircraft_motion(dof: str, frequency: float, size: float) -> tuple[PilotMotion, float]:
+    """The aircraft's motion of one run, and when its measured cycles begin [s].
+
+    Args:
+        dof: input.
+        frequency: [rad/s].
+        size: amplitude [m/s^2 or rad].
+    """
+    period = 2.0 * np.pi / frequency
+    begin = max(period, _SETTLE)
+    end = begin + period * np.ceil(_MEASURE / period)
+    time = np.arange(int(np.ceil((end + 0.5) * HOST_RATE))) / HOST_RATE
+    span = min(period, _FADE)
+    inside = np.clip(time / span, 0.0, 1.0)
+    fade = 0.5 * (1.0 - np.cos(np.pi * inside))
+    slope = np.where(time < span, 0.5 * np.pi / span * np.sin(np.pi * inside), 0.0)
+    sine, cosine = np.sin(frequency * time), np.cos(frequency * time)
+    value, rate = size * fade * sine, size * (slope * sine + fade * frequency * cosine)
+    force, turning, attitude = (np.zeros((time.size, 3)) for _ in range(3))
+    if dof in _ROTATIONS:
+        axis = _ROTATIONS.index(dof)
+        attitude[:, axis], turning[:, axis] = value, rate
+    else:
+        force[:, _TRANSLATIONS.index(dof)] = value
+    return PilotMotion(time, force - gravity_in_body(attitude), turning, attitude), begin
+
+
+def outputs_of(dof: str) -> list[int]:
+    """Tests that an input drives, as places in `TESTS`."""
+    return [place for place, (given, _) in enumerate(TESTS) if given == dof]
+
+
+def omct(
+    laws: Sequence[str | Path | Law] = ("velocity",),
+    *,
+    washout: str | WashoutSettings = "simona",
+    cab: str = "gfd",
+    hydraulics: str | Path | HydraulicParameters = "hardware",
+    frequencies: Sequence[float] = FREQUENCIES,
+    dofs: Sequence[str] = (*_TRANSLATIONS, *_ROTATIONS),
+    jobs: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Omct:
+    """Run the tests, without a machine and on the machine under each law.
+
+    Args:
+        laws: names, TOML files or loaded laws; may be empty.
+        washout: name, TOML file or loaded parameters.
+        cab: `gfd`, `rfd` or `ifd`.
+        hydraulics: set of the machine.
+        frequencies: [rad/s]; runs last from 25 s to two periods of the lowest.
+        dofs: inputs to drive; tests of others are NaN.
+        jobs: threads; default one a core.
+        progress: called with runs done and in all.
+
+    Raises:
+        ValueError: an argument out of range, named; nothing has been run then.
+    """
+    settings, parameters = load_washout(washout), load_hydraulics(hydraulics)
+    loaded = [load_law(law) for law in laws]
+    station = pilot_station(cab)
+    known = {dof for dof, _ in TESTS}
+    for dof in dofs:
+        if dof not in known:
+            raise ValueError(f"dofs: {dof!r} is not one of {', '.join(sorted(known))}")
+    if not frequencies:
+        raise ValueError("frequencies: is empty; at least one is needed")
+    for frequency in frequencies:
+        check_positive(frequencies=frequency)
+        if frequency > 0.25 * np.pi * HOST_RATE:
+            raise ValueError(
+                f"frequencies: {frequency} rad/s must be at most {0.25 * np.pi * HOST_RATE:.4g}"
+            )
+    names = [*STAGES, *(law.name for law in loaded)]
+    shape = len(TESTS), len(frequencies)
+    found = {name: np.full(shape, np.nan + 0j) for name in names}
+    beside = {name: np.full(shape, np.nan) for name in names}
+    cases = [
+        (dof, column, law)
+        for dof in dofs
+        for column in range(len(frequencies))
+        for law in (None, *loaded)
+    ]
+
+    def run(case: tuple[str, int, Law | None]) -> None:
+        dof, column, law = case
+        frequency = float(frequencies[column])
+        size = amplitude(dof, frequency)
+        flown, begin = aircraft_motion(dof, frequency, size)
+        stream = Washout(settings, station=station).run(flown)
+        if law is None:
+            felt = dict(zip(STAGES, _without_machine(stream, station), strict=True))
+        else:
+            moved = _on_machine(stream, law, cab, parameters)
+            felt = {} if moved is None else {law.name: moved}
+        for name, motion in felt.items():
+            for place in outputs_of(dof):
+                output = _output(motion, TESTS[place][1])
+                found[name][place, column], beside[name][place, column] = _fundamental(
+                    motion.time, output, frequency, size, begin
+                )
+
+    on_threads(run, cases, jobs, progress)
+    driven = np.array(frequencies, dtype=float)
+    return Omct(settings.name, cab, parameters.name, driven, found, beside)
+
+
+def _without_machine(
+    stream: host.HostStream, station: NDArray[np.float64]
+) -> tuple[PilotMotion, PilotMotion]:
+    """Pilot's motion by the host's frames, and by the DCU's demand at 128 Hz."""
+    unit = make_dcu(load_dcu())
+    frames = int(stream.time[-1] * RATE)
+    played = upsample(unit, resting(unit, stream.pose[0]), host.arrivals(stream), frames)
+    pose, velocity, acceleration = np.swapaxes(played[::_EVERY], 0, 1)
+    time = np.arange(frames)[::_EVERY] / RATE
+    return (
+        PilotMotion.from_platform(
+            stream.time, stream.pose, stream.velocity, stream.acceleration, station
+        ),
+        PilotMotion.from_platform(time, pose, velocity, acceleration, station),
+    )
+
+
+def _on_machine(
+    stream: host.HostStream, law: Law, cab: str, parameters: HydraulicParameters
+) -> PilotMotion | None:
+    """Pilot's motion on the machine; None where it left its bounds."""
+    facility = FacilitySettings(electronics=None, protection=None)
+    try:
+        operation = operate(
+            Hexapod(cab, parameters), law, stream, facility=facility, record_every=_EVERY
+        )
+    except OutOfBounds:
+        return None
+    return PilotMotion.from_record(operation.record)
+
+
+def _output(motion: PilotMotion, name: str) -> NDArray[np.float64]:
+    if name in _ROTATIONS:
+        return motion.attitude[:, _ROTATIONS.index(name)]
+    return motion.specific_force[:, _TRANSLATIONS.index(name)]
+
+
+def _fundamental(
+    time: NDArray[np.float64],
+    values: NDArray[np.float64],
+    frequency: float,
+    size: float,
+    begin: float,
+) -> tuple[complex, float]:
+    """Fundamental of an output over an input size sin(frequency time), and what is beside it.
+
+    Over the whole cycles from `begin` on a fundamental of amplitude A has the variance A^2 / 2;
+    what the output's variance has more is the remainder's, the mean taken out.
+    """
+    rate = (time.size - 1) / float(time[-1] - time[0])
+    period = 2.0 * np.pi * rate / frequency
+    start = int(np.searchsorted(time, begin))
+    count = int(np.ceil(int((time.size - start) / period) * period))
+    rows = slice(start, start + count)
+    driven = size * np.sin(frequency * time[rows])
+    response = complex(
+        sine_response(driven, values[rows], rate, frequency / (2.0 * np.pi)).response[0]
+    )
+    power = 0.5 * abs(size * response) ** 2
+    return response, float(np.sqrt(max(values[rows].var() - power, 0.0) / power))

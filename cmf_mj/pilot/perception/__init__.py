@@ -1,0 +1,1 @@
+"""Perception: semicircular canals and otoliths, cueing errors and thresholds."""

@@ -1,0 +1,228 @@
+"""Failure events as data on a time line.
+
+An `Event` says when what fails, where and how much; a run takes any number of them. Every kind,
+what its size means, and its size if none is given:
+
+    pump_lost            the pump stops; a check valve keeps the manifold's oil
+    accumulator_lost     accumulators shut off, 1
+    supply_hose_burst    hole from the supply manifold to the tank, 1 in^2
+    valve_hard_over      spool driven to an end, +100 % (extending)
+    valve_jammed         spool stays where it is
+    valve_dead           spool goes to its null
+    sensor_stuck         position sensor stays where it is
+    sensor_offset        position sensor reads too much, 2 in
+    sensor_open          position sensor's wire is off: it reads an end of its range, -38 in
+    overload             weight on the platform, 10 000 lbf
+    emergency_stop       valves shut off from supply and return, settle valves open
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from cmf_mj.core import units
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.rates import FRAME
+from cmf_mj.core.settings import Settings, validated
+from cmf_mj.plant.faults import (
+    ACCUMULATORS_LOST,
+    BURST_AREA,
+    OFFSET,
+    OPEN_CIRCUIT,
+    OVERLOAD,
+    PUMP_LOST,
+    STOPPED,
+    STUCK,
+)
+from cmf_mj.plant.valve import JAMMED, OVERRIDE
+
+Kind = Literal[
+    "pump_lost",
+    "accumulator_lost",
+    "supply_hose_burst",
+    "valve_hard_over",
+    "valve_jammed",
+    "valve_dead",
+    "sensor_stuck",
+    "sensor_offset",
+    "sensor_open",
+    "overload",
+    "emergency_stop",
+]
+"""What can fail."""
+
+KINDS: tuple[str, ...] = get_args(Kind)
+"""The same, in order."""
+
+_SIZES: dict[str, tuple[float, tuple[str, ...]]] = {
+    "accumulator_lost": (1.0, ("1",)),
+    "supply_hose_burst": (1.0 * units.INCH**2, ("in^2", "m^2")),
+    "valve_hard_over": (1.0, ("%", "1")),
+    "sensor_offset": (2.0 * units.INCH, ("in", "m")),
+    "sensor_open": (-38.0 * units.INCH, ("in", "m")),
+    "overload": (10_000.0 * units.POUND_FORCE, ("lbf", "N")),
+}
+"""Size in SI where none is given, and the units it may be given in."""
+
+_VALVES = ("valve_hard_over", "valve_jammed", "valve_dead")
+_SENSORS = ("sensor_stuck", "sensor_offset", "sensor_open")
+
+
+class Event(Settings):
+    """One failure."""
+
+    at: Annotated[float, Field(ge=0.0)]
+    """When [s]."""
+    kind: Kind
+    """What fails."""
+    leg: Annotated[int, Field(ge=1)] | None = None
+    """Leg of a valve or sensor, from 1."""
+    valve: Annotated[int, Field(ge=1, le=2)] | None = None
+    """Valve of the leg, 1 or 2; both if left out."""
+    size: tuple[float, str] | None = None
+    """How much, with its unit, e.g. `(1.0, "in^2")`."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> "Event":
+        local = self.kind in _VALVES + _SENSORS
+        if local and self.leg is None:
+            raise ValueError(f"leg: is missing; {self.kind} needs the leg it happens to")
+        if not local and self.leg is not None:
+            raise ValueError(f"leg: {self.leg} is not allowed; {self.kind} has no leg")
+        if self.valve is not None and self.kind not in _VALVES:
+            raise ValueError(f"valve: {self.valve} is not allowed; {self.kind} has no valve")
+        if self.size is not None:
+            if self.kind not in _SIZES:
+                raise ValueError(f"size: {self.size} is not allowed; {self.kind} has none")
+            value, unit = self.size
+            if unit not in _SIZES[self.kind][1]:
+                allowed = ", ".join(_SIZES[self.kind][1])
+                raise ValueError(f"size: unit {unit!r} is not one of {allowed}")
+            signed = self.kind in ("valve_hard_over", *_SENSORS)
+            if value <= 0.0 and not signed:
+                raise ValueError(f"size: {value:g} {unit} must be greater than 0 {unit}")
+            if self.kind == "valve_hard_over" and abs(self.magnitude) > 1.0:
+                raise ValueError(f"size: {value:g} {unit} must be at most 100 % either way")
+        return self
+
+    @property
+    def magnitude(self) -> float:
+        """The size in SI; 0 for kinds without one."""
+        if self.size is None:
+            return _SIZES.get(self.kind, (0.0, ()))[0]
+        return units.to_si(self.size[1], self.size[0])
+
+
+def default_event(
+    kind: str,
+    at: float,
+    *,
+    leg: int | None = None,
+    valve: int | None = None,
+    size: tuple[float, str] | None = None,
+) -> Event:
+    """An event of a kind, on leg 1 where it needs a leg and none is given.
+
+    Args:
+        kind: one of `KINDS`.
+        at: when [s].
+        leg: as in `Event`.
+        valve: as in `Event`.
+        size: as in `Event`.
+
+    Raises:
+        ValueError: as for `Event`; the message names the field.
+    """
+    chosen = 1 if leg is None and kind in _VALVES + _SENSORS else leg
+    found = {"at": at, "kind": kind, "leg": chosen, "valve": valve, "size": size}
+    return validated(Event, found, "event")
+
+
+class Timeline(NamedTuple):
+    """Events in order of time, as the compiled loop reads them, arrays (m,)."""
+
+    frame: NDArray[np.int64]
+    """Control frame."""
+    kind: NDArray[np.int64]
+    """Index into `KINDS`."""
+    leg: NDArray[np.int64]
+    """Leg from 0, -1 for none."""
+    valve: NDArray[np.int64]
+    """Valve from 0, -1 for both."""
+    size: NDArray[np.float64]
+    """In SI."""
+
+
+def make_timeline(events: Sequence[Event], legs: int) -> Timeline:
+    """Put events in order.
+
+    Raises:
+        ValueError: an event names a leg that is not there.
+    """
+    for event in events:
+        if event.leg is not None and event.leg > legs:
+            raise ValueError(f"leg: {event.leg} of {event.kind} is not a leg; allowed: 1 to {legs}")
+    ordered = sorted(events, key=lambda event: event.at)
+    whole = np.int64
+    return Timeline(
+        np.array([round(e.at / FRAME) for e in ordered], dtype=whole),
+        np.array([KINDS.index(e.kind) for e in ordered], dtype=whole),
+        np.array([-1 if e.leg is None else e.leg - 1 for e in ordered], dtype=whole),
+        np.array([-1 if e.valve is None else e.valve - 1 for e in ordered], dtype=whole),
+        np.array([e.magnitude for e in ordered], dtype=float),
+    )
+
+
+_PUMP, _ACCUMULATOR, _BURST, _HARD, _JAMMED, _DEAD, _STUCK, _OFFSET, _OPEN, _LOAD, _STOP = range(11)
+
+
+@compiled
+def strike(timeline, number, faults, position):  # type: ignore[no-untyped-def]
+    """Let one event happen.
+
+    Args:
+        timeline: all events.
+        number: which.
+        faults: overwritten.
+        position: what the position sensors read now [m], (n,).
+    """
+    kind, leg, size = timeline.kind[number], timeline.leg[number], timeline.size[number]
+    plant = faults.plant
+    if kind == _PUMP:
+        plant[PUMP_LOST] = 1.0
+    elif kind == _ACCUMULATOR:
+        plant[ACCUMULATORS_LOST] += size
+    elif kind == _BURST:
+        plant[BURST_AREA] += size
+    elif kind == _LOAD:
+        plant[OVERLOAD] += size
+    elif kind == _STOP:
+        plant[STOPPED] = 1.0
+    elif kind == _HARD or kind == _JAMMED or kind == _DEAD:
+        for index in range(2):
+            if timeline.valve[number] < 0 or timeline.valve[number] == index:
+                faults.valve[leg, index] = JAMMED if kind == _JAMMED else OVERRIDE
+                faults.spool[leg, index] = size
+    elif kind == _STUCK:
+        faults.sensor[leg] = STUCK
+        faults.reading[leg] = position[leg]
+    elif kind == _OFFSET:
+        faults.sensor[leg] = OFFSET
+        faults.reading[leg] = size
+    elif kind == _OPEN:
+        faults.sensor[leg] = OPEN_CIRCUIT
+        faults.reading[leg] = size
+
+
+@compiled
+def read_position(faults, leg, position):  # type: ignore[no-untyped-def]
+    """What a position sensor, sound or not, makes of the true extension [m]."""
+    state = faults.sensor[leg]
+    if state == STUCK or state == OPEN_CIRCUIT:
+        return faults.reading[leg]
+    if state == OFFSET:
+        return position + faults.reading[leg]
+    return position

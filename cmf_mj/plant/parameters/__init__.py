@@ -1,0 +1,1 @@
+"""Immutable parameter sets: each number with its unit, status and source."""

@@ -1,0 +1,257 @@
+"""Hydraulic parameters: cylinders, servo-valves, oil, losses and the supply.
+
+The numbers live in `hydraulics.toml`; this module names them, checks them and derives from them.
+A set describes one actuator, which all are equal to unless `actuators` says otherwise, and the
+supply they share. Symbols: Ac, Ar cap and rod area, h half stroke, beta effective bulk modulus,
+Ps, Pt supply and return pressure.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import create_model, model_validator
+
+from cmf_mj.core import quantity as kind
+from cmf_mj.core.quantity import Quantity
+from cmf_mj.core.settings import Settings
+
+VALVES = ("valve_1", "valve_2")
+"""The two servo-valves of an actuator."""
+
+
+class _Valve(Settings):
+    """What may differ from valve to valve."""
+
+    drive_lag: kind.Corner
+    """Corner of the servo drive's first-order lag."""
+    valve_lag: kind.Corner
+    """Corner of the spool's first-order lag."""
+    valve_flow: kind.Ratio
+    """Rated flow over the nominal, which is half of what `leg_speed` needs."""
+    null_bias: kind.Bias
+    """Spool position at no command, in full strokes of the spool."""
+    overlap: kind.Share
+    """Spool travel either side of centre that opens nothing, in full strokes."""
+    hysteresis: kind.Share
+    """Full width of the play between drive and spool, in full strokes."""
+    threshold_pressure: kind.Gauge
+    """Supply over return pressure that holds the spool open; below it the valve passes nothing."""
+
+
+class _Actuator(_Valve):
+    """What may differ from actuator to actuator."""
+
+    bore_diameter: kind.Length
+    """Diameter of the cylinder bore."""
+    rod_diameter: kind.Length
+    """Diameter of the rod; smaller than the bore."""
+    half_stroke: kind.Length
+    """Half of the mechanical stroke, the chamber lengths at neutral."""
+    minimum_gap: kind.Length
+    """Length of a chamber at its stop; approached over the last twenty times of it."""
+    leg_speed: kind.LegSpeed
+    """Steady leg speed per command with half the supply pressure across each port."""
+    leak_rate: kind.Rate
+    """Rate lambda at which piston leakage relaxes a force built up by displacing the leg at
+    neutral; the leg mode of frequency w has the damping ratio lambda / (2 w)."""
+    bearing_leakage: kind.Conductance
+    """Laminar leakage of the hydrostatic rod bearing, from the rod chamber to the return."""
+    coulomb_friction: kind.Force
+    """Friction of steady sliding."""
+    breakaway_friction: kind.Force
+    """Friction at the onset of sliding; at least `coulomb_friction`."""
+    stribeck_speed: kind.Speed
+    """Speed over which friction falls from breakaway to Coulomb."""
+    presliding: kind.Length
+    """Elastic travel of a sticking contact at the Coulomb force."""
+    viscous_friction: kind.Viscous
+    """Friction per speed."""
+    cushion_length: kind.Travel
+    """Travel before each stop in which outflow is throttled; 0 for none."""
+    cushion_opening: kind.Opening
+    """What the throttle leaves at the stop, in full openings of both valves."""
+    supply_hose: kind.Line
+    """Laminar resistance from the supply manifold to the actuator's valves."""
+    return_hose: kind.Line
+    """Laminar resistance from the actuator's valves to the return manifold."""
+    settle_speed: kind.Speed
+    """Speed at which the settle valve lowers the leg under `settle_load`."""
+    settle_load: kind.Force
+    """Load `settle_speed` refers to."""
+
+
+VALVE_FIELDS = tuple(_Valve.model_fields)
+"""Quantities that may differ between the valves of an actuator."""
+
+ACTUATOR_FIELDS = tuple(_Actuator.model_fields)
+"""Quantities that may differ between actuators."""
+
+
+def _optional(model: type[Settings]) -> dict[str, Any]:
+    return {name: (kind.optional(info), None) for name, info in model.model_fields.items()}
+
+
+ValveChanges = create_model("ValveChanges", __base__=Settings, **_optional(_Valve))
+"""What one valve has different from the set."""
+
+ActuatorChanges = create_model(
+    "ActuatorChanges",
+    __base__=Settings,
+    **_optional(_Actuator) | {name: (ValveChanges | None, None) for name in VALVES},
+)
+"""What one actuator has different from the set, with tables `valve_1` and `valve_2`."""
+
+
+class HydraulicParameters(_Actuator):
+    """Parameters of the actuators with their valves, the oil and the supply."""
+
+    name: str
+    """Name of the set."""
+    supply: Literal["constant", "network"]
+    """`constant` pressure at every valve, or a pump, accumulators, manifolds and hoses."""
+    actuators: Mapping[str, ActuatorChanges] = {}
+    """What single actuators, by the names of their motors, have different from the set."""
+    bulk_modulus: kind.Pressure
+    """Effective bulk modulus: the lumped compliance of oil, hoses and barrel."""
+    oil_density: kind.Density
+    """Density of the oil; only a burst hose needs it."""
+    cavitation_gas: kind.Share
+    """Gas released below atmospheric pressure, volume share there; 0 for no cavitation floor."""
+    entrained_gas: kind.Share
+    """Undissolved gas at atmospheric pressure, volume share; softens the oil at low pressure."""
+    gas_exponent: kind.Exponent
+    """Polytropic exponent of entrained gas; above 1."""
+    transition_pressure: kind.Pressure
+    """Pressure difference at which the laminar share of an orifice's drop equals the turbulent."""
+    proof_pressure: kind.Pressure
+    """Chamber pressure beyond which a run is stopped with an error."""
+    supply_pressure: kind.Pressure
+    """Set pressure of the pump's compensator, gauge; the pressure of a constant supply."""
+    return_pressure: kind.Gauge
+    """Tank pressure, gauge."""
+    pump_flow: kind.Flow
+    """Largest flow of the pumping unit."""
+    pump_droop: kind.Pressure
+    """Fall of pressure over which the compensator goes from no flow to full flow."""
+    pump_lag: kind.Time
+    """Time constant of the compensator."""
+    pump_line: kind.Line
+    """Laminar resistance from the pump to the supply manifold."""
+    relief_pressure: kind.Pressure
+    """Supply manifold pressure at which the relief valve opens."""
+    relief_conductance: kind.Conductance
+    """Flow of the relief valve per excess of pressure."""
+    accumulator_count: kind.Count
+    """Accumulators on the supply manifold, a whole number; 0 for none."""
+    accumulator_volume: kind.Volume
+    """Gas volume of one accumulator at precharge."""
+    precharge_pressure: kind.Pressure
+    """Gas pressure of an accumulator without oil, gauge."""
+    accumulator_exponent: kind.Exponent
+    """Polytropic exponent of the accumulators' gas."""
+    accumulator_line: kind.Resistance
+    """Laminar resistance from one accumulator to the supply manifold."""
+    supply_volume: kind.Volume
+    """Oil volume of the supply manifold and its lines."""
+    return_volume: kind.Volume
+    """Oil volume of the return manifold and its lines."""
+    tank_line: kind.Resistance
+    """Laminar resistance from the return manifold to the tank."""
+    isolation_time: kind.Time
+    """Time in which an emergency stop closes the supply to the valves and opens the settle
+    valves."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "HydraulicParameters":
+        for name in ("", *self.actuators):
+            own = self.actuator(name)
+            where = f"actuators.{name}." if name else ""
+            _ordered(own, where, "rod_diameter", "bore_diameter")
+            _ordered(own, where, "minimum_gap", "half_stroke")
+            _ordered(own, where, "coulomb_friction", "breakaway_friction", equal=True)
+            if own["coulomb_friction"].value == 0.0 < own["breakaway_friction"].value:
+                raise ValueError(
+                    f"{where}breakaway_friction: {own['breakaway_friction']} needs a "
+                    f"coulomb_friction greater than 0"
+                )
+        quantities = self.quantities()
+        _ordered(quantities, "", "return_pressure", "supply_pressure")
+        _ordered(quantities, "", "precharge_pressure", "supply_pressure")
+        _ordered(quantities, "", "supply_pressure", "relief_pressure", equal=True)
+        _ordered(quantities, "", "relief_pressure", "proof_pressure")
+        if self.accumulator_count.value != int(self.accumulator_count.value):
+            raise ValueError(
+                f"accumulator_count: {self.accumulator_count.value:g} must be a whole number"
+            )
+        for field in ("gas_exponent", "accumulator_exponent"):
+            if getattr(self, field).value < 1.0:
+                raise ValueError(f"{field}: {getattr(self, field).value:g} must be at least 1")
+        return self
+
+    @property
+    def cap_area(self) -> float:
+        """Ac, area of the piston on the cap side [m^2]."""
+        return cap_area(self.quantities())
+
+    @property
+    def rod_area(self) -> float:
+        """Ar, annulus on the rod side [m^2]."""
+        return rod_area(self.quantities())
+
+    @property
+    def leakage(self) -> float:
+        """Laminar piston leakage L [m^3/s/Pa], see `piston_leakage`."""
+        return piston_leakage(self.quantities())
+
+    def quantities(self) -> dict[str, Quantity]:
+        """All numbers of the set by name, in the order of the class."""
+        values = {name: getattr(self, name) for name in type(self).model_fields}
+        return {name: value for name, value in values.items() if isinstance(value, Quantity)}
+
+    def actuator(self, name: str = "", valve: int | None = None) -> dict[str, Quantity]:
+        """All numbers as one actuator, or one of its valves, has them.
+
+        Args:
+            name: motor of the actuator; one not in `actuators` has the numbers of the set.
+            valve: 0 or 1 for a valve.
+        """
+        found = self.quantities()
+        own = self.actuators.get(name)
+        if own is None:
+            return found
+        found |= {field: getattr(own, field) for field in ACTUATOR_FIELDS if getattr(own, field)}
+        changes = getattr(own, VALVES[valve]) if valve is not None else None
+        if changes is not None:
+            found |= {n: getattr(changes, n) for n in VALVE_FIELDS if getattr(changes, n)}
+        return found
+
+
+def _ordered(
+    values: Mapping[str, Quantity], where: str, small: str, large: str, *, equal: bool = False
+) -> None:
+    less, more = values[small], values[large]
+    if less.si > more.si or (less.si == more.si and not equal):
+        bound = "at most" if equal else "less than"
+        raise ValueError(f"{where}{small}: {less} must be {bound} {large}, {more}")
+
+
+def cap_area(values: Mapping[str, Quantity]) -> float:
+    """Ac [m^2] of an actuator's quantities."""
+    return np.pi / 4.0 * values["bore_diameter"].si ** 2
+
+
+def rod_area(values: Mapping[str, Quantity]) -> float:
+    """Ar [m^2] of an actuator's quantities."""
+    return np.pi / 4.0 * (values["bore_diameter"].si ** 2 - values["rod_diameter"].si ** 2)
+
+
+def piston_leakage(values: Mapping[str, Quantity]) -> float:
+    """Laminar piston leakage L [m^3/s/Pa], flow = L (p_cap - p_rod).
+
+    A force built up by displacing the leg at neutral begins to relax at the rate
+    4 beta L / (h (Ac + Ar)), which is `leak_rate` and damps the leg mode.
+    """
+    area = cap_area(values) + rod_area(values)
+    rate, half = values["leak_rate"].si, values["half_stroke"].si
+    return rate * half * area / (4.0 * values["bulk_modulus"].si)

@@ -1,0 +1,113 @@
+"""Where the energy and the oil of a run are: balances of a record, row by row.
+
+    pump + accumulators = losses + work on the pistons + rise of what is stored by compression
+    oil in chambers, manifolds, accumulators and out at the tank = constant
+
+Both close to rounding; what is left is told, not spread. Two things open the first: a piston pushed
+into its elastic stop beyond `minimum_gap` works on a volume that is held, and a chamber torn open
+hides its oil: at a pressure below the atmosphere a pascal is a great deal of it, so that those rows
+of `residual` and `oil` are not a number.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.core.compiled import compiled
+from cmf_mj.plant.cylinder import volumes
+from cmf_mj.plant.hydraulics import ENERGIES
+from cmf_mj.plant.oil import density, enthalpy, stored
+from cmf_mj.plant.plant import Plant
+from cmf_mj.record.record import Record
+
+LOSSES = ("valves", "lines", "leakage", "relief", "burst")
+"""What oil loses on its way."""
+
+
+class PowerBalance(NamedTuple):
+    """Energies since the start [J] and oil [m^3], each (N,)."""
+
+    given: NDArray[np.float64]
+    """Work of pump and accumulators."""
+    lost: NDArray[np.float64]
+    """Losses of the oil, `LOSSES`."""
+    work: NDArray[np.float64]
+    """Work on the pistons, friction included."""
+    stored: NDArray[np.float64]
+    """Rise of the energy of compression, and of what the tank holds under return pressure; NaN
+    where a chamber is torn open, as `residual` and `oil`."""
+    residual: NDArray[np.float64]
+    """given - lost - work - stored."""
+    oil: NDArray[np.float64]
+    """All oil, as the volume it would fill at atmospheric pressure."""
+
+
+def power_balance(plant: Plant, record: Record) -> PowerBalance:
+    """Balance energy and oil of a run.
+
+    Args:
+        plant: the plant of the run.
+        record: of `simulate` or `drive`.
+
+    Raises:
+        ValueError: the record is of another plant or hydraulic set.
+    """
+    own = plant.describe()
+    for field in ("model_digest", "hydraulic_parameters"):
+        if record.metadata[field] != own[field]:
+            raise ValueError(f"record: its {field} is not that of {plant.name}")
+    hydraulics = plant.hydraulics
+    passed = {name: record["energy"][:, i] for i, name in enumerate(ENERGIES)}
+    given = passed["pump"] + passed["accumulators"]
+    lost = np.sum([passed[name] for name in LOSSES], axis=0)
+    kept = record["tank_content"] * enthalpy(hydraulics.oil, hydraulics.supply.return_pressure)
+    oil = (
+        record["supply_content"]
+        + record["return_content"]
+        + record["tank_content"]
+        + hydraulics.supply.accumulators * record["accumulator_oil"]
+    )
+    for name, volume in (
+        ("supply", hydraulics.supply.supply_volume),
+        ("return", hydraulics.supply.return_volume),
+    ):
+        _manifold(
+            hydraulics.oil, volume, record[f"{name}_content"], record[f"{name}_pressure"], kept
+        )
+    _chambers(
+        hydraulics,
+        record["leg_extension"],
+        record["cap_pressure"],
+        record["rod_pressure"],
+        oil,
+        kept,
+    )
+    torn = np.minimum(record["cap_pressure"], record["rod_pressure"]).min(axis=1) < 0.0
+    oil[torn] = np.nan
+    rise = np.where(torn, np.nan, kept - kept[0])
+    work = passed["mechanical"]
+    return PowerBalance(given, lost, work, rise, given - lost - work - rise, oil)
+
+
+@compiled
+def _manifold(oil, volume, content, pressure, kept):  # type: ignore[no-untyped-def]
+    """Add the energy stored in a manifold to each row of `kept`."""
+    for row in range(kept.shape[0]):
+        kept[row] += stored(oil, content[row], pressure[row], volume)
+
+
+@compiled
+def _chambers(hydraulics, extension, cap_pressure, rod_pressure, total, kept):  # type: ignore[no-untyped-def]
+    """Add oil and energy stored in the chambers to each row of `total` and `kept`."""
+    oil = hydraulics.oil
+    for row in range(total.shape[0]):
+        for leg in range(extension.shape[1]):
+            cap, rod = volumes(hydraulics.cylinder[leg], extension[row, leg])
+            for volume, pressure in (
+                (cap, cap_pressure[row, leg]),
+                (rod, rod_pressure[row, leg]),
+            ):
+                content = volume * density(oil, pressure)[0]
+                total[row] += content
+                kept[row] += stored(oil, content, pressure, volume)

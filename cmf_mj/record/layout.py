@@ -1,0 +1,122 @@
+"""Recordings at 128 Hz in the facility's CSV layout, and UFF 58 for modal-analysis tools.
+
+The facility's file has one header row, then one row a sample. The report (Appendix A) reads the
+block BO2..FW, columns 67 to 179, and publishes the meaning of twelve of its columns:
+
+    block columns 1-6 (file 67-72):     DCL2DVS_FDK_LEG_POS, feedback leg positions [in]
+    block columns 63-68 (file 129-134): DCL2DVS_DMD_LEG_POS, demanded leg positions [in]
+
+Everything else is this project's choice: the leg number after a name, the names, units and places
+of the other channels (`LAYOUT`), TIME [s] in column 1 and LAST_ROW, 1 in the last row only, in
+column 2. A column with nothing to hold is named UNUSED_<column> and holds zeros, so that any reader
+of numbers finds the block. Metadata are one comment line after the last row, `# cmf_mj {...}`:
+before the header they would move the block away from row 2. That line also has a checksum a column;
+who edits values by hand deletes it.
+
+The resolution of a file is 10^-decimals in each column's unit: 1e-6 in by default.
+"""
+
+import re
+import zlib
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.core import units
+from cmf_mj.core.settings import Settings
+from cmf_mj.machine.kinematics import half_stroke
+
+RATE = 128
+"""Samples a second of the facility's recorder [Hz]."""
+BLOCK = 67
+"""First file column of the block the report reads, 1-based: BO."""
+BLOCK_WIDTH = 113
+"""Columns of the block: BO to FW."""
+LEGS = 6
+
+
+class Group(NamedTuple):
+    """Six neighbouring columns, one a leg."""
+
+    channel: str
+    """Channel of the record."""
+    name: str
+    """Header name without the leg number."""
+    first: int
+    """Column of leg 1 in the block, 1-based."""
+    unit: str
+    """Unit in the file."""
+    si: str
+    """Unit in the record."""
+
+    @property
+    def names(self) -> list[str]:
+        """Header names, leg 1 to 6."""
+        return [f"{self.name}_{leg + 1}" for leg in range(LEGS)]
+
+
+LAYOUT = (
+    Group("leg_position", "DCL2DVS_FDK_LEG_POS", 1, "in", "m"),
+    Group("leg_velocity", "DCL2DVS_FDK_LEG_VEL", 7, "in/s", "m/s"),
+    Group("leg_acceleration", "DCL2DVS_FDK_LEG_ACC", 13, "in/s^2", "m/s^2"),
+    Group("cap_pressure", "DCL2DVS_FDK_CAP_PRS", 19, "psi", "Pa"),
+    Group("rod_pressure", "DCL2DVS_FDK_ROD_PRS", 25, "psi", "Pa"),
+    Group("leg_reference", "DCL2DVS_DMD_LEG_POS", 63, "in", "m"),
+    Group("compensator_output", "DCL2DVS_CMP_CMD", 69, "%", "1"),
+    Group("valve_command", "DCL2DVS_VLV_CMD", 75, "%", "1"),
+)
+"""Columns of the block. Only the two groups of positions are published; the rest is ours."""
+REQUIRED = ("leg_position", "leg_reference")
+"""Channels no recording is without; their places, names and unit are the published ones."""
+TIME, LAST = "TIME", "LAST_ROW"
+NAMES = {name for group in LAYOUT for name in group.names}
+POSITIONS = {
+    name: group.first - 1 + leg
+    for group in LAYOUT
+    if group.channel in REQUIRED
+    for leg, name in enumerate(group.names)
+}
+COMMENT, TRAILER = "#", "# cmf_mj "
+NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+NOT_TEXT = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
+
+
+class Trailer(Settings):
+    """What the comment line after the last row holds."""
+
+    rows: int
+    decimals: int
+    checksums: dict[str, int]
+    metadata: dict[str, Any]
+
+
+def stroke() -> float:
+    """Largest leg position either way [in]."""
+    return round(units.from_si("in", half_stroke()), 9)
+
+
+def checksum(whole: NDArray[np.float64]) -> int:
+    """Of a column in units of its last decimal."""
+    return zlib.crc32(np.rint(whole).astype("<i8").tobytes())
+
+
+def check_dataset(where: str, dataset: dict[str, Any], first: dict[str, Any]) -> None:
+    """Whole, real, finite, evenly sampled, at the same times as the first."""
+    values, time = dataset["data"], dataset["x"]
+    if values.size != dataset["num_pts"] or values.size < 2 or np.iscomplexobj(values):
+        raise ValueError(
+            f"{where}: has {values.size} values; allowed: {dataset['num_pts']} real ones, 2 or more"
+        )
+    if not np.isfinite(values).all():
+        sample = int(np.argmin(np.isfinite(values)))
+        raise ValueError(f"{where}: {values[sample]} at sample {sample} is not finite")
+    step = np.diff(time)
+    if not (step > 0.0).all() or np.ptp(step) > 1e-3 * step[0]:
+        raise ValueError(f"{where}: its times are not even")
+    if not np.array_equal(time, first["x"]):
+        raise ValueError(f"{where}: its {time.size} times are not those of dataset 1")
+
+
+UFF_TYPES = {"m": 8, "m/s": 11, "m/s^2": 12, "N": 13, "Pa": 15}
+"""Specific data types of dataset 58; 0, unknown, for other units."""

@@ -1,0 +1,329 @@
+"""Reads facility CSV files and says exactly what is wrong with a broken one."""
+
+import json
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.core import units
+from cmf_mj.core.settings import validated
+from cmf_mj.record.layout import (
+    BLOCK,
+    BLOCK_WIDTH,
+    COMMENT,
+    LAST,
+    LAYOUT,
+    LEGS,
+    NAMES,
+    NOT_TEXT,
+    NUMBER,
+    POSITIONS,
+    RATE,
+    REQUIRED,
+    TIME,
+    TRAILER,
+    Trailer,
+    checksum,
+    stroke,
+)
+from cmf_mj.record.record import Record
+
+
+class _Table(NamedTuple):
+    """The text of a file, cut but not yet read."""
+
+    path: Path
+    header_row: int
+    names: list[str]
+    """Known header names in canonical form, others as in the file."""
+    rows: list[int]
+    """Line numbers of the samples."""
+    lines: list[str]
+    separator: str | None
+    """None for blanks."""
+    by_name: bool
+    """Whether the header tells the columns; otherwise they are where the report has them."""
+    trailer: Trailer | None
+
+    def cell(self, sample: int, column: int | str) -> str:
+        """Where a cell is, as an editor and a spreadsheet show it, and its text."""
+        index = self.names.index(column) if isinstance(column, str) else column
+        text = self.lines[sample].split(self.separator)[index].strip()
+        return f"{self.path}: row {self.rows[sample]}, {self.column(index)}: {text[:40]!r}"
+
+    def column(self, index: int) -> str:
+        """Number, spreadsheet letters and name of a column."""
+        return f"column {index + 1} ({_letters(index)}, {self.names[index] or 'no name'})"
+
+
+def read_facility_csv(path: str | Path) -> Record:
+    """Read a recording of the facility's form.
+
+    Columns are found by the names of `LAYOUT`, in any order and number; leg positions are the only
+    ones required. A header without any of these names means the published places: the full file of
+    at least 179 columns, or the block alone, 113. Separators are commas, semicolons or blanks;
+    lines that begin with `#` are comments. Values that are read must be finite numbers; columns
+    that are not read may hold anything.
+
+    What a file does not carry cannot be checked: without TIME the rate is taken for 128 Hz, and
+    without the line `# cmf_mj` a column filled from another one is not noticed.
+
+    Returns:
+        Channels in SI at 128 Hz. In the metadata `command` is the writer's, or of the kind
+        `recording`; `recording` names the file and says how its columns were found.
+
+    Raises:
+        ValueError: the file is not a whole recording; row, column and value are named.
+    """
+    table = _cut(Path(path))
+    column = _values(table)
+    _check_rows(table, column)
+    _check_stroke(table, column)
+    _check_sums(table, column)
+    channels, channel_units = {}, {}
+    for group in LAYOUT:
+        if group.names[0] in column:
+            legs = np.column_stack([column[name] for name in group.names])
+            channels[group.channel] = units.to_si(group.unit, legs)
+            channel_units[group.channel] = group.si
+    metadata = dict(table.trailer.metadata) if table.trailer else {}
+    metadata["sample_rate"] = float(RATE)
+    metadata.setdefault("command", {"kind": "recording"})
+    metadata["recording"] = {
+        "file": table.path.name,
+        "columns": "by name" if table.by_name else "by position",
+        "decimals": table.trailer.decimals if table.trailer else None,
+    }
+    start = column[TIME][0] if TIME in column else 0.0
+    return Record(start + np.arange(len(table.rows)) / RATE, channels, channel_units, metadata)
+
+
+def _cut(path: Path) -> _Table:
+    """Cut a file into header, samples and trailer; every sample has as many cells."""
+    text = _text(path)
+    numbered = list(enumerate(re.split(r"\r\n|\n|\r", text), start=1))
+    comments = [(row, line) for row, line in numbered if line.lstrip().startswith(COMMENT)]
+    content = [(row, line) for row, line in numbered if not line.lstrip().startswith(COMMENT)]
+    while content and not content[-1][1].strip():
+        content.pop()
+    while content and not content[0][1].strip():
+        content.pop(0)
+    if not content:
+        raise ValueError(f"{path}: has neither a header row nor samples")
+    (header_row, header), samples = content[0], content[1:]
+    separator = _separator(header)
+    names = [_canonical(cell) for cell in header.split(separator)]
+    if all(NUMBER.fullmatch(name) for name in names):
+        raise ValueError(
+            f"{path}: row {header_row}: {header[:40].strip()!r} is numbers; "
+            "the first row must be a header"
+        )
+    if not samples:
+        raise ValueError(f"{path}: row {header_row}: is a header; no samples follow")
+    by_name = bool(set(names) & set(NAMES))
+    if not by_name:  # a header of any text: the report skips the row
+        separator = _separator(samples[0][1])
+        width = len(samples[0][1].split(separator))
+        names = [_canonical(cell) for cell in header.split(separator)]
+        names = _published(
+            f"{path}: row {header_row}", names if len(names) == width else [""] * width
+        )
+    for row, line in samples:
+        cells = len(line.split(separator)) if line.strip() else 0
+        if cells != len(names):
+            raise ValueError(
+                f"{path}: row {row}: has {cells} columns, the last being "
+                f"{line.split(separator)[-1].strip()[:40] if cells else ''!r}; "
+                f"allowed: {len(names)}, as in the header"
+            )
+    if samples[-1][0] == numbered[-1][0]:
+        raise ValueError(
+            f"{path}: row {samples[-1][0]}, column {len(names)}: the file ends without a line end, "
+            f"so that {samples[-1][1].split(separator)[-1].strip()[:40]!r} may be cut off; "
+            "if it is whole, add a line end"
+        )
+    rows, lines = [row for row, _ in samples], [line for _, line in samples]
+    trailer = _read_trailer(path, comments)
+    return _Table(path, header_row, names, rows, lines, separator, by_name, trailer)
+
+
+def _text(path: Path) -> str:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
+    if not content.strip():
+        raise ValueError(f"{path}: is empty")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        row = content.count(b"\n", 0, error.start) + 1
+        raise ValueError(
+            f"{path}: row {row}: byte 0x{content[error.start]:02x} is not UTF-8 text"
+        ) from None
+    odd = NOT_TEXT.search(text)
+    if odd:
+        row = text.count("\n", 0, odd.start()) + 1
+        raise ValueError(f"{path}: row {row}: character 0x{ord(odd[0]):02x} is not text")
+    return text
+
+
+def _separator(line: str) -> str | None:
+    return next((mark for mark in (";", ",") if mark in line), None)
+
+
+def _canonical(cell: str) -> str:
+    """`dcl2dvs_fdk_leg_pos[3]`, also quoted, as DCL2DVS_FDK_LEG_POS_3."""
+    name = cell.strip().strip("\"'").strip()
+    known = re.sub(r"[\s_\[(]*([0-9]+)[\])]?$", r"_\1", name.upper())
+    return known if known in NAMES or known in (TIME, LAST) else name
+
+
+def _read_trailer(path: Path, comments: list[tuple[int, str]]) -> Trailer | None:
+    found = [(row, line.strip()) for row, line in comments if line.strip().startswith(TRAILER)]
+    if not found:
+        return None
+    row, line = found[-1]
+    where = f"{path}: row {row}"
+    if len(found) > 1:
+        raise ValueError(f"{where}: is a second line {TRAILER!r}; allowed: one")
+    try:
+        content = json.loads(line.removeprefix(TRAILER))
+    except ValueError as error:
+        raise ValueError(f"{where}: the metadata are not JSON: {error}") from None
+    trailer = validated(Trailer, content, where)
+    if trailer.decimals not in range(10):
+        raise ValueError(f"{where}: decimals: {trailer.decimals} is refused; allowed: 0 to 9")
+    return trailer
+
+
+def _published(where: str, names: list[str]) -> list[str]:
+    """Header names with those of the leg positions at their published places."""
+    width = len(names)
+    if width != BLOCK_WIDTH and width < BLOCK - 1 + BLOCK_WIDTH:
+        required = " and ".join(f"{g.name}_1 to _6" for g in LAYOUT if g.channel in REQUIRED)
+        raise ValueError(
+            f"{where}: none of {width} columns is named as allowed: {required}; allowed without "
+            f"names: {BLOCK_WIDTH} columns or at least {BLOCK - 1 + BLOCK_WIDTH}"
+        )
+    first = 0 if width == BLOCK_WIDTH else BLOCK - 1
+    places = {first + index: name for name, index in POSITIONS.items()}
+    return [places.get(index, name) for index, name in enumerate(names)]
+
+
+def _check_header(table: _Table) -> None:
+    """Names we know occur once, and all legs of a channel or none are there."""
+    seen: dict[str, int] = {}
+    where = f"{table.path}: row {table.header_row}"
+    for index, name in enumerate(table.names):
+        if _ours(name) and name in seen:
+            raise ValueError(
+                f"{where}, {table.column(index)}: column {seen[name] + 1} has that name already"
+            )
+        seen[name] = index
+    for group in LAYOUT:
+        missing = [name for name in group.names if name not in seen]
+        if missing and (group.channel in REQUIRED or len(missing) < LEGS):
+            raise ValueError(f"{where}: the header lacks {', '.join(missing)}")
+
+
+def _ours(name: str) -> bool:
+    return name in NAMES or name in (TIME, LAST) or name.startswith("UNUSED_")
+
+
+def _values(table: _Table) -> dict[str, NDArray[np.float64]]:
+    """The columns with a known name; these, or else the whole block, are finite numbers."""
+    _check_header(table)
+    wanted = {index for index, name in enumerate(table.names) if _ours(name)}
+    if not table.by_name:
+        first = table.names.index(next(iter(POSITIONS)))
+        wanted |= set(range(first, first + BLOCK_WIDTH))
+    indices = sorted(wanted)
+    try:
+        values = np.loadtxt(
+            table.lines, delimiter=table.separator, usecols=indices, comments=None, ndmin=2
+        )
+    except ValueError:
+        values = np.array([[np.nan]])
+    if not np.isfinite(values).all():
+        _refuse_number(table, indices)
+    return {table.names[index]: values[:, k] for k, index in enumerate(indices)}
+
+
+def _refuse_number(table: _Table, indices: list[int]) -> None:
+    for sample, line in enumerate(table.lines):
+        cells = line.split(table.separator)
+        for index in indices:
+            cell = cells[index].strip()
+            if not NUMBER.fullmatch(cell) or not np.isfinite(float(cell)):
+                raise ValueError(
+                    f"{table.cell(sample, index)} is refused; allowed: a finite number with a "
+                    "decimal point"
+                )
+
+
+def _check_rows(table: _Table, column: dict[str, NDArray[np.float64]]) -> None:
+    """Rows are at 128 Hz and none is missing, as far as the file tells."""
+    if TIME in column:
+        time = column[TIME]
+        step = np.diff(time)
+        off = np.abs(step * RATE - 1.0) > 0.2  # a clock printed in ms is 0.13 off
+        if off.any():
+            sample = int(np.argmax(off)) + 1
+            raise ValueError(
+                f"{table.cell(sample, TIME)} s is {step[sample - 1]:.6g} s after the row before; "
+                f"allowed: 1/{RATE} s"
+            )
+        whole = (time.size - 1) / RATE
+        if abs(time[-1] - time[0] - whole) > 1e-3 * whole + 1e-3:
+            rate = (time.size - 1) / (time[-1] - time[0])
+            raise ValueError(
+                f"{table.cell(-1, TIME)} s makes the rate {rate:.5g} Hz; allowed: {RATE} Hz"
+            )
+    if LAST in column:
+        last = np.arange(len(table.rows)) == len(table.rows) - 1
+        wrong = column[LAST] != last
+        if wrong.any():
+            raise ValueError(
+                f"{table.cell(int(np.argmax(wrong)), LAST)} is refused; allowed: 1 in the last "
+                "row and 0 before, so rows are missing or added"
+            )
+    if table.trailer and table.trailer.rows != len(table.rows):
+        raise ValueError(
+            f"{table.path}: row {table.rows[-1]}: is sample {len(table.rows)} and the last; "
+            f"allowed: {table.trailer.rows} samples, as written"
+        )
+
+
+def _check_stroke(table: _Table, column: dict[str, NDArray[np.float64]]) -> None:
+    limit = stroke()
+    for name in POSITIONS:
+        beyond = np.abs(column[name]) > limit
+        if beyond.any():
+            raise ValueError(
+                f"{table.cell(int(np.argmax(beyond)), name)} in is refused; "
+                f"allowed: a leg position within +-{limit:g} in"
+            )
+
+
+def _check_sums(table: _Table, column: dict[str, NDArray[np.float64]]) -> None:
+    if table.trailer is None:
+        return
+    for name, written in table.trailer.checksums.items():
+        if name in column and written != checksum(column[name] * 10.0**table.trailer.decimals):
+            raise ValueError(
+                f"{table.cell(0, name)} and below are not the values written: swapped or changed? "
+                f"If that is meant, delete the line {TRAILER.strip()!r}"
+            )
+
+
+def _letters(column: int) -> str:
+    """Spreadsheet name of a column, 0-based: 66 is BO."""
+    name, rest = "", column + 1
+    while rest:
+        rest, digit = divmod(rest - 1, 26)
+        name = chr(ord("A") + digit) + name
+    return name

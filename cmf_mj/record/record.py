@@ -1,0 +1,126 @@
+"""Time histories of a run: named channels in SI with units and everything needed to repeat it.
+
+A record is immutable. Its file is one Parquet table: a column per scalar channel, `leg_position_1`
+to `_6` for a channel with a leg axis, and metadata (units, parameters, law, seed, model digest) as
+JSON in the schema, so that any Parquet reader opens it.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from cmf_mj.core.files import whole_file
+
+_SCHEMA_KEY = b"cmf_mj"
+
+
+@dataclass(frozen=True)
+class Record:
+    """Labelled time histories of one run."""
+
+    time: NDArray[np.float64]
+    """Sample times [s], (N,)."""
+    channels: Mapping[str, NDArray[np.float64]]
+    """Channel name to (N,) or (N, k) values in SI, read-only."""
+    units: Mapping[str, str]
+    """Channel name to SI unit."""
+    metadata: Mapping[str, Any]
+    """Plant, law, command, seed, versions and model digest; plain JSON values."""
+
+    def __post_init__(self) -> None:
+        """Take copies, freeze them and check that they belong together."""
+        own = {name: np.array(values) for name, values in self.channels.items()}
+        object.__setattr__(self, "time", np.array(self.time))
+        for name, values in {"time": self.time, **own}.items():
+            if values.shape[0] != self.time.shape[0]:
+                raise ValueError(
+                    f"{name}: has {values.shape[0]} samples; time has {self.time.shape[0]}"
+                )
+            values.setflags(write=False)
+        if set(self.units) != set(self.channels):
+            odd = sorted(set(self.units) ^ set(self.channels))
+            raise ValueError(f"units: every channel needs one unit; check {', '.join(odd)}")
+        object.__setattr__(self, "channels", MappingProxyType(own))
+        object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
+        object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """A channel by name.
+
+        Raises:
+            ValueError: no such channel; the message lists those there are.
+        """
+        if name not in self.channels:
+            raise ValueError(f"channel: {name!r} is not one of {', '.join(self.channels)}")
+        return self.channels[name]
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate [Hz]."""
+        return float(self.metadata["sample_rate"])
+
+    def save(self, path: str | Path) -> Path:
+        """Write the record as Parquet; the file appears only when it is complete."""
+        target = Path(path)
+        columns = {"time": self.time}
+        for name, values in self.channels.items():
+            parts = (
+                {name: values}
+                if values.ndim == 1
+                else {f"{name}_{i + 1}": values[:, i] for i in range(values.shape[1])}
+            )
+            taken = sorted(set(parts) & set(columns))
+            if taken:
+                raise ValueError(f"{name}: its column {taken[0]} belongs to another channel")
+            columns |= parts
+        header = {
+            "units": dict(self.units),
+            "widths": {n: v.shape[1] if v.ndim > 1 else 0 for n, v in self.channels.items()},
+            "metadata": dict(self.metadata),
+        }
+        table = pa.table({name: np.ascontiguousarray(v) for name, v in columns.items()})
+        table = table.replace_schema_metadata({_SCHEMA_KEY: json.dumps(header).encode()})
+        with whole_file(target) as partial:
+            pq.write_table(
+                table,
+                partial,
+                compression="zstd",
+                use_dictionary=False,
+                column_encoding="BYTE_STREAM_SPLIT",
+            )
+        return target
+
+    @staticmethod
+    def load(path: str | Path) -> "Record":
+        """Read a record written by `save`; values come back bit for bit.
+
+        Raises:
+            ValueError: the file is not a record of this project.
+        """
+        try:
+            table = pq.read_table(path)
+        except (OSError, pa.ArrowInvalid) as error:
+            raise ValueError(f"{path}: is not a readable Parquet file: {error}") from error
+        raw = (table.schema.metadata or {}).get(_SCHEMA_KEY)
+        if raw is None:
+            raise ValueError(f"{path}: is Parquet, but carries no {_SCHEMA_KEY.decode()} header")
+        header = json.loads(raw)
+
+        def column(name: str) -> NDArray[np.float64]:
+            return np.array(table[name].to_numpy())
+
+        channels = {
+            name: np.column_stack([column(f"{name}_{i + 1}") for i in range(width)])
+            if width
+            else column(name)
+            for name, width in header["widths"].items()
+        }
+        return Record(column("time"), channels, header["units"], header["metadata"])

@@ -1,0 +1,1 @@
+"""What is shown of results: tables, figures, films, the studio, the report on one page."""

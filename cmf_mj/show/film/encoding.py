@@ -1,0 +1,150 @@
+"""Pictures to an MP4 or GIF file."""
+
+from collections.abc import Callable, Iterator, Mapping
+from fractions import Fraction
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from cmf_mj.core.files import whole_file
+
+CODECS = ("libx264", "libopenh264", "mpeg4")
+"""Encoders of MP4 files in order of preference: H.264, else MPEG-4 part 2."""
+
+GIF_FPS = 50
+"""Pictures a second that programs show a GIF file at, at most."""
+
+_COLOURS, _RARE = 176, 64
+"""Of a GIF file: those that cover much of it, and those that are unlike the others."""
+
+
+def check_format(target: Path, fps: int, speed: float, sizes: Mapping[str, int]) -> None:
+    """Refuse what no film can have.
+
+    Args:
+        target: file to be.
+        fps: pictures a second.
+        speed: times real speed.
+        sizes: lengths in pixels, by name.
+
+    Raises:
+        ValueError: an argument out of range, named.
+    """
+    if target.suffix not in (".mp4", ".gif"):
+        raise ValueError(f"out: {target.name} must end in .mp4 or .gif")
+    if not (np.isfinite(speed) and speed > 0.0) or fps < 1:
+        raise ValueError(f"speed, fps: {speed}, {fps} must be greater than 0")
+    if target.suffix == ".gif" and fps > GIF_FPS:
+        raise ValueError(f"fps: {fps} pictures a second of a GIF file must be at most {GIF_FPS}")
+    for name, length in sizes.items():
+        if length % 2:
+            raise ValueError(f"{name}: {length} pixels must be even")
+
+
+def write_film(
+    pictures: Iterator[NDArray[np.uint8]],
+    count: int,
+    target: Path,
+    fps: int,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write pictures to a file that appears only when it is complete.
+
+    Args:
+        pictures: each (height, width, 3), both even.
+        count: how many there are.
+        target: ends in .mp4 or .gif.
+        fps: pictures a second.
+        progress: called with the pictures done and those in all.
+
+    Raises:
+        ValueError: PyAV or its encoders are missing.
+    """
+    counted = _counted(pictures, count, progress)
+    with whole_file(target) as partial:
+        if target.suffix == ".gif":
+            _write_gif(counted, partial, fps)
+        else:
+            _write_mp4(counted, partial, fps)
+    return target
+
+
+def _counted(
+    pictures: Iterator[NDArray[np.uint8]], count: int, progress: Callable[[int, int], None] | None
+) -> Iterator[NDArray[np.uint8]]:
+    for number, picture in enumerate(pictures, start=1):
+        yield picture
+        if progress is not None:
+            progress(number, count)
+
+
+def _write_mp4(pictures: Iterator[NDArray[np.uint8]], target: Path, fps: int) -> None:
+    codec = mp4_codec()
+    import av
+
+    first = next(pictures)
+    with av.open(str(target), "w", format="mp4") as container:
+        stream = container.add_stream(codec, rate=Fraction(fps))
+        stream.height, stream.width = first.shape[:2]
+        stream.pix_fmt = "yuv420p"
+        stream.bit_rate = 4_000_000
+        for picture in chain([first], pictures):
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+
+
+def mp4_codec() -> str:
+    """The first encoder of MP4 files that opens.
+
+    Raises:
+        ValueError: PyAV is missing, or has none of them.
+    """
+    try:
+        import av
+    except ImportError as error:
+        raise ValueError(
+            "out: an .mp4 file needs PyAV, pip install 'cmf-mj[video]'; a .gif file does not"
+        ) from error
+    for name in CODECS:
+        try:
+            av.codec.Codec(name, "w")
+        except (av.codec.codec.UnknownCodecError, ValueError):
+            continue
+        return name
+    raise ValueError(f"out: PyAV has none of the encoders {', '.join(CODECS)}; write a .gif file")
+
+
+def _write_gif(pictures: Iterator[NDArray[np.uint8]], target: Path, fps: int) -> None:
+    begun = next(pictures)
+    palette = _palette(Image.fromarray(begun))
+    first, *others = (
+        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
+        for picture in chain([begun], pictures)
+    )
+    # The file counts time in hundredths of a second.
+    ends = 10 * np.round(100.0 / fps * np.arange(len(others) + 2)).astype(int)
+    first.save(
+        target,
+        format="GIF",
+        save_all=True,
+        append_images=others,
+        duration=np.diff(ends).tolist(),
+        loop=0,
+        optimize=True,
+    )
+
+
+def _palette(picture: Image.Image) -> Image.Image:
+    """One palette for all pictures of a film, from the first: its legend has all the traces'."""
+    methods = ((_COLOURS, Image.Quantize.MEDIANCUT), (_RARE, Image.Quantize.MAXCOVERAGE))
+    entries: list[int] = []
+    for count, method in methods:
+        entries += (picture.quantize(count, method=method).getpalette() or [])[: 3 * count]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(entries)
+    return palette

@@ -1,0 +1,158 @@
+"""A live run in MuJoCo's viewer: what happens between two pictures, with or without a window.
+
+The mouse pulls a body as in any viewer; the force goes to the loop as a push, so that the run can
+be saved as a scenario and done again. Keys: space holds the time, + and - change the pace, S saves.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from cmf_mj.core.rates import RATE
+from cmf_mj.facility.scenario.run import ScenarioRun
+from cmf_mj.facility.scenario.settings import Change, Push
+from cmf_mj.show.film.stage import has_display
+
+SPEEDS = (0.05, 0.1, 0.25, 0.5, 1.0)
+"""Times real speed that + and - go through."""
+
+_SPACE, _MINUS, _EQUALS, _S = 32, 45, 61, 83
+_KEYPAD_MINUS, _KEYPAD_PLUS = 333, 334
+_LONGEST = 0.1
+"""Time run between two pictures at most [s]: a machine too slow for real time shows slow motion."""
+
+NO_DISPLAY = (
+    "view: no display: DISPLAY and WAYLAND_DISPLAY are not set. `cmf video` needs none: it renders "
+    "off-screen with MUJOCO_GL=egl (libegl1, libgl1-mesa-dri) or MUJOCO_GL=osmesa (libosmesa6). "
+    "For a window without a screen use a virtual one: `xvfb-run cmf view` (package xvfb)."
+)
+
+
+class Pull(NamedTuple):
+    """Force of the viewer's mouse."""
+
+    body: str
+    force: tuple[float, float, float]
+    torque: tuple[float, float, float]
+
+
+class LiveView:
+    """A run between two pictures: pace, pause and pulls."""
+
+    def __init__(self, run: ScenarioRun, speed: float = 1.0) -> None:
+        """Show a run.
+
+        Args:
+            run: any; it is advanced from here.
+            speed: times real speed.
+
+        Raises:
+            ValueError: the speed is not greater than 0.
+        """
+        if not (np.isfinite(speed) and speed > 0.0):
+            raise ValueError(f"speed: {speed} must be greater than 0")
+        self.run, self.speed, self.paused = run, speed, False
+        self.wants_saving = False
+        self.model = run.plant.model
+        self.shown = mujoco.MjData(self.model)
+        """A copy of the MuJoCo state for the viewer: what it does there does not act on the run."""
+        self._owed = 0.0
+        self._pulled = ""
+        self._copy()
+
+    def key(self, code: int) -> None:
+        """Take a key of the viewer, by its GLFW number."""
+        if code == _SPACE:
+            self.paused = not self.paused
+        elif code == _S:
+            self.wants_saving = True
+        elif code in (_MINUS, _KEYPAD_MINUS):
+            self.speed = max((s for s in SPEEDS if s < self.speed), default=SPEEDS[0])
+        elif code in (_EQUALS, _KEYPAD_PLUS):
+            self.speed = min((s for s in SPEEDS if s > self.speed), default=SPEEDS[-1])
+
+    def pull(self, perturb: mujoco.MjvPerturb) -> None:
+        """Hand the mouse's force over to the run."""
+        self.shown.xfrc_applied[:] = 0.0
+        mujoco.mjv_applyPerturbForce(self.model, self.shown, perturb)
+        wrench = self.shown.xfrc_applied
+        pulled = int(np.abs(wrench).sum(axis=1).argmax())
+        name = self.model.body(pulled).name if wrench[pulled].any() else ""
+        if self._pulled and self._pulled != name:
+            self.run.apply(Change(push=Push(body=self._pulled)))
+        if name:
+            values = wrench[pulled].tolist()
+            x, y, z, a, b, c = values
+            self.run.apply(Change(push=Push(body=name, force=(x, y, z), torque=(a, b, c))))
+        self._pulled = name
+
+    def step(self, elapsed: float) -> None:
+        """Run on by what has passed since the last picture [s], at the pace chosen."""
+        if not self.paused:
+            self._owed += min(elapsed, _LONGEST) * self.speed * RATE
+            frames = int(self._owed)
+            self._owed -= frames
+            self.run.advance(frames)
+        self._copy()
+
+    def text(self) -> str:
+        """What stands beside the picture."""
+        live = self.run.latest()
+        held = " held" if self.paused else ""
+        state = f"\n{live.state}" if live.state else ""
+        return f"{live.law}\n{live.time:.2f} s\n{self.speed:g} x{held}{state}"
+
+    def _copy(self) -> None:
+        source = self.run.plant.data
+        self.shown.time = self.run.frame / RATE
+        self.shown.qpos[:], self.shown.qvel[:] = source.qpos, source.qvel
+        mujoco.mj_forward(self.model, self.shown)
+
+
+def show(
+    view: LiveView,
+    *,
+    seconds: float | None = None,
+    save: Callable[[ScenarioRun], None] | None = None,
+    launch: Callable[..., Any] | None = None,
+) -> None:
+    """Open a window on a run until it is closed, or the run is over.
+
+    Args:
+        view: the run.
+        seconds: wall time after which it closes by itself; default never.
+        save: called when S is pressed.
+        launch: opens the window; default MuJoCo's `viewer.launch_passive`.
+
+    Raises:
+        ValueError: there is no display, or no OpenGL on it; the message says what to do.
+    """
+    if launch is None:
+        if not has_display():
+            raise ValueError(NO_DISPLAY)
+        import mujoco.viewer
+
+        launch = mujoco.viewer.launch_passive
+    try:
+        window = launch(view.model, view.shown, key_callback=view.key)
+    except RuntimeError as error:
+        raise ValueError(f"view: no window: {error}. {NO_DISPLAY}") from error
+    with window:
+        begun = last = time.monotonic()
+        while window.is_running() and not view.run.finished:
+            now = time.monotonic()
+            if seconds is not None and now - begun >= seconds:
+                break
+            with window.lock():
+                view.pull(window.perturb)
+                view.step(now - last)
+            last = now
+            window.set_texts((None, None, view.text(), ""))
+            window.sync()
+            if view.wants_saving and save is not None:
+                save(view.run)
+            view.wants_saving = False
+            time.sleep(max(0.0, 1.0 / 60.0 - (time.monotonic() - now)))

@@ -1,0 +1,238 @@
+"""The runs behind the figures and tables: each made once, shared by all that need it.
+
+Two plants stand for the report's two sources. The `model` is its non-linear model, six single legs
+with the `report` hydraulics; the `machine` is a stand-in for the hardware, the hexapod with the GFD
+and the `hardware` hydraulics. Runs share nothing and go on threads; results do not depend on how
+many there are.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, NamedTuple, cast
+
+import numpy as np
+
+from cmf_mj import signals
+from cmf_mj.analysis.frequency_response import FrequencyResponse, rounds_response
+from cmf_mj.analysis.identification.model import Orders
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.core import units
+from cmf_mj.core.threads import on_threads
+from cmf_mj.facility.simulation import simulate
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.single_legs import SingleLegs
+from cmf_mj.record.record import Record
+from cmf_mj.show.sensor import FilterEffect, filter_effect
+from cmf_mj.signals import composite as excitations
+from cmf_mj.studies.comparison import (
+    AMPLITUDE,
+    ROTATION_PER_TRANSLATION,
+    Case,
+    CaseResult,
+    run_case,
+)
+from cmf_mj.studies.identification import Identified, identify
+
+On = Literal["model", "machine"]
+Signal = Literal["case", "rise", "sine", "pulse", "sine_1_hz", "sine_5_hz", "rounds", "multisine"]
+
+HYDRAULICS: Mapping[On, str] = {"model": "report", "machine": "hardware"}
+"""Hydraulic sets of the two plants."""
+
+CAB = "gfd"
+"""Cab of the machine."""
+
+STEP = 1.0 * units.INCH
+"""Steps, pulses and slow sines of the report [m]."""
+
+SLOW, FIRST, FAST = 0.5, 1.0, 5.0
+"""Sines of Figures 3-10 and 3-22, of linear model 2, and of Figure 4-7 [Hz]."""
+
+IDENTIFIED_ON = {1: "pulse", 2: "sine_1_hz", 3: "rounds"}
+"""Signals of the report's linear models 1 to 3 (section 4.3)."""
+
+ORDERS = Orders(4, 3, 1)
+"""Of our own models of a leg: two lags and the oil mode."""
+
+LEG = "leg_1"
+"""The leg shown where the report shows a leg."""
+
+_EVERY: Mapping[Signal, int] = {"rise": 1, "sine": 16, "sine_5_hz": 1}
+"""Frames between samples; others are recorded at the facility's 128 Hz."""
+
+_RECORDER = 16
+
+
+class Wanted(NamedTuple):
+    """One run: on which plant, under which law, along which degree of freedom, which signal.
+
+    `case` is the chirp and step of `studies.run_case`; the others are single records, `rounds` the
+    five of Table 2-3.
+    """
+
+    on: On
+    law: str
+    dof: str = "heave"
+    signal: Signal = "case"
+
+
+FORCE_READINGS: Mapping[str, float] = {
+    "force as printed: 0.01 %/lbf, opposing": -0.01,
+    "aiding": 0.01,
+    "no force feedback, position error rate gain 6 alone": 0.0,
+    "area of the cap side in place of the annulus": -0.01985,
+    "0.01 % per newton": -0.01 / units.from_si("lbf", 1.0),
+    "pressure in kPa times area in in²": -0.01 * units.PSI / 1000.0,
+}
+"""Readings of the force gain of Table 3-4, counted in % per lbf of Eq 3.7."""
+
+
+def law_of(name: str) -> Law:
+    """A law by name; `force:<reading>` is force feedback with another reading of its gain."""
+    base, _, reading = name.partition(":")
+    law = load_law(base)
+    if not reading:
+        return law
+    gains = law.direct_gain.model_copy(update={"force": FORCE_READINGS[reading]})
+    return law.model_copy(update={"name": name, "title": reading, "direct_gain": gains})
+
+
+def hydraulics_of(on: On) -> HydraulicParameters:
+    """The hydraulic set of a plant."""
+    return load_hydraulics(HYDRAULICS[on])
+
+
+def plant_of(on: On) -> Plant:
+    """A plant of its own."""
+    parameters = hydraulics_of(on)
+    return SingleLegs(parameters) if on == "model" else Hexapod(CAB, parameters)
+
+
+def amplitude_of(dof: str) -> float:
+    """Of a sweep, 0.33 in or 0.2 deg (Appendix D) [m or rad]."""
+    return AMPLITUDE * (1.0 if DOFS.index(dof) < 3 else ROTATION_PER_TRANSLATION)
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Results of all runs asked for."""
+
+    results: Mapping[Wanted, Any]
+    sensors: FilterEffect | None
+    quick: bool
+    seed: int
+
+    def case(self, on: On, law: str, dof: str = "heave") -> CaseResult:
+        """Chirp and step."""
+        return cast("CaseResult", self.results[Wanted(on, law, dof)])
+
+    def record(self, on: On, law: str, signal: Signal, dof: str = "heave") -> Record:
+        """A single record."""
+        return cast("Record", self.results[Wanted(on, law, dof, signal)])
+
+    def rounds(self, law: str) -> FrequencyResponse:
+        """The machine's response in heave from the five rounds of sines."""
+        return rounds_response(self.results[Wanted("machine", law, "heave", "rounds")])
+
+    @cached_property
+    def identified(self) -> dict[int, Identified]:
+        """Our own linear models 1 to 3 of the machine's leg, made as the report made its own."""
+        validation = self.record("machine", "velocity", "multisine")
+        found = {}
+        for number, signal in IDENTIFIED_ON.items():
+            kept = self.results[Wanted("machine", "velocity", "heave", cast("Signal", signal))]
+            records = list(kept) if signal == "rounds" else [kept]
+            found[number] = identify(
+                [*records, validation], LEG, method="arx", orders=ORDERS, law="velocity"
+            )
+        return found
+
+
+def _command(wanted: Wanted, seed: int) -> signals.Command:
+    size = amplitude_of(wanted.dof)
+    if wanted.signal == "rise":
+        return signals.step(wanted.dof, -STEP)
+    if wanted.signal == "sine":
+        return signals.sine(wanted.dof, STEP, SLOW, cycles=5.0)
+    if wanted.signal == "pulse":
+        return signals.pulse(wanted.dof, STEP)
+    if wanted.signal == "sine_1_hz":
+        return signals.sine(wanted.dof, STEP, FIRST)
+    if wanted.signal == "sine_5_hz":
+        return signals.sine(wanted.dof, size, FAST, cycles=20.0)
+    return signals.multisine(
+        wanted.dof, size, stop=16.0, spectrum="acceleration", fade=1.0, seed=seed
+    )
+
+
+def _perform(wanted: Wanted, quick: bool, seed: int) -> CaseResult | Record | tuple[Record, ...]:
+    law = law_of(wanted.law)
+    size = amplitude_of(wanted.dof)
+    if wanted.signal == "case":
+        plant = "single_legs" if wanted.on == "model" else "hexapod"
+        cab = "" if wanted.on == "model" else CAB
+        return run_case(Case(plant, cab, hydraulics_of(wanted.on), law, wanted.dof, size, quick))
+    plant_built = plant_of(wanted.on)
+    if wanted.signal == "rounds":
+        shorter: dict[str, Any] = {"cycles": 3, "settle": 1.0} if quick else {}
+        numbers = range(1, len(excitations.ROUNDS) + 1)
+        return tuple(
+            simulate(
+                plant_built,
+                law,
+                excitations.seven_sines(wanted.dof, size, number, **shorter),
+                record_every=_RECORDER,
+            )
+            for number in numbers
+        )
+    every = _EVERY.get(wanted.signal, _RECORDER)
+    return simulate(plant_built, law, _command(wanted, seed), record_every=every)
+
+
+def perform(
+    wanted: Iterable[Wanted],
+    *,
+    sensors: bool = False,
+    jobs: int | None = None,
+    quick: bool = False,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Runs:
+    """Make all runs.
+
+    Args:
+        wanted: runs; one asked for twice is made once.
+        sensors: read and filter the accelerometers too (Figures 3-15 and 3-16).
+        jobs: threads; default one per core. Results do not depend on it.
+        quick: sweeps of 30 s for 100 s and shorter rounds.
+        seed: of sensor noise and of the multisine that validates the identified models.
+        progress: called with (done, in all) after each.
+
+    Raises:
+        ValueError: an argument out of range, named.
+    """
+    if seed < 0:
+        raise ValueError(f"seed: {seed} must be at least 0")
+    # The longest first, so that no thread is left with one at the end.
+    order = sorted(set(wanted), key=lambda w: (w.signal != "rounds", w.on != "machine", w))
+    total = len(order) + int(sensors)
+    results = on_threads(
+        lambda one: _perform(one, quick, seed),
+        order,
+        jobs,
+        progress and (lambda done, _: progress(done, total)),
+    )
+    effect = filter_effect(seed=seed, duration=5.0 if quick else 60.0) if sensors else None
+    if progress is not None and sensors:
+        progress(total, total)
+    return Runs(dict(zip(order, results, strict=True)), effect, quick, seed)
+
+
+def leg_motion(record: Record, channel: str, unit: str) -> np.ndarray:
+    """History of the shown leg (N,) in `unit`, positive out."""
+    return units.from_si(unit, record[channel][:, 0])

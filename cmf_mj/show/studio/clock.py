@@ -1,0 +1,104 @@
+"""Real time in parts: which control frames are due, and an account of those that were not run.
+
+A tab's thread asks at every turn which frames are due by the wall clock, runs them and reports how
+long it was busy. It never runs more than `LARGEST` at once: a machine that cannot keep up falls
+behind, and the time given up so is counted and shown, not dropped in silence.
+"""
+
+from collections import deque
+from typing import NamedTuple
+
+from cmf_mj.core.rates import FRAME
+
+LARGEST = 0.25
+"""Wall time made up for at most in one turn [s]."""
+
+_WINDOW = 2.0
+"""Wall time the shown ratios are taken over [s]."""
+
+
+class Pace(NamedTuple):
+    """How a session keeps up, over the last two seconds."""
+
+    factor: float
+    """Simulated time over wall time while running; wanted is the speed."""
+    capacity: float
+    """Simulated time over the time the thread was busy with it, drawing included: the real-time
+    factor it would reach without waiting."""
+    given_up: float
+    """Wall time given up since the start because the machine was too slow [s]."""
+
+
+class _Turn(NamedTuple):
+    wall: float
+    simulated: float
+    busy: float
+
+
+class Clock:
+    """Wall time to control frames for one session."""
+
+    def __init__(self, now: float) -> None:
+        """Begin to count.
+
+        Args:
+            now: reading of a monotonic clock [s].
+        """
+        self._last = now
+        self._owed = 0.0
+        self._given_up = 0.0
+        self._turns: deque[_Turn] = deque()
+        self.speed = 1.0
+        """Simulated seconds wanted in a second."""
+        self.paused = False
+        """Whether time stands still."""
+
+    def due(self, now: float) -> int:
+        """Frames to run now.
+
+        Args:
+            now: reading of the clock [s].
+        """
+        elapsed = now - self._last
+        self._last = now
+        if self.paused:
+            return 0
+        self._owed += elapsed
+        if self._owed > LARGEST:
+            self._given_up += self._owed - LARGEST
+            self._owed = LARGEST
+        frames = int(self._owed * self.speed / FRAME)
+        self._owed -= frames * FRAME / self.speed
+        return frames
+
+    def ran(self, wall: float, frames: int, busy: float) -> None:
+        """Note a turn.
+
+        Args:
+            wall: wall time since the turn before [s].
+            frames: control frames run in it.
+            busy: time it took to run and to show them [s].
+        """
+        self._turns.append(_Turn(wall, frames * FRAME, busy))
+        while sum(turn.wall for turn in self._turns) - self._turns[0].wall > _WINDOW:
+            self._turns.popleft()
+
+    def restart(self, now: float) -> None:
+        """Owe nothing and forget the account, for a new run."""
+        self._last, self._owed, self._given_up = now, 0.0, 0.0
+        self._turns.clear()
+
+    @property
+    def pace(self) -> Pace:
+        """How the session keeps up; NaN before the first turn."""
+        wall, simulated, busy = (
+            (sum(column) for column in zip(*self._turns, strict=True))
+            if self._turns
+            else (0.0, 0.0, 0.0)
+        )
+        missing = float("nan")
+        return Pace(
+            simulated / wall if wall > 0.0 else missing,
+            simulated / busy if busy > 0.0 else missing,
+            self._given_up,
+        )

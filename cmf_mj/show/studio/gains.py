@@ -1,0 +1,116 @@
+"""The gains of a law as knobs: taken from the law's data, not from a list of names."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.facility.scenario.settings import overlaid_law
+
+_BASE = "velocity"
+"""Law that a law from the page replaces field by field; it follows no model."""
+
+_TABLES = ("input_gain", "direct_gain", "reference_model")
+_SCALARS = ("state_gain", "output_gain")
+
+_UNITS = {
+    "reference": "%/in",
+    "cap_pressure": "%/MPa",
+    "rod_pressure": "%/MPa",
+    "position": "%/in",
+    "velocity": "%/(in/s)",
+    "position_error_rate": "%/(in/s)",
+    "velocity_error": "%/(in/s)",
+    "error_integral": "%/(in s)",
+    "acceleration": "%/(in/s^2)",
+    "force": "%/lbf",
+}
+
+_SCALES = {"cap_pressure": 1e-6, "rod_pressure": 1e-6}
+"""Size of a slider's unit in that of the law's data, where it is another one."""
+
+
+class Knob(NamedTuple):
+    """One number of a law that can be turned."""
+
+    path: tuple[str, ...]
+    """Where it is in the law."""
+    value: float
+    """As the law has it, in the slider's unit."""
+    low: float
+    """Least value of its slider."""
+    high: float
+    """Largest value of its slider."""
+    scale: float
+    """Size of the slider's unit in that of the law's data."""
+
+    @property
+    def label(self) -> str:
+        """Short name: B and D for the two gain tables, as the report has them."""
+        table, *rest = self.path
+        letter = {"input_gain": "B", "direct_gain": "D", "state_gain": "A", "output_gain": "C"}
+        short = letter.get(table, "model")
+        return " ".join([short, *(part.replace("_", " ") for part in rest)])
+
+    @property
+    def hint(self) -> str:
+        """Full name and unit."""
+        unit = _UNITS.get(self.path[-1], "") if self.path[0] in _TABLES[:2] else ""
+        return f"{'.'.join(self.path)} {unit}".strip()
+
+    def table(self, value: float) -> dict[str, Any]:
+        """A value of the slider as a table of `gains`."""
+        return _nested(self.path, value * self.scale)
+
+
+def knobs(law: Law) -> tuple[Knob, ...]:
+    """One knob for each number of a law that is not zero."""
+    data = law.model_dump(include={*_TABLES, *_SCALARS}, exclude_none=True)
+    return tuple(_knob(law, path, value) for path, value in _numbers(data) if value != 0.0)
+
+
+def law_as_gains(law: Law) -> dict[str, Any]:
+    """A law of a file as a change that needs no file: `law` and the `gains` that make it.
+
+    Returns:
+        Keys `law` and `gains` of a change.
+    """
+    own = law.model_dump(exclude={"name", "title", "source"}, exclude_none=True)
+    assert load_law(_BASE).reference_model is None
+    return {"law": _BASE, "gains": own}
+
+
+def _numbers(data: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[Any, float]]:
+    for name, value in data.items():
+        if isinstance(value, Mapping):
+            yield from _numbers(value, (*above, name))
+        elif isinstance(value, int | float):
+            yield (*above, name), float(value)
+
+
+def _knob(law: Law, path: tuple[str, ...], value: float) -> Knob:
+    """A knob that reaches as far towards zero and the double as the law allows."""
+    scale = _SCALES.get(path[-1], 1.0)
+    near, far = (
+        next(end for end in ends if _allowed(law, path, end))
+        for ends in (
+            (0.0, 0.02 * value, 1.0, value),
+            (2.0 * value, 1.0, 0.99, value),
+        )
+    )
+    low, high = sorted((near / scale, far / scale))
+    return Knob(path, value / scale, low, high, scale)
+
+
+def _allowed(law: Law, path: tuple[str, ...], value: float) -> bool:
+    try:
+        overlaid_law(law, _nested(path, value))
+    except ValueError:
+        return False
+    return True
+
+
+def _nested(path: tuple[str, ...], value: float) -> dict[str, Any]:
+    nested: Any = value
+    for part in reversed(path):
+        nested = {part: nested}
+    return dict(nested)

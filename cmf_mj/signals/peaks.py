@@ -1,0 +1,164 @@
+"""Peaks of a command and the limits it must keep, known before the run.
+
+With q the pose or the leg extensions at the control frames and T = 1/2048 s,
+
+    velocity = max |q[k] - q[k-1]| / T,    acceleration = max |q[k+1] - 2 q[k] + q[k-1]| / T^2
+
+starting at rest at the first pose, as a run does. A sine of frequency f reads low by (pi f T)^2 / 6
+and (pi f T)^2 / 3: 4e-5 and 8e-5 at 10 Hz; take contents below some 100 Hz.
+
+A jump has no rate. Where the largest difference stands alone among its neighbours the peak is
+infinite: velocity and acceleration of a step, a pulse or a staircase, acceleration where a command
+starts or stops in motion (a chirp or multisine without `fade`).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.core.rates import RATE
+from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE, pose_to_legs
+from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.signals.single import Command
+
+_ALONE = 4.0
+"""A difference this many times both neighbours together is a jump."""
+
+_DOF_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+
+_UNLIMITED = (np.inf,) * 6
+
+_OPERATIONAL = tuple(axis.operational.si for axis in load_motion_limits().axes)
+
+
+class Peaks(NamedTuple):
+    """Largest magnitudes of a command; degrees of freedom in the order of a pose."""
+
+    displacement: NDArray[np.float64]
+    """Of the degrees of freedom [m, rad], (6,)."""
+    velocity: NDArray[np.float64]
+    """Of the degrees of freedom [m/s, rad/s], (6,); infinite for a jump of position."""
+    acceleration: NDArray[np.float64]
+    """Of the degrees of freedom [m/s^2, rad/s^2], (6,); infinite for a jump of velocity."""
+    leg_displacement: NDArray[np.float64]
+    """Of the legs from neutral [m], (6,)."""
+    leg_velocity: NDArray[np.float64]
+    """Of the legs [m/s], (6,); infinite where a degree of freedom's is."""
+    leg_acceleration: NDArray[np.float64]
+    """Of the legs [m/s^2], (6,); infinite where a degree of freedom's is."""
+
+
+class Limits(NamedTuple):
+    """What a command must stay within.
+
+    Velocity and acceleration limits of the facility are not published: unlimited unless set. The
+    assumed ones of `cmf_mj.machine.motion_limits` bound what the control law does, not what may
+    be tried.
+    """
+
+    displacement: Sequence[tuple[float, float]] = _OPERATIONAL
+    """Lowest and highest of each degree of freedom [m, rad], (6, 2), z down: the operational limits
+    of Table 2-1, from `motion_limits.toml`."""
+    leg_displacement: float = WORKING_STROKE
+    """Largest leg extension and retraction from neutral [m]."""
+    velocity: Sequence[float] = _UNLIMITED
+    """Of each degree of freedom [m/s, rad/s], (6,)."""
+    acceleration: Sequence[float] = _UNLIMITED
+    """Of each degree of freedom [m/s^2, rad/s^2], (6,)."""
+    leg_velocity: float = np.inf
+    """Of each leg [m/s]."""
+    leg_acceleration: float = np.inf
+    """Of each leg [m/s^2]."""
+
+
+def peaks(command: Command) -> Peaks:
+    """Largest displacement, velocity and acceleration per degree of freedom and per leg.
+
+    Raises:
+        ValueError: the command holds a pose that is not finite.
+    """
+    legs = pose_to_legs(command.pose)
+    velocity, acceleration = _rates(command.pose)
+    leg_velocity, leg_acceleration = _rates(legs)
+    if np.isinf(velocity).any():
+        leg_velocity = np.where(leg_velocity > 0.0, np.inf, 0.0)
+    if np.isinf(acceleration).any():
+        leg_acceleration = np.where(leg_acceleration > 0.0, np.inf, 0.0)
+    return Peaks(
+        np.abs(command.pose).max(axis=0),
+        velocity,
+        acceleration,
+        np.abs(legs).max(axis=0),
+        leg_velocity,
+        leg_acceleration,
+    )
+
+
+def check_limits(command: Command, limits: Limits | None = None) -> Peaks:
+    """Refuse a command that leaves the limits; call it before the run.
+
+    Args:
+        command: to check.
+        limits: default the operational limits of Table 2-1 and the leg travel.
+
+    Returns:
+        The peaks of a command within the limits.
+
+    Raises:
+        ValueError: the command leaves a limit; the message lists each quantity that does, with
+            its value and its limit.
+    """
+    allowed = limits or Limits()
+    found = peaks(command)
+    faults = []
+    for i, (dof, unit) in enumerate(zip(DOFS, _DOF_UNITS, strict=True)):
+        low, high = allowed.displacement[i]
+        for value in (command.pose[:, i].min(), command.pose[:, i].max()):
+            if not low <= value <= high:
+                faults.append(f"{dof}: {value:.4g} {unit}; allowed: {low:.4g} to {high:.4g} {unit}")
+        faults += _excess(f"{dof} velocity", found.velocity[i], allowed.velocity[i], f"{unit}/s")
+        faults += _excess(
+            f"{dof} acceleration", found.acceleration[i], allowed.acceleration[i], f"{unit}/s^2"
+        )
+    for leg in range(6):
+        name = f"leg {leg + 1}"
+        for what, value, limit, unit in (
+            ("displacement", found.leg_displacement[leg], allowed.leg_displacement, "m"),
+            ("velocity", found.leg_velocity[leg], allowed.leg_velocity, "m/s"),
+            ("acceleration", found.leg_acceleration[leg], allowed.leg_acceleration, "m/s^2"),
+        ):
+            faults += _excess(f"{name} {what}", value, limit, unit)
+    if faults:
+        raise ValueError("; ".join(faults))
+    return found
+
+
+def _excess(name: str, value: float, limit: float, unit: str) -> list[str]:
+    if value <= limit:
+        return []
+    shown = "infinite (it jumps)" if np.isinf(value) else f"{value:.4g} {unit}"
+    return [f"{name}: {shown}; allowed: at most {limit:.4g} {unit}"]
+
+
+def _rates(
+    history: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Peak velocity and acceleration of each column, from rest; infinite for jumps."""
+    velocity = np.diff(history, axis=0, prepend=history[:1]) * RATE
+    acceleration = np.diff(velocity, axis=0, prepend=0.0 * velocity[:1]) * RATE
+    jumps = _stands_alone(velocity)
+    return (
+        np.where(jumps, np.inf, np.abs(velocity).max(axis=0)),
+        np.where(jumps | _stands_alone(acceleration), np.inf, np.abs(acceleration).max(axis=0)),
+    )
+
+
+def _stands_alone(rate: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether each column's largest magnitude is a single sample, (columns,)."""
+    size = np.pad(np.abs(rate), ((1, 1), (0, 0)))
+    at = size.argmax(axis=0)
+    columns = np.arange(size.shape[1])
+    around = size[np.maximum(at - 1, 0), columns] + size[np.minimum(at + 1, len(size) - 1), columns]
+    return np.asarray(size[at, columns] > _ALONE * around)

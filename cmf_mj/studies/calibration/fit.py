@@ -1,0 +1,212 @@
+"""The fit: least squares on the linear loop, shifted to what the simulation gives.
+
+With f(x) the linear results at parameters x, s(x) the simulated ones and p the printed ones, a
+residual is
+
+    bandwidth   ln((f(x) + d) / p) / tolerance        damping   (f(x) + d - p) / tolerance
+
+where d = s(x0) - f(x0) is what linearisation misses at the point x0 of the last simulation (output
+space mapping: one simulation a round instead of one a derivative). The rounds end at parameters
+where d is measured, so the residuals reported are the simulation's own. Where the velocity law must
+stay stable with several cabs, each adds max(0, m - z) / 0.01 with z the least damping ratio of its
+linear loop and m the one asked for. Solved by scipy.optimize.least_squares within the bounds.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from cmf_mj.studies.calibration.definition import MEASURES, Measure, Row, Study
+from cmf_mj.studies.calibration.trial import (
+    Measured,
+    Values,
+    least_damping,
+    linear_results,
+    simulated_results,
+    starting_values,
+)
+
+Results = Mapping[str, Measured]
+
+_SOFT = 0.01
+"""Shortfall of the least damping ratio that weighs as much as one tolerance."""
+
+
+class Residual(NamedTuple):
+    """One printed number beside a computed one."""
+
+    table: str
+    law: str
+    of: str
+    """`hardware` or `nonlinear`, what was printed of."""
+    measure: Measure
+    role: str
+    """`fitted` or `predicted`."""
+    printed: float
+    """Hz, or 1 for a damping ratio."""
+    computed: float
+    deviation: float
+    """Relative for a bandwidth, absolute for a damping ratio."""
+    tolerance: float
+    within: bool
+
+
+class Stage(NamedTuple):
+    """Parameters with their linear and simulated results."""
+
+    values: dict[str, float]
+    linear: dict[str, Measured]
+    simulated: dict[str, Measured]
+    least_damping: dict[str, float]
+    """Of the velocity law's linear loop, by cab."""
+
+
+class Calibration(NamedTuple):
+    """A finished study."""
+
+    study: Study
+    stages: tuple[Stage, ...]
+    """As shipped, then after each round."""
+    standard_errors: dict[str, float]
+    """Of the free parameters, from the scatter of the fitted residuals; in their units."""
+    correlation: NDArray[np.float64]
+    """Of the free parameters' errors."""
+
+    @property
+    def before(self) -> Stage:
+        """As shipped."""
+        return self.stages[0]
+
+    @property
+    def after(self) -> Stage:
+        """As fitted."""
+        return self.stages[-1]
+
+
+def residual_rows(study: Study, results: Results) -> list[Residual]:
+    """Every printed number of a study beside the results."""
+    found = []
+    for row in study.rows:
+        for measure in MEASURES:
+            if measure in (*row.fitted, *row.predicted):
+                found.append(_residual(study, row, measure, results[row.law]))
+    return found
+
+
+def _residual(study: Study, row: Row, measure: Measure, result: Measured) -> Residual:
+    printed, computed = row.printed(measure), result.value(measure)
+    off = computed - printed if measure == "damping" else computed / printed - 1.0
+    tolerance = float(getattr(study.tolerance, measure))
+    role = "fitted" if measure in row.fitted else "predicted"
+    within = abs(off) <= tolerance
+    return Residual(
+        row.table, row.law, row.of, measure, role, printed, computed, off, tolerance, within
+    )
+
+
+def _cost_vector(study: Study, values: Values, shift: Results) -> NDArray[np.float64]:
+    stepped = any("damping" in row.fitted for row in study.rows)
+    linear = linear_results(study, values, study.fitted_laws, damping=stepped)
+    found = []
+    for row in study.rows:
+        for measure in row.fitted:
+            value = linear[row.law].value(measure) + shift[row.law].value(measure)
+            printed = row.printed(measure)
+            off = value - printed if measure == "damping" else np.log(value / printed)
+            found.append(off / getattr(study.tolerance, measure))
+    for damping in least_damping(study, values).values():
+        found.append(max(0.0, study.least_damping - damping) / _SOFT)
+    return np.asarray(found, dtype=float)
+
+
+def _shift(stage: Stage) -> dict[str, Measured]:
+    """What linearisation misses at the parameters of a stage."""
+    found = {}
+    for law, simulated in stage.simulated.items():
+        linear = stage.linear[law]
+        missed = {m: simulated.value(m) - linear.value(m) for m in MEASURES}
+        found[law] = Measured(**missed, stable=simulated.stable)
+    return found
+
+
+def calibrate(
+    study: Study,
+    *,
+    rounds: int = 1,
+    quick: bool = False,
+    jobs: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Calibration:
+    """Fit the free parameters of a study.
+
+    Args:
+        study: of `load_study`.
+        rounds: fits, each followed by a simulation, at least 1.
+        quick: sweeps of 30 s instead of 100 s in the simulations.
+        jobs: threads of the simulations; default one per core.
+        progress: called with a line of text at each step.
+
+    Raises:
+        ValueError: less than one round.
+    """
+    if rounds < 1:
+        raise ValueError(f"rounds: {rounds} must be at least 1")
+    tell = progress or (lambda text: None)
+
+    def stage(values: dict[str, float]) -> Stage:
+        return Stage(
+            values,
+            linear_results(study, values, study.laws),
+            simulated_results(study, values, study.laws, quick=quick, jobs=jobs),
+            least_damping(study, values),
+        )
+
+    tell(f"{study.name}: as shipped")
+    stages = [stage(starting_values(study))]
+    free = study.free
+    low, high = (np.array([getattr(p, end) for p in free]) for end in ("low", "high"))
+    for number in range(1, rounds + 1):
+        tell(f"{study.name}: round {number} of {rounds}")
+        last = stages[-1]
+        shift = _shift(last)
+        scale = high - low
+
+        def cost(
+            share: NDArray[np.float64],
+            last: Stage = last,
+            shift: Results = shift,
+            scale: NDArray[np.float64] = scale,
+        ) -> NDArray[np.float64]:
+            chosen = low + share * scale
+            names = (p.name for p in free)
+            return _cost_vector(study, last.values | dict(zip(names, chosen, strict=True)), shift)
+
+        start = (np.array([last.values[p.name] for p in free]) - low) / scale
+        solved = optimize.least_squares(
+            cost, np.clip(start, 0.01, 0.99), bounds=(0.0, 1.0), diff_step=5e-3, xtol=1e-4
+        )
+        chosen = (float(v) for v in low + solved.x * scale)
+        stages.append(stage(last.values | dict(zip((p.name for p in free), chosen, strict=True))))
+    errors, correlation = _uncertainty(solved.jac, solved.fun, scale)
+    names = [p.name for p in free]
+    return Calibration(
+        study,
+        tuple(stages),
+        dict(zip(names, errors.tolist(), strict=True)),
+        correlation,
+    )
+
+
+def _uncertainty(
+    jacobian: NDArray[np.float64], residuals: NDArray[np.float64], scale: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Standard errors and correlation: s^2 (J' J)^-1 with s^2 the mean squared residual."""
+    freedom = max(1, residuals.size - scale.size)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(residuals @ residuals) / freedom
+    errors = np.sqrt(np.diag(covariance))
+    outer = np.outer(errors, errors)
+    correlation = np.divide(covariance, outer, out=np.zeros_like(covariance), where=outer > 0.0)
+    return errors * scale, correlation

@@ -1,0 +1,1 @@
+"""What the supply can carry: one manoeuvre judged, and the largest motion at each frequency."""

@@ -1,0 +1,162 @@
+"""Closed-form limits of a sinusoidal motion in one degree of freedom, at neutral.
+
+With J the column of d(legs)/d(pose) of the degree of freedom, V and A its velocity and
+acceleration amplitude, w the frequency, h the working stroke, F the static leg loads:
+
+    displacement    V = w min(|low|, high) of Table 2-1
+    leg stroke      V = w x, x the single-axis excursion at which a leg meets +-h
+    valve command   V = |G(jw) H(jw)| min v / |J|,  G the lags of drive and spool, v below
+    pump flow       V = |H(jw)| pi Q / ((A_cap + A_rod) sum |J|)
+    acceleration    A = min (stall force - F) / |M_leg J|
+
+Pump: a leg of speed amplitude u draws A_cap u over half a cycle and A_rod u over the other, mean
+(A_cap + A_rod) u / pi. The oil is a spring between what the valves let in and the payload, so that
+the platform moves H times as far as the flow alone would take it, 1 at low frequency:
+
+    H = e' J^-1 (K' - w^2 M_leg)^-1 K' J e,    K' = K jw / (jw + lambda),  lambda the leak rate
+
+Leg speed v with valves fully open, between constant manifolds, out:
+
+    A_cap Ps - A_rod Pt - F
+        = (A_cap + A_rod) ((v / k)^2 + s v / k) + (R_in A_cap^2 + R_out A_rod^2) v
+
+and in with A_rod Ps - A_cap Pt + F on the left and the areas exchanged in the last term; k is the
+speed gain of both valves, s the laminar root, R the hoses. Inertia forces, the fall of the
+manifold, bends of the kinematics and piston leakage (about 1 %) are left out of v: the limits are
+asymptotes of the envelope, not the envelope.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.machine.kinematics import excursion_envelope, pose_jacobian
+from cmf_mj.plant.cylinder import stiffness
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.hydraulics import Hydraulics
+from cmf_mj.plant.oil import density
+from cmf_mj.signals.peaks import Limits
+from cmf_mj.signals.single import dof_index
+
+
+@dataclass(frozen=True)
+class Asymptotes:
+    """Limits of one degree of freedom; amplitudes in m or rad and seconds."""
+
+    dof: str
+    """Degree of freedom."""
+    displacement: float
+    """Operational limit [m, rad]."""
+    leg_stroke: float
+    """Excursion at which the first leg has used up its working stroke [m, rad]."""
+    leg_speed: float
+    """Velocity at which the first leg needs its valves fully open, at low frequency."""
+    pump_flow: float
+    """Velocity amplitude whose mean flow is the pump's, at low frequency; infinite if constant."""
+    acceleration: float
+    """Acceleration at which the first leg stalls [m/s^2, rad/s^2]."""
+    corners: tuple[float, float]
+    """Lags of drive and spool [rad/s]."""
+    column: NDArray[np.float64]
+    """J e, leg motion per motion of the degree of freedom, (n,)."""
+    row: NDArray[np.float64]
+    """e' J^-1, (n,)."""
+    mass: NDArray[np.float64]
+    """Reflected mass M_leg [kg], (n, n)."""
+    stiffness: NDArray[np.float64]
+    """K, oil springs of the legs [N/m], (n,)."""
+    leak_rate: NDArray[np.float64]
+    """lambda [1/s], (n,)."""
+
+    def transmission(self, frequency: float) -> float:
+        """|H|, platform motion over what the oil let in, at a frequency [Hz]."""
+        rate = 2.0 * np.pi * frequency
+        spring = self.stiffness * 1j * rate / (1j * rate + self.leak_rate)
+        legs = np.linalg.solve(np.diag(spring) - rate**2 * self.mass, spring * self.column)
+        return float(abs(self.row @ legs))
+
+    def velocities(self, frequency: float) -> dict[str, float]:
+        """Velocity amplitude of every limit [m/s, rad/s] at a frequency [Hz], by limit."""
+        rate = 2.0 * np.pi * frequency
+        lag = np.prod([1.0 / np.hypot(1.0, rate / corner) for corner in self.corners])
+        moved = self.transmission(frequency)
+        return {
+            "displacement": self.displacement * rate,
+            "leg_stroke": self.leg_stroke * rate,
+            "valve_command": self.leg_speed * float(lag) * moved,
+            "pump_flow": self.pump_flow * moved,
+            "stall_force": self.acceleration / rate,
+        }
+
+    def velocity(self, frequency: float) -> float:
+        """The smallest of them [m/s, rad/s]."""
+        return min(self.velocities(frequency).values())
+
+
+def full_speed(
+    hydraulics: Hydraulics, load: NDArray[np.float64], high: float, low: float
+) -> NDArray[np.float64]:
+    """Steady leg speeds with valves fully open [m/s], (n, 2): extending, retracting.
+
+    Args:
+        hydraulics: compiled parameters.
+        load: static leg forces [N], (n,), positive pressing the leg together.
+        high: pressure of the supply manifold [Pa].
+        low: pressure of the return manifold [Pa].
+
+    Returns:
+        Speeds, 0 where the load stalls the leg.
+    """
+    own = hydraulics.cylinder
+    cap, rod = own.cap_area, own.rod_area
+    # Valves count content; a leg speed is what it fills at mid pressure.
+    middle = 0.5 * (hydraulics.supply.pressure + hydraulics.supply.return_pressure)
+    gain = hydraulics.valve.cap_gain.sum(axis=1) / cap / density(hydraulics.oil, middle)[0]
+    speeds = []
+    for drive, into, out in (
+        (cap * high - rod * low - load, cap, rod),
+        (rod * high - cap * low + load, rod, cap),
+    ):
+        square = (cap + rod) / gain**2
+        linear = (cap + rod) * hydraulics.laminar / gain
+        linear = linear + own.supply_hose * into**2 + own.return_hose * out**2
+        root = np.sqrt(linear**2 + 4.0 * square * np.maximum(drive, 0.0))
+        speeds.append(2.0 * np.maximum(drive, 0.0) / (linear + root))
+    return np.column_stack(speeds)
+
+
+def asymptotes(plant: Hexapod, dof: str) -> Asymptotes:
+    """Closed-form limits of a degree of freedom from the parameters, at neutral.
+
+    Raises:
+        ValueError: unknown degree of freedom.
+    """
+    index = dof_index(dof)
+    hydraulics, supply, own = plant.hydraulics, plant.hydraulics.supply, plant.hydraulics.cylinder
+    jacobian = pose_jacobian(np.zeros(6), plant.geometry)
+    column = jacobian[:, index]
+    mass = plant.reflected_mass()
+    load = plant.static_load()
+    speed = full_speed(hydraulics, load, supply.pressure, supply.return_pressure).min(axis=1)
+    drawn = float(np.sum((own.cap_area + own.rod_area) * np.abs(column))) / np.pi
+    high = own.cap_area * supply.pressure - own.rod_area * supply.return_pressure
+    low = own.cap_area * supply.return_pressure - own.rod_area * supply.pressure
+    force = np.abs(mass @ column)
+    used = np.abs(column) > 1e-9
+    spring = stiffness(own, hydraulics.oil.bulk_modulus, np.zeros(plant.legs))
+    both = own.half_stroke * (own.cap_area + own.rod_area)
+    return Asymptotes(
+        dof=dof,
+        displacement=float(np.abs(Limits().displacement[index]).min()),
+        leg_stroke=float(np.abs(excursion_envelope(geometry=plant.geometry)[index]).min()),
+        leg_speed=float((speed[used] / np.abs(column[used])).min()),
+        pump_flow=float("inf") if supply.constant else supply.pump_flow / drawn,
+        acceleration=float((np.minimum(high - load, load - low) / force).min()),
+        corners=(plant.parameters.drive_lag.si, plant.parameters.valve_lag.si),
+        column=column,
+        row=np.linalg.inv(jacobian)[index],
+        mass=mass,
+        stiffness=spring,
+        leak_rate=4.0 * hydraulics.oil.bulk_modulus * own.leakage / both,
+    )

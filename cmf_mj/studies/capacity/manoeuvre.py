@@ -1,0 +1,122 @@
+"""Manoeuvres by name or from a file of poses, in the field's units at this edge.
+
+A file has a column `time` [s] and one for each degree of freedom that moves, `surge`, `sway`,
+`heave` [in], `roll`, `pitch`, `yaw` [deg], z down. Rows are joined by a monotone cubic (PCHIP),
+which neither overshoots nor jumps in velocity, and sampled at 2048 Hz.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+from scipy.interpolate import PchipInterpolator
+
+from cmf_mj import signals
+from cmf_mj.core import units
+from cmf_mj.core.rates import RATE
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.signals.single import Command, dof_index
+
+SIGNALS = ("sine", "step", "chirp", "noise", "multisine")
+"""Manoeuvres with a name."""
+
+_SIZES = {"sine": 15.0, "step": 10.0, "chirp": 1.0, "noise": 3.0, "multisine": 3.0}
+"""Amplitudes where none is given [in or deg]."""
+
+_FREQUENCIES = {"sine": 0.25, "chirp": 2.0, "noise": 1.0, "multisine": 1.0}
+"""Frequency of the sine and the highest of the others, where none is given [Hz]."""
+
+_CYCLES, _SECONDS = 5.0, 20.0
+"""A sine lasts so many cycles, and so long, at least."""
+
+
+def field_unit(dof: str) -> str:
+    """The field's unit of a degree of freedom, in or deg."""
+    return "in" if dof_index(dof) < 3 else "deg"
+
+
+def manoeuvre(
+    name: str | Path, dof: str, amplitude: float | None = None, frequency: float | None = None
+) -> Command:
+    """A manoeuvre by name or file.
+
+    Args:
+        name: one of `SIGNALS`, or a CSV or Parquet file of poses.
+        dof: degree of freedom of a named signal.
+        amplitude: of a named signal [m or rad].
+        frequency: of a sine, highest of a chirp, of noise and of a multisine [Hz].
+
+    Raises:
+        ValueError: an argument out of range, or one that the signal does not take.
+    """
+    kind = str(name)
+    if kind not in SIGNALS:
+        for field, value in (("amplitude", amplitude), ("frequency", frequency)):
+            if value is not None:
+                raise ValueError(f"{field}: {value:g} is not allowed; a file of poses has its own")
+        return read_poses(name)
+    size = units.to_si(field_unit(dof), _SIZES[kind]) if amplitude is None else amplitude
+    if kind == "step":
+        if frequency is not None:
+            raise ValueError(f"frequency: {frequency:g} Hz is not allowed; a step has none")
+        return signals.step(dof, size)
+    rate = _FREQUENCIES[kind] if frequency is None else frequency
+    if kind == "sine":
+        signals.check_positive(frequency=rate)
+        return signals.sine(
+            dof, size, rate, cycles=max(_CYCLES, np.ceil(_SECONDS * rate)), fade=1.0 / rate
+        )
+    if kind == "chirp":
+        return signals.chirp(dof, size, stop=rate, fade=1.0)
+    if kind == "noise":
+        return signals.noise(dof, size, stop=rate)
+    return signals.multisine(dof, size, stop=rate, fade=2.0)
+
+
+def read_poses(path: str | Path) -> Command:
+    """Read a command from a CSV or Parquet file of poses.
+
+    Raises:
+        ValueError: unknown signal or kind of file, a missing column, a number that is not finite
+            or times that do not rise; each is named.
+    """
+    source = Path(path)
+    readers = {".csv": pa_csv.read_csv, ".parquet": pq.read_table}
+    if source.suffix not in readers:
+        raise ValueError(
+            f"signal: {str(path)!r} is not one of {', '.join(SIGNALS)} nor a .csv or .parquet file"
+        )
+    try:
+        table = readers[source.suffix](source)
+    except pa.ArrowInvalid as error:
+        raise ValueError(f"{source}: is not a readable table: {error}") from error
+    moved = [name for name in DOFS if name in table.column_names]
+    if "time" not in table.column_names or not moved:
+        raise ValueError(
+            f"{source}: has the columns {', '.join(table.column_names)}; needed: time and at "
+            f"least one of {', '.join(DOFS)}"
+        )
+    columns = {}
+    for name in ("time", *moved):
+        try:
+            columns[name] = np.asarray(table[name].to_numpy(), dtype=float)
+        except ValueError as error:
+            raise ValueError(f"{source}: {name}: is not a column of numbers") from error
+        for row in np.flatnonzero(~np.isfinite(columns[name])):
+            raise ValueError(f"{source}: {name}: row {row + 1} is not a finite number")
+    time = columns["time"]
+    if time.size < 2:
+        raise ValueError(f"{source}: has {time.size} rows; at least 2 are needed")
+    for row in np.flatnonzero(np.diff(time) <= 0.0):
+        raise ValueError(
+            f"{source}: time: {time[row + 1]:g} s in row {row + 2} does not exceed "
+            f"{time[row]:g} s before it"
+        )
+    frames = time[0] + np.arange(int(np.floor((time[-1] - time[0]) * RATE + 1e-6)) + 1) / RATE
+    pose = np.zeros((frames.size, 6))
+    for name in moved:
+        history = units.to_si(field_unit(name), columns[name])
+        pose[:, dof_index(name)] = PchipInterpolator(time, history)(np.minimum(frames, time[-1]))
+    return Command(pose, {"kind": "file", "file": source.name, "dof": moved})

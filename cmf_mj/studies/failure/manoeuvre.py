@@ -1,0 +1,66 @@
+"""What a failure run flies: a sine in one degree of freedom from rest to rest."""
+
+import numpy as np
+
+from cmf_mj.core import units
+from cmf_mj.core.rates import FRAME
+from cmf_mj.signals.peaks import check_limits
+from cmf_mj.signals.single import Command, check_not_negative, check_positive, dof_index, sine
+
+AMPLITUDES = (6.0 * units.INCH, 4.0 * units.DEGREE)
+"""Default amplitude of the manoeuvre in translation [m] and rotation [rad]."""
+
+FREQUENCY = 0.5
+"""Default frequency of the manoeuvre [Hz]; 6 in then move a leg at 16 in/s."""
+
+AT = 4.0
+"""Default time of the event [s]: after the fade-in, at the largest speed of the default sine."""
+
+AFTER = 26.0
+"""Default length of the run after the event [s]: pump lost, noticed after 11 s, and settled."""
+
+REST = 2.0
+"""Rest after the manoeuvre [s]."""
+
+FADE = 1.0
+"""Fade of the manoeuvre at both ends [s]."""
+
+
+def manoeuvre(
+    dof: str, amplitude: float, frequency: float, *, at: float, after: float = AFTER
+) -> Command:
+    """The sine of a failure run, faded in and out, and two seconds of rest.
+
+    Args:
+        dof: degree of freedom.
+        amplitude: of the sine [m or rad].
+        frequency: of the sine [Hz].
+        at: time of the event [s].
+        after: length of the run after the event [s], at least 4 s.
+
+    Raises:
+        ValueError: an argument out of range, or the motion exceeds the machine's limits.
+    """
+    check_positive(frequency=frequency)
+    check_not_negative(at=at)
+    if not after >= 2.0 * REST:
+        raise ValueError(f"after: {after} s must be at least {2.0 * REST:g} s")
+    cycles = (at + after - REST) * frequency
+    moving = sine(dof, amplitude, frequency, cycles=cycles, fade=FADE)
+    rest = np.zeros((round(REST / FRAME), 6))
+    command = Command(np.vstack([moving.pose, rest]), {**moving.description, "rest": REST}, None)
+    check_limits(command)
+    return command
+
+
+def size_of(dof: str, amplitude: float | None) -> float:
+    """The amplitude of the sine [m or rad]; None for the default one of the degree of freedom.
+
+    Raises:
+        ValueError: unknown degree of freedom, or an amplitude that is not positive.
+    """
+    if amplitude is None:
+        return AMPLITUDES[0] if dof_index(dof) < 3 else AMPLITUDES[1]
+    dof_index(dof)
+    check_positive(amplitude=amplitude)
+    return amplitude

@@ -1,0 +1,269 @@
+"""What an event does to legs and crew, measured on the record of its run.
+
+Before and after the event, at the full frame rate:
+
+    axial leg load       cylinder force plus force of the mechanical stop on the rod; the multiple
+                         is that of the same leg's static load at the start
+    crew specific force  f at the crew's heads, what an accelerometer there reads
+    crew acceleration    a = R f + g: rotation of the platform included, gravity removed
+
+The final state is one of `STATES`:
+
+    running        legs follow the demand to the end, at most twice as far off as before the event
+    degraded       legs follow it within `FOLLOWING`
+    holding        legs stand still off their stops
+    moving         legs neither follow nor stand still when the run ends
+    settled        all legs stand on their lower stops, the first met its at most at `FALL_SPEED`
+    fallen         the same, the first came faster
+    against_stop   some legs stand on a stop
+    out_of_bounds  the state left its physical bounds; the message tells which and where
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cmf_mj.core import units
+from cmf_mj.core.rates import FRAME
+from cmf_mj.plant.events import Event
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.record.record import Record
+from cmf_mj.studies.failure.manoeuvre import FADE, REST
+
+FALL_SPEED = 10.0 * units.INCH
+"""Speed of the first leg at a stop above which the platform has fallen, not settled [m/s]; assumed,
+two and a half times the settle speed."""
+
+FOLLOWING = 6.0 * units.INCH
+"""Distance of a leg from its demand at which it no longer follows [m]; the default protection's."""
+
+STATES = (
+    "running",
+    "degraded",
+    "holding",
+    "moving",
+    "settled",
+    "fallen",
+    "against_stop",
+    "out_of_bounds",
+)
+"""How a run may end."""
+
+_STILL = 1e-3
+"""Swing of a leg over the last second, or distance from its demand, that counts as none [m]."""
+_AT_STOP = 2e-3
+"""Distance from a stop that counts as on it [m]."""
+_KEEP = 8
+"""Frames from row to row of the record kept."""
+
+
+class Peak(NamedTuple):
+    """An extreme value."""
+
+    value: float
+    """In SI."""
+    time: float
+    """When [s]."""
+    leg: int | None = None
+    """Leg it belongs to, from 1."""
+
+
+class FailureResult(NamedTuple):
+    """What an event did."""
+
+    event: Event
+    """What failed."""
+    dof: str
+    """Degree of freedom of the manoeuvre."""
+    protected: bool
+    """Whether a detected fault made an emergency stop."""
+    static_load: NDArray[np.float64]
+    """Axial loads at the start [N], (6,)."""
+    load_before: Peak
+    """Largest axial leg load [N] before the event, by size."""
+    load_after: Peak
+    """The same from the event on; negative pulls."""
+    load_free: Peak
+    """The same from the event until the first leg meets a stop."""
+    acceleration_before: Peak
+    """Largest crew acceleration before the event [m/s^2]."""
+    acceleration_after: Peak
+    """The same from the event on."""
+    acceleration_free: Peak
+    """The same from the event until the first leg meets a stop."""
+    specific_force_before: Peak
+    """Largest specific force on the crew before the event [m/s^2]; 1 g at rest."""
+    specific_force_after: Peak
+    """The same from the event on."""
+    detected_by: str | None
+    """Fault that was found first; none if nothing was."""
+    detection_time: float | None
+    """Time from the event to the fault [s]; negative for a false alarm."""
+    state: str
+    """One of `STATES`."""
+    message: str
+    """What left its bounds; empty otherwise."""
+    pressure_peak: Peak
+    """Largest chamber pressure from the event on [Pa]."""
+    pressure_least: Peak
+    """Least chamber pressure from the event on [Pa], gauge."""
+    supply_least: Peak
+    """Least pressure of the supply manifold from the event on [Pa]."""
+    contact_speed: Peak | None
+    """Speed at which the first leg met a stop [m/s]; none if none did."""
+    impact_speed: Peak | None
+    """Largest speed at which a leg met a stop [m/s]. Legs that come later may come faster: the
+    platform tips on those that stand."""
+    record: Record
+    """The run at 256 Hz, with the channels of `simulate`, and `axial_load` and
+    `crew_acceleration` (world axes, z up) among them."""
+
+    def multiple(self, load: Peak) -> float:
+        """A load over the static load of its leg."""
+        return load.value / float(self.static_load[(load.leg or 1) - 1])
+
+
+def measure(
+    plant: Hexapod, event: Event, dof: str, protected: bool, record: Record, message: str
+) -> FailureResult:
+    """All measures of a run recorded at every frame.
+
+    Args:
+        plant: the machine that ran.
+        event: what failed.
+        dof: degree of freedom of the manoeuvre.
+        protected: whether a detected fault made an emergency stop.
+        record: the run as `simulate` returns it.
+        message: what left its bounds; empty if nothing did.
+    """
+    half = plant.hydraulics.cylinder.half_stroke
+    extension = record["leg_extension"][:-1]
+    # MuJoCo's accelerometers and stop forces of t[k] stand in row k + 1.
+    stop = record["stop_force"][1:]
+    load = record["leg_force"][:-1] - np.sign(extension) * stop
+    force = record["crew_accelerometer"][1:]
+    acceleration = _without_gravity(plant, record["generalised_position"][:-1], force)
+    time = record.time[:-1]
+    before, after = time < event.at, time >= event.at
+    size = np.abs(load)
+    felt, whole = np.linalg.norm(acceleration, axis=1), np.linalg.norm(force, axis=1)
+    chambers = np.stack([record["cap_pressure"][:-1], record["rod_pressure"][:-1]], axis=2)
+    fault = record.metadata["fault"]
+    contact, impact = _contacts(time, extension, half)
+    free = after & (time < contact.time) if contact is not None else after
+    state = "out_of_bounds" if message else _final_state(record, event.at, half, contact)
+    load_peaks = [
+        peak._replace(value=_signed(peak, time, load))
+        for peak in (_largest(time, size, where) for where in (before, after, free))
+    ]
+    return FailureResult(
+        event=event,
+        dof=dof,
+        protected=protected,
+        static_load=record["leg_force"][0].copy(),
+        load_before=load_peaks[0],
+        load_after=load_peaks[1],
+        load_free=load_peaks[2],
+        acceleration_before=_largest(time, felt, before),
+        acceleration_after=_largest(time, felt, after),
+        acceleration_free=_largest(time, felt, free),
+        specific_force_before=_largest(time, whole, before),
+        specific_force_after=_largest(time, whole, after),
+        detected_by=fault and fault["name"],
+        detection_time=fault and fault["time"] - event.at,
+        state=state,
+        message=message,
+        pressure_peak=_largest(time, chambers.max(axis=2), after),
+        pressure_least=_least(time, chambers.min(axis=2), after),
+        supply_least=_least(time, record["supply_pressure"][:-1], after),
+        contact_speed=contact,
+        impact_speed=impact,
+        record=_thinned(record, load, acceleration),
+    )
+
+
+def _without_gravity(
+    plant: Hexapod, position: NDArray[np.float64], force: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """A = R f + g in the world's axes, (N, 3)."""
+    start = plant.model.joint("platform").qposadr[0] + 3
+    turn = Rotation.from_quat(position[:, start : start + 4], scalar_first=True)
+    return turn.apply(force.copy()) + plant.model.opt.gravity
+
+
+def _signed(peak: Peak, time: NDArray[np.float64], load: NDArray[np.float64]) -> float:
+    """The load (N, n) at a peak of its size."""
+    if peak.leg is None:
+        return peak.value
+    return float(load[np.searchsorted(time, peak.time), peak.leg - 1])
+
+
+def _largest(
+    time: NDArray[np.float64], values: NDArray[np.float64], where: NDArray[np.bool_]
+) -> Peak:
+    """The largest of (N,) or (N, n) values where asked; NaN if nowhere."""
+    rows = np.flatnonzero(where)
+    if rows.size == 0:
+        return Peak(float("nan"), float("nan"))
+    chosen = values[rows]
+    place = np.unravel_index(int(np.argmax(chosen)), chosen.shape)
+    leg = int(place[1]) + 1 if len(place) > 1 else None
+    return Peak(float(chosen[place]), float(time[rows[place[0]]]), leg)
+
+
+def _least(
+    time: NDArray[np.float64], values: NDArray[np.float64], where: NDArray[np.bool_]
+) -> Peak:
+    peak = _largest(time, -values, where)
+    return peak._replace(value=-peak.value)
+
+
+def _contacts(
+    time: NDArray[np.float64], extension: NDArray[np.float64], half: NDArray[np.float64]
+) -> tuple[Peak | None, Peak | None]:
+    """The first and the fastest contact of a leg with a stop, by its speed the frame before."""
+    on = np.abs(extension) >= half
+    met = on[2:] & ~on[1:-1]
+    frames = np.flatnonzero(met.any(axis=1))
+    if frames.size == 0:
+        return None, None
+    speed = np.where(met, np.abs(extension[1:-1] - extension[:-2]) / FRAME, -1.0)
+    every = np.ones(met.shape[0], dtype=bool)
+    first = np.arange(met.shape[0]) == frames[0]
+    return _largest(time[2:], speed, first), _largest(time[2:], speed, every)
+
+
+def _final_state(record: Record, at: float, half: NDArray[np.float64], contact: Peak | None) -> str:
+    """One of `STATES` for a run that stayed in bounds."""
+    time, extension = record.time, record["leg_extension"]
+    end = extension[-1]
+    last = extension[time >= time[-1] - 1.0]
+    still = bool((np.ptp(last, axis=0) < _STILL).all())
+    on_stop = np.abs(end) > half - _AT_STOP
+    if still and (on_stop & (end < 0.0)).all():
+        fell = contact is not None and contact.value > FALL_SPEED
+        return "fallen" if fell else "settled"
+    if still and on_stop.any():
+        return "against_stop"
+    error = np.abs(record["leg_reference"] - extension)
+    usual = float(error[time < at].max(initial=0.0))
+    final = float(error[time >= max(time[-1] - 2.0 * REST - FADE, at)].max())
+    if final <= 2.0 * usual + _STILL:
+        return "running"
+    if final <= FOLLOWING:
+        return "degraded"
+    return "holding" if still else "moving"
+
+
+def _thinned(
+    record: Record, load: NDArray[np.float64], acceleration: NDArray[np.float64]
+) -> Record:
+    """A record of fewer rows, with the channels of this study."""
+    rows = slice(0, load.shape[0], _KEEP)
+    channels = {name: values[rows] for name, values in record.channels.items()}
+    channels |= {"axial_load": load[rows], "crew_acceleration": acceleration[rows]}
+    named = {**record.units, "axial_load": "N", "crew_acceleration": "m/s^2"}
+    metadata = {**record.metadata, "sample_rate": record.rate / _KEEP}
+    return Record(record.time[rows], channels, named, metadata)

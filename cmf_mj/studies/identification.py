@@ -1,0 +1,299 @@
+"""Identification of one leg or degree of freedom from recordings or simulated runs, start to end.
+
+The report's path (chapter 4): leg velocity from the command at the valves, position by integration,
+the model closed with the law and compared with the measured loop as in Table 4-1. Orders are chosen
+on a grid of ARX models by their fit to the validation run; the model is then refined.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from cmf_mj import signals
+from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths, frequency_response
+from cmf_mj.analysis.identification.arx import Selection, arx, select_orders
+from cmf_mj.analysis.identification.continuous import in_field_units, to_continuous
+from cmf_mj.analysis.identification.data import RATE, Experiment, experiment
+from cmf_mj.analysis.identification.loop import (
+    LoopErrors,
+    axis_bandwidths,
+    closed_loop_response,
+    loop_errors,
+)
+from cmf_mj.analysis.identification.model import Orders, PolynomialModel
+from cmf_mj.analysis.identification.multi_dof import DofComparison, compare_dofs
+from cmf_mj.analysis.identification.plant_response import plant_response
+from cmf_mj.analysis.identification.refinement import instrumental_variable, output_error
+from cmf_mj.analysis.identification.response_fit import ResponseFit
+from cmf_mj.analysis.identification.validation import Residuals, residual_analysis, simulation_fit
+from cmf_mj.analysis.step_response import step_metrics
+from cmf_mj.control.law import Law, law_names, load_law
+from cmf_mj.facility.simulation import simulate
+from cmf_mj.machine.kinematics import DOFS, pose_jacobian
+from cmf_mj.plant.plant import Plant
+from cmf_mj.record.record import Record
+from cmf_mj.signals import composite as excitations
+from cmf_mj.studies.comparison import STEP_PER_AMPLITUDE
+from cmf_mj.studies.measurement import dof_amplitude
+
+Method = Literal["arx", "iv", "oe"]
+Signal = Literal["multisine", "chirp", "noise", "pulse", "sine"]
+
+SHARE = 0.6
+"""Part of a single run that is fitted; the rest validates."""
+
+HIGHEST = 16.0
+"""Highest frequency of the simulated broad excitations [Hz], above the oil modes."""
+
+MATRIX_ORDERS = Orders(6, 5, 1)
+"""Orders of the models of all degrees of freedom: two lags and a pair of coupled modes."""
+
+RECORD_EVERY = 16
+"""Frames between samples of a simulated run: 128 Hz, the facility's recorder."""
+
+_GRID = {"na": range(2, 8), "nb": range(1, 7), "nk": range(0, 3)}
+_BROAD = ("multisine", "chirp", "noise")
+_CHANNELS = ("leg_velocity", "cap_pressure", "rod_pressure")
+
+
+@dataclass(frozen=True)
+class Identified:
+    """A model of one axis with everything that judges it."""
+
+    axis: str
+    law: str
+    """Name; empty where it is not known."""
+    selection: Selection | None
+    """Orders tried; None where they were given."""
+    model: PolynomialModel
+    validation: Experiment
+    estimation_fit: float
+    """Of the simulated model to the fitted runs, the least [%]."""
+    validation_fit: float
+    """To the run that was not fitted [%]."""
+    residuals: Residuals
+    """Of the validation run."""
+    continuous: ResponseFit
+    """Leg velocity per full command [m/s]."""
+    response: FrequencyResponse | None
+    """Measured from command to velocity, of the last broad run; None without one."""
+    loop: LoopErrors | None
+    """Closed with the law; None without a law or a broad run."""
+
+
+def identify(
+    records: Sequence[Record],
+    axis: str,
+    *,
+    method: Method = "oe",
+    orders: Orders | tuple[int, int, int] | None = None,
+    rate: float = RATE,
+    law: str | Law | None = None,
+    step: Record | None = None,
+) -> Identified:
+    """Identify leg velocity from valve command along a leg or degree of freedom.
+
+    Args:
+        records: the last one validates, the others are fitted jointly; of a single one the first
+            `SHARE` is fitted.
+        axis: surge to yaw, or leg_1 and so on.
+        method: `arx`, `iv` (refined instrumental variables; the reference as instrument, since the
+            records are of a closed loop) or `oe`.
+        orders: na, nb, nk; default the fewest parameters of an ARX grid within 0.2 % of the best
+            validation fit.
+        rate: of the series [Hz].
+        law: that drove the records; default the one they name, if it is a shipped one.
+        step: run of a step under that law, to compare the loop's damping with.
+
+    Raises:
+        ValueError: an argument out of range, or records that cannot be fitted.
+    """
+    if method not in get_args(Method):
+        raise ValueError(f"method: {method!r} is not one of {', '.join(get_args(Method))}")
+    if not records:
+        raise ValueError("records: none given; at least one is needed")
+    series = [experiment(record, axis, rate=rate) for record in records]
+    if len(series) == 1:
+        first, validation = series[0].split(SHARE)
+        estimation = [first]
+    else:
+        estimation, validation = series[:-1], series[-1]
+    selection = None if orders is not None else select_orders(estimation, validation, **_GRID)
+    chosen = Orders(*orders) if orders is not None else _best(selection)
+    model = _fitted(estimation, chosen, method)
+    continuous = to_continuous(model)
+    broad = [r for r in records if r.metadata["command"].get("kind") in _BROAD]
+    name = law if law is not None else _named_law(records[-1])
+    loop = None
+    if broad and name is not None:
+        measured = frequency_response(broad[-1], axis)
+        stepped = None if step is None else step_metrics(step, axis)
+        loop = loop_errors(in_field_units(continuous.rational), name, measured, stepped)
+    return Identified(
+        axis,
+        name.name if isinstance(name, Law) else (name or ""),
+        selection,
+        model,
+        validation,
+        min(float(simulation_fit(model, run)[0]) for run in estimation),
+        float(simulation_fit(model, validation)[0]),
+        residual_analysis(model, validation),
+        continuous,
+        plant_response(broad[-1], axis) if broad else None,
+        loop,
+    )
+
+
+def _best(selection: Selection | None) -> Orders:
+    if selection is None:
+        raise ValueError("orders: neither given nor selected")
+    return selection.best().orders
+
+
+def _fitted(runs: list[Experiment], orders: Orders, method: Method) -> PolynomialModel:
+    if method == "arx":
+        return arx(runs, orders)
+    if method == "iv":
+        return instrumental_variable(runs, orders, instrument="reference")
+    return output_error(runs, orders)
+
+
+def _named_law(record: Record) -> str | None:
+    name = record.metadata.get("law")
+    return str(name) if name in law_names() else None
+
+
+def excitation(
+    kind: Signal, dof: str, amplitude: float | None = None, *, seed: int = 0
+) -> signals.Command:
+    """A command to identify from, along one degree of freedom.
+
+    Args:
+        kind: `multisine` or `noise` to 16 Hz, the report's `chirp`, `pulse` (1 s) or `sine` (1 Hz).
+        dof: degree of freedom.
+        amplitude: peak [m or rad]; default the report's 0.33 in or 0.2 deg.
+        seed: of the random phases.
+
+    Raises:
+        ValueError: another kind, or an argument out of range.
+    """
+    size = dof_amplitude(dof, amplitude)
+    if kind == "multisine":
+        return signals.multisine(
+            dof, size, stop=HIGHEST, spectrum="acceleration", fade=1.0, seed=seed
+        )
+    if kind == "chirp":
+        return signals.chirp(dof, size)
+    if kind == "noise":
+        return signals.noise(dof, size, stop=HIGHEST, duration=60.0, seed=seed)
+    if kind == "pulse":
+        return signals.pulse(dof, size)
+    if kind == "sine":
+        return signals.sine(dof, size, 1.0)
+    raise ValueError(f"signal: {kind!r} is not one of {', '.join(get_args(Signal))}")
+
+
+def simulated_records(
+    build: Callable[[], Plant],
+    law: str | Law,
+    dof: str,
+    kind: Signal = "multisine",
+    amplitude: float | None = None,
+) -> list[Record]:
+    """A run to fit and one of another multisine to validate.
+
+    Raises:
+        ValueError: an argument out of range, named.
+    """
+    commands = (
+        excitation(kind, dof, amplitude),
+        excitation("multisine", dof, amplitude, seed=1),
+    )
+    return [simulate(build(), law, command, record_every=RECORD_EVERY) for command in commands]
+
+
+def simulated_step(
+    build: Callable[[], Plant], law: str | Law, dof: str, amplitude: float | None = None
+) -> Record:
+    """The step beside `simulated_records`: 1 in or 0.6 deg by default, the report's.
+
+    Raises:
+        ValueError: an argument out of range, named.
+    """
+    size = dof_amplitude(dof, amplitude) * STEP_PER_AMPLITUDE
+    return simulate(build(), law, signals.step(dof, size), record_every=RECORD_EVERY)
+
+
+@dataclass(frozen=True)
+class MatrixStudy:
+    """Models of all degrees of freedom, and their loops beside the measured ones."""
+
+    law: str
+    comparison: DofComparison
+    measured_hz: tuple[float, ...]
+    """-90 deg bandwidth of each degree of freedom on its own [Hz]."""
+    shared_hz: tuple[float, ...]
+    """Of the heave model closed with the law, pressures zero."""
+    matrix_hz: tuple[float, ...]
+    """Of the 6 by 6 model closed with the law, pressures identified too."""
+
+
+def identify_matrix(
+    build: Callable[[], Plant],
+    law: str | Law,
+    *,
+    orders: Orders | tuple[int, int, int] = MATRIX_ORDERS,
+    shared: str = "heave",
+) -> MatrixStudy:
+    """Identify all degrees of freedom at once on orthogonal multisines and score the models.
+
+    Args:
+        build: makes a plant with six degrees of freedom.
+        law: that drives it.
+        orders: of all models.
+        shared: degree of freedom whose model is tried everywhere.
+
+    Raises:
+        ValueError: an argument out of range, named.
+    """
+    sizes = [dof_amplitude(dof, None) for dof in DOFS]
+    first, second = (
+        simulate(
+            build(),
+            law,
+            excitations.orthogonal_multisines(
+                sizes, stop=HIGHEST, spectrum="acceleration", periods=2, seed=seed
+            ),
+            record_every=RECORD_EVERY,
+        )
+        for seed in (1, 2)
+    )
+    comparison = compare_dofs(
+        experiment(first, DOFS), experiment(second, DOFS), orders, shared=shared
+    )
+    whole = arx(experiment(first, DOFS, outputs=_CHANNELS), orders)
+    frequency = np.arange(0.1, 10.0, 0.02)
+    response = whole.response(frequency)
+    mounted, legs = load_law(law).mounted(build().mounting), pose_jacobian(np.zeros(6))
+    pressures = (response[:, 6:12], response[:, 12:])
+    loop = closed_loop_response(
+        mounted, response[:, :6], frequency, pressures=pressures, legs_of_axes=legs
+    )
+    common = comparison.own[DOFS.index(shared)].response(frequency)
+    shares = np.eye(6) * common[:, None, None]
+    alike = closed_loop_response(mounted, shares, frequency, legs_of_axes=legs)
+    everywhere = axis_bandwidths(alike, frequency, 0)
+    measured = []
+    for dof in DOFS:
+        command = signals.multisine(dof, dof_amplitude(dof, None), periods=2)
+        run = simulate(build(), law, command, record_every=RECORD_EVERY)
+        measured.append(bandwidths(frequency_response(run)).phase_hz)
+    return MatrixStudy(
+        first.metadata["law"],
+        comparison,
+        tuple(measured),
+        (everywhere.phase_hz,) * len(DOFS),
+        tuple(axis_bandwidths(loop, frequency, i).phase_hz for i in range(len(DOFS))),
+    )

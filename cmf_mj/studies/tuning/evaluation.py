@@ -1,0 +1,153 @@
+"""What a law is worth, on linear plants: bandwidths, peaks and overshoots of all cabs at once.
+
+Frequency responses come from the linearised plant and the linear law. Steps run the compiled law
+with its clamps, and the servo electronics with theirs, against the linearised plant, frame by
+frame, so that the step sees the valves' saturation and the drive's rate limit; what only the
+simulation has is the square root of the ports, and the geometry.
+"""
+
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.analysis.frequency_response import bandwidths
+from cmf_mj.analysis.identification.loop import closed_loop_response
+from cmf_mj.analysis.linear_models.dcl import FEEDBACK
+from cmf_mj.analysis.linearization.assembly import linearize
+from cmf_mj.control import dcl as blocks
+from cmf_mj.control.law import SIGNALS, Law
+from cmf_mj.core.rates import FRAME
+from cmf_mj.core.threads import on_threads
+from cmf_mj.electronics import servo_electronics as servo
+from cmf_mj.machine.kinematics import DOFS, pose_jacobian
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.studies.comparison import AMPLITUDE, ROTATION_PER_TRANSLATION, STEP_PER_AMPLITUDE
+from cmf_mj.studies.tuning.frames import run
+from cmf_mj.studies.tuning.nominal import valve_gains
+
+LINES = np.concatenate([np.arange(0.5, 3.0, 0.5), np.arange(3.0, 10.01, 0.25)])
+"""Frequencies of the responses [Hz]; the report's chirp ends at 10 Hz."""
+
+STEP_TIME = 0.7
+"""Length of the steps [s]."""
+
+STEPPED = ((1,), (3,), (4,), (0, 1, 2, 3, 4, 5))
+"""Degrees of freedom that are stepped: sway, roll, pitch, and all at once. Surge is much like sway,
+heave and yaw are easier."""
+
+CHIRP = AMPLITUDE * np.where(np.arange(6) < 3, 1.0, ROTATION_PER_TRANSLATION)
+"""Amplitude of the chirp by degree of freedom [m, rad]."""
+
+
+class LinearCab(NamedTuple):
+    """A cab on linear hydraulics."""
+
+    cab: str
+    jacobian: NDArray[np.float64]
+    """Legs of pose, (6, 6)."""
+    velocity: NDArray[np.complex128]
+    """Responses of leg velocities to commands, (K, 6, 6)."""
+    pressures: tuple[NDArray[np.complex128], NDArray[np.complex128]]
+    """Those of cap and rod pressures."""
+    sampled: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+    """A, B, C at 2048 Hz, outputs `FEEDBACK`."""
+
+
+def linear_cab(plant: Hexapod) -> LinearCab:
+    """Linearise a plant at neutral."""
+    system = linearize(plant)
+    legs, omega = plant.legs, 2.0 * np.pi * LINES
+    response = np.moveaxis(control.frequency_response(system, omega).frdata, -1, 0)
+    rows = {name: response[:, i * legs : (i + 1) * legs] for i, name in enumerate(FEEDBACK)}
+    held = control.sample_system(system, FRAME, method="zoh")
+    a, b, c = (np.ascontiguousarray(part) for part in (held.A, held.B, held.C))
+    return LinearCab(
+        plant.cab,
+        pose_jacobian(np.zeros(6), plant.geometry),
+        rows["leg_velocity"],
+        (rows["cap_pressure"], rows["rod_pressure"]),
+        (a, b, np.ascontiguousarray(c[: len(FEEDBACK) * legs])),
+    )
+
+
+class Worth(NamedTuple):
+    """Measures by cab, set of valve gains and degree of freedom."""
+
+    phase_hz: NDArray[np.float64]
+    """-90 deg bandwidth, (cabs, seeds, 6); the last line where it is beyond."""
+    peak_db: NDArray[np.float64]
+    """Peak gain to 10 Hz, (cabs, seeds, 6)."""
+    overshoot: NDArray[np.float64]
+    """Of the step, fraction, (cabs, seeds, 4)."""
+    settled: NDArray[np.float64]
+    """Largest distance from the demand in the last tenth of the step, fraction, (.., 4)."""
+
+
+def step_response(
+    law: Law, cab: LinearCab, dofs: Sequence[int], gains: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Step of the report's size in some degrees of freedom at once, as fractions of it, (N, m).
+
+    Args:
+        law: mounted.
+        cab: linear plant.
+        dofs: indices of the m degrees of freedom.
+        gains: valve gains over the nominal, (6,).
+    """
+    a, b, c = cab.sampled
+    chosen = list(dofs)
+    size = CHIRP[chosen] * STEP_PER_AMPLITUDE
+    legs = cab.jacobian.shape[0]
+    dcl = blocks.make_dcl(law, legs)
+    still = blocks.LegFeedback(*(np.zeros(legs) for _ in FEEDBACK))
+    state = blocks.engaged(dcl, np.zeros(legs), still)
+    found = np.empty((round(STEP_TIME / FRAME), legs))
+    demand = cab.jacobian[:, chosen] @ size
+    drive, driven = servo.make_servo_electronics(), servo.start(legs)
+    room = np.zeros((legs, len(SIGNALS))), np.zeros(legs), np.zeros(legs)
+    plant = a, np.ascontiguousarray(b * gains), c
+    run(dcl, state, drive, driven, *plant, demand, still, *room, found)
+    return found @ np.linalg.inv(cab.jacobian)[chosen].T / size
+
+
+def _one(law: Law, cab: LinearCab, seed: int | None, scale: float) -> list[list[float]]:
+    mounted, gains = law.mounted(cab.cab), scale * valve_gains(seed)
+    legs = closed_loop_response(
+        mounted,
+        cab.velocity * gains,
+        LINES,
+        pressures=(cab.pressures[0] * gains, cab.pressures[1] * gains),
+    )
+    pose = np.linalg.inv(cab.jacobian) @ legs @ cab.jacobian
+    own = [
+        bandwidths(control.FrequencyResponseData(pose[:, dof, dof], 2.0 * np.pi * LINES))
+        for dof in range(len(DOFS))
+    ]
+    steps = [step_response(mounted, cab, dofs, gains) for dofs in STEPPED]
+    return [
+        [LINES[-1] if np.isnan(found.phase_hz) else found.phase_hz for found in own],
+        [found.peak_db for found in own],
+        [float(step.max() - 1.0) for step in steps],
+        [float(np.abs(step[-len(step) // 10 :] - 1.0).max()) for step in steps],
+    ]
+
+
+def evaluate(
+    law: Law, cabs: Sequence[LinearCab], seeds: Sequence[int | None], *, scale: float = 1.0
+) -> Worth:
+    """Measure a law on linear plants of all cabs.
+
+    Args:
+        law: not yet mounted.
+        cabs: linear plants.
+        seeds: of the valve gains; None for the nominal ones.
+        scale: of all valve gains besides.
+    """
+    cases = list(product(cabs, seeds))
+    found = on_threads(lambda case: _one(law, *case, scale), cases, jobs=len(cases))
+    shape = (len(cabs), len(seeds), -1)
+    return Worth(*(np.array(part).reshape(shape) for part in zip(*found, strict=True)))

@@ -1,0 +1,294 @@
+"""Forms of laws: what a search of gains is free to choose, and the law that makes of it.
+
+    modal_plan      this project's: modes, plan, load pressure feedback
+    velocity        velocity feedback of the report, its two gains anew: what the others stand on
+    pressure        beside it dynamic load pressure feedback
+    feed_forward    beside it feed-forward of the reference's velocity and acceleration
+    acceleration    beside it opposing acceleration feedback, its filter's corner free too
+    modal           gains of position, velocity and load pressure by mode, without a plan
+
+The four in the middle keep the report's compensator: its state gives the position K = -C / (1 - A)
+back through a lag of 29 Hz, so that D on the position is K - K_p where the leg is to have the net
+gain K_p. Like velocity feedback they have no integral: where a demand jumps it overshoots by about
+K_i / (k K_p^2) of the jump, for K_p / K_i seconds.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.control.coordinates import Modes
+from cmf_mj.control.law import Gains, Law, ReferenceModel, load_law
+from cmf_mj.control.load_feedback import LoadFeedback
+from cmf_mj.control.plan import Plan
+from cmf_mj.core import units
+from cmf_mj.core.rates import FRAME
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.single_legs import SingleLegs
+from cmf_mj.studies.tuning.evaluation import CHIRP, LinearCab, linear_cab
+from cmf_mj.studies.tuning.nominal import CABS, nominal_modes
+
+HEAVY = 2
+"""Modes of the pair of surge and sway, which have gains of their own."""
+
+EASY = 2
+"""The next modes, yaw and heave, whose chirp and step ask little of the valves."""
+
+EASY_REACH = 8.0
+"""Frequency that bounds rate and acceleration of their reference [Hz]."""
+
+APPROACH = 5.0
+"""Frequency at which a plan's reference closes small errors [Hz]."""
+
+INTEGRAL = 10.0
+"""Gain of the plan's error integral [%/(in s)]."""
+
+Values = Mapping[str, float]
+"""What a search chose, by name."""
+
+
+class Template(NamedTuple):
+    """What is the same for all candidates."""
+
+    name: str
+    title: str
+    modes: Mapping[str, Modes]
+    """Nominal modes of the cabs, and of single legs."""
+    rate: NDArray[np.float64]
+    """Largest modal amplitude of the chirp over cabs and degrees of freedom, (6,) [in]."""
+    cabs: tuple[LinearCab, ...]
+    """Linear plants they are judged on."""
+
+
+class Form(NamedTuple):
+    """One form of law."""
+
+    free: Mapping[str, tuple[float, float]]
+    """Bounds of what is searched: Hz, 1, %/in, %/(in/s), %/(in/s^2), %/klbf by the name."""
+    start: tuple[float, ...]
+    """Where the search starts: shipped laws, of earlier searches."""
+    law: Callable[[Template, Values], Law]
+    spread: float = 0.1
+    """Deviation of the first candidates, as a share of the bounds."""
+    reach: Callable[[Values], float] = lambda _: np.inf
+    """Frequency to which its reference can follow the chirp [Hz]."""
+
+
+def make_template(name: str, title: str, cabs: Sequence[str] = CABS) -> Template:
+    """What a search needs beside the form.
+
+    Args:
+        name: of the law.
+        title: for figures and tables.
+        cabs: names.
+    """
+    plants = [Hexapod(cab) for cab in cabs]
+    modes = {plant.cab: nominal_modes(plant) for plant in plants}
+    legs = SingleLegs()
+    linear = tuple(linear_cab(plant) for plant in plants)
+    moved = [
+        np.abs(np.array(modes[cab.cab].shape) @ cab.jacobian * CHIRP).max(axis=1) for cab in linear
+    ]
+    known = modes | {legs.mounting: nominal_modes(legs)}
+    return Template(name, title, known, np.max(moved, axis=0) / units.INCH, linear)
+
+
+def candidate(form: Form, template: Template, values: Sequence[float]) -> Law:
+    """The law of some values of `form.free`, rounded as its table prints them."""
+    return form.law(template, named(form, [float(f"{v:.4g}") for v in values]))
+
+
+def named(form: Form, values: Sequence[float]) -> Values:
+    """Values by name."""
+    return dict(zip(form.free, map(float, values), strict=True))
+
+
+def _six(at: Values, name: str, sign: float = 1.0) -> tuple[float, ...]:
+    heavy, light = sign * at[f"{name}_heavy"], sign * at[f"{name}_light"]
+    return (heavy,) * HEAVY + (light,) * (len(CHIRP) - HEAVY)
+
+
+def _bounds(at: Values, name: str) -> NDArray[np.float64]:
+    """Frequencies that bound the plan's reference, by mode, (6,) [Hz]."""
+    bounds = np.full(len(CHIRP), at[f"{name}_light"])
+    bounds[:HEAVY] = at[f"{name}_heavy"]
+    bounds[HEAVY : HEAVY + EASY] = EASY_REACH
+    return bounds
+
+
+def _rounded(values: NDArray[np.float64]) -> tuple[float, ...]:
+    return tuple(float(f"{v:.4g}") for v in values)
+
+
+def _plan_reach(at: Values) -> float:
+    """Where rate or acceleration of the plan's reference end: w a <= R, w^2 a <= A."""
+    ends = [
+        min(at[f"rate_{pair}"], float(np.sqrt(at[f"rate_{pair}"] * at[f"acceleration_{pair}"])))
+        for pair in ("heavy", "light")
+    ]
+    return min(ends)
+
+
+def _modal(template: Template, **fields: object) -> Law:
+    return Law.model_validate(
+        {
+            "name": template.name,
+            "title": template.title,
+            "coordinates": "hydraulic_modes",
+            "modes": template.modes,
+            **fields,
+        }
+    )
+
+
+def _modal_plan(template: Template, at: Values) -> Law:
+    given = load_hydraulics("hardware")
+    rate = 2.0 * np.pi * _bounds(at, "rate") * template.rate
+    acceleration = 2.0 * np.pi * _bounds(at, "acceleration") * rate
+    plan = Plan(
+        speed=given.leg_speed.value,
+        drive_lag=given.drive_lag.value,
+        valve_lag=given.valve_lag.value,
+        leak_rate=given.leak_rate.value,
+        pairs=(
+            (at["first_pair"], at["first_damping"]),
+            (at["second_pair"], at["second_damping"]),
+        ),
+        pole=at["pole"],
+        rate=_rounded(rate),
+        acceleration=_rounded(acceleration),
+        approach=APPROACH,
+        authority=88.0,
+        position=_six(at, "position"),
+        velocity=_six(at, "velocity"),
+    )
+    return _modal(
+        template,
+        direct_gain=Gains(error_integral=INTEGRAL),
+        plan=plan,
+        load_feedback=LoadFeedback(gain=_six(at, "load"), corner=0.5),
+    )
+
+
+def _modal_feedback(template: Template, at: Values) -> Law:
+    return _modal(
+        template,
+        direct_gain=Gains(
+            reference=_six(at, "position"),
+            position=_six(at, "position", -1.0),
+            velocity=_six(at, "velocity", -1.0),
+        ),
+        load_feedback=LoadFeedback(gain=_six(at, "load"), corner=0.5),
+    )
+
+
+def _on_velocity(template: Template, at: Values, **fields: object) -> Law:
+    """Velocity feedback with its net position gain and velocity gain as chosen."""
+    flown = load_law("velocity")
+    through = -flown.output_gain / (1.0 - flown.state_gain)
+    gains = flown.direct_gain.model_copy(
+        update={
+            "reference": at["position"],
+            "position": float(f"{through - at['position']:.6g}"),
+            "velocity": -at["velocity"],
+            "acceleration": -at.get("acceleration", 0.0),
+        }
+    )
+    own = {"name": template.name, "title": template.title, "source": "", "direct_gain": gains}
+    return flown.model_copy(update=own | fields)
+
+
+def _pressure(template: Template, at: Values) -> Law:
+    load = LoadFeedback(gain=at["load"], corner=at["corner"])
+    return _on_velocity(template, at, load_feedback=load)
+
+
+def _feed_forward(template: Template, at: Values) -> Law:
+    model = ReferenceModel(
+        natural_frequency=at["filter"],
+        damping_ratio=0.7,
+        velocity=at["forward_velocity"],
+        acceleration=at["forward_acceleration"],
+    )
+    return _on_velocity(template, at, reference_model=model)
+
+
+def _acceleration(template: Template, at: Values) -> Law:
+    pole = float(f"{np.exp(-2.0 * np.pi * at['filter'] * FRAME):.4g}")
+    own = {"accelerometer_pole": pole, "accelerometer_gain": float(f"{1.0 - pole:.4g}")}
+    return _on_velocity(template, at, **own)
+
+
+_OUTER = {"position": (10.0, 80.0), "velocity": (0.0, 6.0)}
+
+FORMS: Mapping[str, Form] = {
+    "modal_plan": Form(
+        {
+            "first_pair": (4.0, 20.0),
+            "first_damping": (0.35, 1.2),
+            "second_pair": (6.0, 60.0),
+            "second_damping": (0.4, 1.6),
+            "pole": (5.5, 60.0),
+            "rate_heavy": (4.0, 9.0),
+            "rate_light": (4.0, 9.0),
+            "acceleration_heavy": (3.0, 9.0),
+            "acceleration_light": (3.0, 9.0),
+            "position_heavy": (15.0, 50.0),
+            "position_light": (15.0, 60.0),
+            "velocity_heavy": (-0.5, 4.0),
+            "velocity_light": (-0.5, 4.0),
+            "load_heavy": (-3.0, 6.0),
+            "load_light": (-3.0, 6.0),
+        },
+        (12.3, 0.506, 51.0, 1.07, 5.75, 5.85, 7.9, 8.33, 6.04, 28.7, 31.9, 3.12, 0.586, 2.29, 1.42),
+        _modal_plan,
+        spread=0.05,
+        reach=_plan_reach,
+    ),
+    "velocity": Form(_OUTER, (25.5, 3.1), _on_velocity),
+    "pressure": Form(
+        _OUTER | {"load": (0.0, 10.0), "corner": (0.1, 5.0)}, (32.5, 3.7, 0.19, 1.3), _pressure
+    ),
+    "feed_forward": Form(
+        _OUTER
+        | {
+            "forward_velocity": (0.0, 3.0),
+            "forward_acceleration": (0.0, 0.2),
+            "filter": (5.0, 40.0),
+        },
+        (18.0, 2.83, 1.42, 0.033, 34.0),
+        _feed_forward,
+    ),
+    "acceleration": Form(
+        _OUTER | {"acceleration": (0.0, 0.2), "filter": (1.0, 60.0)},
+        (25.5, 3.1, 0.025, 2.5),
+        _acceleration,
+    ),
+    "modal": Form(
+        {
+            "position_heavy": (10.0, 80.0),
+            "position_light": (10.0, 80.0),
+            "velocity_heavy": (-2.0, 4.0),
+            "velocity_light": (-2.0, 4.0),
+            "load_heavy": (-3.0, 8.0),
+            "load_light": (-3.0, 8.0),
+        },
+        (60.3, 56.0, 3.27, 1.17, 1.04, 1.62),
+        _modal_feedback,
+    ),
+}
+"""All forms by name."""
+
+
+def form_named(name: str) -> Form:
+    """A form.
+
+    Raises:
+        ValueError: no such form.
+    """
+    if name not in FORMS:
+        raise ValueError(f"form: {name!r} is not one of {', '.join(FORMS)}")
+    return FORMS[name]

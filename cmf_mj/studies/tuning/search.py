@@ -1,0 +1,135 @@
+"""Gain search: the fastest law that keeps the limits in all degrees of freedom and cabs at once.
+
+Searched is what a `Form` leaves free (`cmf_mj.studies.tuning.forms`). Minimised by CMA-ES
+(N. Hansen, package `cma`), over all cabs, degrees of freedom and sets of valve gains,
+
+    -min(-90 deg bandwidth, f_rate) - mean / 10 + excess of peak, overshoot and tail over `Limits`,
+
+the mean that of the bandwidths: what does not bear on the lowest is as fast as the limits allow
+too. Each excess is in units of its weight, f_rate the frequency to which a plan's reference can
+follow the chirp. So that the loop has margins, peak and tail are limited too with all valves faster
+by `FASTER`.
+"""
+
+import warnings
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.control.law import Law
+from cmf_mj.studies.tuning.evaluation import Worth, evaluate
+from cmf_mj.studies.tuning.forms import Form, Template, candidate, form_named, named
+
+FASTER = 1.5
+"""Factor on all valve gains at which the loop must still be well damped."""
+
+MEAN = 0.1
+"""Weight of the mean bandwidth beside the lowest."""
+
+Seeds = Sequence[int | None]
+"""Sets of valve gains, `valve_gains`."""
+
+
+class Limits(NamedTuple):
+    """What a law has to keep."""
+
+    peak_db: float = 2.0
+    overshoot: float = 0.18
+    """Of steps in one degree of freedom."""
+    together: float = 0.5
+    """Of the step in all of them at once."""
+    tail: float = 0.05
+    """Largest distance from the demand 0.63 s after a step."""
+    margin_db: float = 6.0
+    """Peak with all valves faster by `FASTER`."""
+
+
+_WEIGHTS = Limits(0.3, 0.03, 0.06, 0.05, 1.0)
+
+
+class Found(NamedTuple):
+    """What a search found."""
+
+    law: Law
+    worth: Worth
+    cost: float
+    evaluations: int
+
+
+def cost(
+    form: Form, values: Sequence[float], template: Template, limits: Limits, seeds: Seeds
+) -> float:
+    """What is minimised."""
+    law = candidate(form, template, values)
+    worth = evaluate(law, template.cabs, seeds)
+    faster = evaluate(law, template.cabs, (None,), scale=FASTER)
+    worst = (
+        (worth.peak_db.max(), limits.peak_db, _WEIGHTS.peak_db),
+        (worth.overshoot[..., :-1].max(), limits.overshoot, _WEIGHTS.overshoot),
+        (worth.overshoot[..., -1].max(), limits.together, _WEIGHTS.together),
+        (max(worth.settled.max(), faster.settled.max()), limits.tail, _WEIGHTS.tail),
+        (faster.peak_db.max(), limits.margin_db, _WEIGHTS.margin_db),
+    )
+    excess = sum(max(0.0, (value - limit) / weight) for value, limit, weight in worst)
+    slowest = min(float(worth.phase_hz.min()), form.reach(named(form, values)))
+    found = -slowest - MEAN * float(worth.phase_hz.mean()) + excess
+    return float(found) if np.isfinite(found) else 1e3
+
+
+def search(
+    template: Template,
+    limits: Limits | None = None,
+    *,
+    form: str = "modal_plan",
+    seeds: Seeds = (None, 1),
+    evaluations: int = 24,
+    seed: int = 1,
+    start: Sequence[float] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Found:
+    """Search the gains of a law by CMA-ES.
+
+    Args:
+        template: of `make_template`.
+        limits: to keep; default `Limits`.
+        form: name of the law's form.
+        seeds: sets of valve gains, `valve_gains`.
+        evaluations: about so many laws are tried.
+        seed: of the search.
+        start: values to start from; default those of the form.
+        progress: called with (laws tried, laws in all).
+
+    Raises:
+        ValueError: less than one evaluation, or no such form.
+    """
+    import cma
+
+    if evaluations < 1:
+        raise ValueError(f"evaluations: {evaluations} must be at least 1")
+    kept = limits or Limits()
+    chosen = form_named(form)
+    begun = np.array(chosen.start if start is None else start)
+    low, high = np.array(list(chosen.free.values())).T
+
+    def values_of(point: NDArray[np.float64]) -> list[float]:
+        return list(low + (high - low) * np.asarray(point))
+
+    options = {"bounds": [0.0, 1.0], "seed": seed, "verbose": -9, "popsize": 12}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        strategy = cma.CMAEvolutionStrategy((begun - low) / (high - low), chosen.spread, options)
+    best, tried = (np.inf, begun.tolist()), 0
+    while tried < evaluations and not strategy.stop():
+        points = strategy.ask()
+        prices = [cost(chosen, values_of(point), template, kept, seeds) for point in points]
+        strategy.tell(points, prices)
+        tried += len(points)
+        least = int(np.argmin(prices))
+        if prices[least] < best[0]:
+            best = prices[least], values_of(points[least])
+        if progress is not None:
+            progress(min(tried, evaluations), evaluations)
+    law = candidate(chosen, template, best[1])
+    return Found(law, evaluate(law, template.cabs, seeds), best[0], tried)

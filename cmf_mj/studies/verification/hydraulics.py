@@ -1,0 +1,185 @@
+"""The hydraulics of a set with constant supply and no losses, written a second time.
+
+Nothing is taken from `cmf_mj.plant`: only the numbers of the parameter set are shared. There the
+unknown is the oil content of a chamber, advanced by an L-stable Runge-Kutta method; here it is the
+pressure, a differential equation that any integrator can take together with the mechanics:
+
+    V r'(p) dp/dt = Q - r(p) dV/dt,    r = 1 + z + z^2 / 2,    z = p / beta
+    dV_cap/dt = A_cap v,    dV_rod/dt = -A_rod v
+
+    Q_cap =  G_cap (u+ phi(Ps - p_cap) - u- phi(p_cap - Pt)) - L (p_cap - p_rod)
+    Q_rod = -G_rod (u+ phi(p_rod - Pt) - u- phi(Ps - p_rod)) + L (p_cap - p_rod)
+    phi(dp) = sign(dp) (sqrt(s^2 + 4 |dp|) - s) / 2
+
+Q counts content, s is the root of half the transition pressure. Spools do not depend on anything
+else, so their two lags are summed in closed form frame by frame:
+
+    d = c + D e^{-a t},    u = c + (U - k D) e^{-b t} + k D e^{-a t},    k = b / (b - a)
+
+with D and U the offsets of drive and spool from the held command c at the start of a frame.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.core.rates import RATE
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+
+_OFF = (
+    "null_bias",
+    "overlap",
+    "hysteresis",
+    "bearing_leakage",
+    "coulomb_friction",
+    "viscous_friction",
+    "cushion_length",
+    "entrained_gas",
+)
+"""Effects that these equations leave out, and which a set must therefore have switched off."""
+
+
+def _orifice(drop: NDArray[np.float64], laminar: float) -> NDArray[np.float64]:
+    return np.sign(drop) * 0.5 * (np.sqrt(laminar * laminar + 4.0 * np.abs(drop)) - laminar)
+
+
+@dataclass(frozen=True)
+class Circuit:
+    """Six equal cylinders and their valves on a constant supply."""
+
+    area: NDArray[np.float64]
+    """Piston area of cap and rod side [m^2], (2, 1)."""
+    half_stroke: float
+    """Length of a chamber at neutral [m]."""
+    minimum_gap: float
+    """Length of a chamber at its stop [m]."""
+    gain: NDArray[np.float64]
+    """Flow of both valves, fully open, per root of the drop [m^3/s/sqrt(Pa)], (2, 1)."""
+    leakage: float
+    """Content lost from cap to rod [m^3/s/Pa]."""
+    bulk_modulus: float
+    """[Pa]."""
+    laminar: float
+    """s [sqrt(Pa)]."""
+    supply: float
+    """Ps [Pa]."""
+    tank: float
+    """Pt [Pa]."""
+    drive_rate: float
+    """a [rad/s]."""
+    spool_rate: float
+    """b [rad/s]."""
+
+    def start_pressures(self, load: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Equal pressures (2, n) that hold static loads [N]: what piston leakage ends at."""
+        return np.tile(load / (self.area[0, 0] - self.area[1, 0]), (2, 1))
+
+    def forces(self, pressure: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Axial forces [N], (n,), of pressures (2, n)."""
+        return self.area[0, 0] * pressure[0] - self.area[1, 0] * pressure[1]
+
+    def rates(
+        self,
+        pressure: NDArray[np.float64],
+        extension: NDArray[np.float64],
+        speed: NDArray[np.float64],
+        spool: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """dp/dt [Pa/s], (2, n), from pressures, extensions [m], their speeds and spools (n,)."""
+        to_supply, to_tank = self.supply - pressure, pressure - self.tank
+        opens = spool >= 0.0
+        drop = np.where([opens, ~opens], to_supply, -to_tank)
+        flow = self.gain * np.abs(spool) * _orifice(drop, self.laminar)
+        leak = self.leakage * (pressure[0] - pressure[1])
+        flow[0] -= leak
+        flow[1] += leak
+        ratio = pressure / self.bulk_modulus
+        swept = np.array([speed, -speed])
+        length = self.half_stroke + np.array([extension, -extension])
+        content = 1.0 + ratio + 0.5 * ratio * ratio
+        yielding = (1.0 + ratio) / self.bulk_modulus
+        return (flow / self.area - content * swept) / (length * yielding)
+
+    def spools(self, valves: NDArray[np.float64], per_frame: int) -> NDArray[np.float64]:
+        """Spool positions after each of `per_frame` parts of the frames of commands (N, n).
+
+        Returns:
+            (N per_frame + 1, n), the first row the start at rest.
+        """
+        a, b = self.drive_rate, self.spool_rate
+        time = np.arange(1, per_frame + 1)[:, None] / (per_frame * RATE)
+        slow, fast, mixed = np.exp(-a * time), np.exp(-b * time), b / (b - a)
+        found = np.zeros((len(valves) * per_frame + 1, valves.shape[1]))
+        drive, spool = np.zeros(valves.shape[1]), np.zeros(valves.shape[1])
+        for frame, command in enumerate(valves):
+            share = drive - command
+            own = spool - command - mixed * share
+            rows = command + own * fast + mixed * share * slow
+            found[frame * per_frame + 1 : (frame + 1) * per_frame + 1] = rows
+            drive, spool = command + share * slow[-1], rows[-1]
+        return found
+
+    def check(self, pressure: NDArray[np.float64], extension: NDArray[np.float64]) -> None:
+        """Refuse a trajectory that has left what the equations hold for.
+
+        Args:
+            pressure: [Pa], (N, n, 2).
+            extension: [m], (N, n).
+
+        Raises:
+            ValueError: a chamber below atmospheric pressure, where gas is released, or a leg near
+                its stop, where chambers end otherwise.
+        """
+        lowest = float(pressure.min())
+        if not lowest >= 0.0:
+            raise ValueError(
+                f"pressure: falls to {lowest:.0f} Pa; without released gas at least 0 Pa is allowed"
+            )
+        most = self.half_stroke - 20.0 * self.minimum_gap
+        largest = float(np.abs(extension).max())
+        if not largest <= most:
+            raise ValueError(
+                f"extension: reaches {largest:.4f} m; clear of the stops +-{most:.4f} m is allowed"
+            )
+
+
+def make_circuit(parameters: HydraulicParameters) -> Circuit:
+    """Derive the circuit from a parameter set.
+
+    Both valves together give `leg_speed` with half the supply pressure across each port. Leakage
+    lets a force built up at neutral begin to relax at `leak_rate` = 4 beta L / (h (Ac + Ar)).
+
+    Raises:
+        ValueError: the set has what these equations leave out.
+    """
+    values = parameters.quantities()
+    if parameters.supply != "constant" or parameters.actuators:
+        raise ValueError(
+            f"hydraulics: {parameters.name!r} must have a constant supply and equal actuators"
+        )
+    for name in _OFF:
+        if values[name].value != 0.0:
+            raise ValueError(f"{name}: {values[name]} must be 0 for the cross-verification")
+    si = {name: quantity.si for name, quantity in values.items()}
+    bore, rod = si["bore_diameter"], si["rod_diameter"]
+    area = 0.25 * np.pi * np.array([[bore * bore], [bore * bore - rod * rod]])
+    laminar = float(np.sqrt(0.5 * si["transition_pressure"]))
+    half_drop = 0.5 * (si["supply_pressure"] - si["return_pressure"])
+    squeezed = (si["return_pressure"] + half_drop) / si["bulk_modulus"]
+    content = 1.0 + squeezed + 0.5 * squeezed * squeezed
+    drop = float(_orifice(np.array(half_drop), laminar))
+    relaxing = si["leak_rate"] * si["half_stroke"] / (4.0 * si["bulk_modulus"])
+    return Circuit(
+        area=area,
+        half_stroke=si["half_stroke"],
+        minimum_gap=si["minimum_gap"],
+        gain=si["leg_speed"] * si["valve_flow"] * content / drop * area,
+        leakage=relaxing * float(area.sum()) * content,
+        bulk_modulus=si["bulk_modulus"],
+        laminar=laminar,
+        supply=si["supply_pressure"],
+        tank=si["return_pressure"],
+        drive_rate=si["drive_lag"],
+        spool_rate=si["valve_lag"],
+    )

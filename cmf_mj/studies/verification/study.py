@@ -1,0 +1,154 @@
+"""Both engines on the same valve commands: how far apart, and at what cost.
+
+Every run is held against one reference, the Exudyn runs with the two smallest steps h and h/2
+extrapolated by Richardson's rule for order 2,
+
+    y = y(h/2) + (y(h/2) - y(h)) / 3,
+
+whose own uncertainty is its distance from the same formed one step coarser. So an error of MuJoCo
+is against another engine and another formulation, an error of Exudyn is its own step error.
+"""
+
+import time as clock
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.core.rates import RATE
+from cmf_mj.facility.simulation import drive
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.studies.verification.machine import Machine, Trajectory
+
+FREQUENCY = (0.7, 1.1, 1.6, 2.1, 2.7, 3.3)
+"""Of the valve sines, leg by leg [Hz]."""
+AMPLITUDE = (0.20, 0.15, 0.12, 0.10, 0.08, 0.06)
+"""Of the valve sines, fractions."""
+PHASE = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)
+"""Of the valve sines [rad]."""
+
+ENGINES = ("mujoco", "exudyn")
+
+
+class Run(NamedTuple):
+    """One run of one engine against the reference."""
+
+    engine: str
+    """One of `ENGINES`."""
+    step: float
+    """[s]."""
+    extension_error: float
+    """Largest error of a leg extension at any frame [m]."""
+    pressure_error: float
+    """Largest error of a chamber pressure at any frame [Pa]."""
+    spent: float
+    """CPU time [s]."""
+
+
+class Verification(NamedTuple):
+    """The runs of both engines and what they are held against."""
+
+    cab: str
+    """`gfd`, `rfd` or `ifd`."""
+    seconds: float
+    """Simulated time."""
+    runs: list[Run]
+    """MuJoCo first, largest step first."""
+    travel: float
+    """Largest extension [m]."""
+    extension_uncertainty: float
+    """Of the reference [m]."""
+    pressure_uncertainty: float
+    """Of the reference [Pa]."""
+
+
+def valve_sines(seconds: float) -> NDArray[np.float64]:
+    """Six different sines as valve commands, fractions, (N, 6) at 2048 Hz."""
+    time = np.arange(round(seconds * RATE))[:, None] / RATE
+    return np.array(AMPLITUDE) * np.sin(2.0 * np.pi * np.array(FREQUENCY) * time + np.array(PHASE))
+
+
+def in_mujoco(
+    valves: NDArray[np.float64], step: float, cab: str, hydraulics: HydraulicParameters
+) -> Trajectory:
+    """The shipped plant on valve commands, as a trajectory of N rows."""
+    plant = Hexapod(cab, hydraulics, timestep=step)
+    drive(plant, valves[:2])  # compiles, where the cache is empty
+    begin = clock.process_time()
+    record = drive(plant, valves)
+    spent = clock.process_time() - begin
+    pressure = np.stack([record["cap_pressure"], record["rod_pressure"]], axis=-1)
+    return Trajectory(step, record.time, record["leg_extension"], pressure, spent)
+
+
+def extrapolated(coarse: Trajectory, fine: Trajectory) -> Trajectory:
+    """Richardson's extrapolation, order 2, of two runs of which one has half the step."""
+    return fine._replace(
+        extension=fine.extension + (fine.extension - coarse.extension) / 3.0,
+        pressure=fine.pressure + (fine.pressure - coarse.pressure) / 3.0,
+    )
+
+
+def distance(first: Trajectory, second: Trajectory) -> tuple[float, float]:
+    """Largest difference in extension [m] and in pressure [Pa] over the frames both have."""
+    rows = min(len(first.time), len(second.time))
+    return (
+        float(np.abs(first.extension[:rows] - second.extension[:rows]).max()),
+        float(np.abs(first.pressure[:rows] - second.pressure[:rows]).max()),
+    )
+
+
+def verify(
+    cab: str = "gfd",
+    hydraulics: str | HydraulicParameters = "report",
+    *,
+    seconds: float = 4.0,
+    parts: Sequence[int] = (1, 2, 4, 8),
+    progress: Callable[[int, int], None] | None = None,
+) -> Verification:
+    """Drive both engines with `valve_sines` over several step sizes.
+
+    Args:
+        cab: `gfd`, `rfd` or `ifd`.
+        hydraulics: a set with constant supply and no losses.
+        seconds: simulated time.
+        parts: mechanical steps to a control frame, at least three, each twice the one before.
+        progress: told (runs done, runs in all).
+
+    Raises:
+        ImportError: exudyn is not installed.
+        ValueError: an argument out of range, named, or a run left what Exudyn's side models.
+    """
+    pairs = zip(parts, parts[1:], strict=False)
+    if len(parts) < 3 or parts[0] < 1 or any(b != 2 * a for a, b in pairs):
+        raise ValueError(
+            f"parts: {list(parts)} must be at least three numbers, each twice the one before"
+        )
+    if round(seconds * RATE) < 2:
+        raise ValueError(f"seconds: {seconds} must be at least {2 / RATE} s, two frames")
+    parameters = load_hydraulics(hydraulics)
+    valves = valve_sines(seconds)
+    machine = Machine(Hexapod(cab, parameters))
+    tell = progress or (lambda done, total: None)
+    found: dict[str, list[Trajectory]] = {engine: [] for engine in ENGINES}
+    total = 2 * len(parts)
+    for done, count in enumerate(parts):
+        step = 1.0 / (RATE * count)
+        tell(2 * done, total)
+        found["mujoco"].append(in_mujoco(valves, step, cab, parameters))
+        tell(2 * done + 1, total)
+        found["exudyn"].append(machine.run(valves, step))
+    tell(total, total)
+    own = found["exudyn"]
+    reference = extrapolated(own[-2], own[-1])
+    runs = [
+        Run(engine, one.step, *distance(one, reference), one.spent)
+        for engine in ENGINES
+        for one in found[engine]
+    ]
+    uncertainty = distance(extrapolated(own[-3], own[-2]), reference)
+    travel = float(np.abs(reference.extension).max())
+    return Verification(cab, seconds, runs, travel, *uncertainty)

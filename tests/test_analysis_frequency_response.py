@@ -1,0 +1,338 @@
+"""Frequency responses recovered from records of known linear systems."""
+
+from functools import cache
+
+import control
+import numpy as np
+import pytest
+from followed_commands import record_of
+from numpy.typing import NDArray
+from scipy import optimize, signal
+
+from cmf_mj import FrequencyResponse, bandwidths, signals
+from cmf_mj.analysis import frequency_response
+from cmf_mj.analysis.response.estimate import Estimator
+from cmf_mj.machine.kinematics import DOFS
+
+RATE = 2048
+AMPLITUDE = 0.33 * 0.0254
+"""The report's 0.33 in [m]."""
+
+KINDS = ("chirp", "multisine")
+
+
+def response(command: signals.Command, system: control.TransferFunction) -> NDArray[np.float64]:
+    """Pose history (N, 6) of `system`, inputs joined by lines: below 10 Hz the sampled system is
+    the continuous one within (2 pi 10 / 2048)^2 / 12 = 1e-4 of gain, without delay."""
+    sampled = control.sample_system(system, 1 / RATE, method="foh")
+    return signal.lfilter(sampled.num[0][0], sampled.den[0][0], command.pose, axis=0)
+
+
+def second_order(zeta: float, hertz: float, gain: float = 1.0) -> control.TransferFunction:
+    omega = 2 * np.pi * hertz
+    return control.tf([gain * omega**2], [1.0, 2 * zeta * omega, omega**2])
+
+
+def excitation(kind: str, dof: str = "heave", amplitude: float = AMPLITUDE) -> signals.Command:
+    """The report's chirp of 100 s, or a multisine of three periods of 10 s."""
+    if kind == "chirp":
+        return signals.chirp(dof, amplitude)
+    return signals.multisine(dof, amplitude, period=10.0)
+
+
+@cache
+def measured(
+    kind: str,
+    zeta: float = 0.7,
+    hertz: float = 3.0,
+    gain: float = 1.0,
+    dof: str = "heave",
+    amplitude: float = AMPLITUDE,
+) -> FrequencyResponse:
+    """The response estimated from a second-order system's record at 256 Hz."""
+    command = excitation(kind, dof, amplitude)
+    feedback = response(command, second_order(zeta, hertz, gain))
+    return frequency_response(record_of(command, feedback, 8))
+
+
+def exact(system: control.TransferFunction, hertz: NDArray[np.float64]) -> NDArray[np.complex128]:
+    return np.ravel(system(2j * np.pi * hertz))
+
+
+def compare(found: FrequencyResponse, system: control.TransferFunction) -> None:
+    """Gain within 0.05 dB and phase within 0.5 deg from 0.3 to 8 Hz."""
+    band = (found.frequency >= 0.3 - 1e-9) & (found.frequency <= 8.0)
+    assert band.sum() >= 39
+    ratio = found.response[band] / exact(system, found.frequency[band])
+    np.testing.assert_allclose(20 * np.log10(np.abs(ratio)), 0.0, rtol=0, atol=0.05)
+    np.testing.assert_allclose(np.degrees(np.angle(ratio)), 0.0, rtol=0, atol=0.5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("zeta", "hertz"), [(0.7, 3.0), (0.5, 1.8)])
+def test_a_well_damped_system_is_recovered(kind: str, zeta: float, hertz: float) -> None:
+    """0.05 dB, 0.5 deg from 0.3 to 8 Hz against the transfer function."""
+    compare(measured(kind, zeta, hertz, 0.93), second_order(zeta, hertz, 0.93))
+
+
+@pytest.mark.parametrize("dof", DOFS)
+def test_every_degree_of_freedom_is_recovered(dof: str) -> None:
+    """0.33 in or 0.2 deg (Appendix D); the six legs carry each motion in their own way."""
+    amplitude = np.radians(0.2) if dof in DOFS[3:] else AMPLITUDE
+    found = measured("multisine", 0.6, 2.5, dof=dof, amplitude=amplitude)
+    compare(found, second_order(0.6, 2.5))
+
+
+def test_every_frame_of_a_record_serves_as_well() -> None:
+    """2048 Hz instead of one frame in eight, two periods of 10 s."""
+    system = second_order(0.7, 3.0)
+    command = signals.multisine("heave", AMPLITUDE, period=10.0, periods=2)
+    compare(frequency_response(record_of(command, response(command, system))), system)
+
+
+@pytest.mark.parametrize(("kind", "least"), [("chirp", 0.999), ("multisine", 1 - 1e-9)])
+def test_coherence_of_a_linear_system_is_one(kind: str, least: float) -> None:
+    """Linear, no noise. The multisine is periodic, its coherence exact; Welch's segments of the
+    chirp leak a little into each other."""
+    found = measured(kind)
+    assert found.coherence.shape == found.frequency.shape
+    assert found.coherence.max() <= 1.0 + 1e-12
+    inner = (found.frequency >= 0.3) & (found.frequency <= 8.0)
+    assert found.coherence[inner].min() > least
+
+
+def test_coherence_falls_with_noise() -> None:
+    """As much noise as signal on the output of gain 1: coherence c = S_xx / (S_xx + S_nn) = 0.5,
+    estimated with the bias (1 - c)^2 / M of M = 24 averages (Bendat and Piersol). 0.1: the mean of
+    10 lines whose deviation is (1 - c) sqrt(2 c / M) = 0.1 each, three times that over sqrt(10).
+    """
+    command = signals.multisine("heave", AMPLITUDE, period=2.0, periods=25, start=0.5)
+    samples = 2 * RATE // 8
+    once = command.pose[::8, DOFS.index("heave")][:samples]
+    lines = np.abs(np.fft.rfft(once)[1:21:2]) ** 2
+    sigma = np.sqrt(lines.mean() / samples)
+    feedback = command.pose.copy()
+    feedback[:, DOFS.index("heave")] += np.random.default_rng(7).normal(0, sigma, len(feedback))
+    found = frequency_response(record_of(command, feedback, 8))
+    assert found.coherence.size == 10
+    assert found.coherence.mean() == pytest.approx(0.5 + 0.25 / 24, abs=0.1)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_h1_is_linear_in_the_feedback(kind: str) -> None:
+    """H1 = S_xy / S_xx divides by the noiseless demand alone, so noise of zero mean averages out:
+    the estimate from signal and noise is the sum of their estimates (H2's is not).
+
+    1e-7 of gain 1: Newton's 1e-11 m in legs of up to 8 mm.
+    """
+    command = excitation(kind)
+    clean = response(command, second_order(0.7, 3.0))
+    noise = np.zeros_like(clean)
+    size = 0.3 * AMPLITUDE
+    noise[:, DOFS.index("heave")] = np.random.default_rng(8).normal(0, size, len(noise))
+    alone, noisy = (
+        frequency_response(record_of(command, feedback, 8)) for feedback in (noise, clean + noise)
+    )
+    expected = measured(kind).response + alone.response
+    np.testing.assert_allclose(noisy.response, expected, rtol=0, atol=1e-7)
+    assert noisy.coherence.mean() < 0.999 * measured(kind).coherence.mean()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_standing_offset_does_not_count(kind: str) -> None:
+    """A constant distance between demand and feedback, as a law with static error has at rest.
+    1e-6: the poses of the legs are exact to 1e-9 m of 8 mm."""
+    command = excitation(kind)
+    feedback = response(command, second_order(0.7, 3.0))
+    feedback[:, DOFS.index("heave")] += 0.002
+    found = frequency_response(record_of(command, feedback, 8))
+    np.testing.assert_allclose(found.response, measured(kind).response, rtol=1e-6)
+
+
+def test_the_response_is_a_control_frequency_response() -> None:
+    """It goes into python-control as it is."""
+    found = measured("multisine")
+    assert isinstance(found, FrequencyResponse)
+    assert isinstance(found, control.FrequencyResponseData)
+    assert found.ninputs == found.noutputs == 1
+    np.testing.assert_allclose(found.omega, 2 * np.pi * found.frequency, rtol=1e-15)
+    np.testing.assert_array_equal(np.ravel(found.frdata), found.response)
+    closed = control.FrequencyResponseData(found.response, found.omega).feedback()
+    np.testing.assert_allclose(
+        np.ravel(found.feedback().frdata), np.ravel(closed.frdata), rtol=1e-14
+    )
+    np.testing.assert_allclose(
+        np.ravel(found.feedback().frdata), found.response / (1 + found.response), rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_bound_holds_the_response(kind: str) -> None:
+    """Noise of 10 % of the amplitude on the feedback: the 95 % circle holds the noiseless estimate
+    on 85 % of the lines: three binomial deviations of the 50 lines of the multisine below 95 %."""
+    command = excitation(kind)
+    feedback = response(command, second_order(0.7, 3.0))
+    noise = np.random.default_rng(4).normal(0, 0.1 * AMPLITUDE, len(feedback))
+    feedback[:, DOFS.index("heave")] += noise
+    found = frequency_response(record_of(command, feedback, 8))
+    assert found.bound.shape == found.frequency.shape
+    assert np.median(measured(kind).bound) < 0.2 * np.median(found.bound)
+    assert np.mean(np.abs(found.response - measured(kind).response) < found.bound) >= 0.85
+
+
+def test_a_single_leg_serves_as_well() -> None:
+    """Leg 3 in leg space, as heave moves all legs alike: the heave response within 1 %."""
+    command = excitation("multisine")
+    record = record_of(command, response(command, second_order(0.7, 3.0)), 8)
+    leg = frequency_response(record, "leg_3")
+    np.testing.assert_allclose(leg.response, measured("multisine").response, rtol=0, atol=0.01)
+    with pytest.raises(ValueError, match="dof: 'leg_7' is not one of leg_1, leg_2"):
+        frequency_response(record, "leg_7")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("estimator", ["h2", "hv", "report"])
+def test_every_estimator_recovers_a_system_without_noise(kind: str, estimator: Estimator) -> None:
+    """3 % of gain 1 from 0.5 to 8 Hz; the report's segments cut the sweep at their ends."""
+    command = excitation(kind)
+    system = second_order(0.7, 3.0)
+    found = frequency_response(
+        record_of(command, response(command, system), 8), estimator=estimator
+    )
+    inner = (found.frequency >= 0.5) & (found.frequency <= 8.0)
+    off = found.response - exact(system, found.frequency)
+    np.testing.assert_allclose(np.abs(off[inner]), 0.0, rtol=0, atol=0.03)
+
+
+def test_lines_lie_within_the_excited_band() -> None:
+    """Odd multiples of 1/period for the multisine, every 1/segment for the chirp."""
+    periodic = measured("multisine").frequency
+    np.testing.assert_allclose(periodic, np.arange(1, 101, 2) / 10.0, rtol=1e-12)
+    swept = measured("chirp").frequency
+    np.testing.assert_allclose(np.diff(swept), 0.05, rtol=1e-9)
+    assert 0.01 <= swept[0] <= 0.1 + 1e-9
+    assert 9.9 < swept[-1] <= 10.0 + 1e-9
+
+
+def test_phase_is_unwrapped() -> None:
+    """Four lags in series run through -180 deg without a jump: -4 atan(w / a)."""
+    omega = 2 * np.pi * np.linspace(0.05, 10.0, 400)
+    lag = 2 * np.pi * 2.0
+    values = (1 / (1 + 1j * omega / lag)) ** 4
+    found = FrequencyResponse(values, omega, np.ones(omega.size))
+    assert found.phase_deg[-1] < -300.0
+    np.testing.assert_allclose(found.phase_deg, -4 * np.degrees(np.arctan(omega / lag)), atol=1e-9)
+    np.testing.assert_allclose(found.gain_db, -40 * np.log10(1 + (omega / lag) ** 2), atol=1e-12)
+
+
+# -- bandwidths ---------------------------------------------------------------------------------
+
+
+def analytic(system: control.TransferFunction, stop: float = 10.0) -> FrequencyResponse:
+    hertz = np.arange(1, round(stop / 0.05) + 1) * 0.05
+    return FrequencyResponse(exact(system, hertz), 2 * np.pi * hertz, np.ones(hertz.size))
+
+
+def minus_three_db(system: control.TransferFunction, low: float = 0.5, high: float = 10.0) -> float:
+    """Frequency between two others at which the gain is -3 dB, from absolute 0 dB [Hz]."""
+
+    def excess(hertz: float) -> float:
+        return float(20 * np.log10(abs(system(2j * np.pi * hertz)))) + 3.0
+
+    return optimize.brentq(excess, low, high)
+
+
+@pytest.mark.parametrize("gain", [0.931, 1.0])
+@pytest.mark.parametrize(("zeta", "hertz"), [(0.3, 2.03), (0.5, 3.47), (0.9, 4.0)])
+def test_bandwidths_of_a_second_order_system(zeta: float, hertz: float, gain: float) -> None:
+    """-90 deg at the natural frequency, -3 dB where the formula has it, peak gain
+    1 / (2 zeta sqrt(1 - zeta^2)). 1e-3 Hz and 0.01 dB: linear interpolation between lines of
+    0.05 Hz; 0.931 is the velocity law's DC gain."""
+    system = second_order(zeta, hertz, gain)
+    found = bandwidths(analytic(system))
+    assert found.phase_hz == pytest.approx(hertz, abs=1e-3)
+    assert found.gain_hz == pytest.approx(minus_three_db(system), abs=1e-3)
+    if zeta < np.sqrt(0.5):
+        peak = gain / (2 * zeta * np.sqrt(1 - zeta**2))
+        assert found.peak_db == pytest.approx(20 * np.log10(peak), abs=1e-2)
+    else:
+        assert found.peak_db == pytest.approx(20 * np.log10(gain), abs=1e-2)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_bandwidths_of_a_measured_second_order_system(kind: str) -> None:
+    """From the record to the numbers of the report's tables. 0.02 Hz: 0.5 deg of phase at
+    40 deg/Hz, 0.05 dB at 3 dB/Hz; 0.05 dB: as `compare`."""
+    found = bandwidths(measured(kind, 0.5))
+    assert found.phase_hz == pytest.approx(3.0, abs=0.02)
+    assert found.gain_hz == pytest.approx(minus_three_db(second_order(0.5, 3.0)), abs=0.02)
+    assert found.peak_db == pytest.approx(20 * np.log10(1 / np.sqrt(0.75)), abs=0.05)
+
+
+def test_minus_three_db_counts_from_absolute_zero() -> None:
+    """A gain of 0.5 is below -3 dB from the first line: no crossing within the lines."""
+    found = bandwidths(analytic(second_order(0.7, 3.0, gain=0.5)))
+    assert np.isnan(found.gain_hz)
+    assert found.phase_hz == pytest.approx(3.0, abs=1e-3)
+
+
+def test_no_crossing_is_nan() -> None:
+    """A system faster than the lines measured, and one that does nothing."""
+    fast = bandwidths(analytic(second_order(0.7, 40.0)))
+    assert np.isnan(fast.phase_hz)
+    assert np.isnan(fast.gain_hz)
+    still = bandwidths(analytic(control.tf([1.0], [1.0])))
+    assert np.isnan(still.phase_hz)
+    assert np.isnan(still.gain_hz)
+    assert still.peak_db == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_first_crossing_counts() -> None:
+    """A notch at 2 Hz leaves -3 dB, comes back and leaves again: the notch is the bandwidth."""
+    notch = control.tf([1.0, 0.1 * np.pi, (4 * np.pi) ** 2], [1.0, 2 * np.pi, (4 * np.pi) ** 2])
+    system = notch * second_order(0.7, 8.0)
+    first, last = minus_three_db(system, 0.1, 2.0), minus_three_db(system, 5.0, 20.0)
+    found = bandwidths(analytic(system, 20.0))
+    assert found.gain_hz == pytest.approx(first, abs=1e-3)
+    assert first < 2.0 < last
+
+
+def test_bandwidths_take_any_control_response() -> None:
+    omega = 2 * np.pi * np.linspace(0.1, 10.0, 500)
+    plain = control.frequency_response(second_order(0.5, 3.0), omega)
+    found = bandwidths(control.FrequencyResponseData(np.ravel(plain.frdata), omega))
+    assert found.phase_hz == pytest.approx(3.0, abs=1e-3)
+
+
+# -- refused records ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dof", ["surge", "yaw"])
+def test_a_degree_of_freedom_without_demand_is_refused(dof: str) -> None:
+    """Six legs in heave make no surge but round-off; the message names both."""
+    for command in (
+        signals.chirp("heave", AMPLITUDE, duration=25.0),
+        signals.multisine("heave", AMPLITUDE, period=5.0, start=0.2),
+    ):
+        record = record_of(command, response(command, second_order(0.7, 3.0)), 8)
+        with pytest.raises(ValueError, match=f"holds no demand in {dof}; it moved heave"):
+            frequency_response(record, dof)
+
+
+def test_an_unknown_degree_of_freedom_lists_the_six() -> None:
+    command = signals.multisine("heave", AMPLITUDE, period=1.0, start=1.0)
+    with pytest.raises(ValueError, match="dof: 'up' is not one of surge, sway, heave"):
+        frequency_response(record_of(command, command.pose), "up")
+
+
+def test_a_segment_longer_than_the_record_is_refused() -> None:
+    command = signals.chirp("heave", AMPLITUDE, duration=10.0, settle=1.0)
+    with pytest.raises(ValueError, match=r"segment: 20\.0 s must not exceed the record's"):
+        frequency_response(record_of(command, command.pose, 8))
+
+
+def test_a_period_that_is_no_whole_number_of_samples_is_refused() -> None:
+    """One frame in three: 1 s are 682.67 samples."""
+    command = signals.multisine("heave", AMPLITUDE, period=1.0, start=1.0)
+    with pytest.raises(ValueError, match="record_every: a period is not a whole number"):
+        frequency_response(record_of(command, command.pose, 3))

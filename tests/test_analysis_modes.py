@@ -1,0 +1,190 @@
+"""Modes over the envelope: closed forms, the machine's symmetry, and a worst pose that is one."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cmf_mj import Hexapod
+from cmf_mj.analysis import modes
+from cmf_mj.analysis.modes import Range, modes_at, over_envelope, plane_map, sweep
+from cmf_mj.cli.common import app
+from cmf_mj.core import units
+from cmf_mj.machine.kinematics import DOFS, pose_jacobian, pose_to_legs
+from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.plant import cylinder
+from cmf_mj.show import modes as modes_report
+
+RAISED = np.array([0.1, -0.2, -0.3, 0.05, -0.1, 0.2])
+MIRROR = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+
+
+@pytest.fixture(scope="module")
+def plant() -> Hexapod:
+    return Hexapod("gfd")
+
+
+@pytest.fixture(scope="module")
+def envelope(plant: Hexapod) -> Range:
+    return over_envelope(plant, samples=120, rounds=50)
+
+
+@pytest.mark.parametrize("pose", [np.zeros(6), RAISED])
+def test_a_mode_is_a_leg_on_its_spring(plant: Hexapod, pose: np.ndarray) -> None:
+    """w^2 = s'Ks / s'Ms; with equal springs k that is k over the mass a leg feels."""
+    found = modes_at(plant, pose)
+    legs = pose_to_legs(pose, plant.geometry)
+    oil = plant.hydraulics.oil.bulk_modulus
+    spring = cylinder.stiffness(plant.hydraulics.cylinder, oil, legs)
+    stored = np.sum(spring[:, None] * found.leg_shape**2, axis=0)
+    assert np.sqrt(stored) / (2.0 * np.pi) == pytest.approx(found.frequency_hz, rel=1e-9)
+    if not pose.any():
+        assert np.sqrt(spring[0] / found.leg_mass) / (2.0 * np.pi) == pytest.approx(
+            found.frequency_hz, rel=1e-9
+        )
+
+
+@pytest.mark.parametrize("pose", [np.zeros(6), RAISED])
+def test_shares_are_of_the_kinetic_energy(plant: Hexapod, pose: np.ndarray) -> None:
+    """By the platform's inertia, they sum to 1; by the legs, it is half the unit mass."""
+    found = modes_at(plant, pose)
+    assert found.share.sum(axis=0) == pytest.approx(np.ones(6), abs=1e-12)
+    moved = pose_jacobian(pose, plant.geometry) @ found.pose_shape
+    assert moved == pytest.approx(found.leg_shape, abs=1e-12)
+
+
+def test_heave_at_neutral_is_all_legs_alike(plant: Hexapod) -> None:
+    """Pure heave moves all legs alike: 1'M1 / 6. The mode has 2 % of pitch in it, within 1 %."""
+    found = modes_at(plant)
+    heave = int(np.argmax(found.share[2]))
+    moving = float(found.reflected_mass.sum()) / 6.0
+    assert found.leg_mass[heave] == pytest.approx(moving, rel=0.01)
+    assert found.share[2, heave] > 0.97
+
+
+def test_mirrored_poses_ring_alike(plant: Hexapod) -> None:
+    """The machine is its own image in the vertical plane through x."""
+    one, other = modes_at(plant, RAISED), modes_at(plant, RAISED * MIRROR)
+    assert one.frequency_hz == pytest.approx(other.frequency_hz, rel=1e-6)
+    found = plane_map(plant, ("sway", "roll"), count=5)
+    np.testing.assert_allclose(found.first[8:], -found.first[:9], atol=1e-9)
+    np.testing.assert_allclose(found.frequency_hz[8:], found.frequency_hz[:9], rtol=1e-6)
+
+
+def test_map_and_sweep_meet(plant: Hexapod) -> None:
+    """A map begins at neutral, ends where sweeps do, and fills the envelope to its very end."""
+    found = plane_map(plant, ("surge", "heave"), count=7)
+    for dof, values, (end, begin) in (
+        ("surge", found.first, (0, 12)),
+        ("heave", found.second, (6, 18)),
+    ):
+        along = sweep(plant, dof, count=7)
+        ends = [values[begin, -1], values[end, -1]]
+        assert ends == pytest.approx([along.excursion[0], along.excursion[-1]], abs=1e-9)
+        frequencies = found.frequency_hz[[begin, end], -1]
+        np.testing.assert_allclose(frequencies, along.frequency_hz[[0, -1]], rtol=1e-6)
+        np.testing.assert_array_equal(along.frequency_hz[3], modes_at(plant).frequency_hz)
+        np.testing.assert_array_equal(found.frequency_hz[:, 0], 25 * [along.frequency_hz[3]])
+    low, high = load_motion_limits().operational[[0, 2]].T
+    ends_by_stroke = []
+    for ray, ring in np.ndindex(found.first.shape):
+        pose = np.zeros(6)
+        pose[[0, 2]] = found.first[ray, ring], found.second[ray, ring]
+        left = modes.reserve(pose, plant)
+        inside = np.concatenate([pose[[0, 2]] - low, high - pose[[0, 2]]]).min()
+        assert min(left, inside) >= -1e-9
+        if ring == 3:
+            assert min(left, inside) == pytest.approx(0.0, abs=1e-9)
+            ends_by_stroke.append(left < inside)
+        if ring and ray % 5 == 0:
+            expected = modes_at(plant, pose).frequency_hz
+            np.testing.assert_array_equal(found.frequency_hz[ray, ring], expected)
+    assert any(ends_by_stroke)
+
+
+def test_the_worst_pose_is_within_and_worst(plant: Hexapod, envelope: Range) -> None:
+    low, high = load_motion_limits().operational.T
+    worst = envelope.worst
+    assert ((low <= worst.pose) & (worst.pose <= high)).all()
+    assert modes.reserve(worst.pose, plant) >= 0.0
+    other = modes.envelope_poses(plant, 150, seed=5)
+    assert (low <= other).all() and (other <= high).all()
+    lowest = [modes_at(plant, pose).frequency_hz[0] for pose in other]
+    assert worst.frequency_hz[0] < min(lowest)
+    assert worst.frequency_hz[0] < envelope.frequency_hz[:, 0].min()
+
+
+def test_the_same_seed_finds_the_same_pose(plant: Hexapod, envelope: Range) -> None:
+    again = over_envelope(plant, samples=120, rounds=50)
+    np.testing.assert_array_equal(again.worst.pose, envelope.worst.pose)
+    np.testing.assert_array_equal(again.frequency_hz, envelope.frequency_hz)
+    assert all(modes.reserve(pose, plant) >= 0.0 for pose in again.poses)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda p: over_envelope(p, samples=10), "samples: 10 must be at least 90"),
+        (lambda p: plane_map(p, ("sway", "sway")), "two different ones of surge, sway"),
+        (lambda p: plane_map(p, ("sway", "roll"), count=1), "count: 1 poses .* at least 3"),
+    ],
+)
+def test_refusals(plant: Hexapod, call: object, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        call(plant)  # type: ignore[operator]
+
+
+def check_mass_and_shapes(folder: Path, pose: list[float], frequency_hz: np.ndarray) -> None:
+    """By hand: M_leg s (2 pi f)^2 = K s for what the files say of the eighth pose."""
+    tables = []
+    for name in ("reflected_mass.csv", "mode_shapes.csv"):
+        with (folder / name).open() as file:
+            rows = list(csv.DictReader(file))
+        assert len(rows) == 6 * 91
+        tables.append(rows[6 * 7 : 6 * 8])
+    masses, shapes = tables
+    mass = (
+        np.array([[float(r[f"leg_{i}_lbm"]) for i in range(1, 7)] for r in masses])
+        * units.POUND_MASS
+    )
+    plant = Hexapod("gfd")
+    oil = plant.hydraulics.oil.bulk_modulus
+    legs = pose_to_legs(pose, plant.geometry)
+    spring = cylinder.stiffness(plant.hydraulics.cylinder, oil, legs)
+    for row, frequency in zip(shapes, frequency_hz, strict=True):
+        shape = np.array([float(row[f"leg_{i}"]) for i in range(1, 7)])
+        assert np.abs(shape).max() == shape.max() == 1.0
+        turned = (2.0 * np.pi * float(row["frequency_hz"])) ** 2 * mass @ shape
+        assert turned == pytest.approx(spring * shape, abs=1e-3 * spring.max())
+        assert float(row["frequency_hz"]) == pytest.approx(frequency, rel=1e-4)
+        leg_mass = (shape @ mass @ shape) / (shape @ shape)
+        assert float(row["leg_mass_lbm"]) * units.POUND_MASS == pytest.approx(leg_mass, rel=1e-4)
+        by_unit = [(dof, modes_report.unit_of(dof)) for dof in DOFS]
+        moved = [units.to_si(unit, float(row[f"{dof}_{unit}_per_in"])) for dof, unit in by_unit]
+        along = pose_jacobian(pose, plant.geometry) @ moved
+        assert along == pytest.approx(units.INCH * shape, abs=1e-4 * units.INCH)
+        assert sum(float(row[f"share_{dof}"]) for dof in DOFS) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_the_command_writes_what_it_says(tmp_path: Path) -> None:
+    arguments = ["modes", "--cab", "gfd", "--samples", "90", "--points", "3", "--rounds", "5"]
+    done = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert "39346" in done.output and "surge 92 %, pitch 8 %" in done.output
+    with (tmp_path / "modes.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 91
+    pose = [
+        units.to_si(modes_report.unit_of(dof), float(rows[7][f"{dof}_{modes_report.unit_of(dof)}"]))
+        for dof in DOFS
+    ]
+    expected = modes_at(Hexapod("gfd"), pose).frequency_hz
+    got = [float(rows[7][f"mode_{i}_hz"]) for i in range(1, 7)]
+    assert got == pytest.approx(expected, rel=1e-4)
+    for name in ("modes_sweep.png", "modes_map.png"):
+        assert (tmp_path / name).stat().st_size > 10_000
+    check_mass_and_shapes(tmp_path, pose, expected)
+    refused = CliRunner().invoke(app, ["modes", "--cab", "none", "--out", str(tmp_path)])
+    assert refused.exit_code == 2

@@ -1,0 +1,586 @@
+"""Estimators of frequency responses on known linear systems, with and without output noise.
+
+The oracle is python-control: outputs come from its sampled systems, responses from the same
+systems evaluated on the unit circle, so that no discretisation lies between the two.
+"""
+
+from collections.abc import Callable
+from functools import cache
+
+import control
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import signal, stats
+
+from cmf_mj.analysis import response as estimation
+from cmf_mj.analysis.response.estimate import Estimate
+
+RATE = 64.0
+SEEDS = 100
+ROUNDS = (
+    (0.1, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2),
+    (1.4, 1.6, 1.8, 2.0, 2.4, 2.6, 3.0),
+    (3.4, 3.6, 4.0, 4.4, 4.6, 5.0, 5.4),
+    (5.6, 6.0, 6.4, 6.6, 7.0, 7.4, 7.6),
+    (8.0, 8.4, 8.6, 9.0, 9.4, 9.6, 10.0),
+)
+"""Table 2-3 of the report [Hz]."""
+
+
+@cache
+def plant(hertz: float = 3.0, zeta: float = 0.7, gain: float = 1.0) -> control.TransferFunction:
+    """A second-order system sampled at 64 Hz, inputs joined by lines."""
+    omega = 2 * np.pi * hertz
+    system = control.tf([gain * omega**2], [1.0, 2 * zeta * omega, omega**2])
+    return control.sample_system(system, 1 / RATE, method="foh")
+
+
+def through(system: control.TransferFunction, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    return signal.lfilter(system.num[0][0], system.den[0][0], x)
+
+
+def exact(system: control.TransferFunction, hertz: NDArray[np.float64]) -> NDArray[np.complex128]:
+    return np.ravel(system(np.exp(2j * np.pi * hertz / RATE)))
+
+
+def error(found: Estimate, system: control.TransferFunction) -> NDArray[np.complex128]:
+    return found.response - exact(system, found.frequency)
+
+
+def white(seconds: float, seed: int, sigma: float = 1.0) -> NDArray[np.float64]:
+    return np.random.default_rng(seed).normal(0.0, sigma, round(seconds * RATE))
+
+
+def sweep(seconds: float = 100.0) -> NDArray[np.float64]:
+    """0.01 to 10 Hz, at rest for 2 s before and after."""
+    time = np.arange(round(seconds * RATE)) / RATE
+    return np.pad(signal.chirp(time, 0.01, seconds, 10.0, phi=-90.0), round(2 * RATE))
+
+
+def multisine(
+    orders: NDArray[np.int64], seed: int, period: float = 10.0, periods: int = 3
+) -> NDArray[np.float64]:
+    """Equal lines of amplitude 1 and random phases, whole periods."""
+    size = round(period * RATE)
+    spectrum = np.zeros(size // 2 + 1, dtype=complex)
+    turn = np.random.default_rng(seed).uniform(0, 2 * np.pi, orders.size)
+    spectrum[orders] = 0.5 * size * np.exp(1j * turn)
+    return np.tile(np.fft.irfft(spectrum, size), periods)
+
+
+def sines(frequencies: tuple[float, ...], seconds: float) -> NDArray[np.float64]:
+    """Unit sines, phases spread so that the sum stays low."""
+    time = np.arange(round(seconds * RATE)) / RATE
+    phases = np.pi * np.arange(len(frequencies)) ** 2 / len(frequencies)
+    waves = np.sin(2 * np.pi * np.outer(time, frequencies) + phases)
+    return waves.sum(axis=1)
+
+
+ODD = np.arange(1, 101, 2)
+
+
+# -- the analytic response ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("estimator", ["h1", "h2", "hv", "report"])
+def test_welch_finds_the_analytic_response(estimator: estimation.Estimator) -> None:
+    """A sweep without noise: 0.5 % of gain 1, leakage of segments of 20 s."""
+    x = sweep()
+    found = estimation.welch_response(
+        x, through(plant(), x), RATE, estimator=estimator, band=(0.3, 8.0), pad=True
+    )
+    np.testing.assert_allclose(np.abs(error(found, plant())), 0.0, rtol=0, atol=5e-3)
+    assert found.coherence.min() > 0.999
+
+
+def test_report_estimator_finds_the_analytic_response() -> None:
+    """A sweep without noise, 0.5 to 8 Hz: 3 %, as the ends of segments of 26 s cut the sweep."""
+    x = sweep()
+    found = estimation.report_response(x, through(plant(), x), RATE, band=(0.5, 8.0))
+    np.testing.assert_allclose(np.abs(error(found, plant())), 0.0, rtol=0, atol=0.03)
+
+
+def test_periods_give_the_response_exactly() -> None:
+    """Whole periods in steady state do not leak: 1e-9, what is left of the transient."""
+    x = multisine(ODD, 1)
+    found = estimation.periodic_response(x, through(plant(), x), RATE, 10.0)
+    np.testing.assert_allclose(found.frequency, ODD / 10.0, rtol=1e-12)
+    np.testing.assert_allclose(np.abs(error(found, plant())), 0.0, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.coherence, 1.0, rtol=0, atol=1e-9)
+    assert found.radius.max() < 1e-9
+
+
+def test_a_sine_gives_the_response_exactly() -> None:
+    """Least squares in steady state at a frequency of 58.18 samples a cycle: 1e-9."""
+    x = sines((1.1,), 30.0)
+    found = estimation.sine_response(x, through(plant(), x) + 0.3, RATE, 1.1, settle=10.0)
+    np.testing.assert_allclose(np.abs(error(found, plant())), 0.0, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["welch", "report", "periodic", "sine"])
+def test_noise_on_the_output_averages_out(kind: str) -> None:
+    """Root-mean-square error over 20 seeds within 20 % of radius / sqrt(F), the stated deviation;
+    the report's estimator divided by its bias, (1 + 1/c) / 2."""
+    squares, stated = [], []
+    for seed in range(20):
+        found = noisy(kind, seed)
+        factor = 0.5 * (1.0 + 1.0 / found.coherence) if kind == "report" else 1.0
+        inner = (found.frequency >= 0.5) & (found.frequency <= 9.0)
+        n = found.averages - 1.0
+        fisher = n * np.expm1(-np.log(0.05) / n)
+        off = found.response / factor - exact(plant(), found.frequency)
+        squares.append(np.mean(np.abs(off[inner]) ** 2))
+        stated.append(np.mean(((found.radius / factor) ** 2 / fisher)[inner]))
+    assert np.sqrt(np.mean(squares) / np.mean(stated)) == pytest.approx(1.0, abs=0.2)
+
+
+def noisy(kind: str, seed: int, sigma: float = 0.5) -> Estimate:
+    """One noisy measurement of `plant`."""
+    if kind in ("welch", "report", "sweep"):
+        x = sweep() if kind == "sweep" else white(80.0, 1000 + seed)
+        y = through(plant(), x) + white(x.size / RATE, seed, sigma)
+        if kind == "report":
+            return estimation.report_response(x, y, RATE)
+        if kind == "sweep":
+            return estimation.welch_response(x, y, RATE, band=(0.3, 9.0), pad=True)
+        return estimation.welch_response(x, y, RATE, segment=4.0, band=(0.5, 20.0))
+    x = multisine(ODD, seed, periods=5) if kind == "periodic" else sines(ROUNDS[1], 40.0)
+    y = through(plant(), x) + white(x.size / RATE, seed, sigma)
+    if kind == "periodic":
+        return estimation.periodic_response(x, y, RATE, 10.0)
+    return estimation.sine_response(x, y, RATE, ROUNDS[1], settle=5.0)
+
+
+# -- bounds -------------------------------------------------------------------------------------
+
+
+def within(found: Estimate, system: control.TransferFunction, every: int) -> NDArray[np.bool_]:
+    return (np.abs(error(found, system)) < found.radius)[::every]
+
+
+def cover(measure: Callable[[int], Estimate], every: int = 1) -> tuple[float, int]:
+    """Share of lines whose 95 % circle holds the analytic response over 100 seeds, of how many."""
+    hits = np.concatenate([within(measure(seed), plant(), every) for seed in range(SEEDS)])
+    return float(hits.mean()), hits.size
+
+
+def binomial(count: int) -> float:
+    """Three deviations of a share of 0.95 of `count` independent trials."""
+    return 3.0 * np.sqrt(0.95 * 0.05 / count)
+
+
+@pytest.mark.parametrize("overlap", [0.0, 0.5, 0.75])
+def test_h1_lies_within_its_bounds_on_95_percent_of_lines(overlap: float) -> None:
+    """White input, white noise, 100 seeds, every third line (a Hann window makes neighbours
+    alike); 0.95 within three binomial deviations, 0.013 of 2600 lines. Segments of 4 s are 40
+    times the system's memory."""
+
+    def measure(seed: int) -> Estimate:
+        x = white(64.0, 5000 + seed)
+        y = through(plant(), x) + white(64.0, seed, 0.7)
+        return estimation.welch_response(x, y, RATE, segment=4.0, overlap=overlap, band=(0.5, 20.0))
+
+    share, count = cover(measure, 3)
+    assert share == pytest.approx(0.95, abs=binomial(count))
+
+
+@pytest.mark.parametrize(("kind", "every"), [("sweep", 3), ("periodic", 1), ("sine", 1)])
+def test_other_bounds_hold_on_95_percent_of_lines(kind: str, every: int) -> None:
+    """As above for a sweep, which lights a line in few segments only, periods and sines."""
+    share, count = cover(lambda seed: noisy(kind, seed), every)
+    assert share == pytest.approx(0.95, abs=binomial(count))
+
+
+def test_bounds_of_the_matrix_hold_on_95_percent_of_entries() -> None:
+    """Six runs of six periods, 5 lines, 36 entries, 20 seeds: 3600 entries, within 0.011."""
+    system = six_by_six()
+    hits = []
+    for seed in range(20):
+        inputs = np.stack([one_axis(i, 6, seed) for i in range(6)])
+        outputs = np.stack([coupled(system, x) for x in inputs])
+        outputs += np.random.default_rng(seed).normal(0, 0.5, outputs.shape)
+        found = estimation.matrix_response(inputs, outputs, RATE, period=10.0)
+        off = np.abs(found.response - exact_matrix(system, found.frequency))
+        hits.append((off < found.radius)[::10].ravel())
+    joined = np.concatenate(hits)
+    assert joined.mean() == pytest.approx(0.95, abs=binomial(joined.size))
+
+
+def test_without_overlap_the_bound_is_bendat_and_piersols() -> None:
+    """r^2 = F(2, 2 S - 2) / (S - 1) (1 - c) S_yy / S_xx with S = 16 and scipy's F."""
+    x = white(64.0, 1)
+    y = through(plant(), x) + white(64.0, 2)
+    found = estimation.welch_response(x, y, RATE, segment=4.0, overlap=0.0)
+    np.testing.assert_allclose(found.averages, 16.0, rtol=1e-12)
+    h1 = np.abs(found.response) ** 2
+    ratio = (1 - found.coherence) * h1 / found.coherence
+    expected = np.sqrt(stats.f.ppf(0.95, 2, 30) / 15 * ratio)
+    np.testing.assert_allclose(found.radius, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("overlap", "worth"), [(0.0, 1.0), (0.5, 0.947), (0.75, 0.520)])
+def test_overlapping_segments_count_less(overlap: float, worth: float) -> None:
+    """Hann windows: 1 / (1 + 2 sum rho^2), rho = 0.167 at 50 %, 0.659 and 0.0075 more at 75 %
+    (Harris 1978, Table 1). 0.002 for the ends of 1000 segments."""
+    window = signal.get_window("hann", 256)
+    found = estimation.effective_averages(window, round(256 * (1 - overlap)), 1000) / 1000
+    assert found == pytest.approx(worth, abs=2e-3)
+
+
+def test_gain_and_phase_bounds_are_those_of_the_circle() -> None:
+    """Radius 0.5 about 1: 20 log10(0.5), 20 log10(1.5), 30 deg; about 0.4 it holds zero."""
+    one = np.ones(2)
+    found = Estimate(one, np.array([1.0, 0.4j]), one, 0.5 * one, 9 * one)
+    np.testing.assert_allclose(found.gain_bound_db[:, 0], 20 * np.log10([0.5, 1.5]), rtol=1e-12)
+    np.testing.assert_allclose(found.phase_bound_deg, [30.0, 180.0], rtol=1e-12)
+    assert found.gain_bound_db[0, 1] == -np.inf
+
+
+def test_one_average_states_no_bound() -> None:
+    """One period measured: nothing is known about its scatter."""
+    x = multisine(ODD, 1, periods=2)
+    found = estimation.periodic_response(x, through(plant(), x), RATE, 10.0)
+    assert np.isinf(found.radius).all()
+    assert np.isnan(found.noise_variance).all()
+
+
+# -- the estimators against each other ----------------------------------------------------------
+
+
+def test_estimators_differ_by_the_coherence() -> None:
+    """|H2 / H1| = 1/c, |Hv / H1| = 1/sqrt(c), report / H1 = (1 + 1/c) / 2; phases are the same."""
+    x = white(64.0, 3)
+    y = through(plant(), x) + white(64.0, 4)
+    h1, h2, hv, report = (
+        estimation.welch_response(x, y, RATE, segment=4.0, estimator=name)
+        for name in ("h1", "h2", "hv", "report")
+    )
+    c = h1.coherence
+    np.testing.assert_allclose(h2.response / h1.response, 1 / c, rtol=1e-12)
+    np.testing.assert_allclose(hv.response / h1.response, 1 / np.sqrt(c), rtol=1e-12)
+    np.testing.assert_allclose(report.response / h1.response, 0.5 * (1 + 1 / c), rtol=1e-12)
+    np.testing.assert_allclose(h2.radius / h1.radius, 1 / c, rtol=1e-12)
+
+
+def test_welch_agrees_with_scipy() -> None:
+    """csd / welch and coherence of scipy.signal with the same segments: 1e-12."""
+    x = white(64.0, 3)
+    y = through(plant(), x) + white(64.0, 4)
+    options = {"fs": RATE, "window": "hann", "nperseg": 250, "noverlap": 187, "detrend": False}
+    expected = signal.csd(x, y, **options)[1] / signal.welch(x, **options)[1]
+    coherence = signal.coherence(x, y, **options)[1]
+    found = estimation.welch_response(x, y, RATE, segment=250 / RATE)
+    np.testing.assert_allclose(found.response, expected[2:], rtol=1e-12)
+    np.testing.assert_allclose(found.coherence, coherence[2:], rtol=0, atol=1e-12)
+
+
+def test_h2_is_free_of_bias_under_input_noise() -> None:
+    """Input measured with a coherence of 0.8: H2 within 2 % in the mean, H1 20 % low."""
+    x = white(1500.0, 5)
+    y = through(plant(hertz=8.0), x)
+    measured = x + white(1500.0, 6, 0.5)
+    options = {"segment": 4.0, "band": (0.5, 5.0)}
+    for name, expected in (("h2", 1.0), ("h1", 0.8), ("hv", np.sqrt(0.8))):
+        found = estimation.welch_response(measured, y, RATE, estimator=name, **options)
+        ratio = np.mean(found.response / exact(plant(hertz=8.0), found.frequency)).real
+        assert ratio == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize(("coherence", "bias"), [(0.95, 0.23), (0.9, 0.47), (0.8, 1.02)])
+def test_report_estimator_has_its_known_bias(coherence: float, bias: float) -> None:
+    """20 log10((1 + 1/c) / 2): +0.47 dB at 0.9. 0.05 dB: its mean over 100 seeds of 100 lines and
+    the bias of an estimated coherence, (1 - c)^2 / 6 averages. The system has gain 1, so that the
+    coherence is the same on every line."""
+    sigma = np.sqrt(1.0 / coherence - 1.0)
+    gains = []
+    for seed in range(SEEDS):
+        x = white(64.0, 7000 + seed)
+        found = estimation.report_response(x, x + white(64.0, seed, sigma), RATE, band=(2.0, 30.0))
+        h1 = found.response / (0.5 * (1 + 1 / found.coherence))
+        assert found.averages.max() < 7.0
+        gains.append([found.response.real.mean(), h1.real.mean()])
+    report, h1 = 20 * np.log10(np.mean(gains, axis=0))
+    assert report == pytest.approx(bias, abs=0.05)
+    assert h1 == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.parametrize(("size", "segments"), [(4096, 7), (4097, 7), (4098, 8)])
+def test_report_segments_use_the_record_up(size: int, segments: int) -> None:
+    """FRFunction goes on until a segment reaches the last sample: of 4098 samples the seven
+    segments of 1025 reach 4097, and an eighth is filled up with zeros. Lines are 1/N apart. 1e-8:
+    the same sums in another order, divided by small numbers where the coherence is low."""
+    x = white(size / RATE, 1)
+    assert x.size == size
+    found = estimation.report_response(x, x + white(size / RATE, 2), RATE)
+    np.testing.assert_allclose(found.frequency, np.arange(1, size // 2 + 1) * RATE / size)
+    length = int((size - 1) / 4)
+    hop = length - length // 2
+    taper = signal.get_window("hann", length + 1, fftbins=False)
+    both = np.pad(signal.detrend(np.stack([x, x + white(size / RATE, 2)])), ((0, 0), (0, 2000)))
+    cut = [both[:, k * hop : k * hop + length + 1] * taper for k in range(segments)]
+    a, b = np.swapaxes(np.fft.rfft(cut, size), 0, 1)
+    cross = np.mean(np.conj(a) * b, axis=0)
+    h1 = cross / np.mean(np.abs(a) ** 2, axis=0)
+    h2 = np.mean(np.abs(b) ** 2, axis=0) / np.conj(cross)
+    np.testing.assert_allclose(found.response, 0.5 * (h1 + h2)[1:], rtol=1e-8)
+
+
+# -- noise and distortion -----------------------------------------------------------------------
+
+
+def test_noise_variance_is_recovered() -> None:
+    """White noise of sigma on a period's N samples has the power N sigma^2 on a line; a line of
+    amplitude 1 has (N / 2)^2: variance 4 sigma^2 / (N P M) of the mean. 10 %: three
+    deviations, 50 lines x 7 x 3 independent values, 1/sqrt(1050) = 3 % each."""
+    sigma, realisations, periods = 0.5, 7, 4
+    x = np.stack([multisine(ODD, seed, periods=periods + 1) for seed in range(realisations)])
+    y = np.stack([through(plant(), row) for row in x])
+    y += np.random.default_rng(1).normal(0.0, sigma, y.shape)
+    found = estimation.periodic_response(x, y, RATE, 10.0)
+    expected = 4 * sigma**2 / (640 * periods * realisations)
+    assert found.noise_variance.mean() == pytest.approx(expected, rel=0.10)
+    assert found.averages[0] == realisations
+
+
+def test_a_cubic_is_separated_from_noise() -> None:
+    """y = G x + 0.02 (G x)^3 + noise: from 4 periods as from a run without noise, the distortion
+    comes out within 25 % (50 lines x 9 deviations: 1/sqrt(450) = 5 %, of a finite set of phases)
+    and the noise within 10 %, though the one is over ten times the other."""
+    realisations, sigma = 10, 0.3
+    x = np.stack([multisine(ODD, seed, periods=5) for seed in range(realisations)])
+    clean = np.stack([through(plant(), row) for row in x])
+    clean = clean + 0.02 * clean**3
+    quiet = estimation.periodic_response(x, clean, RATE, 10.0)
+    noise = np.random.default_rng(2).normal(0.0, sigma, clean.shape)
+    found = estimation.periodic_response(x, clean + noise, RATE, 10.0)
+    assert quiet.noise_variance.max() < 1e-15
+    ratio = found.distortion_variance.mean() / quiet.distortion_variance.mean()
+    assert ratio == pytest.approx(1.0, abs=0.25)
+    expected = 4 * sigma**2 / (640 * 4 * realisations)
+    assert found.noise_variance.mean() == pytest.approx(expected, rel=0.10)
+    assert quiet.distortion_variance.mean() > 10 * realisations * expected
+    linear = estimation.periodic_response(x, x + noise, RATE, 10.0)
+    assert linear.distortion_variance.mean() < 0.1 * found.distortion_variance.mean()
+
+
+def test_an_even_distortion_falls_between_odd_lines() -> None:
+    """x^2 of odd lines has even lines only: no distortion of the response, 1e-18 of gain 1."""
+    x = np.stack([multisine(ODD, seed) for seed in range(3)])
+    found = estimation.periodic_response(x, x + 0.1 * x**2, RATE, 10.0)
+    np.testing.assert_allclose(found.response, 1.0, rtol=0, atol=1e-9)
+    assert found.distortion_variance.max() < 1e-18
+
+
+# -- sines and rounds ---------------------------------------------------------------------------
+
+
+def test_harmonics_do_not_reach_a_sine_response() -> None:
+    """Third and second harmonic of 30 % in input and output, offset 5: the fundamental's 0.8 at
+    -40 deg comes back within 1e-9 from 4.4 cycles cut to four."""
+    time = np.arange(256) / RATE
+    angle = 2 * np.pi * 1.1 * time
+    third = 0.3 * np.sin(3 * angle + 1.0) + 0.3 * np.cos(2 * angle)
+    y = 0.8 * np.sin(angle - np.radians(40)) + third + 5.0
+    found = estimation.sine_response(np.sin(angle) + third, y, RATE, 1.1)
+    assert found.response[0] == pytest.approx(0.8 * np.exp(-1j * np.radians(40)), abs=1e-9)
+
+
+def test_five_rounds_stitched_are_the_analytic_response() -> None:
+    """Table 2-3: seven sines at a time, 40 s each, 35 lines in order; 1e-9 after 20 s settling."""
+    rounds = []
+    for frequencies in ROUNDS[::-1]:
+        x = sines(frequencies, 40.0)
+        rounds.append(
+            estimation.sine_response(x, through(plant(), x), RATE, frequencies, settle=20.0)
+        )
+    found = estimation.stitch(rounds)
+    assert found.frequency.size == 35
+    np.testing.assert_allclose(found.frequency, np.ravel(ROUNDS), rtol=1e-12)
+    np.testing.assert_allclose(np.abs(error(found, plant())), 0.0, rtol=0, atol=1e-9)
+
+
+def test_the_better_of_two_rounds_stays() -> None:
+    """1 Hz was measured twice: the line of higher coherence is kept, whatever the order."""
+
+    def lines(frequency: list[float], value: float, coherence: float) -> Estimate:
+        one = np.ones(len(frequency))
+        return Estimate(np.array(frequency), value * (1 + 0j) * one, coherence * one, one, one)
+
+    good, bad = lines([1.0, 2.0], 1.0, 0.99), lines([0.5, 1.0], 3.0, 0.5)
+    for order in ((good, bad), (bad, good)):
+        found = estimation.stitch(order)
+        np.testing.assert_array_equal(found.frequency, [0.5, 1.0, 2.0])
+        np.testing.assert_array_equal(found.response, [3.0, 1.0, 1.0])
+
+
+def test_rounds_of_different_units_are_not_joined() -> None:
+    one = Estimate(np.ones(1), np.ones(1, complex), np.ones(1), np.ones(1), np.ones(1), unit="m/m")
+    with pytest.raises(ValueError, match="units 'm/m', 'rad/m' have nothing in common"):
+        estimation.stitch([one, one._replace(unit="rad/m")])
+    with pytest.raises(ValueError, match="none given"):
+        estimation.stitch([])
+
+
+# -- the matrix ---------------------------------------------------------------------------------
+
+
+@cache
+def six_by_six() -> tuple[NDArray[np.float64], tuple[control.TransferFunction, ...]]:
+    """Static coupling K of six channels, each behind its own second-order system."""
+    coupling = np.eye(6) + 0.2 * np.random.default_rng(3).normal(size=(6, 6))
+    return coupling, tuple(plant(2.0 + 0.5 * i, 0.5 + 0.05 * i) for i in range(6))
+
+
+System = tuple[NDArray[np.float64], tuple[control.TransferFunction, ...]]
+
+
+def coupled(system: System, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Outputs (N, 6) = K diag(G) x."""
+    coupling, dynamics = system
+    inner = np.column_stack([through(g, x[:, i]) for i, g in enumerate(dynamics)])
+    return inner @ coupling.T
+
+
+def exact_matrix(system: System, hertz: NDArray[np.float64]) -> NDArray[np.complex128]:
+    coupling, dynamics = system
+    diagonal = np.stack([exact(g, hertz) for g in dynamics], axis=1)
+    return coupling[None] * diagonal[:, None, :]
+
+
+def one_axis(axis: int, periods: int, seed: int) -> NDArray[np.float64]:
+    """A run (N, 6) that drives one axis."""
+    x = np.zeros((periods * 640, 6))
+    x[:, axis] = multisine(ODD, seed, periods=periods)
+    return x
+
+
+def test_six_runs_give_the_matrix() -> None:
+    """One axis a run: K diag(G) at every line, 1e-9."""
+    inputs = np.stack([one_axis(i, 2, i) for i in range(6)])
+    outputs = np.stack([coupled(six_by_six(), x) for x in inputs])
+    found = estimation.matrix_response(inputs, outputs, RATE, period=10.0)
+    assert found.response.shape == (50, 6, 6)
+    expected = exact_matrix(six_by_six(), found.frequency)
+    np.testing.assert_allclose(found.response, expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.coherence, 1.0, rtol=0, atol=1e-9)
+
+
+def test_orthogonal_multisines_give_the_matrix() -> None:
+    """All axes in all six runs, signs by the six-by-six Fourier matrix: 1e-9."""
+    phases = [np.random.default_rng(i).uniform(0, 2 * np.pi, ODD.size) for i in range(6)]
+    runs = []
+    for run in range(6):
+        x = np.zeros((1280, 6))
+        for axis in range(6):
+            spectrum = np.zeros(321, dtype=complex)
+            spectrum[ODD] = 320 * np.exp(1j * (phases[axis] + 2 * np.pi * run * axis / 6))
+            x[:, axis] = np.tile(np.fft.irfft(spectrum, 640), 2)
+        runs.append(x)
+    outputs = np.stack([coupled(six_by_six(), x) for x in runs])
+    found = estimation.matrix_response(np.stack(runs), outputs, RATE, period=10.0)
+    expected = exact_matrix(six_by_six(), found.frequency)
+    np.testing.assert_allclose(found.response, expected, rtol=0, atol=1e-9)
+
+
+def interleaved(periods: int = 3) -> NDArray[np.float64]:
+    """One run: axis i drives lines i + 1, i + 7, ... of 1/10 Hz."""
+    columns = [multisine(np.arange(i + 1, 97, 6), i, periods=periods) for i in range(6)]
+    return np.column_stack(columns)
+
+
+def test_one_run_with_interleaved_lines_gives_columns_at_their_own_lines() -> None:
+    """Column i at every sixth line, 1e-9, and NaN at the others."""
+    x = interleaved()
+    found = estimation.matrix_response(x, coupled(six_by_six(), x), RATE, period=10.0)
+    assert found.response.shape == (96, 6, 6)
+    expected = exact_matrix(six_by_six(), found.frequency)
+    for i in range(6):
+        own = np.arange(96) % 6 == i
+        np.testing.assert_allclose(
+            found.response[own, :, i], expected[own, :, i], rtol=0, atol=1e-9
+        )
+        assert np.isnan(found.response[~own, :, i]).all()
+
+
+def test_interleaved_columns_are_joined_by_lines_on_demand() -> None:
+    """Straight lines between lines 0.6 Hz apart: within 0.6^2 / 8 max |H''|, by differences of the
+    analytic response."""
+    x = interleaved()
+    found = estimation.matrix_response(
+        x, coupled(six_by_six(), x), RATE, period=10.0, interpolate=True
+    )
+    expected = exact_matrix(six_by_six(), found.frequency)
+    second = np.abs(np.diff(expected, 2, axis=0)).max() / 0.1**2
+    inner = slice(5, 91)
+    off = np.abs(found.response - expected)[inner]
+    assert np.nanmax(off) < 0.6**2 / 8 * second * 1.05
+    assert not np.isnan(off).any()
+
+
+def test_independent_noise_in_one_run_gives_the_matrix() -> None:
+    """Six white inputs, no noise: 3 % of gain 1 from 450 s, leakage of segments of 8 s."""
+    x = np.random.default_rng(9).normal(size=(round(450 * RATE), 6))
+    found = estimation.matrix_response(
+        x, coupled(six_by_six(), x), RATE, segment=8.0, band=(0.5, 8.0)
+    )
+    expected = exact_matrix(six_by_six(), found.frequency)
+    np.testing.assert_allclose(np.abs(found.response - expected), 0.0, rtol=0, atol=0.03)
+
+
+def test_a_matrix_of_one_by_one_is_h1() -> None:
+    """Same segments, same least squares: 1e-12."""
+    x = white(64.0, 1)
+    y = through(plant(), x) + white(64.0, 2)
+    one = estimation.welch_response(x, y, RATE, segment=4.0)
+    many = estimation.matrix_response(x[:, None], y[:, None], RATE, segment=4.0)
+    np.testing.assert_allclose(many.response[:, 0, 0], one.response, rtol=1e-12)
+    np.testing.assert_allclose(many.radius[:, 0, 0], one.radius, rtol=1e-12)
+
+
+# -- refused ------------------------------------------------------------------------------------
+
+FLAT = np.zeros(640)
+WAVE = sines((1.0,), 10.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: estimation.welch_response(FLAT, FLAT[1:], RATE), r"x, y: shapes are \(640,\)"),
+        (lambda: estimation.welch_response(WAVE, WAVE, RATE), "segment: 20.0 s must not exceed"),
+        (
+            lambda: estimation.welch_response(WAVE, WAVE, RATE, estimator="h3"),  # type: ignore[arg-type]
+            "estimator: 'h3' is not one of h1, h2, hv, report",
+        ),
+        (lambda: estimation.welch_response(FLAT, FLAT, RATE, segment=2.0), "input 1 is zero"),
+        (lambda: estimation.report_response(WAVE, WAVE, RATE, segments=1), "segments, overlap: 1"),
+        (lambda: estimation.periodic_response(WAVE, WAVE, RATE, 0.99), "not a whole number"),
+        (lambda: estimation.periodic_response(WAVE, WAVE, RATE, 10.0), "1 periods leave none"),
+        (lambda: estimation.periodic_response(FLAT, WAVE, RATE, 1.0), "no line is driven"),
+        (
+            lambda: estimation.periodic_response([WAVE, WAVE[1:]], [WAVE, WAVE], RATE, 1.0),
+            "realisations must be of one length",
+        ),
+        (lambda: estimation.sine_response(WAVE, WAVE, RATE, 32.0), "below 32.0 Hz"),
+        (lambda: estimation.sine_response(WAVE, WAVE, RATE, 0.05), "no whole cycle of 0.05 Hz"),
+        (lambda: estimation.sine_response(WAVE, WAVE, RATE, [1.0, 1.01]), "are closer than"),
+        (lambda: estimation.sine_response(FLAT, WAVE, RATE, 1.0), "x: holds no sine at 1.0 Hz"),
+        (
+            lambda: estimation.matrix_response(
+                np.column_stack([WAVE, WAVE]), WAVE[:, None], RATE, period=1.0
+            ),
+            "not independent",
+        ),
+    ],
+)
+def test_bad_input_is_named(call: Callable[[], Estimate], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def test_an_estimate_is_read_only() -> None:
+    x = multisine(ODD, 1)
+    found = estimation.periodic_response(x, x, RATE, 10.0)
+    with pytest.raises(ValueError, match="read-only"):
+        found.response[0] = 0.0

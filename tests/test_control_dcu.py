@@ -1,0 +1,493 @@
+"""The Digital Control Unit: exact where it can be, known where it cannot, at rest in silence."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+from scipy.interpolate import BPoly
+
+from cmf_mj.analysis.metrics import harmonics, transport_delay
+from cmf_mj.control import dcu
+from cmf_mj.core.settings import Settings
+
+Array = NDArray[np.float64]
+RATE = 2048
+FRAME = 1.0 / RATE
+SETTINGS = dcu.load_dcu()
+DCU = dcu.make_dcu()
+DELAY = SETTINGS.delay
+
+
+def arrivals(
+    motion: Callable[[Array], Array], rate: float, duration: float, delay: int = 0
+) -> dcu.Arrivals:
+    """A host that samples `motion(time) -> (N, 3, 6)`; a frame arrives on the control frame."""
+    time = np.arange(round(duration * rate)) / rate
+    frame = np.ceil(time * RATE - 1e-6).astype(np.int64) + delay
+    return dcu.Arrivals(frame, np.arange(time.size), time, motion(time))
+
+
+def of(*functions: Callable[[Array], Array], dof: int = 2) -> Callable[[Array], Array]:
+    """A motion of one degree of freedom from position, velocity and acceleration."""
+
+    def motion(time: Array) -> Array:
+        values = np.zeros((time.size, 3, 6))
+        for row, function in enumerate(functions):
+            values[:, row, dof] = function(time)
+        return values
+
+    return motion
+
+
+def sine(amplitude: float, frequency: float) -> Callable[[Array], Array]:
+    w = 2.0 * np.pi * frequency
+    return of(
+        lambda t: amplitude * np.sin(w * t),
+        lambda t: amplitude * w * np.cos(w * t),
+        lambda t: -amplitude * w * w * np.sin(w * t),
+    )
+
+
+def drop(stream: dcu.Arrivals, *indices: int) -> dcu.Arrivals:
+    return dcu.Arrivals(*(np.delete(column, indices, axis=0) for column in stream))
+
+
+def whole_delay(stream: dcu.Arrivals) -> float:
+    """Delay from stamp to demand: the frame that starts the clock arrives on a control frame."""
+    interval = stream.time[1] - stream.time[0]
+    grid = stream.frame[1] * FRAME - stream.time[1]
+    wait = max(interval, DELAY.host_interval.value) + DELAY.interpolation_hold.value
+    return float(wait + grid + DELAY.line_frames * FRAME)
+
+
+def expected(motion: Callable[[Array], Array], stream: dcu.Arrivals, frames: int) -> Array:
+    return motion(np.arange(frames) * FRAME - whole_delay(stream))
+
+
+def lag(samples: Array, frequency: float, first: int) -> float:
+    """Delay of whole cycles of a sine that passes zero upwards at the time zero [s]."""
+    now = 2.0 * np.pi * frequency * first * FRAME
+    phase = harmonics(samples, RATE, frequency, 1).phase[0] - now
+    return float((-phase % (2.0 * np.pi)) / (2.0 * np.pi * frequency))
+
+
+def assert_smooth(demand: Array) -> None:
+    """Pose, velocity and acceleration are derivatives of each other, without a jump.
+
+    The mean value theorem: a difference quotient lies between the extremes of the derivative,
+    which on a frame differ by the frame times the next derivative.
+    """
+    for row in (0, 1):
+        quotient = np.diff(demand[:, row], axis=0) / FRAME
+        low = np.minimum(demand[:-1, row + 1], demand[1:, row + 1])
+        high = np.maximum(demand[:-1, row + 1], demand[1:, row + 1])
+        bend = np.abs(np.diff(demand[:, row + 1], axis=0)).max() + 1e-9
+        assert (quotient >= low - bend).all()
+        assert (quotient <= high + bend).all()
+
+
+SETTLED = slice(1400, 1900)
+"""Frames in which the gap of the start is closed."""
+
+
+@pytest.mark.parametrize("rate", [80.0, 64.0, 40.0, 25.0])
+def test_a_quintic_is_reproduced_to_round_off(rate: float) -> None:
+    poly = Polynomial([0.01, -0.02, 0.03, 0.1, -0.15, 0.05])
+    motion = of(poly, poly.deriv(), poly.deriv(2), dof=4)
+    stream = arrivals(motion, rate, 1.0)
+    state = dcu.resting(DCU)
+    demand = dcu.upsample(DCU, state, stream, 2100)
+    error = demand[SETTLED] - expected(motion, stream, 2100)[SETTLED]
+    assert np.abs(error).max(axis=(0, 2)) == pytest.approx(np.zeros(3), abs=1e-11)
+    assert state.events.tolist() == [stream.time.size, 0, 0, 1, 0]
+    assert not state.rejected.any()
+
+
+def test_uniform_motion_is_reproduced_by_every_degree_of_freedom() -> None:
+    speed = np.array([0.3, -0.2, 0.1, 0.05, -0.04, 0.02])
+
+    def motion(time: Array) -> Array:
+        values = np.zeros((time.size, 3, 6))
+        values[:, 0], values[:, 1] = np.outer(time, speed), speed
+        return values
+
+    stream = arrivals(motion, 64.0, 1.0)
+    demand = dcu.upsample(DCU, dcu.resting(DCU), stream, 1900)
+    error = (demand - expected(motion, stream, 1900))[SETTLED]
+    assert np.abs(error).max() < 1e-10
+
+
+@pytest.mark.parametrize("frequency", [1.0, 3.7])
+def test_a_sine_at_80_hz_has_the_error_of_the_quintic(frequency: float) -> None:
+    """f^(6) (h / 2)^6 / 720 in the middle of the intervals, an odd number of half frames."""
+    rate, amplitude = 64.0, 0.02  # 32 control frames an interval: the middle is one of them
+    motion = sine(amplitude, frequency)
+    stream = arrivals(motion, rate, 3.0)
+    demand = dcu.upsample(DCU, dcu.resting(DCU), stream, 6000)
+    error = (demand - expected(motion, stream, 6000))[2048:6000, 0, 2]
+    bound = amplitude * (2.0 * np.pi * frequency) ** 6 * (0.5 / rate) ** 6 / 720.0
+    assert np.abs(error).max() == pytest.approx(bound, rel=0.02, abs=2e-16)
+
+
+def test_between_frames_it_is_scipys_hermite_interpolation() -> None:
+    """Frames that hold anything smooth enough, against Bernstein polynomials of SciPy."""
+    generator = np.random.default_rng(5)
+    time = np.arange(100) / 80.0
+    values = generator.normal(size=(100, 3, 6)) * np.array([5e-5, 0.005, 2.0])[None, :, None]
+    stream = dcu.Arrivals(
+        np.ceil(time * RATE - 1e-6).astype(np.int64), np.arange(100), time, values
+    )
+    state = dcu.resting(DCU)
+    demand = dcu.upsample(DCU, state, stream, 2700)
+    assert not state.rejected.any()
+    curve = BPoly.from_derivatives(time, values)
+    at = np.arange(1400, 2400) * FRAME - whole_delay(stream)
+    for row, function in enumerate((curve, curve.derivative(), curve.derivative(2))):
+        assert np.abs(demand[1400:2400, row] - function(at)).max() < 1e-9
+    assert_smooth(demand)
+
+
+def test_the_delay_adds_up_to_what_the_report_found() -> None:
+    assert sum(DELAY.parts().values()) == pytest.approx(DELAY.total, abs=1e-15)
+    assert DELAY.total == pytest.approx(0.03, abs=0.0005)
+    assert {part.status for _, part in DELAY} <= {"stated", "derived", "calibrated", "assumed"}
+
+
+@pytest.mark.parametrize("transmission", [0, 6, 40])
+def test_the_measured_delay_is_the_configured_one(transmission: int) -> None:
+    """Cross-correlation of host and demand, within a frame (host at 80 Hz, off the grid)."""
+    table = SETTINGS.model_dump()
+    table["delay"]["transmission"]["value"] = float(transmission)
+    settings = dcu.DcuSettings.model_validate(table)
+    compiled = dcu.make_dcu(settings)
+    generator = np.random.default_rng(3)
+    lines = generator.uniform(0.5, 5.0, 12), generator.uniform(0.0, 6.0, 12)
+
+    def pose(t: Array) -> Array:
+        return 0.002 * np.sin(2.0 * np.pi * np.outer(t, lines[0]) + lines[1]).sum(axis=1)
+
+    def velocity(t: Array) -> Array:
+        w = 2.0 * np.pi * lines[0]
+        return 0.002 * (w * np.cos(np.outer(t, w) + lines[1])).sum(axis=1)
+
+    def acceleration(t: Array) -> Array:
+        w = 2.0 * np.pi * lines[0]
+        return -0.002 * (w * w * np.sin(np.outer(t, w) + lines[1])).sum(axis=1)
+
+    motion = of(pose, velocity, acceleration)
+    demand = dcu.upsample(compiled, dcu.resting(compiled), arrivals(motion, 80.0, 12.0), 24000)
+    host = pose(np.arange(24000) * FRAME)
+    found = transport_delay(host[2048:], demand[2048:, 0, 2], RATE)
+    assert found == pytest.approx(settings.delay.total, abs=FRAME)
+    assert settings.delay.total - DELAY.total == pytest.approx((transmission - 6) * FRAME)
+
+
+def test_a_lost_frame_is_bridged_by_the_hold() -> None:
+    """Two intervals of 1/80 s fit in the delay: the quintic over both, no stop, no gap."""
+    motion = sine(0.05, 1.0)
+    stream = drop(arrivals(motion, 80.0, 2.0), 100)
+    state = dcu.resting(DCU)
+    demand = dcu.upsample(DCU, state, stream, 4100)
+    error = np.abs(demand - expected(motion, stream, 4100))[1400:, 0, 2].max()
+    assert error < 0.05 * (2.0 * np.pi) ** 6 * (1 / 80) ** 6 / 720 * 1.1
+    assert state.counts == {
+        "accepted": 159,
+        "late": 0,
+        "missing": 1,
+        "resynchronised": 1,
+        "silent": 0,
+    }
+
+
+def test_missing_frames_are_waited_for_and_the_stream_is_rejoined_smoothly() -> None:
+    motion = sine(0.05, 1.0)
+    stream = drop(arrivals(motion, 80.0, 3.0), *range(100, 105))
+    state = dcu.resting(DCU)
+    demand = dcu.upsample(DCU, state, stream, 6000)
+    assert state.counts["missing"] == 5
+    assert state.counts["late"] == 1
+    error = np.abs(demand - expected(motion, stream, 6000))[1400:, 0, 2]
+    assert 1e-4 < error.max() < 0.01
+    back = (error > 1e-9).nonzero()[0][-1] - (error > 1e-9).nonzero()[0][0]
+    assert back * FRAME < 0.075 + SETTINGS.dcu.stop_time.si + 0.02
+    assert_smooth(demand)
+    # Acceleration is continuous: its slope is that of sine, stop and correction, no more.
+    w, fade, stop = 2.0 * np.pi, SETTINGS.dcu.acceleration_fade.si, SETTINGS.dcu.stop_time.si
+    gap, closing = np.abs(state.gap[:, 2]), SETTINGS.dcu.rejoin_time.si
+    slope = 0.05 * (w**3 + 4.0 * w**2 / fade + 6.0 * w / stop**2)
+    slope += 60.0 * gap[0] / closing**3 + 36.0 * gap[1] / stop**2 + 9.0 * gap[2] / fade
+    assert np.abs(np.diff(demand[1400:, 2, 2])).max() < slope * FRAME < 0.25 * 0.05 * w**2
+
+
+def test_silence_ends_in_rest_with_a_flag() -> None:
+    motion = of(lambda t: 0.4 * t, lambda t: 0.4 + 0.0 * t, lambda t: 0.0 * t)
+    stream = arrivals(motion, 80.0, 1.0)
+    state = dcu.resting(DCU)
+    assert state.stale
+    last = int(stream.frame[-1])
+    before = last + round(0.24 * RATE)
+    demand = dcu.upsample(DCU, state, stream, before)
+    assert not state.stale
+    empty = dcu.Arrivals(*(column[:0] for column in stream))
+    after = dcu.upsample(DCU, state, empty, 2048)
+    assert state.stale
+    assert state.counts["silent"] == 1
+    whole = np.concatenate([demand, after])
+    rest = last + (whole_delay(stream) + SETTINGS.dcu.stop_time.si) * RATE
+    resting = whole[int(np.ceil(rest)) :, :, 2]
+    assert (resting[:, 1:] == 0.0).all()
+    # The last frame's pose and half the stop time at its velocity.
+    end = stream.values[-1, 0, 2] + 0.4 * SETTINGS.dcu.stop_time.si / 2.0
+    assert resting[:, 0] == pytest.approx(end, abs=1e-12)
+    assert_smooth(whole)
+    assert np.abs(whole[last:, 2, 2]).max() == pytest.approx(1.5 * 0.4 / 0.5, rel=1e-3)
+
+
+def test_a_host_that_comes_back_is_taken_up_wherever_it_is() -> None:
+    first = arrivals(of(lambda t: 0.2 + 0 * t, np.zeros_like, np.zeros_like), 80.0, 1.0)
+    other = arrivals(of(lambda t: -0.5 + 0 * t, np.zeros_like, np.zeros_like), 50.0, 3.0, 3000)
+    both = dcu.Arrivals(*(np.concatenate(pair) for pair in zip(first, other, strict=True)))
+    state = dcu.resting(DCU, [0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
+    demand = dcu.upsample(DCU, state, both, 9200)
+    assert demand[0, 0, 2] == 0.1
+    assert demand[2500, 0, 2] == pytest.approx(0.2, abs=1e-15)
+    assert demand[-1, 0, 2] == pytest.approx(-0.5, abs=1e-15)
+    assert state.counts["resynchronised"] == 2
+    assert state.counts["accepted"] == 80 + 150
+    speed = SETTINGS.dcu.rejoin_velocity_translation.si
+    assert np.abs(demand[:, 1, 2]).max() <= speed * (1.0 + 1e-9)
+    assert np.abs(demand[:, 2, 2]).max() <= SETTINGS.dcu.rejoin_acceleration_translation.si
+    assert_smooth(demand)
+
+
+def test_a_step_is_followed_within_the_rejoin_limits_and_one_wild_frame_is_not() -> None:
+    """1 in, as in section 3.4.2: the frame is held, confirmed by the next, and costs no time."""
+    stream = arrivals(of(lambda t: 0.0254 * (t >= 1.0), np.zeros_like, np.zeros_like), 80.0, 2.0)
+    state = dcu.resting(DCU)
+    demand = dcu.upsample(DCU, state, stream, 4096)
+    turn = np.ceil((1.0 + whole_delay(stream)) * RATE)
+    moving = np.flatnonzero(np.diff(demand[:, 0, 2]))
+    assert abs(moving[0] - turn) <= 1
+    rise = np.sqrt(10 / np.sqrt(3) * 0.0254 / SETTINGS.dcu.rejoin_acceleration_translation.si)
+    assert abs((moving[-1] - moving[0]) - rise * RATE) <= 2
+    assert demand[-1, 0, 2] == pytest.approx(0.0254, abs=1e-15)
+    assert not state.rejected.any()
+
+    wild = stream._replace(values=np.zeros_like(stream.values))
+    wild.values[80, 0, 2] = 1.0
+    state = dcu.resting(DCU)
+    demand = dcu.upsample(DCU, state, wild, 4096)
+    assert (demand == 0.0).all()
+    assert state.rejections["unconfirmed"] == 1
+    assert state.counts["accepted"] == 159
+
+
+def with_row(**changes: float) -> tuple[dcu.Arrivals, int]:
+    """A resting stream whose frame 50 is changed; returns it and that index."""
+    stream = arrivals(of(np.zeros_like, np.zeros_like, np.zeros_like), 80.0, 1.0)
+    rows = {"pose": 0, "velocity": 1, "acceleration": 2}
+    for name, value in changes.items():
+        if name in rows:
+            stream.values[50, rows[name], 1] = value
+        else:
+            getattr(stream, name)[50] = value
+    return stream, 50
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"pose": np.nan}, "not_finite"),
+        ({"velocity": np.inf}, "not_finite"),
+        ({"acceleration": -np.inf}, "not_finite"),
+        ({"time": np.nan}, "not_finite"),
+        ({"pose": 2.55}, "pose_range"),
+        ({"velocity": -2.55}, "velocity_range"),
+        ({"acceleration": 98.1}, "acceleration_range"),
+        ({"pose": 0.5}, "unconfirmed"),
+        ({"sequence": 49}, "repeated"),
+        ({"sequence": 3}, "out_of_order"),
+        ({"sequence": -1}, "sequence_jump"),
+        ({"sequence": 49 + 4097}, "sequence_jump"),
+        ({"sequence": 2**62}, "sequence_jump"),
+        ({"time": 0.3}, "time_reversed"),
+        ({"time": 49 / 80 + 0.009}, "too_soon"),
+        ({"time": 49 / 80 + 0.26}, "time_jump"),
+        ({"time": 1e300}, "time_jump"),
+    ],
+)
+def test_a_bad_frame_is_counted_by_its_reason_and_leaves_no_trace(
+    changes: dict[str, float], reason: str
+) -> None:
+    stream, _ = with_row(**changes)
+    state = dcu.resting(DCU)
+    demand = dcu.upsample(DCU, state, stream, 2048)
+    assert {name: n for name, n in state.rejections.items() if n} == {reason: 1}
+    assert state.counts["accepted"] == 79
+    assert state.counts["missing"] == (1 if reason in ("repeated", "out_of_order") else 0)
+    assert (demand == 0.0).all()
+
+
+def test_a_host_of_1_khz_is_thinned() -> None:
+    motion = sine(0.02, 1.0)
+    stream = arrivals(motion, 1000.0, 2.0)
+    state = dcu.resting(DCU)
+    demand = dcu.upsample(DCU, state, stream, 4096)
+    assert state.counts["accepted"] == 200
+    assert state.rejections["too_soon"] == 1800
+    assert state.counts["missing"] == 0
+    # Its interval is 10 ms, so that it waits as long as a host of 80 Hz.
+    at = np.arange(4096) * FRAME - DELAY.total
+    assert np.abs(demand - motion(at))[1400:4000, 0, 2].max() < 0.02 * 2 * np.pi * FRAME
+
+
+def test_a_burst_is_refused_when_it_runs_ahead() -> None:
+    stream = arrivals(of(np.zeros_like, np.zeros_like, np.zeros_like), 80.0, 10.0)
+    state = dcu.resting(DCU)
+    dcu.upsample(DCU, state, stream._replace(frame=np.zeros_like(stream.frame)), 10)
+    early = state.rejections["too_early"] + state.rejections["time_jump"]
+    assert early > 700
+    assert state.counts["accepted"] + early == 800
+
+
+@pytest.mark.parametrize("drift", [2e-4, -2e-4])
+def test_the_play_clock_follows_a_host_whose_clock_drifts(drift: float) -> None:
+    """After 100 s the clocks differ by 20 ms, more than the hold; the delay does not."""
+    motion = sine(0.02, 1.0)
+    time = np.arange(8000) / 80.0
+    frame = np.ceil(time * (1.0 + drift) * RATE).astype(np.int64)
+    stream = dcu.Arrivals(frame, np.arange(time.size), time, motion(time))
+    state = dcu.resting(DCU)
+    demand = dcu.upsample(DCU, state, stream, 204000)
+    assert state.counts["late"] == 0
+    assert not state.rejected.any()
+    tail = slice(180000, 200480)  # ten cycles
+    found = lag(demand[tail, 0, 2], 1.0 / (1.0 + drift), tail.start)
+    tolerance = SETTINGS.dcu.clock_tolerance.si + abs(drift) * SETTINGS.dcu.clock_time.si
+    assert found == pytest.approx(DELAY.total, abs=tolerance + FRAME)
+    assert_smooth(demand)
+
+
+def test_a_host_that_falls_behind_for_good_is_followed_after_the_timeout() -> None:
+    motion = sine(0.02, 1.0)
+    stream = arrivals(motion, 80.0, 6.0)
+    stream.frame[200:] += 205
+    state = dcu.resting(DCU)
+    demand = dcu.upsample(DCU, state, stream, 12000)
+    assert state.counts["late"] == np.ceil(SETTINGS.dcu.timeout.si * 80.0) + 2
+    assert state.counts["resynchronised"] == 2
+    tail = slice(8000, 12000)
+    error = demand[tail] - motion(np.arange(12000) * FRAME - 205 * FRAME - DELAY.total)[tail]
+    assert np.abs(error[:, 0]).max() < 0.02 * 2 * np.pi * SETTINGS.dcu.clock_tolerance.si
+    assert_smooth(demand)
+
+
+def test_a_host_that_stumbles_and_catches_up_leaves_the_delay_alone() -> None:
+    """Six frames held up for 75 ms come all at once; the burst is late, the stream is not."""
+    motion = sine(0.05, 1.0)
+    stream = arrivals(motion, 80.0, 3.0)
+    stream.frame[100:106] = stream.frame[106]
+    state = dcu.resting(DCU)
+    demand = dcu.upsample(DCU, state, stream, 6100)
+    assert state.counts["late"] > 0
+    assert state.counts["resynchronised"] == 1
+    error = np.abs(demand - expected(motion, stream, 6100))[:, 0, 2]
+    assert error[2700:].max() > 1e-6
+    assert error[4500:].max() < 0.05 * 2 * np.pi * FRAME / 4  # 0.12 ms
+    assert_smooth(demand)
+
+
+@pytest.mark.parametrize(("before", "after"), [(80.0, 20.0), (20.0, 80.0)])
+def test_a_host_may_change_its_rate(before: float, after: float) -> None:
+    """The delay grows to the longer interval at once and shrinks at the rate of the clock."""
+    motion = sine(0.02, 1.0)
+    time = np.concatenate([np.arange(0.0, 2.0, 1 / before), np.arange(2.0, 60.0, 1 / after)])
+    frame = np.ceil(time * RATE - 1e-6).astype(np.int64)
+    stream = dcu.Arrivals(frame, np.arange(time.size), time, motion(time))
+    state = dcu.resting(DCU)
+    demand = dcu.upsample(DCU, state, stream, 122000)
+    assert not state.rejected.any()
+    tail = slice(110000, 120240)  # five cycles
+    found = lag(demand[tail, 0, 2], 1.0, tail.start)
+    assert state.interval == pytest.approx(1.0 / after, rel=1e-6)
+    assert abs(state.lateness) < SETTINGS.dcu.clock_tolerance.si + FRAME
+    wait = max(1.0 / after, DELAY.host_interval.si)
+    total = wait + DELAY.interpolation_hold.si + DELAY.line_frames * FRAME
+    assert found == pytest.approx(total, abs=SETTINGS.dcu.clock_tolerance.si + 2 * FRAME)
+    assert_smooth(demand)
+
+
+def test_the_pose_ends_within_its_bound() -> None:
+    """A stop from the edge of the pose range at full speed goes beyond it, and no further."""
+    edge = SETTINGS.dcu.pose_translation.si
+    motion = of(lambda t: edge - 2.0 * (1.0 - t), lambda t: 2.0 + 0 * t, np.zeros_like)
+    stream = arrivals(motion, 80.0, 1.0)
+    state = dcu.resting(DCU)
+    demand = dcu.upsample(DCU, state, stream, 6000)
+    assert edge < demand[:, 0, 2].max() < edge + SETTINGS.dcu.overtravel_translation.si
+    assert (demand[-1, 1:] == 0.0).all()
+    assert_smooth(demand)
+
+
+def test_same_frames_same_bits() -> None:
+    stream = drop(arrivals(sine(0.05, 2.0), 75.0, 2.0), 20, 40, 41, 42, 43)
+    runs = [dcu.upsample(DCU, dcu.resting(DCU), stream, 4000).tobytes() for _ in range(2)]
+    assert runs[0] == runs[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[delay]\ntransmission = 3", "delay.transmission"),
+        (
+            '[delay]\ntransmission = { value = 2.5, unit = "1", status = "assumed", source = "x" }',
+            "whole number of control frames",
+        ),
+        (
+            '[delay]\nhost_interval = { value = 0.3, unit = "s", status = "stated", source = "x" }',
+            "timeout: 0.25 s must exceed",
+        ),
+        (
+            '[dcu]\nstop_time = { value = -1.0, unit = "s", status = "assumed", source = "x" }',
+            "greater than 0 s",
+        ),
+        (
+            '[dcu]\npose_rotation = { value = 1.0, unit = "in", status = "stated", source = "x" }',
+            "deg, rad",
+        ),
+        ("[law]\nx = 1", "law: is not a known field; allowed: dcu, delay"),
+    ],
+)
+def test_a_bad_settings_file_is_refused_by_field(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        dcu.load_dcu(path)
+
+
+def test_a_settings_file_changes_what_it_names(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        '[delay]\ntransmission = { value = 0.0, unit = "1", status = "assumed", source = "bench" }'
+    )
+    mine = dcu.load_dcu(path)
+    assert mine.delay.transmission.value == 0.0
+    assert mine.dcu == SETTINGS.dcu
+    assert isinstance(mine, Settings)
+    with pytest.raises(ValueError, match="neither default nor"):
+        dcu.load_dcu("fast")
+
+
+def test_bad_arguments_are_refused_by_name() -> None:
+    stream = arrivals(sine(0.05, 2.0), 80.0, 1.0)
+    with pytest.raises(ValueError, match="frame: control frames"):
+        dcu.upsample(DCU, dcu.resting(DCU), stream._replace(frame=stream.frame[::-1].copy()), 10)
+    with pytest.raises(ValueError, match="values: shape"):
+        dcu.upsample(DCU, dcu.resting(DCU), stream._replace(values=stream.values[:, 0]), 10)
+    with pytest.raises(ValueError, match="frames: 0"):
+        dcu.upsample(DCU, dcu.resting(DCU), stream, 0)
+    with pytest.raises(ValueError, match="pose"):
+        dcu.resting(DCU, [0.0, 0.0, np.nan, 0.0, 0.0, 0.0])

@@ -1,0 +1,121 @@
+"""Demand of one frame, against complex steps, the array version and shifted gimbals."""
+
+import numpy as np
+import pytest
+
+from cmf_mj import pose_to_legs
+from cmf_mj.control import demand as block
+from cmf_mj.machine.kinematics import make_geometry, pose_motion_to_legs, read_geometry
+
+GRAVITY = np.array([0.0, 0.0, 9.80665])
+RNG = np.random.default_rng(7)
+SIZE = np.array([0.8, 0.8, 0.6, 0.4, 0.4, 0.5])
+MOTIONS = RNG.uniform(-1.0, 1.0, (40, 3, 6)) * np.array([SIZE, 2.0 * SIZE, 8.0 * SIZE])
+
+
+def frame(parameters, pose, velocity, acceleration):
+    out = np.full((3, 6), np.nan)
+    block.step(parameters, pose, velocity, acceleration, out[0], out[1], out[2])
+    return out
+
+
+def turn(roll, pitch, yaw):
+    """T of Eq 2.2 as a product of three elementary rotations; complex angles allowed."""
+    cf, sf, ct, st = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    cp, sp = np.cos(yaw), np.sin(yaw)
+    about_x = np.array([[1, 0, 0], [0, cf, -sf], [0, sf, cf]])
+    about_y = np.array([[ct, 0, st], [0, 1, 0], [-st, 0, ct]])
+    about_z = np.array([[cp, -sp, 0], [sp, cp, 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
+def lengths(upper, pose):
+    """Pin-to-pin lengths (6,), analytic in a complex pose."""
+    lines = pose[:3] + upper @ turn(*pose[3:]).T - read_geometry().lower
+    return np.sqrt((lines * lines).sum(axis=1))
+
+
+@pytest.mark.parametrize("motion", MOTIONS[:10])
+def test_velocity_is_the_complex_step_of_the_length(motion):
+    """Im l(x + i h v) / h with h = 1e-30 has no truncation and no cancellation."""
+    pose, velocity, acceleration = motion
+    found = frame(block.make_demand(), *motion)
+    upper, neutral = read_geometry().upper, read_geometry().neutral
+    np.testing.assert_allclose(found[0], lengths(upper, pose) - neutral, rtol=0, atol=1e-14)
+    first = lengths(upper, pose + 1e-30j * velocity).imag / 1e-30
+    np.testing.assert_allclose(found[1], first, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("motion", MOTIONS[:10])
+def test_acceleration_is_the_complex_step_of_the_velocity(motion):
+    """Along x(t) = x + v t + a t^2 / 2: central difference of the complex-step velocity, h = 1e-3
+    with one Richardson step. Truncation of the order h^4 l^(6) / 30, below 1e-9; round-off 1e-12 /
+    h."""
+    pose, velocity, acceleration = motion
+    upper = read_geometry().upper
+
+    def rate(t):
+        x, v = pose + velocity * t + acceleration * t * t / 2, velocity + acceleration * t
+        return lengths(upper, x + 1e-30j * v).imag / 1e-30
+
+    def central(h):
+        return (rate(h) - rate(-h)) / (2 * h)
+
+    second = (4 * central(5e-4) - central(1e-3)) / 3
+    np.testing.assert_allclose(frame(block.make_demand(), *motion)[2], second, rtol=0, atol=2e-8)
+
+
+def test_frame_and_history_agree():
+    """Two derivations of the same motion: round-off of 10^2 m/s^2."""
+    found = np.array([frame(block.make_demand(), *motion) for motion in MOTIONS])
+    poses = np.ascontiguousarray(MOTIONS[:, 0])
+    history = pose_motion_to_legs(poses, MOTIONS[:, 1], MOTIONS[:, 2])
+    np.testing.assert_allclose(found[:, 0], pose_to_legs(poses), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found[:, 1], history.velocity, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(found[:, 2], history.acceleration, rtol=1e-12, atol=1e-12)
+
+
+def test_constant_deflection_is_a_platform_with_other_gimbals():
+    deflection = RNG.uniform(-0.01, 0.01, (6, 3))
+    bent = make_geometry(read_geometry().upper + deflection, read_geometry().lower)
+    demand = block.make_demand(deflection=deflection)
+    for motion in MOTIONS[:10]:
+        found, other = frame(demand, *motion), frame(block.make_demand(bent), *motion)
+        other[0] += bent.neutral - read_geometry().neutral
+        np.testing.assert_allclose(found, other, rtol=1e-13, atol=1e-13)
+
+
+def test_compliance_displaces_the_gimbals_by_the_specific_force():
+    """Any motion: gimbals at A + C T'(a - g), positions analytic, rates of the frozen platform."""
+    compliance = RNG.uniform(-1e-3, 1e-3, (6, 3, 3))
+    demand = block.make_demand(compliance=compliance)
+    for pose, velocity, acceleration in MOTIONS[:10]:
+        force = turn(*pose[3:]).T @ (acceleration[:3] - GRAVITY)
+        deflection = compliance @ force
+        found = frame(demand, pose, velocity, acceleration)
+        wanted = lengths(read_geometry().upper + deflection, pose) - read_geometry().neutral
+        np.testing.assert_allclose(found[0], wanted, rtol=0, atol=1e-14)
+        frozen = frame(block.make_demand(deflection=deflection), pose, velocity, acceleration)
+        np.testing.assert_allclose(found, frozen, rtol=1e-12, atol=1e-12)
+
+
+def test_a_platform_that_sags_at_rest_asks_for_the_axial_part_of_its_sag():
+    """1 mm per g straight down (z) at every gimbal, level, at rest: a thrust of 1 g upwards bends
+    the gimbals up by 1 mm, and each leg is longer by 1 mm times 0.8323, its axial direction cosine
+    (second order: 1 mm^2 / 8 m)."""
+    compliance = np.zeros((6, 3, 3))
+    compliance[:, 2, 2] = 1e-3 / GRAVITY[2]
+    found = frame(block.make_demand(compliance=compliance), *np.zeros((3, 6)))
+    np.testing.assert_allclose(found[0], 0.8323e-3, rtol=3e-4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"deflection": np.zeros((6, 2))}, r"deflection: shape is \(6, 2\); it must be \(6, 3\)"),
+        ({"compliance": np.full((6, 3, 3), np.inf)}, r"compliance: inf is not a finite number"),
+    ],
+)
+def test_refused_parameters_are_named(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        block.make_demand(**arguments)

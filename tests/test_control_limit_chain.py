@@ -1,0 +1,135 @@
+"""Pose limits, demand, operating states and leg limits in a row: whatever the host and operator do.
+
+The leg reference that reaches the error block stays within position, velocity and acceleration at
+2048 Hz, and is the host's own where the host asks for nothing else.
+"""
+
+import numba
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cmf_mj.control import demand, governor, states
+from cmf_mj.control.states import Request, State
+from cmf_mj.machine.kinematics import WORKING_STROKE, pose_motion_to_legs, pose_to_legs
+
+T = 1.0 / 2048.0
+POSE = governor.make_pose_governor()
+LEGS = governor.make_leg_governor()
+DEMAND = demand.make_demand()
+STATES = states.make_states()
+
+
+@numba.njit
+def _run(pose_limits, pose_state, parameters, machine, machine_state, leg_limits, leg_state,
+         together, requests, pose, velocity, acceleration, out, codes):  # fmt: skip
+    host, reference = np.zeros((3, 6)), np.zeros((3, 6))
+    measured = leg_state.position.copy()
+    limited = np.zeros(6)
+    base, wish = np.zeros(6), np.zeros(6)
+    for k in range(requests.size):
+        governor.step(pose_limits, pose_state, pose[k], limited, velocity[k], acceleration[k])
+        demand.step(
+            parameters, limited, velocity[k], acceleration[k], host[0], host[1], host[2]
+        )  # fmt: skip
+        codes[k] = states.step(
+            machine, machine_state, requests[k], host[0], host[1], host[2], measured,
+            reference[0], reference[1], reference[2],
+        )  # fmt: skip
+        if together:
+            governor.step_together(
+                leg_limits, leg_state, reference[0], out[0, k], reference[1], reference[2],
+                base, wish,
+            )  # fmt: skip
+        else:
+            governor.step(
+                leg_limits, leg_state, reference[0], out[0, k], reference[1], reference[2]
+            )
+        out[1, k], out[2, k] = reference[1], reference[2]
+        measured[:] = out[0, k]
+
+
+def run(code, requests, pose, velocity=None, acceleration=None, together=False):
+    """Leg reference with its rates (3, N, 6) and operating states (N,)."""
+    frames = len(requests)
+    rates = [
+        np.full((frames, 6), np.nan) if given is None else given.copy()
+        for given in (velocity, acceleration)
+    ]
+    pose_state = governor.start(POSE, pose[0])
+    legs = pose_to_legs(pose_state.position)
+    if code in (State.OFF, State.SETTLED):
+        legs = np.full(6, -WORKING_STROKE)
+    out, codes = np.zeros((3, frames, 6)), np.zeros(frames, int)
+    _run(
+        POSE, pose_state, DEMAND, STATES, states.start(STATES, code, legs), LEGS,
+        governor.start(LEGS, legs), together, np.asarray(requests, int), pose, *rates, out, codes,
+    )  # fmt: skip
+    return out, codes
+
+
+def violence(seed, frames):
+    """Pose demands with steps of a metre and a radian, tones to 1 kHz and noise at some time."""
+    rng = np.random.default_rng(seed)
+    pose = np.zeros((frames, 6))
+    for dof in range(6):
+        for _ in range(rng.integers(1, 4)):
+            a, b = np.sort(rng.integers(0, frames, 2))
+            size = rng.choice([0.01, 0.3, 1.0, 3.0]) * rng.uniform(-1, 1)
+            kind, time = rng.integers(3), T * np.arange(b - a)
+            tone = np.sin(2 * np.pi * 10 ** rng.uniform(-1, 3) * time)
+            pose[a:b, dof] += size * (tone, rng.normal(size=b - a), 1.0)[kind]
+    return pose
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.lists(st.tuples(st.sampled_from(list(Request)), st.integers(1, 2048)), max_size=8),
+    st.sampled_from([State.OFF, State.SETTLED, State.HOLD, State.ENGAGED]),
+    st.booleans(),
+)
+def test_leg_references_stay_within_limits(seed, sequence, first, together):
+    """Differences of the reference from rest; slack as in the governor's own tests."""
+    requests = np.repeat(*np.array([*sequence, (Request.NONE, 2048)]).T)
+    out, _ = run(first, requests, violence(seed, requests.size), together=together)
+    position = out[0]
+    assert np.abs(position).max() <= WORKING_STROKE
+    velocity = np.diff(position, axis=0) / T
+    slack = 8 * np.finfo(float).eps / T
+    assert np.abs(velocity).max() <= LEGS.velocity[0] * (1 + 1e-12) + slack
+    acceleration = np.diff(velocity, axis=0) / T
+    assert np.abs(acceleration).max() <= LEGS.acceleration[0] * (1 + 1e-12) + slack / T
+    assert np.abs(out[1]).max() <= LEGS.velocity[0]
+    assert np.abs(out[2]).max() <= LEGS.acceleration[0]
+
+
+def test_an_admissible_host_reaches_the_legs_unchanged():
+    """Engaged, all six degrees of freedom moving: demand block alone, to the bit; and that is the
+    array version to round-off."""
+    rates = np.array([1.1, 1.3, 1.7, 0.9, 1.5, 2.1])
+    size = np.array([0.1, 0.1, 0.08, 0.04, 0.03, 0.05])
+    phase = np.outer(T * np.arange(6144), rates)
+    s = np.clip(T * np.arange(6144) / 0.5, 0.0, 1.0)[:, None]
+    fade = s**3 * (10 - 15 * s + 6 * s * s)
+    pose = size * np.sin(phase) * fade
+    velocity, acceleration = np.gradient(pose, T, axis=0), -size * rates**2 * np.sin(phase) * fade
+    out, codes = run(State.ENGAGED, np.zeros(6144), pose, velocity, acceleration)
+    wanted = np.zeros((3, 6144, 6))
+    for k in range(6144):
+        demand.step(DEMAND, pose[k], velocity[k], acceleration[k], *wanted[:, k])
+    assert np.abs(wanted[1]).max() > 0.5 * LEGS.velocity[0]
+    np.testing.assert_array_equal(out, wanted)
+    assert (codes == State.ENGAGED).all()
+    again = pose_motion_to_legs(pose, velocity, acceleration)
+    np.testing.assert_allclose(out[1:], again, rtol=0, atol=1e-12)
+
+
+def test_poses_possible_each_alone_are_cut_back_together():
+    """Heave up and surge to their operational limits at once ask for legs beyond their travel."""
+    pose = np.zeros((8192, 6))
+    pose[1:, 0], pose[1:, 2] = 1.7, -1.04
+    assert pose_to_legs(pose[-1]).max() > WORKING_STROKE + 0.1
+    out, _ = run(State.ENGAGED, np.zeros(8192), pose)
+    assert np.abs(out[0]).max() == WORKING_STROKE
+    assert not out[1, -1].any()

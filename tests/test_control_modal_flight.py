@@ -1,0 +1,58 @@
+"""The modal plan for flights: what its rate buys behind the limits."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cmf_mj import Hexapod, Law, load_law, simulate
+from cmf_mj.core import units
+from cmf_mj.facility import host
+from cmf_mj.facility.operation import FacilitySettings, Operation, operate
+from cmf_mj.pilot.cueing.envelope import confined
+
+PLAN, FLIGHT = load_law("modal_plan"), load_law("modal_plan_flight")
+
+
+def jumped(law: Law) -> Operation:
+    """The heaviest cab, whose host jumps by 20 in of surge, within the machine's limits."""
+    time = np.arange(480) / 80.0
+    pose = np.zeros((time.size, 6))
+    pose[80:, 0] = 20.0 * units.INCH
+    stream, _ = confined(host.make_stream(time, pose, np.zeros_like(pose), np.zeros_like(pose)))
+    facility = FacilitySettings(electronics=None)
+    return operate(Hexapod("ifd"), law, stream, facility=facility, record_every=8)
+
+
+def swing(values: NDArray[np.float64]) -> float:
+    """Largest swing in the last second of rows 1/256 s apart."""
+    return float(np.ptp(values[-256:], axis=0).max())
+
+
+def test_it_is_the_modal_plan_but_for_its_rate() -> None:
+    told = {"name", "title", "source", "plan"}
+    assert FLIGHT.model_dump(exclude=told) == PLAN.model_dump(exclude=told)
+    assert FLIGHT.plan is not None and PLAN.plan is not None
+    assert FLIGHT.plan.model_dump(exclude={"rate"}) == PLAN.plan.model_dump(exclude={"rate"})
+    assert np.all(np.array(FLIGHT.plan.rate) > 1.4 * np.array(PLAN.plan.rate))
+
+
+def test_behind_the_limits_both_come_to_rest_and_it_stays_closer() -> None:
+    """A jump of 20 in: legs asked for 21 in/s. Settled is a valve that moves by less than 1 %."""
+    largest = {}
+    for law in (FLIGHT, PLAN):
+        record = jumped(law).record
+        assert record.metadata["fault"] is None
+        assert swing(record["valve_command"]) < 0.01
+        error = np.abs(record["leg_reference"] - record["leg_extension"])
+        assert error[-1].max() < 0.05 * units.INCH
+        largest[law.name] = error.max()
+    assert largest["modal_plan_flight"] < 0.8 * largest["modal_plan"]
+
+
+@pytest.mark.parametrize("law", [PLAN, FLIGHT], ids=["plan", "flight"])
+def test_a_raw_step_of_all_degrees_of_freedom_ends_at_rest(law: Law) -> None:
+    """1 in and 0.6 deg in one control frame, past DCU and limits, the heaviest cab."""
+    demand = np.zeros((5120, 6))
+    demand[1024:, :3], demand[1024:, 3:] = units.INCH, 0.6 * units.DEGREE
+    record = simulate(Hexapod("ifd"), law, demand, record_every=8)
+    assert swing(record["valve_command"]) < 0.02

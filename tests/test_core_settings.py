@@ -1,0 +1,111 @@
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cmf_mj.core.settings import Settings, merged, named_set, overlaid, overlaid_default
+
+SHIPPED = """
+[common]
+mass = { value = 3.0, unit = "kg" }
+[light]
+depth = 1
+[heavy]
+depth = 2
+"""
+NAMES = ("light", "heavy")
+
+
+class Part(Settings):
+    length: float
+    width: float
+
+
+class Whole(Settings):
+    size: float
+    part: Part
+
+
+@pytest.fixture
+def sets(tmp_path: Path) -> Path:
+    file = tmp_path / "sets.toml"
+    file.write_text(SHIPPED)
+    return file
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> Path:
+    file = tmp_path / "whole.toml"
+    file.write_text("size = 1.0\n[part]\nlength = 2.0\nwidth = 3.0\n")
+    return file
+
+
+@pytest.mark.parametrize(
+    ("levels", "expected"),
+    [
+        (0, {"a": {"b": {"d": 4}}, "e": 5}),
+        (1, {"a": {"b": {"d": 4}, "f": 6}, "e": 5}),
+        (2, {"a": {"b": {"c": 3, "d": 4}, "f": 6}, "e": 5}),
+        (float("inf"), {"a": {"b": {"c": 3, "d": 4}, "f": 6}, "e": 5}),
+    ],
+)
+def test_tables_are_merged_down_to_a_level(levels: float, expected: dict[str, Any]) -> None:
+    base = {"a": {"b": {"c": 3}, "f": 6}, "e": 1}
+    assert merged(base, {"a": {"b": {"d": 4}}, "e": 5}, levels) == expected
+    assert base == {"a": {"b": {"c": 3}, "f": 6}, "e": 1}
+
+
+def test_a_set_has_the_common_entries_and_its_name(sets: Path, tmp_path: Path) -> None:
+    mass = {"value": 3.0, "unit": "kg"}
+    table, where = named_set("sets", NAMES, sets, "heavy")
+    assert table == {"mass": mass, "depth": 2, "name": "heavy"}
+    assert where == "sets.toml: heavy"
+    file = tmp_path / "mine.toml"
+    file.write_text('base = "light"\n[own]\nmass = { value = 4.0 }\n')
+    table, where = named_set("sets", NAMES, sets, file)
+    assert table == {"mass": mass | {"value": 4.0}, "depth": 1, "name": "own"}
+    assert where == f"{file}: own"
+    table, _ = named_set("sets", NAMES, sets, file, levels=0)
+    assert table["mass"] == {"value": 4.0}
+    file.write_text("[own]\ndepth = 7\n")
+    assert named_set("sets", NAMES, sets, file, based=False)[0] == {"depth": 7, "name": "own"}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[own]\n", "base: None is not one of light, heavy"),
+        ('base = "common"\n[own]\n', "base: 'common' is not one of light, heavy"),
+        ('base = "light"\nown = 1\n', "has the tables ['own']; exactly one is allowed"),
+        (
+            'base = "light"\n[own]\nname = "x"\n',
+            "own: name: is taken from the table; leave it out",
+        ),
+        ('base = "light"\n[own]\ndepth = 3\n', "own: depth: is taken from the base; leave it out"),
+    ],
+)
+def test_own_sets_are_refused_by_field(sets: Path, tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(text)
+    with pytest.raises(ValueError) as raised:
+        named_set("sets", NAMES, sets, file, fixed=("depth",))
+    assert str(raised.value) == f"{file}: {message}"
+
+
+def test_a_name_that_is_no_set_lists_the_sets(sets: Path, whole: Path) -> None:
+    with pytest.raises(ValueError, match="sets: 'common' is neither light nor heavy nor a .toml"):
+        named_set("sets", NAMES, sets, "common")
+    with pytest.raises(ValueError, match="whole: 'odd' is neither default nor a .toml file"):
+        overlaid_default("whole", Whole, whole, "odd")
+
+
+def test_a_file_overlays_what_it_repeats(whole: Path, tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text("[part]\nwidth = 5.0\n")
+    shipped = overlaid(Whole, whole, None)
+    assert overlaid_default("whole", Whole, whole, "default") == shipped
+    assert overlaid(Whole, whole, shipped) is shipped
+    mine = overlaid(Whole, whole, file)
+    assert (mine.size, mine.part.length, mine.part.width) == (1.0, 2.0, 5.0)
+    with pytest.raises(ValueError, match="mine.toml: part.length: is missing"):
+        overlaid(Whole, whole, file, levels=0)

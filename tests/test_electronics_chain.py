@@ -1,0 +1,66 @@
+"""Electronics without quantisation and limits leave no trace; the shipped ones a known one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cmf_mj import Hexapod, SingleLegs, signals, simulate
+from cmf_mj.analysis import frequency_response
+from cmf_mj.analysis.frequency_response import bandwidths
+from cmf_mj.electronics.chain import ElectronicsSettings
+
+FAR = """
+switch_position = { value = 1000.0, unit = "in", status = "assumed", source = "far away" }
+velocity_clamp = { value = 100.0, unit = "%", status = "assumed", source = "the law's own" }
+rate_limit = { value = 1e9, unit = "%/s", status = "assumed", source = "far away" }
+dac_range = { value = 8.0, unit = "V", status = "assumed", source = "a power of two, exact" }
+full_command = { value = 8.0, unit = "V", status = "assumed", source = "a power of two, exact" }
+dac_bits = { value = 0, status = "assumed", source = "off" }
+"""
+
+
+@pytest.fixture
+def transparent(tmp_path: Path) -> ElectronicsSettings:
+    path = tmp_path / "far.toml"
+    path.write_text(FAR)
+    return ElectronicsSettings(sensors="ideal", converters="off", servo=path)
+
+
+@pytest.mark.parametrize("law", ["velocity", "acceleration", "force"])
+def test_with_limits_far_away_and_quantisation_off_a_run_is_the_same_to_the_bit(
+    law: str, transparent: ElectronicsSettings
+) -> None:
+    command = signals.chirp("heave", 0.33 * 0.0254, duration=3.0)
+    plain = simulate(Hexapod(), law, command)
+    through = simulate(Hexapod(), law, command, electronics=transparent)
+    assert np.ptp(plain["valve_command"]) > 0.1
+    for name in plain.channels:
+        assert through[name].tobytes() == plain[name].tobytes(), name
+
+
+def test_so_are_bandwidths(transparent: ElectronicsSettings) -> None:
+    command = signals.chirp("heave", 0.33 * 0.0254, duration=30.0)
+
+    def widths(electronics: ElectronicsSettings | None):
+        record = simulate(
+            SingleLegs(), "velocity", command, electronics=electronics, record_every=16
+        )
+        return bandwidths(frequency_response(record, segment=10.0))
+
+    plain = widths(None)
+    assert widths(transparent) == plain
+    noisy = widths(ElectronicsSettings())
+    assert noisy != plain
+    assert noisy.phase_hz == pytest.approx(plain.phase_hz, rel=0.03)
+
+
+def test_what_the_dcl_reads_is_not_what_is_true() -> None:
+    """At rest the reading is off by the noise: rms of an assumed 0.001 in, unlike in each leg."""
+    record = simulate(Hexapod(), "velocity", np.zeros((2048, 6)), electronics=ElectronicsSettings())
+    apart = record["leg_position"] - record["leg_extension"]
+    rms = apart.std(axis=0) / 0.0254
+    assert ((rms > 2e-4) & (rms < 3e-3)).all()
+    assert np.abs(np.corrcoef(apart.T) - np.eye(6)).max() < 0.2
+    volts = record["valve_command"] * 10.0 / (20.0 / 2**16)
+    np.testing.assert_allclose(volts, np.rint(volts), atol=1e-6)

@@ -1,0 +1,153 @@
+"""Analogue inputs: codes against an independent count, aliasing against an oversampled tone."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from cmf_mj.control.dcl import LegFeedback
+from cmf_mj.electronics.converter import (
+    CONVERTER_SETS,
+    Converters,
+    aliased,
+    convert,
+    converter_state,
+    digitise,
+    load_converters,
+    make_converters,
+)
+
+INCH = 0.0254
+RATE = 2048
+
+
+def feedback(seed: int = 0) -> LegFeedback:
+    rng = np.random.default_rng(seed)
+    return LegFeedback(*(scale * rng.normal(size=4) for scale in (0.3, 0.2, 5.0, 4e6, 4e6)))
+
+
+def blank() -> LegFeedback:
+    return LegFeedback(*(np.zeros(4) for _ in range(5)))
+
+
+def test_off_passes_bits_and_is_the_default() -> None:
+    settings = load_converters()
+    assert settings.name == "off"
+    converters = make_converters(settings)
+    analogue, digital = feedback(), blank()
+    analogue.position[0] = -0.0
+    digitise(converters, converter_state(converters, analogue), analogue, digital)
+    for one, two in zip(analogue, digital, strict=True):
+        assert one.tobytes() == two.tobytes()
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16])
+def test_readings_are_whole_codes_within_the_range(bits: int) -> None:
+    """+-10 V over +-40 in: a code is 80 in / 2^bits; the upper end lacks one code."""
+    settings = load_converters("sixteen_bit").model_copy(update={"bits": bits, "filter_order": 0})
+    converter = make_converters(settings).position
+    step = 80.0 * INCH / 2**bits
+    values = np.linspace(-45.0, 45.0, 997) * INCH
+    read = np.empty_like(values)
+    convert(converter, np.zeros((values.size, 0, 2)), values, read)
+    codes = read / step
+    np.testing.assert_allclose(codes, np.rint(codes), rtol=0.0, atol=1e-9)
+    inside = np.abs(values) < 39.0 * INCH
+    assert np.abs(read - values)[inside].max() <= step / 2 * (1 + 1e-9)
+    assert read.min() == pytest.approx(-40.0 * INCH, rel=1e-12)
+    assert read.max() == pytest.approx(40.0 * INCH - step, rel=1e-12)
+
+
+def test_quantisation_error_is_uniform_noise_of_a_twelfth() -> None:
+    """A busy signal leaves an error of variance step^2 / 12 (Widrow)."""
+    settings = load_converters("sixteen_bit").model_copy(update={"bits": 10, "filter_order": 0})
+    converter = make_converters(settings).velocity
+    values = np.random.default_rng(3).normal(size=20000) * 0.2
+    read = np.empty_like(values)
+    convert(converter, np.zeros((values.size, 0, 2)), values, read)
+    assert np.var(read - values) == pytest.approx(converter.step**2 / 12, rel=0.03)
+
+
+def test_the_filter_takes_in_place_and_starts_settled() -> None:
+    converters = make_converters(load_converters("sixteen_bit"))
+    analogue = feedback()
+    state = converter_state(converters, analogue)
+    for _ in range(5):
+        same = LegFeedback(*(array.copy() for array in analogue))
+        digitise(converters, state, same, same)
+        for name, read, true in zip(Converters._fields, same, analogue, strict=True):
+            step = getattr(converters, name).step
+            assert np.abs(read - true).max() <= 0.5001 * step
+
+
+@pytest.mark.parametrize("frequency", [300.0, 1100.0, 1948.0, 2048.0 + 77.0, 4000.0])
+def test_a_tone_beyond_the_rate_appears_where_and_as_large_as_said(frequency: float) -> None:
+    """Oracle: the analogue filter's state space, integrated exactly on 64 times the rate.
+
+    `lsim` joins the input's samples by lines, which leave sinc^2 of a tone.
+    """
+    settings = load_converters("sixteen_bit")
+    fine = 64 * RATE
+    time = np.arange(2 * fine) / fine
+    analogue = signal.butter(2, 2 * np.pi * 500.0, analog=True, output="ba")
+    _, output, _ = signal.lsim(analogue, np.cos(2 * np.pi * frequency * time), time)
+    sampled = output[fine::64]  # the second second, settled
+    spectrum = np.abs(np.fft.rfft(sampled)) * 2.0 / sampled.size
+    said = aliased(frequency, settings)
+    assert int(np.argmax(spectrum)) == round(said.frequency)
+    lines = np.sinc(frequency / fine) ** 2
+    assert spectrum.max() == pytest.approx(said.gain * lines, rel=1e-4)
+
+
+def test_without_a_filter_aliases_are_full_size() -> None:
+    assert aliased(2000.0, load_converters("off")) == (48.0, 1.0)
+    with pytest.raises(ValueError, match="frequency: -1"):
+        aliased(-1.0, load_converters())
+
+
+def mine(*changes: tuple[str, str]) -> str:
+    text = Path(load_converters.__code__.co_filename).with_name("converters.toml").read_text()
+    common = text.split("[common]\n")[1].split("[off]")[0]
+    for old, new in changes:
+        assert old in common
+        common = common.replace(old, new)
+    body, scale = common.split("[common.full_scale]\n")
+    return f"[card]\nquantise = true\nfilter_order = 1\n{body}\n[card.full_scale]\n{scale}"
+
+
+def test_a_card_of_ones_own(tmp_path: Path) -> None:
+    file = tmp_path / "card.toml"
+    file.write_text(mine(("bits = 16", "bits = 12")))
+    settings = load_converters(file)
+    assert (settings.name, settings.bits) == ("card", 12)
+    assert load_converters(settings) is settings
+    assert set(CONVERTER_SETS) == {"off", "sixteen_bit"}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("bits = 16", "bits = 2"), "bits: 2 is refused"),
+        (('value = 10.0, unit = "V"', 'value = 0.0, unit = "V"'), "volts: 0 V is refused"),
+        (("value = 500.0", "value = 1024.0"), "filter_corner: 1024 Hz is refused"),
+        (
+            ('value = 40.0, unit = "in"', 'value = 40.0, unit = "psi"'),
+            "position: 40 psi is refused",
+        ),
+    ],
+)
+def test_refusals(change: tuple[str, str], message: str, tmp_path: Path) -> None:
+    file = tmp_path / "card.toml"
+    file.write_text(mine(change))
+    with pytest.raises(ValueError, match=message):
+        load_converters(file)
+
+
+def test_unknown_sets_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="neither off nor sixteen_bit"):
+        load_converters("eight_bit")
+    empty = tmp_path / "two.toml"
+    empty.write_text("[a]\n[b]\n")
+    with pytest.raises(ValueError, match="exactly one"):
+        load_converters(empty)

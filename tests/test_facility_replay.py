@@ -1,0 +1,141 @@
+"""Replay: the compensator's output comes back bit for bit, from files too; a recorder's nearly."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cmf_mj import Hexapod, Record, SingleLegs, law_names, load_law, signals, simulate
+from cmf_mj.cli.common import app
+from cmf_mj.control.protection import load_protection, make_protection
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.facility.replay import replay, replay_protection
+from cmf_mj.record.reader import read_facility_csv
+from cmf_mj.record.writer import write_facility_csv
+from cmf_mj.show.sensor import law_of
+
+INCH = 0.0254
+
+
+@pytest.fixture(scope="module")
+def run() -> Record:
+    command = signals.chirp("heave", 0.33 * INCH, duration=4.0)
+    return simulate(Hexapod(), "acceleration", command)
+
+
+@pytest.mark.parametrize("law", law_names())
+def test_every_law_comes_back_bit_for_bit(law: str) -> None:
+    record = simulate(Hexapod(), law, signals.step("pitch", 0.01, at=0.1, duration=0.6))
+    replayed = replay(record, law)
+    assert np.ptp(record["compensator_output"]) > 0.01
+    assert replayed.output.tobytes() == record["compensator_output"].tobytes()
+    assert replayed.identical
+    assert replayed.difference == 0.0
+
+
+@pytest.mark.parametrize("law", ["velocity_integral", "acceleration", "force"])
+def test_noise_and_converters_come_back_bit_for_bit(law: str, tmp_path: Path) -> None:
+    """The record holds what the law read, and its output before clamp and servo electronics."""
+    command = signals.step("pitch", 0.01, at=0.1, duration=0.6)
+    record = simulate(Hexapod(), law, command, electronics=ElectronicsSettings(seed=3))
+    assert (record["leg_position"] != record["leg_extension"]).any()
+    assert (record["valve_command"] != record["compensator_output"]).any()
+    loaded = Record.load(record.save(tmp_path / "run.parquet"))
+    assert replay(loaded, law_of(loaded)).identical
+
+
+def test_the_law_starts_as_the_record_says(run: Record) -> None:
+    """An integral of its own is lost without: another law or another state is not identical."""
+    record = simulate(Hexapod(), "velocity_integral", np.zeros((64, 6)))
+    said = dict(record.metadata["law_state"])
+    assert replay(record, "velocity_integral").identical
+    wound = dict(record.metadata) | {"law_state": said | {"integral": [0.01] * 6}}
+    other = Record(record.time, dict(record.channels), dict(record.units), wound)
+    shift = replay(other, "velocity_integral").output - record["compensator_output"]
+    expected = 50.0 * 0.01 / INCH * (0.01 - np.array(said["integral"]))
+    np.testing.assert_allclose(shift[0], expected, rtol=1e-9)
+
+
+def test_a_run_that_starts_away_from_its_demand_and_from_neutral() -> None:
+    command = signals.Command.from_pose(np.full((400, 6), [0.0, 0.0, -0.2, 0.0, 0.0, 0.0]))
+    record = simulate(SingleLegs(), "velocity_integral", command, start=[0.0, 0, -0.22, 0, 0, 0])
+    assert replay(record, "velocity_integral").identical
+
+
+def test_a_saved_record_comes_back_with_the_law_it_carries(run: Record, tmp_path: Path) -> None:
+    loaded = Record.load(run.save(tmp_path / "run.parquet"))
+    assert law_of(loaded) == load_law("acceleration")
+    assert replay(loaded, law_of(loaded)).identical
+
+
+def test_another_law_is_not_identical(run: Record) -> None:
+    replayed = replay(run, "acceleration_opposing")
+    assert not replayed.identical
+    assert replayed.difference > 1e-3
+
+
+def test_a_recorders_file_comes_back_within_a_ten_thousandth(tmp_path: Path) -> None:
+    """128 Hz and six decimals of an inch; most of the output is the velocity law's."""
+    record = simulate(Hexapod(), "velocity", signals.sine("heave", 0.33 * INCH, 1.2, cycles=4.0))
+    path = write_facility_csv(record, tmp_path / "run.csv")
+    replayed = replay(read_facility_csv(path), "velocity")
+    assert replayed.interpolated
+    assert replayed.output.shape == replayed.recorded.shape
+    assert 0.0 < replayed.difference < 1e-4
+    assert np.ptp(replayed.output) > 0.05
+
+
+def without(record: Record, *names: str, rate: float | None = None) -> Record:
+    channels = {n: v for n, v in record.channels.items() if n not in names}
+    units = {n: record.units[n] for n in channels}
+    metadata = dict(record.metadata) | ({"sample_rate": rate} if rate else {})
+    return Record(record.time, channels, units, metadata)
+
+
+def test_channels_the_law_does_not_read_may_be_missing(run: Record) -> None:
+    lacking = without(run, "leg_acceleration", "compensator_output")
+    replayed = replay(lacking, "velocity")
+    assert replayed.recorded is None
+    assert np.isnan(replayed.difference)
+    assert replayed.output.tobytes() == replay(run, "velocity").output.tobytes()
+    with pytest.raises(
+        ValueError, match="leg_acceleration: is not recorded, and the law acceleration"
+    ):
+        replay(lacking, "acceleration")
+
+
+def test_feedback_may_come_from_another_channel(run: Record) -> None:
+    channels = dict(run.channels) | {"seen": run["leg_velocity"] + 0.1}
+    other = Record(run.time, channels, dict(run.units) | {"seen": "m/s"}, run.metadata)
+    shifted = replay(other, "velocity", {"velocity": "seen"}).output
+    plain = replay(run, "velocity").output
+    gain = -2.3 * 0.01 / INCH
+    np.testing.assert_allclose(shifted - plain, 0.1 * gain, rtol=1e-9)
+
+
+def test_refusals(run: Record) -> None:
+    with pytest.raises(ValueError, match="sample_rate: 1000"):
+        replay(without(run, rate=1000.0), "velocity")
+    with pytest.raises(ValueError, match="feedback: 'speed' is not one of"):
+        replay(run, "velocity", {"speed": "leg_velocity"})
+    with pytest.raises(ValueError, match="gimbal_error: shape"):
+        replay(run, "velocity", {"velocity": "gimbal_error"})
+    with pytest.raises(ValueError, match="allowed: 2048 Hz"):
+        replay_protection(without(run, rate=128.0), make_protection(load_protection()), 1e7)
+    with pytest.raises(ValueError, match="does not say which law"):
+        law_of(Record(run.time, {}, {}, {"sample_rate": 2048.0}))
+
+
+def test_the_command_line(run: Record, tmp_path: Path) -> None:
+    path = run.save(tmp_path / "run.parquet")
+    out = tmp_path / "out"
+    same = CliRunner().invoke(app, ["replay", str(path), "--out", str(out)])
+    assert same.exit_code == 0, same.output
+    assert "identical, bit for bit" in same.output
+    assert (out / "run_acceleration.png").stat().st_size > 20000
+    other = CliRunner().invoke(app, ["replay", str(path), "--law", "velocity", "--out", str(out)])
+    assert "largest difference" in other.output
+    bad = CliRunner().invoke(app, ["replay", str(tmp_path / "no.parquet"), "--out", str(out)])
+    assert bad.exit_code == 2
+    assert "no.parquet" in bad.output

@@ -1,0 +1,367 @@
+"""Scenarios: files, live runs, changes, and the same bits from both."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cmf_mj import Hexapod, load_law, signals, simulate
+from cmf_mj.cli.common import app
+from cmf_mj.control import dcl as control
+from cmf_mj.core import units
+from cmf_mj.core.rates import FRAME, RATE
+from cmf_mj.facility.scenario.demand import Demand
+from cmf_mj.facility.scenario.handover import handed_over
+from cmf_mj.facility.scenario.library import find_scenario, scenario_names
+from cmf_mj.facility.scenario.run import ScenarioRun, run_scenario
+from cmf_mj.facility.scenario.settings import (
+    Scenario,
+    change_of,
+    load_scenario,
+    save_scenario,
+    scenario_of,
+)
+from cmf_mj.facility.scenario.signal import added, tabulated
+from cmf_mj.record.record import Record
+
+SINE = {"kind": "sine", "dof": "heave", "amplitude": [1.0, "in"], "frequency": 2.0, "fade": 0.2}
+ROLL = {"kind": "sine", "dof": "roll", "amplitude": [0.5, "deg"], "frequency": 1.0, "fade": 0.1}
+
+
+def scenario(**fields: Any) -> Scenario:
+    return scenario_of({"duration": 0.5, "signal": [SINE]} | fields, "test")
+
+
+def same(one: Record, other: Record) -> None:
+    assert list(one.channels) == list(other.channels)
+    np.testing.assert_array_equal(one.time, other.time)
+    for name in one.channels:
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+    assert dict(one.metadata) == dict(other.metadata)
+
+
+# Files
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_shipped_scenarios_read_back_equal(name: str, tmp_path: Path) -> None:
+    shipped = find_scenario(name)
+    assert load_scenario(save_scenario(shipped, tmp_path / "again.toml")) == shipped
+
+
+def test_every_field_survives_the_file(tmp_path: Path) -> None:
+    full = scenario(
+        title='quoted "title"',
+        cab="ifd",
+        duration="open",
+        gains={"direct_gain": {"velocity": -1.5}, "state_gain": 0.9},
+        event=[{"at": 0.1, "kind": "valve_hard_over", "leg": 2, "size": [50.0, "%"]}],
+        electronics={"sensors": "ideal"},
+        operation={"begin": "engaged", "request": [{"at": 0.2, "request": "hold"}]},
+        outputs={"record": False, "plot": "a.svg", "video": {"file": "b.gif", "fps": 5}},
+        change=[{"at": 0.1, "signal": [], "fade": 0.0}, {"frame": 999, "push": {}}],
+    )
+    assert load_scenario(save_scenario(full, tmp_path / "full.toml")) == full
+
+
+def test_files_count_from_the_scenario_s_folder(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text("[soft]\ntitle = 'S'\ndirect_gain = { reference = 40.0 }\n")
+    path = tmp_path / "run.toml"
+    path.write_text("law = 'mine.toml'\n[[signal]]\nkind = 'recorded'\nfile = 'a/b.parquet'\n")
+    found = load_scenario(path)
+    assert found.law == str(tmp_path / "mine.toml")
+    assert found.signal[0].model_dump()["file"] == str(tmp_path / "a" / "b.parquet")
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        (
+            {"plant": "truck"},
+            "plant: 'truck' is refused: input should be 'hexapod' or",
+        ),
+        ({"plnt": "hexapod"}, "plnt: is not a known field; allowed: cab, change"),
+        ({"law": "fast"}, "law: 'fast' is neither a .toml file nor one of original"),
+        ({"signal": [{"kind": "sin"}]}, "does not match any of the expected tags: 'step'"),
+        (
+            {"signal": [SINE | {"amplitude": [1.0, "deg"]}]},
+            "'deg' is refused for heave",
+        ),
+        ({"signal": [SINE | {"amplitude": [1.0, "ft"]}]}, "unit 'ft' is not one of in, m"),
+        ({"signal": [SINE | {"frq": 1.0}]}, "sine.frq: is not a known field; allowed: amplitude"),
+        ({"signal": [SINE | {"frequency": 0.0}]}, "frequency: 0.0 is refused"),
+        ({"gains": {"direct_gain": {"velocit": 1.0}}}, "direct_gain.velocit: is not a known field"),
+        ({"gains": {"state_gain": 1.5}}, "state_gain: 1.5 is refused: input should be less than 1"),
+        ({"change": [{"law": "velocity"}]}, "change.0: needs `at` in s or `frame`"),
+        ({"change": [{"at": 1.0, "frame": 1}]}, "at, frame: both are given"),
+        ({"change": [{"at": 1.0}, {"at": 0.5}]}, "frame 1024 comes after frame 2048"),
+        ({"change": [{"at": 1.0, "request": "hold"}]}, "request 'hold' needs [operation]"),
+        ({"change": [{"at": 1.0, "failure": [{"kind": "valve_dead"}]}]}, "leg: is missing"),
+        ({"plant": "single_legs", "operation": {}}, "operation: is for the hexapod"),
+        ({"duration": 0.0}, "duration: 0.0 is refused: input should be greater than 0"),
+        (
+            {"outputs": {"record": "../x.parquet"}},
+            "must be a plain file name that ends in",
+        ),
+        ({"protection": "none.toml"}, "none.toml: cannot be read"),
+    ],
+)
+def test_what_is_refused_is_named(table: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match="test") as refused:
+        scenario_of(table, "test")
+    assert said in str(refused.value)
+
+
+def test_impossible_changes_are_refused_before_the_run() -> None:
+    with pytest.raises(ValueError, match="body: 'wing' is not one of platform"):
+        ScenarioRun(scenario(change=[{"at": 0.1, "push": {"body": "wing"}}]))
+    with pytest.raises(ValueError, match="leg: 7 of valve_dead is not a leg; allowed: 1 to 6"):
+        ScenarioRun(scenario(change=[{"at": 0.1, "failure": [{"kind": "valve_dead", "leg": 7}]}]))
+    with pytest.raises(ValueError, match="duration: is open"):
+        run_scenario(scenario(duration="open"))
+
+
+# Demand
+
+
+def test_a_take_over_joins_without_a_jump() -> None:
+    """Least jerk: the blend is half way at half time, and rests at both ends."""
+    low, high = (tabulated(np.full((2, 6), value)) for value in (1.0, 3.0))
+    demand = Demand(low)
+    demand.change(100, high, 200)
+    poses = demand.poses(0, 400)[:, 0]
+    assert (poses[:101] == 1.0).all()
+    assert poses[200] == 2.0
+    assert (poses[300:] == 3.0).all()
+    peak = np.abs(np.diff(poses, 2)).max()
+    assert peak < 1.01 * 2.0 * (10.0 / np.sqrt(3.0)) / 200**2  # of 10 s^3 - 15 s^4 + 6 s^5
+
+
+def test_a_second_take_over_starts_from_the_first() -> None:
+    parts = [tabulated(np.full((1, 6), value)) for value in (0.0, 1.0, 2.0)]
+    demand = Demand(parts[0])
+    demand.change(10, parts[1], 100)
+    demand.change(60, parts[2], 100)
+    poses = demand.poses(0, 200)[:, 0]
+    assert np.abs(np.diff(poses)).max() < 0.05
+    assert poses[60] == 0.5
+    assert poses[-1] == 2.0
+    again = Demand(parts[0])
+    again.change(10, parts[1], 100)
+    before = again.poses(0, 200)
+    again.change(60, parts[2], 100)
+    np.testing.assert_array_equal(before[:60], demand.poses(0, 60))
+    np.testing.assert_array_equal(again.poses(150, 50), np.full((50, 6), poses[150:200, None]))
+
+
+def test_an_endless_sine_is_the_sine_after_its_fade() -> None:
+    (sine,) = scenario().signal
+    frames = np.arange(2 * RATE)
+    heave = added([sine], 0)(frames)[:, 2]
+    time = frames / RATE
+    late = time >= 0.2
+    expected = units.INCH * np.sin(2.0 * np.pi * 2.0 * time[late])
+    np.testing.assert_allclose(heave[late], expected, atol=1e-15)
+    assert np.abs(heave[~late]).max() < units.INCH
+
+
+# Hand-over
+
+
+@pytest.mark.parametrize("law", ["position_error_rate", "velocity", "acceleration", "force"])
+def test_a_law_takes_over_at_the_output_of_the_one_before(law: str) -> None:
+    """Where the new law has a compensator with output or an integral, the output does not jump."""
+    rng = np.random.default_rng(3)
+    before, after = (control.make_dcl(load_law(name), 6) for name in ("velocity", law))
+    reference = rng.uniform(-0.1, 0.1, 6)
+    feedback = control.LegFeedback(
+        reference + rng.uniform(-0.003, 0.003, 6), *(rng.uniform(-0.02, 0.02, (2, 6))),
+        *rng.uniform(2e6, 4e6, (2, 6)),
+    )  # fmt: skip
+    state = control.engaged(before, reference, feedback)
+    begun = handed_over(before, state, after, reference, feedback)
+    outputs = []
+    for compiled, own in ((before, state), (after, begun)):
+        signal, output, command = np.zeros((6, 10)), np.zeros(6), np.zeros(6)
+        control.step(compiled, own, reference, feedback, signal, output, command)
+        outputs.append(output)
+    assert np.abs(outputs[0]).max() > 0.005
+    has_state = after.compensator.output_gain[0] != 0.0 or load_law(law).uses_integral
+    gap = np.abs(outputs[1] - outputs[0]).max()
+    assert gap < 1e-12 if has_state else gap > 0.0
+
+
+# Runs
+
+
+def test_a_plain_scenario_is_the_run_of_simulate() -> None:
+    step = {"kind": "step", "dof": "surge", "amplitude": [1.0, "in"], "at": 0.25}
+    record = run_scenario(scenario(signal=[step]))
+    command = signals.step("surge", units.INCH, at=0.25, duration=0.5)
+    expected = simulate(Hexapod("gfd"), "velocity", command)
+    assert set(record.channels) == set(expected.channels)
+    for name in expected.channels:
+        np.testing.assert_array_equal(record[name], expected[name], err_msg=name)
+
+
+LIVE = [
+    {"law": "position_error_rate"},
+    {"signal": [ROLL], "fade": 0.3},
+    {"gains": {"direct_gain": {"velocity": -2.0}}},
+    {"failure": [{"kind": "overload"}, {"kind": "valve_dead", "leg": 2, "valve": 1}]},
+    {"push": {"force": [0.0, 0.0, 2000.0]}},
+    {"push": {}, "law": "velocity"},
+]
+
+
+@pytest.fixture(scope="module")
+def live() -> Iterator[ScenarioRun]:
+    """Changed at odd frames, advanced in odd parts; the changes end in the third block."""
+    run = ScenarioRun(scenario(duration="open", record_every=3))
+    for number, change in enumerate(LIVE):
+        for part in (7, 201 + 31 * number, 100):
+            run.advance(part)
+        run.apply(change_of(change))
+    run.advance(333)
+    yield run
+
+
+def test_what_was_done_live_runs_again_bit_for_bit(live: ScenarioRun, tmp_path: Path) -> None:
+    path = save_scenario(live.scenario(), tmp_path / "done.toml")
+    result = CliRunner().invoke(app, ["run", str(path), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    same(live.record(), Record.load(tmp_path / "out" / "record.parquet"))
+    assert load_scenario(tmp_path / "out" / "scenario.toml") == live.scenario()
+
+
+def test_the_look_at_a_run_is_its_record(live: ScenarioRun) -> None:
+    full = ScenarioRun(live.scenario().model_copy(update={"record_every": 1}))
+    full.advance(live.frame)
+    look, record = full.latest(), full.record()
+    assert look.time == full.frame * FRAME
+    np.testing.assert_array_equal(look.valve_command, record["valve_command"][-1])
+    np.testing.assert_array_equal(look.reference, record["leg_reference"][-1])
+    np.testing.assert_array_equal(look.demand, record["demand_pose"][-1])
+    assert look.law == "velocity"
+    assert look.fault is None
+    np.testing.assert_array_equal(live.latest().qpos, look.qpos)
+
+
+def test_each_change_acts(live: ScenarioRun) -> None:
+    """A scenario without one of the changes is another run."""
+    done = live.scenario()
+    for number in range(len(done.change) - 1):
+        fewer = done.change[:number] + done.change[number + 1 :]
+        other = run_scenario(done.model_copy(update={"change": fewer}))
+        frame = done.change[number].when() // 3
+        own = live.record()["generalised_position"]
+        np.testing.assert_array_equal(own[:frame], other["generalised_position"][:frame])
+        assert (own[-1] != other["generalised_position"][-1]).any(), done.change[number]
+
+
+def test_a_push_lifts_what_it_pushes() -> None:
+    """A force through the centre of mass: m a, before legs and hydraulics answer."""
+    push = {"frame": 8, "push": {"body": "cab/cab", "force": [0.0, 0.0, 5.0e4]}}
+    runs = [run_scenario(scenario(signal=[], duration=0.02, change=c)) for c in ([], [push])]
+    z = [r["generalised_position"][:, 2] for r in runs]
+    rise = z[1] - z[0]
+    assert (rise[:9] == 0.0).all()
+    mass = Hexapod("gfd").reflected_mass()
+    up = np.full(6, 1.0)  # heave moves all legs nearly alike; their inertia comes with the platform
+    heave = up @ mass @ up
+    first = rise[9] / FRAME**2
+    assert 0.3 * 5.0e4 / heave < first < 3.0 * 5.0e4 / heave
+    assert rise[-1] > 0.0
+
+
+def test_an_open_run_keeps_only_the_last_seconds() -> None:
+    run = ScenarioRun(scenario(duration="open", record_every=4), keep=0.5)
+    run.advance(3 * 1024 + 512)
+    record = run.record()
+    assert record.time.size == (1024 + 512) // 4
+    assert record.time[0] == 1.0
+    whole = run_scenario(run.scenario())
+    for name in record.channels:
+        np.testing.assert_array_equal(record[name], whole[name][-record.time.size :])
+
+
+def test_a_change_with_a_time_is_not_for_now() -> None:
+    run = ScenarioRun(scenario())
+    with pytest.raises(ValueError, match="at: 0.2 is refused; a change applied live happens"):
+        run.apply(change_of({"at": 0.2}))
+
+
+def test_the_chain_from_host_to_valves_runs_again_bit_for_bit() -> None:
+    run = ScenarioRun(
+        scenario(
+            duration="open",
+            record_every=2,
+            operation={"begin": "engaged"},
+            electronics={},
+            protection="default",
+            signal=[SINE | {"frequency": 1.0, "fade": 1.0}],
+        )
+    )
+    for change in ({"signal": [ROLL | {"fade": 1.0}]}, {"request": "hold"}, {"law": "original"}):
+        run.advance(700)
+        run.apply(change_of(change))
+    run.advance(500)
+    assert run.latest().state == "hold"
+    record = run.record()
+    assert record.metadata["host_counts"]["accepted"] == -(-2600 // 26)
+    assert not any(record.metadata["host_rejections"].values())
+    same(record, run_scenario(run.scenario()))
+
+
+# Command line
+
+
+def shortened(full: Scenario, seconds: float) -> Scenario:
+    """All times of a scenario squeezed into a few seconds, its signals left as they are."""
+    assert isinstance(full.duration, float)
+    share = seconds / full.duration
+    fields: dict[str, Any] = {"duration": seconds}
+    fields["event"] = tuple(e.model_copy(update={"at": e.at * share}) for e in full.event)
+    fields["change"] = tuple(
+        c.model_copy(update={"at": None, "frame": round(c.when() * share)}) for c in full.change
+    )
+    if full.operation is not None:
+        requests = tuple(r.model_copy(update={"at": r.at * share}) for r in full.operation.request)
+        fields["operation"] = full.operation.model_copy(update={"request": requests})
+    return full.model_copy(update=fields)
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_shipped_scenarios_run(name: str, tmp_path: Path) -> None:
+    full = find_scenario(name)
+    assert full.title
+    path = save_scenario(shortened(full, 0.3), tmp_path / f"{name}.toml")
+    result = CliRunner().invoke(app, ["run", str(path), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    record = Record.load(tmp_path / "out" / "record.parquet")
+    assert record.time.size == -(-round(0.3 * RATE) // full.record_every)
+    assert (tmp_path / "out" / "overview.png").stat().st_size > 10_000
+
+
+def test_schema_and_list() -> None:
+    schema = json.loads(CliRunner().invoke(app, ["run", "--schema"]).output)
+    assert set(schema["properties"]) == set(Scenario.model_fields)
+    listed = CliRunner().invoke(app, ["run"]).output
+    assert all(name in listed for name in scenario_names())
+
+
+def test_an_error_writes_nothing(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["run", "no_such", "--out", str(out)])
+    assert result.exit_code == 2
+    assert "'no_such' is neither a .toml file nor one of capacity_limited" in result.output
+    broken = tmp_path / "broken.toml"
+    broken.write_text("duration = 0.1\n[[signal]]\nkind = 'host'\nfile = 'gone.csv'\n")
+    result = CliRunner().invoke(app, ["run", str(broken), "--out", str(out)])
+    assert result.exit_code == 2
+    assert "gone.csv: cannot be read" in result.output
+    assert not out.exists()

@@ -1,0 +1,387 @@
+"""Kinematics: the machine's published numbers, inverse of forward, Jacobians, symmetry, refusals.
+
+Oracles: Appendix A and Table 2-1 of the report; excursions worked out from Appendix A,
+computed apart from this code; the SIMONA geometry of the TU Delft code.
+"""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cmf_mj.core import units
+from cmf_mj.machine import kinematics
+from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE, legs_to_pose, pose_to_legs
+
+POSE_UNITS = np.array([units.INCH] * 3 + [units.DEGREE] * 3)
+MIRROR = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+SOME_POSES = np.array(
+    [
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.3, -0.2, 0.25, 0.1, -0.15, 0.2],
+        [-0.5, 0.4, -0.3, -0.2, 0.1, -0.3],
+        [0.1, 0.9, 0.5, 0.05, 0.2, 0.1],
+    ]
+)
+
+
+def single(dof, excursion):
+    pose = np.zeros(6)
+    pose[DOFS.index(dof)] = excursion
+    return pose
+
+
+def poses_within(travel, seed, draws, reach, geometry=None):
+    """Random poses, all six axes at once, whose legs lie within the travel; never a handful."""
+    poses = np.random.default_rng(seed).uniform(-1.0, 1.0, (draws, 6)) * reach
+    inside = (np.abs(pose_to_legs(poses, geometry)) <= travel).all(axis=1)
+    assert inside.sum() > 1000
+    return poses[inside]
+
+
+def legs_of_the_envelope():
+    """All 64 corners of the leg box of +-37.5 in, then random points of it, many near its faces."""
+    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=6)))
+    inner = np.random.default_rng(3).uniform(-1.0, 1.0, (1000, 6))
+    inner[::2] = np.sign(inner[::2]) * np.abs(inner[::2]) ** 0.1
+    return WORKING_STROKE * np.concatenate([corners, inner])
+
+
+def one_by_one(legs):
+    return np.array([legs_to_pose(row) for row in legs])
+
+
+# Published numbers
+
+
+def test_legs_are_zero_at_the_pose_zero():
+    assert np.all(pose_to_legs(np.zeros(6)) == 0.0)
+
+
+def test_neutral_pin_to_pin_length():
+    """159.845 in. Appendix A rounds to 0.01 in, a length thus to about 0.005 in."""
+    lengths = kinematics.read_geometry().neutral / units.INCH
+    np.testing.assert_allclose(lengths, 159.845, rtol=0.0, atol=0.005)
+
+
+def test_neutral_leg_direction():
+    """By hand from Appendix A: 133.03 in down, 88.62 in across, direction cosine 0.8323."""
+    geometry = kinematics.read_geometry()
+    line = geometry.lower - geometry.upper
+    np.testing.assert_allclose(line[:, 2] / units.INCH, 133.03, rtol=0.0, atol=1e-9)
+    across = np.hypot(line[:, 0], line[:, 1]) / units.INCH
+    np.testing.assert_allclose(across, 88.62, rtol=0.0, atol=0.01)
+    np.testing.assert_allclose(line[:, 2] / geometry.neutral, 0.8323, rtol=0.0, atol=1e-4)
+
+
+EXCURSIONS = {
+    "surge": (-58.1, 69.8),
+    "sway": (-58.6, 58.6),
+    "heave": (-43.2, 48.6),
+    "roll": (-29.9, 29.9),
+    "pitch": (-30.2, 29.2),
+    "yaw": (-39.7, 39.7),
+}
+"""Worked out from Appendix A: inches and degrees, z down; one decimal, some cut and not rounded."""
+
+
+@pytest.mark.parametrize("dof", DOFS)
+def test_single_axis_excursions(dof):
+    row = DOFS.index(dof)
+    found = kinematics.excursion_envelope()[row] / POSE_UNITS[row]
+    np.testing.assert_allclose(found, EXCURSIONS[dof], rtol=0.0, atol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("dof", "side", "limit", "margin"),
+    [
+        ("surge", 0, -57.0, 1.2),
+        ("surge", 1, 70.0, 1.2),
+        ("sway", 0, -58.0, 1.2),
+        ("sway", 1, 58.0, 1.2),
+        ("heave", 0, -43.0, 1.2),
+        ("roll", 0, -30.0, 0.8),
+        ("roll", 1, 30.0, 0.8),
+        ("pitch", 1, 30.0, 0.8),
+        ("yaw", 0, -40.0, 0.8),
+        ("yaw", 1, 40.0, 0.8),
+    ],
+)
+def test_legs_explain_the_mechanical_limits(dof, side, limit, margin):
+    """Table 2-1, in and deg. Heave down and 27 deg nose down are set by something else."""
+    row = DOFS.index(dof)
+    found = kinematics.excursion_envelope()[row, side] / POSE_UNITS[row]
+    assert abs(found - limit) < margin
+
+
+def test_first_leg_reaches_its_travel_at_the_excursion():
+    for dof, side in itertools.product(range(6), range(2)):
+        pose = single(DOFS[dof], kinematics.excursion_envelope()[dof, side])
+        # brentq is asked for 1e-12; a leg moves at most about 3 m per rad.
+        assert abs(np.abs(pose_to_legs(pose)).max() - WORKING_STROKE) < 1e-11
+
+
+def test_one_inch_up_extends_each_leg_by_the_direction_cosine():
+    """Section 4.3 shows +0.83 in per leg for a -1 in heave step."""
+    legs = pose_to_legs(single("heave", -units.INCH)) / units.INCH
+    np.testing.assert_allclose(legs, 0.83, rtol=0.0, atol=0.005)
+
+
+# Inverse of forward
+
+
+def test_round_trip_over_the_envelope():
+    reach = np.abs(kinematics.excursion_envelope()).max(axis=1)
+    poses = poses_within(WORKING_STROKE, seed=0, draws=200_000, reach=reach)
+    np.testing.assert_allclose(legs_to_pose(pose_to_legs(poses)), poses, rtol=0.0, atol=1e-9)
+
+
+def test_round_trip_from_a_cold_start():
+    reach = np.abs(kinematics.excursion_envelope()).max(axis=1)
+    poses = poses_within(WORKING_STROKE, seed=1, draws=200_000, reach=reach)
+    found = one_by_one(pose_to_legs(poses))
+    np.testing.assert_allclose(found, poses, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("dof", DOFS)
+def test_round_trip_at_the_single_axis_extremes(dof):
+    for limit in kinematics.excursion_envelope()[DOFS.index(dof)]:
+        pose = single(dof, limit)
+        np.testing.assert_allclose(legs_to_pose(pose_to_legs(pose)), pose, rtol=0.0, atol=1e-9)
+
+
+def test_legs_come_back_from_every_corner_of_the_leg_box():
+    legs = legs_of_the_envelope()
+    np.testing.assert_allclose(pose_to_legs(one_by_one(legs)), legs, rtol=0.0, atol=1e-9)
+
+
+def test_cold_start_lands_on_the_assembly_of_the_pose_zero():
+    """Oracle: the legs taken from neutral in 40 small steps cannot change the assembly."""
+    for legs in legs_of_the_envelope()[:150]:
+        path = np.linspace(0.0, 1.0, 41)[:, None] * legs
+        walked = np.zeros(6)
+        for row in path[1:]:
+            for _ in range(5):
+                error = row - pose_to_legs(walked)
+                walked = walked + np.linalg.solve(kinematics.pose_jacobian(walked), error)
+        np.testing.assert_allclose(legs_to_pose(legs), walked, rtol=0.0, atol=1e-9)
+
+
+def test_no_pose_of_the_leg_box_is_singular():
+    """The determinant keeps the sign it has at neutral: there is one assembly to land on."""
+    signs = [
+        np.sign(np.linalg.det(kinematics.pose_jacobian(pose)))
+        for pose in one_by_one(legs_of_the_envelope())
+    ]
+    assert set(signs) == {np.sign(np.linalg.det(kinematics.pose_jacobian(np.zeros(6))))}
+
+
+def test_history_of_scattered_rows_equals_row_by_row():
+    """`legs_to_pose` promises the assembly that holds the pose zero, whatever the row before."""
+    legs = legs_of_the_envelope()
+    np.testing.assert_allclose(legs_to_pose(legs), one_by_one(legs), rtol=0.0, atol=1e-9)
+
+
+def test_jumps_between_corners_stay_on_the_assembly():
+    """From each corner of the leg box straight to each other one."""
+    corners = legs_of_the_envelope()[:64]
+    alone = one_by_one(corners)
+    strays = [
+        (start, end)
+        for start, end in itertools.permutations(range(64), 2)
+        if np.abs(legs_to_pose(corners[[start, end]])[1] - alone[end]).max() > 1e-9
+    ]
+    assert strays == []
+
+
+# Leading axes and memory layout
+
+
+def smooth_history():
+    time = np.linspace(0.0, 1.0, 40)[:, None]
+    return np.sin(2.0 * np.pi * time * np.arange(1, 7)) * [0.3, 0.3, 0.2, 0.1, 0.1, 0.2]
+
+
+def test_history_equals_row_by_row():
+    poses = smooth_history()
+    legs = pose_to_legs(poses)
+    assert np.array_equal(legs, np.array([pose_to_legs(row) for row in poses]))
+    np.testing.assert_allclose(legs_to_pose(legs), one_by_one(legs), rtol=0.0, atol=1e-12)
+
+
+def test_two_leading_axes_equal_row_by_row():
+    poses = np.stack([smooth_history(), -0.5 * smooth_history()])
+    legs = pose_to_legs(poses)
+    assert legs.shape == (2, 40, 6)
+    for run in range(2):
+        assert np.array_equal(legs[run], pose_to_legs(poses[run]))
+    back = legs_to_pose(legs)
+    assert back.shape == (2, 40, 6)
+    np.testing.assert_allclose(back, poses, rtol=0.0, atol=1e-9)
+
+
+def test_memory_layout_does_not_matter():
+    """The same (2, T, 6) numbers, stored time first: a transposed view."""
+    poses = np.stack([smooth_history(), -0.5 * smooth_history()], axis=1).transpose(1, 0, 2)
+    legs = pose_to_legs(poses)
+    assert np.array_equal(legs, pose_to_legs(np.ascontiguousarray(poses)))
+    order = np.ascontiguousarray(legs.transpose(1, 0, 2)).transpose(1, 0, 2)
+    np.testing.assert_allclose(legs_to_pose(order), poses, rtol=0.0, atol=1e-9)
+
+
+def test_fortran_order_does_not_matter():
+    poses = smooth_history()
+    assert np.array_equal(pose_to_legs(np.asfortranarray(poses)), pose_to_legs(poses))
+
+
+def test_inputs_are_left_alone():
+    poses = smooth_history()
+    before = poses.copy()
+    legs = pose_to_legs(poses)
+    legs_before = legs.copy()
+    legs_to_pose(legs)
+    assert np.array_equal(poses, before) and np.array_equal(legs, legs_before)
+
+
+# Jacobians
+
+
+@pytest.mark.parametrize("pose", SOME_POSES)
+def test_pose_jacobian_is_the_derivative_of_the_legs(pose):
+    step = 1e-5
+    found = [
+        (pose_to_legs(pose + d) - pose_to_legs(pose - d)) / (2 * step) for d in step * np.eye(6)
+    ]
+    # Truncation step^2 / 6 times a third derivative of order 1, round-off 1e-16 / step: 1e-10.
+    np.testing.assert_allclose(
+        kinematics.pose_jacobian(pose), np.transpose(found), rtol=0.0, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("pose", SOME_POSES)
+def test_leg_jacobian_is_the_derivative_along_a_twist(pose):
+    """Turned by small rotation vectors about inertial axes with SciPy, an independent rotation."""
+    step = 1e-5
+
+    def moved(twist):
+        turn = Rotation.from_rotvec(twist[3:]) * Rotation.from_euler("ZYX", pose[:2:-1])
+        return pose_to_legs(np.concatenate([pose[:3] + twist[:3], turn.as_euler("ZYX")[::-1]]))
+
+    found = [(moved(d) - moved(-d)) / (2 * step) for d in step * np.eye(6)]
+    np.testing.assert_allclose(
+        kinematics.leg_jacobian(pose), np.transpose(found), rtol=0.0, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("pose", SOME_POSES)
+def test_jacobians_differ_by_the_euler_rates(pose):
+    rates = np.eye(6)
+    rates[3:, 3:] = kinematics.euler_rate_matrix(pose[4], pose[5])
+    np.testing.assert_allclose(
+        kinematics.pose_jacobian(pose), kinematics.leg_jacobian(pose) @ rates, rtol=0.0, atol=1e-14
+    )
+
+
+@pytest.mark.parametrize("pose", SOME_POSES)
+def test_leg_jacobian_starts_with_unit_vectors(pose):
+    lengths = np.linalg.norm(kinematics.leg_jacobian(pose)[:, :3], axis=1)
+    np.testing.assert_allclose(lengths, 1.0, rtol=0.0, atol=1e-14)
+
+
+def test_rotation_is_yaw_pitch_roll():
+    """Eq 2.2: body to inertial, Euler order yaw, pitch, roll, as SciPy's intrinsic ZYX."""
+    expected = Rotation.from_euler("ZYX", [0.7, -0.4, 0.3]).as_matrix()
+    np.testing.assert_allclose(kinematics.rotation(0.3, -0.4, 0.7), expected, rtol=0.0, atol=1e-15)
+
+
+# Symmetry
+
+
+@pytest.mark.parametrize("pose", SOME_POSES)
+def test_machine_is_its_own_mirror_image(pose):
+    """Sides exchanged swap legs 1 and 6, 2 and 5, 3 and 4; sway, roll and yaw change sign."""
+    legs = pose_to_legs(pose)
+    np.testing.assert_allclose(pose_to_legs(MIRROR * pose), legs[::-1], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(legs_to_pose(legs[::-1]), MIRROR * pose, rtol=0.0, atol=1e-9)
+
+
+# Refusals
+
+
+def test_impossible_legs_name_the_row():
+    legs = np.zeros((3, 6))
+    legs[1] = -4.0  # 0.06 m long, where the gimbals are 2.25 m apart across
+    with pytest.raises(ValueError, match=r"legs\[1\]: no platform pose .* -4"):
+        legs_to_pose(legs)
+
+
+def test_one_impossible_leg_is_refused():
+    with pytest.raises(ValueError, match=r"legs: no platform pose"):
+        legs_to_pose([20.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("function", [pose_to_legs, legs_to_pose])
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_not_finite_names_the_position(function, bad):
+    values = np.zeros((2, 3, 6))
+    values[1, 2, 4] = bad
+    with pytest.raises(ValueError, match=r"(pose|legs)\[1, 2, 4\]: (nan|inf) is not a finite"):
+        function(values)
+
+
+@pytest.mark.parametrize("function", [pose_to_legs, legs_to_pose])
+@pytest.mark.parametrize("shape", [(), (5,), (6, 1), (4, 7)])
+def test_wrong_shape_is_refused(function, shape):
+    with pytest.raises(ValueError, match=r"shape is \(.*the last axis must have length 6"):
+        function(np.zeros(shape))
+
+
+@pytest.mark.parametrize("function", [kinematics.leg_jacobian, kinematics.pose_jacobian])
+@pytest.mark.parametrize("shape", [(5,), (2, 6)])
+def test_jacobian_of_a_wrong_shape_is_refused(function, shape):
+    with pytest.raises(ValueError, match="pose: shape is"):
+        function(np.zeros(shape))
+
+
+def test_gimbals_of_a_wrong_shape_are_refused():
+    with pytest.raises(ValueError, match=r"upper, lower: shapes are \(5, 3\), \(6, 3\)"):
+        kinematics.make_geometry(np.ones((5, 3)), np.zeros((6, 3)))
+
+
+@pytest.mark.parametrize("travel", [0.0, -1.0, np.nan])
+def test_travel_must_be_positive(travel):
+    with pytest.raises(ValueError, match="travel: .* must be greater than 0"):
+        kinematics.excursion_envelope(travel)
+
+
+# A second machine
+
+
+def simona():
+    """TU Delft's SIMONA: gimbal radii 1.600 and 1.650 m, pairs 2 asin(1/16), 2 asin(3/16.5)."""
+
+    def ring(radius, spacing, first, height):
+        middles = np.radians(first + np.array([0.0, 120.0, 240.0]))
+        angles = (middles[:, None] + spacing / 2.0 * np.array([-1.0, 1.0])).ravel()
+        return np.column_stack(
+            [radius * np.cos(angles), radius * np.sin(angles), np.full(6, height)]
+        )
+
+    upper = ring(1.600, 2.0 * np.arcsin(1.0 / 16.0), 0.0, 0.0)
+    lower = ring(1.650, 2.0 * np.arcsin(3.0 / 16.5), 60.0, 2.39)
+    return kinematics.make_geometry(upper, np.roll(lower, 1, axis=0))
+
+
+def test_simona_neutral_legs():
+    """2.7061 m, the middle of its legs of 2.131 to 3.281 m."""
+    np.testing.assert_allclose(simona().neutral, 2.7061, rtol=0.0, atol=5e-5)
+
+
+def test_simona_round_trip():
+    """All poses whose legs lie within the 2.131 to 3.281 m of the machine."""
+    geometry = simona()
+    reach = np.array([1.0, 1.0, 0.7, 0.5, 0.5, 0.7])
+    poses = poses_within(0.575, seed=2, draws=50_000, reach=reach, geometry=geometry)
+    back = legs_to_pose(pose_to_legs(poses, geometry), geometry)
+    np.testing.assert_allclose(back, poses, rtol=0.0, atol=1e-9)

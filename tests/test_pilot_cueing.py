@@ -1,0 +1,162 @@
+"""Washout parameters, the machine's envelope, tuning and the command line."""
+
+import numpy as np
+import pytest
+from flights import held, pushed, turn_entry
+from typer.testing import CliRunner
+
+from cmf_mj.cli.common import app
+from cmf_mj.facility.host.files import read_stream
+from cmf_mj.machine.kinematics import WORKING_STROKE, pose_motion_to_legs, pose_to_legs
+from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.pilot.cueing.envelope import confined, excursion
+from cmf_mj.pilot.cueing.flight import cue, tune
+from cmf_mj.pilot.cueing.settings import WASHOUTS, load_washout, save_washout
+from cmf_mj.pilot.cueing.washout import Washout
+
+LIMITS = load_motion_limits()
+PUSH = pushed(0, np.clip((np.arange(2400) / 80.0 - 1.0) * 2.0, 0.0, 5.0))
+
+
+def test_published_parameters_of_simona():
+    """Field values as printed: gains, high-pass, break, low-pass, tilt rate; all damping 1."""
+    simona = load_washout()
+    np.testing.assert_array_equal(simona.gains, [0.6, 0.6, 0.5, 0.6, 0.6, 0.6])
+    axes = [getattr(simona, dof) for dof in ("surge", "sway", "heave", "roll", "pitch", "yaw")]
+    assert [axis.natural_frequency.si for axis in axes] == [0.8, 1.0, 1.0, 1.0, 0.8, 1.0]
+    assert [axis.break_frequency.si for axis in axes[:3]] == [0.0, 0.0, 0.2]
+    assert [axis.low_pass_frequency.si for axis in axes[:2]] == [2.0, 2.0]
+    assert {axis.damping.si for axis in axes} == {1.0}
+    assert simona.inputs.tilt_rate.si == pytest.approx(np.radians(3.0))
+    assert {axis.gain.status for axis in axes} == {"published"}
+    assert load_washout("reid_nahon").surge.natural_frequency.status == "recalled"
+
+
+@pytest.mark.parametrize("name", WASHOUTS)
+def test_a_set_reads_back_from_its_file(name, tmp_path):
+    settings = load_washout(name)
+    again = load_washout(save_washout(settings, tmp_path / "set.toml"))
+    assert again == settings
+    changed = settings.with_gains(np.arange(6) / 10.0)
+    np.testing.assert_allclose(changed.gains, np.arange(6) / 10.0)
+    assert load_washout(save_washout(changed, tmp_path / "set.toml")) == changed
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('base = "mine"\n[a]\n', "base: 'mine'"),
+        ('base = "simona"\n', "exactly one"),
+        ('base = "simona"\n[a]\nkind = "optimal"\n', "kind"),
+        (
+            'base = "simona"\n[a.inputs]\ntilt_force_limit = '
+            '{value = 9.9, unit = "m/s^2", status = "assumed", source = "t"}\n',
+            "may overshoot to 1 g",
+        ),
+        (
+            'base = "simona"\n[a.heave]\ngain = '
+            '{value = 0.5, unit = "m", status = "assumed", source = "t"}\n',
+            "heave.gain.*unit must be one of 1",
+        ),
+    ],
+)
+def test_files_are_refused_by_name(text, message, tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        load_washout(path)
+
+
+def test_unknown_set_is_refused():
+    with pytest.raises(ValueError, match="'hexapod' is not one of simona"):
+        load_washout("hexapod")
+
+
+def test_a_motion_within_the_limits_passes_to_the_bit():
+    stream = Washout().run(turn_entry())
+    assert excursion(stream).largest < 1.0
+    kept = confined(stream)
+    assert not kept.held.any()
+    for name in ("pose", "velocity", "acceleration"):
+        np.testing.assert_array_equal(getattr(kept.stream, name), getattr(stream, name))
+
+
+def test_a_motion_beyond_them_is_held_within_travel_and_leg_rates():
+    stream = Washout().run(PUSH)
+    assert excursion(stream).largest > 1.2
+    assert "leg_displacement" in excursion(stream).binding
+    kept = confined(stream)
+    assert kept.held.any() and not kept.held.all()
+    legs = pose_to_legs(kept.stream.pose)
+    assert np.abs(legs).max() <= WORKING_STROKE * (1 + 1e-12)
+    low, high = LIMITS.operational.T
+    # Legs have the last word: on their way the platform may go a little beyond its own limits.
+    assert (kept.stream.pose <= 1.01 * high).all() and (kept.stream.pose >= 1.01 * low).all()
+    speed = np.abs(np.diff(legs, axis=0)).max() * 80.0
+    assert speed <= LIMITS.leg.velocity.si * (1 + 1e-9)
+    push = np.abs(np.diff(legs, n=2, axis=0)).max() * 80.0**2
+    assert push <= LIMITS.leg.acceleration.si * (1 + 1e-6)
+    told = pose_motion_to_legs(kept.stream.pose, kept.stream.velocity, kept.stream.acceleration)
+    differenced = (legs[2:] - legs[:-2]) * 40.0
+    assert np.abs(told.velocity[1:-1] - differenced).max() < 0.6 * LIMITS.leg.acceleration.si / 80.0
+
+
+def test_tuning_just_uses_the_machine_and_no_more():
+    tuned = tune(PUSH)
+    assert 1.0 - 1e-4 < tuned.excursion.largest <= 1.0
+    assert "displacement" in tuned.binding
+    np.testing.assert_allclose(tuned.settings.gains, tuned.factor * load_washout().gains)
+    assert not cue(PUSH, tuned.settings).held.any()
+    half = tune(PUSH, share=0.5, dofs=("surge",))
+    assert half.excursion.largest <= 0.5
+    np.testing.assert_array_equal(half.settings.gains[1:], load_washout().gains[1:])
+
+
+def test_tuning_of_a_small_motion_ends_at_the_largest_gain():
+    tuned = tune(pushed(0, held(0.2, seconds=20.0)))
+    assert tuned.binding == "largest gain"
+    assert tuned.settings.gains.max() == pytest.approx(1.0)
+
+
+def test_tuning_refuses_what_it_cannot_do():
+    with pytest.raises(ValueError, match="share: 0"):
+        tune(PUSH, share=0.0)
+    with pytest.raises(ValueError, match="dofs: 'up'"):
+        tune(PUSH, dofs=("up",))
+    with pytest.raises(ValueError, match="gains left alone use"):
+        tune(PUSH, dofs=("yaw",))
+
+
+def test_cue_run_and_tune_write_their_files(tmp_path):
+    flight = PUSH.save(tmp_path / "flight.csv")
+    result = CliRunner().invoke(app, ["cue", "run", str(flight), "--out", str(tmp_path / "run")])
+    assert result.exit_code == 0, result.output
+    assert "held back" in result.output and "threshold" in result.output
+    stream = read_stream(tmp_path / "run" / "host.csv")
+    np.testing.assert_allclose(stream.pose, cue(PUSH).stream.pose, atol=1e-12)
+    names = {path.name for path in (tmp_path / "run").iterdir()}
+    assert names == {"host.csv", "simulator.csv", "error.csv", "motion.png", "senses.png"}
+    result = CliRunner().invoke(
+        app, ["cue", "tune", str(flight), "--share", "0.8", "--out", str(tmp_path / "tune")]
+    )
+    assert result.exit_code == 0, result.output
+    tuned = load_washout(tmp_path / "tune" / "washout.toml")
+    assert 0.79 < cue(PUSH, tuned).excursion.largest <= 0.8
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("missing.csv",), "missing.csv"),
+        (("FLIGHT", "--washout", "best"), "'best'"),
+        (("FLIGHT", "--cab", "bus"), "'bus'"),
+        (("FLIGHT", "--rate", "0"), "rate"),
+    ],
+)
+def test_cue_refuses_in_one_line(arguments, message, tmp_path):
+    flight = pushed(0, held(0.1, seconds=2.0)).save(tmp_path / "flight.csv")
+    given = [str(flight) if part == "FLIGHT" else part for part in arguments]
+    result = CliRunner().invoke(app, ["cue", "run", *given, "--out", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert message in result.output
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,293 @@
+"""From aircraft to cab: what is asked, what is felt, how late, and within which limits."""
+
+import csv
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from cmf_mj import signals
+from cmf_mj.cli.common import app
+from cmf_mj.control.dcu.settings import load_dcu
+from cmf_mj.core.rates import RATE
+from cmf_mj.facility import host
+from cmf_mj.facility.operation import FacilitySettings
+from cmf_mj.machine import kinematics
+from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.pilot import host as pilot_host
+from cmf_mj.pilot.aircraft.flight import Flight, load_flight
+from cmf_mj.pilot.cueing.settings import load_washout
+from cmf_mj.pilot.fly import Ride, envelope_use, error_spectra, felt, fly, transient_delay
+from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.pilot.transport import transport_delay
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.show import flight as flight_report
+
+IDEAL = FacilitySettings(electronics=None)
+
+
+def cut(motion: PilotMotion, start: float, stop: float) -> PilotMotion:
+    rows = (motion.time >= start) & (motion.time < stop)
+    columns = (motion.specific_force, motion.angular_rate, motion.attitude)
+    return PilotMotion(motion.time[rows] - start, *(values[rows] for values in columns))
+
+
+@pytest.fixture(scope="module")
+def failing() -> PilotMotion:
+    """12 s around the engine failure."""
+    return cut(load_flight("engine_failure").motion, 26.0, 38.0)
+
+
+@pytest.fixture(scope="module")
+def ride(failing: PilotMotion) -> Ride:
+    return fly(failing, "velocity")
+
+
+def test_the_envelope_is_kept_and_nothing_fails(ride: Ride) -> None:
+    assert ride.fault is None and ride.use.within
+    assert 0.1 < ride.use.leg_position < 1.0 and ride.use.stops == 0.0
+    assert not ride.held.any()
+    assert all(np.isfinite(values).all() for values in ride.operation.record.channels.values())
+
+
+def test_delays_are_the_dcus_and_the_loops(ride: Ride) -> None:
+    assert ride.host_delay == pytest.approx(load_dcu().delay.total, abs=1.0 / RATE)
+    assert 0.02 < ride.loop_delay < 0.15
+
+
+def test_the_delay_of_a_slow_transient_is_found_whatever_its_gain() -> None:
+    """A bump of 5 s delayed by 37 ms, exact but for the optimiser's tolerance."""
+    time = np.arange(0.0, 12.0, 1.0 / 256.0)
+
+    def bump(at: np.ndarray) -> np.ndarray:
+        return np.exp(-((at - 6.0) ** 2))
+
+    found = transient_delay(bump(time), 0.8 * bump(time - 0.037) + 0.1, 256.0)
+    assert found == pytest.approx(0.037, abs=1e-4)
+
+
+def test_the_machines_error_is_that_of_the_flight_less_that_of_the_washout(ride: Ride) -> None:
+    """Senses are linear: aircraft - cab = (aircraft - asked) + (asked - cab)."""
+    baseline = flight_report.ideal_error(ride)
+    assert ride.cueing is not None and baseline is not None
+    np.testing.assert_allclose(
+        ride.cueing.error, baseline.error + ride.machine.error, rtol=0, atol=1e-12
+    )
+    assert (ride.machine.rms[:3] > 1e-4).all()
+
+
+def test_a_washout_without_gain_leaves_the_pilot_at_rest(failing: PilotMotion) -> None:
+    still = load_washout("simona").with_gains(np.zeros(6))
+    ride = fly(cut(failing, 0.0, 2.0), "velocity", cueing=still, facility=IDEAL)
+    assert not ride.stream.pose.any()
+    rest = np.tile([0.0, 0.0, -9.80665], (ride.asked.time.size, 1))
+    np.testing.assert_allclose(ride.asked.specific_force, rest, atol=1e-12)
+    # The law's output begins at its offset, which shakes the cab for half a second.
+    settled = ride.asked.time > 1.0
+    np.testing.assert_allclose(ride.simulator.specific_force[settled], rest[settled], atol=5e-3)
+    assert np.isnan(ride.host_delay)
+    assert ride.use.pose.max() < 1e-3
+
+
+class Live:
+    """A host that is nothing but its samples."""
+
+    def __init__(self, motion: PilotMotion) -> None:
+        self.motion = motion
+
+    def samples(self) -> Iterator[pilot_host.PilotSample]:
+        yield from pilot_host.pilot_samples(self.motion)
+
+
+def test_a_live_host_is_flown_like_its_recording(failing: PilotMotion) -> None:
+    short = cut(failing, 3.0, 4.5)
+    live, recorded = fly(Live(short)), fly(short)
+    for name, values in recorded.operation.record.channels.items():
+        assert live.operation.record[name].tobytes() == values.tobytes(), name
+
+
+@pytest.fixture(scope="module")
+def direct() -> Ride:
+    """A slow sine in surge, in direct mode with ideal electronics."""
+    command = signals.sine("surge", 0.1, 0.4, cycles=3.0, fade=2.0)
+    return fly(host.from_command(command, 80.0), "velocity", facility=IDEAL)
+
+
+def test_direct_mode_has_no_aircraft(direct: Ride) -> None:
+    assert direct.aircraft is None and direct.cueing is None
+    assert direct.use.within and not direct.held.any()
+    figure = flight_report.perceived_figure(direct)
+    assert figure.axes[0].get_legend_handles_labels()[1][1] == "if followed at once"
+
+
+def test_the_cab_feels_what_was_asked_when_delay_and_gain_are_taken_out(direct: Ride) -> None:
+    """Fundamental of the specific force along x: gain within 10 %, phase that of the delays."""
+    asked, cab = direct.asked.specific_force[:, 0], direct.simulator.specific_force[:, 0]
+    best = np.fft.rfft(asked * np.hanning(asked.size)), np.fft.rfft(cab * np.hanning(cab.size))
+    line = int(np.abs(best[0]).argmax())
+    ratio = best[1][line] / best[0][line]
+    frequency = line * direct.asked.rate / asked.size
+    assert abs(ratio) == pytest.approx(1.0, abs=0.1)
+    late = -np.angle(ratio) / (2.0 * np.pi * frequency)
+    assert late == pytest.approx(direct.host_delay + direct.loop_delay, abs=0.01)
+
+
+def test_taking_80_hz_samples_leaves_slow_motion_as_it_is(direct: Ride) -> None:
+    record = direct.operation.record
+    time = direct.asked.time[80:-80]
+    raw = PilotMotion.from_record(record)
+    # `felt` counts from its first time.
+    shifted = felt(record, direct.asked.time).specific_force[80:-80, 0]
+    at = np.interp(time, raw.time, raw.specific_force[:, 0])
+    assert np.sqrt(np.mean((shifted - at) ** 2)) < 0.02 * np.std(at)
+
+
+def test_the_use_of_the_envelope_is_that_of_a_pose_held() -> None:
+    pose = np.array([0.3, -0.2, 0.1, 0.05, -0.06, 0.1])
+    stream = host.make_stream(np.arange(80) / 80.0, np.tile(pose, (80, 1)))
+    ride = fly(stream, "velocity_integral", facility=IDEAL)
+    low, high = load_motion_limits().operational.T
+    use = envelope_use(ride.operation.record)
+    # The law's own offset moves the platform by an inch or so.
+    np.testing.assert_allclose(use.pose, np.maximum(pose / low, pose / high), atol=0.06)
+    legs = np.abs(kinematics.pose_to_legs(pose)).max() / kinematics.WORKING_STROKE
+    assert use.leg_position == pytest.approx(legs, abs=0.06)
+
+
+def test_spectra_hold_the_power_of_the_difference() -> None:
+    """A sine of amplitude A on one axis: the density integrates to A^2 / 2, at its frequency."""
+    time = np.arange(1600) / 80.0
+    still = PilotMotion(time, np.zeros((1600, 3)), np.zeros((1600, 3)), np.zeros((1600, 3)))
+    force = np.zeros((1600, 3))
+    force[:, 1] = 0.3 * np.sin(2.0 * np.pi * 2.0 * time)
+    moved = PilotMotion(time, force, np.zeros((1600, 3)), np.zeros((1600, 3)))
+    frequency, density = error_spectra(still, moved)
+    assert np.trapezoid(density[:, 1], frequency) == pytest.approx(0.3**2 / 2.0, rel=1e-3)
+    assert frequency[density[:, 1].argmax()] == pytest.approx(2.0, abs=0.13)
+    assert not density[:, [0, 2, 3, 4, 5]].any()
+
+
+@pytest.mark.parametrize("dof", ["heave", "pitch"])
+def test_the_way_from_host_to_pilot_adds_up(dof: str) -> None:
+    """Phases add up; the DCU's part is its settings, the valve's that of its two lags, the pilot
+    on the platform is no later than the legs."""
+    delay = transport_delay(dof=dof, facility=IDEAL)
+    measured = {stage.name: stage.delay for stage in delay.stages if not stage.known}
+    known = sum(stage.delay for stage in delay.stages if stage.known)
+    assert known == pytest.approx(load_dcu().delay.total, abs=1e-12)
+    assert delay.host_to_reference == pytest.approx(known, abs=1.0 / RATE)
+    whole = delay.host_to_reference + sum(measured.values())
+    assert whole == pytest.approx(delay.total, abs=1e-9)
+    law, servo, plant, pilot = measured.values()
+    parameters = load_hydraulics("hardware")
+    omega = 2.0 * np.pi
+    lags = [np.arctan(omega / corner.si) / omega for corner in (
+        parameters.drive_lag, parameters.valve_lag
+    )]  # fmt: skip
+    assert servo == pytest.approx(sum(lags), abs=2.0 / RATE)
+    assert abs(law) < 0.03 and 0.0 < plant < 0.02
+    assert abs(pilot) < 0.01
+    assert 0.08 < delay.total < 0.2
+
+
+def test_delays_that_cannot_be_measured_are_refused() -> None:
+    with pytest.raises(ValueError, match="frequency: 0.3 Hz; allowed: up to 8 Hz"):
+        transport_delay(frequency=0.3)
+    with pytest.raises(ValueError, match="dof: 'up' is not one of surge"):
+        transport_delay(dof="up")
+
+
+def run(*arguments: str) -> str:
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def test_cmf_flight_records_and_cmf_fly_compares(failing: PilotMotion, tmp_path: Path) -> None:
+    flight = load_flight("engine_failure")
+    short = Flight(cut(failing, 2.0, 5.0), flight.origin).save(tmp_path / "short.csv")
+    out = tmp_path / "out"
+    laws = "velocity,position_error_rate"
+    text = run("fly", str(short), "--law", laws, "--cueing", "optimal", "--out", str(out))
+    assert "host to leg reference" in text and text.count("kept within the envelope") == 2
+    with (out / "comparison.csv").open(newline="") as file:
+        rows = list(csv.reader(file))
+    assert [row[0] for row in rows[1:]] == ["machine that follows at once", *laws.split(",")]
+    names = {"motion.png", "perceived.png", "envelope.png", "record.parquet", "host.parquet"}
+    for law in laws.split(","):
+        assert names <= {path.name for path in (out / law).iterdir()}
+    assert (out / "comparison.png").stat().st_size > 10_000
+
+
+def test_traces_of_a_ride_are_what_the_pilots_are_subjected_to(ride: Ride) -> None:
+    traces = flight_report.flight_traces(ride)
+    assert [panel.label for panel in traces.panels][::3] == ["f_x [m/s²]", "p [deg/s]"]
+    assert traces.time[0] == 0.0 and traces.time[-1] == pytest.approx(12.0, abs=0.02)
+    force, rate = traces.panels[1].curves, traces.panels[5].curves
+    assert [curve.label for curve in force] == ["aircraft", "asked of the platform", "cab"]
+    assert ride.aircraft is not None
+    np.testing.assert_array_equal(force[0].values, ride.aircraft.specific_force[:, 1])
+    yaw = np.degrees(ride.simulator.angular_rate[:, 2])
+    np.testing.assert_allclose(rate[2].values, yaw, rtol=1e-14)
+
+
+def test_a_ride_without_aircraft_has_traces_of_what_was_asked(direct: Ride) -> None:
+    labels = [curve.label for curve in flight_report.flight_traces(direct).panels[0].curves]
+    assert labels == ["asked of the platform", "cab"]
+
+
+def test_cmf_fly_films_the_laws_side_by_side(failing: PilotMotion, tmp_path: Path) -> None:
+    """Two laws, 1.5 s at 4 pictures a second from 0.5 s on; the record of one is a film too."""
+    origin = load_flight("engine_failure").origin
+    short = Flight(cut(failing, 2.0, 4.5), origin).save(tmp_path / "short.parquet")
+    out, size = tmp_path / "out", ("--width", "160", "--height", "100", "--fps", "4")
+    part = ("--start", "0.5", "--seconds", "1.5", "--strip", "120")
+    laws = ("--law", "velocity,modal_plan_flight", "--no-delay", "--ideal")
+    text = run("fly", str(short), *laws, "--video", *part, *size, "--out", str(out))
+    assert text.count("kept within the envelope") == 2
+    with av.open(str(out / "video.mp4")) as container:
+        pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(pictures) == 7 and pictures[0].shape == (220, 320, 3)
+    again = tmp_path / "again.gif"
+    record = out / "velocity" / "record.parquet"
+    run("video", str(record), *size, "--seconds", "1", "--out", str(again))
+    with Image.open(again) as picture:
+        assert picture.n_frames == 5
+
+
+def test_a_film_that_cannot_be_made_is_refused_before_the_flight(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["fly", "gusts", "--video", "--out", str(out)])
+    assert result.exit_code == 2 and "pip install 'cmf-mj[video]'" in result.output
+    assert not out.exists()
+
+
+def test_cmf_flight_flies_a_script(tmp_path: Path) -> None:
+    path = tmp_path / "gusts.parquet"
+    assert "13.48 m forward" in run("flight", "gusts", "--out", str(path), "--single")
+    shipped = load_flight("gusts").motion
+    np.testing.assert_allclose(
+        Flight.load(path).motion.specific_force, shipped.specific_force, atol=2e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("fly", "loop"), "cmf: flight: 'loop' is neither"),
+        (("fly", "gusts", "--law", "none"), "law: 'none'"),
+        (("fly", "gusts", "--cueing", "none"), "'none'"),
+        (("flight", "loop", "--out", "x.csv"), "flight: 'loop' is not one of"),
+    ],
+)
+def test_bad_names_are_refused_in_a_line(arguments: tuple[str, ...], message: str) -> None:
+    result = CliRunner().invoke(app, list(arguments))
+    assert result.exit_code == 2 and message in result.output

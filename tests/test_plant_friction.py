@@ -1,0 +1,101 @@
+"""Friction: stick below breakaway, slip above, the Stribeck curve, losses, any step."""
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+from cmf_mj.plant.friction import Friction, make_frictions, slide
+from cmf_mj.plant.parameters.loading import load_hydraulics
+
+LBF, INCH = 0.45359237 * 9.80665, 0.0254
+CONTACT = Friction(coulomb=600.0, excess=0.6, stribeck=0.003, presliding=1e-4, viscous=500.0)
+
+
+def lugre(time: float, speed: float, bristle: float = 0.0) -> float:
+    """z after sliding at a held speed, by integration of dz/dt = v - |v| z / Z(v)."""
+    c = CONTACT
+    largest = c.presliding * (1 + c.excess * np.exp(-((speed / c.stribeck) ** 2)))
+    solution = integrate.solve_ivp(
+        lambda _, z: speed - abs(speed) * z / largest, (0, time), [bristle], rtol=1e-10, atol=1e-14
+    )
+    return float(solution.y[0, -1])
+
+
+@pytest.mark.parametrize("speed", [-0.2, -1e-3, 1e-5, 2e-3, 0.5])
+@pytest.mark.parametrize("bristle", [-1e-4, 0.0, 5e-5])
+def test_deflection_follows_its_equation(speed: float, bristle: float) -> None:
+    for time in (1e-4, 1e-3, 0.05):
+        found, _ = slide(CONTACT, bristle, speed, time)
+        assert found == pytest.approx(lugre(time, speed, bristle), rel=1e-7, abs=1e-13)
+
+
+@pytest.mark.parametrize("speed", [-0.3, 2e-4, 3e-3, 6e-3, 0.5])
+def test_steady_sliding_is_on_the_stribeck_curve(speed: float) -> None:
+    """F = sign(v) (Fc + (Fb - Fc) exp(-(v/vs)^2)) + b v, Fb = 960 N."""
+    bristle, force = 0.0, 0.0
+    for _ in range(4000):
+        bristle, force = slide(CONTACT, bristle, speed, 0.01)
+    curve = 600.0 + 360.0 * np.exp(-((speed / 0.003) ** 2))
+    assert force == pytest.approx(np.sign(speed) * curve + 500.0 * speed, rel=1e-9)
+
+
+def block(load: float, seconds: float = 8.0, mass: float = 300.0) -> tuple[float, float]:
+    """(moved [m], speed [m/s]) of a block on the contact under a load that rises in 5 s: slowly,
+    for the presliding creep must stay below the Stribeck speed."""
+    step, x, v, bristle, force = 1 / 2048, 0.0, 0.0, 0.0, 0.0
+    for k in range(round(seconds / step)):
+        push = load * min(k * step / 5.0, 1.0)
+        v += step * (push - force) / mass
+        x += step * v
+        bristle, force = slide(CONTACT, bristle, v, step)
+    return x, v
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_load_below_breakaway_sticks_and_one_above_slips(sign: float) -> None:
+    """960 N breaks loose. At 90 % the block stands where the bristles hold it, z = d F / Fc within
+    the presliding creep; at 110 % it slides."""
+    moved, speed = block(0.9 * 960.0 * sign)
+    assert abs(speed) < 1e-6
+    assert abs(moved) < 10 * CONTACT.presliding
+    moved, speed = block(1.1 * 960.0 * sign)
+    assert speed * sign > 0.1
+    assert moved * sign > 0.1
+
+
+def test_a_sliding_contact_takes_energy_and_never_gives_more_than_it_stored() -> None:
+    """Work of friction over random motion is at least minus the bristles' elastic energy."""
+    rng = np.random.default_rng(4)
+    bristle, work, step = 0.0, 0.0, 1 / 2048
+    stiffness = CONTACT.coulomb / CONTACT.presliding
+    for speed in np.repeat(rng.normal(0.0, 0.01, 400), 8):
+        before = 0.5 * stiffness * bristle**2
+        bristle, force = slide(CONTACT, bristle, speed, step)
+        taken = force * speed * step
+        work += taken
+        assert taken >= 0.5 * stiffness * bristle**2 - before - 1e-3
+    assert work > 1.0
+
+
+def test_the_result_does_not_depend_on_the_step() -> None:
+    """At a held speed the deflection is exact: one step or a thousand, 1e-12 of d."""
+    whole = slide(CONTACT, -5e-5, 4e-3, 0.02)
+    bristle, force = -5e-5, 0.0
+    for _ in range(1000):
+        bristle, force = slide(CONTACT, bristle, 4e-3, 2e-5)
+    assert bristle == pytest.approx(whole[0], abs=1e-12 * CONTACT.presliding * 1e3)
+    assert force == pytest.approx(whole[1], rel=1e-9)
+
+
+def test_without_friction_nothing_resists() -> None:
+    contact = make_frictions(load_hydraulics("hardware"), ["leg"])[0]
+    assert slide(contact, 0.0, 0.5, 1e-3) == (0.0, 0.0)
+
+
+def test_numbers_come_from_the_set() -> None:
+    contact = make_frictions(load_hydraulics("lossy"), ["a", "b"])[1]
+    assert contact.coulomb == pytest.approx(150 * LBF, rel=1e-12)
+    assert contact.excess == pytest.approx(250 / 150 - 1, rel=1e-12)
+    assert contact.viscous == pytest.approx(10 * LBF / INCH, rel=1e-12)
+    assert contact.presliding == pytest.approx(0.004 * INCH, rel=1e-12)
+    assert contact.stribeck == pytest.approx(0.1 * INCH, rel=1e-12)

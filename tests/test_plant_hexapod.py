@@ -1,0 +1,432 @@
+"""The hexapod plant: reflected mass, static forces and modes against algebra of our own.
+
+The oracle `Rigid` knows no joints and no constraints: it adds up the kinetic and the potential
+energy of platform, cab, cylinders and rods for a twist of the platform. Only masses, centres of
+mass and moments are read from the compiled model.
+"""
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cmf_mj import Hexapod, SingleLegs, load_law, simulate
+from cmf_mj.core import units
+from cmf_mj.machine import kinematics, models
+from cmf_mj.plant import cylinder
+
+GRAVITY = np.array([0.0, 0.0, 9.80665])  # z down
+FLIP = np.array([1.0, -1.0, -1.0])
+NEUTRAL = np.zeros(6)
+POSES = [
+    NEUTRAL,
+    np.array([0.3, -0.2, 0.25, 0.1, -0.15, 0.2]),
+    np.array([-0.5, 0.4, -0.3, -0.2, 0.1, -0.3]),
+    np.array([0.1, 0.6, 0.4, 0.05, 0.2, 0.1]),
+]
+
+
+def cross(vector):
+    """[v x], so that [v x] w = v x w."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+class Rigid:
+    """Reflected mass and static leg forces by adding up rigid bodies, report axes."""
+
+    def __init__(self, plant, pose):
+        """Place the bodies at a pose.
+
+        A leg of length l and direction n, whose upper gimbal moves with u = v + w x a = G (v, w),
+        has n' = (I - n n') u / l. Its cylinder's centre moves with r n', its rod's, at s = l - d,
+        with n (n . u) + s n'. Its turning about its own axis is left out: 3.5 kg m^2 on a
+        lever of 4 m.
+        """
+        model, geometry = plant.model, plant.geometry
+        turn = Rotation.from_euler("ZYX", pose[:2:-1]).as_matrix()
+        self.mass = np.zeros((6, 6))
+        self.wrench = np.zeros(6)
+        """Upward force and its moment about the centroid that the legs must supply."""
+        self.jacobian = np.zeros((6, 6))
+        for name in ("platform", "cab/cab"):
+            body = model.body(name)
+            axes = Rotation.from_quat(body.iquat, scalar_first=True).as_matrix()
+            inertia = FLIP[:, None] * (axes * body.inertia) @ axes.T * FLIP
+            self._add(body.mass[0], np.hstack([np.eye(3), -cross(turn @ (body.ipos * FLIP))]))
+            self.mass[3:, 3:] += turn @ inertia @ turn.T
+        for leg in range(6):
+            tube, rod = model.body(f"cylinder_{leg + 1}"), model.body(f"rod_{leg + 1}")
+            arm = turn @ geometry.upper[leg]
+            line = pose[:3] + arm - geometry.lower[leg]
+            length = np.linalg.norm(line)
+            n = line / length
+            gimbal = np.hstack([np.eye(3), -cross(arm)])
+            along = np.outer(n, n)
+            turning = (np.eye(3) - along) @ gimbal / length
+            reach = length - geometry.neutral[leg] + rod.ipos[2]
+            self._add(tube.mass[0], tube.ipos[2] * turning)
+            self._add(rod.mass[0], along @ gimbal + reach * turning)
+            self.mass += (tube.inertia[0] + rod.inertia[0]) * turning.T @ turning
+            self.jacobian[leg] = n @ gimbal
+
+    def _add(self, mass, velocity):
+        self.mass += mass * velocity.T @ velocity
+        self.wrench -= mass * velocity.T @ GRAVITY
+
+    @property
+    def reflected(self):
+        """J^-T M J^-1 [kg]."""
+        inverse = np.linalg.inv(self.jacobian)
+        return inverse.T @ self.mass @ inverse
+
+    @property
+    def forces(self):
+        """Leg forces f [N] of J' f = wrench."""
+        return np.linalg.solve(self.jacobian.T, self.wrench)
+
+
+@pytest.fixture(scope="module", params=models.CABS)
+def plant(request):
+    return Hexapod(request.param)
+
+
+@pytest.fixture(scope="module")
+def gfd():
+    return Hexapod("gfd")
+
+
+@pytest.fixture
+def sealed(tmp_path):
+    """Hydraulics without leakage, the only loss of a closed valve."""
+    path = tmp_path / "sealed.toml"
+    path.write_text(
+        'base = "hardware"\n[sealed]\n'
+        'leak_rate = { value = 0.0, unit = "1/s", status = "assumed", source = "test" }\n'
+    )
+    return path
+
+
+@pytest.fixture
+def no_command(tmp_path):
+    """A law whose gains are all zero."""
+    path = tmp_path / "nothing.toml"
+    path.write_text('[nothing]\ntitle = "No command"\ndirect_gain = {}\n')
+    return load_law(path)
+
+
+def massless(plant):
+    """The same machine with legs of next to no mass."""
+    for leg in range(1, 7):
+        for name in (f"cylinder_{leg}", f"rod_{leg}"):
+            body = plant.model.body(name)
+            body.mass = 1e-6
+            body.inertia = 1e-6
+    mujoco.mj_setConst(plant.model, plant.data)
+    return plant
+
+
+# Reflected mass
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_reflected_mass_agrees_with_rigid_body_algebra(plant, pose):
+    expected = Rigid(plant, pose).reflected
+    error = np.abs(plant.reflected_mass(pose) - expected).max() / np.abs(expected).max()
+    assert error < 1e-5  # the spin left out is 1e-6
+
+
+def test_reflected_mass_is_exact_where_the_legs_cannot_spin(plant):
+    """At neutral the one thing the algebra leaves out is zero; round-off is left."""
+    expected = Rigid(plant, NEUTRAL).reflected
+    error = np.abs(plant.reflected_mass() - expected).max() / np.abs(expected).max()
+    assert error < 1e-8
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_reflected_mass_is_symmetric_positive_definite(plant, pose):
+    mass = plant.reflected_mass(pose)
+    np.testing.assert_allclose(mass, mass.T, rtol=0.0, atol=1e-9 * np.abs(mass).max())
+    assert np.linalg.eigvalsh(mass).min() > 0.0
+
+
+def test_reflected_mass_has_the_machine_symmetry(plant):
+    """Sides exchanged: legs 1 and 6, 2 and 5, 3 and 4."""
+    mass = plant.reflected_mass()
+    np.testing.assert_allclose(mass[::-1, ::-1], mass, rtol=0.0, atol=1e-8 * np.abs(mass).max())
+
+
+def test_reflected_mass_of_a_lopsided_pose_has_not_that_symmetry(plant):
+    mass = plant.reflected_mass(POSES[1])
+    assert np.abs(mass[::-1, ::-1] - mass).max() > 0.01 * np.abs(mass).max()
+
+
+@pytest.mark.parametrize("cab", models.CABS)
+def test_heave_effective_mass_of_massless_legs(cab):
+    """M / (6 cos^2) a leg, all legs equal; 7200 lbm for 29 920 lbm."""
+    plant = massless(Hexapod(cab))
+    payload = plant.model.body("platform").mass[0] + plant.model.body("cab/cab").mass[0]
+    effective = plant.reflected_mass().sum() / 6.0
+    geometry = plant.geometry
+    cosine = np.mean((geometry.lower - geometry.upper)[:, 2] / geometry.neutral)
+    # Appendix A's rounding makes the six cosines differ by 1e-5.
+    assert abs(effective / (payload / (6.0 * cosine**2)) - 1.0) < 1e-4
+
+
+def test_heave_effective_mass_of_the_gfd_is_the_design_point():
+    effective = massless(Hexapod("gfd")).reflected_mass().sum() / 6.0
+    assert abs(effective / units.POUND_MASS - 7200.0) < 1.0
+
+
+def test_heave_effective_mass_with_legs_is_larger(gfd):
+    """By the rods (150 kg, along the leg) and a share of what turns."""
+    excess = gfd.reflected_mass().sum() / 6.0 - 7200.0 * units.POUND_MASS
+    assert 150.0 < excess < 450.0 / 0.8322**2
+
+
+def test_massless_legs_leave_the_payload_alone():
+    """The oracle without legs: J^-T M_x J^-1 of platform and cab."""
+    plant = massless(Hexapod("ifd"))
+    expected = Rigid(plant, POSES[2]).reflected
+    error = np.abs(plant.reflected_mass(POSES[2]) - expected).max() / np.abs(expected).max()
+    assert error < 1e-7
+
+
+# Static forces
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_static_leg_forces_balance_the_weights(plant, pose):
+    plant.place(pose)
+    expected = Rigid(plant, pose).forces
+    np.testing.assert_allclose(plant.static_load(), expected, rtol=1e-9, atol=0.0)
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_static_leg_forces_leave_no_wrench(plant, pose):
+    """J' f: the vertical parts carry the weight, nothing pushes sideways, no moment is left."""
+    plant.place(pose)
+    rigid = Rigid(plant, pose)
+    weight = -rigid.wrench[2]
+    found = rigid.jacobian.T @ plant.static_load()
+    np.testing.assert_allclose(found, rigid.wrench, rtol=0.0, atol=1e-9 * weight)
+
+
+def test_vertical_parts_carry_payload_and_a_share_of_the_legs(plant):
+    plant.place(NEUTRAL)
+    upward = -Rigid(plant, NEUTRAL).jacobian[:, 2] @ plant.static_load()
+    payload = plant.model.body("platform").mass[0] + plant.model.body("cab/cab").mass[0]
+    legs = plant.model.body_mass.sum() - payload
+    assert payload * 9.80665 < upward < (payload + legs) * 9.80665
+
+
+def test_massless_ifd_loads_each_leg_with_the_design_load():
+    """35 950 lbm gives 7200 lbf along a leg, shared unevenly by at most 0.1 lbf."""
+    plant = massless(Hexapod("ifd"))
+    plant.place(NEUTRAL)
+    found = plant.static_load() / units.POUND_FORCE
+    np.testing.assert_allclose(found, 7200.0, rtol=0.0, atol=1.0)
+
+
+def test_start_pressures_carry_the_static_forces(plant):
+    state = plant.start(POSES[1])
+    found = cylinder.force(plant.hydraulics.cylinder, *state.pressure.T)
+    np.testing.assert_allclose(found, plant.static_load(), rtol=1e-12, atol=0.0)
+    np.testing.assert_array_equal(state.spool, 0.0)
+    np.testing.assert_array_equal(state.drive, 0.0)
+
+
+# Modes
+
+
+@pytest.mark.parametrize("pose", POSES[:2])
+def test_modes_solve_the_eigenvalue_problem(plant, pose):
+    modes = plant.hydraulic_modes(pose)
+    legs = kinematics.pose_to_legs(pose)
+    modulus = plant.parameters.bulk_modulus.si
+    spring = np.diag(cylinder.stiffness(plant.hydraulics.cylinder, modulus, legs))
+    left = spring @ modes.leg_shape
+    right = plant.reflected_mass(pose) @ modes.leg_shape * modes.frequency**2
+    np.testing.assert_allclose(left, right, rtol=0.0, atol=1e-9 * np.abs(left).max())
+
+
+@pytest.mark.parametrize("pose", POSES[:2])
+def test_mode_shapes_are_orthonormal_in_the_mass(plant, pose):
+    shapes = plant.hydraulic_modes(pose).leg_shape
+    product = shapes.T @ plant.reflected_mass(pose) @ shapes
+    np.testing.assert_allclose(product, np.eye(6), rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("pose", POSES[:2])
+def test_platform_shapes_move_the_legs_as_the_leg_shapes(plant, pose):
+    modes = plant.hydraulic_modes(pose)
+    found = kinematics.pose_jacobian(pose) @ modes.pose_shape
+    np.testing.assert_allclose(found, modes.leg_shape, rtol=0.0, atol=1e-12)
+
+
+def test_modes_come_lowest_first(plant):
+    assert (np.diff(plant.hydraulic_modes().frequency) > 0.0).all()
+
+
+def test_mode_frequencies_of_the_gfd(gfd):
+    """Surge/pitch and sway/roll low as a pair, heave near 11.30 Hz less what the legs weigh."""
+    modes = gfd.hydraulic_modes()
+    hertz = modes.frequency / units.HERTZ
+    assert (np.abs(hertz[:2] - 4.8) < 0.1).all()
+    assert set(np.abs(modes.pose_shape[:3, :2]).argmax(axis=0)) == {0, 1}
+    heave = np.abs(modes.leg_shape.sum(axis=0)).argmax()
+    assert abs(hertz[heave] - 10.9) < 0.1
+    assert np.abs(modes.pose_shape[:3, heave]).argmax() == 2
+
+
+def test_heave_frequency_of_massless_legs_is_the_single_leg_mode():
+    """Eq 4.1: 71.00 rad/s for 7200 lbm; 29 920 lbm puts heave at exactly 11.30 Hz."""
+    modes = massless(Hexapod("gfd")).hydraulic_modes()
+    heave = np.abs(modes.leg_shape.sum(axis=0)).argmax()
+    # The cab's centre of mass, 0.1 m forward, couples heave and pitch a little: 0.2 %.
+    assert abs(modes.frequency[heave] / 71.00 - 1.0) < 5e-3
+
+
+# Equilibrium and placing
+
+
+@pytest.mark.parametrize("pose", POSES[:2])
+def test_start_is_in_equilibrium(sealed, no_command, pose):
+    """Two seconds without a command, valves closed, no leakage.
+
+    The soft gimbals give by 0.02 micrometres as they take up the load (models/README.md) and the
+    undamped oil rings about that: at most twice 0.02, over the direction cosine 0.83, at the
+    platform. On average nothing moves a leg by 0.01 micrometres.
+    """
+    record = simulate(Hexapod("gfd", sealed), no_command, np.tile(pose, (4096, 1)))
+    assert not record["valve_command"].any() and not record["valve_opening"].any()
+    assert np.abs(record["platform_pose"] - pose).max() < 5e-8
+    drift = record["leg_position"][-1024:].mean(axis=0) - kinematics.pose_to_legs(pose)
+    assert np.abs(drift).max() < 1e-8
+
+
+@pytest.mark.parametrize("pose", POSES[:2])
+def test_single_legs_start_in_equilibrium(sealed, no_command, pose):
+    """No gimbals to give: nothing moves at all."""
+    record = simulate(SingleLegs(sealed), no_command, np.tile(pose, (4096, 1)))
+    moved = record["leg_position"] - kinematics.pose_to_legs(pose)
+    assert np.abs(moved).max() < 1e-12
+
+
+def test_pose_of_undoes_place(plant):
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        pose = rng.uniform(-1.0, 1.0, 6) * [0.3, 0.3, 0.2, 0.1, 0.1, 0.2]
+        plant.place(pose)
+        np.testing.assert_allclose(plant.pose_of(plant.data.qpos), pose, rtol=0.0, atol=1e-12)
+
+
+def test_pose_of_takes_a_history(gfd):
+    rows = []
+    for pose in POSES:
+        gfd.place(pose)
+        rows.append(gfd.data.qpos.copy())
+    found = gfd.pose_of(np.array(rows).reshape(2, 2, -1))
+    np.testing.assert_allclose(found.reshape(-1, 6), POSES, rtol=0.0, atol=1e-12)
+
+
+def test_placed_upper_gimbals_are_where_the_pose_puts_them(gfd):
+    pose = POSES[1]
+    gfd.place(pose)
+    turn = Rotation.from_euler("ZYX", pose[:2:-1]).as_matrix()
+    expected = (pose[:3] + gfd.geometry.upper @ turn.T) * FLIP
+    found = [gfd.data.site(f"upper_{i}").xpos for i in range(1, 7)]
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12)
+
+
+def test_starting_twice_forgets_the_first(gfd):
+    first = gfd.start(POSES[1])
+    gfd.start(POSES[2])
+    again = gfd.start(POSES[1])
+    for name in ("content", "pressure", "spool", "supply", "energy"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
+
+
+# Refusals
+
+
+def test_unknown_cab_lists_the_cabs():
+    with pytest.raises(ValueError, match="cab: 'bus' is not one of gfd, rfd, ifd"):
+        Hexapod("bus")
+
+
+def test_pose_beyond_the_stroke_names_leg_and_range(gfd):
+    with pytest.raises(ValueError, match=r"pose: puts leg \d at -?\d\.\d+ m; allowed: \+-0\.9652"):
+        gfd.place([0.0, 0.0, -2.0, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("shape", [(5,), (2, 6)])
+def test_pose_of_a_wrong_shape_is_refused(gfd, shape):
+    with pytest.raises(ValueError, match="pose: shape"):
+        gfd.place(np.zeros(shape))
+
+
+def test_pose_that_is_not_a_number_is_refused(gfd):
+    with pytest.raises(ValueError, match=r"pose\[2\]: nan is not a finite number"):
+        gfd.place([0.0, 0.0, np.nan, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("timestep", [0.0, -1e-3, np.nan])
+def test_timestep_must_be_positive(timestep):
+    for build in (Hexapod, SingleLegs):
+        with pytest.raises(ValueError, match="timestep: .* must be greater than 0"):
+            build(timestep=timestep)
+
+
+# One contract
+
+
+def test_both_plants_record_the_same_channels(gfd):
+    command = np.zeros((32, 6))
+    hexapod = simulate(gfd, "velocity", command)
+    single = simulate(SingleLegs(), "velocity", command)
+    own = {*gfd.sensors, "platform_pose"}
+    assert set(hexapod.channels) - own == set(single.channels)
+    assert own <= set(hexapod.channels) and own.isdisjoint(single.channels)
+    assert {n: hexapod.units[n] for n in single.units} == dict(single.units)
+    for name in set(single.channels) - {"generalised_position"}:
+        assert hexapod[name].shape == single[name].shape
+    assert set(hexapod.metadata) == set(single.metadata)
+
+
+def test_both_plants_name_their_motors_alike(gfd):
+    single = SingleLegs()
+    names = [[p.model.actuator(i).name for i in range(p.legs)] for p in (gfd, single)]
+    assert names[0] == names[1] == [f"leg_{i}" for i in range(1, 7)]
+
+
+def test_single_legs_carry_the_design_point():
+    """7200 lbf and 7200 lbm a leg (section 4.1), wherever the legs stand."""
+    single = SingleLegs()
+    for pose in POSES[:2]:
+        single.start(pose)
+        found = single.static_load() / units.POUND_FORCE
+        np.testing.assert_allclose(found, 7200.0, rtol=1e-9, atol=0.0)
+
+
+def test_single_legs_take_load_and_mass_apart():
+    single = SingleLegs(effective_mass=4000.0, static_load=20000.0)
+    single.start()
+    np.testing.assert_allclose(single.static_load(), 20000.0, rtol=1e-12, atol=0.0)
+    single.data.ctrl[:] = 24000.0
+    mujoco.mj_forward(single.model, single.data)
+    np.testing.assert_allclose(single.data.qacc, 1.0, rtol=1e-12, atol=0.0)
+
+
+@pytest.mark.parametrize("load", [-70e3, 0.0, 1e3, 32e3, 150e3])
+def test_single_legs_carry_any_load(load):
+    """More than their weight, or a pull, too."""
+    single = SingleLegs(static_load=load)
+    single.start()
+    np.testing.assert_allclose(single.static_load(), load, rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize("mass", [0.0, -1.0, np.nan])
+def test_effective_mass_must_be_positive(mass):
+    with pytest.raises(ValueError, match="effective_mass: .* must be greater than 0"):
+        SingleLegs(effective_mass=mass)

@@ -1,0 +1,278 @@
+"""Records: bit for bit through a file, immutable, complete, and whole or not there at all."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from cmf_mj import Hexapod, Record, SingleLegs, load_law, signals, simulate
+from cmf_mj.record import record
+
+
+@pytest.fixture(scope="module")
+def run():
+    command = signals.multisine("heave", 0.005, period=0.125, start=8.0, stop=40.0, seed=11)
+    return simulate(Hexapod("rfd"), "velocity", command)
+
+
+def small(**changes):
+    values = {
+        "time": np.arange(3.0),
+        "channels": {"leg_position": np.arange(6.0).reshape(3, 2), "gimbal_error": np.ones(3)},
+        "units": {"leg_position": "m", "gimbal_error": "m"},
+        "metadata": {"sample_rate": 1.0},
+    }
+    return Record(**(values | changes))
+
+
+def assert_same(one, two):
+    assert list(one.channels) == list(two.channels)
+    assert one.time.tobytes() == two.time.tobytes()
+    for name in one.channels:
+        assert one[name].shape == two[name].shape
+        assert one[name].dtype == two[name].dtype
+        assert one[name].tobytes() == two[name].tobytes()
+    assert dict(one.units) == dict(two.units)
+    assert dict(one.metadata) == dict(two.metadata)
+
+
+# Through a file
+
+
+def test_run_comes_back_bit_for_bit(run, tmp_path):
+    assert_same(Record.load(run.save(tmp_path / "run.parquet")), run)
+
+
+def test_odd_numbers_come_back_bit_for_bit(tmp_path):
+    """Signed zero, subnormals, infinities and the payload of a NaN."""
+    payload = np.array([0x7FF8000000000123], dtype=np.uint64).view(np.float64)[0]
+    odd = np.array([-0.0, 5e-324, np.inf, -np.inf, payload, 1.0 / 3.0])
+    first = small(
+        time=np.arange(6.0),
+        channels={"leg_position": np.column_stack([odd, odd[::-1]]), "gimbal_error": odd},
+    )
+    assert_same(Record.load(first.save(tmp_path / "odd.parquet")), first)
+
+
+def test_one_leg_stays_a_leg_axis(tmp_path):
+    first = small(
+        channels={"leg_position": np.zeros((3, 1)), "gimbal_error": np.ones(3)},
+    )
+    assert_same(Record.load(first.save(tmp_path / "one.parquet")), first)
+
+
+def test_same_record_gives_the_same_file(run, tmp_path):
+    one, two = (run.save(tmp_path / name).read_bytes() for name in ("a.parquet", "b.parquet"))
+    assert one == two
+
+
+def test_folders_are_made(run, tmp_path):
+    path = run.save(tmp_path / "a" / "b" / "run.parquet")
+    assert path == tmp_path / "a" / "b" / "run.parquet" and path.is_file()
+
+
+def test_file_is_open_to_any_parquet_reader(run, tmp_path):
+    table = pq.read_table(run.save(tmp_path / "run.parquet"))
+    np.testing.assert_array_equal(table["leg_position_3"], run["leg_position"][:, 2])
+    np.testing.assert_array_equal(table["time"], run.time)
+    header = json.loads(table.schema.metadata[b"cmf_mj"])
+    assert header["units"] == dict(run.units)
+
+
+def test_names_that_share_a_column_do_not_lose_data(tmp_path):
+    """`force` with two columns and a channel `force_1`: refused, or both come back."""
+    first = small(
+        channels={"force": np.arange(6.0).reshape(3, 2), "force_1": np.full(3, 9.0)},
+        units={"force": "N", "force_1": "N"},
+    )
+    try:
+        path = first.save(tmp_path / "names.parquet")
+    except ValueError as error:
+        assert "force_1" in str(error)
+    else:
+        assert_same(Record.load(path), first)
+
+
+# Whole or not at all
+
+
+def fail_half_way(table, where, **_):
+    where.write_bytes(b"PAR1 half a file")
+    raise OSError("disk full")
+
+
+def test_interrupted_write_leaves_no_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(record.pq, "write_table", fail_half_way)
+    with pytest.raises(OSError, match="disk full"):
+        small().save(tmp_path / "run.parquet")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_interrupted_write_keeps_the_old_file(tmp_path, monkeypatch):
+    first = small()
+    path = first.save(tmp_path / "run.parquet")
+    monkeypatch.setattr(record.pq, "write_table", fail_half_way)
+    with pytest.raises(OSError, match="disk full"):
+        small(metadata={"sample_rate": 2.0}).save(path)
+    monkeypatch.undo()
+    assert list(tmp_path.iterdir()) == [path]
+    assert_same(Record.load(path), first)
+
+
+def test_save_replaces_the_old_file(tmp_path):
+    small().save(tmp_path / "run.parquet")
+    second = small(metadata={"sample_rate": 2.0})
+    assert_same(Record.load(second.save(tmp_path / "run.parquet")), second)
+    assert [path.name for path in tmp_path.iterdir()] == ["run.parquet"]
+
+
+# Immutable
+
+
+def test_values_are_read_only(run, tmp_path):
+    for each in (run, Record.load(run.save(tmp_path / "run.parquet"))):
+        for values in (each.time, *each.channels.values()):
+            with pytest.raises(ValueError, match="read-only"):
+                values[0] = 1.0
+
+
+def test_tables_are_read_only(run):
+    for table in (run.channels, run.units, run.metadata):
+        with pytest.raises(TypeError, match="does not support item assignment"):
+            table["leg_position"] = "m"
+
+
+def test_fields_cannot_be_replaced(run):
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        run.time = np.zeros(1)
+
+
+def test_dictionaries_given_may_change_later():
+    channels = {"leg_position": np.zeros(3)}
+    units = {"leg_position": "m"}
+    metadata = {"sample_rate": 1.0}
+    kept = small(channels=channels, units=units, metadata=metadata)
+    channels["other"], units["other"], metadata["other"] = np.ones(3), "m", 1
+    assert set(kept.channels) == set(kept.units) == {"leg_position"}
+    assert dict(kept.metadata) == {"sample_rate": 1.0}
+
+
+def test_array_behind_a_view_cannot_change_the_record():
+    whole = np.zeros((3, 4))
+    kept = small(channels={"leg_position": whole[:, :2], "gimbal_error": np.ones(3)})
+    whole[:] = 7.0
+    assert not kept["leg_position"].any()
+
+
+# Complete
+
+
+def test_metadata_say_how_to_repeat_the_run(run):
+    law = load_law("velocity")
+    assert run.metadata["law"] == "velocity"
+    assert run.metadata["law_parameters"] == law.model_dump()
+    assert run.metadata["plant"] == "hexapod" and run.metadata["cab"] == "rfd"
+    assert run.metadata["hydraulics"] == "hardware"
+    assert run.metadata["hydraulic_parameters"]["leak_rate"]["unit"] == "1/s"
+    assert run.metadata["seed"] == 11
+    assert run.metadata["command"]["kind"] == "multisine"
+    assert run.metadata["mechanical_step"] == 1.0 / 2048.0
+    assert run.metadata["command_delay"] == 1
+    assert set(run.metadata["versions"]) == {"cmf-mj", "mujoco", "numpy", "numba"}
+
+
+def test_metadata_repeat_the_run(run):
+    described = dict(run.metadata["command"])
+    kind = described.pop("kind")
+    command = getattr(signals, kind)(**described, seed=run.metadata["seed"])
+    plant = Hexapod(run.metadata["cab"], run.metadata["hydraulics"])
+    again = simulate(plant, run.metadata["law"], command)
+    assert_same(again, run)
+
+
+def test_metadata_are_plain_json(run):
+    assert json.loads(json.dumps(dict(run.metadata), allow_nan=False)) == dict(run.metadata)
+
+
+def test_model_digest_tells_models_apart(run):
+    digest = run.metadata["model_digest"]
+    assert len(digest) == 64 and int(digest, 16) > 0
+    assert digest == Hexapod("rfd").digest
+    others = {Hexapod("gfd").digest, Hexapod("rfd", timestep=1.0 / 4096.0).digest}
+    assert len(others | {digest, SingleLegs().digest}) == 4
+
+
+def test_every_channel_has_a_unit_and_all_samples(run):
+    assert set(run.units) == set(run.channels)
+    for name, values in run.channels.items():
+        assert run.units[name] != ""
+        assert values.shape[0] == run.time.shape[0] == 768
+
+
+def test_rate_and_time_agree(run):
+    """Three periods of 0.125 s at 2048 Hz."""
+    assert run.rate == 2048.0
+    np.testing.assert_array_equal(run.time, np.arange(768) / 2048.0)
+
+
+def test_thinned_record_keeps_every_fourth_frame(run):
+    command = signals.multisine("heave", 0.005, period=0.125, start=8.0, stop=40.0, seed=11)
+    thin = simulate(Hexapod("rfd"), "velocity", command, record_every=4)
+    assert thin.rate == 512.0
+    assert thin.time.tobytes() == run.time[::4].tobytes()
+    for name in set(run.channels) - {"gimbal_error"}:  # that one is the worst since the row before
+        assert thin[name].tobytes() == run[name][::4].tobytes()
+
+
+# Refusals
+
+
+def test_unknown_channel_lists_the_channels():
+    with pytest.raises(ValueError, match="channel: 'leg' is not one of leg_position, gimbal_error"):
+        small()["leg"]
+
+
+def test_channel_of_another_length_is_named():
+    with pytest.raises(ValueError, match="gimbal_error: has 4 samples; time has 3"):
+        small(channels={"leg_position": np.zeros((3, 2)), "gimbal_error": np.ones(4)})
+
+
+def test_channel_without_a_unit_is_named():
+    with pytest.raises(ValueError, match="units: every channel needs one unit; check gimbal_error"):
+        small(units={"leg_position": "m"})
+
+
+def test_unit_without_a_channel_is_named():
+    extra = {"leg_position": "m", "gimbal_error": "m", "pressure": "Pa"}
+    with pytest.raises(ValueError, match="units: every channel needs one unit; check pressure"):
+        small(units=extra)
+
+
+def test_corrupt_file_is_named(tmp_path):
+    path = small().save(tmp_path / "run.parquet")
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(ValueError, match="run.parquet: is not a readable Parquet file"):
+        Record.load(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a parquet file at all"])
+def test_file_of_another_kind_is_named(tmp_path, content):
+    path = tmp_path / "notes.txt"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match="notes.txt: is not a readable Parquet file"):
+        Record.load(path)
+
+
+def test_missing_file_is_named(tmp_path):
+    with pytest.raises(ValueError, match="none.parquet: is not a readable Parquet file"):
+        Record.load(tmp_path / "none.parquet")
+
+
+def test_parquet_of_others_is_named(tmp_path):
+    path = tmp_path / "other.parquet"
+    pq.write_table(pa.table({"x": [1.0]}), path)
+    with pytest.raises(ValueError, match="other.parquet: is Parquet, but carries no cmf_mj header"):
+        Record.load(path)

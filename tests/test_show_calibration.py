@@ -1,0 +1,94 @@
+"""Tables, files and figures of a calibration, and its command."""
+
+import csv
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cmf_mj.cli import calibrating
+from cmf_mj.cli.common import app
+from cmf_mj.show import calibration as calibration_report
+from cmf_mj.show.calibration import CalibrationReport
+from cmf_mj.studies.calibration.definition import load_study
+from cmf_mj.studies.calibration.fit import Calibration, Stage, residual_rows
+from cmf_mj.studies.calibration.sensitivity import sensitivity, spread
+from cmf_mj.studies.calibration.trial import Verdict, least_damping, linear_results, starting_values
+
+
+@pytest.fixture(scope="module")
+def found() -> CalibrationReport:
+    """The study `hardware` with linear results in place of simulated ones, nothing fitted."""
+    study = load_study("hardware")
+    values = starting_values(study)
+    results = linear_results(study, values, study.laws)
+    results["velocity"] = results["velocity"]._replace(gain=float("nan"))
+    stage = Stage(values, results, results, least_damping(study, values))
+    later = stage._replace(values=values | {"leg_speed": 0.3512})
+    errors = {"leg_speed": 0.011, "leak_rate": 2.5}
+    return CalibrationReport(
+        Calibration(study, (stage, later), errors, np.eye(2)),
+        sensitivity(study, values, ("velocity",)),
+        tuple(spread(study, values, samples=3)),
+        (Verdict("gfd", "sway", True, 0.001), Verdict("ifd", "surge", False, 0.4)),
+    )
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_files_hold_what_was_computed(found: CalibrationReport, tmp_path: Path) -> None:
+    paths = calibration_report.save(found, tmp_path / "study")
+    assert sorted(path.name for path in paths) == sorted(p.name for p in paths[0].parent.iterdir())
+    table = rows_of(tmp_path / "study" / "residuals.csv")
+    study, stage = found.calibration.study, found.calibration.before
+    computed = residual_rows(study, stage.simulated)
+    assert len(table) == 2 * len(computed)
+    for row, line in zip(computed, table, strict=False):
+        assert (line["stage"], line["law"], line["role"]) == ("shipped", row.law, row.role)
+        assert line["within"] == str(row.within)
+        if row.computed == row.computed:
+            assert float(line["computed"]) == pytest.approx(row.computed, rel=1e-5)
+        else:
+            assert line["computed"] == line["deviation"] == ""
+    derivatives = rows_of(tmp_path / "study" / "sensitivity.csv")
+    assert len(derivatives) == found.sensitivity.derivative.size
+    assert float(derivatives[0]["normalised_derivative"]) == pytest.approx(
+        found.sensitivity.derivative[0, 0, 0], rel=1e-5
+    )
+    assert len(rows_of(tmp_path / "study" / "uncertainty.csv")) == 3
+    assert [row["stable"] for row in rows_of(tmp_path / "study" / "stability.csv")] == [
+        "True",
+        "False",
+    ]
+    for name in ("residuals.png", "sensitivity.png"):
+        picture = matplotlib.image.imread(tmp_path / "study" / name)
+        assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
+
+
+def test_text_marks_what_is_outside_and_what_is_missing(found: CalibrationReport) -> None:
+    text = calibration_report.text(found)
+    assert "| leg_speed | in/s/% | 0.35 | 0.3512 +- 0.011 | 0.286 to 0.4 |" in text
+    assert "| bulk_modulus | psi | 1e+05 | held |" in text
+    assert "| 2-6 | velocity | h | -3 dB | fitted | 4.00 | - | - | - | - |" in text
+    outside = [line for line in text.splitlines() if " ! " in line]
+    assert outside
+    assert all("combined_rate" in line for line in outside)
+    assert "2 step runs with the fitted values: unstable in ifd surge" in text
+    assert "largest swing left 40.00 % (ifd, surge)" in text
+
+
+def test_command_writes_a_folder_a_study(
+    found: CalibrationReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(calibrating, "calibrate", lambda *_, **__: found.calibration)
+    monkeypatch.setattr(calibration_report, "examine", lambda *_, **__: found)
+    arguments = ["calibrate", "--study", "hardware", "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert "residuals of the simulation" in result.output
+    assert (tmp_path / "out" / "hardware" / "calibration.md").is_file()

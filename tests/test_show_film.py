@@ -1,0 +1,408 @@
+"""Films and the viewer: pictures, encoders, pace, pulls, and what is said without a display."""
+
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import av
+import mujoco
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from cmf_mj import Record
+from cmf_mj.cli.common import app
+from cmf_mj.core import units
+from cmf_mj.core.rates import RATE
+from cmf_mj.facility.scenario import settings as scenario
+from cmf_mj.facility.scenario.run import ScenarioRun, run_scenario
+from cmf_mj.plant.hexapod import hexapod_spec
+from cmf_mj.show.film import stage
+from cmf_mj.show.film.film import FilmSettings, check_film, film
+from cmf_mj.show.film.stage import Stage, choose_backend
+from cmf_mj.show.film.strip import Curve, Panel, Strip, Traces, traces_of
+from cmf_mj.show.film.view import LiveView, show
+
+SMALL = FilmSettings(fps=10, width=160, height=100, strip=140)
+
+
+def quick(**fields: Any) -> scenario.Scenario:
+    sine = {"kind": "sine", "dof": "heave", "amplitude": [6.0, "in"], "frequency": 1.0}
+    return scenario.scenario_of({"duration": 0.5, "signal": [sine]} | fields, "test")
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    return run_scenario(quick())
+
+
+@pytest.fixture(scope="module")
+def single() -> Record:
+    return run_scenario(quick(plant="single_legs", record_every=7))
+
+
+# Films
+
+
+def frames_of(path: Path) -> list[np.ndarray]:
+    with av.open(str(path)) as container:
+        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+
+
+def test_a_film_of_two_runs_has_real_speed_and_both_in_it(
+    record: Record, single: Record, tmp_path: Path
+) -> None:
+    path = film([record, single], tmp_path / "two.mp4", SMALL, titles=["a", "b"])
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert (stream.width, stream.height) == (320, 240)
+        assert stream.average_rate == 10
+        assert stream.codec_context.name in ("h264", "mpeg4")
+    pictures = frames_of(path)
+    assert len(pictures) == 5  # 0.5 s of frames 1/2048 s apart end before the sixth picture
+    left, right = pictures[0][:100, :160], pictures[0][:100, 160:]
+    assert np.abs(left.astype(int) - right.astype(int)).mean() > 5.0
+    moved = np.abs(pictures[-1][:100].astype(int) - pictures[0][:100].astype(int))
+    assert moved.max() > 60
+
+
+def test_slow_motion_has_more_pictures(single: Record, tmp_path: Path) -> None:
+    slow = SMALL._replace(speed=0.5, strip=0)
+    seen: list[tuple[int, int]] = []
+    path = film(
+        [single],
+        tmp_path / "slow.gif",
+        slow,
+        progress=lambda done, total: seen.append((done, total)),
+    )
+    with Image.open(path) as picture:
+        assert picture.n_frames == seen[-1][0] == seen[-1][1] == 10
+        assert picture.size == (160, 100)
+        assert picture.info["duration"] == 100
+
+
+def test_a_gif_keeps_its_pace_though_it_counts_hundredths(single: Record, tmp_path: Path) -> None:
+    """Fifteen pictures at 30 a second last 0.5 s; 15 times 0.03 s would be 0.45 s."""
+    path = film([single], tmp_path / "pace.gif", SMALL._replace(fps=30, strip=0))
+    with Image.open(path) as picture:
+        shown = [picture.info["duration"]]
+        for number in range(1, picture.n_frames):
+            picture.seek(number)
+            shown.append(picture.info["duration"])
+    assert sum(shown) == 500
+    with pytest.raises(ValueError, match="fps: 60 pictures a second of a GIF file .* at most 50"):
+        film([single], tmp_path / "fast.gif", SMALL._replace(fps=60))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"width": 8}, "width: 8 pixels must be between 16 and 1920"),
+        ({"width": 161}, "width: 161 pixels must be even"),
+        ({"camera": "roof"}, "camera: 'roof' is not one of overview, side"),
+        ({"speed": 0.0}, "speed, fps: 0.0, 10 must be greater than 0"),
+        ({"dof": "up"}, "dof: 'up' is not one of surge"),
+        ({"start": 0.5}, "start: 0.5 s; allowed: from 0 to below 0.49"),
+        ({"seconds": 0.0}, "seconds: 0.0 must be greater than 0"),
+    ],
+)
+def test_what_a_film_cannot_do_is_named(
+    change: dict[str, Any], said: str, single: Record, tmp_path: Path
+) -> None:
+    with pytest.raises(ValueError, match="pixels|camera|speed|dof|start|seconds") as refused:
+        film([single], tmp_path / "x.mp4", SMALL._replace(**change))
+    assert said in str(refused.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_a_film_will_lack_is_said_before_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = hexapod_spec("gfd").compile()
+    check_film(model, "x.mp4", SMALL)
+    with pytest.raises(ValueError, match="camera: 'roof'"):
+        check_film(model, "x.mp4", SMALL._replace(camera="roof"))
+    monkeypatch.setitem(sys.modules, "av", None)
+    check_film(model, "x.gif", SMALL)
+    with pytest.raises(ValueError, match=r"PyAV, pip install 'cmf-mj\[video\]'"):
+        check_film(model, "x.mp4", SMALL)
+
+
+def test_a_film_ends_in_mp4_or_gif(single: Record, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"out: x\.avi must end in \.mp4 or \.gif"):
+        film([single], tmp_path / "x.avi")
+
+
+def test_a_part_of_a_run_is_filmed_from_its_row_on(record: Record, tmp_path: Path) -> None:
+    """From 0.2 to 0.4 s at 10 pictures a second: three pictures, the whole film's third to fifth;
+    with the last seconds missing it goes to the end."""
+    bare = SMALL._replace(strip=0)
+    whole = film([record], tmp_path / "whole.gif", bare)
+    part = film([record], tmp_path / "part.gif", bare._replace(start=0.2, seconds=0.2))
+    rest = film([record], tmp_path / "rest.gif", bare._replace(start=0.3))
+
+    def rows(path: Path) -> list[np.ndarray]:
+        found = []
+        with Image.open(path) as picture:
+            for number in range(picture.n_frames):
+                picture.seek(number)
+                found.append(np.asarray(picture.convert("RGB"), dtype=int))
+        return found
+
+    every, some = rows(whole), rows(part)
+    assert (len(every), len(some), len(rows(rest))) == (5, 3, 2)
+    # Each film has a palette of its own.
+    for number, picture in enumerate(some):
+        away = [np.abs(picture - other).mean() for other in every]
+        assert int(np.argmin(away)) == number + 2
+
+
+def test_traces_of_a_part_hold_it_and_the_end_of_a_run_that_was_over() -> None:
+    time = np.arange(5) / 10.0
+    traces = Traces(time, (Panel("x", (Curve("a", time**2, "k"),)),))
+    part = traces.between(0.1, 0.3)
+    np.testing.assert_array_equal(part.time, time[1:4])
+    np.testing.assert_array_equal(part.panels[0].curves[0].values, time[1:4] ** 2)
+    np.testing.assert_array_equal(traces.between(1.0, 2.0).time, time[-1:])
+
+
+def test_traces_are_the_record_s(record: Record) -> None:
+    traces = traces_of(record)
+    motion, pressures = traces.panels
+    assert motion.label == "heave [in]"
+    response = {curve.label: curve.values for curve in motion.curves}["response"]
+    np.testing.assert_array_equal(response, record["platform_pose"][:, 2] / units.INCH)
+    leg = int(pressures.label.split()[1])
+    cap = pressures.curves[0]
+    assert cap.label == "cap"
+    np.testing.assert_array_equal(cap.values, record["cap_pressure"][:, leg - 1] / units.PSI)
+
+
+def test_panels_stand_in_columns_each_with_its_own_cursor() -> None:
+    """Six panels in two columns: at a time two cursors in a row of pixels, a column apart."""
+    time = np.linspace(0.0, 1.0, 50)
+    curves = Curve("a", np.sin(time), "#0072b2"), Curve("b", np.cos(time), "#d55e00")
+    traces = Traces(time, tuple(Panel(f"q{i} [m]", curves) for i in range(6)), columns=2)
+    picture = Strip(traces, 600, 300).picture(0.5)
+    assert picture.shape == (300, 600, 3)
+    red = (picture == (200, 30, 30)).all(axis=2)
+    drawn = np.flatnonzero(red.any(axis=1))
+    assert np.count_nonzero(np.diff(drawn) > 1) == 2  # three rows of panels
+    cursors = np.flatnonzero(red[drawn[0]])
+    assert cursors.size == 4  # two pixels each
+    assert cursors[0] < 300 < cursors[-1]
+
+
+def test_traces_grow_from_left_to_right(record: Record) -> None:
+    strip = Strip(traces_of(record), 400, 200)
+    ink = [(255 - strip.picture(time)[..., :2].astype(int)).sum() for time in (0.0, 0.25, 0.5)]
+    assert ink[0] < ink[1] < ink[2]
+    cursors = [np.argmax((strip.picture(t) == (200, 30, 30)).all(2)[60]) for t in (0.1, 0.3)]
+    assert cursors[0] < cursors[1]
+
+
+def test_the_video_command_compares_laws(tmp_path: Path) -> None:
+    path = scenario.save_scenario(quick(duration=0.2), tmp_path / "short.toml")
+    out = tmp_path / "laws.gif"
+    result = CliRunner().invoke(
+        app,
+        ["video", str(path), "--laws", "velocity,original", "--out", str(out), "--fps", "5"]
+        + ["--width", "160", "--height", "100", "--strip", "0"],
+    )
+    assert result.exit_code == 0, result.output
+    with Image.open(out) as picture:
+        assert picture.size == (320, 100)
+
+
+def test_a_scenario_s_video_is_among_its_outputs(tmp_path: Path) -> None:
+    outputs = {"record": False, "plot": False, "video": {"file": "run.gif", "fps": 4}}
+    path = scenario.save_scenario(quick(duration=0.2, outputs=outputs), tmp_path / "s.toml")
+    result = CliRunner().invoke(app, ["run", str(path), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["run.gif", "scenario.toml"]
+
+
+# OpenGL
+
+
+def test_without_display_or_choice_egl_and_then_osmesa_are_tried(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried: list[str] = []
+
+    def works(backend: str) -> bool:
+        tried.append(backend)
+        return backend == "osmesa"
+
+    monkeypatch.setattr(stage, "_works", works)
+    monkeypatch.setattr(stage.sys, "platform", "linux")
+    assert choose_backend({}) == "osmesa"
+    assert tried == ["egl", "osmesa"]
+    assert choose_backend({"DISPLAY": ":0"}) == "glfw"
+    assert choose_backend({"MUJOCO_GL": "egl", "DISPLAY": ":0"}) == "egl"
+    with pytest.raises(ValueError, match="MUJOCO_GL: 'vulkan' is not one of egl, osmesa, glfw"):
+        choose_backend({"MUJOCO_GL": "vulkan"})
+    monkeypatch.setattr(stage, "_works", lambda backend: False)
+    with pytest.raises(ValueError, match="install libegl1 and libgl1-mesa-dri .*libosmesa6"):
+        choose_backend({})
+
+
+def test_the_backend_of_the_tests_is_found_by_trying() -> None:
+    assert stage._works(choose_backend())
+    assert not stage._works("no_such_backend")
+
+
+def test_a_stage_draws_what_the_model_does() -> None:
+    model = hexapod_spec("rfd").compile()
+    with Stage(model, 160, 100) as drawn:
+        level = drawn.picture(model.qpos0)
+        again = drawn.picture(model.qpos0)
+        raised = model.qpos0.copy()
+        raised[2] += 0.5
+        np.testing.assert_array_equal(level, again)
+        assert np.abs(drawn.picture(raised).astype(int) - level.astype(int)).max() > 60
+    assert model.vis.global_.offwidth == 1920  # the caller's model is left alone
+
+
+# Viewer
+
+
+class Window:
+    """What `launch_passive` gives, without a window: runs for some pictures, pulling the cab."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, pictures: int) -> None:
+        self.model, self.data, self.left = model, data, pictures
+        self.perturb = mujoco.MjvPerturb()
+        self.texts: list[str] = []
+
+    def __enter__(self) -> "Window":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        pass
+
+    def lock(self) -> "Window":
+        return self
+
+    def is_running(self) -> bool:
+        self.left -= 1
+        return self.left >= 0
+
+    def set_texts(self, texts: tuple[Any, Any, str, str]) -> None:
+        self.texts.append(texts[2])
+
+    def sync(self) -> None:
+        pass
+
+
+def pulling(view: LiveView, up: float) -> mujoco.MjvPerturb:
+    """The mouse holding the cab by its centre, some metres above where it is."""
+    perturb = mujoco.MjvPerturb()
+    perturb.select = view.model.body("cab/cab").id
+    perturb.active = int(mujoco.mjtPertBit.mjPERT_TRANSLATE)
+    perturb.localmass = 1.0
+    perturb.scale = 1.0
+    perturb.refselpos = view.shown.xipos[perturb.select] + (0.0, 0.0, up)
+    perturb.localpos = view.model.body_ipos[perturb.select]
+    return perturb
+
+
+def test_pace_pause_and_pulls_without_a_window() -> None:
+    view = LiveView(ScenarioRun(quick(duration="open", signal=[])), speed=0.5)
+    view.step(0.05)
+    assert view.run.frame == int(0.05 * 0.5 * RATE)
+    np.testing.assert_array_equal(view.shown.qpos, view.run.latest().qpos)
+    view.key(32)
+    view.step(0.05)
+    assert view.run.frame == int(0.05 * 0.5 * RATE)
+    view.key(32)
+    view.key(61)
+    assert view.speed == 1.0
+    view.key(45)
+    view.key(45)
+    assert view.speed == 0.25
+    for _ in range(4):
+        view.step(0.001)  # a picture shorter than a frame is not lost: 4 x 0.512 frames
+    assert view.run.frame == int(0.05 * 0.5 * RATE + 4 * 0.001 * 0.25 * RATE)
+    view.step(100.0)
+    assert view.run.frame <= 53 + int(0.1 * 0.25 * RATE) + 1  # it never runs far ahead to catch up
+
+    view.pull(pulling(view, 0.5))
+    view.step(0.02)
+    view.pull(mujoco.MjvPerturb())
+    view.step(0.02)
+    pushes = [change.push for change in view.run.scenario().change]
+    assert [push.body for push in pushes if push] == ["cab/cab", "cab/cab"]
+    assert pushes[0] is not None
+    assert pushes[1] is not None
+    assert pushes[0].force[2] > 0.0
+    assert pushes[1].force == (0.0, 0.0, 0.0)
+    again = run_scenario(view.run.scenario())
+    np.testing.assert_array_equal(
+        again["generalised_position"], view.run.record()["generalised_position"]
+    )
+
+
+def test_the_window_s_loop_runs_shows_and_saves() -> None:
+    view = LiveView(ScenarioRun(quick(duration="open")))
+    saved: list[int] = []
+    windows: list[Window] = []
+
+    def launch(model: mujoco.MjModel, data: mujoco.MjData, key_callback: Any) -> Window:
+        assert data is view.shown
+        key_callback(ord("S"))
+        windows.append(Window(model, data, 4))
+        return windows[0]
+
+    show(view, save=lambda run: saved.append(run.frame), launch=launch)
+    assert len(saved) == 1
+    assert view.run.frame > saved[0]
+    assert "velocity" in windows[0].texts[-1]
+    assert "1 x" in windows[0].texts[-1]
+
+
+def test_without_a_display_view_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stage.sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    result = CliRunner().invoke(app, ["view", "push", "--dof", "roll", "--amplitude", "1 deg"])
+    assert result.exit_code == 2
+    for word in ("no display", "cmf video", "MUJOCO_GL=egl", "MUJOCO_GL=osmesa", "xvfb-run"):
+        assert word in result.output
+
+
+def test_a_window_without_opengl_is_explained() -> None:
+    def launch(*_: Any, **__: Any) -> Window:
+        raise RuntimeError("could not create window")
+
+    with pytest.raises(ValueError, match="no window: could not create window"):
+        show(LiveView(ScenarioRun(quick())), launch=launch)
+
+
+# Looks
+
+
+@pytest.mark.parametrize("cab", ["gfd", "rfd", "ifd"])
+def test_looks_do_not_act(cab: str) -> None:
+    """The machine without a single shape, light, camera or picture moves bit for bit the same."""
+    full, bare = hexapod_spec(cab), hexapod_spec(cab)
+    for kind in (bare.geoms, bare.lights, bare.cameras):
+        for element in list(kind):
+            bare.delete(element)
+    states = []
+    for spec in (full, bare):
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        rng = np.random.default_rng(5)
+        for _ in range(40):
+            data.ctrl[:] = 3.2e4 + rng.uniform(-2e4, 2e4, 6)
+            mujoco.mj_step(model, data)
+        states.append((model.nq, model.body_inertia, model.body_mass, data.qpos, data.sensordata))
+    assert full.compile().ngeom > 100
+    for one, other in zip(*states, strict=True):
+        np.testing.assert_array_equal(one, other)

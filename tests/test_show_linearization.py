@@ -1,0 +1,85 @@
+"""Tables, figures and files of `cmf linearize`."""
+
+import csv
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cmf_mj import Hexapod
+from cmf_mj.analysis.linearization.assembly import linearize
+from cmf_mj.analysis.linearization.files import load_system
+from cmf_mj.cli.common import app
+from cmf_mj.cli.linearizing import pose_option
+from cmf_mj.core import units
+from cmf_mj.show.linearization import mode_table, pose_text, study
+
+
+def run(*arguments: str) -> str:
+    result = CliRunner().invoke(app, ["linearize", *arguments])
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def test_linearize_prints_the_tables_and_writes_the_files(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    text = run("--dof", "surge,leg_2", "--pose", "0,0,-5,0,3,0", "--out", str(out))
+    assert "heave -5 in, pitch 3 deg" in text and "not measured" in text
+    pose = np.array([0.0, 0.0, -5 * 0.0254, 0.0, np.radians(3.0), 0.0])
+    expected = linearize(Hexapod("gfd"), pose)
+    found = load_system(out / "state_space.json")
+    np.testing.assert_allclose(found.A, expected.A, rtol=1e-12, atol=1e-12)
+    with (out / "modes.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    poles = [complex(float(row["real"]), float(row["imaginary"])) for row in rows]
+    assert sum(1 if p.imag == 0.0 else 2 for p in poles) == expected.nstates
+    for name in ("bode", "loop", "poles_zeros"):
+        assert matplotlib.image.imread(out / f"{name}.png").std() > 0.01
+    assert not (out / "comparison.csv").exists()
+
+
+def test_measured_loops_stand_beside_the_linear_ones(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    text = run("--plant", "single_legs", "--dof", "leg_1", "--measure", "--out", str(out))
+    assert "not measured" not in text
+    with (out / "comparison.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 10
+    assert max(abs(float(row["gain_error_db"])) for row in rows) < 0.5
+    assert max(abs(float(row["phase_error_deg"])) for row in rows) < 3.0
+
+
+def test_poles_that_coincide_share_a_line() -> None:
+    found = study(Hexapod("gfd"), "velocity", np.zeros(6), ["heave"])
+    times = [int(cell) for cell in mode_table(found).columns[1].cells]
+    assert sum(times) == len(found.modes)
+    assert times.count(6) == 3  # integrators, drives, spools
+
+
+def test_a_pose_reads_in_inches_and_degrees() -> None:
+    pose = pose_option("1,0,-2,3,0,-4")
+    assert pose[0] == pytest.approx(units.INCH) and pose[5] == pytest.approx(np.radians(-4.0))
+    assert pose_text(pose) == "surge 1 in, heave -2 in, roll 3 deg, yaw -4 deg"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--pose", "1,2"), "pose: '1,2' has 2 numbers"),
+        (("--pose", "a,0,0,0,0,0"), "must be six numbers"),
+        (("--hydraulics", "lossy"), "overlap: "),
+        (("--dof", "leg_9"), "leg: 9 is not one of 1 to 6"),
+        (("--dof", "twist"), "twist"),
+        (("--pose", "0,0,-60,0,0,0"), "pose: puts leg"),
+    ],
+)
+def test_bad_arguments_leave_one_line_and_no_files(
+    arguments: tuple[str, ...], message: str, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["linearize", *arguments, "--out", str(out)])
+    assert result.exit_code == 2
+    assert message in result.output and len(result.output.strip().splitlines()) == 1
+    assert not out.exists()

@@ -1,0 +1,151 @@
+"""Accounts, tables, figures and files of runs; `cmf operate`; `cmf serve` against `cmf host`."""
+
+import csv
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cmf_mj import Hexapod, Record, signals
+from cmf_mj.cli.common import app
+from cmf_mj.facility import host
+from cmf_mj.facility.host.files import HostSession
+from cmf_mj.facility.operation import Operation, Timing, operate
+from cmf_mj.show import operation as operation_report
+
+
+def stream(seconds: float) -> host.HostStream:
+    command = signals.sine("heave", 0.02, 0.5, cycles=0.5 * seconds)
+    return host.from_command(command, rate=80.0)
+
+
+@pytest.fixture(scope="module")
+def run() -> Operation:
+    arrivals = host.arrivals(stream(1.0))
+    arrivals.values[40, 1, 2] = np.nan
+    return operate(Hexapod(), "velocity", arrivals)
+
+
+TIMING = Timing(
+    np.concatenate([np.full(998, 40e-6), [600e-6, 900e-6]]),
+    np.concatenate([np.full(999, 1e-6), [2e-3]]),
+)
+
+
+def test_every_frame_is_in_one_line_of_the_account(run: Operation) -> None:
+    arrived = run.session.arrivals.frame.size
+    plain = operation_report.account(run)
+    assert plain["received"] == arrived
+    assert plain["not_finite"] == 1
+    assert plain["accepted"] == arrived - 1 - plain["waiting"]
+    live = run._replace(unused={"early": 3, "lost": 2})
+    datagrams = {"wrong_sender": 7}
+    told = operation_report.account(live, arrived + 9, datagrams)
+    assert (told["early"], told["lost"], told["after_end"], told["wrong_sender"]) == (3, 2, 4, 7)
+    parts = ("early", "lost", "after_end", "accepted", "waiting", *run.rejections)
+    assert sum(told[name] for name in parts) == told["received"]
+
+
+def test_timing_is_told_in_the_terms_of_the_frame() -> None:
+    rows = dict(operation_report.timing_rows(TIMING))
+    assert rows["50 % of frames below"] == "40.0 us"
+    assert rows["largest"] == "900.0 us"
+    assert rows["over 488 us of computing"] == "2 of 1000"
+    assert rows["largest lateness"] == "2.000 ms"
+    assert rows["begun more than a frame late"] == "1 of 1000"
+    assert float(rows["99.9 % of frames below"].split()[0]) == pytest.approx(600.3, abs=0.1)
+
+
+def test_files_of_a_run_in_real_time(run: Operation, tmp_path: Path) -> None:
+    paths = operation_report.save_operation(run._replace(timing=TIMING), tmp_path)
+    assert [path.name for path in paths] == [
+        "record.parquet", "host.parquet", "account.csv", "operation.png", "timing.csv",
+        "timing.png",
+    ]  # fmt: skip
+    record = Record.load(paths[0])
+    assert record["leg_reference"].tobytes() == run.record["leg_reference"].tobytes()
+    played = HostSession.load(paths[1]).replay()
+    np.testing.assert_array_equal(played[:, 0], record["demand_pose"])
+    with paths[2].open(newline="") as file:
+        counts = dict(list(csv.reader(file))[1:])
+    assert counts == {n: str(c) for n, c in operation_report.account(run).items()}
+    table = np.genfromtxt(paths[4], delimiter=",", names=True)
+    assert table.size == 1001
+    assert table["computing_s"][-1] == 900e-6
+    for picture in (paths[3], paths[5]):
+        pixels = matplotlib.image.imread(picture)
+        assert pixels[..., :3].reshape(-1, 3).std(axis=0).min() > 0.02
+
+
+def test_cmf_operate(tmp_path: Path) -> None:
+    path = host.write_stream(stream(1.0), tmp_path / "flight.csv")
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["operate", str(path), "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    assert "ended engaged, no fault" in result.output
+    record = Record.load(out / "record.parquet")
+    assert record.metadata["electronics"]["sensors"]["name"] == "noisy"
+    wrong = CliRunner().invoke(app, ["operate", str(path), "--begin", "flying", "--out", str(out)])
+    assert wrong.exit_code == 2
+    assert "begin: 'flying' is not one of settled, engaged" in wrong.output
+
+
+def test_cmf_serve_refuses_bad_arguments() -> None:
+    for arguments, message in (
+        (["--port", "70000"], "port: 70000 is refused"),
+        (["--bind", "everywhere"], "bind: 'everywhere' is not an IPv4 address"),
+        (["--port", "0", "--seconds", "-1"], "seconds: -1.0 must be greater than 0"),
+    ):
+        result = CliRunner().invoke(app, ["serve", *arguments])
+        assert result.exit_code == 2
+        assert message in result.output
+
+
+def test_cmf_serve_against_cmf_host_accounts_for_every_frame(tmp_path: Path) -> None:
+    """Two processes on loopback; a stranger and garbage between. Counts only, no times."""
+    path = host.write_stream(stream(2.0), tmp_path / "flight.csv")
+    out = tmp_path / "served"
+    command = [sys.executable, "-m", "cmf_mj"]
+    environment = os.environ | {"COLUMNS": "200"}
+    with subprocess.Popen(
+        [*command, "serve", "--port", "0", "--seconds", "24", "--out", str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+    ) as server:
+        assert server.stdout is not None and server.stderr is not None
+        first = server.stdout.readline()
+        assert first.startswith("listening on 127.0.0.1:"), first + server.stderr.read()
+        port = int(first.rsplit(":", 1)[1])
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as garbage:
+            for data in (b"", b"garbage", bytes(172), bytes(500)):
+                garbage.sendto(data, ("127.0.0.1", port))
+        sender = subprocess.run(
+            [*command, "host", str(path), "--to", f"127.0.0.1:{port}"],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        told, complaint = server.communicate()
+    assert server.returncode == 0, complaint
+    sent = int(sender.stdout.split()[0])
+    with (out / "account.csv").open(newline="") as file:
+        counts = {name: int(count) for name, count in list(csv.reader(file))[1:]}
+    assert sent == stream(2.0).time.size == counts["received"]
+    refused = sum(
+        counts[reason] for reason in Record.load(out / "record.parquet").metadata["host_rejections"]
+    )
+    assert counts["accepted"] + refused + counts["waiting"] + counts["lost"] == sent
+    assert counts["early"] == counts["after_end"] == 0
+    assert counts["accepted"] > 0.8 * sent
+    assert (counts["wrong_length"], counts["wrong_magic"]) == (3, 1)
+    assert "99.9 % of frames below" in told
+    assert "host_watchdog" in told
+    assert (out / "timing.png").stat().st_size > 10000

@@ -1,0 +1,337 @@
+"""The report on one page: its tables, figures and studies."""
+
+import importlib
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cmf_mj import load_law
+from cmf_mj.analysis.ledger import load_ledger
+from cmf_mj.analysis.linear_models.loop import closed_loop
+from cmf_mj.analysis.linearization.assembly import linearize
+from cmf_mj.analysis.linearization.reduction import leg_model
+from cmf_mj.analysis.published import published_gains, published_results
+from cmf_mj.cli.common import app
+from cmf_mj.core.rates import FRAME
+from cmf_mj.plant.single_legs import SingleLegs
+from cmf_mj.show import report_2014 as reproduction
+from cmf_mj.show.report_2014 import drawing, force, statements, tables
+from cmf_mj.show.report_2014.blocks import Content, PageTable
+from cmf_mj.show.report_2014.chart import Chart, Panel, curve, names_in, thinned
+from cmf_mj.show.report_2014.ledger_section import CALIBRATION_NEEDS
+from cmf_mj.show.report_2014.page import FIGURES, TABLES
+from cmf_mj.show.report_2014.runs import FORCE_READINGS, Runs, Wanted, hydraulics_of, law_of
+from cmf_mj.studies.calibration.definition import load_studies
+from cmf_mj.studies.comparison import CaseResult
+
+SHOWN = ["2-4", "2-13", "3-14", "3-16", "3-21"]
+
+OWN = ("steady-state", "force", "text", "ledger", "calibration", "parameters", "provenance")
+"""Sections that no chapter of the report has."""
+
+REPORT_FIGURES = (
+    "2-4 2-12 2-13 2-15 2-16 3-2 3-3 3-4 3-9 3-10 3-11 3-14 3-15 3-16 3-17 3-20 3-21 3-22 3-23 "
+    "4-1 4-2 4-3 4-4 4-6 4-7 4-8 4-9 4-10 4-11 4-12 4-13 "
+    "B-1 B-2 B-3 B-4 B-5 B-6 D-1 D-2 D-3 D-4 D-5"
+)
+
+
+@pytest.fixture(scope="module")
+def content() -> Content:
+    """Five figures and Table 2-4 from quick runs."""
+    return reproduction.make_content(SHOWN, ["2-4"], jobs=2, quick=True)
+
+
+@pytest.fixture(scope="module")
+def page(content: Content, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return reproduction.save_page(content, tmp_path_factory.mktemp("report"))
+
+
+def charts(content: Content) -> dict[str, Chart]:
+    return {figure.number: figure.draw(content.runs) for figure in content.figures}
+
+
+def test_every_figure_and_table_of_the_report_with_numbers_is_there() -> None:
+    assert " ".join(figure.number for figure in FIGURES) == REPORT_FIGURES
+    assert set(TABLES) == {row.table for row in published_results()}
+    assert {entry.table for entry in published_gains()} == {"2-2", "2-5", "3-1", "3-3", "3-4"}
+
+
+def test_captions_say_where_the_machine_is_a_stand_in(content: Content) -> None:
+    for figure in content.figures:
+        caption = figure.draw(content.runs).caption
+        on_machine = figure.sensors or any(need.on == "machine" for need in figure.needs)
+        assert ("stand-in" in caption) == on_machine, figure.number
+
+
+def test_page_is_the_same_for_any_number_of_jobs(content: Content) -> None:
+    chosen: Any = (["3-14", "2-4"], [])
+    first, second = (
+        reproduction.render(reproduction.make_content(*chosen, jobs=jobs, quick=True))
+        for jobs in (1, 2)
+    )
+    assert first == second
+    other = reproduction.make_content(["2-4"], [], jobs=1, quick=True)
+    curves = charts(other)["2-4"].panels[0].curves
+    shared = charts(content)["2-4"].panels[0].curves
+    assert all(np.array_equal(a.y, b.y) for a, b in zip(curves, shared, strict=True))
+
+
+def test_the_page_needs_no_network_and_stays_small(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert page.stat().st_size < 20e6
+    assert not re.search(r'<(script|img|link|iframe)[^>]*(src|href)="(?!data:)', text)
+    assert text.count("Plotly.newPlot(element") == 1
+    for block in re.findall(r'<script type="application/json">(.*?)</script>', text, re.S):
+        figure = json.loads(block)
+        assert {"data", "layout"} <= set(figure)
+
+
+def test_contents_lead_to_every_figure_and_table(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    anchors = re.findall(r' id="([^"]+)"', text)
+    assert len(anchors) == len(set(anchors))
+    links = re.findall(r'<a href="#([^"]+)"', text)
+    assert set(links) <= set(anchors)
+    assert {f"figure-{number}" for number in SHOWN} <= set(links)
+
+
+def test_pictures_for_print_are_svg_that_parses(content: Content) -> None:
+    from xml.etree import ElementTree
+
+    picture = drawing.still(charts(content)["2-13"])
+    assert ElementTree.fromstring(picture).tag.endswith("svg")
+    assert picture == drawing.still(charts(content)["2-13"])
+
+
+def test_table_2_4_judges_each_row_by_its_tolerance(content: Content) -> None:
+    rows = reproduction.result_rows(content.runs, "2-4")
+    assert [(row.of, row.quantity) for row in rows] == [
+        (of, quantity)
+        for of in ("hardware", "non-linear model")
+        for quantity in ("-90 deg", "-3 dB", "damping ratio")
+    ]
+    allowed = {"-90 deg": 0.1, "-3 dB": 0.15, "damping ratio": 0.1}
+    for row in rows:
+        limit = 0.1 if row.of == "hardware" else allowed[row.quantity]
+        off = row.computed - row.printed
+        expected = abs(off if row.quantity == "damping ratio" else off / row.printed) <= limit
+        assert row.within == expected
+
+
+def altered(runs: Runs, factor: float) -> Runs:
+    """The same runs with other -90 deg bandwidths."""
+    found: dict[Wanted, Any] = {}
+    for key, result in runs.results.items():
+        if isinstance(result, CaseResult):
+            widths = result.bandwidths
+            result = result._replace(bandwidths=widths._replace(phase_hz=factor * widths.phase_hz))
+        found[key] = result
+    return Runs(found, runs.sensors, runs.quick, runs.seed)
+
+
+def test_a_slower_model_falls_outside_and_is_coloured(content: Content) -> None:
+    before = reproduction.result_rows(content.runs, "2-4")
+    after = reproduction.result_rows(altered(content.runs, 0.6), "2-4")
+    assert all(row.within for row in before if row.quantity == "-90 deg")
+    assert [row.quantity for row in reproduction.outside(after)].count("-90 deg") == 2
+    slow = Content(altered(content.runs, 0.6), (), ("2-4",), studies=False)
+    chapter = next(s for s in reproduction.sections_of(slow) if s.anchor == "chapter-2")
+    shown = next(b for b in chapter.blocks if isinstance(b, PageTable) and b.anchor == "table-2-4")
+    assert [row.verdict for row in shown.rows[::3]] == ["outside", "outside"]
+
+
+@pytest.fixture(scope="module")
+def studied(content: Content) -> Content:
+    """All sections; the original law stands in for those that were not run."""
+    found: dict[Wanted, Any] = dict(content.runs.results)
+    needs = [*force.FORCE_NEEDS, *statements.STATEMENT_NEEDS, *statements.REST_NEEDS]
+    for need in (*needs, *CALIBRATION_NEEDS):
+        found.setdefault(need, content.runs.case(need.on, "original"))
+    runs = Runs(found, content.runs.sensors, content.runs.quick, content.runs.seed)
+    return Content(runs, (), (), studies=True)
+
+
+def tables_of(content: Content) -> dict[str, PageTable]:
+    return {
+        block.anchor: block
+        for section in reproduction.sections_of(content)
+        for block in section.blocks
+        if isinstance(block, PageTable)
+    }
+
+
+def test_all_sections_have_rows_as_wide_as_their_headers(studied: Content) -> None:
+    sections = reproduction.sections_of(studied)
+    assert [section.anchor for section in sections if section.anchor in OWN] == list(OWN)
+    for name, table in tables_of(studied).items():
+        assert table.rows, name
+        assert {len(row.cells) for row in table.rows} == {len(table.header)}, name
+
+
+def test_studies_are_left_out_of_a_part(content: Content) -> None:
+    shown = {section.anchor for section in reproduction.sections_of(content)}
+    assert not shown & {"force", "steady-state", "text", "calibration"}
+    assert {"ledger", "parameters", "provenance"} <= shown
+
+
+def test_ledger_and_calibration_are_shown_whole(studied: Content) -> None:
+    shown = tables_of(studied)
+    assert len(shown["ledger-table"].rows) == len(load_ledger())
+    for name in ("report", "hardware"):
+        study = load_studies()[name]
+        rows = shown[f"calibration-{name}-residuals"].rows
+        assert len(rows) == sum(len(row.fitted) + len(row.predicted) for row in study.rows)
+        fitted = [p for p in shown[f"calibration-{name}-parameters"].rows if "fitted" in p.cells]
+        assert len(fitted) == len(study.free)
+    original = [r for r in shown["calibration-report-residuals"].rows if "Original" in r.cells[0]]
+    phase = studied.runs.case("model", "original").bandwidths.phase_hz
+    assert {row.cells[4] for row in original if row.cells[1] == "-90 deg [Hz]"} == {f"{phase:.2f}"}
+
+
+def test_force_table_ends_with_what_the_report_prints(studied: Content) -> None:
+    rows = tables_of(studied)["force-readings"].rows
+    assert len(rows) == len(FORCE_READINGS) + 1
+    assert rows[-1].cells[4] == "25" and rows[-1].cells[7:9] == ("5.5", "6")
+
+
+def test_unfitted_laws_are_reported_without_a_verdict() -> None:
+    for law in ("force", "combined_rate"):
+        assert law in tables.REPORTED
+        assert any(row.law == law for row in published_results())
+
+
+def test_shipped_gains_are_the_printed_ones_but_for_two_readings() -> None:
+    rows = tables.gain_rows()
+    assert [(row.law, row.gain) for row in rows if not row.same] == [
+        (load_law("original").title, "B, position"),
+        (load_law("force").title, "D, force"),
+    ]
+    assert all(row.note for row in rows if not row.same)
+    assert len([row for row in rows if row.table == "3-1" and row.gain == "A"]) == 3
+
+
+def test_geometry_meets_the_printed_limits_but_for_two() -> None:
+    far = [(row.dof, row.side) for row in tables.limit_rows() if abs(row.deviation) > 0.03]
+    assert far == [("heave", "high"), ("pitch", "low")]
+
+
+def test_steady_state_of_a_law_follows_from_its_gains() -> None:
+    assert statements.dc_gain("velocity") == pytest.approx(47.0 / 50.48, abs=1e-4)
+    assert statements.dc_gain("velocity_integral") == 1.0
+    leg = leg_model(linearize(SingleLegs("report")), 1)
+    for law in ("original", "velocity"):
+        loop = closed_loop(law, leg, pressures="zero")
+        at_rest = float(np.real(control.dcgain(loop)).item())
+        assert at_rest == pytest.approx(statements.dc_gain(law), rel=1e-4)
+
+
+def test_the_loop_at_its_crossover_and_unit_gain_has_poles_on_the_circle() -> None:
+    """Scaled by one over its gain there, the law keeps an undamped oscillation."""
+    law, parameters = law_of("force"), hydraulics_of("model")
+    found = force.oscillation(law, parameters)
+    assert found.crossover_gain > 1.0 > 0.0 > found.pole_damping
+    gains = law.direct_gain.model_dump()
+    scaled = law.model_copy(
+        update={
+            "direct_gain": law.direct_gain.model_copy(
+                update={name: value / found.crossover_gain for name, value in gains.items()}
+            ),
+            "output_gain": law.output_gain / found.crossover_gain,
+        }
+    )
+    leg = leg_model(linearize(SingleLegs(parameters)), 1)
+    poles = np.log(closed_loop(scaled, leg).poles().astype(complex)) / FRAME
+    near = poles[np.argmin(np.abs(poles - 2j * np.pi * found.crossover_hz))]
+    assert near.imag / (2.0 * np.pi) == pytest.approx(found.crossover_hz, rel=2e-3)
+    assert abs(near.real) / abs(near) < 2e-3
+
+
+def test_the_leg_rings_between_crossover_and_poles_and_not_at_25_hz(content: Content) -> None:
+    found = force.oscillation(law_of("force"), hydraulics_of("model"))
+    frequency, amplitude, acceleration = force.cycle(content.runs.case("model", "force").step)
+    assert found.crossover_hz < frequency < 1.01 * found.pole_hz + 0.25
+    assert frequency < 0.6 * force.REPORTED_HZ
+    assert amplitude > 500.0
+    assert acceleration > 1.0
+    bandwidths = content.runs.case("model", "force").bandwidths
+    assert bandwidths.phase_hz == pytest.approx(5.5, rel=0.1)
+    assert bandwidths.peak_db == pytest.approx(1.0, abs=0.5)
+
+
+def test_readings_of_the_force_gain_act_on_the_force_alone() -> None:
+    printed = law_of("force")
+    for reading, gain in FORCE_READINGS.items():
+        law = law_of(force.force_law(reading))
+        assert law.direct_gain.force == pytest.approx(gain, rel=1e-12)
+        assert law.direct_gain.model_copy(update={"force": -0.01}) == printed.direct_gain
+    aiding = force.oscillation(law_of("force:aiding"), hydraulics_of("model"))
+    opposing = force.oscillation(printed, hydraulics_of("model"))
+    assert aiding.pole_damping < opposing.pole_damping
+
+
+def test_thinning_keeps_peaks_order_and_number() -> None:
+    time = np.linspace(0.0, 1.0, 50_000)
+    values = np.sin(40.0 * time)
+    values[33_333], values[44_444] = 9.0, -9.0
+    x, y = thinned(time, values)
+    assert x.size <= 1200
+    assert (np.diff(x) > 0.0).all()
+    assert (y.max(), y.min()) == (9.0, -9.0)
+    assert thinned(time[:100], values[:100])[0].size == 100
+
+
+def test_curves_drop_what_cannot_be_drawn() -> None:
+    drawn = curve("c", [0.0, 1.0, 2.0, 3.0], [1.0, np.nan, np.inf, 2.0], "#000", within=(0, 5))
+    assert drawn.x.tolist() == [0.0, 3.0]
+    panels = [Panel("y", (drawn, drawn)), Panel("z", (drawn._replace(name="d"),))]
+    assert names_in(panels) == ["c", "d"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--figures", "9-9"], "figures: '9-9' is not one of 2-4, 2-12"),
+        (["--tables", "9-9"], "tables: '9-9' is not one of 2-4, 2-6"),
+        (["--jobs", "0"], "jobs: 0 must be at least 1"),
+        (["--seed", "-1"], "seed: -1 must be at least 0"),
+    ],
+)
+def test_report_refuses_before_it_runs(arguments: list[str], message: str, tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["report", *arguments, "--out", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert message in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_report_without_plotly_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = importlib.import_module
+
+    def without(name: str, package: str | None = None) -> Any:
+        if name.startswith("plotly"):
+            raise ImportError(f"No module named {name!r}", name=name)
+        return real(name, package)
+
+    monkeypatch.setattr(drawing, "import_module", without)
+    result = CliRunner().invoke(app, ["report", "--out", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert "cmf-mj[report]" in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_report_command_writes_the_page_and_counts_verdicts(tmp_path: Path) -> None:
+    arguments = ["report", "--quick", "--figures", "3-14", "--tables", "section 3.2.2"]
+    result = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    assert "1 figures" in result.output
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "Figure 3-14" in text
+    assert "section 3.2.2" in result.output

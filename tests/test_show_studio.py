@@ -1,0 +1,368 @@
+"""The studio without a browser: real time in parts, what the controls mean, sessions, replay."""
+
+import subprocess
+import sys
+import threading
+import urllib.request
+from concurrent.futures import CancelledError
+from pathlib import Path
+from signal import SIGINT, SIGTERM, Signals
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+from cmf_mj.analysis.frequency_response import bandwidths, frequency_response
+from cmf_mj.control.law import Law, law_names, load_law
+from cmf_mj.facility.scenario.run import run_scenario
+from cmf_mj.facility.scenario.settings import (
+    Scenario,
+    change_of,
+    overlaid_law,
+    read_scenario,
+    scenario_of,
+    scenario_toml,
+)
+from cmf_mj.facility.simulation import simulate
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.record.record import Record
+from cmf_mj.show.studio import bode, choices, traces
+from cmf_mj.show.studio.clock import LARGEST, Clock
+from cmf_mj.show.studio.gains import knobs, law_as_gains
+from cmf_mj.show.studio.live import KEPT_ROWS, LiveSession, View
+from cmf_mj.show.studio.replay import Recording, read_recording
+from cmf_mj.signals.single import multisine
+
+SHORT = {"duration": 1.0, "record_every": 16}
+
+
+def heave(**settings: object) -> Scenario:
+    signal = choices.signal_table("sine", "heave", 2.0, 2.0)
+    return scenario_of({"signal": signal, **SHORT, **settings}, "test")
+
+
+class Screen:
+    """Keeps what a session shows."""
+
+    def __init__(self) -> None:
+        self.views: list[View] = []
+        self.errors: list[Exception] = []
+        self.reached = threading.Condition()
+
+    def show(self, view: View, kept: traces.Traces) -> None:
+        with self.reached:
+            self.views.append(view)
+            self.reached.notify_all()
+
+    def tell(self, error: Exception) -> None:
+        with self.reached:
+            self.errors.append(error)
+            self.reached.notify_all()
+
+    def wait_for_time(self, seconds: float) -> None:
+        with self.reached:
+            assert self.reached.wait_for(
+                lambda: self.views and self.views[-1].live.time >= seconds, timeout=60.0
+            )
+
+
+@pytest.fixture
+def screen() -> Screen:
+    return Screen()
+
+
+# Real time.
+
+
+def test_clock_owes_every_frame_once() -> None:
+    clock = Clock(5.0)
+    turns = [clock.due(5.0 + 0.0371 * k) for k in range(1, 100)]
+    assert sum(turns) == int(0.0371 * 99 * 2048)
+    assert clock.pace.given_up == 0.0
+
+
+def test_clock_runs_slow_motion_and_stands_still_when_paused() -> None:
+    clock = Clock(0.0)
+    clock.speed = 0.1
+    assert sum(clock.due(0.1 * k) for k in range(1, 21)) == pytest.approx(0.2 * 2048, abs=1)
+    clock.paused = True
+    assert clock.due(2.2) == 0
+    clock.paused = False
+    assert clock.due(2.3) == pytest.approx(0.01 * 2048, abs=1)  # the pause is not owed
+
+
+def test_clock_counts_what_it_gives_up() -> None:
+    clock = Clock(0.0)
+    assert clock.due(3.0) == int(LARGEST * 2048)
+    assert clock.pace.given_up == pytest.approx(3.0 - LARGEST)
+
+
+def test_pace_is_simulated_over_wall_and_over_busy_time() -> None:
+    clock = Clock(0.0)
+    for _ in range(100):
+        clock.ran(wall=0.05, frames=64, busy=0.01)
+    assert clock.pace.factor == pytest.approx(64 / 2048 / 0.05)
+    assert clock.pace.capacity == pytest.approx(64 / 2048 / 0.01)
+
+
+def test_traces_keep_the_last_rows_in_order_and_never_grow() -> None:
+    kept = traces.Traces()
+    rows = round(traces.LONGEST * traces.RATE)
+    for k in range(rows + 100):
+        values = {name: np.full(width, float(k)) for name, width in traces.CHANNELS.items()}
+        kept.append(k / traces.RATE, values)
+    found = kept.last(1e9)
+    assert found["time"].size == rows
+    assert np.array_equal(found["leg_force"][:, 5], np.arange(100.0, rows + 100.0))
+    assert np.array_equal(found["time"], found["supply_pressure"][:, 0] / traces.RATE)
+    assert kept.last(1.0)["time"].size == traces.RATE
+
+
+# What the controls mean.
+
+
+@pytest.mark.parametrize("name", law_names())
+def test_knobs_are_the_numbers_of_the_law_and_turn_it(name: str) -> None:
+    law = load_law(name)
+    found = knobs(law)
+    gains = law.direct_gain.model_dump()
+    wanted = {("direct_gain", key) for key, value in gains.items() if value != 0.0}
+    assert wanted <= {knob.path for knob in found}
+    for knob in found:
+        assert knob.low <= knob.value <= knob.high
+        same = overlaid_law(law, knob.table(knob.value))
+        assert _value(same, knob.path) == pytest.approx(_value(law, knob.path), rel=1e-12)
+        for end in (knob.low, knob.high):
+            turned = overlaid_law(law, knob.table(end))
+            assert _value(turned, knob.path) == pytest.approx(end * knob.scale)
+        assert knob.high - knob.low >= 0.05 * abs(knob.value)
+
+
+def _value(law: Law, path: tuple[str, ...]) -> float:
+    found = law.model_dump()
+    for part in path:
+        found = found[part]
+    return float(found)
+
+
+@pytest.mark.parametrize("name", ["force", "model_reference_adaptive"])
+def test_a_law_from_a_file_becomes_gains_that_make_it(name: str) -> None:
+    law = load_law(name)
+    table = law_as_gains(law)
+    made = overlaid_law(load_law(table["law"]), table["gains"])
+    told = {"name", "title", "source"}
+    assert made.model_dump(exclude=told) == law.model_dump(exclude=told)
+
+
+@pytest.mark.parametrize("dof", DOFS)
+@pytest.mark.parametrize("kind", choices.SIGNALS)
+def test_every_signal_of_the_page_can_be_run(kind: str, dof: str) -> None:
+    for frequency in (0.05, 10.0):
+        table = choices.signal_table(kind, dof, choices.largest_amplitude(dof), frequency)
+        change = change_of({"signal": table})
+        assert change.signal is not None
+        assert len(change.signal) == (0 if kind == "rest" else 1)
+        for signal in change.signal:
+            poses = signal.motion(0)(np.arange(4096))
+            assert np.isfinite(poses).all()
+            others = np.delete(poses, DOFS.index(dof), axis=1)
+            assert not others.any()
+
+
+def test_settled_keeps_law_gains_and_signal_and_drops_the_rest() -> None:
+    step = choices.signal_table("step", "yaw", 1.0, 1.0)
+    scenario = heave(
+        change=[
+            {"at": 0.1, "law": "force", "gains": {"direct_gain": {"force": -0.02}}},
+            {"at": 0.2, "gains": {"direct_gain": {"reference": 40.0}}},
+            {"at": 0.3, "signal": step, "push": {"force": [1.0, 0.0, 0.0]}},
+            {"at": 0.4, "failure": [{"kind": "pump_lost"}]},
+        ]
+    )
+    begun = choices.settled(scenario)
+    assert begun.law == "force"
+    assert begun.gains == {"direct_gain": {"force": -0.02, "reference": 40.0}}
+    assert [signal.kind for signal in begun.signal] == ["step"]
+    assert begun.change == () and begun.event == () and begun.duration == "open"
+
+
+# Sessions.
+
+
+def test_session_goes_with_the_wall_clock_and_its_scenario_repeats_it(screen: Screen) -> None:
+    session = LiveSession(heave(), screen)
+    session.start()
+    screen.wait_for_time(0.5)
+    session.apply(change_of({"law": "position_error_rate"})).result()
+    session.apply(change_of({"signal": choices.signal_table("step", "roll", 1.0, 1.0)})).result()
+    session.apply(change_of({"push": {"force": [2e4, 0.0, 0.0]}})).result()
+    screen.wait_for_time(1.5)
+    session.apply(change_of({"gains": {"direct_gain": {"velocity": -0.5}}})).result()
+    session.apply(change_of({"failure": [{"kind": "valve_dead", "leg": 2}]})).result()
+    screen.wait_for_time(2.2)
+    session.pause(True)
+    scenario, record = session.scenario().result(), session.record().result()
+    session.close()
+    assert not session.alive and not screen.errors
+    assert len(scenario.change) == 5
+    again = run_scenario(scenario)
+    assert set(again.channels) == set(record.channels)
+    for name, values in record.channels.items():
+        assert np.array_equal(again[name][: values.shape[0]], values), name
+    assert again.time.size >= record.time.size > 2.2 * 128
+    assert np.linalg.norm(screen.views[-1].push) == pytest.approx(2e4)
+
+
+def test_session_tells_when_the_state_leaves_its_bounds_and_begins_again(screen: Screen) -> None:
+    crushed = heave(change=[{"at": 0.1, "push": {"force": [0.0, 0.0, -5e7]}}])
+    session = LiveSession(crushed, screen)
+    session.start()
+    with screen.reached:
+        assert screen.reached.wait_for(lambda: screen.errors, timeout=60.0)
+    assert "leg_" in str(screen.errors[0])
+    session.begin(heave()).result()
+    ended = len(screen.views)
+    with screen.reached:
+        assert screen.reached.wait_for(
+            lambda: len(screen.views) > ended + 3 and screen.views[-1].live.time > 0.1, timeout=60.0
+        )
+    session.close()
+
+
+def test_session_refuses_and_goes_on(screen: Screen) -> None:
+    session = LiveSession(heave(), screen)
+    session.start()
+    with pytest.raises(ValueError, match="plant: 'single_legs'"):
+        session.begin(heave(plant="single_legs")).result()
+    with pytest.raises(ValueError, match="body: 'roof' is not one of"):
+        session.apply(change_of({"push": {"body": "roof"}})).result()
+    screen.wait_for_time(0.2)
+    session.close()
+
+
+def test_session_that_has_ended_answers_nobody_and_keeps_nobody_waiting(screen: Screen) -> None:
+    session = LiveSession(heave(), screen)
+    session.start()
+    screen.wait_for_time(0.05)
+    session.close()
+    with pytest.raises(CancelledError):
+        session.record().result(timeout=10.0)
+
+
+def test_session_keeps_a_bounded_record() -> None:
+    session = LiveSession(heave(record_every=1), Screen())
+    most = session._run._most * 1024  # rows at every frame
+    assert most <= KEPT_ROWS + 1024
+
+
+# Bode.
+
+
+def test_bode_measures_what_simulate_and_frequency_response_do(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(bode, "PERIODS", 2)
+    live = heave(cab="rfd", change=[{"at": 0.5, "law": "position_error_rate"}])
+    done = []
+    found = bode.measure(live, "heave", lambda frames, total: done.append(frames / total))
+    command = multisine("heave", 0.33 * 0.0254, start=1 / 20.0, period=20.0, periods=2, fade=1.0)
+    record = simulate(Hexapod("rfd"), "position_error_rate", command, record_every=16)
+    wanted = frequency_response(record)
+    assert np.allclose(found.gain, wanted.gain_db, atol=1e-6)
+    assert found.bandwidths.phase_hz == pytest.approx(bandwidths(wanted).phase_hz, rel=1e-9)
+    assert found.title == "position_error_rate, heave, rfd, hardware"
+    assert done[-1] == 1.0 and len(done) > 20
+
+
+# Replay.
+
+
+def test_recording_gives_the_rows_of_its_file(tmp_path: Path) -> None:
+    record = run_scenario(heave())
+    path = record.save(tmp_path / "run.parquet")
+    found = read_recording("run.parquet", path.read_bytes(), 25)
+    assert found.cab == "gfd" and found.end == record.time[-1]
+    assert np.array_equal(found.position(0.5), record["generalised_position"][64])
+    assert np.array_equal(found.position(99.0), record["generalised_position"][-1])
+    rows = found.last(0.75, 0.25)
+    assert rows["time"][-1] == pytest.approx(0.75) and rows["time"][0] == pytest.approx(0.5)
+    assert np.array_equal(rows["platform_pose"], record["platform_pose"][64:97])
+
+
+def test_recording_refuses_what_it_cannot_show() -> None:
+    with pytest.raises(ValueError, match=r"^notes.txt: is not a readable Parquet file"):
+        read_recording("notes.txt", b"hello", 25)
+    single = run_scenario(scenario_of({"plant": "single_legs", "duration": 0.01}, "test"))
+    with pytest.raises(ValueError, match="plant: 'single_legs' of the record cannot be shown"):
+        Recording(single, 25)
+    whole = run_scenario(heave())
+    part = {name: whole[name] for name in whole.channels if name != "leg_force"}
+    units = {name: whole.units[name] for name in part}
+    with pytest.raises(ValueError, match="channel: 'leg_force' is not one of"):
+        Recording(Record(whole.time, part, units, whole.metadata), 25)
+
+
+# The command.
+
+
+@pytest.mark.parametrize("number", [SIGINT, SIGTERM])
+def test_command_serves_on_this_machine_alone_and_ends_when_told(
+    tmp_path: Path, number: Signals
+) -> None:
+    scenario = tmp_path / "mine.toml"
+    scenario.write_text('law = "force"\nduration = "open"\n')
+    command = [sys.executable, "-m", "cmf_mj", "studio", str(scenario), "--no-open"]
+    with subprocess.Popen(
+        [*command, "--port", "8460"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        line = next(line for line in process.stdout if line.startswith("studio: "))
+        url = line.split()[1]
+        assert url.startswith("http://127.0.0.1:")
+        with urllib.request.urlopen(url, timeout=30.0) as reply:
+            assert b"<html" in reply.read(2000)
+        process.send_signal(number)
+        try:
+            assert process.wait(timeout=60.0) == 0
+        finally:
+            process.kill()
+        assert process.stderr is not None and "Traceback" not in process.stderr.read()
+
+
+def test_command_refuses_a_bad_scenario_by_its_key(tmp_path: Path) -> None:
+    scenario = tmp_path / "bad.toml"
+    scenario.write_text('cabin = "gfd"\n')
+    command = [sys.executable, "-m", "cmf_mj", "studio", str(scenario), "--no-open"]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=120.0)
+    assert result.returncode == 2
+    assert "cabin: is not a known field" in result.stderr
+
+
+def test_command_names_the_extra_where_viser_is_missing() -> None:
+    code = (
+        "import sys; sys.modules['viser'] = None\n"
+        "from cmf_mj.cli import main\n"
+        "sys.argv = ['cmf', 'studio', '--no-open']\n"
+        "main()\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.returncode == 2
+    assert "install cmf-mj[studio]" in result.stderr
+
+
+def test_first_scenario_is_a_file_too() -> None:
+    begun = choices.first_scenario()
+    assert read_scenario(scenario_toml(begun), "again") == begun
+
+
+def test_script_draws_the_page(tmp_path: Path) -> None:
+    path = tmp_path / "studio.png"
+    command = [sys.executable, "scripts/show_studio.py", "--out", str(path), "--seconds", "1"]
+    result = subprocess.run(
+        [*command, "--port", "8471"], timeout=180.0, capture_output=True, text=True
+    )
+    assert result.returncode == 0, result.stderr
+    picture = matplotlib.image.imread(path)
+    assert picture.shape[:2] == (900, 1440)
+    assert picture[..., :3].std() > 0.05

@@ -1,0 +1,303 @@
+"""The studio in a real headless Chromium, software WebGL: what a user of the page sees and does.
+
+Every check waits for a condition of its own; nothing sleeps for luck on a busy machine.
+"""
+
+import io
+import re
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from cmf_mj.control.law import law_names
+from cmf_mj.facility.scenario.run import run_scenario
+from cmf_mj.facility.scenario.settings import load_scenario, save_scenario, scenario_of
+from cmf_mj.plant.events import KINDS
+from cmf_mj.show.studio import bode, choices, live
+from cmf_mj.show.studio.page import Page as StudioPage
+from cmf_mj.show.studio.server import Studio
+
+pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection")
+
+PATIENCE = 300_000
+"""Longest wait for anything on the page [ms]: WebGL in software beside other work is slow, and only
+something that never comes is a failure."""
+
+ARGUMENTS = (
+    *("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"),
+    *("--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"),
+)
+
+
+@pytest.fixture(scope="module")
+def studio() -> Iterator[Studio]:
+    running = Studio(port=8461)
+    yield running
+    running.stop()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    found = shutil.which("chromium")
+    if found is None:
+        pytest.fail("no Chromium to open the page in: apt-get install chromium (Debian package)")
+    with sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=found, args=list(ARGUMENTS))
+        yield running
+        running.close()
+
+
+class Tab:
+    """A tab and the session behind it."""
+
+    def __init__(self, browser: Browser, studio: Studio) -> None:
+        known = set(studio.pages)
+        self.errors: list[str] = []
+        # Half the resolution: a quarter of the pixels to draw in software for each tab.
+        self.page: Page = browser.new_page(
+            viewport={"width": 960, "height": 480}, device_scale_factor=0.5
+        )
+        self.page.set_default_timeout(PATIENCE)
+        self.page.on("console", self._said)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.goto(studio.url)
+        self.status("real-time factor")
+        (self.behind,) = set(studio.pages) - known
+
+    def _said(self, message: object) -> None:
+        if getattr(message, "type", "") == "error":
+            self.errors.append(getattr(message, "text", ""))
+
+    def wait(self, condition: Callable[[], bool]) -> None:
+        until = time.monotonic() + PATIENCE / 1000.0
+        while not condition():
+            assert time.monotonic() < until, "the page did not get there in time"
+            self.page.wait_for_timeout(100)
+
+    def status(self, text: str) -> str:
+        found = self.page.get_by_text(re.compile(text)).first
+        found.wait_for()
+        return found.inner_text()
+
+    def press(self, name: str) -> None:
+        self.page.get_by_role("button", name=name, exact=True).click()
+
+    def choose(self, label: str, option: str) -> None:
+        self.page.get_by_label(label, exact=True).first.click()
+        self.page.get_by_role("option", name=option, exact=True).click()
+
+    def upload(self, button: str, path: Path) -> None:
+        uuid = self.page.get_by_role("button", name=button).get_attribute("id")
+        self.page.locator(f'[id="file_upload_{uuid}"]').set_input_files(path)
+
+    def height(self) -> float:
+        return float(self.behind._scene.platform_position[2])
+
+    def time(self) -> float:
+        return float(self.behind.live.scenario().result().duration)
+
+    def picture(self) -> np.ndarray:
+        box = self.page.locator("canvas").first.bounding_box()
+        assert box is not None
+        middle = {
+            "x": box["x"] + 0.3 * box["width"],
+            "y": box["y"],
+            "width": 0.4 * box["width"],
+            "height": 0.6 * box["height"],
+        }
+        return matplotlib.image.imread(io.BytesIO(self.page.screenshot(clip=middle)))
+
+    def close(self) -> None:
+        self.page.close()
+
+
+@pytest.fixture(scope="module")
+def opened(browser: Browser, studio: Studio) -> Iterator[Tab]:
+    tab = Tab(browser, studio)
+    yield tab
+    tab.close()
+
+
+@pytest.fixture
+def tab(opened: Tab, tmp_path: Path) -> Iterator[Tab]:
+    """The tab, at the beginning of the first scenario."""
+    scenario, before = choices.first_scenario(), opened.behind.live.scenario().result()
+    begun = opened.behind.live.begun
+    if before.change or before.cab != scenario.cab or before.law != scenario.law:
+        opened.page.get_by_role("tab", name="Signals").click()
+        path = save_scenario(scenario, tmp_path / "first.toml")
+        opened.upload("load scenario", path)
+        opened.wait(lambda: opened.behind.live.begun > begun)
+    opened.press("go on")
+    yield opened
+    assert opened.errors == []  # nothing was said on the console
+
+
+@pytest.fixture
+def fewer_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Spares the cores where a test is not about real time: WebGL in software takes them all."""
+    monkeypatch.setattr(live, "TURN", 0.1)
+
+
+def _changed(one: np.ndarray, other: np.ndarray) -> float:
+    """Share of the pixels that differ."""
+    return float(np.mean(np.abs(one - other).max(axis=-1) > 0.1))
+
+
+def _error(behind: StudioPage) -> float:
+    """Root mean square of demand less response over the last two seconds: four cycles."""
+    rows = behind.live.rows(2.0).result()
+    error = rows["demand_pose"][:, 2] - rows["platform_pose"][:, 2]
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def test_page_moves_the_platform_in_real_time_with_its_plots_on(tab: Tab) -> None:
+    tab.press("pause")
+    tab.wait(lambda: _changed(tab.picture(), tab.picture()) == 0.0)  # nothing else moves
+    first, before = tab.picture(), tab.height()
+    assert first[..., :3].std() > 0.05  # something is drawn at all
+    tab.press("go on")
+    tab.wait(lambda: abs(tab.height() - before) > 0.02)
+    tab.wait(lambda: _changed(tab.picture(), first) > 0.002)
+
+    def keeps_up() -> bool:
+        said = tab.status(r"real-time factor [\d.]+")
+        found = re.search(r"real-time factor ([\d.]+), paced to ([\d.]+)", said)
+        assert found is not None
+        return float(found[1]) >= 1.0 and 0.97 <= float(found[2]) <= 1.03
+
+    tab.wait(keeps_up)
+    assert tab.page.get_by_text("leg forces [kN]").is_visible()
+    assert tab.page.locator(".uplot canvas").count() >= 5
+
+
+@pytest.mark.usefixtures("fewer_pictures")
+def test_law_chosen_on_the_page_changes_the_response(tab: Tab) -> None:
+    tab.wait(lambda: tab.time() > 4.0)
+    velocity = _error(tab.behind)
+    tab.choose("law", "position_error_rate")
+    tab.status("law position_error_rate")
+    since = tab.time()
+    tab.wait(lambda: tab.time() > since + 4.0)
+    assert _error(tab.behind) < 0.9 * velocity  # -90 deg at 3.6 Hz instead of 2.7
+    assert tab.behind.live.scenario().result().change[0].law == "position_error_rate"
+
+
+@pytest.mark.usefixtures("fewer_pictures")
+def test_bad_scenario_names_its_key_on_the_page_and_the_run_goes_on(
+    tab: Tab, tmp_path: Path
+) -> None:
+    bad = tmp_path / "bad.toml"
+    bad.write_text('cabin = "gfd"\n')
+    tab.upload("load scenario", bad)
+    assert "bad.toml: cabin: is not a known field" in tab.status("cabin")
+    since = tab.time()
+    tab.wait(lambda: tab.time() > since + 0.5)
+
+
+@pytest.mark.usefixtures("fewer_pictures")
+def test_two_tabs_do_not_disturb_one_another(tab: Tab, browser: Browser, studio: Studio) -> None:
+    other = Tab(browser, studio)
+    other.choose("law", "force")
+    other.status("law force")
+    other.press("pause")
+    other.status("paused")
+    stopped, since = other.time(), tab.time()
+    tab.wait(lambda: tab.time() > since + 1.0)
+    assert other.time() == stopped
+    tab.status("law velocity")
+    other.close()
+    tab.wait(lambda: not other.behind.live.alive)  # closing the tab ends its thread
+    assert other.errors == []
+    since = tab.time()
+    tab.wait(lambda: tab.time() > since + 0.5)
+    tab.wait(lambda: studio.pages == (tab.behind,))
+
+
+@pytest.mark.usefixtures("fewer_pictures")
+def test_exported_session_runs_again_bit_for_bit(tab: Tab, tmp_path: Path) -> None:
+    tab.choose("law", "position_error_rate")
+    tab.status("law position_error_rate")
+    tab.choose("signal", "noise")
+    tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 2)
+    tab.page.get_by_label("push now", exact=True).first.click()
+    tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 3)
+    since = tab.time()
+    tab.wait(lambda: tab.time() > since + 1.0)
+    tab.press("pause")
+    tab.status("paused")
+    with tab.page.expect_download() as download:
+        tab.press("export scenario")
+    path = tmp_path / "session.toml"
+    download.value.save_as(path)
+    record = tab.behind.live.record().result()
+    again = run_scenario(load_scenario(path))
+    assert again.time.size == record.time.size > 128
+    for name, values in record.channels.items():
+        assert np.array_equal(again[name], values), name
+
+
+@pytest.mark.usefixtures("fewer_pictures")
+def test_scenario_of_another_cab_can_be_loaded_and_reset(tab: Tab, tmp_path: Path) -> None:
+    path = tmp_path / "ifd.toml"
+    path.write_text('cab = "ifd"\nlaw = "velocity_integral"\nrecord_every = 16\n')
+    tab.upload("load scenario", path)
+    tab.status("law velocity_integral")
+    tab.wait(lambda: tab.behind._scene.cab == "ifd")
+    tab.wait(lambda: tab.time() > 1.5)
+    tab.press("reset")
+    tab.wait(lambda: tab.time() < 1.5)
+    assert tab.behind.live.scenario().result().cab == "ifd"
+
+
+@pytest.mark.usefixtures("fewer_pictures")
+def test_bode_panel_measures_the_law_in_force(tab: Tab, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bode, "PERIOD", 5.0)
+    monkeypatch.setattr(bode, "PERIODS", 2)
+    tab.page.get_by_role("tab", name="Bode").click()
+    tab.press("measure the response")
+    said = tab.status("-90 deg at")
+    wanted = bode.measure(choices.first_scenario(), "heave")
+    assert bode.told(wanted.bandwidths) in said
+
+
+@pytest.mark.usefixtures("fewer_pictures")
+def test_recording_is_scrubbed_and_played(tab: Tab, tmp_path: Path) -> None:
+    table = {
+        "cab": "rfd",
+        "signal": choices.signal_table("sine", "heave", 5.0, 0.5),
+        "duration": 3.0,
+        "record_every": 16,
+    }
+    record = run_scenario(scenario_of(table, "test"))
+    path = record.save(tmp_path / "mine.parquet")
+    tab.page.get_by_role("tab", name="Recording").click()
+    tab.upload("open a recording (Parquet)", path)
+    tab.status("mine.parquet")
+    tab.wait(lambda: tab.behind._scene.cab == "rfd")
+    end = record["generalised_position"][-1, 2]
+    tab.wait(lambda: abs(tab.height() - end) < 1e-12)  # played to its end
+    tab.press("back to the live run")
+    tab.wait(lambda: tab.behind._scene.cab == "gfd")
+    since = tab.time()
+    tab.wait(lambda: tab.time() > since + 0.3)
+
+
+@pytest.mark.usefixtures("fewer_pictures")
+def test_page_offers_every_law_and_failure(tab: Tab) -> None:
+    for label, options in (("law", law_names()), ("failure", KINDS)):
+        tab.page.get_by_label(label, exact=True).first.click()
+        for option in options:
+            assert tab.page.get_by_role("option", name=option, exact=True).count() == 1, option
+        tab.page.keyboard.press("Escape")
+    tab.choose("failure", "valve_hard_over")
+    tab.press("fail now")
+    tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 1)
+    (change,) = tab.behind.live.scenario().result().change
+    assert change.failure[0].kind == "valve_hard_over" and change.failure[0].leg == 1

@@ -1,0 +1,211 @@
+"""Films of the modes: legs within their stroke, gimbals closed, true periods, whole files."""
+
+from pathlib import Path
+from typing import Any
+
+import av
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+from typer.testing import CliRunner
+
+from cmf_mj import Hexapod
+from cmf_mj.analysis.modes import modes_at, reserve, stroke_room, swinging, with_room
+from cmf_mj.cli.common import app
+from cmf_mj.core import units
+from cmf_mj.machine.kinematics import WORKING_STROKE, pose_to_legs
+from cmf_mj.show.film import swing
+from cmf_mj.show.film.swing import SwingSettings, swing_film
+
+LEANING = np.array([0.05, -0.3, -0.5, -0.04, 0.11, -0.05])
+"""A pose with a leg far out."""
+
+SMALL = SwingSettings(fps=6, width=64, height=50)
+
+
+@pytest.fixture(scope="module")
+def plant() -> Hexapod:
+    return Hexapod("gfd")
+
+
+def legs_of(plant: Hexapod, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Extensions by MuJoCo's slides, (n, 6)."""
+    slides = [plant.model.joint(f"leg_{i}").qposadr[0] for i in range(1, 7)]
+    return qpos[:, slides]
+
+
+@pytest.mark.parametrize("mode", range(6))
+@pytest.mark.parametrize("pose", [np.zeros(6), LEANING])
+def test_the_room_of_a_mode_ends_at_the_working_stroke(
+    plant: Hexapod, pose: NDArray[np.float64], mode: int
+) -> None:
+    """With all its room one leg just reaches the working stroke; the largest moves that room."""
+    found = modes_at(plant, pose)
+    room = stroke_room(plant, found, mode)
+    time = np.arange(8) / (8.0 * found.frequency_hz[mode])  # has the two ends of the motion in it
+    legs = legs_of(plant, swinging(plant, found, mode, time, stroke=room))
+    assert np.abs(legs).max() == pytest.approx(WORKING_STROKE, abs=1e-9)
+    assert np.abs(legs - legs[0]).max() == pytest.approx(room, abs=1e-9)
+    with pytest.raises(ValueError, match=rf"stroke: {2 * room:.4f} m .* at most {room:.4f} m"):
+        swinging(plant, found, mode, time, stroke=2 * room)
+
+
+@pytest.mark.parametrize("pose", [np.zeros(6), LEANING])
+def test_the_exaggerated_motion_keeps_every_gimbal_closed(
+    plant: Hexapod, pose: NDArray[np.float64]
+) -> None:
+    """MuJoCo's own residual of the 18 closures, through the largest swing of each mode."""
+    found = modes_at(plant, pose)
+    for mode in range(6):
+        room = stroke_room(plant, found, mode)
+        time = np.arange(12) / (12.0 * found.frequency_hz[mode])
+        for qpos in swinging(plant, found, mode, time, stroke=room):
+            plant.data.qpos[:] = qpos
+            mujoco.mj_forward(plant.model, plant.data)
+            closures = plant.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value
+            assert closures.sum() == 18
+            assert np.abs(plant.data.efc_pos[closures]).max() < 1e-9
+
+
+def test_the_legs_swing_as_the_equation_says(plant: Hexapod) -> None:
+    """l = l0 + a s sin(2 pi f t), and for small a the platform follows the pose shape."""
+    found = modes_at(plant, LEANING)
+    time, stroke = np.linspace(0.0, 0.3, 7), 1e-4
+    for mode in range(6):
+        scale = stroke / np.abs(found.leg_shape[:, mode]).max()
+        swung = scale * np.sin(2.0 * np.pi * found.frequency_hz[mode] * time)[:, None]
+        qpos = swinging(plant, found, mode, time, stroke=stroke)
+        rest = pose_to_legs(LEANING, plant.geometry)
+        legs = rest + swung * found.leg_shape[:, mode]
+        assert legs_of(plant, qpos) == pytest.approx(legs, abs=1e-10)
+        moved = plant.pose_of(qpos) - LEANING
+        straight = swung * found.pose_shape[:, mode]
+        assert moved == pytest.approx(straight, abs=2e-3 * np.abs(straight).max())
+
+
+def test_a_pose_at_the_end_of_a_leg_has_no_room(plant: Hexapod) -> None:
+    pose = np.array([0.0, 0.0, -1.1, 0.0, 0.0, 0.0])
+    assert reserve(pose, plant) < 0.0
+    found = modes_at(Hexapod("gfd"), np.zeros(6))._replace(pose=pose)
+    with pytest.raises(ValueError, match=r"pose: leaves leg \d -0\.\d+ m of its working stroke"):
+        stroke_room(plant, found, 0)
+
+
+def test_a_pose_is_drawn_back_until_its_legs_have_room(plant: Hexapod) -> None:
+    """On the line from neutral, exactly with the room asked for; as it is where it has that."""
+    found = modes_at(plant, LEANING)
+    assert reserve(LEANING, plant) < 0.1
+    near = with_room(plant, found, 0.1)
+    assert reserve(near.pose, plant) == pytest.approx(0.1, abs=1e-9)
+    share = near.pose / LEANING
+    assert share == pytest.approx(np.full(6, share[0])) and 0.5 < share[0] < 1.0
+    np.testing.assert_array_equal(near.frequency_hz, modes_at(plant, near.pose).frequency_hz)
+    assert min(stroke_room(plant, near, mode) for mode in range(6)) >= 0.1 - 1e-9
+    assert with_room(plant, found, 0.01) is found
+    with pytest.raises(ValueError, match=r"room: 1\.0 m must be at least 0 and less than 0\.9525"):
+        with_room(plant, found, 1.0)
+
+
+class Watched(swing.Stage):
+    """A stage that keeps what it is shown."""
+
+    seen: list[NDArray[np.float64]] = []
+
+    def picture(self, qpos: NDArray[np.float64]) -> NDArray[np.uint8]:
+        self.seen.append(qpos.copy())
+        return super().picture(qpos)
+
+
+def test_the_film_shows_each_mode_with_its_own_period(
+    plant: Hexapod, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frequency on the screen, by fitting a sine to what was drawn: the mode's times the speed."""
+    monkeypatch.setattr(swing, "Stage", Watched)
+    Watched.seen = []
+    found, chosen = modes_at(plant), SMALL._replace(fps=20, speed=0.2, periods=2.0)
+    told: list[tuple[int, int]] = []
+    path = swing_film(
+        plant, found, tmp_path / "m.gif", chosen, progress=lambda *done: told.append(done)
+    )
+    count = round(2.0 / (found.frequency_hz[0] * 0.2) * 20)
+    assert told == [(number, count) for number in range(1, count + 1)]
+    assert len(Watched.seen) == 6 * count
+    time = np.arange(count) / 20.0  # of the screen
+    tried = np.linspace(0.5, 5.0, 4501)
+    for mode in range(6):
+        legs = legs_of(plant, np.array(Watched.seen[mode::6]))
+        leg = legs[:, np.ptp(legs, axis=0).argmax()]
+        assert np.abs(leg).max() <= 12.0 * units.INCH + 1e-9
+        waves = np.sin(2.0 * np.pi * tried[:, None] * time)
+        left = [np.sum((leg - w * (w @ leg) / (w @ w)) ** 2) for w in waves]
+        assert tried[np.argmin(left)] == pytest.approx(0.2 * found.frequency_hz[mode], abs=1e-3)
+    with Image.open(path) as picture:
+        assert picture.n_frames == count
+
+
+def test_an_mp4_is_whole_and_says_what_it_shows(plant: Hexapod, tmp_path: Path) -> None:
+    found = modes_at(plant, LEANING)
+    path = swing_film(plant, found, tmp_path / "m.mp4", SMALL._replace(speed=0.02, periods=0.1))
+    with av.open(str(path)) as container:
+        pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+        assert container.streams.video[0].average_rate == 6
+    assert len(pictures) == round(0.1 / (found.frequency_hz[0] * 0.02) * 6)
+    height, width, _ = pictures[0].shape
+    assert width == 3 * SMALL.width and height > 2 * SMALL.height
+    moved = np.abs(pictures[-1].astype(int) - pictures[0])
+    panels = [moved[:, 64 * i : 64 * (i + 1)].max() for i in range(3)]
+    assert min(panels) > 60
+    assert [p.name for p in tmp_path.iterdir()] == ["m.mp4"]
+
+    shown = swing.one_swing(plant, found, 5, np.zeros(1), 12.0 * units.INCH)
+    room = units.from_si("in", stroke_room(plant, found, 5))
+    assert room < 12.0
+    mass = units.from_si("lbm", found.leg_mass[5])
+    leading = 100.0 * found.share[:, 5].max()
+    assert shown.caption.startswith(f"mode 6: {found.frequency_hz[5]:.2f} Hz, {mass:.0f} lbm a leg")
+    assert f" {leading:.0f} %, legs ±{room:.1f} in" in shown.caption
+    assert [swing.pace_text(s) for s in (0.05, 1.0, 2.0)] == [
+        "20 times slower",
+        "at real speed",
+        "2 times faster",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"width": 63}, "width: 63 pixels must be even"),
+        ({"height": 4000}, "height: 4000 pixels must be between 16 and 1080"),
+        ({"camera": "roof"}, "camera: 'roof' is not one of overview, side"),
+        ({"speed": -1.0}, "speed, fps: -1.0, 6 must be greater than 0"),
+        ({"speed": 0.5}, "speed: 0.5 with 6 pictures a second leaves mode 6 at 14.1 Hz"),
+        ({"periods": 0.0}, "periods: 0.0 of the lowest mode must be greater than 0"),
+        ({"stroke": -0.1}, "stroke: -0.1000 m must be greater than 0"),
+        ({"stroke": float("nan")}, "stroke: nan m must be greater than 0"),
+        ({"stroke": 1.0}, "stroke: 1.0000 m must be greater than 0 and at most 0.9525 m"),
+    ],
+)
+def test_what_a_film_of_modes_cannot_do_is_named(
+    change: dict[str, Any], said: str, plant: Hexapod, tmp_path: Path
+) -> None:
+    with pytest.raises(ValueError) as refused:
+        swing_film(plant, modes_at(plant), tmp_path / "x.gif", SMALL._replace(**change))
+    assert said in str(refused.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_films_the_pose_and_the_worst(tmp_path: Path) -> None:
+    cheap = ["--samples", "90", "--points", "3", "--rounds", "2", "--out", str(tmp_path)]
+    looks = ["--fps", "4", "--speed", "0.02", "--width", "64", "--height", "50"]
+    arguments = ["modes", "--cab", "ifd", "--pose", "0,0,-20,0,10,0", *cheap, *looks]
+    done = CliRunner().invoke(app, [*arguments, "--periods", "0.05", "--video", "film.gif"])
+    assert done.exit_code == 0, done.output
+    for name in ("film_ifd.gif", "film_ifd_worst.gif"):
+        assert name in done.output
+        with Image.open(tmp_path / name) as picture:
+            assert picture.size[0] == 192 and picture.n_frames >= 2
+    refused = CliRunner().invoke(app, [*arguments, "--video", "film.avi"])
+    assert refused.exit_code == 2
+    assert "film_ifd.avi must end in .mp4 or .gif" in refused.output

@@ -1,0 +1,386 @@
+"""Pulses, noise, shaped and orthogonal multisines, dwells, combinations.
+
+Oracles: Table 2-3 of the report and the record lengths in its Appendix A, Fourier
+lines.
+"""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from cmf_mj import signals
+from cmf_mj.core.rates import RATE
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.signals import composite as excitations
+from cmf_mj.signals.peaks import peaks
+
+INCH = 0.0254
+DEGREE = math.pi / 180.0
+AMPLITUDE = 0.33 * INCH
+SIX = (0.01, 0.008, -0.006, 0.01, 0.02, 0.015)
+
+AT_REST = {
+    "pulse": lambda seed=0: signals.pulse("heave", AMPLITUDE, duration=4.0),
+    "sine": lambda seed=0: signals.sine("heave", AMPLITUDE, 2.0, fade=0.5),
+    "chirp": lambda seed=0: signals.chirp("heave", AMPLITUDE, duration=10.0, fade=0.5),
+    "noise": lambda seed=0: signals.noise("heave", AMPLITUDE, duration=10.0, seed=seed),
+    "multisine": lambda seed=0: signals.multisine(
+        "heave", AMPLITUDE, period=4.0, spectrum="acceleration", corner=0.8, fade=1.0, seed=seed
+    ),
+    "seven_sines": lambda seed=0: excitations.seven_sines("heave", AMPLITUDE, 3),
+    "stepped_sines": lambda seed=0: excitations.stepped_sines(
+        "heave", (1.0, 3.0), (0.5 * AMPLITUDE, AMPLITUDE), cycles=4
+    ),
+    "orthogonal_multisines": lambda seed=0: excitations.orthogonal_multisines(
+        SIX, period=8.0, fade=1.0, seed=seed
+    ),
+}
+SEEDED = ("noise", "multisine", "orthogonal_multisines")
+
+
+def module(kind):
+    return signals if hasattr(signals, kind) else excitations
+
+
+def heave(command):
+    return command.pose[:, 2]
+
+
+def lines(history, samples):
+    return np.fft.rfft(history[:samples]) * 2.0 / samples
+
+
+# All of them
+
+
+@pytest.mark.parametrize("kind", AT_REST)
+def test_begins_and_ends_at_the_pose_zero_without_speed(kind):
+    """Against the fastest sample; a raised cosine leaves the last frame some 1e-6 of the peak."""
+    command = AT_REST[kind]()
+    assert not command.pose[0].any()
+    largest = np.abs(command.pose).max(axis=0) + 1e-30
+    assert (np.abs(command.pose[-1]) < 1e-5 * largest).all()
+    speed = np.abs(np.diff(command.pose, axis=0))
+    assert (speed[[0, -1]] < 2e-3 * speed.max(axis=0) + 1e-30).all()
+
+
+@pytest.mark.parametrize("kind", AT_REST)
+def test_peak_is_the_amplitude(kind):
+    """To the sample, and to what the fades take off the crest of a multisine: none here."""
+    found = np.abs(AT_REST[kind]().pose).max(axis=0)
+    wanted = np.abs(SIX) if kind == "orthogonal_multisines" else [0, 0, AMPLITUDE, 0, 0, 0]
+    np.testing.assert_allclose(found, wanted, rtol=1.2e-4, atol=0.0)
+
+
+@pytest.mark.parametrize("kind", AT_REST)
+def test_description_is_json_and_repeats_the_command(kind):
+    command = AT_REST[kind](seed=3)
+    described = json.loads(json.dumps(dict(command.description)))
+    assert described.pop("kind") == kind
+    for result in ("dwells", "lines"):
+        described.pop(result, None)
+    if command.seed is not None:
+        described["seed"] = command.seed
+    again = getattr(module(kind), kind)(**described)
+    assert np.array_equal(again.pose, command.pose)
+
+
+@pytest.mark.parametrize("kind", SEEDED)
+def test_seed_alone_decides_the_history(kind):
+    one, same, other = (AT_REST[kind](seed=seed) for seed in (1, 1, 2))
+    assert one.seed == 1 and np.array_equal(one.pose, same.pose)
+    assert np.abs(one.pose - other.pose).max() > 0.1 * np.abs(one.pose).max()
+
+
+# Pulse
+
+
+@pytest.mark.parametrize(("at", "width"), [(1.0, 0.5), (0.3, 0.1), (0.25, 2.0 / RATE)])
+def test_pulse_goes_there_and_back(at, width):
+    command = signals.pulse("heave", -AMPLITUDE, at=at, width=width, duration=2.0)
+    assert command.duration == 2.0
+    up = np.flatnonzero(heave(command))
+    assert (heave(command)[up] == -AMPLITUDE).all()
+    assert up[0] == round(at * RATE) and up[-1] - up[0] + 1 == up.size == round(width * RATE)
+
+
+def test_chirp_fade_leaves_the_middle_alone():
+    bare, faded = (signals.chirp("heave", AMPLITUDE, duration=20.0, fade=f) for f in (0.0, 1.0))
+    middle = slice(3 * RATE, 21 * RATE)
+    assert np.array_equal(heave(bare)[middle], heave(faded)[middle])
+
+
+# Noise
+
+
+def test_noise_lies_in_its_band():
+    """White: ten bands of 0.7 Hz hold equal power; 700 lines each spread it by 1/sqrt(700)."""
+    command = signals.noise("heave", AMPLITUDE, start=1.0, stop=8.0, duration=1000.0, seed=4)
+    power = np.abs(np.fft.rfft(heave(command))) ** 2
+    frequency = np.fft.rfftfreq(heave(command).size, 1.0 / RATE)
+    inside = (frequency > 0.5) & (frequency < 8.5)
+    assert power[~inside].sum() < 1e-6 * power.sum()
+    shares = [
+        power[(frequency >= f) & (frequency < f + 0.7)].sum() for f in 1.0 + 0.7 * np.arange(10)
+    ]
+    np.testing.assert_allclose(shares, np.mean(shares), rtol=4.0 / math.sqrt(700.0), atol=0.0)
+
+
+def test_noise_scaled_by_its_rms():
+    command = signals.noise("heave", AMPLITUDE, duration=20.0, settle=1.0, scale="rms")
+    assert command.duration == 22.0
+    rms = np.sqrt(np.mean(heave(command)[RATE:-RATE] ** 2))
+    assert rms == pytest.approx(AMPLITUDE, rel=1e-12)
+
+
+# Multisines
+
+
+def test_acceleration_spectrum_has_flat_acceleration_above_its_corner():
+    """Displacement (corner/f)^2: A f^2 equal above 1 Hz, A equal below."""
+    period = 10.0
+    command = signals.multisine(
+        "heave", AMPLITUDE, period=period, spectrum="acceleration", corner=1.0, start=0.1
+    )
+    orders = np.arange(1, 101, 2)
+    size = np.abs(lines(heave(command), round(period * RATE)))[orders]
+    below, above = orders <= 10, orders >= 10
+    np.testing.assert_allclose(size[below], size[0], rtol=1e-9, atol=0.0)
+    np.testing.assert_allclose(size[above] * (orders[above] / period) ** 2, size[0], rtol=1e-6)
+
+
+def test_acceleration_spectrum_asks_less_acceleration_of_the_machine():
+    """At the same peak displacement."""
+    flat, shaped = (
+        peaks(signals.multisine("heave", AMPLITUDE, period=10.0, spectrum=s, fade=1.0))
+        for s in signals.SPECTRA
+    )
+    assert shaped.acceleration[2] < 0.3 * flat.acceleration[2]
+
+
+def test_multisine_fade_leaves_the_measured_periods_alone():
+    """In within the first period, out in a tail after the last."""
+    bare, faded = (signals.multisine("heave", AMPLITUDE, period=4.0, fade=f) for f in (0.0, 1.5))
+    assert faded.duration == bare.duration + 1.5
+    kept = slice(round(1.5 * RATE), 12 * RATE)
+    assert np.array_equal(heave(faded)[kept], heave(bare)[kept])
+
+
+def test_orthogonal_multisines_share_no_line():
+    """Line by line, exactly one of the six moves, and it is the one the description names."""
+    period = 8.0
+    command = excitations.orthogonal_multisines(SIX, period=period, start=0.2, stop=6.0)
+    samples = round(period * RATE)
+    for index, dof in enumerate(DOFS):
+        spectrum = np.abs(lines(command.pose[:, index], samples))
+        present = np.flatnonzero(spectrum[1:] > 1e-9 * spectrum[1:].max()) + 1
+        np.testing.assert_array_equal(present, command.description["lines"][dof])
+        assert (present % 2 == 1).all()
+    every = sorted(sum(command.description["lines"].values(), []))
+    np.testing.assert_array_equal(every, np.arange(3, 49, 2))
+
+
+def test_orthogonal_multisines_are_orthogonal_over_a_period():
+    """Apart from their constants, which start each near zero."""
+    command = excitations.orthogonal_multisines(SIX, period=8.0)
+    once = command.pose[: 8 * RATE] - command.pose[: 8 * RATE].mean(axis=0)
+    products = once.T @ once
+    scale = np.sqrt(np.outer(np.diag(products), np.diag(products)))
+    np.testing.assert_allclose(products / scale, np.eye(6), rtol=0.0, atol=1e-12)
+
+
+def test_orthogonal_multisines_by_name_leave_the_others_at_rest():
+    command = excitations.orthogonal_multisines({"yaw": 0.01, "surge": 0.02}, period=4.0)
+    assert list(command.description["lines"]) == ["surge", "yaw"]
+    np.testing.assert_allclose(
+        np.abs(command.pose).max(axis=0), [0.02, 0, 0, 0, 0, 0.01], rtol=1e-12, atol=0.0
+    )
+
+
+# Dwells
+
+
+def test_rounds_are_table_2_3():
+    """Thirty-five frequencies, rising; ends, channel 4 and the sum of each round as printed."""
+    every = [f for row in excitations.ROUNDS for f in row]
+    assert len(every) == 35 and every == sorted(every)
+    assert [row[0] for row in excitations.ROUNDS] == [0.1, 1.4, 3.4, 5.6, 8.0]
+    assert [row[3] for row in excitations.ROUNDS] == [0.6, 2.0, 4.4, 6.6, 9.0]
+    assert [row[6] for row in excitations.ROUNDS] == [1.2, 3.0, 5.4, 7.6, 10.0]
+    np.testing.assert_allclose(
+        [sum(row) for row in excitations.ROUNDS], [4.3, 14.8, 30.4, 46.6, 63.0], rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("number", "rows"), [(1, 22705), (2, 9664), (3, 8450), (4, 8028), (5, 8011)]
+)
+def test_round_is_as_long_as_the_facility_s(number, rows):
+    """Appendix A's heave files end in these rows; row 1 is the heading, 128 rows a second."""
+    duration = excitations.seven_sines("heave", AMPLITUDE, number).duration
+    assert duration == pytest.approx((rows - 1) / 128.0, rel=0.05)
+
+
+@pytest.mark.parametrize("kind", ["seven_sines", "stepped_sines"])
+def test_dwells_are_whole_cycles_at_full_amplitude(kind):
+    """The listed stretch is A sin(2 pi f t) from phase zero; cycles / f to half a frame."""
+    command = AT_REST[kind]()
+    for dwell in command.description["dwells"]:
+        assert abs(dwell["frames"] - dwell["cycles"] / dwell["frequency"] * RATE) <= 0.5
+        time = np.arange(dwell["frames"]) / RATE
+        wanted = dwell["amplitude"] * np.sin(2.0 * np.pi * dwell["frequency"] * time)
+        found = heave(command)[dwell["start"] : dwell["start"] + dwell["frames"]]
+        np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-15)
+
+
+def test_seven_sines_run_the_frequencies_of_the_round_in_sequence():
+    dwells = excitations.seven_sines("pitch", 0.2 * DEGREE, 2).description["dwells"]
+    assert tuple(d["frequency"] for d in dwells) == excitations.ROUNDS[1]
+    ends = [d["start"] + d["frames"] for d in dwells]
+    rests = np.array([d["start"] for d in dwells[1:]]) - ends[:-1]
+    assert (rests == round(7.5 * RATE)).all()  # fade out, 5.5 s of rest, fade in
+
+
+def test_stepped_sines_take_each_frequency_at_each_amplitude():
+    command = excitations.stepped_sines("sway", (2.0, 0.5), (0.1, 0.2), transient=3.0)
+    found = [(d["frequency"], d["amplitude"]) for d in command.description["dwells"]]
+    assert found == [(2.0, 0.1), (2.0, 0.2), (0.5, 0.1), (0.5, 0.2)]
+
+
+def test_stepped_sines_keep_their_amplitude_through_the_transient():
+    command = excitations.stepped_sines("sway", (2.0,), (0.1,), transient=3.0)
+    start = command.description["dwells"][0]["start"]
+    assert start == 5 * RATE  # 1 s of rest, 1 s of fade, 3 s of transient
+    time = np.arange(-3 * RATE, 0) / RATE
+    found = command.pose[start - 3 * RATE : start, 1]
+    np.testing.assert_allclose(found, 0.1 * np.sin(4.0 * np.pi * time), rtol=0.0, atol=1e-13)
+
+
+# Combinations
+
+
+def test_combine_runs_all_at_once():
+    parts = (
+        signals.noise("heave", AMPLITUDE, duration=6.0, seed=7),
+        signals.step("yaw", 0.01, duration=4.0),
+    )
+    both = excitations.combine(*parts)
+    assert both.duration == 10.0
+    assert np.array_equal(both.pose[:, 2], parts[0].pose[:, 2])
+    assert np.array_equal(both.pose[: 4 * RATE, 5], parts[1].pose[:, 5])
+    assert (both.pose[4 * RATE :, 5] == 0.01).all()
+    listed = json.loads(json.dumps(both.description["commands"]))
+    assert [(p["kind"], p["dof"], p["seed"]) for p in listed] == [
+        ("noise", "heave", 7),
+        ("step", "yaw", None),
+    ]
+
+
+# Refusals
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "message"),
+    [
+        ("pulse", {"width": 0.0}, "width: 0.0 must be a finite number greater than 0"),
+        ("pulse", {"width": 1e-4}, "width: 0.0001 s must be at least two frames"),
+        (
+            "pulse",
+            {"width": 12.5},
+            "width: 12.5 s after 1.0 s must be within the 13.0 s of the run",
+        ),
+        ("chirp", {"fade": -1.0}, "fade: -1.0 must be a finite number, at least 0"),
+        ("noise", {"scale": "loud"}, "scale: 'loud' is not one of peak, rms"),
+        ("noise", {"fade": 60.0}, "fade: 60.0 s must be at most half the duration of 100.0 s"),
+        ("noise", {"start": 2.0, "stop": 1.0}, "stop: no multiple of 0.01 Hz lies in 2.0 to 1.0"),
+        ("noise", {"stop": 1100.0}, "stop: 1100.0 Hz must be at most 1024.0 Hz"),
+        ("multisine", {"spectrum": "pink"}, "spectrum: 'pink' is not one of flat, acceleration"),
+        ("multisine", {"corner": 0.0}, "corner: 0.0 must be a finite number greater than 0"),
+        ("multisine", {"fade": 30.0}, "fade: 30.0 s must be at most the period of 20.0 s"),
+        ("seven_sines", {"number": 6}, "number: 6 is not one of the rounds 1 to 5"),
+        ("seven_sines", {"number": 1, "cycles": 2.5}, "cycles: 2.5 must be a whole number"),
+        ("seven_sines", {"number": 1, "fade": 0.0}, "fade: 0.0 must be"),
+    ],
+)
+def test_argument_out_of_range_is_named(kind, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        getattr(module(kind), kind)("heave", AMPLITUDE, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("frequencies", "amplitudes", "options", "message"),
+    [
+        ((), (0.1,), {}, "frequencies: none is given; at least one is needed"),
+        ((1.0,), (), {}, "amplitudes: none is given; at least one is needed"),
+        ((1.0, -2.0), (0.1,), {}, "frequencies: -2.0 must be"),
+        ((1100.0,), (0.1,), {}, "frequencies: 1100.0 Hz must be at most 1024.0 Hz"),
+        ((1.0,), (np.nan,), {}, "amplitude: nan must be a finite number"),
+        ((1.0,), (0.1,), {"cycles": 0}, "cycles: 0 must be a whole number, at least 1"),
+        ((1.0,), (0.1,), {"transient": -1.0}, "transient: -1.0 must be"),
+        ((1.0,), (0.1,), {"settle": 0.0}, "settle: 0.0 must be"),
+    ],
+)
+def test_stepped_sines_out_of_range_are_named(frequencies, amplitudes, options, message):
+    with pytest.raises(ValueError, match=message):
+        excitations.stepped_sines("heave", frequencies, amplitudes, **options)
+
+
+@pytest.mark.parametrize(
+    ("amplitudes", "options", "message"),
+    [
+        ((0.1, 0.2), {}, "amplitudes: 2 values are given; allowed: 6 or names"),
+        ({"up": 0.1}, {}, "dof: 'up' is not one of surge, sway, heave, roll, pitch, yaw"),
+        ((0.0,) * 6, {}, "amplitudes: all are 0"),
+        (
+            (0.1,) * 6,
+            {"period": 1.0, "stop": 8.0},
+            "period: 1.0 s gives 4 odd lines in .* 6 degrees",
+        ),
+    ],
+)
+def test_orthogonal_multisines_out_of_range_are_named(amplitudes, options, message):
+    with pytest.raises(ValueError, match=message):
+        excitations.orthogonal_multisines(amplitudes, **options)
+
+
+def test_combine_refuses_two_commands_of_one_degree_of_freedom():
+    heaves = signals.step("heave", 0.01), signals.sine("heave", 0.01, 1.0)
+    message = r"heave is moved by command 1 \(step\) and by command 3 \(sine\)"
+    with pytest.raises(ValueError, match=message):
+        excitations.combine(heaves[0], signals.step("yaw", 0.01), heaves[1])
+
+
+def test_combine_refuses_nothing():
+    with pytest.raises(ValueError, match="commands: none is given"):
+        excitations.combine()
+
+
+# Waypoints
+
+
+def test_a_path_of_least_jerk_rests_at_its_points_and_peaks_at_1875_times_the_mean():
+    times, values = [0.0, 2.0, 5.0], np.array([[0.0, 1.0], [0.6, 1.0], [-0.3, 0.4]])
+    path = excitations.waypoints(times, values)
+    assert path.shape == (5 * 2048 + 1, 2)
+    for time, value in zip(times, values, strict=True):
+        assert path[round(time * 2048)] == pytest.approx(value, abs=1e-15)
+    speed = np.gradient(path, 1 / 2048, axis=0)
+    assert np.abs(speed[[0, 2 * 2048, -1]]).max() < 1e-5
+    assert np.abs(speed[: 2 * 2048]).max(axis=0) == pytest.approx([1.875 * 0.3, 0.0], rel=1e-6)
+    assert np.abs(speed[2 * 2048 :]).max(axis=0) == pytest.approx([1.875 * 0.3, 1.875 * 0.2])
+    sixth = np.diff(path[: 2 * 2048 : 64, 0], 6)
+    assert np.abs(sixth).max() < 1e-12  # the jerk-optimal path is a quintic
+
+
+@pytest.mark.parametrize("times", [[0.0], [0.5, 1.0], [0.0, 1.0, 1.0], [[0.0, 1.0]]])
+def test_waypoints_need_times_that_rise_from_zero(times):
+    with pytest.raises(ValueError, match="times: .* at least two numbers that rise from 0 s"):
+        excitations.waypoints(times, np.zeros((len(times), 1)))
+
+
+@pytest.mark.parametrize("values", [[[0.0]], [[0.0], [np.nan]], [[0.0], [1.0], [2.0]]])
+def test_waypoints_need_a_finite_row_a_time(values):
+    with pytest.raises(ValueError, match="values: must be 2 finite rows, one a time"):
+        excitations.waypoints([0.0, 1.0], values)

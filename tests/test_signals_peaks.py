@@ -1,0 +1,146 @@
+"""Peaks of commands, and the limits they must keep.
+
+Oracles: A w and A w^2 of a sine, the Jacobian of the legs, Table 2-1 of the report.
+"""
+
+import math
+
+import numpy as np
+import pytest
+
+from cmf_mj import signals
+from cmf_mj.machine.kinematics import DOFS, excursion_envelope, pose_jacobian
+from cmf_mj.signals import composite as excitations
+from cmf_mj.signals.peaks import Limits, check_limits, peaks
+from cmf_mj.signals.single import Command
+
+INCH = 0.0254
+DEGREE = math.pi / 180.0
+AMPLITUDE = 0.33 * INCH
+
+# Peaks
+
+
+@pytest.mark.parametrize("frequency", [0.5, 2.0, 10.0])
+@pytest.mark.parametrize("dof", DOFS)
+def test_peaks_of_a_sine(dof, frequency):
+    """A, A w, A w^2; the differences read low by (pi f T)^2 / 6 and / 3, below 8e-5 at 10 Hz.
+
+    A fade of four periods adds nothing: |e'' s + 2 e' w c - e w^2 s| stays below w^2.
+    """
+    index, omega = DOFS.index(dof), 2.0 * np.pi * frequency
+    found = peaks(signals.sine(dof, 0.001, frequency, cycles=40.0, fade=4.0 / frequency))
+    wanted = 0.001 * np.array([1.0, omega, omega**2])
+    measured = [found.displacement[index], found.velocity[index], found.acceleration[index]]
+    np.testing.assert_allclose(measured, wanted, rtol=2e-4, atol=0.0)
+    others = np.delete(np.array(found[:3]), index, axis=1)
+    assert not others.any()
+
+
+def test_leg_peaks_are_the_jacobian_times_the_platform_s():
+    """For a small heave sine: second-order terms are of the order A / leg length, 0.1 mm in 4 m."""
+    found = peaks(signals.sine("heave", 1e-4, 2.0))
+    ratio = np.abs(pose_jacobian(np.zeros(6))[:, 2])
+    for leg, platform in zip(found[3:], found[:3], strict=True):
+        np.testing.assert_allclose(leg, ratio * platform[2], rtol=1e-4, atol=0.0)
+
+
+@pytest.mark.parametrize("kind", ["step", "pulse"])
+def test_jump_of_position_has_infinite_rates(kind):
+    found = peaks(getattr(signals, kind)("heave", AMPLITUDE))
+    assert found.displacement[2] == AMPLITUDE
+    assert np.isinf(found.velocity[2]) and np.isinf(found.acceleration[2])
+    assert np.isinf(found.leg_velocity).all() and np.isinf(found.leg_acceleration).all()
+    assert not np.delete(found.velocity, 2).any()
+
+
+@pytest.mark.parametrize("kind", ["chirp", "multisine"])
+def test_start_or_stop_in_motion_has_infinite_acceleration_and_a_fade_cures_it(kind):
+    """Velocity stays below w A of the 10 Hz at which both end, and below w^2 A once faded."""
+    omega = 2.0 * np.pi * 10.0
+    bare, faded = (peaks(getattr(signals, kind)("heave", 0.01, fade=f)) for f in (0.0, 0.5))
+    assert np.isinf(bare.acceleration[2]) and np.isinf(bare.leg_acceleration).all()
+    assert 0.0 < bare.velocity[2] <= 0.01 * omega
+    assert 0.0 < faded.acceleration[2] <= 0.01 * omega**2
+    assert np.isfinite(faded.leg_acceleration).all()
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3])
+def test_command_at_rest_has_no_peaks(frames):
+    found = peaks(Command.from_pose(np.zeros((frames, 6))))
+    np.testing.assert_allclose(np.array(found), 0.0, rtol=0.0, atol=0.0)
+
+
+# Limits
+
+
+def test_default_limits_are_table_2_1_and_the_leg_travel():
+    """Inches and degrees as printed; longitudinal, lateral, vertical, roll, pitch, yaw."""
+    scale = np.array([INCH] * 3 + [DEGREE] * 3)
+    printed = [[-55, 67], [-55, 55], [-41, 41], [-28, 28], [-25, 28], [-38, 38]]
+    np.testing.assert_allclose(np.array(Limits().displacement).T / scale, np.array(printed).T)
+    assert Limits().leg_displacement == pytest.approx(37.5 * INCH, rel=1e-15)
+    assert np.isinf([*Limits().velocity, *Limits().acceleration]).all()
+
+
+def test_operational_limits_lie_within_the_leg_travel():
+    """Each alone: a command to a limit of Table 2-1 uses up the platform's limit first."""
+    assert (np.array(Limits().displacement)[:, 0] > excursion_envelope()[:, 0]).all()
+    assert (np.array(Limits().displacement)[:, 1] < excursion_envelope()[:, 1]).all()
+
+
+@pytest.mark.parametrize("dof", DOFS)
+def test_command_within_the_limits_passes_and_gives_its_peaks(dof):
+    """0.33 in or 0.2 deg, the facility's own."""
+    size = AMPLITUDE if dof in DOFS[:3] else 0.2 * DEGREE
+    command = excitations.seven_sines(dof, size, 5)
+    np.testing.assert_array_equal(np.array(check_limits(command)), np.array(peaks(command)))
+
+
+@pytest.mark.parametrize(
+    ("command", "limit", "message"),
+    [
+        (signals.step("heave", 1.1), None, r"heave: 1\.1 m; allowed: -1\.041 to 1\.041 m"),
+        (signals.step("surge", -1.5), None, r"surge: -1\.5 m; allowed: -1\.397 to 1\.702 m"),
+        (signals.step("pitch", -0.45), None, r"pitch: -0\.45 rad; allowed: -0\.4363 to 0\.4887"),
+        (
+            signals.sine("yaw", 0.1, 1.0),
+            Limits(velocity=(9, 9, 9, 9, 9, 0.5)),
+            r"^yaw velocity: 0\.6283 rad/s; allowed: at most 0\.5 rad/s$",
+        ),
+        (
+            signals.sine("heave", 0.1, 1.0, fade=4.0),
+            Limits(acceleration=(9, 9, 3, 9, 9, 9)),
+            r"^heave acceleration: 3\.948 m/s\^2; allowed: at most 3 m/s\^2$",
+        ),
+        (
+            signals.step("heave", 0.01),
+            Limits(velocity=(1,) * 6),
+            r"^heave velocity: infinite \(it jumps\); allowed: at most 1 m/s$",
+        ),
+        (
+            signals.sine("heave", 0.1, 1.0),
+            Limits(leg_velocity=0.5),
+            r"leg 1 velocity: 0\.52\d* m/s; allowed: at most 0\.5 m/s; leg 2 velocity",
+        ),
+        (
+            signals.sine("heave", 0.1, 1.0),
+            Limits(leg_acceleration=3.0),
+            r"leg 1 acceleration: 3\.\d+ m/s\^2; allowed: at most 3 m/s\^2",
+        ),
+        (
+            signals.sine("heave", 0.1, 1.0),
+            Limits(leg_displacement=0.05),
+            r"leg 1 displacement: 0\.08\d* m; allowed: at most 0\.05 m",
+        ),
+    ],
+)
+def test_each_excess_is_named_with_its_value_and_its_limit(command, limit, message):
+    with pytest.raises(ValueError, match=message):
+        check_limits(command, limit)
+
+
+def test_axes_each_within_their_limits_can_exceed_the_leg_travel_together():
+    command = excitations.combine(signals.step("heave", 1.0), signals.step("surge", 1.2))
+    with pytest.raises(ValueError, match=r"^leg \d displacement: .* m; allowed: at most 0\.9525 m"):
+        check_limits(command)

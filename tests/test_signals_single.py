@@ -1,0 +1,257 @@
+"""Excitations: amplitude, rest at both ends, frequencies, seeds and refusals.
+
+Oracles: section 2.5 of the report for the chirp (0.01 to 10 Hz in 100 s, linear), Fourier lines
+for the multisine.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from cmf_mj import signals
+from cmf_mj.core.rates import RATE
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.signals.single import Command
+
+AMPLITUDE = 0.33 * 0.0254
+
+EXCITATIONS = {
+    "step": lambda dof="heave": signals.step(dof, AMPLITUDE),
+    "sine": lambda dof="heave": signals.sine(dof, AMPLITUDE, 2.0),
+    "chirp": lambda dof="heave": signals.chirp(dof, AMPLITUDE, duration=20.0),
+    "multisine": lambda dof="heave": signals.multisine(dof, AMPLITUDE, period=4.0),
+}
+
+
+def heave(command):
+    return command.pose[:, 2]
+
+
+# All of them
+
+
+@pytest.mark.parametrize("kind", EXCITATIONS)
+@pytest.mark.parametrize("dof", DOFS)
+def test_only_the_named_degree_of_freedom_moves(kind, dof):
+    command = EXCITATIONS[kind](dof)
+    assert [name for name, moves in zip(DOFS, command.pose.any(axis=0), strict=True) if moves] == [
+        dof
+    ]
+
+
+@pytest.mark.parametrize("kind", EXCITATIONS)
+def test_peak_is_the_amplitude(kind):
+    """To the sample: 2048 Hz catches the crest of a 10 Hz sine within 0.5 (pi 10 / 2048)^2."""
+    peak = np.abs(heave(EXCITATIONS[kind]())).max()
+    assert AMPLITUDE * (1.0 - 1.2e-4) < peak <= AMPLITUDE * (1.0 + 1e-12)
+
+
+@pytest.mark.parametrize("kind", ["step", "sine", "chirp"])
+def test_starts_at_the_pose_zero(kind):
+    assert not EXCITATIONS[kind]().pose[0].any()
+
+
+def test_multisine_starts_nearest_to_zero():
+    """It is periodic: the start is the sample closest to a zero crossing."""
+    once = heave(EXCITATIONS["multisine"]())
+    assert abs(once[0]) == np.abs(once).min()
+    assert abs(once[0]) < np.abs(np.diff(once)).max()
+
+
+@pytest.mark.parametrize("kind", ["step", "sine", "chirp"])
+def test_starts_and_ends_at_rest(kind):
+    """First and last velocity: none, against a peak of amplitude times 2 pi frequency."""
+    speed = np.abs(np.diff(heave(EXCITATIONS[kind]()))) * RATE / AMPLITUDE
+    assert speed[0] < 1e-4 and speed[-1] < 1e-4
+    assert speed.max() > 1.0
+
+
+@pytest.mark.parametrize("kind", EXCITATIONS)
+def test_description_repeats_the_command(kind):
+    command = EXCITATIONS[kind]()
+    described = dict(command.description)
+    assert described.pop("kind") == kind
+    again = getattr(signals, kind)(**described)
+    assert np.array_equal(again.pose, command.pose)
+
+
+@pytest.mark.parametrize("kind", EXCITATIONS)
+def test_amplitude_scales_the_history(kind):
+    described = dict(EXCITATIONS[kind]().description)
+    described.pop("kind")
+    described["amplitude"] = -2.0 * AMPLITUDE
+    doubled = getattr(signals, kind)(**described)
+    np.testing.assert_allclose(doubled.pose, -2.0 * EXCITATIONS[kind]().pose, rtol=0.0, atol=1e-15)
+
+
+# Step and sine
+
+
+def test_step_is_a_step():
+    command = signals.step("heave", AMPLITUDE, at=0.5, duration=2.0)
+    assert command.duration == 2.0
+    assert not heave(command)[: RATE // 2].any()
+    assert (heave(command)[RATE // 2 :] == AMPLITUDE).all()
+
+
+def test_sine_between_its_fades():
+    command = signals.sine("heave", AMPLITUDE, 2.0, cycles=8.0, fade=1.0)
+    time = np.arange(4 * RATE) / RATE
+    assert command.pose.shape[0] == time.size
+    plateau = (time >= 1.0) & (time <= 3.0)
+    expected = AMPLITUDE * np.sin(2.0 * np.pi * 2.0 * time[plateau])
+    np.testing.assert_allclose(heave(command)[plateau], expected, rtol=0.0, atol=1e-15)
+
+
+def test_fade_longer_than_the_sine_is_cut_to_half_of_it():
+    command = signals.sine("heave", AMPLITUDE, 2.0, cycles=2.0, fade=100.0)
+    edges = np.abs(heave(command)[[0, 1, -1]]) / AMPLITUDE
+    assert (edges < 1e-6).all()
+
+
+# Chirp
+
+
+@pytest.mark.parametrize(("start", "stop", "duration"), [(0.01, 10.0, 100.0), (0.5, 4.0, 16.0)])
+def test_chirp_frequency_rises_linearly(start, stop, duration):
+    """Zero crossing n comes when start t + (stop - start) t^2 / (2 duration) cycles are n / 2."""
+    command = signals.chirp("heave", AMPLITUDE, start=start, stop=stop, duration=duration)
+    sweep = heave(command)[2 * RATE : -2 * RATE]
+    before = np.flatnonzero(sweep[1:-1] * sweep[2:] < 0.0) + 1
+    crossing = (before + sweep[before] / (sweep[before] - sweep[before + 1])) / RATE
+    cycles = start * crossing + (stop - start) * crossing**2 / (2.0 * duration)
+    # Straight lines between samples: below 1e-4 of a cycle at 10 Hz.
+    np.testing.assert_allclose(2.0 * cycles, np.round(2.0 * cycles), rtol=0.0, atol=2e-4)
+    np.testing.assert_array_equal(np.diff(np.round(2.0 * cycles)), 1.0)
+    assert crossing.size >= np.floor((start + stop) * duration) - 1
+
+
+def test_chirp_stays_between_its_frequencies():
+    """Half a period between crossings is within 1/(2 stop) and 1/(2 start)."""
+    command = signals.chirp("heave", AMPLITUDE, start=0.5, stop=4.0, duration=16.0)
+    sweep = heave(command)[2 * RATE : -2 * RATE]
+    before = np.flatnonzero(sweep[1:-1] * sweep[2:] < 0.0) + 1
+    crossing = (before + sweep[before] / (sweep[before] - sweep[before + 1])) / RATE
+    frequency = 0.5 / np.diff(crossing)
+    assert (np.diff(frequency) > 0.0).all()
+    assert 0.5 < frequency[0] < 0.8 and 3.9 < frequency[-1] < 4.0
+
+
+def test_chirp_defaults_are_the_report_s():
+    """Section 2.5: 0.01 to 10 Hz in 100 s; two seconds of rest before and after."""
+    command = signals.chirp("heave", AMPLITUDE)
+    assert command.duration == 104.0
+    assert not heave(command)[: 2 * RATE].any() and not heave(command)[-2 * RATE :].any()
+
+
+@pytest.mark.parametrize("duration", [100.0, 20.0, 10.0])
+def test_chirp_is_continuous(duration):
+    """No sample steps further than the highest frequency allows: 2 pi stop amplitude / 2048."""
+    command = signals.chirp("heave", AMPLITUDE, stop=10.0, duration=duration)
+    assert np.abs(np.diff(heave(command))).max() <= 2.0 * np.pi * 10.0 * AMPLITUDE / RATE
+
+
+# Multisine
+
+
+def lines(command, period):
+    samples = round(period * RATE)
+    return np.abs(np.fft.rfft(heave(command)[:samples])) / samples
+
+
+def test_multisine_has_only_odd_lines():
+    """Between 0.5 and 8 Hz, all equal; the constant aside, which starts the history at zero."""
+    period = 4.0
+    spectrum = lines(signals.multisine("heave", AMPLITUDE, period=period, start=0.5, stop=8.0), 4.0)
+    present = np.flatnonzero(spectrum[1:] > 1e-9 * spectrum[1:].max()) + 1
+    np.testing.assert_array_equal(present, np.arange(3, 33, 2))
+    heights = spectrum[present]
+    np.testing.assert_allclose(heights, heights[0], rtol=1e-9, atol=0.0)
+
+
+def test_multisine_repeats_whole_periods():
+    command = signals.multisine("heave", AMPLITUDE, period=2.0, periods=4)
+    assert command.duration == 8.0
+    periods = heave(command).reshape(4, -1)
+    assert (periods == periods[0]).all()
+
+
+def test_multisine_runs_on_smoothly_from_period_to_period():
+    command = signals.multisine("heave", AMPLITUDE, period=2.0, periods=2, stop=5.0)
+    assert np.abs(np.diff(heave(command))).max() < 2.0 * np.pi * 5.0 * AMPLITUDE / RATE
+
+
+def test_same_seed_same_phases():
+    first, again = (signals.multisine("heave", AMPLITUDE, period=2.0, seed=5) for _ in range(2))
+    assert first.seed == 5
+    assert np.array_equal(first.pose, again.pose)
+
+
+def test_other_seed_other_phases_same_lines():
+    one, two = (signals.multisine("heave", AMPLITUDE, period=2.0, seed=s) for s in (1, 2))
+    assert np.abs(heave(one) - heave(two)).max() > 0.1 * AMPLITUDE
+    for command in (one, two):
+        spectrum = lines(command, 2.0)
+        assert np.count_nonzero(spectrum[1:] > 1e-9 * spectrum[1:].max()) == 10
+
+
+# Command
+
+
+def test_command_is_immutable():
+    command = signals.step("heave", AMPLITUDE)
+    with pytest.raises(ValueError, match="read-only"):
+        command.pose[0, 0] = 1.0
+    with pytest.raises(TypeError):
+        command.description["amplitude"] = 1.0
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        command.seed = 1
+
+
+def test_command_from_an_array_is_a_copy():
+    poses = np.zeros((8, 6))
+    command = Command.from_pose(poses)
+    poses[0, 0] = 1.0
+    assert not command.pose.any()
+
+
+@pytest.mark.parametrize("shape", [(6,), (4, 5), (0, 6), (2, 4, 6)])
+def test_command_of_a_wrong_shape_is_refused(shape):
+    with pytest.raises(ValueError, match=r"command: shape is .*; allowed: \(N, 6\) with N >= 1"):
+        Command.from_pose(np.zeros(shape))
+
+
+# Refusals
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "message"),
+    [
+        ("step", {"at": 0.0}, "at: 0.0 must be a finite number greater than 0"),
+        ("step", {"duration": np.nan}, "duration: nan must be a finite number"),
+        ("step", {"at": 14.0}, "at: 14.0 s must be less than the duration of 13.0 s"),
+        ("sine", {"frequency": 0.0}, "frequency: 0.0 must be"),
+        ("sine", {"frequency": 1.0, "cycles": -1.0}, "cycles: -1.0 must be"),
+        ("sine", {"frequency": 1.0, "fade": np.inf}, "fade: inf must be"),
+        ("sine", {"frequency": 2000.0}, "frequency: 2000.0"),
+        ("chirp", {"start": -1.0}, "start: -1.0 must be"),
+        ("chirp", {"settle": 0.0}, "settle: 0.0 must be"),
+        ("chirp", {"duration": 0.0}, "duration: 0.0 must be"),
+        ("chirp", {"stop": 2000.0}, "stop: 2000.0 Hz must be at most 1024.0 Hz"),
+        ("chirp", {"start": 11.0}, "stop: 10.0 Hz must be above start, 11.0 Hz"),
+        ("multisine", {"period": 0.3001}, "period: 0.3001 s must be a whole number of frames"),
+        ("multisine", {"periods": 1}, "periods: 1 must be at least 2"),
+        ("multisine", {"start": 0.11, "stop": 0.14}, "stop: no odd multiple of 0.05 Hz lies in"),
+        ("multisine", {"stop": np.nan}, "stop: nan must be"),
+    ],
+)
+def test_argument_out_of_range_is_named(kind, arguments, message):
+    with pytest.raises(ValueError, match=message.replace("(", r"\(")):
+        getattr(signals, kind)("heave", AMPLITUDE, **arguments)
+
+
+@pytest.mark.parametrize("kind", EXCITATIONS)
+def test_unknown_degree_of_freedom_lists_the_six(kind):
+    with pytest.raises(ValueError, match="dof: 'up' is not one of surge, sway, heave, roll"):
+        EXCITATIONS[kind]("up")

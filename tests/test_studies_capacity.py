@@ -1,0 +1,430 @@
+"""Capacity of the supply: verdicts, closed forms, the performance envelope and `cmf capacity`.
+
+Oracles: sines integrated through the kinematics, the orifice equation solved by bisection, Table
+2-1, gas laws, hydraulic modes; the closed forms for the envelope where one of them rules.
+"""
+
+import csv
+import math
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from scipy.optimize import brentq
+from typer.testing import CliRunner
+
+from cmf_mj import Hexapod, SingleLegs, load_hydraulics
+from cmf_mj.cli.common import app
+from cmf_mj.facility.simulation import drive
+from cmf_mj.machine.kinematics import DOFS, pose_jacobian, pose_to_legs
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.studies.capacity.asymptotes import asymptotes, full_speed
+from cmf_mj.studies.capacity.envelope import LIMITS, largest_sine, performance_envelope
+from cmf_mj.studies.capacity.manoeuvre import manoeuvre, read_poses
+from cmf_mj.studies.capacity.verdict import capacity, least_allowed, pressure_margin
+
+INCH = 0.0254
+PSI = 0.45359237 * 9.80665 / INCH**2
+GALLON = 231.0 * INCH**3
+GPM = GALLON / 60.0
+CAP, ROD = math.pi / 4 * 5.5**2 * INCH**2, math.pi / 4 * (5.5**2 - 3.875**2) * INCH**2
+
+
+@pytest.fixture(scope="module")
+def plant() -> Hexapod:
+    return Hexapod("gfd")
+
+
+def changed(base: str = "hardware", **values: tuple[float, str]) -> HydraulicParameters:
+    table = load_hydraulics(base).model_dump(exclude_none=True)
+    for name, (value, unit) in values.items():
+        table[name] |= {"value": value, "unit": unit}
+    return HydraulicParameters.model_validate(table)
+
+
+# The criterion
+
+
+@pytest.fixture(scope="module")
+def sine(plant):
+    return capacity(manoeuvre("sine", "heave"), plant=plant)
+
+
+def test_default_criterion_is_80_percent_of_the_set_pressure(sine):
+    assert sine.allowed_pressure == pytest.approx(1200 * PSI)
+    assert sine.holds and sine.least_pressure > sine.allowed_pressure
+
+
+@pytest.mark.parametrize(("offset", "holds"), [(-1.0, True), (1.0, False)])
+def test_verdict_turns_where_the_least_pressure_meets_the_allowed(plant, sine, offset, holds):
+    """The run does not depend on the criterion, so a pascal either way decides."""
+    again = capacity(
+        manoeuvre("sine", "heave"), plant=plant, least_pressure=sine.least_pressure + offset
+    )
+    assert again.least_pressure == sine.least_pressure
+    assert again.holds is holds
+
+
+@pytest.mark.parametrize("pressure", [0.0, -1.0, 1500 * PSI, float("nan")])
+def test_criterion_outside_tank_and_supply_is_refused(pressure):
+    with pytest.raises(ValueError, match="least_pressure"):
+        least_allowed(load_hydraulics("hardware"), pressure)
+
+
+def test_measures_of_a_sine(sine):
+    """Charge of the gas law; draw (A_cap + A_rod) / pi a leg and speed amplitude."""
+    absolute = (1000 + 14.69595) / (1500 + 14.69595)
+    assert sine.charged_oil == pytest.approx(
+        4 * 50 * GALLON * (1 - absolute ** (1 / 1.4)), rel=1e-6
+    )
+    pose = sine.record["platform_pose"]
+    speed = np.diff(pose_to_legs(pose), axis=0)
+    drawn = np.where(speed > 0, CAP * speed, -ROD * speed).sum()
+    bank = 4 * (sine.record["accumulator_oil"][-1] - sine.record["accumulator_oil"][0])
+    given = sine.mean_pump_flow * sine.record.time[-1]
+    assert given - bank == pytest.approx(drawn, rel=0.02)  # piston leakage and compression
+    assert sine.mean_relief_flow == sine.peak_relief_flow == 0.0
+    assert sine.peak_pump_flow <= sine.pump_flow_limit
+    assert not sine.saturation.any() and (sine.peak_command < 1.0).all()
+
+
+def test_margin_of_a_machine_at_rest_is_the_supply_less_the_load_over_the_cap(plant, sine):
+    plant.start()
+    wanted = 1500 * PSI - plant.static_load() / CAP
+    np.testing.assert_allclose(pressure_margin(plant.hydraulics, sine.record)[0], wanted, rtol=1e-5)
+    assert sine.least_margin < wanted.min()
+
+
+def test_step_saturates_the_valves_for_a_share_of_the_run(plant):
+    """10 in at 34 in/s at most: 0.2 to 0.6 s of 13 s."""
+    moved = capacity(manoeuvre("step", "heave"), plant=plant)
+    assert (moved.saturation > 0.2 / 13).all() and (moved.saturation < 0.6 / 13).all()
+    assert (moved.peak_command > 1.0).all()
+    assert moved.holds
+
+
+def test_too_small_a_supply_empties_its_accumulators_and_does_not_hold():
+    small = changed(
+        pump_flow=(20.0, "gpm"), accumulator_volume=(2.0, "gal"), accumulator_count=(1.0, "1")
+    )
+    result = capacity(manoeuvre("sine", "heave", 0.2, 0.5), hydraulics=small)
+    assert not result.holds
+    assert result.empty_time > 0.5
+    assert result.least_oil == pytest.approx(0.0, abs=1e-9)
+    assert result.least_pressure < 1000 * PSI  # below the precharge
+    assert result.peak_pump_flow == pytest.approx(20 * GPM, rel=1e-3)
+
+
+def test_constant_supply_holds_and_has_neither_pump_nor_accumulators():
+    result = capacity(manoeuvre("step", "heave"), hydraulics="report")
+    assert result.holds and result.least_pressure == pytest.approx(1500 * PSI)
+    assert np.isnan([result.mean_pump_flow, result.least_oil, result.empty_time]).all()
+
+
+def test_command_beyond_the_operational_limits_is_refused(plant):
+    with pytest.raises(ValueError, match="heave"):
+        capacity(manoeuvre("sine", "heave", 1.2), plant=plant)
+
+
+# Closed forms
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_full_speed_solves_the_orifices_and_hoses(plant, sense):
+    """Drops (v / k)^2 + (s / k + R A) v, balance p_cap A_cap - p_rod A_rod = F, by bisection."""
+    high, low, load = 1450 * PSI, 20 * PSI, 7200 * 4.4482216152605
+    hose, laminar = 0.07 * PSI / GPM, math.sqrt(0.05 * PSI)
+    half_drop = 750 * PSI
+    gain = 35 * INCH / (2 * half_drop / (laminar + math.sqrt(laminar**2 + 4 * half_drop)))
+
+    def excess(speed):
+        drops = [(speed / gain) ** 2 + (laminar / gain + hose * a) * speed for a in (CAP, ROD)]
+        if sense > 0:
+            return CAP * (high - drops[0]) - ROD * (low + drops[1]) - load
+        return load - CAP * (low + drops[0]) + ROD * (high - drops[1])
+
+    found = full_speed(plant.hydraulics, np.full(6, load), high, low)
+    wanted = brentq(excess, 0.0, 2.0, xtol=1e-14)
+    np.testing.assert_allclose(found[:, 0 if sense > 0 else 1], wanted, rtol=1e-9)
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_full_speed_is_what_a_leg_reaches_at_full_command(sense):
+    """Without leakage, with the manifolds of the run; flows count content, and the formula takes
+    the oil of mid pressure for that of either chamber."""
+    legs = SingleLegs(changed(leak_rate=(0.0, "1/s")))
+    run = drive(legs, np.full((2048, 6), sense))
+    row = np.argmax(np.abs(run["leg_extension"][:, 0]) > 0.5)
+    load = np.full(6, 7200 * 4.4482216152605)
+    speeds = full_speed(
+        legs.hydraulics, load, run["supply_pressure"][row], run["return_pressure"][row]
+    )
+    reached = abs(run["leg_velocity"][row, 0])
+    assert reached == pytest.approx(speeds[0, 0 if sense > 0 else 1], rel=0.01)
+
+
+def test_full_speed_of_a_stalled_leg_is_zero(plant):
+    load = np.full(6, 1.001 * CAP * 1500 * PSI)
+    assert (full_speed(plant.hydraulics, load, 1500 * PSI, 0.0)[:, 0] == 0.0).all()
+
+
+@pytest.mark.parametrize("dof", DOFS)
+def test_pump_limit_is_the_mean_flow_of_a_sine_through_the_kinematics(plant, dof):
+    own = asymptotes(plant, dof)
+    phase = 2 * np.pi * np.arange(4001) / 4000
+    pose = np.zeros((phase.size, 6))
+    amplitude, index = 1e-3, DOFS.index(dof)
+    pose[:, index] = amplitude * np.sin(phase)
+    travel = np.diff(pose_to_legs(pose), axis=0)
+    volume = np.where(travel > 0, CAP * travel, -ROD * travel).sum()  # a cycle
+    rate = own.pump_flow / amplitude  # w of a sine with this velocity amplitude
+    assert volume * rate / (2 * np.pi) == pytest.approx(400 * GPM, rel=1e-3)
+
+
+@pytest.mark.parametrize("dof", DOFS)
+def test_acceleration_limit_puts_one_leg_at_its_stall_force_and_none_beyond(plant, dof):
+    own = asymptotes(plant, dof)
+    column = pose_jacobian(np.zeros(6))[:, DOFS.index(dof)]
+    inertia = plant.reflected_mass() @ column * own.acceleration
+    load = plant.static_load()
+    used = [(load + sign * inertia) / (1500 * PSI) for sign in (1, -1)]
+    share = max(max((u / CAP).max(), (-u / ROD).max()) for u in used)
+    assert share == pytest.approx(1.0, rel=1e-9)
+
+
+def test_displacement_limits_are_table_2_1_the_smaller_side(plant):
+    found = [asymptotes(plant, dof) for dof in DOFS]
+    scale = np.array([INCH] * 3 + [np.pi / 180] * 3)
+    printed = [55, 55, 41, 28, 25, 38]
+    np.testing.assert_allclose([own.displacement for own in found] / scale, printed)
+    assert all(own.leg_stroke > own.displacement for own in found)
+
+
+def test_transmission_is_one_at_low_frequency_and_peaks_at_the_heave_mode(plant):
+    own = asymptotes(plant, "heave")
+    assert own.transmission(0.01) == pytest.approx(1.0, abs=1e-4)
+    frequency = np.linspace(6, 16, 401)
+    peak = frequency[np.argmax([own.transmission(f) for f in frequency])]
+    modes = plant.hydraulic_modes()
+    heave = np.abs(modes.pose_shape[2]).argmax()
+    assert peak == pytest.approx(modes.frequency[heave] / (2 * np.pi), rel=0.02)
+    assert own.transmission(100.0) < 0.05
+
+
+# The envelope
+
+
+def test_low_frequency_is_bound_by_the_operational_displacement(plant):
+    """The demand meets 41 in; a law with an integral follows it."""
+    point = largest_sine(plant, "velocity_integral", "heave", 0.1)
+    assert point.binding == "displacement"
+    assert 0.98 * 41 * INCH <= point.command <= 41 * INCH
+    assert point.displacement == pytest.approx(point.command, rel=0.03)
+
+
+@pytest.mark.parametrize("frequency", [0.63, 2.5])
+def test_heave_is_bound_by_the_pump_as_computed(plant, frequency):
+    point = largest_sine(plant, "velocity", "heave", frequency)
+    assert point.binding == "pump_flow"
+    assert 0.97 * 400 * GPM < point.drawn_flow <= 400 * GPM
+    assert point.velocity == pytest.approx(asymptotes(plant, "heave").velocity(frequency), rel=0.03)
+    rate = 2 * np.pi * frequency
+    assert point.acceleration == pytest.approx(point.displacement * rate**2, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("dof", "frequency", "share"), [("pitch", 0.4, 0.07), ("roll", 0.63, 0.1), ("heave", 4.0, 0.06)]
+)
+def test_leg_speed_region_is_bound_by_the_valves_as_computed(plant, dof, frequency, share):
+    """The manifold's fall and the inertia forces, left out of the closed form, take `share`."""
+    point = largest_sine(plant, "velocity", dof, frequency)
+    assert point.binding == "valve_command"
+    closed = asymptotes(plant, dof)
+    assert min(closed.velocities(frequency), key=closed.velocities(frequency).get) == point.binding
+    assert (1 - share) * closed.velocity(frequency) < point.velocity < closed.velocity(frequency)
+
+
+def test_manifold_binds_where_little_fall_is_allowed(plant):
+    point = largest_sine(plant, "velocity", "heave", 0.4, least_pressure=1450 * PSI)
+    assert point.binding == "supply_pressure"
+    assert 0.98 * 50 * PSI <= 1500 * PSI - point.least_pressure <= 50 * PSI
+
+
+@pytest.mark.parametrize("frequency", [0.25, 1.0])
+def test_half_the_supply_gives_no_more_and_half_the_pump_half_the_speed(plant, frequency):
+    half = Hexapod("gfd", changed(pump_flow=(200.0, "gpm"), accumulator_count=(2.0, "1")))
+    whole, less = (largest_sine(p, "velocity", "heave", frequency) for p in (plant, half))
+    assert less.velocity < whole.velocity
+    assert less.binding == "pump_flow"
+    assert less.velocity == pytest.approx(0.5 * asymptotes(plant, "heave").pump_flow, rel=0.04)
+
+
+def test_constant_supply_is_bound_by_the_valves_where_the_pump_would_be():
+    plant = Hexapod("gfd", "report")
+    point = largest_sine(plant, "velocity", "heave", 1.0)
+    assert point.binding == "valve_command" and np.isnan(point.drawn_flow)
+    assert asymptotes(plant, "heave").pump_flow == np.inf
+
+
+def test_envelope_does_not_depend_on_the_threads(tmp_path):
+    one, two = (
+        performance_envelope(dofs=["yaw"], frequencies=[2.5, 6.3], jobs=jobs) for jobs in (1, 2)
+    )
+    assert one.points == two.points
+    assert [point.frequency for point in one.of("yaw")] == [2.5, 6.3]
+    with one.save_csv(tmp_path / "envelope.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[0]["velocity"]) == pytest.approx(one.points[0].velocity, rel=1e-5)
+    assert all(row["binding"] in LIMITS for row in rows)
+    assert float(rows[1]["closed_form_pump_flow"]) > 0.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"dofs": ["up"]}, "'up'"),
+        ({"dofs": []}, "dofs: is empty"),
+        ({"frequencies": [0.0]}, "frequencies: 0.0"),
+        ({"frequencies": [100.0]}, "at most 64.0"),
+        ({"jobs": 0}, "jobs"),
+        ({"cab": "bus"}, "'bus'"),
+        ({"least_pressure": 2000 * PSI}, "least_pressure"),
+    ],
+)
+def test_envelope_refuses_before_it_runs(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        performance_envelope(**arguments)
+
+
+# Manoeuvres
+
+
+@pytest.mark.parametrize("kind", ["sine", "step", "chirp", "noise", "multisine"])
+def test_named_manoeuvres_have_the_amplitude_and_end_at_rest_but_for_the_step(kind):
+    command = manoeuvre(kind, "roll", 0.01)
+    assert np.abs(command.pose[:, 3]).max() == pytest.approx(0.01, rel=0.05)
+    assert not np.delete(command.pose, 3, axis=1).any()
+    assert abs(command.pose[-1, 3]) < (0.011 if kind == "step" else 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("step", "heave", None, 1.0), "a step has none"),
+        (("sine", "heave", None, 0.0), "frequency: 0.0"),
+        (("sine", "up"), "'up'"),
+        (("square", "heave"), "'square' is not one of sine, step"),
+        (("poses.csv", "heave", 1.0), "amplitude: 1 is not allowed"),
+    ],
+)
+def test_manoeuvre_refuses(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        manoeuvre(*arguments)
+
+
+def test_poses_of_a_file_pass_through_its_rows_in_either_format(tmp_path):
+    time = np.arange(41) / 40.0
+    heave, yaw = 2.0 * np.sin(np.pi * time) ** 2, 3.0 * time
+    table = pa.table({"time": time, "heave": heave, "yaw": yaw})
+    pq.write_table(table, tmp_path / "poses.parquet")
+    lines = ["time,heave,yaw"] + [
+        f"{t!r},{h!r},{y!r}"
+        for t, h, y in zip(time.tolist(), heave.tolist(), yaw.tolist(), strict=True)
+    ]
+    (tmp_path / "poses.csv").write_text("\n".join(lines) + "\n")
+    for name in ("poses.parquet", "poses.csv"):
+        command = read_poses(tmp_path / name)
+        assert command.pose.shape == (2049, 6)
+        rows = np.round(time * 2048).astype(int)
+        on_frame = np.abs(time * 2048 - rows) < 1e-9
+        np.testing.assert_allclose(
+            command.pose[rows[on_frame], 2], heave[on_frame] * INCH, atol=1e-15
+        )
+        np.testing.assert_allclose(command.pose[:, 5], np.radians(3.0) * np.arange(2049) / 2048)
+        assert command.pose[:, 2].max() <= 2.0 * INCH * (1 + 1e-12)  # no overshoot
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time,up\n0,1\n1,1\n", "needed: time and at least one of surge"),
+        ("time,heave\n0,1\n0,1\n", "row 2 does not exceed"),
+        ("time,heave\n0,1\n1,nan\n", "heave: row 2 is not a finite number"),
+        ("time,heave\n0,a\n1,b\n", "heave: is not a column of numbers"),
+        ("time,heave\n0,1\n", "at least 2 are needed"),
+    ],
+)
+def test_broken_file_of_poses_is_refused_by_what_is_wrong(tmp_path, text, message):
+    path = tmp_path / "poses.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        read_poses(path)
+
+
+# The command
+
+
+def run(*arguments: str) -> tuple[int, str]:
+    result = CliRunner().invoke(app, ["capacity", *arguments])
+    return result.exit_code, result.output
+
+
+def test_command_writes_tables_and_figures(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    code, output = run(
+        *("--signal", "step", "--dof", "pitch", "--amplitude", "5", "--cab", "ifd", "--quick"),
+        *("--dofs", "pitch", "--jobs", "2", "--out", str(out)),
+    )
+    assert code == 0, output
+    assert "supply holds" in output and "valve command" in output
+    with (out / "envelope.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["frequency"]) for row in rows] == [0.1, 0.4, 1.6, 6.3]
+    assert all(0.9 < float(row["ratio"]) <= 1.0 for row in rows)
+    assert "yes" in (out / "capacity.csv").read_text()
+    for name in ("supply.png", "envelope.png"):
+        picture = matplotlib.image.imread(out / name)
+        assert picture.shape[0] > 400 and np.ptp(picture) > 0.5
+
+
+def test_command_says_no_and_takes_a_file(tmp_path: Path) -> None:
+    """A file's manoeuvre with a criterion just under the set pressure."""
+    path = tmp_path / "dive.csv"
+    path.write_text("time,heave\n0,0\n1,0\n2,-15\n3,15\n4,0\n5,0\n")
+    code, output = run(
+        *("--signal", str(path), "--least-pressure", "1490", "--no-envelope"),
+        *("--out", str(tmp_path / "out")),
+    )
+    assert code == 0, output
+    assert "NO" in output and "1490 psi" in output
+    assert not (tmp_path / "out" / "envelope.png").exists()
+
+
+def test_command_draws_a_constant_supply(tmp_path: Path) -> None:
+    code, output = run(
+        *("--signal", "step", "--hydraulics", "report", "--no-envelope"), "--out", str(tmp_path)
+    )
+    assert code == 0, output
+    assert "yes" in output and (tmp_path / "supply.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--signal", "square"), "'square'"),
+        (("--dof", "up"), "'up'"),
+        (("--amplitude", "60"), "heave"),
+        (("--least-pressure", "1600"), "least_pressure"),
+        (("--law", "fast"), "'fast'"),
+        (("--hydraulics", "water"), "'water'"),
+    ],
+)
+def test_command_refuses_in_one_line_and_writes_nothing(tmp_path, arguments, message):
+    out = tmp_path / "out"
+    code, output = run(*arguments, "--out", str(out))
+    assert code == 2
+    assert message in output and "Traceback" not in output
+    assert not out.exists()

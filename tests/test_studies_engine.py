@@ -1,0 +1,343 @@
+"""The study engine: same bits whatever runs it, nothing lost when something dies."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from distributed import Client
+from typer.testing import CliRunner
+
+from cmf_mj.cli.common import app
+from cmf_mj.studies import engine
+from cmf_mj.studies.engine import run_study
+from cmf_mj.studies.evaluation import StudyRow
+from cmf_mj.studies.journal import JOURNAL, RESULTS, read_results
+from cmf_mj.studies.settings import Study, StudyCase, load_study
+
+SPECIFICATION = """
+title = "test"
+method = "linear"
+laws = ["velocity", "position_error_rate"]
+poses = [[0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, -60.0, 0.0, 0.0, 0.0]]
+draws = 4
+[mismatch.hydraulics.leak_rate]
+distribution = "lognormal"
+deviation = 30.0
+status = "assumed"
+source = "test"
+[mismatch.sensor_gains.leg_velocity]
+distribution = "normal"
+deviation = 1.0
+status = "assumed"
+source = "test"
+"""
+CASES = 20  # two poses, five machines, two laws
+
+
+@pytest.fixture(scope="module")
+def specification(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("study") / "small.toml"
+    path.write_text(SPECIFICATION)
+    return path
+
+
+@pytest.fixture(scope="module")
+def study(specification: Path) -> Study:
+    return load_study(specification)
+
+
+@pytest.fixture(scope="module")
+def finished(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The study run in this process, one case after the other."""
+    folder = tmp_path_factory.mktemp("finished")
+    run_study(study, folder, jobs=1, backend="threading")
+    return folder
+
+
+def bits(folder: Path) -> bytes:
+    return (folder / RESULTS).read_bytes()
+
+
+def lines(folder: Path) -> int:
+    path = folder / JOURNAL
+    return path.read_bytes().count(b"\n") if path.exists() else 0
+
+
+def test_rows_stand_in_the_order_of_the_cases(finished: Path, study: Study) -> None:
+    table = read_results(finished)
+    numbers = table.column("case").to_pylist()
+    assert numbers == sorted(numbers)
+    assert len(set(numbers)) == CASES == len(study.cases)
+    assert table.schema.metadata[b"study"]
+    first = table.to_pylist()[0]
+    assert (first["law"], first["draw"], first["dof"]) == ("velocity", -1, "surge")
+
+
+def test_a_case_that_fails_is_a_row_with_its_error(finished: Path) -> None:
+    """60 in up is beyond the stroke of every leg; all other cases have six rows each."""
+    rows = read_results(finished).to_pylist()
+    failed = [row for row in rows if row["error_type"]]
+    assert len(failed) == CASES // 2
+    assert {row["error_type"] for row in failed} == {"ValueError"}
+    assert all("puts leg 1 at" in row["error_message"] for row in failed)
+    assert not any(row["stable"] for row in failed)
+    assert len(rows) - len(failed) == 6 * CASES // 2
+
+
+@pytest.mark.parametrize(("backend", "jobs"), [("threading", 2), ("loky", 2)])
+def test_threads_and_processes_give_the_same_bits(
+    backend: engine.Backend, jobs: int, study: Study, finished: Path, tmp_path: Path
+) -> None:
+    seen: list[tuple[int, int]] = []
+    run_study(study, tmp_path, jobs=jobs, backend=backend, progress=lambda *done: seen.append(done))
+    assert bits(tmp_path) == bits(finished)
+    assert seen[0] == (0, CASES)
+    assert seen[-1] == (CASES, CASES)
+
+
+def test_a_killed_process_of_the_pool_loses_nothing(
+    study: Study, finished: Path, tmp_path: Path
+) -> None:
+    killed: list[int] = []
+
+    def kill_one(done: int, total: int) -> None:
+        if done >= 2 and not killed:
+            pool = [
+                child.pid
+                for child in psutil.Process().children()
+                if any("LokyProcess" in word for word in child.cmdline())
+            ]
+            killed.append(pool[0])
+            os.kill(killed[0], signal.SIGKILL)
+
+    run_study(study, tmp_path, jobs=2, backend="loky", progress=kill_one)
+    assert killed
+    assert bits(tmp_path) == bits(finished)
+
+
+def deadly(cases: Sequence[StudyCase]) -> list[tuple[int, list[StudyRow]]]:
+    """Stands in for `attempt`: the third case takes its worker down, whenever it is tried."""
+    if any(case.number == 2 for case in cases):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return engine.attempt(cases)
+
+
+def test_a_case_that_kills_every_worker_is_a_row_with_an_error(
+    study: Study, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def results(
+        cases: list[StudyCase], jobs: int, own: Callable[..., object] = engine._results
+    ) -> Iterator[tuple[int, list[StudyRow]]]:
+        return own(cases, jobs, deadly)  # type: ignore[return-value]
+
+    monkeypatch.setattr(engine, "_results", results)
+    run_study(study, tmp_path, jobs=2, backend="loky")
+    rows = read_results(tmp_path).to_pylist()
+    (lost,) = [row for row in rows if row["error_type"] == "WorkerDied"]
+    assert lost["case"] == 2
+    before = [row for row in read_results(finished).to_pylist() if row["case"] != 2]
+    kept = [row for row in rows if row["case"] != 2]
+    assert json.dumps(kept) == json.dumps(before)
+
+
+@contextmanager
+def cluster() -> Iterator[tuple[str, list[int]]]:
+    """A scheduler and two workers, each a process of its own; their process numbers."""
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    program = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
+    port = 18786 + os.getpid() % 1000
+    parts = [subprocess.Popen([*program, "--port", str(port), "--no-dashboard"], **quiet)]  # type: ignore[call-overload]
+    address = f"tcp://127.0.0.1:{port}"
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-dashboard"]
+    parts += [
+        subprocess.Popen([*worker, "--nthreads", "1", "--no-nanny"], **quiet)  # type: ignore[call-overload]
+        for _ in range(2)
+    ]
+    try:
+        with Client(address, timeout=120) as client:
+            client.wait_for_workers(2, timeout=120)
+        yield address, [part.pid for part in parts[1:]]
+    finally:
+        for part in parts:
+            part.kill()
+        for part in parts:
+            part.wait()
+
+
+def test_a_dask_cluster_that_loses_a_worker_loses_nothing(
+    study: Study, finished: Path, tmp_path: Path
+) -> None:
+    killed: list[int] = []
+    with cluster() as (address, workers):
+
+        def kill_one(done: int, total: int) -> None:
+            if done >= 2 and not killed:
+                killed.append(workers[0])
+                os.kill(workers[0], signal.SIGKILL)
+
+        run_study(study, tmp_path, backend="dask", scheduler=address, progress=kill_one)
+    assert killed
+    assert bits(tmp_path) == bits(finished)
+
+
+def begin(specification: Path, folder: Path) -> subprocess.Popen[str]:
+    """`cmf study` in a process of its own, once its journal has a line and before its end."""
+    command = [sys.executable, "-m", "cmf_mj", "study", str(specification), "--out"]
+    process = subprocess.Popen(
+        [*command, str(folder), "--backend", "threading"],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        # A shell that has put the tests in the background has its children ignore Ctrl-C.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    limit = time.monotonic() + 120.0
+    while lines(folder) < 1 and process.poll() is None and time.monotonic() < limit:
+        time.sleep(0.002)
+    return process
+
+
+def test_a_killed_run_goes_on_where_it_was(
+    study: Study, specification: Path, finished: Path, tmp_path: Path
+) -> None:
+    """SIGKILL, and a line torn in the middle: the rest is run, the table is the same."""
+    process = begin(specification, tmp_path)
+    process.kill()
+    process.communicate()
+    kept = lines(tmp_path)
+    assert 1 <= kept < CASES
+    assert not (tmp_path / RESULTS).exists()
+    with pytest.raises(ValueError, match=f"is not finished: {kept} cases are"):
+        read_results(tmp_path)
+    with (tmp_path / JOURNAL).open("ab") as file:
+        file.write(b'{"case": 19, "rows": [{"dof": "su')
+    seen: list[int] = []
+    run_study(study, tmp_path, backend="threading", progress=lambda done, _: seen.append(done))
+    assert seen[0] == kept
+    assert bits(tmp_path) == bits(finished)
+
+
+def test_an_interrupted_run_says_how_to_go_on(
+    study: Study, specification: Path, finished: Path, tmp_path: Path
+) -> None:
+    process = begin(specification, tmp_path)
+    process.send_signal(signal.SIGINT)
+    _, told = process.communicate(timeout=120)
+    assert process.returncode == 130, told
+    assert "interrupted; the same command goes on" in told
+    assert 1 <= lines(tmp_path) < CASES
+    again = CliRunner().invoke(
+        app, ["study", str(specification), "--out", str(tmp_path), "--backend", "threading"]
+    )
+    assert again.exit_code == 0, again.output
+    assert "20 cases" in again.output
+    assert bits(tmp_path) == bits(finished)
+    for name in ("rates.md", "rates.csv", "rates.png", "rotation.md", "crosstalk_velocity.png"):
+        assert (tmp_path / name).stat().st_size > 100, name
+
+
+def test_a_finished_study_is_not_run_again(
+    study: Study, finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = bits(finished)
+    monkeypatch.setattr(engine, "evaluate", None)
+    run_study(study, finished)
+    assert bits(finished) == before
+    journal = engine.Journal(finished, study).table()
+    assert json.dumps(read_results(finished).to_pylist()) == json.dumps(journal.to_pylist())
+
+
+def test_another_study_is_refused_and_what_differs_is_named(
+    specification: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = bits(finished)
+    other = load_study(specification, changes={"draws": 5, "seed": 1})
+    with pytest.raises(ValueError, match="differs in settings.draws, settings.seed; allowed"):
+        run_study(other, finished)
+    fewer = load_study(specification, laws=["velocity"])
+    with pytest.raises(ValueError, match="differs in laws, settings.laws"):
+        run_study(fewer, finished)
+    monkeypatch.setattr("cmf_mj.studies.settings._sources", lambda: "of another day")
+    with pytest.raises(ValueError, match="differs in sources; allowed: the same study"):
+        run_study(load_study(specification), finished)
+    assert bits(finished) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"jobs": 0}, "jobs: 0 must be at least 1"),
+        ({"backend": "smoke"}, "backend: 'smoke' is not one of threading, loky, dask"),
+        ({"scheduler": "tcp://here:1"}, "scheduler: tcp://here:1 needs the backend dask, not loky"),
+    ],
+)
+def test_bad_arguments_are_refused_before_a_folder_is_made(
+    arguments: dict[str, object], message: str, study: Study, tmp_path: Path
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        run_study(study, tmp_path / "new", **arguments)  # type: ignore[arg-type]
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"laws": ["fast"]}, "law: 'fast' is neither"),
+        ({"laws": []}, "laws: .* is refused"),
+        ({"cabs": ["bus"]}, "cab: 'bus'"),
+        ({"dofs": ["up"]}, "dofs: 'up' is not one of surge"),
+        ({"rungs": ["top"]}, "rungs: 'top'"),
+        ({"rungs": ["friction"]}, "rungs: 'friction' has no linearisation"),
+        ({"poses": [[0.0]]}, r"poses: \[0.0\] must be six numbers"),
+        ({"mismatch": {}}, "draws: 4 machines are alike"),
+        ({"method": "sweep", "simulate_every": 2}, "simulate_every: needs method linear"),
+        ({"method": "guess"}, "method: 'guess' is refused"),
+        ({"speed": 1}, "speed: is not a known field"),
+    ],
+)
+def test_bad_specifications_are_refused(
+    changes: dict[str, object], message: str, specification: Path
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_study(specification, changes=changes)
+
+
+def test_an_unknown_study_is_refused() -> None:
+    with pytest.raises(ValueError, match="study: 'all' is neither a .toml file nor one"):
+        load_study("all")
+    assert CliRunner().invoke(app, ["study", "all"]).exit_code == 2
+
+
+def test_numbers_survive_the_journal_to_the_bit(study: Study, tmp_path: Path) -> None:
+    journal = engine.Journal(tmp_path, study)
+    row = engine.failed(ValueError("x"))._replace(overshoot=np.nextafter(0.1, 1.0), dof="surge")
+    journal.add(0, [row])
+    again = engine.Journal(tmp_path, study)
+    assert again.table().column("overshoot").to_pylist() == [row.overshoot]
+    assert np.isnan(again.table().column("peak_gain_db").to_pylist()[0])
+
+
+def test_ready_studies_are_sound() -> None:
+    """The ladder is 9 rungs, 9 laws, 6 degrees of freedom; the drawn machines as documented."""
+    assert len(load_study("ablation").cases) == 486
+    mismatch = load_study("mismatch").cases
+    draws = load_study("mismatch").settings.draws
+    assert sum(case.method == "linear" for case in mismatch) == 27 * (draws + 1)
+    rotation = load_study("rotation")
+    assert rotation.settings.mismatch == load_study("mismatch").settings.mismatch
+    assert [law.name for law in rotation.laws][1:3] == ["position_error_rate", "acceleration"]
+    field = load_study("rotation_field")
+    assert field.settings.mismatch == rotation.settings.mismatch
+    assert len(field.cases) == 5 * 3 * (draws + 1)
+    with pytest.raises(ValueError, match="study: base: 'all' is not one of ablation, mismatch"):
+        load_study({"base": "all"})

@@ -1,0 +1,147 @@
+"""The whole identification from records to tables, figures and files, and its refusals."""
+
+import io
+import json
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+from cmf_mj import SingleLegs
+from cmf_mj.cli.common import app
+from cmf_mj.record.record import Record
+from cmf_mj.record.writer import write_facility_csv
+from cmf_mj.show.identification import model_table, orders_table, save_identification
+from cmf_mj.studies.identification import (
+    Identified,
+    excitation,
+    identify,
+    simulated_records,
+    simulated_step,
+)
+
+
+@pytest.fixture(scope="module")
+def records() -> list[Record]:
+    return simulated_records(SingleLegs, "velocity", "heave")
+
+
+@pytest.fixture(scope="module")
+def found(records: list[Record]) -> Identified:
+    step = simulated_step(SingleLegs, "velocity", "heave")
+    return identify(records, "heave", step=step)
+
+
+def text(*tables) -> str:
+    console = Console(width=150, record=True, file=io.StringIO())
+    for table in tables:
+        console.print(table)
+    return console.export_text()
+
+
+def test_orders_found_on_the_grid_are_those_of_lag_mode_and_leakage(found: Identified) -> None:
+    """Four poles: drive lag, oil mode and the leakage's slow one; the loop within 3 %."""
+    assert found.model.orders.na == 4
+    assert found.model.method == "oe"
+    assert found.selection is not None
+    assert found.validation_fit > 94.0
+    assert found.loop is not None
+    assert abs(found.loop.phase_error) < 0.03
+    assert found.law == "velocity"
+    assert found.loop.step is not None
+    assert found.loop.damping_ratio == pytest.approx(found.loop.step.damping_ratio, abs=0.03)
+    assert (found.continuous.input_unit, found.continuous.output_unit) == ("1", "m/s")
+    lags = [np.log(r.value.real) * 64.0 for r in found.model.poles() if r.value.imag == 0.0]
+    assert min(lags) == pytest.approx(-2.0 * np.pi * 3.0, rel=0.03)
+
+
+def test_residuals_do_not_know_the_command_but_distortion_is_not_white(found: Identified) -> None:
+    """Orifices leave a distortion that a linear model cannot have: not white, not linear in u."""
+    assert found.residuals.cross_outside[0] == 0.0
+    assert found.residuals.auto_outside > 0.5
+
+
+def test_tables_and_files_say_what_was_found(found: Identified, tmp_path: Path) -> None:
+    shown = text(orders_table(found), model_table(found))
+    for word in ("validation fit", "pole", "zero", "closed loop, -90 deg", "law velocity"):
+        assert word in shown
+    paths = save_identification(found, tmp_path / "out")
+    assert [p.name for p in paths] == [
+        "model.json",
+        "fit.png",
+        "residuals.png",
+        "roots.png",
+        "bode.png",
+    ]
+    for path in paths[1:]:
+        assert np.ptp(matplotlib.image.imread(path)) > 0.5
+    saved = json.loads(paths[0].read_text())
+    assert saved["denominator"] == found.model.denominators[0].tolist()
+    assert saved["closed_loop"]["law"] == "velocity"
+    assert saved["output"] == ["heave_velocity", "m/s"]
+
+
+def test_a_single_run_is_split_and_orders_may_be_given(records: list[Record]) -> None:
+    alone = identify(records[:1], "leg_2", method="iv", orders=(4, 3, 1))
+    assert alone.selection is None
+    assert alone.model.method == "iv"
+    assert alone.validation.samples == pytest.approx(0.4 * 64.0 * 61.0, abs=2)
+    assert alone.validation_fit > 94.0
+
+
+def test_records_of_a_pulse_alone_have_no_measured_loop() -> None:
+    pulse = simulated_records(SingleLegs, "velocity", "heave", "pulse")[:1]
+    lone = identify(pulse, "heave", method="arx", orders=(4, 3, 1))
+    assert lone.loop is None
+    assert lone.response is None
+    assert "closed loop" not in text(model_table(lone))
+
+
+def test_command_line_identifies_recordings_and_simulations_alike(
+    records: list[Record], tmp_path: Path
+) -> None:
+    """Facility CSV files at six decimals give the fit of the run they were written from."""
+    files = [write_facility_csv(r, tmp_path / f"{i}.csv") for i, r in enumerate(records)]
+    result = CliRunner().invoke(
+        app, ["identify", *map(str, files), "--orders", "4,3,1", "--out", str(tmp_path / "out")]
+    )
+    assert result.exit_code == 0, result.output
+    saved = json.loads((tmp_path / "out" / "model.json").read_text())
+    direct = identify(records, "heave", orders=(4, 3, 1))
+    assert saved["validation_fit"] == pytest.approx(direct.validation_fit, abs=0.05)
+    assert saved["closed_loop"]["law"] == "velocity"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "not both and not neither"),
+        (("--simulate", "--dof", "up"), "'up'"),
+        (("--simulate", "--orders", "4,3"), "orders: '4,3' is refused"),
+        (("none.parquet", "--dof", "all"), "dof: all needs --simulate"),
+        (("none.csv",), "none.csv"),
+        (("--simulate", "--plant", "boat"), "'boat'"),
+        (("--simulate", "--law", "fast"), "'fast'"),
+    ],
+)
+def test_command_line_refuses_in_one_line(
+    arguments: tuple[str, ...], message: str, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["identify", *arguments, "--out", str(out)])
+    assert result.exit_code == 2
+    assert message in result.output
+    assert "Traceback" not in result.output
+    assert not out.exists()
+
+
+def test_bad_methods_and_signals_are_named(records: list[Record]) -> None:
+    with pytest.raises(ValueError, match="method: 'magic' is not one of arx, iv, oe"):
+        identify(records, "heave", method="magic")
+    with pytest.raises(ValueError, match="records: none given"):
+        identify([], "heave")
+    with pytest.raises(ValueError, match="signal: 'hum' is not one of multisine"):
+        excitation("hum", "heave")

@@ -1,0 +1,150 @@
+"""One plant and law, measured in every way the project has: the figures agree."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cmf_mj import Hexapod, SingleLegs, bandwidths, signals, simulate
+from cmf_mj.analysis import frequency_response
+from cmf_mj.analysis.frequency_response import matrix_frequency_response, rounds_response
+from cmf_mj.cli.common import app
+from cmf_mj.plant.plant import Plant
+from cmf_mj.record.reader import read_facility_csv
+from cmf_mj.record.record import Record
+from cmf_mj.record.writer import write_facility_csv
+from cmf_mj.signals import composite as excitations
+from cmf_mj.studies.comparison import AMPLITUDE
+from cmf_mj.studies.measurement import RECORD_EVERY, facility_session
+
+
+@pytest.fixture(scope="module")
+def session() -> list[Record]:
+    return facility_session(SingleLegs, "velocity", "heave")
+
+
+@pytest.fixture(scope="module")
+def files(session: list[Record], tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("session")
+    return [write_facility_csv(r, folder / f"{i}of5.csv") for i, r in enumerate(session, start=1)]
+
+
+@pytest.mark.parametrize("build", [SingleLegs, Hexapod])
+def test_four_excitations_agree_on_the_phase_bandwidth_within_3_percent(
+    build: type[Plant], tmp_path: Path
+) -> None:
+    """Multisine, chirp, stepped sines and the five stitched files, all of 0.33 in peak."""
+    plant = build()
+
+    def run(command: signals.Command) -> Record:
+        return simulate(plant, "velocity", command, record_every=RECORD_EVERY)
+
+    steps = np.arange(1.8, 3.7, 0.3)
+    rounds = facility_session(build, "velocity", "heave")
+    read = [
+        read_facility_csv(write_facility_csv(record, tmp_path / f"{i}of5.csv"))
+        for i, record in enumerate(rounds, start=1)
+    ]
+    found = {
+        "multisine": frequency_response(run(signals.multisine("heave", AMPLITUDE))),
+        "chirp": frequency_response(run(signals.chirp("heave", AMPLITUDE))),
+        "stepped sines": rounds_response(
+            [run(excitations.stepped_sines("heave", steps, [AMPLITUDE]))]
+        ),
+        "five files": rounds_response(read, "heave"),
+    }
+    phase = {name: bandwidths(response).phase_hz for name, response in found.items()}
+    middle = float(np.median(list(phase.values())))
+    for name, value in phase.items():
+        assert value == pytest.approx(middle, rel=0.015), (name, phase)  # so 3 % end to end
+
+
+def test_rounds_read_the_35_frequencies_of_table_2_3(files: list[Path]) -> None:
+    response = rounds_response([read_facility_csv(path) for path in files], "heave")
+    expected = sorted(f for row in excitations.ROUNDS for f in row)
+    np.testing.assert_allclose(response.frequency, expected, rtol=1e-12)
+    assert response.coherence.min() > 0.99
+
+
+def test_files_without_their_own_metadata_read_alike(files: list[Path], tmp_path: Path) -> None:
+    """As files of others come: no comment line, so no dwells. -90 deg within 3 %."""
+    bare = []
+    for path in files:
+        kept = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+        target = tmp_path / path.name
+        target.write_text("\n".join(kept) + "\n")
+        bare.append(read_facility_csv(target))
+    with_dwells = bandwidths(rounds_response([read_facility_csv(p) for p in files], "heave"))
+    without = bandwidths(rounds_response(bare, "heave"))
+    assert without.phase_hz == pytest.approx(with_dwells.phase_hz, rel=0.03)
+
+
+def test_the_matrix_of_one_run_has_the_single_axis_responses_on_its_diagonal() -> None:
+    """Six degrees of freedom at once at a tenth of the report's amplitudes, single legs: 3 % of
+    the small-signal response between 0.5 and 5 Hz, and heave is driven by heave alone."""
+    plant = SingleLegs()
+    sizes = np.array([1.0, 1.0, 1.0, 0.4, 0.4, 0.4]) * 0.1 * AMPLITUDE
+    command = excitations.orthogonal_multisines(sizes, period=40.0)
+    matrix = matrix_frequency_response(simulate(plant, "velocity", command, record_every=16))
+    frequency = np.asarray(matrix.omega) / (2.0 * np.pi)
+    inside = (frequency > 0.5) & (frequency < 5.0)
+    small = signals.multisine("heave", 0.1 * AMPLITUDE)
+    single = frequency_response(simulate(plant, "velocity", small, record_every=16))
+    expected = np.interp(frequency[inside], single.frequency, np.abs(single.response))
+    np.testing.assert_allclose(np.abs(matrix.frdata[2, 2, inside]), expected, rtol=0.03)
+    for column in (0, 1):
+        assert np.abs(matrix.frdata[2, column, inside]).max() < 0.02
+    with pytest.raises(ValueError, match="orthogonal multisines are needed"):
+        matrix_frequency_response(simulate(plant, "velocity", signals.sine("heave", 0.01, 2.0)))
+
+
+def test_rounds_of_different_rates_or_without_demand_are_refused(session: list[Record]) -> None:
+    with pytest.raises(ValueError, match="records: none given"):
+        rounds_response([])
+    with pytest.raises(ValueError, match="dof: the records hold no demand in yaw"):
+        rounds_response(session[4:], "yaw")
+    fine = simulate(SingleLegs(), "velocity", signals.sine("heave", 0.01, 2.0), record_every=8)
+    with pytest.raises(ValueError, match=r"records: rates are 128\.0, 256\.0 Hz"):
+        rounds_response([session[4], fine])
+
+
+def test_record_and_measure_from_the_command_line(tmp_path: Path) -> None:
+    made = CliRunner().invoke(
+        app, ["record", "--plant", "single_legs", "--out", str(tmp_path / "r"), "--jobs", "2"]
+    )
+    assert made.exit_code == 0, made.output
+    files = sorted((tmp_path / "r").glob("*.csv"))
+    assert [path.name for path in files] == [f"velocity_heave_{i}of5.csv" for i in range(1, 6)]
+    out = tmp_path / "m"
+    measured = CliRunner().invoke(app, ["measure", *map(str, files), "--out", str(out)])
+    assert measured.exit_code == 0, measured.output
+    assert "-90 deg bandwidth   2.7" in measured.output
+    assert sorted(path.name for path in out.iterdir()) == [
+        "response.csv",
+        "response.png",
+        "summary.json",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["measure"], "files: name recordings, or use --simulate"),
+        (["measure", "missing.csv"], "missing.csv"),
+        (["measure", "notes.txt"], "ending '.txt' is not one of .csv, .uff, .unv, .parquet"),
+        (["measure", "--simulate", "--plant", "boat"], "plant: 'boat'"),
+        (["measure", "a.csv", "--estimator", "h3"], "estimator: 'h3' is not one of h1"),
+        (["record", "--dof", "up"], "dof: 'up' is not one of surge"),
+        (["record", "--law", "fast"], "law: 'fast'"),
+        (["record", "--amplitude", "60"], "heave"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused(
+    arguments: list[str], message: str, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, [*arguments, "--out", str(out)])
+    assert result.exit_code == 2, result.output
+    assert message in result.output
+    assert not out.exists()

@@ -1,0 +1,149 @@
+"""The search of gains, its files and commands, and what the shipped law keeps in the simulation."""
+
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cmf_mj import load_law
+from cmf_mj.cli.common import app
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.machine import models
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.plant import Plant
+from cmf_mj.studies.tuning.confirmation import Trial, run_trial
+from cmf_mj.studies.tuning.evaluation import evaluate, linear_cab
+from cmf_mj.studies.tuning.files import law_text, save_law
+from cmf_mj.studies.tuning.forms import FORMS, Form, candidate, form_named, make_template
+from cmf_mj.studies.tuning.nominal import nominal_modes
+from cmf_mj.studies.tuning.search import Limits, search
+
+SCRIPTS = Path(__file__).parent.parent / "scripts"
+
+
+@pytest.mark.parametrize(("cab", "dof"), [("ifd", "sway"), ("ifd", "pitch"), ("gfd", "heave")])
+@pytest.mark.parametrize("electronics", [None, ElectronicsSettings()], ids=["ideal", "noisy"])
+def test_the_shipped_law_keeps_the_targets_with_valves_off(
+    cab: str, dof: str, electronics: ElectronicsSettings | None
+) -> None:
+    """-90 deg >= 5 Hz, peak <= 3 dB, damping ratio >= 0.4, valve gains within 10 % at random."""
+    law = load_law("modal_plan")
+    found = run_trial(Trial(law, cab, dof, seed=1, quick=True, electronics=electronics))
+    assert found.step.stable
+    assert found.bandwidths.phase_hz >= 5.0
+    assert found.bandwidths.peak_db <= 3.0
+    assert found.step.overshoot <= 0.25
+    assert not found.step.damping_ratio < 0.4  # NaN without an overshoot
+
+
+def test_the_shipped_law_is_where_its_form_starts() -> None:
+    form, law = form_named("modal_plan"), load_law("modal_plan")
+    begun = candidate(form, make_template("modal_plan", law.title), form.start)
+    assert (begun.plan, begun.load_feedback) == (law.plan, law.load_feedback)
+    assert begun.direct_gain == law.direct_gain
+
+
+def test_the_linear_plants_say_what_the_simulation_does() -> None:
+    """Sway with the heaviest cab at a tenth of the amplitude, where neither the rate limit acts nor
+    the valves' mean opening damps: -90 deg within 5 %, peak within 0.5 dB."""
+    law = load_law("modal_plan")
+    worth = evaluate(law, [linear_cab(Hexapod("ifd"))], (1,))
+    found = run_trial(Trial(law, "ifd", "sway", seed=1, scale=0.1, quick=True))
+    sway = DOFS.index("sway")
+    assert found.bandwidths.phase_hz == pytest.approx(worth.phase_hz[0, 0, sway], rel=0.05)
+    assert found.bandwidths.peak_db == pytest.approx(worth.peak_db[0, 0, sway], abs=0.5)
+
+
+def test_a_search_repeats_and_its_file_is_the_law(tmp_path: Path) -> None:
+    template = make_template("mine", "Mine", ("gfd",))
+    first, second = (search(template, seeds=(None,), evaluations=1) for _ in range(2))
+    assert first.law == second.law and first.evaluations == 12
+    form = form_named("modal_plan")
+    begun = evaluate(candidate(form, template, form.start), template.cabs, (None,))
+    assert first.worth.phase_hz.min() > 0.95 * begun.phase_hz.min()
+    path = save_law(first.law, tmp_path / "laws" / "mine.toml", "By a test.")
+    back = load_law(path)
+    assert back.plan == first.law.plan and back.load_feedback == first.law.load_feedback
+    assert law_text(back) == law_text(load_law(save_law(back, path)))
+    assert [p.name for p in path.parent.iterdir()] == ["mine.toml"]
+
+
+@pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
+def test_every_form_starts_within_its_bounds_and_makes_a_law_that_is_stable(form: Form) -> None:
+    for value, (low, high) in zip(form.start, form.free.values(), strict=True):
+        assert low <= value <= high
+    template = make_template("mine", "Mine", ("gfd",))
+    worth = evaluate(candidate(form, template, form.start), template.cabs, (None,))
+    assert worth.settled.max() < 0.2
+    assert worth.phase_hz.min() > 1.0
+
+
+def test_limits_cost() -> None:
+    """A law that breaks the limits costs more than the same with wider ones."""
+    template = make_template("mine", "Mine", ("ifd",))
+    tight = search(template, Limits(peak_db=-1.0, overshoot=-0.2), seeds=(None,), evaluations=1)
+    wide = search(template, Limits(9.0, 9.0, 9.0, 9.0, 99.0), seeds=(None,), evaluations=1)
+    assert tight.cost > 0.0 > wide.cost
+
+
+def test_bad_requests_are_named() -> None:
+    template = make_template("mine", "Mine", ("gfd",))
+    with pytest.raises(ValueError, match="form: 'magic' is not one of modal_plan, velocity"):
+        search(template, form="magic")
+    with pytest.raises(ValueError, match="evaluations: 0 must be at least 1"):
+        search(template, evaluations=0)
+    excavator = Plant.__new__(Plant)
+    excavator.name, excavator.actuators = "excavator", ("boom", "stick")
+    with pytest.raises(ValueError, match="excavator has 2 legs; hydraulic modes need 6"):
+        nominal_modes(excavator)
+    assert models.cab_path("gfd").is_file()
+
+
+def test_tune_command(tmp_path: Path) -> None:
+    out = tmp_path / "law.toml"
+    arguments = ["tune", "--cabs", "gfd", "--evaluations", "1", "--out", str(out)]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert "--evaluations 1 --seed 1" in load_law(out).source
+
+
+@pytest.mark.parametrize(
+    ("script", "arguments", "written"),
+    [
+        (
+            "confirm_laws.py",
+            "--cabs gfd --dofs heave --seeds 0 --quick --crosstalk --jobs 1 --out",
+            ("trials.csv", "worst.md", "summary.md", "crosstalk.csv"),
+        ),
+        (
+            "pareto_laws.py",
+            "--cabs gfd --limits 2:18 --evaluations 1 --out",
+            ("front.csv", "pareto.png"),
+        ),
+    ],
+)
+def test_scripts(
+    script: str,
+    arguments: str,
+    written: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "argv", [script, *arguments.split(), str(tmp_path)])
+    runpy.run_path(str(SCRIPTS / script), run_name="__main__")
+    for name in written:
+        assert (tmp_path / name).stat().st_size > 50
+
+
+def test_ablation_script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "ablation.md"
+    monkeypatch.setattr(sys, "argv", ["ablate", "--cabs", "gfd", "--out", str(out)])
+    runpy.run_path(str(SCRIPTS / "ablate_modal_law.py"), run_name="__main__")
+    cells = [line.split("|") for line in out.read_text(encoding="utf-8").splitlines()[2:]]
+    phase = {row[1].strip(): float(row[2]) for row in cells}
+    assert phase["all of it"] > 2.0 * phase["without feed-forward"]
+    assert np.isfinite(list(phase.values())).all()
