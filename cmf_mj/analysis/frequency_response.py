@@ -78,12 +78,10 @@ class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]
 class Bandwidths(NamedTuple):
     """Where a response leaves its pass band; NaN where it does not within the measured lines."""
 
-    phase_hz: float
-    """First frequency at which the phase falls through -90 deg [Hz]."""
+    phase_hz: float  #: First frequency at which the phase falls through -90 deg [Hz].
     gain_hz: float
     """First frequency at which the gain falls through -3 dB, from absolute 0 dB [Hz]."""
-    peak_db: float
-    """Largest gain [dB]."""
+    peak_db: float  #: Largest gain [dB].
 
 
 def dof_history(record: Record, channel: str, dof: str) -> NDArray[np.float64]:

@@ -23,8 +23,7 @@ class Evidence(Settings):
 
     name: _Text
     value: float
-    unit: str
-    """Unit known to `cmf_mj.core.units`; `1` for a ratio, `dB` for a level."""
+    unit: str  #: Unit known to `cmf_mj.core.units`; `1` for a ratio, `dB` for a level.
 
     @field_validator("unit")
     @classmethod
@@ -44,18 +43,13 @@ class LedgerEntry(Settings):
     number: Annotated[int, Field(ge=1)]
     """Place in the ledger, from 1 on, in the order of the report."""
     title: _Text
-    where: _Text
-    """Section, table or equation of the report."""
-    printed: _Text
-    """What the report says."""
-    finding: _Text
-    """What is wrong with it."""
-    project: _Text
-    """What this project does."""
+    where: _Text  #: Section, table or equation of the report.
+    printed: _Text  #: What the report says.
+    finding: _Text  #: What is wrong with it.
+    project: _Text  #: What this project does.
     demonstration: Annotated[str, Field(pattern=r"^tests/test_ledger\w*\.py::test_\w+$")]
     """The test that shows it in numbers."""
-    figures: Annotated[tuple[Evidence, ...], Field(strict=False)] = ()
-    """What the test computes."""
+    figures: Annotated[tuple[Evidence, ...], Field(strict=False)] = ()  #: What the test computes.
 
     def figure(self, name: str) -> float:
         """The value of a figure.

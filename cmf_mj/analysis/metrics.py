@@ -18,14 +18,10 @@ Signal = NDArray[np.float64]
 class Harmonics(NamedTuple):
     """Least-squares fit of a sine and its harmonics."""
 
-    amplitude: Signal
-    """Peak of each harmonic, the fundamental first, (n,)."""
-    phase: Signal
-    """Phase of each harmonic at the first sample [rad], sine convention, (n,)."""
-    offset: float
-    """Mean."""
-    remainder: Signal
-    """What no harmonic explains, (N,)."""
+    amplitude: Signal  #: Peak of each harmonic, the fundamental first, (n,).
+    phase: Signal  #: Phase of each harmonic at the first sample [rad], sine convention, (n,).
+    offset: float  #: Mean.
+    remainder: Signal  #: What no harmonic explains, (N,).
 
 
 class Noise(NamedTuple):
@@ -35,18 +31,13 @@ class Noise(NamedTuple):
     is a third harmonic of 3 % has a `low_harmonics` of 0.03.
     """
 
-    fundamental: float
-    """A1 [unit of the signal]."""
-    low_harmonics: float
-    """Harmonics 2 and 3."""
+    fundamental: float  #: A1 [unit of the signal].
+    low_harmonics: float  #: Harmonics 2 and 3.
     high_harmonics: float
     """Harmonics 4 and up, to the highest below half the sampling rate or `highest`."""
-    stochastic: float
-    """What is left."""
-    total: float
-    """Root sum of squares of the three shares."""
-    peak: float
-    """Largest deviation from the fundamental over A1."""
+    stochastic: float  #: What is left.
+    total: float  #: Root sum of squares of the three shares.
+    peak: float  #: Largest deviation from the fundamental over A1.
 
 
 def harmonics(samples: Signal, rate: float, frequency: float, count: int) -> Harmonics:
@@ -243,10 +234,8 @@ class SecondOrder(NamedTuple):
     gain: float
     natural_frequency_hz: float
     damping_ratio: float
-    delay: float
-    """d [s]."""
-    residual: float
-    """Rms of the complex misfit over rms of the response."""
+    delay: float  #: d [s].
+    residual: float  #: Rms of the complex misfit over rms of the response.
 
 
 def fit_second_order(

@@ -32,18 +32,12 @@ class ModeSet(NamedTuple):
     """The six modes at one pose, lowest first."""
 
     cab: str
-    pose: NDArray[np.float64]
-    """(6,) [m, rad], z down."""
-    reflected_mass: NDArray[np.float64]
-    """M_leg [kg], (6, 6)."""
-    frequency_hz: NDArray[np.float64]
-    """(6,) [Hz]."""
-    leg_mass: NDArray[np.float64]
-    """Mass a leg feels in each mode [kg], (6,)."""
-    leg_shape: NDArray[np.float64]
-    """A column a mode, unit reflected mass, (6, 6)."""
-    pose_shape: NDArray[np.float64]
-    """The same as platform motion [m, rad], (6, 6)."""
+    pose: NDArray[np.float64]  #: (6,) [m, rad], z down.
+    reflected_mass: NDArray[np.float64]  #: M_leg [kg], (6, 6).
+    frequency_hz: NDArray[np.float64]  #: (6,) [Hz].
+    leg_mass: NDArray[np.float64]  #: Mass a leg feels in each mode [kg], (6,).
+    leg_shape: NDArray[np.float64]  #: A column a mode, unit reflected mass, (6, 6).
+    pose_shape: NDArray[np.float64]  #: The same as platform motion [m, rad], (6, 6).
     share: NDArray[np.float64]
     """Part of each degree of freedom (rows) in the kinetic energy of each mode (columns)."""
 
@@ -52,10 +46,8 @@ class Sweep(NamedTuple):
     """Frequencies along one degree of freedom."""
 
     dof: str
-    excursion: NDArray[np.float64]
-    """(n,) [m or rad]."""
-    frequency_hz: NDArray[np.float64]
-    """(n, 6) [Hz]."""
+    excursion: NDArray[np.float64]  #: (n,) [m or rad].
+    frequency_hz: NDArray[np.float64]  #: (n, 6) [Hz].
 
 
 class PlaneMap(NamedTuple):
@@ -65,19 +57,15 @@ class PlaneMap(NamedTuple):
     first: NDArray[np.float64]
     """Excursions of the first degree of freedom [m or rad], (rays, rings): each ray goes from
     neutral to the end of the envelope, the last is the first again."""
-    second: NDArray[np.float64]
-    """Of the second, (rays, rings)."""
-    frequency_hz: NDArray[np.float64]
-    """(rays, rings, 6) [Hz]."""
+    second: NDArray[np.float64]  #: Of the second, (rays, rings).
+    frequency_hz: NDArray[np.float64]  #: (rays, rings, 6) [Hz].
 
 
 class Range(NamedTuple):
     """Modes over the whole envelope."""
 
-    modes: tuple[ModeSet, ...]
-    """At the poses looked at."""
-    worst: ModeSet
-    """Where the lowest mode is lowest."""
+    modes: tuple[ModeSet, ...]  #: At the poses looked at.
+    worst: ModeSet  #: Where the lowest mode is lowest.
 
     @property
     def poses(self) -> NDArray[np.float64]:

@@ -18,8 +18,7 @@ _READ_AS = {"acceleration_opposing": "acceleration", "original_as_printed": "ori
 class Published(Settings):
     """One published result."""
 
-    table: str
-    """Table or section of the report."""
+    table: str  #: Table or section of the report.
     law: str
     dof: str
     of: Literal["hardware", "nonlinear", "linear_1", "linear_2", "linear_3"]
@@ -35,13 +34,10 @@ class PublishedGains(Settings):
     table: str
     law: str
     a: float
-    b: tuple[float, ...]
-    """B, a column a signal."""
+    b: tuple[float, ...]  #: B, a column a signal.
     c: float
-    d: tuple[float, ...]
-    """D, a column a signal."""
-    signals: tuple[str, ...]
-    """What the columns act on."""
+    d: tuple[float, ...]  #: D, a column a signal.
+    signals: tuple[str, ...]  #: What the columns act on.
 
     @model_validator(mode="before")
     @classmethod

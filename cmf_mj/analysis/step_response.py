@@ -39,20 +39,13 @@ DECAY_TIME = 3.0
 class StepMetrics(NamedTuple):
     """Measures of one step; fractions of the step unless a unit is given."""
 
-    overshoot: float
-    """Largest excess over the final value."""
-    damping_ratio: float
-    """From the overshoot; NaN below an overshoot of 0.001."""
-    steady_state_error: float
-    """Demanded minus reached."""
-    rise_time: float
-    """10 to 90 % [s]."""
-    settling_time: float
-    """From the step to staying within 2 % of the final value [s]."""
-    residual: float
-    """Largest leg swing of the last second over the largest leg step."""
-    stable: bool
-    """The verdict."""
+    overshoot: float  #: Largest excess over the final value.
+    damping_ratio: float  #: From the overshoot; NaN below an overshoot of 0.001.
+    steady_state_error: float  #: Demanded minus reached.
+    rise_time: float  #: 10 to 90 % [s].
+    settling_time: float  #: From the step to staying within 2 % of the final value [s].
+    residual: float  #: Largest leg swing of the last second over the largest leg step.
+    stable: bool  #: The verdict.
 
 
 def damping_from_overshoot(overshoot: float) -> float:
@@ -74,14 +67,10 @@ def resonant_damping(peak: float) -> float:
 class StepShape(NamedTuple):
     """Measures of a step response's shape, fractions of the step unless a unit is given."""
 
-    overshoot: float
-    """Largest excess over the final value."""
-    damping_ratio: float
-    """From the overshoot; NaN below an overshoot of 0.001."""
-    rise_time: float
-    """10 to 90 % [s]."""
-    settling_time: float
-    """From the step to staying within 2 % of the final value [s]."""
+    overshoot: float  #: Largest excess over the final value.
+    damping_ratio: float  #: From the overshoot; NaN below an overshoot of 0.001.
+    rise_time: float  #: 10 to 90 % [s].
+    settling_time: float  #: From the step to staying within 2 % of the final value [s].
 
 
 def step_shape(shape: NDArray[np.float64], rate: float) -> StepShape:

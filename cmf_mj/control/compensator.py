@@ -14,14 +14,10 @@ from cmf_mj.core.compiled import compiled
 class Compensator(NamedTuple):
     """Compiled gains, SI: signals in m, Pa, m/s, m s, m/s^2, N; output as command fraction."""
 
-    state_gain: NDArray[np.float64]
-    """A, (n,)."""
-    input_gain: NDArray[np.float64]
-    """B, (n, 10)."""
-    output_gain: NDArray[np.float64]
-    """C, (n,) [fraction per unit of state]."""
-    direct_gain: NDArray[np.float64]
-    """D, (n, 10) [fraction per SI unit of the signal]."""
+    state_gain: NDArray[np.float64]  #: A, (n,).
+    input_gain: NDArray[np.float64]  #: B, (n, 10).
+    output_gain: NDArray[np.float64]  #: C, (n,) [fraction per unit of state].
+    direct_gain: NDArray[np.float64]  #: D, (n, 10) [fraction per SI unit of the signal].
 
 
 def make_compensator(law: Law, legs: int) -> Compensator:

@@ -60,8 +60,7 @@ def spread(value: float | tuple[float, ...], count: int) -> NDArray[np.float64]:
 class Modes(Settings):
     """Hydraulic modes of one cab at neutral, lowest first."""
 
-    source: str = ""
-    """Where they come from."""
+    source: str = ""  #: Where they come from.
     frequency: Annotated[
         tuple[Positive, ...],
         Field(min_length=MODES, max_length=MODES),
@@ -95,22 +94,14 @@ class Modes(Settings):
 class Coordinates(NamedTuple):
     """Compiled map, and room to work in."""
 
-    shape: NDArray[np.float64]
-    """V^T, (n, n)."""
-    limited: NDArray[np.float64]
-    """Leg demands within limits [m], (n,)."""
-    reference: NDArray[np.float64]
-    """The same in coordinates of the law."""
-    integral: NDArray[np.float64]
-    """Error integrals in coordinates of the law [m s]."""
-    target: NDArray[np.float64]
-    """What the errors count from, in coordinates of the law [m]."""
-    plan: NDArray[np.float64]
-    """Planned commands in coordinates of the law, fractions."""
-    legs: NDArray[np.float64]
-    """Room for leg quantities."""
-    feedback: LegFeedback
-    """Feedback in coordinates of the law."""
+    shape: NDArray[np.float64]  #: V^T, (n, n).
+    limited: NDArray[np.float64]  #: Leg demands within limits [m], (n,).
+    reference: NDArray[np.float64]  #: The same in coordinates of the law.
+    integral: NDArray[np.float64]  #: Error integrals in coordinates of the law [m s].
+    target: NDArray[np.float64]  #: What the errors count from, in coordinates of the law [m].
+    plan: NDArray[np.float64]  #: Planned commands in coordinates of the law, fractions.
+    legs: NDArray[np.float64]  #: Room for leg quantities.
+    feedback: LegFeedback  #: Feedback in coordinates of the law.
 
 
 def make_coordinates(modes: Modes | None, legs: int) -> Coordinates:

@@ -47,12 +47,9 @@ class Dcl(NamedTuple):
     arrays in a frame.
     """
 
-    modal: bool
-    """Whether the law runs in hydraulic modes."""
-    planned: bool
-    """Whether it has a plan."""
-    damped: bool
-    """Whether it has load feedback."""
+    modal: bool  #: Whether the law runs in hydraulic modes.
+    planned: bool  #: Whether it has a plan.
+    damped: bool  #: Whether it has load feedback.
     feedback: Feedback
     limits: Limits
     error: ErrorCalculations
@@ -66,46 +63,27 @@ class Dcl(NamedTuple):
 class DclState(NamedTuple):
     """State of the DCL, every array (n,): by leg, or by mode but for the error integral."""
 
-    compensator: NDArray[np.float64]
-    """x of the compensator."""
-    integral: NDArray[np.float64]
-    """Error integral [m s]."""
-    error_filter: NDArray[np.float64]
-    """Derivative filter of the position error [m]."""
-    reference_filter: NDArray[np.float64]
-    """Derivative filter of the reference [m]."""
-    acceleration: NDArray[np.float64]
-    """Filtered leg acceleration [m/s^2]."""
-    model_position: NDArray[np.float64]
-    """Position of the reference model [m]."""
-    model_velocity: NDArray[np.float64]
-    """Its velocity [m/s]."""
-    adaptation: NDArray[np.float64]
-    """Factor of its feed-forward, less 1."""
-    learned_error: NDArray[np.float64]
-    """Filtered error that the adaptation learns from [m/s]."""
-    learned_feed_forward: NDArray[np.float64]
-    """Filtered feed-forward, fraction."""
-    feed_forward_power: NDArray[np.float64]
-    """Filtered square of the feed-forward."""
+    compensator: NDArray[np.float64]  #: x of the compensator.
+    integral: NDArray[np.float64]  #: Error integral [m s].
+    error_filter: NDArray[np.float64]  #: Derivative filter of the position error [m].
+    reference_filter: NDArray[np.float64]  #: Derivative filter of the reference [m].
+    acceleration: NDArray[np.float64]  #: Filtered leg acceleration [m/s^2].
+    model_position: NDArray[np.float64]  #: Position of the reference model [m].
+    model_velocity: NDArray[np.float64]  #: Its velocity [m/s].
+    adaptation: NDArray[np.float64]  #: Factor of its feed-forward, less 1.
+    learned_error: NDArray[np.float64]  #: Filtered error that the adaptation learns from [m/s].
+    learned_feed_forward: NDArray[np.float64]  #: Filtered feed-forward, fraction.
+    feed_forward_power: NDArray[np.float64]  #: Filtered square of the feed-forward.
     model_acceleration: NDArray[np.float64]
     """Planned acceleration [m/s^2]; position and velocity are those of the reference model."""
-    model_jerk: NDArray[np.float64]
-    """Planned jerk [m/s^3]."""
-    model_snap: NDArray[np.float64]
-    """Planned derivative of the jerk [m/s^4]."""
-    model_command: NDArray[np.float64]
-    """Planned command on its way, fraction."""
-    model_reference: NDArray[np.float64]
-    """Reference of the plan, as smooth as it has to be [m]."""
-    model_reference_rate: NDArray[np.float64]
-    """Its rate [m per frame]."""
-    model_demand: NDArray[np.float64]
-    """Demand of the frame before [m]."""
-    model_demand_rate: NDArray[np.float64]
-    """Its rate, within the bound [m per frame]."""
-    load_filter: NDArray[np.float64]
-    """Low-passed load force [N]."""
+    model_jerk: NDArray[np.float64]  #: Planned jerk [m/s^3].
+    model_snap: NDArray[np.float64]  #: Planned derivative of the jerk [m/s^4].
+    model_command: NDArray[np.float64]  #: Planned command on its way, fraction.
+    model_reference: NDArray[np.float64]  #: Reference of the plan, as smooth as it has to be [m].
+    model_reference_rate: NDArray[np.float64]  #: Its rate [m per frame].
+    model_demand: NDArray[np.float64]  #: Demand of the frame before [m].
+    model_demand_rate: NDArray[np.float64]  #: Its rate, within the bound [m per frame].
+    load_filter: NDArray[np.float64]  #: Low-passed load force [N].
 
 
 def make_dcl(law: Law, legs: int) -> Dcl:

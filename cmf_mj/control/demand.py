@@ -34,12 +34,9 @@ from cmf_mj.machine import kinematics
 class Demand(NamedTuple):
     """Compiled parameters of the demand block."""
 
-    geometry: kinematics.Geometry
-    """Gimbals and neutral lengths of the unloaded platform."""
-    deflection: NDArray[np.float64]
-    """Constant part of dA, platform axes [m], (6, 3)."""
-    compliance: NDArray[np.float64]
-    """dA per specific force, platform axes [m/(m/s^2)], (6, 3, 3)."""
+    geometry: kinematics.Geometry  #: Gimbals and neutral lengths of the unloaded platform.
+    deflection: NDArray[np.float64]  #: Constant part of dA, platform axes [m], (6, 3).
+    compliance: NDArray[np.float64]  #: dA per specific force, platform axes [m/(m/s^2)], (6, 3, 3).
 
 
 def make_demand(

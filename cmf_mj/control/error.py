@@ -22,16 +22,11 @@ from cmf_mj.machine import kinematics
 class ErrorCalculations(NamedTuple):
     """Compiled parameters of the error block."""
 
-    frame: float
-    """T [s]."""
-    derivative_pole: float
-    """p [rad/s]."""
-    integrator_limit: float
-    """Saturation of the integral [m s]."""
-    integrator_trigger: float
-    """Position above which the integrator sees the true position [m]."""
-    bottom: float
-    """Position it sees below [m]."""
+    frame: float  #: T [s].
+    derivative_pole: float  #: p [rad/s].
+    integrator_limit: float  #: Saturation of the integral [m s].
+    integrator_trigger: float  #: Position above which the integrator sees the true position [m].
+    bottom: float  #: Position it sees below [m].
 
 
 def make_error_calculations(law: Law) -> ErrorCalculations:

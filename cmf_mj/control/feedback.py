@@ -42,14 +42,10 @@ FORCE_AREA = 11.97 * units.INCH**2
 class Feedback(NamedTuple):
     """Compiled parameters of the feedback block."""
 
-    accelerometer_pole: float
-    """Pole of Eq 3.6, per frame."""
-    accelerometer_gain: float
-    """Gain of Eq 3.6."""
-    force_area: float
-    """A of Eq 3.7 [m^2]."""
-    gravity_compensation: bool
-    """Whether the law reads accelerations without gravity."""
+    accelerometer_pole: float  #: Pole of Eq 3.6, per frame.
+    accelerometer_gain: float  #: Gain of Eq 3.6.
+    force_area: float  #: A of Eq 3.7 [m^2].
+    gravity_compensation: bool  #: Whether the law reads accelerations without gravity.
 
 
 def make_feedback(law: Law) -> Feedback:
@@ -79,8 +75,7 @@ def noise_gain(law: Law) -> float:
 class GravityCompensation(NamedTuple):
     """Compiled parameters of the gravity compensation."""
 
-    enabled: bool
-    """Whether the accelerometers feel gravity; otherwise there is none to know."""
+    enabled: bool  #: Whether the accelerometers feel gravity; otherwise there is none to know.
     axes: LegAxes
 
 

@@ -55,29 +55,20 @@ _HALVINGS = 40
 class Governor(NamedTuple):
     """Compiled limits, every array (n,), SI."""
 
-    low: NDArray[np.float64]
-    """Lowest position [m or rad]."""
-    high: NDArray[np.float64]
-    """Highest position [m or rad]."""
-    velocity: NDArray[np.float64]
-    """V [1/s of the position]."""
-    acceleration: NDArray[np.float64]
-    """A [1/s^2 of the position]."""
-    rejoin: float
-    """Share of A that closes in on the demand, above 0, at most 1."""
-    frame: float
-    """T [s]."""
+    low: NDArray[np.float64]  #: Lowest position [m or rad].
+    high: NDArray[np.float64]  #: Highest position [m or rad].
+    velocity: NDArray[np.float64]  #: V [1/s of the position].
+    acceleration: NDArray[np.float64]  #: A [1/s^2 of the position].
+    rejoin: float  #: Share of A that closes in on the demand, above 0, at most 1.
+    frame: float  #: T [s].
 
 
 class GovernorState(NamedTuple):
     """State of the governor, every array (n,)."""
 
-    position: NDArray[np.float64]
-    """p, the position put out last."""
-    velocity: NDArray[np.float64]
-    """v, the change of the last two positions over T."""
-    lag: NDArray[np.float64]
-    """e, the last demand less p; exactly 0 while the demand is followed."""
+    position: NDArray[np.float64]  #: p, the position put out last.
+    velocity: NDArray[np.float64]  #: v, the change of the last two positions over T.
+    lag: NDArray[np.float64]  #: e, the last demand less p; exactly 0 while the demand is followed.
 
 
 def make_governor(
@@ -317,12 +308,9 @@ def step_together(governor, state, demand, out, rates, accelerations, base, wish
 class Governed(NamedTuple):
     """A limited motion, every array (N, n) but the share."""
 
-    position: NDArray[np.float64]
-    """p [m or rad]."""
-    velocity: NDArray[np.float64]
-    """Velocity at the frames, as handed on with p."""
-    acceleration: NDArray[np.float64]
-    """Acceleration at the frames, as handed on with p."""
+    position: NDArray[np.float64]  #: p [m or rad].
+    velocity: NDArray[np.float64]  #: Velocity at the frames, as handed on with p.
+    acceleration: NDArray[np.float64]  #: Acceleration at the frames, as handed on with p.
     share: NDArray[np.float64]
     """What `step_together` returned (N,); 1 throughout for channels limited alone."""
 

@@ -105,8 +105,7 @@ class Adaptation(Settings):
     rate: Annotated[float, Field(ge=0.0)]
     """Adaptation rate [1/s]: a leg that is slow by a part of its speed, and is not corrected,
     raises the factor by that part times this; 0 leaves the fixed law."""
-    slope: Annotated[float, Field(gt=0.0)]
-    """Weight of the position error beside its rate [1/s]."""
+    slope: Annotated[float, Field(gt=0.0)]  #: Weight of the position error beside its rate [1/s].
     corner: Annotated[float, Field(gt=0.0)]
     """Corner of the low-pass filters of what is learned from [Hz]."""
     level: Annotated[float, Field(gt=0.0)]
@@ -115,10 +114,8 @@ class Adaptation(Settings):
     """Error below which nothing is learned [in/s]."""
     leak: Annotated[float, Field(ge=0.0, lt=1.0 / FRAME)] = 0.0
     """Rate at which the factor returns to 1 [1/s]."""
-    lowest: Annotated[float, Field(gt=0.0, le=1.0)]
-    """Least factor."""
-    highest: Annotated[float, Field(ge=1.0)]
-    """Largest factor."""
+    lowest: Annotated[float, Field(gt=0.0, le=1.0)]  #: Least factor.
+    highest: Annotated[float, Field(ge=1.0)]  #: Largest factor.
 
 
 class ReferenceModel(Settings):
@@ -127,20 +124,13 @@ class ReferenceModel(Settings):
     With it, position error rate, velocity error and error integral are errors from the model.
     """
 
-    natural_frequency: Annotated[float, Field(gt=0.0, le=50.0)]
-    """Undamped natural frequency [Hz]."""
-    damping_ratio: Annotated[float, Field(gt=0.0)]
-    """Damping ratio."""
-    position: float = 0.0
-    """Gain of model position less position [%/in]."""
-    rate: float = 0.0
-    """Gain of model velocity less velocity [%/(in/s)]."""
-    velocity: float = 0.0
-    """Feed-forward of the model's velocity [%/(in/s)]."""
-    acceleration: float = 0.0
-    """Feed-forward of the model's acceleration [%/(in/s^2)]."""
-    adaptation: Adaptation | None = None
-    """Absent: the fixed law."""
+    natural_frequency: Annotated[float, Field(gt=0.0, le=50.0)]  #: Undamped natural frequency [Hz].
+    damping_ratio: Annotated[float, Field(gt=0.0)]  #: Damping ratio.
+    position: float = 0.0  #: Gain of model position less position [%/in].
+    rate: float = 0.0  #: Gain of model velocity less velocity [%/(in/s)].
+    velocity: float = 0.0  #: Feed-forward of the model's velocity [%/(in/s)].
+    acceleration: float = 0.0  #: Feed-forward of the model's acceleration [%/(in/s^2)].
+    adaptation: Adaptation | None = None  #: Absent: the fixed law.
 
     @property
     def reads_velocity(self) -> bool:
@@ -154,25 +144,19 @@ class Law(Settings):
     Gains are as published, per cent of valve command per inch, pascal, in/s, in s, in/s^2, lbf.
     """
 
-    name: str
-    """Name of the table."""
+    name: str  #: Name of the table.
     coordinates: CoordinateName = "legs"
     """What gains act on: legs, or the hydraulic modes of the mounted cab."""
     modes: Mapping[str, Modes] = {}
     """Hydraulic modes by cab, or by plant where there is none; of a law that is `mounted`, one. A
     table of a law file without them has the shipped ones, `modes.toml`."""
-    title: str = Field(min_length=1)
-    """Name for figures and tables."""
-    source: str = ""
-    """Where the gains come from."""
+    title: str = Field(min_length=1)  #: Name for figures and tables.
+    source: str = ""  #: Where the gains come from.
     state_gain: Annotated[float, Field(gt=-1.0, lt=1.0)] = 0.0
     """A; the compensator's own state is stable for -1 < A < 1."""
-    output_gain: float = 0.0
-    """C [% per unit of state]."""
-    input_gain: Gains = Gains()
-    """B."""
-    direct_gain: Gains
-    """D."""
+    output_gain: float = 0.0  #: C [% per unit of state].
+    input_gain: Gains = Gains()  #: B.
+    direct_gain: Gains  #: D.
     derivative_pole: Annotated[float, Field(gt=0.0, lt=2.0 / FRAME)] = 90.0
     """Corner p of the derivative filter s p / (s + p) [rad/s]; calibrated, the report prints
     none. Below 4096 rad/s, where the filter's forward integration is stable."""
@@ -184,15 +168,13 @@ class Law(Settings):
     there is none at all."""
     accelerometer_pole: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.9924
     """Pole of the accelerometer filter gain / (z - pole), Eq 3.6."""
-    accelerometer_gain: float = 0.007588
-    """Gain of the accelerometer filter, Eq 3.6."""
+    accelerometer_gain: float = 0.007588  #: Gain of the accelerometer filter, Eq 3.6.
     gravity_compensation: bool = True
     """Whether the law reads leg accelerations with gravity taken out (Appendix C); from ideal
     accelerometers, which feel none, nothing is taken out."""
     reference_model: ReferenceModel | None = None
     """A model to follow, `[name.reference_model]`; absent: the demand itself."""
-    plan: Plan | None = None
-    """A plan to follow, `[name.plan]`, instead of a reference model."""
+    plan: Plan | None = None  #: A plan to follow, `[name.plan]`, instead of a reference model.
     load_feedback: LoadFeedback | None = None
     """Dynamic load pressure feedback, `[name.load_feedback]`; absent: none."""
 

@@ -9,8 +9,7 @@ from cmf_mj.machine import kinematics
 class Limits(NamedTuple):
     """Compiled parameters of the limit block."""
 
-    travel: float
-    """Largest leg demand from neutral, either way [m]."""
+    travel: float  #: Largest leg demand from neutral, either way [m].
 
 
 def make_limits() -> Limits:

@@ -29,25 +29,18 @@ BORE, ROD = 5.5 * units.INCH, 3.875 * units.INCH
 class LoadFeedback(Settings):
     """Gain and corner of dynamic load pressure feedback."""
 
-    gain: PerMode
-    """K_f [%/klbf]."""
-    corner: Annotated[float, Field(gt=0.0, le=50.0)]
-    """Corner of the high-pass [Hz]."""
+    gain: PerMode  #: K_f [%/klbf].
+    corner: Annotated[float, Field(gt=0.0, le=50.0)]  #: Corner of the high-pass [Hz].
 
 
 class CompiledLoadFeedback(NamedTuple):
     """Compiled parameters, SI."""
 
-    cap_area: float
-    """A_cap [m^2]."""
-    rod_area: float
-    """A_rod [m^2]."""
-    gain: NDArray[np.float64]
-    """K_f, (n,) [1/N]."""
-    mass: NDArray[np.float64]
-    """m, (n,) [kg]; 0 where the law knows none."""
-    passes: float
-    """1 - e^(-w T)."""
+    cap_area: float  #: A_cap [m^2].
+    rod_area: float  #: A_rod [m^2].
+    gain: NDArray[np.float64]  #: K_f, (n,) [1/N].
+    mass: NDArray[np.float64]  #: m, (n,) [kg]; 0 where the law knows none.
+    passes: float  #: 1 - e^(-w T).
 
 
 def make_load_feedback(

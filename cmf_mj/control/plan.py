@@ -74,12 +74,9 @@ _NYQUIST = Field(gt=0.0, le=200.0)
 class Plan(Settings):
     """A model of the actuator, the response it is to have, and the gains on errors from it."""
 
-    speed: Positive
-    """Leg speed per command k [in/s/%]."""
-    drive_lag: Annotated[float, _NYQUIST]
-    """Corner a of the servo drive [Hz]."""
-    valve_lag: Annotated[float, _NYQUIST]
-    """Corner b of the spool [Hz]."""
+    speed: Positive  #: Leg speed per command k [in/s/%].
+    drive_lag: Annotated[float, _NYQUIST]  #: Corner a of the servo drive [Hz].
+    valve_lag: Annotated[float, _NYQUIST]  #: Corner b of the spool [Hz].
     leak_rate: Annotated[float, Field(ge=0.0)] = 0.0
     """Rate 2 z w at which leakage relaxes a force [1/s]."""
     frequency: Annotated[float, _NYQUIST] | None = None
@@ -90,45 +87,29 @@ class Plan(Settings):
         BeforeValidator(as_tuples),
     ]
     """Two pole pairs of E: natural frequency [Hz] and damping ratio."""
-    pole: Annotated[float, _NYQUIST]
-    """Real pole of E [Hz]."""
-    rate: PerMode
-    """Fastest reference [in/s]."""
-    acceleration: PerMode
-    """Largest acceleration of the reference [in/s^2]."""
+    pole: Annotated[float, _NYQUIST]  #: Real pole of E [Hz].
+    rate: PerMode  #: Fastest reference [in/s].
+    acceleration: PerMode  #: Largest acceleration of the reference [in/s^2].
     approach: Annotated[float, _NYQUIST]
     """Frequency p at which the reference closes small errors, critically damped [Hz]."""
-    authority: Annotated[float, Field(gt=0.0, le=100.0)]
-    """Largest planned leg command [%]."""
-    position: PerMode = 0.0
-    """K_p [%/in]."""
-    velocity: PerMode = 0.0
-    """K_r [%/(in/s)]."""
+    authority: Annotated[float, Field(gt=0.0, le=100.0)]  #: Largest planned leg command [%].
+    position: PerMode = 0.0  #: K_p [%/in].
+    velocity: PerMode = 0.0  #: K_r [%/(in/s)].
 
 
 class CompiledPlan(NamedTuple):
     """Compiled parameters, SI; arrays by coordinate."""
 
-    transition: NDArray[np.float64]
-    """A, (n, 5, 5)."""
-    input: NDArray[np.float64]
-    """B, (n, 5)."""
-    feedback: NDArray[np.float64]
-    """K of u = N r - K x, (n, 5)."""
-    forward: NDArray[np.float64]
-    """N, (n,) [1/m]."""
-    rate: NDArray[np.float64]
-    """Fastest reference, (n,) [m per frame]."""
-    acceleration: NDArray[np.float64]
-    """Its largest change in a frame, (n,) [m per frame]."""
-    pull: float
-    """p, per frame."""
-    authority: float
-    """Largest planned leg command, fraction."""
-    position_gain: NDArray[np.float64]
-    """K_p, (n,) [1/m]."""
-    velocity_gain: NDArray[np.float64]
-    """K_r, (n,) [s/m]."""
+    transition: NDArray[np.float64]  #: A, (n, 5, 5).
+    input: NDArray[np.float64]  #: B, (n, 5).
+    feedback: NDArray[np.float64]  #: K of u = N r - K x, (n, 5).
+    forward: NDArray[np.float64]  #: N, (n,) [1/m].
+    rate: NDArray[np.float64]  #: Fastest reference, (n,) [m per frame].
+    acceleration: NDArray[np.float64]  #: Its largest change in a frame, (n,) [m per frame].
+    pull: float  #: p, per frame.
+    authority: float  #: Largest planned leg command, fraction.
+    position_gain: NDArray[np.float64]  #: K_p, (n,) [1/m].
+    velocity_gain: NDArray[np.float64]  #: K_r, (n,) [s/m].
 
 
 def actuator_polynomial(plan: Plan, frequency: float) -> NDArray[np.float64]:

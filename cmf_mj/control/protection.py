@@ -67,8 +67,7 @@ class Check(Settings):
 
     enabled: bool = True
     threshold: Quantity
-    persistence: Annotated[int, Field(ge=1)]
-    """Frames in a row that make a fault."""
+    persistence: Annotated[int, Field(ge=1)]  #: Frames in a row that make a fault.
 
 
 class ProtectionSettings(Settings):
@@ -82,8 +81,7 @@ class ProtectionSettings(Settings):
     over_acceleration: Check
     host_watchdog: Check
     frame_watchdog: Check
-    washout: Quantity
-    """Rate r at which the integrated velocity follows the position; below 1/T."""
+    washout: Quantity  #: Rate r at which the integrated velocity follows the position; below 1/T.
 
     @model_validator(mode="after")
     def _in_range(self) -> "ProtectionSettings":
@@ -107,11 +105,9 @@ class Protection(NamedTuple):
     """Compiled parameters; arrays (9,) are indexed by fault code."""
 
     enabled: NDArray[np.bool_]
-    threshold: NDArray[np.float64]
-    """SI; seconds and frames for the watchdogs."""
+    threshold: NDArray[np.float64]  #: SI; seconds and frames for the watchdogs.
     persistence: NDArray[np.int64]
-    washout: float
-    """r T, per frame."""
+    washout: float  #: r T, per frame.
 
 
 class ProtectionState(NamedTuple):
@@ -119,23 +115,17 @@ class ProtectionState(NamedTuple):
 
     counts: NDArray[np.int64]
     """Frames in a row each condition has held, (9, n); conditions of no leg use column 0."""
-    estimate: NDArray[np.float64]
-    """Integrated velocities z [m], (n,)."""
-    last: NDArray[np.int64]
-    """Frame before, (1,); -1 before the first."""
-    fault: NDArray[np.int64]
-    """Latched code, leg from 0 or -1 for the machine, and frame, (3,)."""
+    estimate: NDArray[np.float64]  #: Integrated velocities z [m], (n,).
+    last: NDArray[np.int64]  #: Frame before, (1,); -1 before the first.
+    fault: NDArray[np.int64]  #: Latched code, leg from 0 or -1 for the machine, and frame, (3,).
 
 
 class Fault(NamedTuple):
     """The latched fault."""
 
-    name: str
-    """One of `FAULTS`."""
-    leg: int | None
-    """Leg from 1; none for a fault of the machine."""
-    frame: int
-    """Frame in which it was detected."""
+    name: str  #: One of `FAULTS`.
+    leg: int | None  #: Leg from 1; none for a fault of the machine.
+    frame: int  #: Frame in which it was detected.
 
 
 def load_protection(source: str | Path | ProtectionSettings = "default") -> ProtectionSettings:

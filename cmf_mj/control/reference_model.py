@@ -66,46 +66,26 @@ from cmf_mj.core.rates import FRAME
 class CompiledModel(NamedTuple):
     """Compiled parameters, SI: m, m/s, m/s^2; commands as fractions."""
 
-    active: bool = False
-    """Whether the law has a reference model; all else is unused if not."""
-    position_stays: float = 1.0
-    """Next p_m of p_m."""
-    position_of_velocity: float = 0.0
-    """Next p_m of v_m [s]."""
-    position_of_reference: float = 0.0
-    """Next p_m of r."""
-    velocity_of_position: float = 0.0
-    """Next v_m of p_m [1/s]."""
-    velocity_stays: float = 0.0
-    """Next v_m of v_m."""
-    velocity_of_reference: float = 0.0
-    """Next v_m of r [1/s]."""
-    position_gain: float = 0.0
-    """K_p [1/m]."""
-    rate_gain: float = 0.0
-    """K_r [s/m]."""
-    velocity_gain: float = 0.0
-    """K_v [s/m]."""
-    acceleration_gain: float = 0.0
-    """K_a [s^2/m]."""
-    adapting: bool = False
-    """Whether the adaptation rate is above 0."""
-    adaptation_gain: float = 0.0
-    """rate K_v a frame [1/m s]."""
-    slope: float = 0.0
-    """c [1/s]."""
-    stays: float = 0.0
-    """Pole of H, per frame."""
-    level: float = 1.0
-    """Feed-forward of the normalisation, fraction."""
-    dead_zone: float = 0.0
-    """Dead zone of s [m/s]."""
-    leak: float = 0.0
-    """Part of d lost in a frame."""
-    lowest: float = 0.0
-    """Least d."""
-    highest: float = 0.0
-    """Largest d."""
+    active: bool = False  #: Whether the law has a reference model; all else is unused if not.
+    position_stays: float = 1.0  #: Next p_m of p_m.
+    position_of_velocity: float = 0.0  #: Next p_m of v_m [s].
+    position_of_reference: float = 0.0  #: Next p_m of r.
+    velocity_of_position: float = 0.0  #: Next v_m of p_m [1/s].
+    velocity_stays: float = 0.0  #: Next v_m of v_m.
+    velocity_of_reference: float = 0.0  #: Next v_m of r [1/s].
+    position_gain: float = 0.0  #: K_p [1/m].
+    rate_gain: float = 0.0  #: K_r [s/m].
+    velocity_gain: float = 0.0  #: K_v [s/m].
+    acceleration_gain: float = 0.0  #: K_a [s^2/m].
+    adapting: bool = False  #: Whether the adaptation rate is above 0.
+    adaptation_gain: float = 0.0  #: rate K_v a frame [1/m s].
+    slope: float = 0.0  #: c [1/s].
+    stays: float = 0.0  #: Pole of H, per frame.
+    level: float = 1.0  #: Feed-forward of the normalisation, fraction.
+    dead_zone: float = 0.0  #: Dead zone of s [m/s].
+    leak: float = 0.0  #: Part of d lost in a frame.
+    lowest: float = 0.0  #: Least d.
+    highest: float = 0.0  #: Largest d.
 
 
 def make_model(settings: ReferenceModel | None) -> CompiledModel:

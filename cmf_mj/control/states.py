@@ -88,43 +88,28 @@ class Request(IntEnum):
 class States(NamedTuple):
     """Compiled parameters, SI."""
 
-    fade: NDArray[np.float64]
-    """Least fade into each state [s], (7,)."""
-    stop_time: float
-    """Least S [s]."""
-    valve_time: float
-    """Fade of the valve command [s]."""
-    speed: float
-    """Largest speed of a fade [m/s]."""
-    acceleration: float
-    """Largest acceleration of a fade [m/s^2]."""
-    travel: float
-    """Working stroke either way [m]; settled is its lower end."""
-    settled_tolerance: float
-    """[m]."""
-    arrival_tolerance: float
-    """[m]."""
-    arrival_timeout: float
-    """[s]."""
-    frame: float
-    """T [s]."""
+    fade: NDArray[np.float64]  #: Least fade into each state [s], (7,).
+    stop_time: float  #: Least S [s].
+    valve_time: float  #: Fade of the valve command [s].
+    speed: float  #: Largest speed of a fade [m/s].
+    acceleration: float  #: Largest acceleration of a fade [m/s^2].
+    travel: float  #: Working stroke either way [m]; settled is its lower end.
+    settled_tolerance: float  #: [m].
+    arrival_tolerance: float  #: [m].
+    arrival_timeout: float  #: [s].
+    frame: float  #: T [s].
 
 
 class OperatingState(NamedTuple):
     """State of the state machine."""
 
-    code: NDArray[np.int64]
-    """The `State`, (1,)."""
-    clock: NDArray[np.float64]
-    """Time t since the last change, D and S of its fade [s], (3,)."""
+    code: NDArray[np.int64]  #: The `State`, (1,).
+    clock: NDArray[np.float64]  #: Time t since the last change, D and S of its fade [s], (3,).
     valve: NDArray[np.float64]
     """Phase of the valve fade, 0 to 1, and the gain on the valve command, s of it, (2,)."""
-    offset: NDArray[np.float64]
-    """d_p + q(S) [m], d_v [m/s] and d_a [m/s^2] of the fade, (3, n)."""
-    hold: NDArray[np.float64]
-    """Where hold keeps the legs [m], (n,)."""
-    host: NDArray[np.float64]
-    """The host's last position that was a number [m], (n,)."""
+    offset: NDArray[np.float64]  #: d_p + q(S) [m], d_v [m/s] and d_a [m/s^2] of the fade, (3, n).
+    hold: NDArray[np.float64]  #: Where hold keeps the legs [m], (n,).
+    host: NDArray[np.float64]  #: The host's last position that was a number [m], (n,).
 
 
 def make_states(settings: StateSettings | None = None) -> States:

@@ -26,16 +26,11 @@ from cmf_mj.core.compiled import compiled
 class Held(NamedTuple):
     """A discretised system of n states, m inputs and p outputs."""
 
-    transition: NDArray[np.float64]
-    """(n, n)."""
-    earlier: NDArray[np.float64]
-    """Of the input at the sample before, (n, m)."""
-    later: NDArray[np.float64]
-    """Of the input at the new sample, (n, m)."""
-    output: NDArray[np.float64]
-    """C, (p, n)."""
-    direct: NDArray[np.float64]
-    """D, (p, m)."""
+    transition: NDArray[np.float64]  #: (n, n).
+    earlier: NDArray[np.float64]  #: Of the input at the sample before, (n, m).
+    later: NDArray[np.float64]  #: Of the input at the new sample, (n, m).
+    output: NDArray[np.float64]  #: C, (p, n).
+    direct: NDArray[np.float64]  #: D, (p, m).
 
 
 def hold(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, interval: float) -> Held:

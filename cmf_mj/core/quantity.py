@@ -12,15 +12,12 @@ from cmf_mj.core.settings import Settings
 class Quantity(Settings):
     """One number as a source gives it."""
 
-    value: float
-    """Value in `unit`."""
-    unit: str
-    """Unit as published, e.g. `in/s/%`."""
+    value: float  #: Value in `unit`.
+    unit: str  #: Unit as published, e.g. `in/s/%`.
     status: Literal["stated", "derived", "calibrated", "assumed", "published", "recalled"]
     """How the number is known: `published` by another source than the report, `recalled` from
     general knowledge of the field and not checked."""
-    source: str = Field(min_length=1)
-    """Where it comes from, or why it was chosen."""
+    source: str = Field(min_length=1)  #: Where it comes from, or why it was chosen.
 
     @field_validator("unit")
     @classmethod
@@ -46,16 +43,11 @@ def positive_in(*allowed: str) -> AfterValidator:
 class Kind(NamedTuple):
     """What a quantity may be."""
 
-    units: tuple[str, ...]
-    """Units it may be given in."""
-    signed: bool = False
-    """Any sign."""
-    zero: bool = False
-    """Zero is allowed, and switches the effect off."""
-    below: float = float("inf")
-    """Upper bound of the SI value, excluded."""
-    at_most: float = float("inf")
-    """Upper bound of the SI value."""
+    units: tuple[str, ...]  #: Units it may be given in.
+    signed: bool = False  #: Any sign.
+    zero: bool = False  #: Zero is allowed, and switches the effect off.
+    below: float = float("inf")  #: Upper bound of the SI value, excluded.
+    at_most: float = float("inf")  #: Upper bound of the SI value.
 
     def check(self, quantity: Quantity) -> Quantity:
         """The quantity, if it has the right dimension and lies in range.

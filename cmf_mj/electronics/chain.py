@@ -52,14 +52,11 @@ from cmf_mj.plant.events import read_position
 class ElectronicsSettings(NamedTuple):
     """Choice of the electronics of a run; sets by name, TOML files, or loaded settings."""
 
-    sensors: str | Path | SensorSettings = "noisy"
-    """`ideal` or `noisy`."""
-    converters: str | Path | ConverterSettings = "sixteen_bit"
-    """`off` or `sixteen_bit`."""
+    sensors: str | Path | SensorSettings = "noisy"  #: `ideal` or `noisy`.
+    converters: str | Path | ConverterSettings = "sixteen_bit"  #: `off` or `sixteen_bit`.
     servo: str | Path | ServoSettings | None = None
     """File of changes to the servo electronics; default the shipped ones."""
-    seed: int = 0
-    """Of the sensors' noise."""
+    seed: int = 0  #: Of the sensors' noise.
 
     def describe(self) -> dict[str, Any]:
         """What a record keeps of the electronics."""
@@ -82,16 +79,12 @@ class Electronics(NamedTuple):
     compensation_state: LegAxesState
     gravity: NDArray[np.float64]
     """What the accelerometers feel of it, (n,) [m/s^2]; 0 where they feel none."""
-    inertial: NDArray[np.float64]
-    """Measured accelerations without it, (n,) [m/s^2]."""
+    inertial: NDArray[np.float64]  #: Measured accelerations without it, (n,) [m/s^2].
     servo: ServoElectronics
     servo_state: ServoState
-    reading: LegFeedback
-    """What the sensors put out."""
-    counts: NDArray[np.float64]
-    """At the DAC, (n,)."""
-    volts: NDArray[np.float64]
-    """At the DAC [V], (n,)."""
+    reading: LegFeedback  #: What the sensors put out.
+    counts: NDArray[np.float64]  #: At the DAC, (n,).
+    volts: NDArray[np.float64]  #: At the DAC [V], (n,).
 
 
 def make_electronics(settings: ElectronicsSettings, at_rest: LegFeedback) -> Electronics:

@@ -65,18 +65,12 @@ class FullScale(Settings):
 class ConverterSettings(Settings):
     """The analogue input card and its anti-alias filter."""
 
-    name: str
-    """Name of the set."""
-    quantise: bool
-    """Whether range and resolution act."""
-    bits: Annotated[int, Field(ge=4, le=32)]
-    """Resolution b of the converter."""
-    volts: Quantity
-    """Full-scale volts, either way."""
-    filter_order: Annotated[int, Field(ge=0, le=8)]
-    """Order of the anti-alias filter; 0 for none."""
-    filter_corner: Quantity
-    """Its -3 dB corner, below half the frame rate."""
+    name: str  #: Name of the set.
+    quantise: bool  #: Whether range and resolution act.
+    bits: Annotated[int, Field(ge=4, le=32)]  #: Resolution b of the converter.
+    volts: Quantity  #: Full-scale volts, either way.
+    filter_order: Annotated[int, Field(ge=0, le=8)]  #: Order of the anti-alias filter; 0 for none.
+    filter_corner: Quantity  #: Its -3 dB corner, below half the frame rate.
     full_scale: FullScale
 
     @model_validator(mode="after")
@@ -98,14 +92,10 @@ class ConverterSettings(Settings):
 class Converter(NamedTuple):
     """Compiled parameters of one channel."""
 
-    low_pass: NDArray[np.float64]
-    """Anti-alias filter, sections (s, 6)."""
-    quantise: bool
-    """Whether range and resolution act."""
-    step: float
-    """Smallest change of the reading, q / s [SI]."""
-    codes: float
-    """2^(b-1): codes are -codes to codes - 1."""
+    low_pass: NDArray[np.float64]  #: Anti-alias filter, sections (s, 6).
+    quantise: bool  #: Whether range and resolution act.
+    step: float  #: Smallest change of the reading, q / s [SI].
+    codes: float  #: 2^(b-1): codes are -codes to codes - 1.
 
 
 class Converters(NamedTuple):
@@ -131,10 +121,8 @@ class ConverterState(NamedTuple):
 class Alias(NamedTuple):
     """What sampling makes of a tone."""
 
-    frequency: float
-    """Where it appears [Hz], 0 to half the rate."""
-    gain: float
-    """Amplitude that the anti-alias filter leaves of it."""
+    frequency: float  #: Where it appears [Hz], 0 to half the rate.
+    gain: float  #: Amplitude that the anti-alias filter leaves of it.
 
 
 def load_converters(source: str | Path | ConverterSettings = "off") -> ConverterSettings:

@@ -33,12 +33,9 @@ _FILE = Path(__file__).with_suffix(".toml")
 class Bits(Settings):
     """Resolution of a converter."""
 
-    value: Annotated[int, Field(ge=0, le=32)]
-    """Bits; 0 for no quantisation."""
-    status: Literal["stated", "derived", "calibrated", "assumed"]
-    """How the number is known."""
-    source: str = Field(min_length=1)
-    """Where it comes from, or why it was chosen."""
+    value: Annotated[int, Field(ge=0, le=32)]  #: Bits; 0 for no quantisation.
+    status: Literal["stated", "derived", "calibrated", "assumed"]  #: How the number is known.
+    source: str = Field(min_length=1)  #: Where it comes from, or why it was chosen.
 
 
 class ServoSettings(Settings):
@@ -50,12 +47,9 @@ class ServoSettings(Settings):
     """Largest command the safety module passes."""
     rate_limit: Annotated[Quantity, positive_in("%/s", "1/s")]
     """Largest change of the command on the drive card."""
-    dac_range: Annotated[Quantity, positive_in("V")]
-    """Full-scale voltage R either way."""
-    full_command: Annotated[Quantity, positive_in("V")]
-    """Voltage F of full command."""
-    dac_bits: Bits
-    """Resolution n of the DAC."""
+    dac_range: Annotated[Quantity, positive_in("V")]  #: Full-scale voltage R either way.
+    full_command: Annotated[Quantity, positive_in("V")]  #: Voltage F of full command.
+    dac_bits: Bits  #: Resolution n of the DAC.
 
 
 def load_servo_settings(source: str | Path | ServoSettings | None = None) -> ServoSettings:
@@ -74,27 +68,19 @@ def load_servo_settings(source: str | Path | ServoSettings | None = None) -> Ser
 class ServoElectronics(NamedTuple):
     """Compiled parameters, SI, commands as fractions."""
 
-    switch_position: float
-    """Switch position either way [m]."""
-    velocity_clamp: float
-    """Largest command that passes."""
-    change: float
-    """Largest change of the command in one frame."""
-    full_command: float
-    """F [V]."""
-    dac_range: float
-    """R [V]."""
-    quantum: float
-    """q [V]; 0 without quantisation."""
+    switch_position: float  #: Switch position either way [m].
+    velocity_clamp: float  #: Largest command that passes.
+    change: float  #: Largest change of the command in one frame.
+    full_command: float  #: F [V].
+    dac_range: float  #: R [V].
+    quantum: float  #: q [V]; 0 without quantisation.
 
 
 class ServoState(NamedTuple):
     """State of the servo electronics."""
 
-    tripped: NDArray[np.bool_]
-    """Latched switches, (n, 2): retracted, extended."""
-    command: NDArray[np.float64]
-    """Command behind the rate limiter, fractions, (n,)."""
+    tripped: NDArray[np.bool_]  #: Latched switches, (n, 2): retracted, extended.
+    command: NDArray[np.float64]  #: Command behind the rate limiter, fractions, (n,).
 
 
 def make_servo_electronics(

@@ -39,16 +39,11 @@ class Chain(NamedTuple):
 
     dcu: dcu.Dcu
     dcu_state: dcu.DcuState
-    arrivals: dcu.Arrivals
-    """Host frames, known before the run or collected while it goes."""
-    live: bool
-    """Whether they are collected from the ring."""
-    ring: Ring
-    """Hand-over from the receiving thread."""
-    request_frame: NDArray[np.int64]
-    """Control frames of the operator's requests, (m,)."""
-    request: NDArray[np.int64]
-    """What is requested, `states.Request`, (m,)."""
+    arrivals: dcu.Arrivals  #: Host frames, known before the run or collected while it goes.
+    live: bool  #: Whether they are collected from the ring.
+    ring: Ring  #: Hand-over from the receiving thread.
+    request_frame: NDArray[np.int64]  #: Control frames of the operator's requests, (m,).
+    request: NDArray[np.int64]  #: What is requested, `states.Request`, (m,).
     pose_governor: governor.Governor
     pose_state: governor.GovernorState
     demand: demand.Demand
@@ -59,14 +54,10 @@ class Chain(NamedTuple):
     marks: NDArray[np.int64]
     """Next arrival, arrivals collected, request in force, operating state, whether a fault has
     just been left, (5,)."""
-    motion: NDArray[np.float64]
-    """Platform demand within its limits and its derivatives, (3, 6)."""
-    legs: NDArray[np.float64]
-    """Leg demand and its derivatives, (3, 6)."""
-    reference: NDArray[np.float64]
-    """Leg reference and its derivatives, (3, 6)."""
-    log: NDArray[np.float64]
-    """(rows, 21), see `LOG`."""
+    motion: NDArray[np.float64]  #: Platform demand within its limits and its derivatives, (3, 6).
+    legs: NDArray[np.float64]  #: Leg demand and its derivatives, (3, 6).
+    reference: NDArray[np.float64]  #: Leg reference and its derivatives, (3, 6).
+    log: NDArray[np.float64]  #: (rows, 21), see `LOG`.
 
 
 def make_chain(

@@ -76,42 +76,29 @@ class Machine(NamedTuple):
 class Controller(NamedTuple):
     """What commands the valves."""
 
-    closed: bool
-    """Whether the DCL does; the table does otherwise."""
-    dcl: control.Dcl
-    """Compiled law."""
-    state: control.DclState
-    """Its state."""
+    closed: bool  #: Whether the DCL does; the table does otherwise.
+    dcl: control.Dcl  #: Compiled law.
+    state: control.DclState  #: Its state.
     table: NDArray[np.float64]
     """Leg demands [m], or valve commands as fractions, (N, n); read again from the start after its
     last row."""
-    delay: int
-    """Frames from a DCL frame to its command at the valves."""
-    guarded: bool
-    """Whether a detected fault makes an emergency stop."""
-    protection: Protection
-    """Compiled thresholds."""
-    guard: ProtectionState
-    """What has been detected."""
+    delay: int  #: Frames from a DCL frame to its command at the valves.
+    guarded: bool  #: Whether a detected fault makes an emergency stop.
+    protection: Protection  #: Compiled thresholds.
+    guard: ProtectionState  #: What has been detected.
     electronics: Electronics | None
     """Sensors, converters and servo electronics; None for ideal ones."""
-    chain: Chain | None
-    """Where the reference comes from; None for the table."""
-    pace: Pace | None
-    """Real time; None for as fast as possible."""
+    chain: Chain | None  #: Where the reference comes from; None for the table.
+    pace: Pace | None  #: Real time; None for as fast as possible.
 
 
 class Layout(NamedTuple):
     """What the loop records, and how often."""
 
-    sensors: NDArray[np.int64]
-    """Indices into sensordata."""
-    gimbals: NDArray[np.int64]
-    """First indices of the gimbal error vectors."""
-    steps: int
-    """Mechanical steps in a frame."""
-    every: int
-    """Frames from row to row."""
+    sensors: NDArray[np.int64]  #: Indices into sensordata.
+    gimbals: NDArray[np.int64]  #: First indices of the gimbal error vectors.
+    steps: int  #: Mechanical steps in a frame.
+    every: int  #: Frames from row to row.
     out: NDArray[np.float64]
     """Record, (rows, columns); overwritten from the start after its last row."""
 
@@ -119,30 +106,19 @@ class Layout(NamedTuple):
 class Memory(NamedTuple):
     """What the loop keeps from frame to frame, so that it can be run in parts."""
 
-    extension: NDArray[np.float64]
-    """Extensions at the last step [m], (n,)."""
-    before: NDArray[np.float64]
-    """Those of the step before, (n,)."""
-    mean: NDArray[np.float64]
-    """Mean velocity between them [m/s], (n,)."""
-    mean_before: NDArray[np.float64]
-    """That of the step before, (n,)."""
-    load: NDArray[np.float64]
-    """Cylinder forces [N], (n,)."""
-    truth: control.LegFeedback
-    """True motion and pressures."""
-    feedback: control.LegFeedback
-    """What the DCL reads."""
-    reference: NDArray[np.float64]
-    """Leg reference [m], (n,)."""
-    signals: NDArray[np.float64]
-    """Inputs of the compensator, (n, 10)."""
-    output: NDArray[np.float64]
-    """Its outputs, (n,)."""
+    extension: NDArray[np.float64]  #: Extensions at the last step [m], (n,).
+    before: NDArray[np.float64]  #: Those of the step before, (n,).
+    mean: NDArray[np.float64]  #: Mean velocity between them [m/s], (n,).
+    mean_before: NDArray[np.float64]  #: That of the step before, (n,).
+    load: NDArray[np.float64]  #: Cylinder forces [N], (n,).
+    truth: control.LegFeedback  #: True motion and pressures.
+    feedback: control.LegFeedback  #: What the DCL reads.
+    reference: NDArray[np.float64]  #: Leg reference [m], (n,).
+    signals: NDArray[np.float64]  #: Inputs of the compensator, (n, 10).
+    output: NDArray[np.float64]  #: Its outputs, (n,).
     command: NDArray[np.float64]
     """Commands on their way to the valves, newest first, (delay + 1, n)."""
-    closure: NDArray[np.float64]
-    """Largest gimbal error since the last row [m], (1,)."""
+    closure: NDArray[np.float64]  #: Largest gimbal error since the last row [m], (1,).
     marks: NDArray[np.int64]
     """Next event; whether a limit switch has tripped; code, leg and frame of the last fault that
     was reset, (5,)."""

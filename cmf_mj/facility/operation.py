@@ -46,14 +46,11 @@ _LOG_CAPACITY = 200.0
 class FacilitySettings(NamedTuple):
     """Choice of everything between host and valves; names, TOML files or loaded settings."""
 
-    dcu: str | Path | DcuSettings = "default"
-    """Digital Control Unit."""
+    dcu: str | Path | DcuSettings = "default"  #: Digital Control Unit.
     limits: str | Path | MotionLimits | None = None
     """Limits of platform and legs; default Table 2-1 with the assumed rates."""
-    states: str | Path | StateSettings | None = None
-    """Operating states."""
-    demand: Demand | None = None
-    """Leg demand, with body flexibility if wanted; default rigid."""
+    states: str | Path | StateSettings | None = None  #: Operating states.
+    demand: Demand | None = None  #: Leg demand, with body flexibility if wanted; default rigid.
     electronics: ElectronicsSettings | None = ElectronicsSettings()
     """Sensors, converters, servo electronics; None for ideal ones."""
     protection: str | Path | ProtectionSettings | None = "default"
@@ -63,10 +60,8 @@ class FacilitySettings(NamedTuple):
 class Timing(NamedTuple):
     """How a run in real time kept up."""
 
-    busy: NDArray[np.float64]
-    """Computing time of each control frame [s], (N,)."""
-    late: NDArray[np.float64]
-    """How late each began [s], (N,)."""
+    busy: NDArray[np.float64]  #: Computing time of each control frame [s], (N,).
+    late: NDArray[np.float64]  #: How late each began [s], (N,).
 
     @property
     def over(self) -> int:
@@ -84,17 +79,13 @@ class Operation(NamedTuple):
     record: Record
     """All signals; `demand_pose`, its derivatives, `operating_state`, `host_stale` and
     `valve_gain` besides those of `simulate`."""
-    session: hosts.HostSession
-    """The host's frames as they arrived."""
-    counts: dict[str, int]
-    """What the DCU made of the frames: accepted, late, missing and so on."""
-    rejections: dict[str, int]
-    """Frames the DCU refused, by reason."""
+    session: hosts.HostSession  #: The host's frames as they arrived.
+    counts: dict[str, int]  #: What the DCU made of the frames: accepted, late, missing and so on.
+    rejections: dict[str, int]  #: Frames the DCU refused, by reason.
     unused: dict[str, int]
     """Frames received that never came to the DCU, of a run in real time: `early` before the clock
     started, `lost` between receiver and loop."""
-    timing: Timing | None
-    """Of a run in real time."""
+    timing: Timing | None  #: Of a run in real time.
 
 
 def operate(

@@ -26,22 +26,14 @@ _SPIN = 100e-6
 class Pace(NamedTuple):
     """Clock and log of a paced run."""
 
-    gettime: int
-    """Address of clock_gettime."""
-    nanosleep: int
-    """Address of nanosleep."""
-    clock: int
-    """Number of the monotonic clock."""
-    spec: NDArray[np.int64]
-    """Seconds and nanoseconds, workspace, (2,)."""
-    rest: NDArray[np.int64]
-    """Workspace, (2,)."""
-    origin: NDArray[np.float64]
-    """When frame 0 began [s]; NaN before, (1,)."""
-    busy: NDArray[np.float64]
-    """Computing time of each frame [s], (N,)."""
-    late: NDArray[np.float64]
-    """How late each frame began [s], (N,)."""
+    gettime: int  #: Address of clock_gettime.
+    nanosleep: int  #: Address of nanosleep.
+    clock: int  #: Number of the monotonic clock.
+    spec: NDArray[np.int64]  #: Seconds and nanoseconds, workspace, (2,).
+    rest: NDArray[np.int64]  #: Workspace, (2,).
+    origin: NDArray[np.float64]  #: When frame 0 began [s]; NaN before, (1,).
+    busy: NDArray[np.float64]  #: Computing time of each frame [s], (N,).
+    late: NDArray[np.float64]  #: How late each frame began [s], (N,).
 
 
 def make_pace(frames: int) -> Pace:

@@ -45,16 +45,11 @@ _NEEDS = {
 class Replay(NamedTuple):
     """A law's answer to recorded feedback."""
 
-    law: str
-    """Name of the law."""
-    time: NDArray[np.float64]
-    """Times of the record [s], (N,)."""
-    output: NDArray[np.float64]
-    """Compensator output, command fraction, (N, n)."""
-    recorded: NDArray[np.float64] | None
-    """The record's own, where it has one."""
-    interpolated: bool
-    """Whether the recording was below the control rate."""
+    law: str  #: Name of the law.
+    time: NDArray[np.float64]  #: Times of the record [s], (N,).
+    output: NDArray[np.float64]  #: Compensator output, command fraction, (N, n).
+    recorded: NDArray[np.float64] | None  #: The record's own, where it has one.
+    interpolated: bool  #: Whether the recording was below the control rate.
     factor: NDArray[np.float64]
     """Factor of an adapting law on its feed-forward, (N, n); 1 for any other."""
 

@@ -36,21 +36,16 @@ class LegAxes(NamedTuple):
     """Compiled parameters of the tracker."""
 
     geometry: Geometry
-    inverse: NDArray[np.float64]
-    """J0^-1, (6, 6): pose change per leg change."""
+    inverse: NDArray[np.float64]  #: J0^-1, (6, 6): pose change per leg change.
 
 
 class LegAxesState(NamedTuple):
     """Pose and legs as tracked."""
 
-    pose: NDArray[np.float64]
-    """(6,) [m, rad]."""
-    turn: NDArray[np.float64]
-    """T at the pose, (3, 3)."""
-    length: NDArray[np.float64]
-    """Pin-to-pin lengths [m], (6,)."""
-    direction: NDArray[np.float64]
-    """n, (6, 3), report axes."""
+    pose: NDArray[np.float64]  #: (6,) [m, rad].
+    turn: NDArray[np.float64]  #: T at the pose, (3, 3).
+    length: NDArray[np.float64]  #: Pin-to-pin lengths [m], (6,).
+    direction: NDArray[np.float64]  #: n, (6, 3), report axes.
 
 
 def make_leg_axes(geometry: Geometry | None = None) -> LegAxes:

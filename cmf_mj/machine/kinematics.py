@@ -42,12 +42,9 @@ _CLOSE = 0.02
 class Geometry(NamedTuple):
     """Gimbal positions of a Stewart platform, report axes."""
 
-    upper: NDArray[np.float64]
-    """Upper gimbals A in the platform frame [m], (6, 3)."""
-    lower: NDArray[np.float64]
-    """Lower gimbals B in the inertial frame [m], (6, 3)."""
-    neutral: NDArray[np.float64]
-    """Pin-to-pin leg lengths at the pose zero [m], (6,)."""
+    upper: NDArray[np.float64]  #: Upper gimbals A in the platform frame [m], (6, 3).
+    lower: NDArray[np.float64]  #: Lower gimbals B in the inertial frame [m], (6, 3).
+    neutral: NDArray[np.float64]  #: Pin-to-pin leg lengths at the pose zero [m], (6,).
 
 
 def make_geometry(upper: ArrayLike, lower: ArrayLike) -> Geometry:
@@ -329,10 +326,8 @@ def _legs_to_motion(geometry, poses, leg_rates, leg_accelerations, rates, accele
 class Motion(NamedTuple):
     """First and second time derivatives, of poses or of legs."""
 
-    velocity: NDArray[np.float64]
-    """(..., 6): m/s, and rad/s of the Euler angles."""
-    acceleration: NDArray[np.float64]
-    """(..., 6): m/s^2, and rad/s^2 of the Euler angles."""
+    velocity: NDArray[np.float64]  #: (..., 6): m/s, and rad/s of the Euler angles.
+    acceleration: NDArray[np.float64]  #: (..., 6): m/s^2, and rad/s^2 of the Euler angles.
 
 
 def _alike(**arrays: ArrayLike) -> list[NDArray[np.float64]]:

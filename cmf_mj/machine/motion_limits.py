@@ -29,16 +29,11 @@ _TRAVEL = Quantity(
 class Range(Settings):
     """A displacement range around zero as a source gives it."""
 
-    low: float = Field(lt=0.0)
-    """Lowest displacement, in `unit`."""
-    high: float = Field(gt=0.0)
-    """Highest displacement, in `unit`."""
-    unit: Literal["in", "m", "deg", "rad"]
-    """Unit as published."""
-    status: Literal["stated", "derived", "calibrated", "assumed"]
-    """How the range is known."""
-    source: str = Field(min_length=1)
-    """Where it comes from, or why it was chosen."""
+    low: float = Field(lt=0.0)  #: Lowest displacement, in `unit`.
+    high: float = Field(gt=0.0)  #: Highest displacement, in `unit`.
+    unit: Literal["in", "m", "deg", "rad"]  #: Unit as published.
+    status: Literal["stated", "derived", "calibrated", "assumed"]  #: How the range is known.
+    source: str = Field(min_length=1)  #: Where it comes from, or why it was chosen.
 
     @property
     def si(self) -> tuple[float, float]:
@@ -67,12 +62,9 @@ class _Axis(Settings):
 class Translation(_Axis):
     """Limits of surge, sway or heave."""
 
-    mechanical: Annotated[Range, _range_in("in", "m")]
-    """Displacement at which the machine ends."""
-    operational: Annotated[Range, _range_in("in", "m")]
-    """Displacement a demand may ask for."""
-    velocity: Annotated[Quantity, positive_in("in/s", "m/s")]
-    """Largest speed either way."""
+    mechanical: Annotated[Range, _range_in("in", "m")]  #: Displacement at which the machine ends.
+    operational: Annotated[Range, _range_in("in", "m")]  #: Displacement a demand may ask for.
+    velocity: Annotated[Quantity, positive_in("in/s", "m/s")]  #: Largest speed either way.
     acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
     """Largest acceleration either way."""
 
@@ -82,8 +74,7 @@ class Rotation(_Axis):
 
     mechanical: Annotated[Range, _range_in("deg", "rad")]
     """Displacement at which the machine ends."""
-    operational: Annotated[Range, _range_in("deg", "rad")]
-    """Displacement a demand may ask for."""
+    operational: Annotated[Range, _range_in("deg", "rad")]  #: Displacement a demand may ask for.
     velocity: Annotated[Quantity, positive_in("deg/s", "rad/s")]
     """Largest rate of the Euler angle either way."""
     acceleration: Annotated[Quantity, positive_in("deg/s^2", "rad/s^2")]
@@ -101,8 +92,7 @@ class Leg(Settings):
 
     position: Annotated[Quantity, positive_in("in", "m")] = _TRAVEL
     """Largest extension and retraction from neutral."""
-    velocity: Annotated[Quantity, positive_in("in/s", "m/s")]
-    """Largest leg speed either way."""
+    velocity: Annotated[Quantity, positive_in("in/s", "m/s")]  #: Largest leg speed either way.
     acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
     """Largest leg acceleration either way."""
     rejoin: Annotated[Quantity, positive_in("1"), AfterValidator(_share)]

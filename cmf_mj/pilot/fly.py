@@ -48,14 +48,10 @@ record hold vibration beyond half the host's rate."""
 class Use(NamedTuple):
     """Largest share of each limit in a run; 1 is the limit."""
 
-    leg_position: float
-    """Of the legs' working stroke, 37.5 in."""
-    leg_velocity: float
-    """Of the legs' limit, mean over a row of the record."""
-    pose: NDArray[np.float64]
-    """Of the operational limits of Table 2-1, (6,)."""
-    stops: float
-    """Largest force of a stop [N]; 0 if none was met."""
+    leg_position: float  #: Of the legs' working stroke, 37.5 in.
+    leg_velocity: float  #: Of the legs' limit, mean over a row of the record.
+    pose: NDArray[np.float64]  #: Of the operational limits of Table 2-1, (6,).
+    stops: float  #: Largest force of a stop [N]; 0 if none was met.
 
     @property
     def within(self) -> bool:
@@ -68,28 +64,19 @@ class Ride(NamedTuple):
 
     law: str
     cab: str
-    aircraft: PilotMotion | None
-    """At the pilot's station of the aircraft; None in direct mode."""
-    stream: hosts.HostStream
-    """What the host sends to the DCU."""
-    held: NDArray[np.bool_]
-    """Frames that the limits held back before they were sent, (N,)."""
+    aircraft: PilotMotion | None  #: At the pilot's station of the aircraft; None in direct mode.
+    stream: hosts.HostStream  #: What the host sends to the DCU.
+    held: NDArray[np.bool_]  #: Frames that the limits held back before they were sent, (N,).
     asked: PilotMotion
     """At the pilot's station of the cab, if the machine followed the frames at once."""
-    simulator: PilotMotion
-    """At the pilot's station of the cab, in truth."""
-    cueing: CueingError | None
-    """Sensed in the aircraft less sensed in the cab."""
-    machine: CueingError
-    """Sensed if the machine followed at once less sensed in the cab."""
-    use: Use
-    """Of the envelope."""
+    simulator: PilotMotion  #: At the pilot's station of the cab, in truth.
+    cueing: CueingError | None  #: Sensed in the aircraft less sensed in the cab.
+    machine: CueingError  #: Sensed if the machine followed at once less sensed in the cab.
+    use: Use  #: Of the envelope.
     host_delay: float
     """From the host's frames to the leg reference, by `transient_delay` of leg velocities [s]."""
-    loop_delay: float
-    """From there to the legs, likewise [s]: a mean over the flight's band."""
-    operation: Operation
-    """Record and account of the run."""
+    loop_delay: float  #: From there to the legs, likewise [s]: a mean over the flight's band.
+    operation: Operation  #: Record and account of the run.
 
     @property
     def fault(self) -> str | None:

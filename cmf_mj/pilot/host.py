@@ -22,14 +22,11 @@ MOST_RATE = 80.0
 class PilotSample(NamedTuple):
     """One frame of a host in aircraft mode, SI, body axes x forward, y right, z down."""
 
-    time: float
-    """[s], rising."""
+    time: float  #: [s], rising.
     specific_force: NDArray[np.float64]
     """At the pilot's station, acceleration less gravity [m/s^2], (3,)."""
-    angular_rate: NDArray[np.float64]
-    """[rad/s], (3,)."""
-    attitude: NDArray[np.float64]
-    """Roll, pitch, yaw [rad], yaw without wrapping, (3,)."""
+    angular_rate: NDArray[np.float64]  #: [rad/s], (3,).
+    attitude: NDArray[np.float64]  #: Roll, pitch, yaw [rad], yaw without wrapping, (3,).
 
 
 @runtime_checkable

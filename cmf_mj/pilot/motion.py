@@ -48,14 +48,12 @@ COLUMNS = {
 class PilotMotion:
     """Motion at a pilot's station; arrays are read-only."""
 
-    time: NDArray[np.float64]
-    """Sample times [s], rising, (N,)."""
+    time: NDArray[np.float64]  #: Sample times [s], rising, (N,).
     specific_force: NDArray[np.float64]
     """Acceleration less gravity at the pilot's station, body axes [m/s^2], (N, 3)."""
     angular_rate: NDArray[np.float64]
     """Angular velocity against inertial space, body axes [rad/s], (N, 3)."""
-    attitude: NDArray[np.float64]
-    """Roll, pitch, yaw [rad], (N, 3)."""
+    attitude: NDArray[np.float64]  #: Roll, pitch, yaw [rad], (N, 3).
 
     def __post_init__(self) -> None:
         """Take copies, check them and freeze them.

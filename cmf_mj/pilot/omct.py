@@ -93,8 +93,7 @@ class Omct(NamedTuple):
     washout: str
     cab: str
     hydraulics: str
-    frequency: NDArray[np.float64]
-    """[rad/s], (K,)."""
+    frequency: NDArray[np.float64]  #: [rad/s], (K,).
     responses: dict[str, NDArray[np.complex128]]
     """By `STAGES` and law: complex responses in SI, (10, K); NaN where the machine left its
     bounds."""

@@ -37,22 +37,17 @@ class Stage(NamedTuple):
     """A part of the way from host to pilot."""
 
     name: str
-    delay: float
-    """[s]; negative where it leads."""
-    known: bool
-    """Whether it is a setting; otherwise it is measured."""
+    delay: float  #: [s]; negative where it leads.
+    known: bool  #: Whether it is a setting; otherwise it is measured.
 
 
 class TransportDelay(NamedTuple):
     """The way from the host's stamp to the pilot's station."""
 
     dof: str
-    frequency: float
-    """[Hz]."""
-    stages: tuple[Stage, ...]
-    """In the order of the signal."""
-    host_to_reference: float
-    """Measured, to set beside the sum of the DCU's settings [s]."""
+    frequency: float  #: [Hz].
+    stages: tuple[Stage, ...]  #: In the order of the signal.
+    host_to_reference: float  #: Measured, to set beside the sum of the DCU's settings [s].
     total: float
     """Measured from host to pilot [s]; the stages add up to it but for what the DCU's settings
     differ from `host_to_reference`."""

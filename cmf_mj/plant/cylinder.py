@@ -52,30 +52,18 @@ _END = 20.0
 class Cylinder(NamedTuple):
     """Compiled parameters of one cylinder."""
 
-    cap_area: float
-    """A_cap [m^2]."""
-    rod_area: float
-    """A_rod [m^2]."""
-    half_stroke: float
-    """h [m]."""
-    minimum_gap: float
-    """g, length of a chamber at its stop [m]."""
-    leakage: float
-    """L [m^3/s/Pa]."""
-    bearing: float
-    """B [m^3/s/Pa]."""
-    cushion: float
-    """c [m]."""
-    cushion_opening: float
-    """G_stop over the gain of both valves."""
-    supply_hose: float
-    """Laminar resistance from the manifold to the valves [Pa s/m^3]."""
-    return_hose: float
-    """Laminar resistance from the valves to the return manifold [Pa s/m^3]."""
-    settle_gain: float
-    """Settle valve on the cap's side [m^3/s/sqrt(Pa)]."""
-    settle_rod_gain: float
-    """Settle valve on the rod's side [m^3/s/sqrt(Pa)]."""
+    cap_area: float  #: A_cap [m^2].
+    rod_area: float  #: A_rod [m^2].
+    half_stroke: float  #: h [m].
+    minimum_gap: float  #: g, length of a chamber at its stop [m].
+    leakage: float  #: L [m^3/s/Pa].
+    bearing: float  #: B [m^3/s/Pa].
+    cushion: float  #: c [m].
+    cushion_opening: float  #: G_stop over the gain of both valves.
+    supply_hose: float  #: Laminar resistance from the manifold to the valves [Pa s/m^3].
+    return_hose: float  #: Laminar resistance from the valves to the return manifold [Pa s/m^3].
+    settle_gain: float  #: Settle valve on the cap's side [m^3/s/sqrt(Pa)].
+    settle_rod_gain: float  #: Settle valve on the rod's side [m^3/s/sqrt(Pa)].
 
 
 def make_cylinders(parameters: HydraulicParameters, actuators: Sequence[str]) -> np.recarray:

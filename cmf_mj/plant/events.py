@@ -74,16 +74,12 @@ _SENSORS = ("sensor_stuck", "sensor_offset", "sensor_open")
 class Event(Settings):
     """One failure."""
 
-    at: Annotated[float, Field(ge=0.0)]
-    """When [s]."""
-    kind: Kind
-    """What fails."""
-    leg: Annotated[int, Field(ge=1)] | None = None
-    """Leg of a valve or sensor, from 1."""
+    at: Annotated[float, Field(ge=0.0)]  #: When [s].
+    kind: Kind  #: What fails.
+    leg: Annotated[int, Field(ge=1)] | None = None  #: Leg of a valve or sensor, from 1.
     valve: Annotated[int, Field(ge=1, le=2)] | None = None
     """Valve of the leg, 1 or 2; both if left out."""
-    size: tuple[float, str] | None = None
-    """How much, with its unit, e.g. `(1.0, "in^2")`."""
+    size: tuple[float, str] | None = None  #: How much, with its unit, e.g. `(1.0, "in^2")`.
 
     @model_validator(mode="after")
     def _complete(self) -> "Event":
@@ -144,16 +140,11 @@ def default_event(
 class Timeline(NamedTuple):
     """Events in order of time, as the compiled loop reads them, arrays (m,)."""
 
-    frame: NDArray[np.int64]
-    """Control frame."""
-    kind: NDArray[np.int64]
-    """Index into `KINDS`."""
-    leg: NDArray[np.int64]
-    """Leg from 0, -1 for none."""
-    valve: NDArray[np.int64]
-    """Valve from 0, -1 for both."""
-    size: NDArray[np.float64]
-    """In SI."""
+    frame: NDArray[np.int64]  #: Control frame.
+    kind: NDArray[np.int64]  #: Index into `KINDS`.
+    leg: NDArray[np.int64]  #: Leg from 0, -1 for none.
+    valve: NDArray[np.int64]  #: Valve from 0, -1 for both.
+    size: NDArray[np.float64]  #: In SI.
 
 
 def make_timeline(events: Sequence[Event], legs: int) -> Timeline:

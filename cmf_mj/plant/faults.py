@@ -16,14 +16,10 @@ STUCK, OFFSET, OPEN_CIRCUIT = 1.0, 2.0, 3.0
 class Faults(NamedTuple):
     """State of all that can fail; all zero when nothing has."""
 
-    plant: NDArray[np.float64]
-    """(5,), see the columns."""
-    valve: NDArray[np.float64]
-    """What each valve obeys, (n, 2), see `valve.NORMAL`."""
-    spool: NDArray[np.float64]
-    """Value put on an overridden spool, (n, 2)."""
-    sensor: NDArray[np.float64]
-    """State of each position sensor, (n,)."""
+    plant: NDArray[np.float64]  #: (5,), see the columns.
+    valve: NDArray[np.float64]  #: What each valve obeys, (n, 2), see `valve.NORMAL`.
+    spool: NDArray[np.float64]  #: Value put on an overridden spool, (n, 2).
+    sensor: NDArray[np.float64]  #: State of each position sensor, (n,).
     reading: NDArray[np.float64]
     """Reading of a stuck or open one, error of an offset one [m], (n,)."""
 

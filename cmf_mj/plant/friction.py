@@ -28,16 +28,11 @@ _DAMPING_TIME = 0.005
 class Friction(NamedTuple):
     """Compiled parameters of one contact."""
 
-    coulomb: float
-    """Fc [N]."""
-    excess: float
-    """Fb / Fc - 1."""
-    stribeck: float
-    """vs [m/s]."""
-    presliding: float
-    """d [m]."""
-    viscous: float
-    """b [N s/m]."""
+    coulomb: float  #: Fc [N].
+    excess: float  #: Fb / Fc - 1.
+    stribeck: float  #: vs [m/s].
+    presliding: float  #: d [m].
+    viscous: float  #: b [N s/m].
 
 
 def make_frictions(parameters: HydraulicParameters, actuators: Sequence[str]) -> np.recarray:

@@ -26,8 +26,7 @@ _LEGS = range(1, 7)
 class HydraulicModes(NamedTuple):
     """Undamped modes of the reflected mass on the oil springs, lowest first."""
 
-    frequency: NDArray[np.float64]
-    """Natural frequencies [rad/s], (6,)."""
+    frequency: NDArray[np.float64]  #: Natural frequencies [rad/s], (6,).
     leg_shape: NDArray[np.float64]
     """Leg motion of each mode, (6, 6), a column a mode, unit reflected mass."""
     pose_shape: NDArray[np.float64]

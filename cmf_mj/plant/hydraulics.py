@@ -70,47 +70,29 @@ _MECHANICAL, _FRICTION = len(FLOWS), len(FLOWS) + 1
 class Hydraulics(NamedTuple):
     """Compiled parameters of n actuators on one supply, for one length of step."""
 
-    valve: np.recarray
-    """(n, 2) of `valve.Valve`."""
-    cylinder: np.recarray
-    """(n,) of `cylinder.Cylinder`."""
-    friction: np.recarray
-    """(n,) of `friction.Friction`."""
-    oil: Oil
-    """One oil."""
-    supply: Supply
-    """One supply."""
-    laminar: float
-    """s of all orifices [sqrt(Pa)]."""
-    step: float
-    """Length of a step [s]."""
-    proof_pressure: float
-    """Largest chamber pressure [Pa]."""
+    valve: np.recarray  #: (n, 2) of `valve.Valve`.
+    cylinder: np.recarray  #: (n,) of `cylinder.Cylinder`.
+    friction: np.recarray  #: (n,) of `friction.Friction`.
+    oil: Oil  #: One oil.
+    supply: Supply  #: One supply.
+    laminar: float  #: s of all orifices [sqrt(Pa)].
+    step: float  #: Length of a step [s].
+    proof_pressure: float  #: Largest chamber pressure [Pa].
 
 
 class HydraulicState(NamedTuple):
     """State of n actuators and their supply."""
 
-    drive: NDArray[np.float64]
-    """Drive outputs, fractions, (n, 2)."""
-    play: NDArray[np.float64]
-    """Drive less spool command, fractions, (n, 2)."""
-    spool: NDArray[np.float64]
-    """Spool positions, fractions, (n, 2)."""
-    content: NDArray[np.float64]
-    """Oil in cap and rod chambers [m^3], (n, 2)."""
-    pressure: NDArray[np.float64]
-    """Pressures of cap and rod chambers [Pa], (n, 2)."""
-    bristle: NDArray[np.float64]
-    """Deflection of the friction contacts [m], (n,)."""
-    friction: NDArray[np.float64]
-    """Friction force [N], (n,)."""
-    supply: NDArray[np.float64]
-    """State of the supply, (9,), see `supply.SUPPLY`."""
-    energy: NDArray[np.float64]
-    """Energy passed since the start, see `ENERGIES`."""
-    stage: Stage
-    """Workspace."""
+    drive: NDArray[np.float64]  #: Drive outputs, fractions, (n, 2).
+    play: NDArray[np.float64]  #: Drive less spool command, fractions, (n, 2).
+    spool: NDArray[np.float64]  #: Spool positions, fractions, (n, 2).
+    content: NDArray[np.float64]  #: Oil in cap and rod chambers [m^3], (n, 2).
+    pressure: NDArray[np.float64]  #: Pressures of cap and rod chambers [Pa], (n, 2).
+    bristle: NDArray[np.float64]  #: Deflection of the friction contacts [m], (n,).
+    friction: NDArray[np.float64]  #: Friction force [N], (n,).
+    supply: NDArray[np.float64]  #: State of the supply, (9,), see `supply.SUPPLY`.
+    energy: NDArray[np.float64]  #: Energy passed since the start, see `ENERGIES`.
+    stage: Stage  #: Workspace.
 
 
 def make_hydraulics(

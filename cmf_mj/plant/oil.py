@@ -29,16 +29,11 @@ ATMOSPHERE = 101325.0
 class Oil(NamedTuple):
     """Compiled parameters of the oil."""
 
-    bulk_modulus: float
-    """beta [Pa]."""
-    compliance: float
-    """1 / beta [1/Pa]."""
-    entrained: float
-    """e, volume share at atmospheric pressure."""
-    exponent: float
-    """n."""
-    released: float
-    """c pa [Pa]; 0 without a cavitation floor."""
+    bulk_modulus: float  #: beta [Pa].
+    compliance: float  #: 1 / beta [1/Pa].
+    entrained: float  #: e, volume share at atmospheric pressure.
+    exponent: float  #: n.
+    released: float  #: c pa [Pa]; 0 without a cavitation floor.
 
 
 def make_oil(parameters: HydraulicParameters) -> Oil:

@@ -34,30 +34,20 @@ from cmf_mj.plant.parameters.loading import load_hydraulics
 class Mechanics(NamedTuple):
     """What the compiled loop needs of MuJoCo: three addresses and views of MjData."""
 
-    model: int
-    """Address of the mjModel."""
-    data: int
-    """Address of the mjData."""
+    model: int  #: Address of the mjModel.
+    data: int  #: Address of the mjData.
     position_stage: int
     """Address of mj_step1: kinematics and position sensors at the present state."""
-    force_stage: int
-    """Address of mj_step2: forces, acceleration and integration."""
-    motors: NDArray[np.int64]
-    """Indices of the hydraulic motors, (n,)."""
-    length: NDArray[np.float64]
-    """Lengths of all motors, fresh after the position stage, (nu,)."""
-    ctrl: NDArray[np.float64]
-    """Forces of all motors [N], (nu,)."""
+    force_stage: int  #: Address of mj_step2: forces, acceleration and integration.
+    motors: NDArray[np.int64]  #: Indices of the hydraulic motors, (n,).
+    length: NDArray[np.float64]  #: Lengths of all motors, fresh after the position stage, (nu,).
+    ctrl: NDArray[np.float64]  #: Forces of all motors [N], (nu,).
     payload: NDArray[np.float64]
     """External force and torque on each body in the world's axes, (nbody, 6)."""
-    payload_bodies: NDArray[np.int64]
-    """Bodies an overload rests on, in equal parts."""
-    sensordata: NDArray[np.float64]
-    """All sensors."""
-    qpos: NDArray[np.float64]
-    """Generalised positions."""
-    neutral: NDArray[np.float64]
-    """Lengths of the hydraulic motors at neutral, (n,)."""
+    payload_bodies: NDArray[np.int64]  #: Bodies an overload rests on, in equal parts.
+    sensordata: NDArray[np.float64]  #: All sensors.
+    qpos: NDArray[np.float64]  #: Generalised positions.
+    neutral: NDArray[np.float64]  #: Lengths of the hydraulic motors at neutral, (n,).
 
 
 class Plant:

@@ -28,19 +28,14 @@ LOSSES = ("valves", "lines", "leakage", "relief", "burst")
 class PowerBalance(NamedTuple):
     """Energies since the start [J] and oil [m^3], each (N,)."""
 
-    given: NDArray[np.float64]
-    """Work of pump and accumulators."""
-    lost: NDArray[np.float64]
-    """Losses of the oil, `LOSSES`."""
-    work: NDArray[np.float64]
-    """Work on the pistons, friction included."""
+    given: NDArray[np.float64]  #: Work of pump and accumulators.
+    lost: NDArray[np.float64]  #: Losses of the oil, `LOSSES`.
+    work: NDArray[np.float64]  #: Work on the pistons, friction included.
     stored: NDArray[np.float64]
     """Rise of the energy of compression, and of what the tank holds under return pressure; NaN
     where a chamber is torn open, as `residual` and `oil`."""
-    residual: NDArray[np.float64]
-    """given - lost - work - stored."""
-    oil: NDArray[np.float64]
-    """All oil, as the volume it would fill at atmospheric pressure."""
+    residual: NDArray[np.float64]  #: given - lost - work - stored.
+    oil: NDArray[np.float64]  #: All oil, as the volume it would fill at atmospheric pressure.
 
 
 def power_balance(plant: Plant, record: Record) -> PowerBalance:

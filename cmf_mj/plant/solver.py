@@ -40,88 +40,52 @@ _ITERATIONS = 60
 class Chambers(NamedTuple):
     """Workspace of one actuator; contents and volumes [m^3], pressures [Pa]."""
 
-    cap_in: float
-    """Flow gain from the supply into the cap chamber [m^3/s/sqrt(Pa)]."""
-    cap_out: float
-    """From the cap chamber to the return."""
-    rod_in: float
-    """From the supply into the rod chamber."""
-    rod_out: float
-    """From the rod chamber to the return."""
-    cap_volume: float
-    """V."""
-    rod_volume: float
-    """V."""
-    cap_known: float
-    """K."""
-    rod_known: float
-    """K."""
-    cap_change: float
-    """Change of the pressure over the last step."""
-    rod_change: float
-    """The same."""
-    cap: float
-    """Pressure, guess and result."""
-    rod: float
-    """The same."""
-    cap_content: float
-    """Result."""
-    rod_content: float
-    """Result."""
-    cap_yield: float
-    """Slope of the content with pressure."""
-    rod_yield: float
-    """The same."""
-    cap_alone: float
-    """Newton change with the manifolds held."""
-    rod_alone: float
-    """The same."""
-    cap_high: float
-    """Newton change per change of the supply manifold."""
-    rod_high: float
-    """The same."""
-    cap_low: float
-    """Newton change per change of the return manifold."""
-    rod_low: float
-    """The same."""
+    cap_in: float  #: Flow gain from the supply into the cap chamber [m^3/s/sqrt(Pa)].
+    cap_out: float  #: From the cap chamber to the return.
+    rod_in: float  #: From the supply into the rod chamber.
+    rod_out: float  #: From the rod chamber to the return.
+    cap_volume: float  #: V.
+    rod_volume: float  #: V.
+    cap_known: float  #: K.
+    rod_known: float  #: K.
+    cap_change: float  #: Change of the pressure over the last step.
+    rod_change: float  #: The same.
+    cap: float  #: Pressure, guess and result.
+    rod: float  #: The same.
+    cap_content: float  #: Result.
+    rod_content: float  #: Result.
+    cap_yield: float  #: Slope of the content with pressure.
+    rod_yield: float  #: The same.
+    cap_alone: float  #: Newton change with the manifolds held.
+    rod_alone: float  #: The same.
+    cap_high: float  #: Newton change per change of the supply manifold.
+    rod_high: float  #: The same.
+    cap_low: float  #: Newton change per change of the return manifold.
+    rod_low: float  #: The same.
 
 
 class Manifolds(NamedTuple):
     """Workspace of the supply, one row."""
 
-    high: float
-    """Pressure of the supply manifold, guess and result [Pa]."""
-    low: float
-    """Pressure of the return manifold, guess and result [Pa]."""
-    gas: float
-    """Gas pressure at the start of the step [Pa]."""
-    gas_rise: float
-    """Its slope with the oil in an accumulator [Pa/m^3]."""
-    gas_oil: float
-    """Oil in an accumulator at the start of the step [m^3]."""
-    running: float
-    """Whether the pump runs."""
-    bank: float
-    """Accumulators in service."""
-    burst: float
-    """Gain of the burst hose [m^3/s/sqrt(Pa)]."""
+    high: float  #: Pressure of the supply manifold, guess and result [Pa].
+    low: float  #: Pressure of the return manifold, guess and result [Pa].
+    gas: float  #: Gas pressure at the start of the step [Pa].
+    gas_rise: float  #: Its slope with the oil in an accumulator [Pa/m^3].
+    gas_oil: float  #: Oil in an accumulator at the start of the step [m^3].
+    running: float  #: Whether the pump runs.
+    bank: float  #: Accumulators in service.
+    burst: float  #: Gain of the burst hose [m^3/s/sqrt(Pa)].
 
 
 class Stage(NamedTuple):
     """Workspace of a step."""
 
-    chambers: np.recarray
-    """(n,) of `Chambers`."""
-    manifolds: np.recarray
-    """(1,) of `Manifolds`."""
-    known: NDArray[np.float64]
-    """K of supply, return, accumulator, pump flow and tank, (5,)."""
-    node: NDArray[np.float64]
-    """Result of the same, (5,)."""
-    power: NDArray[np.float64]
-    """Powers of the stage, see `FLOWS`."""
-    energy: NDArray[np.float64]
-    """Energies at the start of the step."""
+    chambers: np.recarray  #: (n,) of `Chambers`.
+    manifolds: np.recarray  #: (1,) of `Manifolds`.
+    known: NDArray[np.float64]  #: K of supply, return, accumulator, pump flow and tank, (5,).
+    node: NDArray[np.float64]  #: Result of the same, (5,).
+    power: NDArray[np.float64]  #: Powers of the stage, see `FLOWS`.
+    energy: NDArray[np.float64]  #: Energies at the start of the step.
 
 
 def make_stage(actuators: int) -> Stage:

@@ -40,44 +40,25 @@ CONTENTS = 4
 class Supply(NamedTuple):
     """Compiled parameters of the supply."""
 
-    constant: bool
-    """Whether both manifolds hold their pressure."""
-    pressure: float
-    """Ps [Pa], gauge."""
-    return_pressure: float
-    """Pt [Pa], gauge."""
-    pump_flow: float
-    """Qm [m^3/s]."""
-    pump_droop: float
-    """w [Pa]."""
-    pump_lag: float
-    """T [s]."""
-    pump_line: float
-    """Rp [Pa s/m^3]."""
-    relief_pressure: float
-    """Pressure at which the relief opens [Pa]."""
-    relief_conductance: float
-    """Its slope [m^3/s/Pa]."""
-    accumulators: float
-    """m."""
-    gas_volume: float
-    """V [m^3]."""
-    precharge: float
-    """pc [Pa], gauge."""
-    exponent: float
-    """n."""
-    accumulator_line: float
-    """Ra [Pa s/m^3]."""
-    supply_volume: float
-    """Oil volume of the supply manifold [m^3]."""
-    return_volume: float
-    """Oil volume of the return manifold [m^3]."""
-    tank_line: float
-    """Resistance from the return manifold to the tank [Pa s/m^3]."""
-    isolation_rate: float
-    """Travel of the isolation valve [1/s]."""
-    jet: float
-    """Flow per hole area and sqrt(pressure) of a burst hose, 0.7 sqrt(2 / density)."""
+    constant: bool  #: Whether both manifolds hold their pressure.
+    pressure: float  #: Ps [Pa], gauge.
+    return_pressure: float  #: Pt [Pa], gauge.
+    pump_flow: float  #: Qm [m^3/s].
+    pump_droop: float  #: w [Pa].
+    pump_lag: float  #: T [s].
+    pump_line: float  #: Rp [Pa s/m^3].
+    relief_pressure: float  #: Pressure at which the relief opens [Pa].
+    relief_conductance: float  #: Its slope [m^3/s/Pa].
+    accumulators: float  #: m.
+    gas_volume: float  #: V [m^3].
+    precharge: float  #: pc [Pa], gauge.
+    exponent: float  #: n.
+    accumulator_line: float  #: Ra [Pa s/m^3].
+    supply_volume: float  #: Oil volume of the supply manifold [m^3].
+    return_volume: float  #: Oil volume of the return manifold [m^3].
+    tank_line: float  #: Resistance from the return manifold to the tank [Pa s/m^3].
+    isolation_rate: float  #: Travel of the isolation valve [1/s].
+    jet: float  #: Flow per hole area and sqrt(pressure) of a burst hose, 0.7 sqrt(2 / density).
 
 
 def make_supply(parameters: HydraulicParameters) -> Supply:

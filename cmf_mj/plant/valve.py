@@ -38,30 +38,18 @@ NORMAL, OVERRIDE, JAMMED = 0.0, 1.0, 2.0
 class Valve(NamedTuple):
     """Compiled parameters of one valve."""
 
-    inner_fade: float
-    """Weight of the drive's offset in itself after the first stage of a step."""
-    inner_mixed: float
-    """Weight of the drive's offset in the spool after the first stage."""
-    inner_spool: float
-    """Weight of the spool's offset in itself after the first stage."""
-    fade: float
-    """The same after a whole step."""
-    mixed: float
-    """The same after a whole step."""
-    spool: float
-    """The same after a whole step."""
-    cap_gain: float
-    """k A_cap, cap port flow at full opening [m^3/s/sqrt(Pa)]."""
-    rod_gain: float
-    """k A_rod, rod port flow at full opening [m^3/s/sqrt(Pa)]."""
-    null_bias: float
-    """n, fraction."""
-    overlap: float
-    """o, fraction."""
-    play: float
-    """Half of the hysteresis, fraction."""
-    threshold: float
-    """Threshold pressure [Pa]."""
+    inner_fade: float  #: Weight of the drive's offset in itself after the first stage of a step.
+    inner_mixed: float  #: Weight of the drive's offset in the spool after the first stage.
+    inner_spool: float  #: Weight of the spool's offset in itself after the first stage.
+    fade: float  #: The same after a whole step.
+    mixed: float  #: The same after a whole step.
+    spool: float  #: The same after a whole step.
+    cap_gain: float  #: k A_cap, cap port flow at full opening [m^3/s/sqrt(Pa)].
+    rod_gain: float  #: k A_rod, rod port flow at full opening [m^3/s/sqrt(Pa)].
+    null_bias: float  #: n, fraction.
+    overlap: float  #: o, fraction.
+    play: float  #: Half of the hysteresis, fraction.
+    threshold: float  #: Threshold pressure [Pa].
 
 
 def make_valves(

@@ -39,16 +39,11 @@ LEGS = 6
 class Group(NamedTuple):
     """Six neighbouring columns, one a leg."""
 
-    channel: str
-    """Channel of the record."""
-    name: str
-    """Header name without the leg number."""
-    first: int
-    """Column of leg 1 in the block, 1-based."""
-    unit: str
-    """Unit in the file."""
-    si: str
-    """Unit in the record."""
+    channel: str  #: Channel of the record.
+    name: str  #: Header name without the leg number.
+    first: int  #: Column of leg 1 in the block, 1-based.
+    unit: str  #: Unit in the file.
+    si: str  #: Unit in the record.
 
     @property
     def names(self) -> list[str]:

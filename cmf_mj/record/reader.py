@@ -37,13 +37,10 @@ class _Table(NamedTuple):
 
     path: Path
     header_row: int
-    names: list[str]
-    """Known header names in canonical form, others as in the file."""
-    rows: list[int]
-    """Line numbers of the samples."""
+    names: list[str]  #: Known header names in canonical form, others as in the file.
+    rows: list[int]  #: Line numbers of the samples.
     lines: list[str]
-    separator: str | None
-    """None for blanks."""
+    separator: str | None  #: None for blanks.
     by_name: bool
     """Whether the header tells the columns; otherwise they are where the report has them."""
     trailer: Trailer | None

@@ -26,12 +26,10 @@ _SCHEMA_KEY = b"cmf_mj"
 class Record:
     """Labelled time histories of one run."""
 
-    time: NDArray[np.float64]
-    """Sample times [s], (N,)."""
+    time: NDArray[np.float64]  #: Sample times [s], (N,).
     channels: Mapping[str, NDArray[np.float64]]
     """Channel name to (N,) or (N, k) values in SI, read-only."""
-    units: Mapping[str, str]
-    """Channel name to SI unit."""
+    units: Mapping[str, str]  #: Channel name to SI unit.
     metadata: Mapping[str, Any]
     """Plant, law, command, seed, versions and model digest; plain JSON values."""
 

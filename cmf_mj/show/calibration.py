@@ -24,12 +24,9 @@ class CalibrationReport:
     """A calibration with its sensitivities, the spread of the velocity law, stability runs."""
 
     calibration: Calibration
-    sensitivity: Sensitivity
-    """At the shipped values."""
-    spread: tuple[Spread, ...]
-    """About the shipped values."""
-    verdicts: tuple[Verdict, ...]
-    """Step runs with the fitted values."""
+    sensitivity: Sensitivity  #: At the shipped values.
+    spread: tuple[Spread, ...]  #: About the shipped values.
+    verdicts: tuple[Verdict, ...]  #: Step runs with the fitted values.
 
 
 def examine(

@@ -130,8 +130,7 @@ class LawLoop(NamedTuple):
     """A law around one of the report's hardware models."""
 
     law: Law
-    model: int
-    """Linear model 1 to 3."""
+    model: int  #: Linear model 1 to 3.
     loop: control.StateSpace
     measures: LoopMeasures
 

@@ -36,18 +36,14 @@ class Linearized(NamedTuple):
     """A plant linearised in a configuration, with loops of one law."""
 
     plant: Plant
-    pose: NDArray[np.float64]
-    """[m, rad], (6,)."""
+    pose: NDArray[np.float64]  #: [m, rad], (6,).
     law: str
     point: OperatingPoint
     system: control.StateSpace
     modes: tuple[Mode, ...]
-    responses: dict[str, FrequencyResponse]
-    """Position per command, by degree of freedom or leg."""
-    models: dict[str, control.StateSpace]
-    """The same as minimal systems."""
-    loops: dict[str, FrequencyResponse]
-    """Demand to position under the law."""
+    responses: dict[str, FrequencyResponse]  #: Position per command, by degree of freedom or leg.
+    models: dict[str, control.StateSpace]  #: The same as minimal systems.
+    loops: dict[str, FrequencyResponse]  #: Demand to position under the law.
     comparisons: dict[str, Comparison]
     """The loops beside the simulation, where that was asked for."""
 

@@ -46,8 +46,7 @@ _RAW, _FILTERED, _TRUE = "#bbbbbb", "#d55e00", "#0072b2"
 class Readings(NamedTuple):
     """Leg accelerometers before and behind the DCL's filter, (N, 6) [m/s^2]."""
 
-    truth: NDArray[np.float64]
-    """Without bandwidth, bias, noise, resolution and range."""
+    truth: NDArray[np.float64]  #: Without bandwidth, bias, noise, resolution and range.
     raw: NDArray[np.float64]
     filtered: NDArray[np.float64]
 
@@ -55,32 +54,19 @@ class Readings(NamedTuple):
 class FilterEffect(NamedTuple):
     """What filter and sensors do at rest and in motion; predictions from closed forms."""
 
-    sensors: str
-    """Name of the sensor set."""
-    law: str
-    """Law whose filter and motion it is."""
-    rest: Readings
-    """Platform still at neutral."""
-    motion: Readings
-    """Heave of `AMPLITUDE` and `FREQUENCY`, last whole cycles."""
-    rest_reading: float
-    """Mean of the raw readings at rest [m/s^2]."""
-    axial_gravity: float
-    """g n . up of Appendix C, mean of the legs [m/s^2]."""
-    raw_rms: float
-    """Deviation of the raw readings at rest [m/s^2]."""
-    filtered_rms: float
-    """Deviation of the filtered readings at rest [m/s^2]."""
-    predicted_noise_gain: float
-    """b / sqrt(1 - a^2)."""
-    signal_gain: float
-    """Amplitude at `FREQUENCY`, filtered over raw."""
-    predicted_signal_gain: float
-    """|H|."""
-    delay: float
-    """Phase delay at `FREQUENCY` [s]."""
-    predicted_delay: float
-    """-arg H / (2 pi f) [s]."""
+    sensors: str  #: Name of the sensor set.
+    law: str  #: Law whose filter and motion it is.
+    rest: Readings  #: Platform still at neutral.
+    motion: Readings  #: Heave of `AMPLITUDE` and `FREQUENCY`, last whole cycles.
+    rest_reading: float  #: Mean of the raw readings at rest [m/s^2].
+    axial_gravity: float  #: g n . up of Appendix C, mean of the legs [m/s^2].
+    raw_rms: float  #: Deviation of the raw readings at rest [m/s^2].
+    filtered_rms: float  #: Deviation of the filtered readings at rest [m/s^2].
+    predicted_noise_gain: float  #: b / sqrt(1 - a^2).
+    signal_gain: float  #: Amplitude at `FREQUENCY`, filtered over raw.
+    predicted_signal_gain: float  #: |H|.
+    delay: float  #: Phase delay at `FREQUENCY` [s].
+    predicted_delay: float  #: -arg H / (2 pi f) [s].
 
     @property
     def noise_gain(self) -> float:

@@ -36,14 +36,12 @@ _OPERATIONAL = tuple(axis.operational.si for axis in load_motion_limits().axes)
 class Peaks(NamedTuple):
     """Largest magnitudes of a command; degrees of freedom in the order of a pose."""
 
-    displacement: NDArray[np.float64]
-    """Of the degrees of freedom [m, rad], (6,)."""
+    displacement: NDArray[np.float64]  #: Of the degrees of freedom [m, rad], (6,).
     velocity: NDArray[np.float64]
     """Of the degrees of freedom [m/s, rad/s], (6,); infinite for a jump of position."""
     acceleration: NDArray[np.float64]
     """Of the degrees of freedom [m/s^2, rad/s^2], (6,); infinite for a jump of velocity."""
-    leg_displacement: NDArray[np.float64]
-    """Of the legs from neutral [m], (6,)."""
+    leg_displacement: NDArray[np.float64]  #: Of the legs from neutral [m], (6,).
     leg_velocity: NDArray[np.float64]
     """Of the legs [m/s], (6,); infinite where a degree of freedom's is."""
     leg_acceleration: NDArray[np.float64]
@@ -63,14 +61,10 @@ class Limits(NamedTuple):
     of Table 2-1, from `motion_limits.toml`."""
     leg_displacement: float = WORKING_STROKE
     """Largest leg extension and retraction from neutral [m]."""
-    velocity: Sequence[float] = _UNLIMITED
-    """Of each degree of freedom [m/s, rad/s], (6,)."""
-    acceleration: Sequence[float] = _UNLIMITED
-    """Of each degree of freedom [m/s^2, rad/s^2], (6,)."""
-    leg_velocity: float = np.inf
-    """Of each leg [m/s]."""
-    leg_acceleration: float = np.inf
-    """Of each leg [m/s^2]."""
+    velocity: Sequence[float] = _UNLIMITED  #: Of each degree of freedom [m/s, rad/s], (6,).
+    acceleration: Sequence[float] = _UNLIMITED  #: Of each degree of freedom [m/s^2, rad/s^2], (6,).
+    leg_velocity: float = np.inf  #: Of each leg [m/s].
+    leg_acceleration: float = np.inf  #: Of each leg [m/s^2].
 
 
 def peaks(command: Command) -> Peaks:

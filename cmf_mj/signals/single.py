@@ -26,12 +26,10 @@ SPECTRA = ("flat", "acceleration")
 class Command:
     """A platform demand with its description."""
 
-    pose: NDArray[np.float64]
-    """Poses [m, rad], (N, 6), one a control frame."""
+    pose: NDArray[np.float64]  #: Poses [m, rad], (N, 6), one a control frame.
     description: Mapping[str, object] = field(default_factory=dict)
     """Kind, degree of freedom, amplitude, timing; plain JSON values, kept in the record."""
-    seed: int | None = None
-    """Seed of the random phases, where there are any."""
+    seed: int | None = None  #: Seed of the random phases, where there are any.
 
     def __post_init__(self) -> None:
         """Check the shape and freeze."""

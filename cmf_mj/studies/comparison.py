@@ -71,8 +71,7 @@ class Case:
     hydraulics: HydraulicParameters
     law: Law
     dof: str
-    amplitude: float
-    """Of the chirp [m or rad]."""
+    amplitude: float  #: Of the chirp [m or rad].
     quick: bool = False
     electronics: ElectronicsSettings | None = None
     """Sensors, converters, servo electronics; None for ideal ones."""
@@ -94,14 +93,11 @@ class CaseResult(NamedTuple):
     """What a case gave."""
 
     case: Case
-    response: FrequencyResponse | None
-    """None where the legs left what a platform pose can have."""
+    response: FrequencyResponse | None  #: None where the legs left what a platform pose can have.
     bandwidths: Bandwidths
     metrics: StepMetrics
-    step: Record
-    """The step run at 256 Hz."""
-    gimbal_error: float
-    """Largest gap of a closed gimbal over both runs [m]."""
+    step: Record  #: The step run at 256 Hz.
+    gimbal_error: float  #: Largest gap of a closed gimbal over both runs [m].
 
 
 class ComparisonRow(NamedTuple):

@@ -27,13 +27,11 @@ class Rate(NamedTuple):
 
     cab: str
     law: str
-    stable: Interval
-    """Share of machines that are stable."""
+    stable: Interval  #: Share of machines that are stable.
     damped: dict[str, Interval]
     """Share of machines that are stable and overshoot no more than at `ENOUGH_DAMPING`, by degree
     of freedom."""
-    mode_damping: Interval
-    """Mean of the least damping ratio of all modes."""
+    mode_damping: Interval  #: Mean of the least damping ratio of all modes.
 
 
 class Effect(NamedTuple):
@@ -48,22 +46,18 @@ class Effect(NamedTuple):
     """Difference of the damping ratios from the step's overshoot, over the same machines."""
     mode_damping: Interval
     """Difference of the least damping ratio of all modes, over all machines."""
-    stable: Interval
-    """Share of machines on which the law is stable."""
+    stable: Interval  #: Share of machines on which the law is stable.
 
 
 class Agreement(NamedTuple):
     """Linear cases beside the same ones simulated."""
 
     law: str
-    machines: int
-    """How many are compared."""
-    verdicts: int
-    """Of them with the same verdict."""
+    machines: int  #: How many are compared.
+    verdicts: int  #: Of them with the same verdict.
     phase_hz: float
     """Median of |simulated - linear| of the -90 deg bandwidth, all degrees of freedom [Hz]."""
-    damping_ratio: float
-    """Median of |simulated - linear| of the damping ratio from the overshoot."""
+    damping_ratio: float  #: Median of |simulated - linear| of the damping ratio from the overshoot.
 
 
 class Climb(NamedTuple):
@@ -74,10 +68,8 @@ class Climb(NamedTuple):
     phase_bandwidth_hz: float
     peak_gain_db: float
     damping_ratio: float
-    crosstalk: float
-    """Of the largest crosstalk out of this degree of freedom."""
-    laws: int
-    """Laws stable on this rung and the one before."""
+    crosstalk: float  #: Of the largest crosstalk out of this degree of freedom.
+    laws: int  #: Laws stable on this rung and the one before.
 
 
 def rows_of(table: pa.Table, **equal: object) -> list[Row]:

@@ -74,28 +74,23 @@ class StudyRow(NamedTuple):
     """Measures of one degree of freedom; NaN where a method has none, empty where all failed."""
 
     dof: str
-    stable: bool
-    """`linear`: all poles within the unit circle. Otherwise the verdict on the step."""
+    stable: bool  #: `linear`: all poles within the unit circle. Otherwise the verdict on the step.
     phase_bandwidth_hz: float
     gain_bandwidth_hz: float
     peak_gain_db: float
     overshoot: float
-    damping_ratio: float
-    """From the overshoot; NaN below an overshoot of 0.001."""
+    damping_ratio: float  #: From the overshoot; NaN below an overshoot of 0.001.
     steady_state_error: float
     mode_damping_ratio: float
     """`linear`: least damping ratio of all oscillating poles below 50 Hz; negative if unstable."""
-    mode_frequency_hz: float
-    """Its frequency."""
-    crosstalk_surge: float
-    """Into surge from this degree of freedom, and so on; NaN into itself."""
+    mode_frequency_hz: float  #: Its frequency.
+    crosstalk_surge: float  #: Into surge from this degree of freedom, and so on; NaN into itself.
     crosstalk_sway: float
     crosstalk_heave: float
     crosstalk_roll: float
     crosstalk_pitch: float
     crosstalk_yaw: float
-    error_type: str = ""
-    """Class of the error that ended the case."""
+    error_type: str = ""  #: Class of the error that ended the case.
     error_message: str = ""
 
 

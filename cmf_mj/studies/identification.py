@@ -63,24 +63,17 @@ class Identified:
     """A model of one axis with everything that judges it."""
 
     axis: str
-    law: str
-    """Name; empty where it is not known."""
-    selection: Selection | None
-    """Orders tried; None where they were given."""
+    law: str  #: Name; empty where it is not known.
+    selection: Selection | None  #: Orders tried; None where they were given.
     model: PolynomialModel
     validation: Experiment
-    estimation_fit: float
-    """Of the simulated model to the fitted runs, the least [%]."""
-    validation_fit: float
-    """To the run that was not fitted [%]."""
-    residuals: Residuals
-    """Of the validation run."""
-    continuous: ResponseFit
-    """Leg velocity per full command [m/s]."""
+    estimation_fit: float  #: Of the simulated model to the fitted runs, the least [%].
+    validation_fit: float  #: To the run that was not fitted [%].
+    residuals: Residuals  #: Of the validation run.
+    continuous: ResponseFit  #: Leg velocity per full command [m/s].
     response: FrequencyResponse | None
     """Measured from command to velocity, of the last broad run; None without one."""
-    loop: LoopErrors | None
-    """Closed with the law; None without a law or a broad run."""
+    loop: LoopErrors | None  #: Closed with the law; None without a law or a broad run.
 
 
 def identify(
@@ -232,10 +225,8 @@ class MatrixStudy:
 
     law: str
     comparison: DofComparison
-    measured_hz: tuple[float, ...]
-    """-90 deg bandwidth of each degree of freedom on its own [Hz]."""
-    shared_hz: tuple[float, ...]
-    """Of the heave model closed with the law, pressures zero."""
+    measured_hz: tuple[float, ...]  #: -90 deg bandwidth of each degree of freedom on its own [Hz].
+    shared_hz: tuple[float, ...]  #: Of the heave model closed with the law, pressures zero.
     matrix_hz: tuple[float, ...]
     """Of the 6 by 6 model closed with the law, pressures identified too."""
 

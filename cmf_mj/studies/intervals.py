@@ -22,8 +22,7 @@ class Interval(NamedTuple):
     value: float
     low: float
     high: float
-    machines: int
-    """How many it rests on."""
+    machines: int  #: How many it rests on.
 
 
 def share(outcomes: ArrayLike, method: Literal["wilson", "exact"] = "wilson") -> Interval:

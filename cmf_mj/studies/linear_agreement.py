@@ -39,14 +39,10 @@ SMALL = {"m": 0.004 * units.INCH, "rad": 0.0024 * units.to_si("deg", 1.0)}
 class Comparison(NamedTuple):
     """A closed loop measured and computed."""
 
-    signal: str
-    """Degree of freedom, or `leg_1` and so on."""
-    frequency: NDArray[np.float64]
-    """[Hz], (K,)."""
-    measured: NDArray[np.complex128]
-    """Position over demand of the simulation, (K,)."""
-    linear: NDArray[np.complex128]
-    """The same of the linearised loop, (K,)."""
+    signal: str  #: Degree of freedom, or `leg_1` and so on.
+    frequency: NDArray[np.float64]  #: [Hz], (K,).
+    measured: NDArray[np.complex128]  #: Position over demand of the simulation, (K,).
+    linear: NDArray[np.complex128]  #: The same of the linearised loop, (K,).
     plant: NDArray[np.complex128]
     """Position of the simulation over that of the linearised plant under the same valve commands,
     (K,); 1 where they agree."""

@@ -50,8 +50,7 @@ class Described(NamedTuple):
     """One point of the describing function."""
 
     frequency_hz: float
-    amplitude: float
-    """Of the demand [m or rad]."""
+    amplitude: float  #: Of the demand [m or rad].
     gain_db: float
     phase_deg: float
 
@@ -59,10 +58,8 @@ class Described(NamedTuple):
 class Threshold(NamedTuple):
     """One point of the dynamic threshold."""
 
-    acceleration: float
-    """Size of the acceleration step [m/s^2 or rad/s^2]."""
-    time: float
-    """To 63 % of it [s]; NaN if never."""
+    acceleration: float  #: Size of the acceleration step [m/s^2 or rad/s^2].
+    time: float  #: To 63 % of it [s]; NaN if never.
 
 
 @dataclass(frozen=True)
@@ -74,19 +71,16 @@ class Measurement:
     hydraulics: str
     law: str
     dof: str
-    amplitude: float
-    """Of the sweep [m or rad]."""
+    amplitude: float  #: Of the sweep [m or rad].
     response: FrequencyResponse
     bandwidths: Bandwidths
     second_order: metrics.SecondOrder
     step: StepMetrics
-    transport_delay: float
-    """Of the sweep, by cross-correlation [s]."""
+    transport_delay: float  #: Of the sweep, by cross-correlation [s].
     describing_function: tuple[Described, ...]
     half_hertz_noise: tuple[tuple[float, metrics.Noise], ...]
     """Demand amplitude [m or rad] and its noise."""
-    hysteresis: float
-    """Loop width over peak-to-peak, fraction."""
+    hysteresis: float  #: Loop width over peak-to-peak, fraction.
     threshold: tuple[Threshold, ...]
     crosstalk: NDArray[np.float64]
     """Accelerations over the driven one at 1 Hz, (6, 6), a row a driven degree of freedom; rad/s^2

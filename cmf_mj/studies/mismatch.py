@@ -47,10 +47,8 @@ class Spread(Settings):
     deviation: Annotated[float, Field(gt=0.0, lt=100.0)]
     """Standard deviation before it is cut off, half width of a uniform one, that of the logarithm
     [%]; for an offset of full scale."""
-    status: Literal["stated", "derived", "calibrated", "assumed"]
-    """How it is known."""
-    source: Annotated[str, Field(min_length=1)]
-    """Where it comes from, or why it was chosen."""
+    status: Literal["stated", "derived", "calibrated", "assumed"]  #: How it is known.
+    source: Annotated[str, Field(min_length=1)]  #: Where it comes from, or why it was chosen.
 
     def sample(self, generator: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """X of some parts."""
@@ -64,10 +62,8 @@ class Spread(Settings):
 class Mismatch(Settings):
     """All that scatters in a study."""
 
-    hydraulics: dict[str, Spread] = {}
-    """By field of a hydraulic set."""
-    sensor_gains: dict[str, Spread] = {}
-    """By channel of the sensors."""
+    hydraulics: dict[str, Spread] = {}  #: By field of a hydraulic set.
+    sensor_gains: dict[str, Spread] = {}  #: By channel of the sensors.
 
     def check(self) -> None:
         """Refuse names that cannot scatter.

@@ -63,16 +63,12 @@ class StudySettings(Settings):
     """Plants: rungs of the ladder of `variants`, or `machine`."""
     poses: Annotated[list[list[float]], Field(min_length=1)] = [[0.0] * 6]
     """Poses [in, deg], z down, that the motion is about."""
-    hydraulics: str = "hardware"
-    """Set by name or TOML file."""
+    hydraulics: str = "hardware"  #: Set by name or TOML file.
     amplitude: Annotated[float, Field(gt=0.0, le=20.0)] = 0.33
     """Of sweeps in translation [in]; rotations and steps in the report's proportions."""
-    quick: bool = True
-    """Sweep in 30 s instead of 100 s."""
-    seed: Annotated[int, Field(ge=0)] = 0
-    """Of the machines drawn and of sensor noise."""
-    draws: Annotated[int, Field(ge=0)] = 0
-    """Machines with mismatch, beside the nominal one."""
+    quick: bool = True  #: Sweep in 30 s instead of 100 s.
+    seed: Annotated[int, Field(ge=0)] = 0  #: Of the machines drawn and of sensor noise.
+    draws: Annotated[int, Field(ge=0)] = 0  #: Machines with mismatch, beside the nominal one.
     simulate_every: Annotated[int, Field(ge=0)] = 0
     """Of a linear study: one machine in this many is simulated too; 0 for none."""
     mismatch: Mismatch = Mismatch()
@@ -86,12 +82,10 @@ class StudyCase:
     method: Method
     rung: str
     cab: str
-    pose: tuple[float, ...]
-    """[m, rad], (6,)."""
+    pose: tuple[float, ...]  #: [m, rad], (6,).
     draw: int
     law: Law
-    dof: str
-    """Empty for all."""
+    dof: str  #: Empty for all.
     study: StudySettings
     hydraulics: HydraulicParameters
 

@@ -111,18 +111,15 @@ class Rung:
     """One plant and what stands between it and the law."""
 
     name: str
-    adds: str
-    """The effect it adds to the rung before, for tables and figures."""
+    adds: str  #: The effect it adds to the rung before, for tables and figures.
     single_legs: bool = False
     payload_inertia: bool = True
     centre_of_mass: bool = True
     leg_inertia: bool = True
-    network: bool = True
-    """The set's own supply; otherwise a constant one."""
+    network: bool = True  #: The set's own supply; otherwise a constant one.
     friction: bool = False
     electronics: bool = False
-    command_delay: int = 1
-    """Frames."""
+    command_delay: int = 1  #: Frames.
 
     @property
     def linear(self) -> bool:

@@ -134,8 +134,7 @@ class _Solved(NamedTuple):
     parameters: Real
     covariance: Real
     variance: float
-    loss: float
-    """Mean square of e."""
+    loss: float  #: Mean square of e.
 
 
 def _factor(runs: list[Experiment], row: int, orders: Orders, lag: int) -> _Factor:
@@ -183,10 +182,8 @@ class Candidate(NamedTuple):
     """One row of an order selection."""
 
     orders: Orders
-    parameters: int
-    """Of all rows of the model."""
-    loss: float
-    """Mean square of e over the mean square of y, mean over the outputs."""
+    parameters: int  #: Of all rows of the model.
+    loss: float  #: Mean square of e over the mean square of y, mean over the outputs.
     aic: float
     bic: float
     fit: float

@@ -48,20 +48,16 @@ _LONGEST = 8
 class Experiment:
     """One run as input and output series; arrays are read-only."""
 
-    input: Real
-    """(N, nu)."""
-    output: Real
-    """(N, ny)."""
-    step: float
-    """Sampling interval [s]."""
+    input: Real  #: (N, nu).
+    output: Real  #: (N, ny).
+    step: float  #: Sampling interval [s].
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
     input_units: tuple[str, ...]
     output_units: tuple[str, ...]
     reference: Real | None = None
     """External excitation, (N, nr), free of noise: the instrument of `instrumental_variable`."""
-    name: str = ""
-    """Of the run."""
+    name: str = ""  #: Of the run.
 
     def __post_init__(self) -> None:
         """Check shapes and freeze."""

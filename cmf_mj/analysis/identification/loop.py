@@ -107,14 +107,10 @@ class LoopErrors(NamedTuple):
 
     model: Bandwidths
     measured: Bandwidths
-    overshoot: float
-    """Of the model's step, fraction; NaN without a measured step."""
-    damping_ratio: float
-    """Of the model's step, from its overshoot."""
-    rise_time: float
-    """Of the model's step, 10 to 90 % [s]."""
-    step: StepMetrics | None
-    """The measured step."""
+    overshoot: float  #: Of the model's step, fraction; NaN without a measured step.
+    damping_ratio: float  #: Of the model's step, from its overshoot.
+    rise_time: float  #: Of the model's step, 10 to 90 % [s].
+    step: StepMetrics | None  #: The measured step.
 
     @property
     def phase_error(self) -> float:

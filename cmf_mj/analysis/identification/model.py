@@ -30,12 +30,9 @@ STABILITY = 1e-9
 class Orders(NamedTuple):
     """Orders of an ARX or output-error model."""
 
-    na: int
-    """Coefficients of A besides its leading 1, at least 1."""
-    nb: int
-    """Coefficients of each B, at least 1."""
-    nk: int = 1
-    """Delay from input to output [samples], at least 0."""
+    na: int  #: Coefficients of A besides its leading 1, at least 1.
+    nb: int  #: Coefficients of each B, at least 1.
+    nk: int = 1  #: Delay from input to output [samples], at least 0.
 
     def check(self) -> "Orders":
         """Refuse orders out of range, by their name."""
@@ -58,10 +55,8 @@ class Orders(NamedTuple):
 class Root(NamedTuple):
     """A pole or zero with its standard deviations."""
 
-    value: complex
-    """In the z plane."""
-    covariance: Real
-    """Of real and imaginary part, (2, 2); NaN where nothing is known."""
+    value: complex  #: In the z plane.
+    covariance: Real  #: Of real and imaginary part, (2, 2); NaN where nothing is known.
 
 
 @dataclass(frozen=True)
@@ -69,22 +64,14 @@ class PolynomialModel:
     """A discrete model B/A of nu inputs and ny outputs."""
 
     orders: Orders
-    denominators: Real
-    """A of each row, (ny, na + 1), leading 1."""
-    numerators: Real
-    """B with its leading zeros, (ny, nu, nk + nb)."""
-    step: float
-    """Sampling interval [s]."""
-    covariances: Real
-    """Of the parameters of each row, (ny, p, p)."""
-    noise_variance: Real
-    """Of e or v, (ny,), in squares of the outputs' units."""
-    noise: Literal["equation", "output"]
-    """Where the noise enters."""
-    method: str
-    """How the model was found."""
-    samples: int
-    """Samples the fit used."""
+    denominators: Real  #: A of each row, (ny, na + 1), leading 1.
+    numerators: Real  #: B with its leading zeros, (ny, nu, nk + nb).
+    step: float  #: Sampling interval [s].
+    covariances: Real  #: Of the parameters of each row, (ny, p, p).
+    noise_variance: Real  #: Of e or v, (ny,), in squares of the outputs' units.
+    noise: Literal["equation", "output"]  #: Where the noise enters.
+    method: str  #: How the model was found.
+    samples: int  #: Samples the fit used.
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
     input_units: tuple[str, ...]

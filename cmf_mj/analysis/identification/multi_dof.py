@@ -26,24 +26,18 @@ class DofScore(NamedTuple):
     """Validation fits of one degree of freedom [%]."""
 
     axis: str
-    shared: float
-    """With the model of the shared axis."""
-    own: float
-    """With its own model of its own command."""
-    matrix: float
-    """With its row of the matrix."""
+    shared: float  #: With the model of the shared axis.
+    own: float  #: With its own model of its own command.
+    matrix: float  #: With its row of the matrix.
 
 
 class DofComparison(NamedTuple):
     """Models per degree of freedom and what each is worth."""
 
     scores: tuple[DofScore, ...]
-    shared: str
-    """The axis whose model stands for all."""
-    own: tuple[PolynomialModel, ...]
-    """One input, one output each."""
-    matrix: PolynomialModel
-    """All inputs to all outputs."""
+    shared: str  #: The axis whose model stands for all.
+    own: tuple[PolynomialModel, ...]  #: One input, one output each.
+    matrix: PolynomialModel  #: All inputs to all outputs.
 
 
 def compare_dofs(

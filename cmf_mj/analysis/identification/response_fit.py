@@ -36,24 +36,16 @@ _LARGEST = 60.0
 class ResponseFit(NamedTuple):
     """A transfer function fitted to a response."""
 
-    rational: control.TransferFunction
-    """g N / D, continuous, without the delay."""
-    delay: float
-    """tau [s]."""
-    poles: Complex
-    """[rad/s], by modulus."""
-    zeros: Complex
-    """[rad/s], by modulus."""
-    pole_errors: Real
-    """Standard deviation of each pole, sqrt(var re + var im) [rad/s]."""
-    misfit: float
-    """Root of the mean of |H - H_k|^2 / |H_k|^2."""
-    loss: float
-    """Sum of the squared weighted residuals."""
+    rational: control.TransferFunction  #: g N / D, continuous, without the delay.
+    delay: float  #: tau [s].
+    poles: Complex  #: [rad/s], by modulus.
+    zeros: Complex  #: [rad/s], by modulus.
+    pole_errors: Real  #: Standard deviation of each pole, sqrt(var re + var im) [rad/s].
+    misfit: float  #: Root of the mean of |H - H_k|^2 / |H_k|^2.
+    loss: float  #: Sum of the squared weighted residuals.
     aic: float
     bic: float
-    reflected: int
-    """Poles of the vector fitting's last sweep that had to be reflected."""
+    reflected: int  #: Poles of the vector fitting's last sweep that had to be reflected.
     input_unit: str = ""
     output_unit: str = ""
 

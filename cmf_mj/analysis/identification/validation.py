@@ -86,15 +86,11 @@ def residuals(model: PolynomialModel, experiment: Experiment) -> Real:
 class Residuals(NamedTuple):
     """Correlations of the residual of one output, with the bounds of a right model."""
 
-    lags: Real
-    """0 to the largest [samples], (L,)."""
-    auto: Real
-    """R_ee / R_ee(0), (L,)."""
+    lags: Real  #: 0 to the largest [samples], (L,).
+    auto: Real  #: R_ee / R_ee(0), (L,).
     auto_bound: float
-    cross: Real
-    """R_eu / sqrt(R_ee(0) R_uu(0)) for each input, (nu, L)."""
-    cross_bound: Real
-    """(nu,)."""
+    cross: Real  #: R_eu / sqrt(R_ee(0) R_uu(0)) for each input, (nu, L).
+    cross_bound: Real  #: (nu,).
 
     @property
     def auto_outside(self) -> float:

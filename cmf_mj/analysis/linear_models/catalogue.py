@@ -26,35 +26,22 @@ class Correction(Settings):
 class ReportModel(Settings):
     """One numbered transfer function of the report."""
 
-    number: str
-    """Of the equation."""
-    model: str = ""
-    """The name the report gives the set it belongs to."""
-    title: str
-    """What it is."""
-    section: str
-    """Where it stands."""
-    input: str
-    """Label of the input."""
-    input_unit: str
-    """Unit of the input."""
-    output: str
-    """Label of the output."""
-    output_unit: str
-    """Unit of the output."""
-    unit_evidence: str = ""
-    """How the units are known; the report prints none."""
+    number: str  #: Of the equation.
+    model: str = ""  #: The name the report gives the set it belongs to.
+    title: str  #: What it is.
+    section: str  #: Where it stands.
+    input: str  #: Label of the input.
+    input_unit: str  #: Unit of the input.
+    output: str  #: Label of the output.
+    output_unit: str  #: Unit of the output.
+    unit_evidence: str = ""  #: How the units are known; the report prints none.
     numerator: tuple[float, ...] = ()
     """Coefficients, highest power first; empty where a formula takes parameters."""
     denominator: tuple[float, ...] = ()
-    rate: float | None = Field(default=None, gt=0.0)
-    """Sampling rate of a discrete one [Hz]."""
-    formula: str = ""
-    """Of an equation with parameters, `FeedbackLoop`."""
-    note: str = ""
-    """What to know before trusting it."""
-    corrected: Correction | None = None
-    """What the print has wrong."""
+    rate: float | None = Field(default=None, gt=0.0)  #: Sampling rate of a discrete one [Hz].
+    formula: str = ""  #: Of an equation with parameters, `FeedbackLoop`.
+    note: str = ""  #: What to know before trusting it.
+    corrected: Correction | None = None  #: What the print has wrong.
 
     @model_validator(mode="before")
     @classmethod

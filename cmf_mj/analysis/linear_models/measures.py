@@ -40,32 +40,19 @@ _OSCILLATING = 0.9
 class LoopMeasures(NamedTuple):
     """Measures of a closed loop; NaN where it has no such thing, of a step also where unstable."""
 
-    stable: bool
-    """Whether all poles lie within the unit circle."""
-    phase_bandwidth_hz: float
-    """First fall of the phase through -90 deg [Hz]."""
-    gain_bandwidth_hz: float
-    """First fall of the gain through -3 dB, from absolute 0 dB [Hz]."""
-    peak_gain_db: float
-    """Largest gain [dB]."""
-    static_gain: float
-    """Gain at rest."""
-    overshoot: float
-    """Of a step, over its final value."""
-    step_damping_ratio: float
-    """From the overshoot over the final value."""
-    demand_damping_ratio: float
-    """From the overshoot over the demanded step."""
-    peak_damping_ratio: float
-    """From the largest gain over absolute 0 dB."""
-    mode_damping_ratio: float
-    """Of the slowest pair of poles with a damping ratio below 0.9."""
-    mode_frequency_hz: float
-    """Modulus of that pair [Hz]."""
-    rise_time: float
-    """10 to 90 % [s]."""
-    settling_time: float
-    """Into 2 % of the final value [s]."""
+    stable: bool  #: Whether all poles lie within the unit circle.
+    phase_bandwidth_hz: float  #: First fall of the phase through -90 deg [Hz].
+    gain_bandwidth_hz: float  #: First fall of the gain through -3 dB, from absolute 0 dB [Hz].
+    peak_gain_db: float  #: Largest gain [dB].
+    static_gain: float  #: Gain at rest.
+    overshoot: float  #: Of a step, over its final value.
+    step_damping_ratio: float  #: From the overshoot over the final value.
+    demand_damping_ratio: float  #: From the overshoot over the demanded step.
+    peak_damping_ratio: float  #: From the largest gain over absolute 0 dB.
+    mode_damping_ratio: float  #: Of the slowest pair of poles with a damping ratio below 0.9.
+    mode_frequency_hz: float  #: Modulus of that pair [Hz].
+    rise_time: float  #: 10 to 90 % [s].
+    settling_time: float  #: Into 2 % of the final value [s].
 
 
 def step_response(
@@ -123,19 +110,14 @@ BANDWIDTH_TOLERANCE, DAMPING_TOLERANCE = 0.03, 0.1
 class TableRow(NamedTuple):
     """One entry of Table 4-1 beside the computed one."""
 
-    model: int
-    """Linear model 1 to 3."""
-    equation: str
-    """Of its velocity transfer function."""
-    quantity: str
-    """`-90 deg`, `-3 dB`, or `damping` with its reading."""
+    model: int  #: Linear model 1 to 3.
+    equation: str  #: Of its velocity transfer function.
+    quantity: str  #: `-90 deg`, `-3 dB`, or `damping` with its reading.
     unit: str
     published: float
     computed: float
-    deviation: float
-    """Computed minus published."""
-    tolerance: float
-    """Largest deviation that counts as within."""
+    deviation: float  #: Computed minus published.
+    tolerance: float  #: Largest deviation that counts as within.
     within: bool
 
 

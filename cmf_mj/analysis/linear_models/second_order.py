@@ -41,35 +41,23 @@ _HALF_POWER = 10.0 ** (-3.0 / 20.0)
 class FeedbackLoop(NamedTuple):
     """A plant of second order and the gains of the feedback around it (Figure 3-12)."""
 
-    natural_frequency: float
-    """w of the plant [rad/s]."""
-    damping_ratio: float
-    """zeta of the plant."""
-    position_gain: float = 0.0
-    """K_p."""
-    rate_gain: float = 0.0
-    """K_r [s]."""
-    acceleration_gain: float = 0.0
-    """K_a [s^2]."""
+    natural_frequency: float  #: w of the plant [rad/s].
+    damping_ratio: float  #: zeta of the plant.
+    position_gain: float = 0.0  #: K_p.
+    rate_gain: float = 0.0  #: K_r [s].
+    acceleration_gain: float = 0.0  #: K_a [s^2].
 
 
 class LoopCharacteristics(NamedTuple):
     """What a `FeedbackLoop` does, in closed form; NaN where a response has no such thing."""
 
-    natural_frequency_hz: float
-    """Of the closed loop [Hz]."""
-    damping_ratio: float
-    """Of the closed loop; negative where it is unstable."""
-    static_gain: float
-    """Gain at rest, 1 / (1 + K_p)."""
-    phase_bandwidth_hz: float
-    """Where the phase falls through -90 deg [Hz]; NaN without damping."""
-    gain_bandwidth_hz: float
-    """Where the gain falls 3 dB below the static gain [Hz]."""
-    peak_db: float
-    """Largest gain over the static gain [dB]."""
-    overshoot: float
-    """Of a step, over its final value."""
+    natural_frequency_hz: float  #: Of the closed loop [Hz].
+    damping_ratio: float  #: Of the closed loop; negative where it is unstable.
+    static_gain: float  #: Gain at rest, 1 / (1 + K_p).
+    phase_bandwidth_hz: float  #: Where the phase falls through -90 deg [Hz]; NaN without damping.
+    gain_bandwidth_hz: float  #: Where the gain falls 3 dB below the static gain [Hz].
+    peak_db: float  #: Largest gain over the static gain [dB].
+    overshoot: float  #: Of a step, over its final value.
 
 
 def _checked(loop: FeedbackLoop) -> tuple[float, float]:
@@ -153,14 +141,10 @@ def characteristics(loop: FeedbackLoop) -> LoopCharacteristics:
 class GainEffect(NamedTuple):
     """A loop with one gain varied."""
 
-    gain: Gain
-    """Which gain."""
-    value: float
-    """Its value [1, s or s^2]."""
-    loop: FeedbackLoop
-    """The loop with it."""
-    result: LoopCharacteristics
-    """What the loop does."""
+    gain: Gain  #: Which gain.
+    value: float  #: Its value [1, s or s^2].
+    loop: FeedbackLoop  #: The loop with it.
+    result: LoopCharacteristics  #: What the loop does.
 
 
 def gain_effect(loop: FeedbackLoop, gain: Gain, values: Sequence[float]) -> tuple[GainEffect, ...]:

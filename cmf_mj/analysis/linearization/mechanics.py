@@ -26,16 +26,11 @@ _SPEED = 1e-3
 class Mechanics(NamedTuple):
     """The linear mechanics of n actuators."""
 
-    extension: NDArray[np.float64]
-    """l [m], (n,)."""
-    load: NDArray[np.float64]
-    """F [N], (n,), positive pressing the legs together."""
-    mass: NDArray[np.float64]
-    """M_leg [kg], (n, n)."""
-    damping: NDArray[np.float64]
-    """D [N s/m], (n, n)."""
-    stiffness: NDArray[np.float64]
-    """G [N/m], (n, n)."""
+    extension: NDArray[np.float64]  #: l [m], (n,).
+    load: NDArray[np.float64]  #: F [N], (n,), positive pressing the legs together.
+    mass: NDArray[np.float64]  #: M_leg [kg], (n, n).
+    damping: NDArray[np.float64]  #: D [N s/m], (n, n).
+    stiffness: NDArray[np.float64]  #: G [N/m], (n, n).
 
 
 def linear_mechanics(plant: Plant, pose: ArrayLike | None = None) -> Mechanics:

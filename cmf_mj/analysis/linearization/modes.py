@@ -44,16 +44,11 @@ _STILL = 1e-6
 class Mode(NamedTuple):
     """One real pole or one pair."""
 
-    pole: complex
-    """[rad/s], of a pair the one above the real axis."""
-    frequency: float
-    """Modulus of the pole [rad/s]."""
-    damping_ratio: float
-    """-Re / modulus; 1 for a stable real pole, NaN for an integrator."""
-    shares: dict[str, float]
-    """Shares of the `FAMILIES`, sum 1."""
-    leg_shape: NDArray[np.complex128]
-    """Leg motion, (n,), the largest 1; zero where no leg moves."""
+    pole: complex  #: [rad/s], of a pair the one above the real axis.
+    frequency: float  #: Modulus of the pole [rad/s].
+    damping_ratio: float  #: -Re / modulus; 1 for a stable real pole, NaN for an integrator.
+    shares: dict[str, float]  #: Shares of the `FAMILIES`, sum 1.
+    leg_shape: NDArray[np.complex128]  #: Leg motion, (n,), the largest 1; zero where no leg moves.
     dof_shares: NDArray[np.float64]
     """Shares of the degrees of freedom in the leg motion, (6,); NaN where none are asked for."""
 

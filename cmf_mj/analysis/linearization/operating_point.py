@@ -37,22 +37,14 @@ _ROUNDS = 50
 class OperatingPoint(NamedTuple):
     """Rest of a plant with its hydraulics."""
 
-    mechanics: Mechanics
-    """Extensions, loads and the linear mechanics."""
-    command: NDArray[np.float64]
-    """Valve commands that hold the legs, fractions, (n,)."""
-    spool: NDArray[np.float64]
-    """Spool positions, fractions, (n, 2)."""
-    pressure: NDArray[np.float64]
-    """Pressures of cap and rod [Pa], (n, 2)."""
-    supply_pressure: float
-    """Of the supply manifold [Pa]."""
-    return_pressure: float
-    """Of the return manifold [Pa]."""
-    pump_flow: float
-    """[m^3/s]."""
-    accumulator_oil: float
-    """In one accumulator [m^3]."""
+    mechanics: Mechanics  #: Extensions, loads and the linear mechanics.
+    command: NDArray[np.float64]  #: Valve commands that hold the legs, fractions, (n,).
+    spool: NDArray[np.float64]  #: Spool positions, fractions, (n, 2).
+    pressure: NDArray[np.float64]  #: Pressures of cap and rod [Pa], (n, 2).
+    supply_pressure: float  #: Of the supply manifold [Pa].
+    return_pressure: float  #: Of the return manifold [Pa].
+    pump_flow: float  #: [m^3/s].
+    accumulator_oil: float  #: In one accumulator [m^3].
     outward: NDArray[np.float64]
     """Share of outward motion in the gains of closed valves, see `describing`, (n,)."""
 
@@ -114,8 +106,7 @@ class _Rest(NamedTuple):
     """What holds one leg."""
 
     command: float
-    pressure: NDArray[np.float64]
-    """Of cap and rod [Pa], (2,)."""
+    pressure: NDArray[np.float64]  #: Of cap and rod [Pa], (2,).
     ratio: float = 1.0
     """Openings outward over openings inward of a valve that is closed on average."""
 

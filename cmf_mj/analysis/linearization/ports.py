@@ -30,24 +30,18 @@ Matrix = NDArray[np.float64]
 class Slopes(NamedTuple):
     """Flows of an actuator [m^3/s] and their slopes, rows as `CAP` to `RETURNED`."""
 
-    flow: Matrix
-    """(4,)."""
-    pressure: Matrix
-    """With the pressures of cap, rod, supply and return [m^3/s/Pa], (4, 4)."""
-    opening: Matrix
-    """With the openings of both valves [m^3/s], (4, 2)."""
-    extension: Matrix
-    """With the extension, through a cushion [m^2/s], (4,)."""
+    flow: Matrix  #: (4,).
+    pressure: Matrix  #: With the pressures of cap, rod, supply and return [m^3/s/Pa], (4, 4).
+    opening: Matrix  #: With the openings of both valves [m^3/s], (4, 2).
+    extension: Matrix  #: With the extension, through a cushion [m^2/s], (4,).
 
 
 class Path(NamedTuple):
     """Flow through an orifice behind a hose."""
 
     flow: float
-    drop: float
-    """Slope with the pressure drop."""
-    gain: float
-    """Slope with the orifice's gain."""
+    drop: float  #: Slope with the pressure drop.
+    gain: float  #: Slope with the orifice's gain.
 
 
 def path(gain: float, hose: float, laminar: float, drop: float) -> Path:

@@ -44,8 +44,7 @@ NEIGHBOURS = 16
 class Estimate(NamedTuple):
     """A frequency response with what is known about its error; arrays are read-only."""
 
-    frequency: Real
-    """Lines [Hz], (K,), ascending."""
+    frequency: Real  #: Lines [Hz], (K,), ascending.
     response: Complex
     """Complex response, (K,), or (K, ny, nu) for a matrix; NaN where an input had no line."""
     coherence: Real

@@ -15,14 +15,10 @@ from cmf_mj.core.compiled import compiled
 class Arrivals(NamedTuple):
     """Host frames in the order in which they reach the DCU, good or bad."""
 
-    frame: NDArray[np.int64]
-    """Control frame of arrival, never falling, (N,)."""
-    sequence: NDArray[np.int64]
-    """Sequence numbers, (N,)."""
-    time: NDArray[np.float64]
-    """Host times [s], (N,)."""
-    values: NDArray[np.float64]
-    """Pose [m, rad], z down, and its two derivatives, (N, 3, 6)."""
+    frame: NDArray[np.int64]  #: Control frame of arrival, never falling, (N,).
+    sequence: NDArray[np.int64]  #: Sequence numbers, (N,).
+    time: NDArray[np.float64]  #: Host times [s], (N,).
+    values: NDArray[np.float64]  #: Pose [m, rad], z down, and its two derivatives, (N, 3, 6).
 
 
 @compiled

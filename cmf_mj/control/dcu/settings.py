@@ -40,10 +40,8 @@ class DelayBreakdown(Settings):
     A host whose mean interval is longer waits for that instead."""
     interpolation_hold: Quantity
     """Wait beyond the interval: what a frame may be late, or lost, without a trace."""
-    transmission: Quantity
-    """Transport from the host to the DCU, whole control frames."""
-    dcl_frame: Quantity
-    """From the DCU to the leg demand of the DCL, whole control frames."""
+    transmission: Quantity  #: Transport from the host to the DCU, whole control frames.
+    dcl_frame: Quantity  #: From the DCU to the leg demand of the DCL, whole control frames.
 
     @field_validator("*")
     @classmethod
@@ -83,47 +81,32 @@ class DelayBreakdown(Settings):
 class DcuLimits(Settings):
     """What a frame may hold, how gaps are closed and how silence ends; see `dcu.toml`."""
 
-    pose_translation: Quantity
-    """Largest surge, sway and heave of a frame."""
-    pose_rotation: Quantity
-    """Largest roll, pitch and yaw of a frame."""
-    velocity_translation: Quantity
-    """Largest translational velocity of a frame and between frames."""
-    velocity_rotation: Quantity
-    """Largest rate of an Euler angle of a frame and between frames."""
+    pose_translation: Quantity  #: Largest surge, sway and heave of a frame.
+    pose_rotation: Quantity  #: Largest roll, pitch and yaw of a frame.
+    velocity_translation: Quantity  #: Largest translational velocity of a frame and between frames.
+    velocity_rotation: Quantity  #: Largest rate of an Euler angle of a frame and between frames.
     acceleration_translation: Quantity
     """Largest translational acceleration of a frame and between frames."""
     acceleration_rotation: Quantity
     """Largest second derivative of an Euler angle of a frame and between frames."""
-    overtravel_translation: Quantity
-    """How far the demand may go beyond `pose_translation`."""
-    overtravel_rotation: Quantity
-    """How far the demand may go beyond `pose_rotation`."""
-    rejoin_velocity_translation: Quantity
-    """Speed at which a gap of position is closed."""
-    rejoin_velocity_rotation: Quantity
-    """Speed at which a gap of angle is closed."""
+    overtravel_translation: Quantity  #: How far the demand may go beyond `pose_translation`.
+    overtravel_rotation: Quantity  #: How far the demand may go beyond `pose_rotation`.
+    rejoin_velocity_translation: Quantity  #: Speed at which a gap of position is closed.
+    rejoin_velocity_rotation: Quantity  #: Speed at which a gap of angle is closed.
     rejoin_acceleration_translation: Quantity
     """Acceleration with which a gap of position is closed."""
-    rejoin_acceleration_rotation: Quantity
-    """Acceleration with which a gap of angle is closed."""
-    rejoin_time: Quantity
-    """Least time in which a gap is closed."""
-    minimum_interval: Quantity
-    """Least difference of host times between accepted frames."""
+    rejoin_acceleration_rotation: Quantity  #: Acceleration with which a gap of angle is closed.
+    rejoin_time: Quantity  #: Least time in which a gap is closed.
+    minimum_interval: Quantity  #: Least difference of host times between accepted frames.
     timeout: Quantity
     """Silence after which the stream is stale; longest gap between accepted frames; how long
     frame after frame may be late before the play clock is set anew."""
-    stop_time: Quantity
-    """Time in which the velocity of an interrupted demand comes to rest."""
+    stop_time: Quantity  #: Time in which the velocity of an interrupted demand comes to rest.
     acceleration_fade: Quantity
     """Time in which the acceleration of an interrupted demand has faded."""
-    clock_tolerance: Quantity
-    """Mean lateness of the host that is left alone."""
-    clock_rate: Quantity
-    """Most by which the play clock runs fast or slow."""
-    clock_time: Quantity
-    """Time constant of the play clock's correction."""
+    clock_tolerance: Quantity  #: Mean lateness of the host that is left alone.
+    clock_rate: Quantity  #: Most by which the play clock runs fast or slow.
+    clock_time: Quantity  #: Time constant of the play clock's correction.
 
     @field_validator("*")
     @classmethod
@@ -186,10 +169,8 @@ _ANGULAR = {
 class DcuSettings(Settings):
     """Everything a DCU is made of."""
 
-    delay: DelayBreakdown
-    """The delays and their sum."""
-    dcu: DcuLimits
-    """Limits, recovery and clock."""
+    delay: DelayBreakdown  #: The delays and their sum.
+    dcu: DcuLimits  #: Limits, recovery and clock.
 
     @model_validator(mode="after")
     def _in_time(self) -> "DcuSettings":
@@ -204,42 +185,27 @@ class DcuSettings(Settings):
 class Dcu(NamedTuple):
     """Compiled parameters, SI; six degrees of freedom in the order of a pose."""
 
-    host_interval: float
-    """Shortest wait of a frame for its successor [s]."""
-    hold: float
-    """Wait beyond it [s]."""
-    pose: NDArray[np.float64]
-    """Largest pose of a frame [m, rad], (6,)."""
+    host_interval: float  #: Shortest wait of a frame for its successor [s].
+    hold: float  #: Wait beyond it [s].
+    pose: NDArray[np.float64]  #: Largest pose of a frame [m, rad], (6,).
     velocity: NDArray[np.float64]
     """Largest velocity of a frame and between frames [m/s, rad/s], (6,)."""
     acceleration: NDArray[np.float64]
     """Largest acceleration of a frame and between frames [m/s^2, rad/s^2], (6,)."""
-    overtravel: NDArray[np.float64]
-    """How far the demand may leave `pose` [m, rad], (6,)."""
-    rejoin_velocity: NDArray[np.float64]
-    """Speed at which a gap closes [m/s, rad/s], (6,)."""
+    overtravel: NDArray[np.float64]  #: How far the demand may leave `pose` [m, rad], (6,).
+    rejoin_velocity: NDArray[np.float64]  #: Speed at which a gap closes [m/s, rad/s], (6,).
     rejoin_acceleration: NDArray[np.float64]
     """Acceleration with which a gap closes [m/s^2, rad/s^2], (6,)."""
-    rejoin_time: float
-    """Least time of closing a gap [s]."""
-    minimum_interval: float
-    """Least time between frames [s]."""
-    timeout: float
-    """Silence until stale [s]."""
-    stop_time: float
-    """Time in which velocity comes to rest [s]."""
-    fade_time: float
-    """Time in which acceleration fades [s]."""
-    clock_tolerance: float
-    """Lateness left alone [s]."""
-    clock_rate: float
-    """Most by which the play clock runs fast or slow."""
-    clock_time: float
-    """Time constant of its correction [s]."""
-    slew_time: float
-    """Time constant that smooths its rate [s]."""
-    line: int
-    """Control frames in the transport line."""
+    rejoin_time: float  #: Least time of closing a gap [s].
+    minimum_interval: float  #: Least time between frames [s].
+    timeout: float  #: Silence until stale [s].
+    stop_time: float  #: Time in which velocity comes to rest [s].
+    fade_time: float  #: Time in which acceleration fades [s].
+    clock_tolerance: float  #: Lateness left alone [s].
+    clock_rate: float  #: Most by which the play clock runs fast or slow.
+    clock_time: float  #: Time constant of its correction [s].
+    slew_time: float  #: Time constant that smooths its rate [s].
+    line: int  #: Control frames in the transport line.
 
 
 def load_dcu(source: str | Path | DcuSettings = "default") -> DcuSettings:

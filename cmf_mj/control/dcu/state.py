@@ -103,34 +103,21 @@ CAPACITY = 64
 class DcuState(NamedTuple):
     """State of a DCU; `real` and `whole` are indexed by the names of this module."""
 
-    real: NDArray[np.float64]
-    """Clocks and times, (15,)."""
-    whole: NDArray[np.int64]
-    """Flags and places, (12,)."""
-    time: NDArray[np.float64]
-    """Host times of buffered frames since the anchor [s], (64,)."""
-    frame: NDArray[np.float64]
-    """Buffered frames, (64, 3, 6): pose, velocity, acceleration."""
+    real: NDArray[np.float64]  #: Clocks and times, (15,).
+    whole: NDArray[np.int64]  #: Flags and places, (12,).
+    time: NDArray[np.float64]  #: Host times of buffered frames since the anchor [s], (64,).
+    frame: NDArray[np.float64]  #: Buffered frames, (64, 3, 6): pose, velocity, acceleration.
     apart: NDArray[np.int64]
     """1 where a buffered frame does not continue the one before it, (64,)."""
-    held: NDArray[np.float64]
-    """The frame that waits for confirmation, (3, 6)."""
-    polynomial: NDArray[np.float64]
-    """Coefficients of the present quintic, (6, 6)."""
-    origin: NDArray[np.float64]
-    """Motion from which the present stop began, (3, 6)."""
-    gap: NDArray[np.float64]
-    """Gap that is being closed, (3, 6)."""
-    base: NDArray[np.float64]
-    """Motion before correction, (3, 6), workspace."""
-    motion: NDArray[np.float64]
-    """Motion before limit and transport, (3, 6), workspace."""
-    line: NDArray[np.float64]
-    """Transport line, (frames + 1, 3, 6)."""
-    rejected: NDArray[np.int64]
-    """Refused frames by `REASONS`."""
-    events: NDArray[np.int64]
-    """Counts by `EVENTS`."""
+    held: NDArray[np.float64]  #: The frame that waits for confirmation, (3, 6).
+    polynomial: NDArray[np.float64]  #: Coefficients of the present quintic, (6, 6).
+    origin: NDArray[np.float64]  #: Motion from which the present stop began, (3, 6).
+    gap: NDArray[np.float64]  #: Gap that is being closed, (3, 6).
+    base: NDArray[np.float64]  #: Motion before correction, (3, 6), workspace.
+    motion: NDArray[np.float64]  #: Motion before limit and transport, (3, 6), workspace.
+    line: NDArray[np.float64]  #: Transport line, (frames + 1, 3, 6).
+    rejected: NDArray[np.int64]  #: Refused frames by `REASONS`.
+    events: NDArray[np.int64]  #: Counts by `EVENTS`.
 
     @property
     def stale(self) -> bool:

@@ -21,21 +21,14 @@ from cmf_mj.electronics.sensors.settings import ChannelSettings
 class Channel(NamedTuple):
     """Compiled parameters of one kind of sensor, SI."""
 
-    low_pass: NDArray[np.float64]
-    """Sections (s, 6) of H; none for an unlimited bandwidth."""
-    gain: NDArray[np.float64]
-    """1 + e of each leg or axis, (n,); none where all are exact."""
-    lowest: float
-    """Least reading, -inf for none."""
-    highest: float
-    """Largest reading, inf for none."""
+    low_pass: NDArray[np.float64]  #: Sections (s, 6) of H; none for an unlimited bandwidth.
+    gain: NDArray[np.float64]  #: 1 + e of each leg or axis, (n,); none where all are exact.
+    lowest: float  #: Least reading, -inf for none.
+    highest: float  #: Largest reading, inf for none.
     bias: float
-    deviation: float
-    """Standard deviation sigma of the noise in one frame."""
-    resolution: float
-    """Step between readings, 0 for none."""
-    keys: NDArray[np.uint64]
-    """Round keys of the noise, (10, 2)."""
+    deviation: float  #: Standard deviation sigma of the noise in one frame.
+    resolution: float  #: Step between readings, 0 for none.
+    keys: NDArray[np.uint64]  #: Round keys of the noise, (10, 2).
 
 
 def make_channel(name: str, settings: ChannelSettings, rate: float, seed: int) -> Channel:

@@ -31,18 +31,14 @@ _FILE = Path(__file__).with_name("sensors.toml")
 class ChannelSettings(Settings):
     """One kind of sensor; what is left out is ideal."""
 
-    lowest: Quantity | None = None
-    """Least reading."""
-    highest: Quantity | None = None
-    """Largest reading."""
-    bias: Quantity | None = None
-    """Constant error, the same for all legs or axes."""
+    lowest: Quantity | None = None  #: Least reading.
+    highest: Quantity | None = None  #: Largest reading.
+    bias: Quantity | None = None  #: Constant error, the same for all legs or axes.
     noise_density: Quantity | None = None
     """One-sided density of the white noise of the output, per root hertz."""
     bandwidth: Quantity | None = None
     """-3 dB corner of the first-order lag, below half the frame rate."""
-    resolution: Quantity | None = None
-    """Step between readings."""
+    resolution: Quantity | None = None  #: Step between readings.
     gain_errors: list[Quantity] = []
     """Relative error of the gain, one a leg or axis; none for none."""
 
@@ -75,8 +71,7 @@ class ChannelSettings(Settings):
 class SensorSettings(Settings):
     """A whole set of sensors."""
 
-    name: str
-    """Name of the set."""
+    name: str  #: Name of the set.
     gravity: bool
     """Whether the leg accelerometers sit on the rods and feel gravity and swing (Appendix C).
     Otherwise they read the second derivative of the leg extension, as the report's non-linear model

@@ -36,16 +36,11 @@ _STILL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, STANDARD_GRAVITY])
 class Truth(NamedTuple):
     """True motion and pressures of the legs, every array (n,), or (N, n) for a history."""
 
-    position: NDArray[np.float64]
-    """Extension from neutral [m]."""
-    velocity: NDArray[np.float64]
-    """[m/s]."""
-    acceleration: NDArray[np.float64]
-    """Second derivative of the extension [m/s^2]."""
-    cap_pressure: NDArray[np.float64]
-    """[Pa]."""
-    rod_pressure: NDArray[np.float64]
-    """[Pa]."""
+    position: NDArray[np.float64]  #: Extension from neutral [m].
+    velocity: NDArray[np.float64]  #: [m/s].
+    acceleration: NDArray[np.float64]  #: Second derivative of the extension [m/s^2].
+    cap_pressure: NDArray[np.float64]  #: [Pa].
+    rod_pressure: NDArray[np.float64]  #: [Pa].
 
 
 class Sensors(NamedTuple):
@@ -58,13 +53,10 @@ class Sensors(NamedTuple):
     rod_pressure: Channel
     platform_gyro: Channel
     platform_accelerometer: Channel
-    gravity: bool
-    """Whether the leg accelerometers feel gravity and swing."""
+    gravity: bool  #: Whether the leg accelerometers feel gravity and swing.
     axes: LegAxes
-    distance: float
-    """d, from an upper gimbal down to the accelerometer [m]."""
-    rate: float
-    """Frames a second [Hz]."""
+    distance: float  #: d, from an upper gimbal down to the accelerometer [m].
+    rate: float  #: Frames a second [Hz].
 
 
 class SensorState(NamedTuple):
@@ -78,8 +70,7 @@ class SensorState(NamedTuple):
     platform_gyro: NDArray[np.float64]
     platform_accelerometer: NDArray[np.float64]
     axes: LegAxesState
-    before: NDArray[np.float64]
-    """Directions of the legs one frame ago, (6, 3)."""
+    before: NDArray[np.float64]  #: Directions of the legs one frame ago, (6, 3).
 
 
 def make_sensors(settings: SensorSettings, rate: float, seed: int = 0) -> Sensors:

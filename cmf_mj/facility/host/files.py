@@ -71,14 +71,11 @@ def write_stream(stream: HostStream, path: str | Path) -> Path:
 class HostSession:
     """Everything a DCU got in a run, good or bad, and all it takes to run it again."""
 
-    arrivals: Arrivals
-    """Frames with the control frame in which they reached the DCU."""
-    frames: int
-    """Control frames of the run."""
+    arrivals: Arrivals  #: Frames with the control frame in which they reached the DCU.
+    frames: int  #: Control frames of the run.
     start: NDArray[np.float64] = field(default_factory=lambda: np.zeros(6))
     """Pose the demand rested at before [m, rad], (6,)."""
-    settings: DcuSettings = field(default_factory=load_dcu)
-    """The DCU."""
+    settings: DcuSettings = field(default_factory=load_dcu)  #: The DCU.
 
     def replay(self) -> NDArray[np.float64]:
         """The demand (frames, 3, 6) of the run, bit for bit."""

@@ -23,18 +23,12 @@ NEVER = np.iinfo(np.int64).max
 class Ring(NamedTuple):
     """The latest frames, as arrays that writer and reader both hold."""
 
-    mark: NDArray[np.int64]
-    """Count of the frame in each slot, -1 while it is written, (slots,)."""
-    sequence: NDArray[np.int64]
-    """(slots,)."""
-    time: NDArray[np.float64]
-    """(slots,)."""
-    values: NDArray[np.float64]
-    """(slots, 3, 6)."""
-    written: NDArray[np.int64]
-    """Frames written so far, (1,); the writer's."""
-    read: NDArray[np.int64]
-    """Frames read or lost so far, (1,); the reader's."""
+    mark: NDArray[np.int64]  #: Count of the frame in each slot, -1 while it is written, (slots,).
+    sequence: NDArray[np.int64]  #: (slots,).
+    time: NDArray[np.float64]  #: (slots,).
+    values: NDArray[np.float64]  #: (slots, 3, 6).
+    written: NDArray[np.int64]  #: Frames written so far, (1,); the writer's.
+    read: NDArray[np.int64]  #: Frames read or lost so far, (1,); the reader's.
     lost: NDArray[np.int64]
     """Frames the reader came too late for or had no room for, (1,); the reader's."""
 

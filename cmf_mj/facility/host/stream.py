@@ -27,31 +27,21 @@ LEAST = 6
 class HostFrame(NamedTuple):
     """One frame of the host."""
 
-    sequence: int
-    """Number, rising by one from frame to frame, 0 to 2^63 - 1."""
-    time: float
-    """Host time [s], of any origin."""
-    pose: NDArray[np.float64]
-    """Surge, sway, heave, roll, pitch, yaw [m, rad], z down, (6,)."""
-    velocity: NDArray[np.float64]
-    """First derivative of the pose [m/s, rad/s], Euler rates, (6,)."""
-    acceleration: NDArray[np.float64]
-    """Second derivative of the pose [m/s^2, rad/s^2], (6,)."""
+    sequence: int  #: Number, rising by one from frame to frame, 0 to 2^63 - 1.
+    time: float  #: Host time [s], of any origin.
+    pose: NDArray[np.float64]  #: Surge, sway, heave, roll, pitch, yaw [m, rad], z down, (6,).
+    velocity: NDArray[np.float64]  #: First derivative of the pose [m/s, rad/s], Euler rates, (6,).
+    acceleration: NDArray[np.float64]  #: Second derivative of the pose [m/s^2, rad/s^2], (6,).
 
 
 class HostStream(NamedTuple):
     """Frames of a host in the order in which it sends them."""
 
-    sequence: NDArray[np.int64]
-    """Numbers, (N,)."""
-    time: NDArray[np.float64]
-    """Host times [s], (N,)."""
-    pose: NDArray[np.float64]
-    """Poses [m, rad], z down, (N, 6)."""
-    velocity: NDArray[np.float64]
-    """First derivatives of the poses [m/s, rad/s], (N, 6)."""
-    acceleration: NDArray[np.float64]
-    """Second derivatives of the poses [m/s^2, rad/s^2], (N, 6)."""
+    sequence: NDArray[np.int64]  #: Numbers, (N,).
+    time: NDArray[np.float64]  #: Host times [s], (N,).
+    pose: NDArray[np.float64]  #: Poses [m, rad], z down, (N, 6).
+    velocity: NDArray[np.float64]  #: First derivatives of the poses [m/s, rad/s], (N, 6).
+    acceleration: NDArray[np.float64]  #: Second derivatives of the poses [m/s^2, rad/s^2], (N, 6).
 
     @property
     def values(self) -> NDArray[np.float64]:

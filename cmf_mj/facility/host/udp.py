@@ -119,14 +119,10 @@ class UdpReceiver:
 class SendReport(NamedTuple):
     """How a stream was sent."""
 
-    frames: int
-    """Datagrams sent."""
-    duration: float
-    """From the first to the last [s]."""
-    mean_lateness: float
-    """Mean time of sending behind the deadlines [s]."""
-    worst_lateness: float
-    """Largest of it [s]."""
+    frames: int  #: Datagrams sent.
+    duration: float  #: From the first to the last [s].
+    mean_lateness: float  #: Mean time of sending behind the deadlines [s].
+    worst_lateness: float  #: Largest of it [s].
 
 
 class UdpSender:

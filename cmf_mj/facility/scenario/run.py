@@ -46,34 +46,20 @@ _FOREVER = 2**62
 class Live(NamedTuple):
     """A look at a run, copied; arrays with a leg axis are (n,)."""
 
-    time: float
-    """Time of the next frame [s]."""
-    qpos: NDArray[np.float64]
-    """MuJoCo's generalised positions, (nq,)."""
-    demand: NDArray[np.float64]
-    """Platform demand of the last frame [m, rad], z down, (6,)."""
-    reference: NDArray[np.float64]
-    """Leg reference [m]."""
-    extension: NDArray[np.float64]
-    """True leg extension from neutral [m]."""
-    valve_command: NDArray[np.float64]
-    """Fraction of full command."""
-    cap_pressure: NDArray[np.float64]
-    """[Pa] gauge."""
-    rod_pressure: NDArray[np.float64]
-    """[Pa] gauge."""
-    force: NDArray[np.float64]
-    """Cylinder force [N], positive extending."""
-    supply_pressure: float
-    """[Pa] gauge."""
-    return_pressure: float
-    """[Pa] gauge."""
-    law: str
-    """Name of the law in force."""
-    state: str
-    """Operating state; empty without the chain."""
-    fault: Fault | None
-    """Fault detected."""
+    time: float  #: Time of the next frame [s].
+    qpos: NDArray[np.float64]  #: MuJoCo's generalised positions, (nq,).
+    demand: NDArray[np.float64]  #: Platform demand of the last frame [m, rad], z down, (6,).
+    reference: NDArray[np.float64]  #: Leg reference [m].
+    extension: NDArray[np.float64]  #: True leg extension from neutral [m].
+    valve_command: NDArray[np.float64]  #: Fraction of full command.
+    cap_pressure: NDArray[np.float64]  #: [Pa] gauge.
+    rod_pressure: NDArray[np.float64]  #: [Pa] gauge.
+    force: NDArray[np.float64]  #: Cylinder force [N], positive extending.
+    supply_pressure: float  #: [Pa] gauge.
+    return_pressure: float  #: [Pa] gauge.
+    law: str  #: Name of the law in force.
+    state: str  #: Operating state; empty without the chain.
+    fault: Fault | None  #: Fault detected.
 
 
 class _Due(NamedTuple):

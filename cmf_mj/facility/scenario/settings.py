@@ -40,14 +40,11 @@ def _ending(*allowed: str) -> AfterValidator:
 class Failure(Settings):
     """Something that fails at the time of a change."""
 
-    kind: Kind
-    """What fails."""
-    leg: Annotated[int, Field(ge=1)] | None = None
-    """Leg of a valve or sensor, from 1."""
+    kind: Kind  #: What fails.
+    leg: Annotated[int, Field(ge=1)] | None = None  #: Leg of a valve or sensor, from 1.
     valve: Annotated[int, Field(ge=1, le=2)] | None = None
     """Valve of the leg, 1 or 2; both if left out."""
-    size: tuple[float, str] | None = None
-    """How much, with its unit, as in `Event`."""
+    size: tuple[float, str] | None = None  #: How much, with its unit, as in `Event`.
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
@@ -66,12 +63,10 @@ class Push(Settings):
     that one frame.
     """
 
-    body: str = ""
-    """Body of the MuJoCo model; default the one that carries the payload."""
+    body: str = ""  #: Body of the MuJoCo model; default the one that carries the payload.
     force: Vector = (0.0, 0.0, 0.0)
     """At the body's centre of mass in MuJoCo's world axes: forward, left, up [N]."""
-    torque: Vector = (0.0, 0.0, 0.0)
-    """In the same axes [N m]."""
+    torque: Vector = (0.0, 0.0, 0.0)  #: In the same axes [N m].
 
 
 class Change(Settings):
@@ -79,22 +74,15 @@ class Change(Settings):
 
     at: Annotated[float, Field(ge=0.0)] | None = None
     """When [s], to the nearest control frame; in a file this or `frame`."""
-    frame: Annotated[int, Field(ge=0)] | None = None
-    """In which control frame."""
-    law: str | None = None
-    """Law that takes over, by name or TOML file; drops earlier `gains`."""
-    gains: Gains = {}
-    """Fields of the law in force to replace."""
+    frame: Annotated[int, Field(ge=0)] | None = None  #: In which control frame.
+    law: str | None = None  #: Law that takes over, by name or TOML file; drops earlier `gains`.
+    gains: Gains = {}  #: Fields of the law in force to replace.
     signal: tuple[Signal, ...] | None = None
     """Signals that take over, beginning now; `[]` goes to neutral."""
-    fade: Annotated[float, Field(ge=0.0)] = 1.0
-    """Time in which they do [s]; 0 jumps."""
-    failure: tuple[Failure, ...] = ()
-    """What fails."""
-    push: Push | None = None
-    """External force from now on."""
-    request: RequestName | None = None
-    """Operator's request, with `operation`."""
+    fade: Annotated[float, Field(ge=0.0)] = 1.0  #: Time in which they do [s]; 0 jumps.
+    failure: tuple[Failure, ...] = ()  #: What fails.
+    push: Push | None = None  #: External force from now on.
+    request: RequestName | None = None  #: Operator's request, with `operation`.
 
     @model_validator(mode="after")
     def _once(self) -> Self:
@@ -118,12 +106,9 @@ class Change(Settings):
 class ElectronicsChoice(Settings):
     """Sensors, converters and servo electronics; sets by name or TOML file."""
 
-    sensors: str = "noisy"
-    """`ideal`, `noisy` or a file."""
-    converters: str = "sixteen_bit"
-    """`off`, `sixteen_bit` or a file."""
-    servo: str | None = None
-    """File of changes to the servo electronics."""
+    sensors: str = "noisy"  #: `ideal`, `noisy` or a file.
+    converters: str = "sixteen_bit"  #: `off`, `sixteen_bit` or a file.
+    servo: str | None = None  #: File of changes to the servo electronics.
 
     def chosen(self, seed: int) -> ElectronicsSettings:
         """The same for a run."""
@@ -133,27 +118,20 @@ class ElectronicsChoice(Settings):
 class RequestAt(Settings):
     """One request of the operator."""
 
-    at: Annotated[float, Field(ge=0.0)]
-    """When [s]."""
-    request: RequestName
-    """What is requested."""
+    at: Annotated[float, Field(ge=0.0)]  #: When [s].
+    request: RequestName  #: What is requested.
 
 
 class OperationChoice(Settings):
     """The whole chain from host to valves; without it the signal is the demand itself."""
 
-    begin: Literal["off", "settled", "hold", "engaged"] = "settled"
-    """Operating state to begin in."""
-    request: tuple[RequestAt, ...] = (RequestAt(at=0.0, request="engage"),)
-    """Operator's requests."""
+    begin: Literal["off", "settled", "hold", "engaged"] = "settled"  #: Operating state to begin in.
+    request: tuple[RequestAt, ...] = (RequestAt(at=0.0, request="engage"),)  #: Operator's requests.
     host_every: Annotated[int, Field(ge=1)] = 26
     """Control frames from one host frame to the next; 26 are 78.8 Hz."""
-    dcu: str = "default"
-    """Digital Control Unit, `default` or a file."""
-    limits: str | None = None
-    """File of the limits of platform and legs."""
-    states: str | None = None
-    """File of the operating states' times."""
+    dcu: str = "default"  #: Digital Control Unit, `default` or a file.
+    limits: str | None = None  #: File of the limits of platform and legs.
+    states: str | None = None  #: File of the operating states' times.
 
     @property
     def state(self) -> State:
@@ -174,14 +152,10 @@ class OperationChoice(Settings):
 class VideoChoice(Settings):
     """A film of the run."""
 
-    file: Annotated[str, _ending(".mp4", ".gif")] = "video.mp4"
-    """Name."""
-    camera: str = "overview"
-    """Camera of the model."""
-    fps: Annotated[int, Field(ge=1, le=120)] = 30
-    """Pictures a second."""
-    speed: Annotated[float, Field(gt=0.0)] = 1.0
-    """Times real speed; below 1 is slow motion."""
+    file: Annotated[str, _ending(".mp4", ".gif")] = "video.mp4"  #: Name.
+    camera: str = "overview"  #: Camera of the model.
+    fps: Annotated[int, Field(ge=1, le=120)] = 30  #: Pictures a second.
+    speed: Annotated[float, Field(gt=0.0)] = 1.0  #: Times real speed; below 1 is slow motion.
 
 
 class Outputs(Settings):
@@ -191,45 +165,31 @@ class Outputs(Settings):
     """All signals, or false."""
     plot: Annotated[str, _ending(".png", ".svg", ".pdf")] | Literal[False] = "overview.png"
     """Figure of demand, response, valves and pressures, or false."""
-    video: VideoChoice | None = None
-    """Film."""
+    video: VideoChoice | None = None  #: Film.
 
 
 class Scenario(Settings):
     """One run."""
 
-    title: str = ""
-    """What it shows."""
-    plant: Literal["hexapod", "single_legs"] = "hexapod"
-    """The machine."""
-    cab: Literal["gfd", "rfd", "ifd"] = "gfd"
-    """Its cab; single legs have none."""
-    hydraulics: str = "hardware"
-    """`report`, `hardware`, `lossy` or a TOML file."""
-    law: str = "velocity"
-    """Control law by name or TOML file."""
-    gains: Gains = {}
-    """Fields of the law to replace."""
-    signal: tuple[Signal, ...] = ()
-    """Demand: the sum of these; none is rest at neutral."""
-    event: tuple[Event, ...] = ()
-    """Failures on the time line."""
+    title: str = ""  #: What it shows.
+    plant: Literal["hexapod", "single_legs"] = "hexapod"  #: The machine.
+    cab: Literal["gfd", "rfd", "ifd"] = "gfd"  #: Its cab; single legs have none.
+    hydraulics: str = "hardware"  #: `report`, `hardware`, `lossy` or a TOML file.
+    law: str = "velocity"  #: Control law by name or TOML file.
+    gains: Gains = {}  #: Fields of the law to replace.
+    signal: tuple[Signal, ...] = ()  #: Demand: the sum of these; none is rest at neutral.
+    event: tuple[Event, ...] = ()  #: Failures on the time line.
     electronics: ElectronicsChoice | None = None
     """Noisy sensors and servo electronics; default ideal ones."""
     protection: str | None = None
     """Fault detection that makes an emergency stop, `default` or a file; default none."""
-    operation: OperationChoice | None = None
-    """The chain from host to valves; default none."""
+    operation: OperationChoice | None = None  #: The chain from host to valves; default none.
     duration: Length | Literal["open"] = 10.0
     """Length [s]; an `open` run goes on until it is ended, and can only be run live."""
-    seed: int = 0
-    """Of noise and random phases."""
-    record_every: Annotated[int, Field(ge=1)] = 1
-    """Keep one control frame in this many."""
-    outputs: Outputs = Outputs()
-    """What to write."""
-    change: tuple[Change, ...] = ()
-    """What changes, in order of time."""
+    seed: int = 0  #: Of noise and random phases.
+    record_every: Annotated[int, Field(ge=1)] = 1  #: Keep one control frame in this many.
+    outputs: Outputs = Outputs()  #: What to write.
+    change: tuple[Change, ...] = ()  #: What changes, in order of time.
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

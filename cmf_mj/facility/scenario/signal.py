@@ -79,10 +79,8 @@ class _Signal(Settings):
 class _Single(_Signal):
     """A signal along one degree of freedom."""
 
-    dof: Dof
-    """Degree of freedom."""
-    amplitude: Amplitude
-    """Size and unit, such as `[2.0, "in"]`."""
+    dof: Dof  #: Degree of freedom.
+    amplitude: Amplitude  #: Size and unit, such as `[2.0, "in"]`.
 
     @model_validator(mode="after")
     def _fitting(self) -> Self:
@@ -102,16 +100,14 @@ class _Single(_Signal):
 class _Random(_Single):
     """A signal with random phases."""
 
-    seed: int | None = None
-    """Of the phases; default that of the scenario."""
+    seed: int | None = None  #: Of the phases; default that of the scenario.
 
 
 class Step(_Single):
     """A step, held for ever."""
 
     kind: Literal["step"]
-    at: float = 1.0
-    """Time [s]."""
+    at: float = 1.0  #: Time [s].
 
     def command(self, seed: int) -> Command:
         """The step."""
@@ -122,10 +118,8 @@ class Pulse(_Single):
     """A rectangular pulse."""
 
     kind: Literal["pulse"]
-    at: float = 1.0
-    """Start [s]."""
-    width: float = 1.0
-    """Time at the height [s]."""
+    at: float = 1.0  #: Start [s].
+    width: float = 1.0  #: Time at the height [s].
 
     def command(self, seed: int) -> Command:
         """The pulse."""
@@ -137,12 +131,9 @@ class Sine(_Single):
     """A sine, faded in by a raised cosine; without `cycles` it goes on for ever."""
 
     kind: Literal["sine"]
-    frequency: Annotated[float, Field(gt=0.0, le=RATE / 2)]
-    """Frequency [Hz]."""
-    cycles: Annotated[float, Field(gt=0.0)] | None = None
-    """Length; it is faded out at its end."""
-    fade: Annotated[float, Field(gt=0.0)] = 1.0
-    """Of the ends [s]."""
+    frequency: Annotated[float, Field(gt=0.0, le=RATE / 2)]  #: Frequency [Hz].
+    cycles: Annotated[float, Field(gt=0.0)] | None = None  #: Length; it is faded out at its end.
+    fade: Annotated[float, Field(gt=0.0)] = 1.0  #: Of the ends [s].
 
     def command(self, seed: int) -> Command:
         """The sine of so many cycles."""
@@ -175,16 +166,11 @@ class Chirp(_Single):
     """The report's chirp: frequency rising linearly (section 2.5)."""
 
     kind: Literal["chirp"]
-    start: float = 0.01
-    """First frequency [Hz]."""
-    stop: float = 10.0
-    """Last frequency [Hz]."""
-    duration: float = 100.0
-    """Length of the sweep [s]."""
-    settle: float = 2.0
-    """Rest before and after [s]."""
-    fade: float = 0.0
-    """Of the ends [s]."""
+    start: float = 0.01  #: First frequency [Hz].
+    stop: float = 10.0  #: Last frequency [Hz].
+    duration: float = 100.0  #: Length of the sweep [s].
+    settle: float = 2.0  #: Rest before and after [s].
+    fade: float = 0.0  #: Of the ends [s].
 
     def command(self, seed: int) -> Command:
         """The sweep."""
@@ -195,18 +181,12 @@ class Noise(_Random):
     """Gaussian noise within a band."""
 
     kind: Literal["noise"]
-    start: float = 0.1
-    """Lower edge [Hz]."""
-    stop: float = 10.0
-    """Upper edge [Hz]."""
-    duration: float = 100.0
-    """Length [s]."""
-    settle: float = 2.0
-    """Rest before and after [s]."""
-    fade: float = 2.0
-    """Of the ends [s]."""
-    scale: Literal["peak", "rms"] = "peak"
-    """What the amplitude is."""
+    start: float = 0.1  #: Lower edge [Hz].
+    stop: float = 10.0  #: Upper edge [Hz].
+    duration: float = 100.0  #: Length [s].
+    settle: float = 2.0  #: Rest before and after [s].
+    fade: float = 2.0  #: Of the ends [s].
+    scale: Literal["peak", "rms"] = "peak"  #: What the amplitude is.
 
     def command(self, seed: int) -> Command:
         """The noise."""
@@ -218,20 +198,14 @@ class Multisine(_Random):
     """Odd random-phase multisine of whole periods."""
 
     kind: Literal["multisine"]
-    start: float = 0.1
-    """Lowest line [Hz]."""
-    stop: float = 10.0
-    """Highest line [Hz]."""
-    period: float = 20.0
-    """Length of a period [s]."""
-    periods: int = 3
-    """Periods in all."""
+    start: float = 0.1  #: Lowest line [Hz].
+    stop: float = 10.0  #: Highest line [Hz].
+    period: float = 20.0  #: Length of a period [s].
+    periods: int = 3  #: Periods in all.
     spectrum: Literal["flat", "acceleration"] = "flat"
     """Of equal displacement, or of equal acceleration above the corner."""
-    corner: float = 1.0
-    """Frequency above which displacement falls as 1/f^2 [Hz]."""
-    fade: float = 1.0
-    """Of the ends [s]."""
+    corner: float = 1.0  #: Frequency above which displacement falls as 1/f^2 [Hz].
+    fade: float = 1.0  #: Of the ends [s].
 
     def command(self, seed: int) -> Command:
         """The multisine."""
@@ -243,14 +217,10 @@ class SevenSines(_Single):
     """One round of the facility's seven-channel generator (Table 2-3)."""
 
     kind: Literal["seven_sines"]
-    number: Annotated[int, Field(ge=1, le=5)]
-    """Round."""
-    cycles: int = 5
-    """Whole cycles of a dwell."""
-    fade: float = 1.0
-    """Before and after each dwell [s]."""
-    settle: float = 5.5
-    """Rest between the sines [s]."""
+    number: Annotated[int, Field(ge=1, le=5)]  #: Round.
+    cycles: int = 5  #: Whole cycles of a dwell.
+    fade: float = 1.0  #: Before and after each dwell [s].
+    settle: float = 5.5  #: Rest between the sines [s].
 
     def command(self, seed: int) -> Command:
         """The round."""
@@ -261,20 +231,13 @@ class SteppedSines(_Signal):
     """Each frequency at each amplitude."""
 
     kind: Literal["stepped_sines"]
-    dof: Dof
-    """Degree of freedom."""
-    frequencies: tuple[float, ...]
-    """One after the other [Hz]."""
-    amplitudes: tuple[Amplitude, ...]
-    """At each frequency, one after the other."""
-    cycles: int = 10
-    """Whole cycles of a dwell."""
-    transient: float = 2.0
-    """At full amplitude before each dwell [s]."""
-    fade: float = 1.0
-    """Before the transient and after the dwell [s]."""
-    settle: float = 1.0
-    """Rest between the sines [s]."""
+    dof: Dof  #: Degree of freedom.
+    frequencies: tuple[float, ...]  #: One after the other [Hz].
+    amplitudes: tuple[Amplitude, ...]  #: At each frequency, one after the other.
+    cycles: int = 10  #: Whole cycles of a dwell.
+    transient: float = 2.0  #: At full amplitude before each dwell [s].
+    fade: float = 1.0  #: Before the transient and after the dwell [s].
+    settle: float = 1.0  #: Rest between the sines [s].
 
     @model_validator(mode="after")
     def _fitting(self) -> Self:
@@ -299,14 +262,10 @@ class AccelerationStep(_Signal):
     """Constant acceleration, then the opposite: ends at rest."""
 
     kind: Literal["acceleration_step"]
-    dof: Dof
-    """Degree of freedom."""
-    acceleration: float
-    """In m/s^2 or rad/s^2."""
-    hold: float
-    """Time of each half [s]."""
-    at: float = 1.0
-    """Start [s]."""
+    dof: Dof  #: Degree of freedom.
+    acceleration: float  #: In m/s^2 or rad/s^2.
+    hold: float  #: Time of each half [s].
+    at: float = 1.0  #: Start [s].
 
     def command(self, seed: int) -> Command:
         """The path."""
@@ -319,8 +278,7 @@ class Waypoints(_Signal):
     """Poses at rest, joined by paths of least jerk: six columns a point, in m and rad."""
 
     kind: Literal["waypoints"]
-    times: tuple[float, ...]
-    """Rising from 0 [s]."""
+    times: tuple[float, ...]  #: Rising from 0 [s].
     poses: tuple[tuple[float, float, float, float, float, float], ...]
     """Surge, sway, heave [m], roll, pitch, yaw [rad], one a time."""
 
@@ -333,8 +291,7 @@ class HostFile(_Signal):
     """A host's frames from a CSV or Parquet file, joined by quintics."""
 
     kind: Literal["host"]
-    file: str
-    """CSV or Parquet with time and six poses, SI."""
+    file: str  #: CSV or Parquet with time and six poses, SI.
     derivatives: Literal["spline", "zero"] = "spline"
     """How velocities are made where the file has none."""
 
@@ -352,8 +309,7 @@ class Recorded(_Signal):
     """The demand of a record of an earlier run."""
 
     kind: Literal["recorded"]
-    file: str
-    """Parquet record with a `demand_pose` at 2048 Hz."""
+    file: str  #: Parquet record with a `demand_pose` at 2048 Hz.
 
     def command(self, seed: int) -> Command:
         """The recorded demand."""

@@ -39,51 +39,32 @@ _RATES = ("p", "q", "r")
 class State(NamedTuple):
     """What the aircraft does at the end of a step, SI, body axes."""
 
-    time: float
-    """[s]."""
-    specific_force: NDArray[np.float64]
-    """At the eyepoint, without gravity [m/s^2], (3,)."""
-    centre_force: NDArray[np.float64]
-    """The same at the centre of gravity [m/s^2], (3,)."""
-    angular_rate: NDArray[np.float64]
-    """p, q, r against the Earth [rad/s], (3,)."""
+    time: float  #: [s].
+    specific_force: NDArray[np.float64]  #: At the eyepoint, without gravity [m/s^2], (3,).
+    centre_force: NDArray[np.float64]  #: The same at the centre of gravity [m/s^2], (3,).
+    angular_rate: NDArray[np.float64]  #: p, q, r against the Earth [rad/s], (3,).
     inertial_rate: NDArray[np.float64]
     """The same against inertial space, by the Earth's 7e-5 rad/s more or less [rad/s], (3,)."""
-    angular_acceleration: NDArray[np.float64]
-    """Derivative of `inertial_rate` [rad/s^2], (3,)."""
-    attitude: NDArray[np.float64]
-    """Roll, pitch, heading to the local level [rad], (3,)."""
-    lever: NDArray[np.float64]
-    """From the centre of gravity to the eyepoint [m], (3,)."""
-    airspeed: float
-    """Calibrated [m/s]."""
-    true_airspeed: float
-    """Against the air [m/s]."""
-    climb: float
-    """Rate of climb [m/s]."""
-    height: float
-    """Of the centre of gravity above the ground [m]."""
-    sideslip: float
-    """Angle of sideslip, positive with the wind from the right [rad]."""
+    angular_acceleration: NDArray[np.float64]  #: Derivative of `inertial_rate` [rad/s^2], (3,).
+    attitude: NDArray[np.float64]  #: Roll, pitch, heading to the local level [rad], (3,).
+    lever: NDArray[np.float64]  #: From the centre of gravity to the eyepoint [m], (3,).
+    airspeed: float  #: Calibrated [m/s].
+    true_airspeed: float  #: Against the air [m/s].
+    climb: float  #: Rate of climb [m/s].
+    height: float  #: Of the centre of gravity above the ground [m].
+    sideslip: float  #: Angle of sideslip, positive with the wind from the right [rad].
 
 
 class Controls(NamedTuple):
     """What the pilot moves, fractions of full travel."""
 
-    elevator: float = 0.0
-    """-1 to 1, positive pitches down: JSBSim's sign."""
-    aileron: float = 0.0
-    """-1 to 1, positive rolls to the right."""
-    rudder: float = 0.0
-    """-1 to 1, positive yaws to the left: JSBSim's sign."""
-    throttle: float = 0.0
-    """0 to 1, both engines."""
-    brakes: float = 0.0
-    """0 to 1."""
-    gear: float = 1.0
-    """1 down, 0 up."""
-    flaps: float = 0.0
-    """0 to 1."""
+    elevator: float = 0.0  #: -1 to 1, positive pitches down: JSBSim's sign.
+    aileron: float = 0.0  #: -1 to 1, positive rolls to the right.
+    rudder: float = 0.0  #: -1 to 1, positive yaws to the left: JSBSim's sign.
+    throttle: float = 0.0  #: 0 to 1, both engines.
+    brakes: float = 0.0  #: 0 to 1.
+    gear: float = 1.0  #: 1 down, 0 up.
+    flaps: float = 0.0  #: 0 to 1.
 
 
 class Airframe:

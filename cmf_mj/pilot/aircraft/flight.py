@@ -47,26 +47,20 @@ _SHIPPED = Path(__file__).parent / "flights"
 class Origin(Settings):
     """Where a flight comes from."""
 
-    title: str
-    """In words."""
-    aircraft: str
-    """Type."""
+    title: str  #: In words.
+    aircraft: str  #: Type.
     lever_arm: Annotated[tuple[float, float, float], Field(strict=False)]
     """From the centre of gravity to the pilot's station at the start, body axes [m]."""
-    source: str
-    """What flew it, with its version."""
-    seed: int | None = None
-    """Of its turbulence, where there is any."""
+    source: str  #: What flew it, with its version.
+    seed: int | None = None  #: Of its turbulence, where there is any.
 
 
 @dataclass(frozen=True)
 class Flight:
     """A recorded flight; an `AircraftHost`."""
 
-    motion: PilotMotion
-    """At the pilot's station."""
-    origin: Origin
-    """Where it comes from."""
+    motion: PilotMotion  #: At the pilot's station.
+    origin: Origin  #: Where it comes from.
     others: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     """More columns by name, such as `airspeed` [m/s] and `height` [m], (N,) each."""
 

@@ -30,28 +30,19 @@ _SIDESLIP, _SIDESLIP_INTEGRAL = 4.0, 3.0
 class Targets(NamedTuple):
     """What the pilot wants now."""
 
-    pitch: float | None = None
-    """Attitude to hold [rad]; None leaves the elevator where it is."""
-    bank: float | None = 0.0
-    """Attitude to hold [rad]; None leaves the ailerons where they are."""
+    pitch: float | None = None  #: Attitude to hold [rad]; None leaves the elevator where it is.
+    bank: float | None = 0.0  #: Attitude to hold [rad]; None leaves the ailerons where they are.
     heading: float | None = None
     """Heading to hold by the rudder [rad]; None coordinates by it where `coordinate` says so."""
-    coordinate: bool = True
-    """Whether the rudder takes out sideslip."""
+    coordinate: bool = True  #: Whether the rudder takes out sideslip.
     elevator: float = 0.0
     """Added to the elevator, a fraction of its travel, positive pitches down."""
-    aileron: float = 0.0
-    """Added to the ailerons, positive rolls to the right."""
-    rudder: float = 0.0
-    """Added to the rudder, positive yaws to the left."""
-    throttle: float = 0.0
-    """0 to 1."""
-    brakes: float = 0.0
-    """0 to 1."""
-    gear: float = 0.0
-    """1 down, 0 up."""
-    flaps: float = 0.0
-    """0 to 1."""
+    aileron: float = 0.0  #: Added to the ailerons, positive rolls to the right.
+    rudder: float = 0.0  #: Added to the rudder, positive yaws to the left.
+    throttle: float = 0.0  #: 0 to 1.
+    brakes: float = 0.0  #: 0 to 1.
+    gear: float = 0.0  #: 1 down, 0 up.
+    flaps: float = 0.0  #: 0 to 1.
 
 
 class Pilot:

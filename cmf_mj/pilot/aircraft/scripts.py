@@ -22,21 +22,16 @@ Wanted = Callable[[float, State], Targets]
 class Begun(NamedTuple):
     """An aircraft that is ready to go."""
 
-    wanted: Wanted
-    """What the pilot wants."""
-    throttle: float
-    """Where the throttle stands, 0 to 1."""
+    wanted: Wanted  #: What the pilot wants.
+    throttle: float  #: Where the throttle stands, 0 to 1.
 
 
 class Script(NamedTuple):
     """A flight to be flown."""
 
-    title: str
-    """In words."""
-    seconds: float
-    """Length [s]."""
-    begin: Callable[[Airframe], Begun]
-    """Puts the aircraft where the flight begins."""
+    title: str  #: In words.
+    seconds: float  #: Length [s].
+    begin: Callable[[Airframe], Begun]  #: Puts the aircraft where the flight begins.
 
 
 _FLAPS = 0.25

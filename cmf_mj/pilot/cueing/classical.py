@@ -40,20 +40,13 @@ Matrices = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], 
 class Classical(NamedTuple):
     """Compiled parameters."""
 
-    rotation: Held
-    """Euler rates (3) and their slopes (3) to angles, rates and accelerations (9)."""
-    low_pass: Held
-    """Specific force x, y (2) to its low-passed part and two derivatives (6)."""
-    translation: Held
-    """T f1 + g (3) to displacement, velocity and acceleration (9)."""
-    tilt_force: float
-    """Limit before the low-pass [m/s^2]."""
-    tilt_rate: float
-    """R [rad/s]."""
-    recovery: float
-    """tau [s]."""
-    interval: float
-    """T [s]."""
+    rotation: Held  #: Euler rates (3) and their slopes (3) to angles, rates and accelerations (9).
+    low_pass: Held  #: Specific force x, y (2) to its low-passed part and two derivatives (6).
+    translation: Held  #: T f1 + g (3) to displacement, velocity and acceleration (9).
+    tilt_force: float  #: Limit before the low-pass [m/s^2].
+    tilt_rate: float  #: R [rad/s].
+    recovery: float  #: tau [s].
+    interval: float  #: T [s].
 
 
 class ClassicalState(NamedTuple):
@@ -62,16 +55,11 @@ class ClassicalState(NamedTuple):
     rotation: NDArray[np.float64]
     low_pass: NDArray[np.float64]
     translation: NDArray[np.float64]
-    tilt: NDArray[np.float64]
-    """Pitch and roll tilt with two derivatives, (2, 3)."""
-    demand: NDArray[np.float64]
-    """Their demands, (2, 3)."""
-    turning: NDArray[np.float64]
-    """Euler rates and slopes of the last step, (6,)."""
-    pushing: NDArray[np.float64]
-    """Low-pass input of the last step, (2,)."""
-    moving: NDArray[np.float64]
-    """Translation input of the last step, (3,)."""
+    tilt: NDArray[np.float64]  #: Pitch and roll tilt with two derivatives, (2, 3).
+    demand: NDArray[np.float64]  #: Their demands, (2, 3).
+    turning: NDArray[np.float64]  #: Euler rates and slopes of the last step, (6,).
+    pushing: NDArray[np.float64]  #: Low-pass input of the last step, (2,).
+    moving: NDArray[np.float64]  #: Translation input of the last step, (3,).
 
 
 def rotation_filter(axis: HighPass) -> Matrices:

@@ -42,8 +42,7 @@ class Excursion(NamedTuple):
     share: NDArray[np.float64]
     """Peak over limit, a row for each of `LIMITS`, a column for each degree of freedom or leg,
     (6, 6)."""
-    time: NDArray[np.float64]
-    """When [s], (6, 6)."""
+    time: NDArray[np.float64]  #: When [s], (6, 6).
 
     @property
     def largest(self) -> float:
@@ -61,8 +60,7 @@ class Confined(NamedTuple):
     """A motion within the limits."""
 
     stream: HostStream
-    held: NDArray[np.bool_]
-    """Frames that differ from the demand, (N,)."""
+    held: NDArray[np.bool_]  #: Frames that differ from the demand, (N,).
 
 
 def excursion(stream: HostStream, limits: MotionLimits | None = None) -> Excursion:

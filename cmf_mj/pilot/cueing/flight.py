@@ -23,18 +23,12 @@ class Cue(NamedTuple):
     """A flight as the simulator gives it."""
 
     settings: WashoutSettings
-    aircraft: PilotMotion
-    """At the host's frames, from time 0."""
-    stream: HostStream
-    """The host's frames, within the limits."""
-    held: NDArray[np.bool_]
-    """Frames that the limits held back, (N,)."""
-    excursion: Excursion
-    """Of what the washout asked."""
-    simulator: PilotMotion
-    """At the pilot's station, if the machine does as it is told."""
-    error: CueingError
-    """Sensed in flight less sensed in the simulator."""
+    aircraft: PilotMotion  #: At the host's frames, from time 0.
+    stream: HostStream  #: The host's frames, within the limits.
+    held: NDArray[np.bool_]  #: Frames that the limits held back, (N,).
+    excursion: Excursion  #: Of what the washout asked.
+    simulator: PilotMotion  #: At the pilot's station, if the machine does as it is told.
+    error: CueingError  #: Sensed in flight less sensed in the simulator.
 
 
 def cue(
@@ -81,12 +75,9 @@ class Tuned(NamedTuple):
     """Gains that just use the envelope."""
 
     settings: WashoutSettings
-    factor: float
-    """On the gains that were tuned."""
-    excursion: Excursion
-    """Of the flight with them."""
-    binding: str
-    """What limits the gains: a limit of the machine, or the largest gain allowed."""
+    factor: float  #: On the gains that were tuned.
+    excursion: Excursion  #: Of the flight with them.
+    binding: str  #: What limits the gains: a limit of the machine, or the largest gain allowed.
 
 
 def tune(

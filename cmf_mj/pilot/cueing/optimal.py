@@ -47,14 +47,10 @@ Matrix = NDArray[np.float64]
 class Mode(NamedTuple):
     """A linear-quadratic problem and its solution."""
 
-    plant: tuple[Matrix, Matrix]
-    """A, B of dx/dt = A x + B u with x = (x_v, x_d, x_n)."""
-    cost: tuple[Matrix, Matrix, Matrix]
-    """Q, N, R of x Q x + 2 x N u + u R u."""
-    riccati: Matrix
-    """P of the algebraic Riccati equation."""
-    feedback: Matrix
-    """F of u = -F x."""
+    plant: tuple[Matrix, Matrix]  #: A, B of dx/dt = A x + B u with x = (x_v, x_d, x_n).
+    cost: tuple[Matrix, Matrix, Matrix]  #: Q, N, R of x Q x + 2 x N u + u R u.
+    riccati: Matrix  #: P of the algebraic Riccati equation.
+    feedback: Matrix  #: F of u = -F x.
     filter: tuple[Matrix, Matrix, Matrix, Matrix]
     """A, B, C, D from the aircraft's inputs to the simulator's motion; states (x_v, x_d)."""
 
@@ -73,16 +69,14 @@ class Optimal(NamedTuple):
     filter: Held
     """Euler rates (3), specific force less that of level rest (3) and slopes of the Euler rates
     and the force (6) to angles and displacements with two derivatives (18)."""
-    interval: float
-    """T [s]."""
+    interval: float  #: T [s].
 
 
 class OptimalState(NamedTuple):
     """State, overwritten by each step."""
 
     filter: Matrix
-    inputs: Matrix
-    """Of the last step, (12,)."""
+    inputs: Matrix  #: Of the last step, (12,).
 
 
 def _solve(

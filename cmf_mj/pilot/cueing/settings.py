@@ -40,28 +40,22 @@ Time = Annotated[Quantity, positive_in("s")]
 class Inputs(Settings):
     """Limits on what a washout takes in, after the gains; both kinds have them."""
 
-    force_limit: Force
-    """Largest specific force, less that of level rest, along each axis."""
-    rate_limit: Rate
-    """Largest angular rate about each axis."""
+    force_limit: Force  #: Largest specific force, less that of level rest, along each axis.
+    rate_limit: Rate  #: Largest angular rate about each axis.
 
 
 class TiltInputs(Inputs):
     """Limits of a classical washout, tilt coordination included."""
 
-    tilt_force_limit: Force
-    """Largest specific force that tilt imitates."""
-    tilt_rate: Rate
-    """Largest rate of the tilt angle."""
-    tilt_recovery: Time
-    """Time constant with which a tilt that was held back joins its demand."""
+    tilt_force_limit: Force  #: Largest specific force that tilt imitates.
+    tilt_rate: Rate  #: Largest rate of the tilt angle.
+    tilt_recovery: Time  #: Time constant with which a tilt that was held back joins its demand.
 
 
 class HighPass(Settings):
     """Gain and second-order high-pass of a rotation."""
 
-    gain: Gain
-    """Share of the aircraft's angular rate."""
+    gain: Gain  #: Share of the aircraft's angular rate.
     natural_frequency: Corner
     damping: Ratio
 
@@ -69,17 +63,14 @@ class HighPass(Settings):
 class ThirdOrder(HighPass):
     """Gain, second-order and first-order high-pass of heave."""
 
-    gain: Gain
-    """Share of the aircraft's specific force, less that of level rest."""
-    break_frequency: Break
-    """Corner of the first-order high-pass; 0 leaves it out."""
+    gain: Gain  #: Share of the aircraft's specific force, less that of level rest.
+    break_frequency: Break  #: Corner of the first-order high-pass; 0 leaves it out.
 
 
 class Tilted(ThirdOrder):
     """Gain and filters of surge or sway, which tilt coordination completes."""
 
-    low_pass_frequency: Corner
-    """Natural frequency of the low-pass before tilt coordination."""
+    low_pass_frequency: Corner  #: Natural frequency of the low-pass before tilt coordination.
     low_pass_damping: Ratio
 
 
@@ -152,14 +143,11 @@ class Sizes(Settings):
 class RotationSizes(Sizes):
     """Cost of yaw."""
 
-    gain: Gain
-    """Share of the aircraft's angular rate."""
-    rate_error: Rate
-    """Error of the rate sensed."""
+    gain: Gain  #: Share of the aircraft's angular rate.
+    rate_error: Rate  #: Error of the rate sensed.
     angle_integral: AngleIntegral
     angle: Angle
-    rate: Rate
-    """Rate of the simulator."""
+    rate: Rate  #: Rate of the simulator.
     rate_bandwidth: Corner
     """Corner of the first-order noise that the aircraft's rate is taken for."""
 
@@ -167,15 +155,12 @@ class RotationSizes(Sizes):
 class TranslationSizes(Sizes):
     """Cost of heave."""
 
-    gain: Gain
-    """Share of the aircraft's specific force, less that of level rest."""
-    force_error: Force
-    """Error of the specific force sensed."""
+    gain: Gain  #: Share of the aircraft's specific force, less that of level rest.
+    force_error: Force  #: Error of the specific force sensed.
     position_integral: DistanceIntegral
     position: Distance
     velocity: Speed
-    acceleration: Force
-    """Acceleration of the simulator."""
+    acceleration: Force  #: Acceleration of the simulator.
     force_bandwidth: Corner
     """Corner of the first-order noise that the aircraft's specific force is taken for."""
 
@@ -183,13 +168,10 @@ class TranslationSizes(Sizes):
 class TiltingSizes(TranslationSizes):
     """Cost of surge with pitch, or sway with roll."""
 
-    rate_gain: Gain
-    """Share of the aircraft's angular rate."""
-    rate_error: Rate
-    """Error of the rate sensed."""
+    rate_gain: Gain  #: Share of the aircraft's angular rate.
+    rate_error: Rate  #: Error of the rate sensed.
     angle: Angle
-    rate: Rate
-    """Rate of the simulator."""
+    rate: Rate  #: Rate of the simulator.
     rate_bandwidth: Corner
     """Corner of the first-order noise that the aircraft's rate is taken for."""
 

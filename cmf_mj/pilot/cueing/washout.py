@@ -47,28 +47,20 @@ HOST_RATE = 80.0
 class Cueing(NamedTuple):
     """Compiled parameters."""
 
-    gain: NDArray[np.float64]
-    """Gains of specific force and angular rate, (6,)."""
-    force_limit: float
-    """[m/s^2]."""
-    rate_limit: float
-    """[rad/s]."""
-    station: NDArray[np.float64]
-    """r [m], (3,)."""
-    interval: float
-    """T [s]."""
+    gain: NDArray[np.float64]  #: Gains of specific force and angular rate, (6,).
+    force_limit: float  #: [m/s^2].
+    rate_limit: float  #: [rad/s].
+    station: NDArray[np.float64]  #: r [m], (3,).
+    interval: float  #: T [s].
     algorithm: Classical | Optimal
 
 
 class CueingState(NamedTuple):
     """State, overwritten by each step."""
 
-    angular: NDArray[np.float64]
-    """Attitude of the simulator and two derivatives, (3, 3)."""
-    linear: NDArray[np.float64]
-    """Displacement of the pilot's station and two derivatives, (3, 3)."""
-    euler_rates: NDArray[np.float64]
-    """Of the last step [rad/s], (3,)."""
+    angular: NDArray[np.float64]  #: Attitude of the simulator and two derivatives, (3, 3).
+    linear: NDArray[np.float64]  #: Displacement of the pilot's station and two derivatives, (3, 3).
+    euler_rates: NDArray[np.float64]  #: Of the last step [rad/s], (3,).
     algorithm: ClassicalState | OptimalState
 
 

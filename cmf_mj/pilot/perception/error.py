@@ -27,8 +27,7 @@ class CueingError(NamedTuple):
     simulator: Sensed
     error: NDArray[np.float64]
     """Aircraft less simulator: specific force [m/s^2] and angular rate [rad/s], (N, 6)."""
-    threshold: NDArray[np.float64]
-    """In the same units, (6,)."""
+    threshold: NDArray[np.float64]  #: In the same units, (6,).
 
     @property
     def peak(self) -> NDArray[np.float64]:
@@ -80,14 +79,10 @@ def cueing_error(
 class Oscillation(NamedTuple):
     """A sine of specific force before the otoliths and the thresholds; arrays over frequency."""
 
-    frequency: NDArray[np.float64]
-    """[Hz], (K,)."""
-    amplitude: float
-    """[m/s^2]."""
-    sensed: NDArray[np.float64]
-    """Amplitude of what the otoliths tell [m/s^2], (K,)."""
-    over_threshold: NDArray[np.float64]
-    """`sensed` over the thresholds along x, y, z, (K, 3)."""
+    frequency: NDArray[np.float64]  #: [Hz], (K,).
+    amplitude: float  #: [m/s^2].
+    sensed: NDArray[np.float64]  #: Amplitude of what the otoliths tell [m/s^2], (K,).
+    over_threshold: NDArray[np.float64]  #: `sensed` over the thresholds along x, y, z, (K, 3).
     input_over_threshold: NDArray[np.float64]
     """`amplitude` over them, (3,): the threshold read as one of the true specific force."""
 

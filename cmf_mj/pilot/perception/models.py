@@ -22,12 +22,9 @@ from cmf_mj.pilot.perception.settings import Canals, Otoliths, Senses, load_sens
 class Sensed(NamedTuple):
     """What the senses tell, body axes."""
 
-    time: NDArray[np.float64]
-    """[s], (N,)."""
-    angular_rate: NDArray[np.float64]
-    """By the canals [rad/s], (N, 3)."""
-    specific_force: NDArray[np.float64]
-    """By the otoliths [m/s^2], (N, 3)."""
+    time: NDArray[np.float64]  #: [s], (N,).
+    angular_rate: NDArray[np.float64]  #: By the canals [rad/s], (N, 3).
+    specific_force: NDArray[np.float64]  #: By the otoliths [m/s^2], (N, 3).
 
 
 def canal_response(canals: Canals) -> control.TransferFunction:

@@ -22,21 +22,16 @@ Rate = Annotated[Quantity, positive_in("rad/s", "deg/s")]
 class Canals(Settings):
     """Semicircular canals."""
 
-    time_constant: Time
-    """T1, of cupula and central processing."""
-    adaptation: Time
-    """T2."""
-    lead: Lead
-    """T3; 0 leaves lead and lag out."""
-    lag: Time
-    """T4."""
+    time_constant: Time  #: T1, of cupula and central processing.
+    adaptation: Time  #: T2.
+    lead: Lead  #: T3; 0 leaves lead and lag out.
+    lag: Time  #: T4.
 
 
 class Otoliths(Settings):
     """Otoliths."""
 
-    gain: Gain
-    """Sensed over true at rest."""
+    gain: Gain  #: Sensed over true at rest.
     lead: Time
     long_lag: Time
     short_lag: Time

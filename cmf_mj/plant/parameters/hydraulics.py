@@ -23,18 +23,12 @@ VALVES = ("valve_1", "valve_2")
 class _Valve(Settings):
     """What may differ from valve to valve."""
 
-    drive_lag: kind.Corner
-    """Corner of the servo drive's first-order lag."""
-    valve_lag: kind.Corner
-    """Corner of the spool's first-order lag."""
-    valve_flow: kind.Ratio
-    """Rated flow over the nominal, which is half of what `leg_speed` needs."""
-    null_bias: kind.Bias
-    """Spool position at no command, in full strokes of the spool."""
-    overlap: kind.Share
-    """Spool travel either side of centre that opens nothing, in full strokes."""
-    hysteresis: kind.Share
-    """Full width of the play between drive and spool, in full strokes."""
+    drive_lag: kind.Corner  #: Corner of the servo drive's first-order lag.
+    valve_lag: kind.Corner  #: Corner of the spool's first-order lag.
+    valve_flow: kind.Ratio  #: Rated flow over the nominal, which is half of what `leg_speed` needs.
+    null_bias: kind.Bias  #: Spool position at no command, in full strokes of the spool.
+    overlap: kind.Share  #: Spool travel either side of centre that opens nothing, in full strokes.
+    hysteresis: kind.Share  #: Full width of the play between drive and spool, in full strokes.
     threshold_pressure: kind.Gauge
     """Supply over return pressure that holds the spool open; below it the valve passes nothing."""
 
@@ -42,12 +36,9 @@ class _Valve(Settings):
 class _Actuator(_Valve):
     """What may differ from actuator to actuator."""
 
-    bore_diameter: kind.Length
-    """Diameter of the cylinder bore."""
-    rod_diameter: kind.Length
-    """Diameter of the rod; smaller than the bore."""
-    half_stroke: kind.Length
-    """Half of the mechanical stroke, the chamber lengths at neutral."""
+    bore_diameter: kind.Length  #: Diameter of the cylinder bore.
+    rod_diameter: kind.Length  #: Diameter of the rod; smaller than the bore.
+    half_stroke: kind.Length  #: Half of the mechanical stroke, the chamber lengths at neutral.
     minimum_gap: kind.Length
     """Length of a chamber at its stop; approached over the last twenty times of it."""
     leg_speed: kind.LegSpeed
@@ -57,28 +48,20 @@ class _Actuator(_Valve):
     neutral; the leg mode of frequency w has the damping ratio lambda / (2 w)."""
     bearing_leakage: kind.Conductance
     """Laminar leakage of the hydrostatic rod bearing, from the rod chamber to the return."""
-    coulomb_friction: kind.Force
-    """Friction of steady sliding."""
+    coulomb_friction: kind.Force  #: Friction of steady sliding.
     breakaway_friction: kind.Force
     """Friction at the onset of sliding; at least `coulomb_friction`."""
-    stribeck_speed: kind.Speed
-    """Speed over which friction falls from breakaway to Coulomb."""
-    presliding: kind.Length
-    """Elastic travel of a sticking contact at the Coulomb force."""
-    viscous_friction: kind.Viscous
-    """Friction per speed."""
+    stribeck_speed: kind.Speed  #: Speed over which friction falls from breakaway to Coulomb.
+    presliding: kind.Length  #: Elastic travel of a sticking contact at the Coulomb force.
+    viscous_friction: kind.Viscous  #: Friction per speed.
     cushion_length: kind.Travel
     """Travel before each stop in which outflow is throttled; 0 for none."""
     cushion_opening: kind.Opening
     """What the throttle leaves at the stop, in full openings of both valves."""
-    supply_hose: kind.Line
-    """Laminar resistance from the supply manifold to the actuator's valves."""
-    return_hose: kind.Line
-    """Laminar resistance from the actuator's valves to the return manifold."""
-    settle_speed: kind.Speed
-    """Speed at which the settle valve lowers the leg under `settle_load`."""
-    settle_load: kind.Force
-    """Load `settle_speed` refers to."""
+    supply_hose: kind.Line  #: Laminar resistance from the supply manifold to the actuator's valves.
+    return_hose: kind.Line  #: Laminar resistance from the actuator's valves to the return manifold.
+    settle_speed: kind.Speed  #: Speed at which the settle valve lowers the leg under `settle_load`.
+    settle_load: kind.Force  #: Load `settle_speed` refers to.
 
 
 VALVE_FIELDS = tuple(_Valve.model_fields)
@@ -106,58 +89,42 @@ ActuatorChanges = create_model(
 class HydraulicParameters(_Actuator):
     """Parameters of the actuators with their valves, the oil and the supply."""
 
-    name: str
-    """Name of the set."""
+    name: str  #: Name of the set.
     supply: Literal["constant", "network"]
     """`constant` pressure at every valve, or a pump, accumulators, manifolds and hoses."""
     actuators: Mapping[str, ActuatorChanges] = {}
     """What single actuators, by the names of their motors, have different from the set."""
     bulk_modulus: kind.Pressure
     """Effective bulk modulus: the lumped compliance of oil, hoses and barrel."""
-    oil_density: kind.Density
-    """Density of the oil; only a burst hose needs it."""
+    oil_density: kind.Density  #: Density of the oil; only a burst hose needs it.
     cavitation_gas: kind.Share
     """Gas released below atmospheric pressure, volume share there; 0 for no cavitation floor."""
     entrained_gas: kind.Share
     """Undissolved gas at atmospheric pressure, volume share; softens the oil at low pressure."""
-    gas_exponent: kind.Exponent
-    """Polytropic exponent of entrained gas; above 1."""
+    gas_exponent: kind.Exponent  #: Polytropic exponent of entrained gas; above 1.
     transition_pressure: kind.Pressure
     """Pressure difference at which the laminar share of an orifice's drop equals the turbulent."""
-    proof_pressure: kind.Pressure
-    """Chamber pressure beyond which a run is stopped with an error."""
+    proof_pressure: kind.Pressure  #: Chamber pressure beyond which a run is stopped with an error.
     supply_pressure: kind.Pressure
     """Set pressure of the pump's compensator, gauge; the pressure of a constant supply."""
-    return_pressure: kind.Gauge
-    """Tank pressure, gauge."""
-    pump_flow: kind.Flow
-    """Largest flow of the pumping unit."""
+    return_pressure: kind.Gauge  #: Tank pressure, gauge.
+    pump_flow: kind.Flow  #: Largest flow of the pumping unit.
     pump_droop: kind.Pressure
     """Fall of pressure over which the compensator goes from no flow to full flow."""
-    pump_lag: kind.Time
-    """Time constant of the compensator."""
-    pump_line: kind.Line
-    """Laminar resistance from the pump to the supply manifold."""
-    relief_pressure: kind.Pressure
-    """Supply manifold pressure at which the relief valve opens."""
-    relief_conductance: kind.Conductance
-    """Flow of the relief valve per excess of pressure."""
+    pump_lag: kind.Time  #: Time constant of the compensator.
+    pump_line: kind.Line  #: Laminar resistance from the pump to the supply manifold.
+    relief_pressure: kind.Pressure  #: Supply manifold pressure at which the relief valve opens.
+    relief_conductance: kind.Conductance  #: Flow of the relief valve per excess of pressure.
     accumulator_count: kind.Count
     """Accumulators on the supply manifold, a whole number; 0 for none."""
-    accumulator_volume: kind.Volume
-    """Gas volume of one accumulator at precharge."""
-    precharge_pressure: kind.Pressure
-    """Gas pressure of an accumulator without oil, gauge."""
-    accumulator_exponent: kind.Exponent
-    """Polytropic exponent of the accumulators' gas."""
+    accumulator_volume: kind.Volume  #: Gas volume of one accumulator at precharge.
+    precharge_pressure: kind.Pressure  #: Gas pressure of an accumulator without oil, gauge.
+    accumulator_exponent: kind.Exponent  #: Polytropic exponent of the accumulators' gas.
     accumulator_line: kind.Resistance
     """Laminar resistance from one accumulator to the supply manifold."""
-    supply_volume: kind.Volume
-    """Oil volume of the supply manifold and its lines."""
-    return_volume: kind.Volume
-    """Oil volume of the return manifold and its lines."""
-    tank_line: kind.Resistance
-    """Laminar resistance from the return manifold to the tank."""
+    supply_volume: kind.Volume  #: Oil volume of the supply manifold and its lines.
+    return_volume: kind.Volume  #: Oil volume of the return manifold and its lines.
+    tank_line: kind.Resistance  #: Laminar resistance from the return manifold to the tank.
     isolation_time: kind.Time
     """Time in which an emergency stop closes the supply to the valves and opens the settle
     valves."""

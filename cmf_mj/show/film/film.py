@@ -21,22 +21,14 @@ from cmf_mj.show.film.strip import Strip, Traces, traces_of
 class FilmSettings(NamedTuple):
     """How a film looks."""
 
-    fps: int = 30
-    """Pictures a second."""
-    speed: float = 1.0
-    """Times real speed."""
-    camera: str = "overview"
-    """Camera of the model."""
-    width: int = 720
-    """Of the picture of one run [pixels], even."""
-    height: int = 450
-    """[pixels], even."""
-    strip: int = 190
-    """Height of the traces [pixels], even; 0 for none."""
-    dof: str | None = None
-    """Degree of freedom in the traces; default the one that moves most."""
-    start: float = 0.0
-    """Time of the runs at which it begins [s]."""
+    fps: int = 30  #: Pictures a second.
+    speed: float = 1.0  #: Times real speed.
+    camera: str = "overview"  #: Camera of the model.
+    width: int = 720  #: Of the picture of one run [pixels], even.
+    height: int = 450  #: [pixels], even.
+    strip: int = 190  #: Height of the traces [pixels], even; 0 for none.
+    dof: str | None = None  #: Degree of freedom in the traces; default the one that moves most.
+    start: float = 0.0  #: Time of the runs at which it begins [s].
     seconds: float | None = None
     """Time of the runs that it shows [s]; default to the end of the longest."""
 

@@ -24,21 +24,17 @@ class Curve(NamedTuple):
     """One line of a panel."""
 
     label: str
-    values: NDArray[np.float64]
-    """In the panel's unit, (N,)."""
+    values: NDArray[np.float64]  #: In the panel's unit, (N,).
     colour: str
-    width: float = 1.0
-    """[points]."""
+    width: float = 1.0  #: [points].
 
 
 class Panel(NamedTuple):
     """Axes of a strip."""
 
-    label: str
-    """Quantity and [unit]."""
+    label: str  #: Quantity and [unit].
     curves: tuple[Curve, ...]
-    from_zero: bool = False
-    """Whether the axis holds zero at its lower end."""
+    from_zero: bool = False  #: Whether the axis holds zero at its lower end.
 
     @property
     def range(self) -> tuple[float, float]:
@@ -50,8 +46,7 @@ class Panel(NamedTuple):
 class Traces(NamedTuple):
     """What the strip of a run shows."""
 
-    time: NDArray[np.float64]
-    """[s], (N,)."""
+    time: NDArray[np.float64]  #: [s], (N,).
     panels: tuple[Panel, ...]
     """From above, one column after the other; a whole number of them in each."""
     columns: int = 1

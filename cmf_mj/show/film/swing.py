@@ -35,29 +35,21 @@ _WIDER = 1.15
 class SwingSettings(NamedTuple):
     """How a film of modes looks."""
 
-    fps: int = 15
-    """Pictures a second."""
-    speed: float = 0.05
-    """Times real speed, the same for all modes."""
-    camera: str = "overview"
-    """Camera of the model."""
-    width: int = 320
-    """Of the picture of one mode [pixels], even."""
-    height: int = 260
-    """[pixels], even."""
+    fps: int = 15  #: Pictures a second.
+    speed: float = 0.05  #: Times real speed, the same for all modes.
+    camera: str = "overview"  #: Camera of the model.
+    width: int = 320  #: Of the picture of one mode [pixels], even.
+    height: int = 260  #: [pixels], even.
     stroke: float = 12.0 * units.INCH
     """Largest leg motion of each mode [m]; less where a leg would leave its working stroke."""
-    periods: float = 1.0
-    """Length of the film, in periods of the lowest mode."""
+    periods: float = 1.0  #: Length of the film, in periods of the lowest mode.
 
 
 class Swing(NamedTuple):
     """One panel."""
 
-    caption: str
-    """Two lines: mode, frequency, mass a leg feels; leading share, leg motion shown."""
-    qpos: NDArray[np.float64]
-    """MuJoCo's configuration in each picture, (n, nq)."""
+    caption: str  #: Two lines: mode, frequency, mass a leg feels; leading share, leg motion shown.
+    qpos: NDArray[np.float64]  #: MuJoCo's configuration in each picture, (n, nq).
 
 
 def swing_film(

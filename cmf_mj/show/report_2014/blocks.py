@@ -57,9 +57,7 @@ class Content:
     """All that sections are made of."""
 
     runs: Runs
-    figures: tuple[ReportFigure, ...]
-    """Figures to show."""
-    tables: tuple[str, ...]
-    """Result tables to show."""
+    figures: tuple[ReportFigure, ...]  #: Figures to show.
+    tables: tuple[str, ...]  #: Result tables to show.
     studies: bool
     """Whether the sections on force feedback, steady states and the text's numbers are shown."""

@@ -26,8 +26,7 @@ class Curve(NamedTuple):
     y: NDArray[np.float32]
     colour: str
     dash: Dash = "solid"
-    marks: bool = False
-    """Marks without a line."""
+    marks: bool = False  #: Marks without a line.
     width: float = 1.5
 
 
@@ -39,13 +38,11 @@ class Panel(NamedTuple):
     y_range: tuple[float, float] | None = None
     y_tick: float | None = None
     y_log: bool = False
-    guides: tuple[float, ...] = ()
-    """Horizontal lines."""
+    guides: tuple[float, ...] = ()  #: Horizontal lines.
     x_title: str = ""
     x_range: tuple[float, float] | None = None
     x_log: bool = False
-    height: float = 1.0
-    """Relative."""
+    height: float = 1.0  #: Relative.
 
 
 class Chart(NamedTuple):

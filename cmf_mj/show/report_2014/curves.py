@@ -34,11 +34,9 @@ class ReportFigure(NamedTuple):
 
     number: str
     title: str
-    needs: tuple[Wanted, ...]
-    """Runs it is drawn from."""
+    needs: tuple[Wanted, ...]  #: Runs it is drawn from.
     draw: Callable[[Runs], Chart]
-    sensors: bool = False
-    """Whether it needs the accelerometers' readings."""
+    sensors: bool = False  #: Whether it needs the accelerometers' readings.
 
     @property
     def anchor(self) -> str:
@@ -135,8 +133,7 @@ class History(NamedTuple):
     """A named step or other history."""
 
     name: str
-    time: NDArray[np.float64]
-    """From the step on [s]."""
+    time: NDArray[np.float64]  #: From the step on [s].
     values: NDArray[np.float64]
     colour: str
     dash: Dash = "solid"

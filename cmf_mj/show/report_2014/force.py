@@ -40,14 +40,11 @@ _TAIL = 4.0
 class Oscillation(NamedTuple):
     """What the linear loop says; NaN where it has no such thing."""
 
-    pole_hz: float
-    """Modulus of the least damped pair."""
-    pole_damping: float
-    """Its damping ratio, negative where it grows."""
+    pole_hz: float  #: Modulus of the least damped pair.
+    pole_damping: float  #: Its damping ratio, negative where it grows.
     crossover_hz: float
     """Where the phase of the open loop is a whole turn, at the highest gain there."""
-    crossover_gain: float
-    """Of the open loop there; above 1 the loop oscillates."""
+    crossover_gain: float  #: Of the open loop there; above 1 the loop oscillates.
 
 
 def _leg(parameters: HydraulicParameters) -> control.StateSpace:
@@ -93,15 +90,12 @@ class Reading(NamedTuple):
     """One reading of the force gain: linear loop, simulated step, simulated response."""
 
     title: str
-    gain: float
-    """[%/lbf]."""
+    gain: float  #: [%/lbf].
     linear: Oscillation
     cycle_hz: float
     """Of the pressure difference in the last seconds of the step; NaN where it has died down."""
-    pressure: float
-    """Its amplitude [psi]."""
-    acceleration: float
-    """Largest leg acceleration in these seconds [g]."""
+    pressure: float  #: Its amplitude [psi].
+    acceleration: float  #: Largest leg acceleration in these seconds [g].
     bandwidths: Bandwidths
 
 

@@ -34,8 +34,7 @@ class RestRow(NamedTuple):
     """Where a step ends, over the demand."""
 
     law: str
-    formula: str
-    """Gains it follows from; empty with the integral."""
+    formula: str  #: Gains it follows from; empty with the integral.
     dc_gain: float
     model: float
     machine: float

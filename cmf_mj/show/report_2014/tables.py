@@ -76,21 +76,15 @@ class ResultRow(NamedTuple):
     """One printed number beside the computed one."""
 
     table: str
-    label: str
-    """Law or degree of freedom, or linear model."""
-    of: str
-    """What was measured."""
+    label: str  #: Law or degree of freedom, or linear model.
+    of: str  #: What was measured.
     quantity: str
     unit: str
-    printed: float
-    """NaN where the report prints N/A."""
+    printed: float  #: NaN where the report prints N/A.
     computed: float
-    deviation: float
-    """Relative, of damping ratios absolute."""
-    tolerance: float
-    """Allowed deviation, likewise; NaN for what is only reported."""
-    within: bool | None
-    """None for what is only reported."""
+    deviation: float  #: Relative, of damping ratios absolute.
+    tolerance: float  #: Allowed deviation, likewise; NaN for what is only reported.
+    within: bool | None  #: None for what is only reported.
     hexapod: float
     """The same quantity on the machine's stand-in in tables of Appendix D; else, and of damping
     where the legs ring on undiminished, NaN."""
@@ -201,8 +195,7 @@ class GainRow(NamedTuple):
 
     table: str
     law: str
-    gain: str
-    """Matrix and signal."""
+    gain: str  #: Matrix and signal.
     printed: float
     shipped: float
     same: bool
@@ -252,10 +245,8 @@ class LimitRow(NamedTuple):
     side: str
     mechanical: float
     operational: float
-    computed: float
-    """Where the first leg reaches 37.5 in, all else at neutral."""
-    deviation: float
-    """Of the computed from the mechanical limit, relative."""
+    computed: float  #: Where the first leg reaches 37.5 in, all else at neutral.
+    deviation: float  #: Of the computed from the mechanical limit, relative.
     note: str
 
 

@@ -37,12 +37,9 @@ class Measured(NamedTuple):
     """A response and what it is of."""
 
     title: str
-    frequency: NDArray[np.float64]
-    """[Hz], (K,)."""
-    gain: NDArray[np.float64]
-    """[dB], (K,)."""
-    phase: NDArray[np.float64]
-    """[deg], (K,)."""
+    frequency: NDArray[np.float64]  #: [Hz], (K,).
+    gain: NDArray[np.float64]  #: [dB], (K,).
+    phase: NDArray[np.float64]  #: [deg], (K,).
     bandwidths: Bandwidths
 
 

@@ -20,13 +20,11 @@ _WINDOW = 2.0
 class Pace(NamedTuple):
     """How a session keeps up, over the last two seconds."""
 
-    factor: float
-    """Simulated time over wall time while running; wanted is the speed."""
+    factor: float  #: Simulated time over wall time while running; wanted is the speed.
     capacity: float
     """Simulated time over the time the thread was busy with it, drawing included: the real-time
     factor it would reach without waiting."""
-    given_up: float
-    """Wall time given up since the start because the machine was too slow [s]."""
+    given_up: float  #: Wall time given up since the start because the machine was too slow [s].
 
 
 class _Turn(NamedTuple):

@@ -12,10 +12,8 @@ from cmf_mj.show.studio.live import LiveSession
 class Desk(Protocol):
     """The page, as its controls see it."""
 
-    client: viser.ClientHandle
-    """The tab."""
-    live: LiveSession
-    """Its session."""
+    client: viser.ClientHandle  #: The tab.
+    live: LiveSession  #: Its session.
 
     def apply(self, change: Change) -> None:
         """Let something change; a refusal is shown."""

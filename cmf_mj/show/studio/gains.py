@@ -32,16 +32,11 @@ _SCALES = {"cap_pressure": 1e-6, "rod_pressure": 1e-6}
 class Knob(NamedTuple):
     """One number of a law that can be turned."""
 
-    path: tuple[str, ...]
-    """Where it is in the law."""
-    value: float
-    """As the law has it, in the slider's unit."""
-    low: float
-    """Least value of its slider."""
-    high: float
-    """Largest value of its slider."""
-    scale: float
-    """Size of the slider's unit in that of the law's data."""
+    path: tuple[str, ...]  #: Where it is in the law.
+    value: float  #: As the law has it, in the slider's unit.
+    low: float  #: Least value of its slider.
+    high: float  #: Largest value of its slider.
+    scale: float  #: Size of the slider's unit in that of the law's data.
 
     @property
     def label(self) -> str:

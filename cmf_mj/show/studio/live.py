@@ -36,14 +36,10 @@ Answer = TypeVar("Answer")
 class View(NamedTuple):
     """What a turn has to show."""
 
-    live: Live
-    """The run as it stands."""
-    push: NDArray[np.float64]
-    """External force on the platform, model's axes [N], (3,)."""
-    pace: Pace
-    """How the session keeps up."""
-    paused: bool
-    """Whether time stands still."""
+    live: Live  #: The run as it stands.
+    push: NDArray[np.float64]  #: External force on the platform, model's axes [N], (3,).
+    pace: Pace  #: How the session keeps up.
+    paused: bool  #: Whether time stands still.
 
 
 class Display(Protocol):

@@ -38,10 +38,8 @@ class Parameter(Settings):
     unit: str
     low: float
     high: float
-    free: bool = False
-    """Fitted; otherwise it only enters sensitivity and uncertainty."""
-    source: str = Field(min_length=1)
-    """Where the range comes from."""
+    free: bool = False  #: Fitted; otherwise it only enters sensitivity and uncertainty.
+    source: str = Field(min_length=1)  #: Where the range comes from.
 
     @model_validator(mode="after")
     def _ordered(self) -> "Parameter":
@@ -59,8 +57,7 @@ class Row(Settings):
     law: str
     of: str
     fitted: _Measures = ()
-    predicted: _Measures = ()
-    """Held back: computed and compared, but nothing is fitted to it."""
+    predicted: _Measures = ()  #: Held back: computed and compared, but nothing is fitted to it.
 
     @property
     def published(self) -> Published:
@@ -88,12 +85,9 @@ class Row(Settings):
 class Tolerance(Settings):
     """Deviations that count as one."""
 
-    phase: Annotated[float, Field(gt=0.0)]
-    """Relative."""
-    gain: Annotated[float, Field(gt=0.0)]
-    """Relative."""
-    damping: Annotated[float, Field(gt=0.0)]
-    """Absolute."""
+    phase: Annotated[float, Field(gt=0.0)]  #: Relative.
+    gain: Annotated[float, Field(gt=0.0)]  #: Relative.
+    damping: Annotated[float, Field(gt=0.0)]  #: Absolute.
 
 
 class Study(Settings):
@@ -101,13 +95,10 @@ class Study(Settings):
 
     name: str
     title: str
-    hydraulics: str
-    """Hydraulic set: starting values, and all that is not a parameter."""
+    hydraulics: str  #: Hydraulic set: starting values, and all that is not a parameter.
     plant: Literal["hexapod", "single_legs"]
-    cab: str = ""
-    """Of the hexapod."""
-    tolerance: Tolerance
-    """Scales of the residuals, and what counts as met."""
+    cab: str = ""  #: Of the hexapod.
+    tolerance: Tolerance  #: Scales of the residuals, and what counts as met.
     stable_cabs: Annotated[tuple[str, ...], Field(strict=False)] = ()
     """Cabs with which the velocity law must be stable in six degrees of freedom."""
     least_damping: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0

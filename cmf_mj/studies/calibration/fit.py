@@ -40,16 +40,12 @@ class Residual(NamedTuple):
 
     table: str
     law: str
-    of: str
-    """`hardware` or `nonlinear`, what was printed of."""
+    of: str  #: `hardware` or `nonlinear`, what was printed of.
     measure: Measure
-    role: str
-    """`fitted` or `predicted`."""
-    printed: float
-    """Hz, or 1 for a damping ratio."""
+    role: str  #: `fitted` or `predicted`.
+    printed: float  #: Hz, or 1 for a damping ratio.
     computed: float
-    deviation: float
-    """Relative for a bandwidth, absolute for a damping ratio."""
+    deviation: float  #: Relative for a bandwidth, absolute for a damping ratio.
     tolerance: float
     within: bool
 
@@ -60,20 +56,17 @@ class Stage(NamedTuple):
     values: dict[str, float]
     linear: dict[str, Measured]
     simulated: dict[str, Measured]
-    least_damping: dict[str, float]
-    """Of the velocity law's linear loop, by cab."""
+    least_damping: dict[str, float]  #: Of the velocity law's linear loop, by cab.
 
 
 class Calibration(NamedTuple):
     """A finished study."""
 
     study: Study
-    stages: tuple[Stage, ...]
-    """As shipped, then after each round."""
+    stages: tuple[Stage, ...]  #: As shipped, then after each round.
     standard_errors: dict[str, float]
     """Of the free parameters, from the scatter of the fitted residuals; in their units."""
-    correlation: NDArray[np.float64]
-    """Of the free parameters' errors."""
+    correlation: NDArray[np.float64]  #: Of the free parameters' errors.
 
     @property
     def before(self) -> Stage:

@@ -35,14 +35,10 @@ class Spread(NamedTuple):
 
     law: str
     measure: Measure
-    nominal: float
-    """At the given values [Hz or 1]."""
-    low: float
-    """5 % of the samples lie below."""
-    high: float
-    """95 % of the samples lie below."""
-    unstable: float
-    """Share of samples whose loop is unstable."""
+    nominal: float  #: At the given values [Hz or 1].
+    low: float  #: 5 % of the samples lie below.
+    high: float  #: 95 % of the samples lie below.
+    unstable: float  #: Share of samples whose loop is unstable.
 
 
 def sensitivity(study: Study, values: Values, laws: tuple[str, ...] = ()) -> Sensitivity:

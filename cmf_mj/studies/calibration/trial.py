@@ -52,12 +52,9 @@ _SWEPT = units.to_si("in", 1.0)
 class Measured(NamedTuple):
     """Measures of one law; NaN where the response has no such thing."""
 
-    phase: float
-    """-90 deg [Hz]."""
-    gain: float
-    """-3 dB from absolute 0 dB [Hz]."""
-    damping: float
-    """Damping ratio from the overshoot of a step."""
+    phase: float  #: -90 deg [Hz].
+    gain: float  #: -3 dB from absolute 0 dB [Hz].
+    damping: float  #: Damping ratio from the overshoot of a step.
     stable: bool
 
     def value(self, measure: Measure) -> float:
@@ -209,8 +206,7 @@ class Verdict(NamedTuple):
     cab: str
     dof: str
     stable: bool
-    residual: float
-    """Largest leg swing of the last second over the largest leg step."""
+    residual: float  #: Largest leg swing of the last second over the largest leg step.
 
 
 def simulated_stability(

@@ -44,30 +44,20 @@ from cmf_mj.signals.single import dof_index
 class Asymptotes:
     """Limits of one degree of freedom; amplitudes in m or rad and seconds."""
 
-    dof: str
-    """Degree of freedom."""
-    displacement: float
-    """Operational limit [m, rad]."""
-    leg_stroke: float
-    """Excursion at which the first leg has used up its working stroke [m, rad]."""
+    dof: str  #: Degree of freedom.
+    displacement: float  #: Operational limit [m, rad].
+    leg_stroke: float  #: Excursion at which the first leg has used up its working stroke [m, rad].
     leg_speed: float
     """Velocity at which the first leg needs its valves fully open, at low frequency."""
     pump_flow: float
     """Velocity amplitude whose mean flow is the pump's, at low frequency; infinite if constant."""
-    acceleration: float
-    """Acceleration at which the first leg stalls [m/s^2, rad/s^2]."""
-    corners: tuple[float, float]
-    """Lags of drive and spool [rad/s]."""
-    column: NDArray[np.float64]
-    """J e, leg motion per motion of the degree of freedom, (n,)."""
-    row: NDArray[np.float64]
-    """e' J^-1, (n,)."""
-    mass: NDArray[np.float64]
-    """Reflected mass M_leg [kg], (n, n)."""
-    stiffness: NDArray[np.float64]
-    """K, oil springs of the legs [N/m], (n,)."""
-    leak_rate: NDArray[np.float64]
-    """lambda [1/s], (n,)."""
+    acceleration: float  #: Acceleration at which the first leg stalls [m/s^2, rad/s^2].
+    corners: tuple[float, float]  #: Lags of drive and spool [rad/s].
+    column: NDArray[np.float64]  #: J e, leg motion per motion of the degree of freedom, (n,).
+    row: NDArray[np.float64]  #: e' J^-1, (n,).
+    mass: NDArray[np.float64]  #: Reflected mass M_leg [kg], (n, n).
+    stiffness: NDArray[np.float64]  #: K, oil springs of the legs [N/m], (n,).
+    leak_rate: NDArray[np.float64]  #: lambda [1/s], (n,).
 
     def transmission(self, frequency: float) -> float:
         """|H|, platform motion over what the oil let in, at a frequency [Hz]."""

@@ -77,30 +77,19 @@ class EnvelopePoint(NamedTuple):
     Displacement, velocity and acceleration are amplitudes of the platform's fundamental.
     """
 
-    dof: str
-    """Degree of freedom."""
-    frequency: float
-    """[Hz]."""
-    command: float
-    """Amplitude of the demand [m, rad]."""
-    displacement: float
-    """Amplitude of the response [m, rad]."""
-    velocity: float
-    """Amplitude of the response [m/s, rad/s]."""
-    acceleration: float
-    """Amplitude of the response [m/s^2, rad/s^2]."""
-    binding: str
-    """The limit that binds, one of `LIMITS`."""
-    ratio: float
-    """How far it is used."""
+    dof: str  #: Degree of freedom.
+    frequency: float  #: [Hz].
+    command: float  #: Amplitude of the demand [m, rad].
+    displacement: float  #: Amplitude of the response [m, rad].
+    velocity: float  #: Amplitude of the response [m/s, rad/s].
+    acceleration: float  #: Amplitude of the response [m/s^2, rad/s^2].
+    binding: str  #: The limit that binds, one of `LIMITS`.
+    ratio: float  #: How far it is used.
     distortion: float
     """Rms of what is not the fundamental, over rms of the fundamental, of the displacement."""
-    least_pressure: float
-    """Least manifold pressure over the cycles [Pa]."""
-    drawn_flow: float
-    """Mean flow drawn from the supply [m^3/s]; NaN with a constant supply."""
-    runs: int
-    """Simulations it took."""
+    least_pressure: float  #: Least manifold pressure over the cycles [Pa].
+    drawn_flow: float  #: Mean flow drawn from the supply [m^3/s]; NaN with a constant supply.
+    runs: int  #: Simulations it took.
 
 
 @dataclass(frozen=True)
@@ -110,12 +99,9 @@ class Envelope:
     law: str
     cab: str
     hydraulics: str
-    allowed_pressure: float
-    """Least manifold pressure [Pa]."""
-    points: tuple[EnvelopePoint, ...]
-    """By degree of freedom, then frequency."""
-    asymptotes: tuple[Asymptotes, ...]
-    """By degree of freedom."""
+    allowed_pressure: float  #: Least manifold pressure [Pa].
+    points: tuple[EnvelopePoint, ...]  #: By degree of freedom, then frequency.
+    asymptotes: tuple[Asymptotes, ...]  #: By degree of freedom.
 
     def of(self, dof: str) -> list[EnvelopePoint]:
         """Points of one degree of freedom."""

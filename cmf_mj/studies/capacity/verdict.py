@@ -41,44 +41,27 @@ class CapacityResult(NamedTuple):
     NaN where a constant supply has no such thing.
     """
 
-    holds: bool
-    """Whether the supply manifold stayed above `allowed_pressure`."""
-    allowed_pressure: float
-    """Least pressure that the criterion allows [Pa]."""
-    least_pressure: float
-    """Least pressure of the supply manifold [Pa]."""
-    least_pressure_time: float
-    """When [s]."""
-    least_oil: float
-    """Least oil in all accumulators together [m^3]."""
-    charged_oil: float
-    """Oil in them at the start [m^3]."""
-    least_gas_pressure: float
-    """Least gas pressure of the accumulators [Pa]."""
-    empty_time: float
-    """How long they were empty [s]."""
-    mean_pump_flow: float
-    """Over the whole run [m^3/s]."""
-    peak_pump_flow: float
-    """Largest [m^3/s]."""
-    pump_flow_limit: float
-    """What the pump can give [m^3/s]."""
-    mean_relief_flow: float
-    """Over the whole run [m^3/s]."""
-    peak_relief_flow: float
-    """Largest [m^3/s]."""
+    holds: bool  #: Whether the supply manifold stayed above `allowed_pressure`.
+    allowed_pressure: float  #: Least pressure that the criterion allows [Pa].
+    least_pressure: float  #: Least pressure of the supply manifold [Pa].
+    least_pressure_time: float  #: When [s].
+    least_oil: float  #: Least oil in all accumulators together [m^3].
+    charged_oil: float  #: Oil in them at the start [m^3].
+    least_gas_pressure: float  #: Least gas pressure of the accumulators [Pa].
+    empty_time: float  #: How long they were empty [s].
+    mean_pump_flow: float  #: Over the whole run [m^3/s].
+    peak_pump_flow: float  #: Largest [m^3/s].
+    pump_flow_limit: float  #: What the pump can give [m^3/s].
+    mean_relief_flow: float  #: Over the whole run [m^3/s].
+    peak_relief_flow: float  #: Largest [m^3/s].
     saturation: NDArray[np.float64]
     """Share of the run each valve command stood at its stops, (n,)."""
     peak_command: NDArray[np.float64]
     """Largest compensator output, before the clamp, as a fraction, (n,)."""
-    least_margin: float
-    """Least pressure margin of all legs [Pa], see `pressure_margin`."""
-    least_margin_leg: int
-    """Index of its leg."""
-    least_margin_time: float
-    """When [s]."""
-    record: Record
-    """The run, at 512 Hz."""
+    least_margin: float  #: Least pressure margin of all legs [Pa], see `pressure_margin`.
+    least_margin_leg: int  #: Index of its leg.
+    least_margin_time: float  #: When [s].
+    record: Record  #: The run, at 512 Hz.
 
 
 def least_allowed(parameters: HydraulicParameters, least_pressure: float | None = None) -> float:

@@ -62,57 +62,36 @@ _KEEP = 8
 class Peak(NamedTuple):
     """An extreme value."""
 
-    value: float
-    """In SI."""
-    time: float
-    """When [s]."""
-    leg: int | None = None
-    """Leg it belongs to, from 1."""
+    value: float  #: In SI.
+    time: float  #: When [s].
+    leg: int | None = None  #: Leg it belongs to, from 1.
 
 
 class FailureResult(NamedTuple):
     """What an event did."""
 
-    event: Event
-    """What failed."""
-    dof: str
-    """Degree of freedom of the manoeuvre."""
-    protected: bool
-    """Whether a detected fault made an emergency stop."""
-    static_load: NDArray[np.float64]
-    """Axial loads at the start [N], (6,)."""
-    load_before: Peak
-    """Largest axial leg load [N] before the event, by size."""
-    load_after: Peak
-    """The same from the event on; negative pulls."""
-    load_free: Peak
-    """The same from the event until the first leg meets a stop."""
-    acceleration_before: Peak
-    """Largest crew acceleration before the event [m/s^2]."""
-    acceleration_after: Peak
-    """The same from the event on."""
-    acceleration_free: Peak
-    """The same from the event until the first leg meets a stop."""
+    event: Event  #: What failed.
+    dof: str  #: Degree of freedom of the manoeuvre.
+    protected: bool  #: Whether a detected fault made an emergency stop.
+    static_load: NDArray[np.float64]  #: Axial loads at the start [N], (6,).
+    load_before: Peak  #: Largest axial leg load [N] before the event, by size.
+    load_after: Peak  #: The same from the event on; negative pulls.
+    load_free: Peak  #: The same from the event until the first leg meets a stop.
+    acceleration_before: Peak  #: Largest crew acceleration before the event [m/s^2].
+    acceleration_after: Peak  #: The same from the event on.
+    acceleration_free: Peak  #: The same from the event until the first leg meets a stop.
     specific_force_before: Peak
     """Largest specific force on the crew before the event [m/s^2]; 1 g at rest."""
-    specific_force_after: Peak
-    """The same from the event on."""
-    detected_by: str | None
-    """Fault that was found first; none if nothing was."""
+    specific_force_after: Peak  #: The same from the event on.
+    detected_by: str | None  #: Fault that was found first; none if nothing was.
     detection_time: float | None
     """Time from the event to the fault [s]; negative for a false alarm."""
-    state: str
-    """One of `STATES`."""
-    message: str
-    """What left its bounds; empty otherwise."""
-    pressure_peak: Peak
-    """Largest chamber pressure from the event on [Pa]."""
-    pressure_least: Peak
-    """Least chamber pressure from the event on [Pa], gauge."""
-    supply_least: Peak
-    """Least pressure of the supply manifold from the event on [Pa]."""
-    contact_speed: Peak | None
-    """Speed at which the first leg met a stop [m/s]; none if none did."""
+    state: str  #: One of `STATES`.
+    message: str  #: What left its bounds; empty otherwise.
+    pressure_peak: Peak  #: Largest chamber pressure from the event on [Pa].
+    pressure_least: Peak  #: Least chamber pressure from the event on [Pa], gauge.
+    supply_least: Peak  #: Least pressure of the supply manifold from the event on [Pa].
+    contact_speed: Peak | None  #: Speed at which the first leg met a stop [m/s]; none if none did.
     impact_speed: Peak | None
     """Largest speed at which a leg met a stop [m/s]. Legs that come later may come faster: the
     platform tips on those that stand."""

@@ -45,14 +45,10 @@ class Trial:
     law: Law
     cab: str
     dof: str
-    seed: int | None = None
-    """Of the valve gains; None for the nominal ones."""
-    pose: tuple[float, ...] = (0.0,) * 6
-    """About which it moves [m, rad], z down."""
-    scale: float = 1.0
-    """Of the report's amplitudes."""
-    quick: bool = False
-    """Sweep in 30 s instead of 100 s."""
+    seed: int | None = None  #: Of the valve gains; None for the nominal ones.
+    pose: tuple[float, ...] = (0.0,) * 6  #: About which it moves [m, rad], z down.
+    scale: float = 1.0  #: Of the report's amplitudes.
+    quick: bool = False  #: Sweep in 30 s instead of 100 s.
     electronics: ElectronicsSettings | None = None
 
     def plant(self) -> Hexapod:

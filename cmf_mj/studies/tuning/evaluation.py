@@ -47,10 +47,8 @@ class LinearCab(NamedTuple):
     """A cab on linear hydraulics."""
 
     cab: str
-    jacobian: NDArray[np.float64]
-    """Legs of pose, (6, 6)."""
-    velocity: NDArray[np.complex128]
-    """Responses of leg velocities to commands, (K, 6, 6)."""
+    jacobian: NDArray[np.float64]  #: Legs of pose, (6, 6).
+    velocity: NDArray[np.complex128]  #: Responses of leg velocities to commands, (K, 6, 6).
     pressures: tuple[NDArray[np.complex128], NDArray[np.complex128]]
     """Those of cap and rod pressures."""
     sampled: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
@@ -79,10 +77,8 @@ class Worth(NamedTuple):
 
     phase_hz: NDArray[np.float64]
     """-90 deg bandwidth, (cabs, seeds, 6); the last line where it is beyond."""
-    peak_db: NDArray[np.float64]
-    """Peak gain to 10 Hz, (cabs, seeds, 6)."""
-    overshoot: NDArray[np.float64]
-    """Of the step, fraction, (cabs, seeds, 4)."""
+    peak_db: NDArray[np.float64]  #: Peak gain to 10 Hz, (cabs, seeds, 6).
+    overshoot: NDArray[np.float64]  #: Of the step, fraction, (cabs, seeds, 4).
     settled: NDArray[np.float64]
     """Largest distance from the demand in the last tenth of the step, fraction, (.., 4)."""
 

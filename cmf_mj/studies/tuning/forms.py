@@ -55,12 +55,10 @@ class Template(NamedTuple):
 
     name: str
     title: str
-    modes: Mapping[str, Modes]
-    """Nominal modes of the cabs, and of single legs."""
+    modes: Mapping[str, Modes]  #: Nominal modes of the cabs, and of single legs.
     rate: NDArray[np.float64]
     """Largest modal amplitude of the chirp over cabs and degrees of freedom, (6,) [in]."""
-    cabs: tuple[LinearCab, ...]
-    """Linear plants they are judged on."""
+    cabs: tuple[LinearCab, ...]  #: Linear plants they are judged on.
 
 
 class Form(NamedTuple):
@@ -68,11 +66,9 @@ class Form(NamedTuple):
 
     free: Mapping[str, tuple[float, float]]
     """Bounds of what is searched: Hz, 1, %/in, %/(in/s), %/(in/s^2), %/klbf by the name."""
-    start: tuple[float, ...]
-    """Where the search starts: shipped laws, of earlier searches."""
+    start: tuple[float, ...]  #: Where the search starts: shipped laws, of earlier searches.
     law: Callable[[Template, Values], Law]
-    spread: float = 0.1
-    """Deviation of the first candidates, as a share of the bounds."""
+    spread: float = 0.1  #: Deviation of the first candidates, as a share of the bounds.
     reach: Callable[[Values], float] = lambda _: np.inf
     """Frequency to which its reference can follow the chirp [Hz]."""
 

@@ -36,14 +36,10 @@ class Limits(NamedTuple):
     """What a law has to keep."""
 
     peak_db: float = 2.0
-    overshoot: float = 0.18
-    """Of steps in one degree of freedom."""
-    together: float = 0.5
-    """Of the step in all of them at once."""
-    tail: float = 0.05
-    """Largest distance from the demand 0.63 s after a step."""
-    margin_db: float = 6.0
-    """Peak with all valves faster by `FASTER`."""
+    overshoot: float = 0.18  #: Of steps in one degree of freedom.
+    together: float = 0.5  #: Of the step in all of them at once.
+    tail: float = 0.05  #: Largest distance from the demand 0.63 s after a step.
+    margin_db: float = 6.0  #: Peak with all valves faster by `FASTER`.
 
 
 _WEIGHTS = Limits(0.3, 0.03, 0.06, 0.05, 1.0)

@@ -48,28 +48,18 @@ def _orifice(drop: NDArray[np.float64], laminar: float) -> NDArray[np.float64]:
 class Circuit:
     """Six equal cylinders and their valves on a constant supply."""
 
-    area: NDArray[np.float64]
-    """Piston area of cap and rod side [m^2], (2, 1)."""
-    half_stroke: float
-    """Length of a chamber at neutral [m]."""
-    minimum_gap: float
-    """Length of a chamber at its stop [m]."""
+    area: NDArray[np.float64]  #: Piston area of cap and rod side [m^2], (2, 1).
+    half_stroke: float  #: Length of a chamber at neutral [m].
+    minimum_gap: float  #: Length of a chamber at its stop [m].
     gain: NDArray[np.float64]
     """Flow of both valves, fully open, per root of the drop [m^3/s/sqrt(Pa)], (2, 1)."""
-    leakage: float
-    """Content lost from cap to rod [m^3/s/Pa]."""
-    bulk_modulus: float
-    """[Pa]."""
-    laminar: float
-    """s [sqrt(Pa)]."""
-    supply: float
-    """Ps [Pa]."""
-    tank: float
-    """Pt [Pa]."""
-    drive_rate: float
-    """a [rad/s]."""
-    spool_rate: float
-    """b [rad/s]."""
+    leakage: float  #: Content lost from cap to rod [m^3/s/Pa].
+    bulk_modulus: float  #: [Pa].
+    laminar: float  #: s [sqrt(Pa)].
+    supply: float  #: Ps [Pa].
+    tank: float  #: Pt [Pa].
+    drive_rate: float  #: a [rad/s].
+    spool_rate: float  #: b [rad/s].
 
     def start_pressures(self, load: NDArray[np.float64]) -> NDArray[np.float64]:
         """Equal pressures (2, n) that hold static loads [N]: what piston leakage ends at."""

@@ -30,23 +30,17 @@ _UNIT = 1e5
 class Trajectory(NamedTuple):
     """What an engine computed, at the ends of the control frames and at the start."""
 
-    step: float
-    """Mechanical step [s]."""
-    time: NDArray[np.float64]
-    """[s], (N,)."""
-    extension: NDArray[np.float64]
-    """Leg extensions from neutral [m], (N, 6)."""
-    pressure: NDArray[np.float64]
-    """Pressures of cap and rod chambers [Pa], (N, 6, 2)."""
-    spent: float
-    """CPU time of the run, without building the model [s]."""
+    step: float  #: Mechanical step [s].
+    time: NDArray[np.float64]  #: [s], (N,).
+    extension: NDArray[np.float64]  #: Leg extensions from neutral [m], (N, 6).
+    pressure: NDArray[np.float64]  #: Pressures of cap and rod chambers [Pa], (N, 6, 2).
+    spent: float  #: CPU time of the run, without building the model [s].
 
 
 class _Body(NamedTuple):
     mass: float
     centre: NDArray[np.float64]
-    inertia: NDArray[np.float64]
-    """About the centre of mass, in the axes of the frame."""
+    inertia: NDArray[np.float64]  #: About the centre of mass, in the axes of the frame.
 
 
 def _engine() -> Any:

@@ -36,33 +36,22 @@ ENGINES = ("mujoco", "exudyn")
 class Run(NamedTuple):
     """One run of one engine against the reference."""
 
-    engine: str
-    """One of `ENGINES`."""
-    step: float
-    """[s]."""
-    extension_error: float
-    """Largest error of a leg extension at any frame [m]."""
-    pressure_error: float
-    """Largest error of a chamber pressure at any frame [Pa]."""
-    spent: float
-    """CPU time [s]."""
+    engine: str  #: One of `ENGINES`.
+    step: float  #: [s].
+    extension_error: float  #: Largest error of a leg extension at any frame [m].
+    pressure_error: float  #: Largest error of a chamber pressure at any frame [Pa].
+    spent: float  #: CPU time [s].
 
 
 class Verification(NamedTuple):
     """The runs of both engines and what they are held against."""
 
-    cab: str
-    """`gfd`, `rfd` or `ifd`."""
-    seconds: float
-    """Simulated time."""
-    runs: list[Run]
-    """MuJoCo first, largest step first."""
-    travel: float
-    """Largest extension [m]."""
-    extension_uncertainty: float
-    """Of the reference [m]."""
-    pressure_uncertainty: float
-    """Of the reference [Pa]."""
+    cab: str  #: `gfd`, `rfd` or `ifd`.
+    seconds: float  #: Simulated time.
+    runs: list[Run]  #: MuJoCo first, largest step first.
+    travel: float  #: Largest extension [m].
+    extension_uncertainty: float  #: Of the reference [m].
+    pressure_uncertainty: float  #: Of the reference [Pa].
 
 
 def valve_sines(seconds: float) -> NDArray[np.float64]:
