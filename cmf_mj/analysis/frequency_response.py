@@ -23,6 +23,7 @@ from cmf_mj.analysis.response.estimate import SEGMENT, Estimate, Estimator
 from cmf_mj.analysis.response.matrix import matrix_response, stitch
 from cmf_mj.analysis.response.periodic import periodic_response, sine_response
 from cmf_mj.analysis.response.welch import from_h1, report_response, welch_response
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.kinematics import DOFS, legs_to_pose
 from cmf_mj.record.record import Record
@@ -97,7 +98,7 @@ def dof_history(record: Record, channel: str, dof: str) -> NDArray[np.float64]:
         return legs_to_pose(record[channel])[:, index]
     legs = [f"leg_{i + 1}" for i in range(record[channel].shape[1])]
     if dof not in legs:
-        raise ValueError(f"dof: {dof!r} is not one of {', '.join(legs)}")
+        raise InputError(f"dof: {dof!r} is not one of {', '.join(legs)}")
     return record[channel][:, legs.index(dof)]
 
 
@@ -122,7 +123,7 @@ def frequency_response(
         Lines within the excited band, with coherence and bound.
 
     Raises:
-        ValueError: no excitation in this degree of freedom, a record shorter than a segment, or
+        InputError: no excitation in this degree of freedom, a record shorter than a segment, or
             legs that no pose has.
     """
     chosen = dof if dof is not None else str(record.metadata["command"].get("dof"))
@@ -130,7 +131,7 @@ def frequency_response(
     feedback = dof_history(record, "leg_position", chosen)
     command = record.metadata["command"]
     if np.ptp(demand) < NO_DEMAND:
-        raise ValueError(
+        raise InputError(
             f"dof: the record holds no demand in {chosen}; it moved {command.get('dof', 'another')}"
         )
     if command.get("kind") == "multisine":
@@ -163,20 +164,20 @@ def rounds_response(
         segment: length of Welch's segments [s].
 
     Raises:
-        ValueError: no records, different rates, or no demand in this degree of freedom.
+        InputError: no records, different rates, or no demand in this degree of freedom.
     """
     if not records:
-        raise ValueError("records: none given; at least one is needed")
+        raise InputError("records: none given; at least one is needed")
     rates = sorted({record.rate for record in records})
     if len(rates) > 1:
-        raise ValueError(f"records: rates are {', '.join(map(str, rates))} Hz; must be one")
+        raise InputError(f"records: rates are {', '.join(map(str, rates))} Hz; must be one")
     chosen = dof if dof is not None else str(records[0].metadata["command"].get("dof"))
     pairs = [
         tuple(dof_history(record, name, chosen) for name in ("leg_reference", "leg_position"))
         for record in records
     ]
     if max(np.ptp(x) for x, _ in pairs) < NO_DEMAND:
-        raise ValueError(f"dof: the records hold no demand in {chosen}")
+        raise InputError(f"dof: the records hold no demand in {chosen}")
     if all("dwells" in record.metadata["command"] for record in records):
         found = []
         for record, (x, y) in zip(records, pairs, strict=True):
@@ -214,12 +215,12 @@ def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
         record: of `excitations.orthogonal_multisines` in all six degrees of freedom.
 
     Raises:
-        ValueError: another excitation, or a degree of freedom at rest.
+        InputError: another excitation, or a degree of freedom at rest.
     """
     command = record.metadata["command"]
     if command.get("kind") != "orthogonal_multisines":
         kind = command.get("kind")
-        raise ValueError(f"record: its command is {kind!r}; orthogonal multisines are needed")
+        raise InputError(f"record: its command is {kind!r}; orthogonal multisines are needed")
     whole = slice(round(command["period"] * record.rate) * command["periods"])
     demand, feedback = (
         legs_to_pose(record[name][whole]) for name in ("leg_reference", "leg_position")
@@ -252,7 +253,7 @@ def _periodic(
     command = record.metadata["command"]
     samples = round(command["period"] * record.rate)
     if abs(samples - command["period"] * record.rate) > 1e-9:
-        raise ValueError(
+        raise InputError(
             f"record_every: a period is not a whole number of samples at {record.rate}"
         )
     frequency = np.fft.rfftfreq(samples, 1.0 / record.rate)

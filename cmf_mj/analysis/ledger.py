@@ -11,6 +11,7 @@ from typing import Annotated
 from pydantic import Field, field_validator
 
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings, read_toml, validated
 
 _FILE = Path(__file__).with_suffix(".toml")
@@ -55,13 +56,13 @@ class LedgerEntry(Settings):
         """The value of a figure.
 
         Raises:
-            ValueError: the entry has none of this name.
+            InputError: the entry has none of this name.
         """
         for figure in self.figures:
             if figure.name == name:
                 return figure.value
         known = ", ".join(figure.name for figure in self.figures) or "none"
-        raise ValueError(f"figure: {name!r} is not one of entry {self.number}'s: {known}")
+        raise InputError(f"figure: {name!r} is not one of entry {self.number}'s: {known}")
 
 
 @lru_cache
@@ -69,7 +70,7 @@ def load_ledger() -> tuple[LedgerEntry, ...]:
     """All entries, in the order of the report.
 
     Raises:
-        ValueError: an entry is refused, out of order, or shares its demonstration with another.
+        InputError: an entry is refused, out of order, or shares its demonstration with another.
     """
     rows = read_toml(_FILE)["entry"]
     entries = tuple(
@@ -80,7 +81,7 @@ def load_ledger() -> tuple[LedgerEntry, ...]:
     for entry in entries:
         first = seen.setdefault(entry.demonstration, entry.number)
         if first != entry.number:
-            raise ValueError(
+            raise InputError(
                 f"{_FILE.name}: entry {entry.number}: demonstration: {entry.demonstration} is "
                 f"that of entry {first}"
             )
@@ -91,9 +92,9 @@ def ledger_entry(number: int) -> LedgerEntry:
     """The entry of a number.
 
     Raises:
-        ValueError: no such entry.
+        InputError: no such entry.
     """
     entries = load_ledger()
     if not 1 <= number <= len(entries):
-        raise ValueError(f"number: {number} is not one of 1 to {len(entries)}")
+        raise InputError(f"number: {number} is not one of 1 to {len(entries)}")
     return entries[number - 1]

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, signal
 
+from cmf_mj.core.errors import InputError
+
 Signal = NDArray[np.float64]
 
 
@@ -50,15 +52,15 @@ def harmonics(samples: Signal, rate: float, frequency: float, count: int) -> Har
         count: number of harmonics.
 
     Raises:
-        ValueError: less than a cycle, or a harmonic at or above half the sampling rate.
+        InputError: less than a cycle, or a harmonic at or above half the sampling rate.
     """
     if frequency <= 0.0 or samples.size < rate / frequency:
-        raise ValueError(
+        raise InputError(
             f"frequency: {frequency} Hz needs a cycle of {rate / max(frequency, 1e-300):.0f} "
             f"samples; there are {samples.size}"
         )
     if count < 1 or count * frequency >= rate / 2:
-        raise ValueError(
+        raise InputError(
             f"count: harmonic {count} of {frequency} Hz must be at least 1 and below {rate / 2} Hz"
         )
     angle = 2.0 * np.pi * frequency / rate * np.arange(samples.size)
@@ -89,17 +91,17 @@ def acceleration_noise(
         highest: highest harmonic counted, less where the sampling rate allows less.
 
     Raises:
-        ValueError: less than a cycle, or too low a rate for the third harmonic.
+        InputError: less than a cycle, or too low a rate for the third harmonic.
     """
     cycles = int(np.floor(acceleration.size * frequency / rate + 1e-9))
     if cycles < 1:
-        raise ValueError(
+        raise InputError(
             f"frequency: {frequency} Hz has no whole cycle in {acceleration.size} samples"
         )
     cut = acceleration[-round(cycles * rate / frequency) :]
     count = min(highest, int(np.ceil(rate / 2 / frequency)) - 1)
     if count < 3:
-        raise ValueError(f"rate: {rate} Hz must exceed {6.0 * frequency} Hz to show harmonic 3")
+        raise InputError(f"rate: {rate} Hz must exceed {6.0 * frequency} Hz to show harmonic 3")
     fit = harmonics(cut, rate, frequency, count)
     first = float(fit.amplitude[0])
     low = float(np.linalg.norm(fit.amplitude[1:3]) / first)
@@ -152,7 +154,7 @@ def crosstalk(accelerations: NDArray[np.float64], driven: int) -> Signal:
     moving = accelerations - accelerations.mean(axis=0)
     rms = np.sqrt(np.mean(moving**2, axis=0))
     if rms[driven] == 0.0:
-        raise ValueError(f"driven: degree of freedom {driven} does not move in this run")
+        raise InputError(f"driven: degree of freedom {driven} does not move in this run")
     return rms / rms[driven]
 
 
@@ -253,7 +255,7 @@ def fit_second_order(
     turn = float(frequency[late[0]]) if late.size else float(frequency[-1])
     used = frequency <= (highest if highest is not None else 1.5 * turn)
     if np.count_nonzero(used) < 4:
-        raise ValueError(f"highest: only {np.count_nonzero(used)} lines lie below it; 4 are needed")
+        raise InputError(f"highest: only {np.count_nonzero(used)} lines lie below it; 4 are needed")
     s = 2j * np.pi * frequency[used]
     measured = response[used]
 

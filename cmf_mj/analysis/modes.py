@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 from scipy.stats import qmc
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE, legs_to_pose, pose_to_legs
 from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
@@ -170,12 +171,12 @@ def plane_map(
         limits: of motion; default the shipped ones.
 
     Raises:
-        ValueError: twice the same or an unknown degree of freedom, or too few poses.
+        InputError: twice the same or an unknown degree of freedom, or too few poses.
     """
     if dofs[0] == dofs[1] or not set(dofs) <= set(DOFS):
-        raise ValueError(f"dofs: {dofs} must be two different ones of {', '.join(DOFS)}")
+        raise InputError(f"dofs: {dofs} must be two different ones of {', '.join(DOFS)}")
     if count < 3:
-        raise ValueError(f"count: {count} poses along each axis must be at least 3")
+        raise InputError(f"count: {count} poses along each axis must be at least 3")
     allowed = limits or load_motion_limits()
     indices = [DOFS.index(dof) for dof in dofs]
     rays, rings = 4 * (count - 1), count // 2 + 1
@@ -239,10 +240,10 @@ def over_envelope(
         progress: called with (done, in all) now and then.
 
     Raises:
-        ValueError: fewer than 90 samples.
+        InputError: fewer than 90 samples.
     """
     if samples < 90:
-        raise ValueError(f"samples: {samples} must be at least 90")
+        raise InputError(f"samples: {samples} must be at least 90")
     allowed = limits or load_motion_limits()
     poses = envelope_poses(plant, samples, seed=seed, limits=allowed)
     looked_at = tuple(modes_at(plant, pose) for pose in poses)
@@ -285,10 +286,10 @@ def with_room(plant: Hexapod, modes: ModeSet, room: float) -> ModeSet:
         room: working stroke to be left to every leg [m].
 
     Raises:
-        ValueError: not even neutral leaves that much.
+        InputError: not even neutral leaves that much.
     """
     if not 0.0 <= room < (most := float(reserve(np.zeros(6), plant))):
-        raise ValueError(f"room: {room} m must be at least 0 and less than {most:.4f} m")
+        raise InputError(f"room: {room} m must be at least 0 and less than {most:.4f} m")
     if reserve(modes.pose, plant) >= room:
         return modes
     share = optimize.brentq(lambda part: reserve(part * modes.pose, plant) - room, 0.0, 1.0)
@@ -307,12 +308,12 @@ def stroke_room(plant: Hexapod, modes: ModeSet, mode: int) -> float:
         mode: index of the mode, 0 the lowest.
 
     Raises:
-        ValueError: a leg is at the end of its working stroke or beyond.
+        InputError: a leg is at the end of its working stroke or beyond.
     """
     left = WORKING_STROKE - np.abs(pose_to_legs(modes.pose, plant.geometry))
     least = int(left.argmin())
     if left[least] <= 0.0:
-        raise ValueError(
+        raise InputError(
             f"pose: leaves leg {least + 1} {left[least]:.4f} m of its working stroke to swing in; "
             "must be greater than 0"
         )
@@ -339,11 +340,11 @@ def swinging(
         MuJoCo's qpos, (n, nq).
 
     Raises:
-        ValueError: a leg would leave its working stroke.
+        InputError: a leg would leave its working stroke.
     """
     room = stroke_room(plant, modes, mode)
     if not 0.0 < stroke <= room:
-        raise ValueError(
+        raise InputError(
             f"stroke: {stroke:.4f} m must be greater than 0 and at most {room:.4f} m, where mode "
             f"{mode + 1} takes a leg to the end of its working stroke"
         )

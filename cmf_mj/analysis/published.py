@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import model_validator
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings, read_toml, validated
 
 _FILE = Path(__file__).with_name("published.toml")
@@ -47,7 +48,7 @@ class PublishedGains(Settings):
     @model_validator(mode="after")
     def _columns(self) -> "PublishedGains":
         if not len(self.b) == len(self.d) == len(self.signals):
-            raise ValueError(
+            raise InputError(
                 f"signals: {len(self.signals)} for {len(self.b)} columns of B and {len(self.d)} "
                 "of D"
             )

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import NO_DEMAND, dof_history
+from cmf_mj.core.errors import InputError
 from cmf_mj.record.record import Record
 
 TAIL = 1.0
@@ -99,13 +100,13 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
         dof: degree of freedom; default the one the command moved.
 
     Raises:
-        ValueError: the record is not of a step, or too short.
+        InputError: the record is not of a step, or too short.
     """
     command = record.metadata["command"]
     if command.get("kind") != "step":
-        raise ValueError(f"record: its command is a {command.get('kind')}; a step is needed")
+        raise InputError(f"record: its command is a {command.get('kind')}; a step is needed")
     if command["duration"] - command["at"] < DECAY_TIME + 2.0 * TAIL:
-        raise ValueError(f"record: must go on for {DECAY_TIME + 2.0 * TAIL} s after the step")
+        raise InputError(f"record: must go on for {DECAY_TIME + 2.0 * TAIL} s after the step")
     residual, stable = _verdict(record)
     chosen = dof if dof is not None else str(command["dof"])
     demand = dof_history(record, "leg_reference", chosen)
@@ -121,7 +122,7 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
     size = final - rest
     demanded = float(demand[-1] - demand[at - 1])
     if abs(demanded) < NO_DEMAND:
-        raise ValueError(f"dof: the record holds no step in {chosen}; it moved {command['dof']}")
+        raise InputError(f"dof: the record holds no step in {chosen}; it moved {command['dof']}")
     shape = step_shape((feedback[at:] - rest) / size, record.rate)
     return StepMetrics(
         overshoot=shape.overshoot,

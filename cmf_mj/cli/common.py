@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import DOFS
@@ -81,7 +82,7 @@ def names_of(text: str, every: tuple[str, ...]) -> list[str]:
 def plant_builder(plant: str, cab: str, hydraulics: str) -> Callable[[], Plant]:
     """Builder of a plant named on the command line; refuses bad names at once."""
     if plant not in PLANTS:
-        raise ValueError(f"plant: {plant!r} is not one of {', '.join(PLANTS)}")
+        raise InputError(f"plant: {plant!r} is not one of {', '.join(PLANTS)}")
     parameters = load_hydraulics(hydraulics)
     models.cab_path(cab)
     return lambda: Hexapod(cab, parameters) if plant == "hexapod" else SingleLegs(parameters)
@@ -98,14 +99,14 @@ def pose_option(text: str) -> NDArray[np.float64]:
     """A pose of the command line, six numbers in in and deg, in SI.
 
     Raises:
-        ValueError: not six numbers.
+        InputError: not six numbers.
     """
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError as error:
-        raise ValueError(f"pose: {text!r} must be six numbers with commas between") from error
+        raise InputError(f"pose: {text!r} must be six numbers with commas between") from error
     if len(values) != len(DOFS):
-        raise ValueError(f"pose: {text!r} has {len(values)} numbers; six are needed")
+        raise InputError(f"pose: {text!r} has {len(values)} numbers; six are needed")
     return np.array([units.to_si("in" if i < 3 else "deg", v) for i, v in enumerate(values)])
 
 

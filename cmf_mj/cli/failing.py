@@ -19,6 +19,7 @@ from cmf_mj.cli.common import (
     show,
 )
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.plant.events import KINDS, Event, default_event
 from cmf_mj.show import failure as failure_report
 from cmf_mj.studies.failure.manoeuvre import AFTER, AT, FREQUENCY
@@ -29,13 +30,13 @@ def read_size(text: str) -> tuple[float, str]:
     """A number and its unit, such as `1 in^2`.
 
     Raises:
-        ValueError: it is not that.
+        InputError: it is not that.
     """
     number, _, unit = text.strip().partition(" ")
     try:
         return float(number), unit.strip() or "1"
     except ValueError as error:
-        raise ValueError(f"size: {text!r} is not a number and a unit, such as '1 in^2'") from error
+        raise InputError(f"size: {text!r} is not a number and a unit, such as '1 in^2'") from error
 
 
 def events_of(
@@ -44,15 +45,15 @@ def events_of(
     """Events of the command line; `all` is every kind, valves once both and once the first.
 
     Raises:
-        ValueError: names what is refused.
+        InputError: names what is refused.
     """
     kinds = names_of(event, KINDS)
     for kind in kinds:
         if kind not in KINDS:
-            raise ValueError(f"event: {kind!r} is not one of all, {', '.join(KINDS)}")
+            raise InputError(f"event: {kind!r} is not one of all, {', '.join(KINDS)}")
     given = None if size is None else read_size(size)
     if len(kinds) > 1 and (given is not None or valve is not None):
-        raise ValueError("size, valve: are for one event; several events take their defaults")
+        raise InputError("size, valve: are for one event; several events take their defaults")
     if len(kinds) == 1:
         return [default_event(kinds[0], at, leg=leg, valve=valve, size=given)]
     events = []

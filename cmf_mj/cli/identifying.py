@@ -18,6 +18,7 @@ from cmf_mj.cli.common import (
     show,
     written,
 )
+from cmf_mj.core.errors import InputError
 from cmf_mj.show import identification as identification_report
 from cmf_mj.studies.identification import (
     Method,
@@ -62,13 +63,13 @@ def identify_command(
     """Identify a linear model of leg velocity per valve command, or of all dofs (--dof all)."""
     try:
         if simulate == bool(files):
-            raise ValueError("files: name recordings, or use --simulate, not both and not neither")
+            raise InputError("files: name recordings, or use --simulate, not both and not neither")
         chosen = identification_report.parse_orders(orders)
         build = plant_builder(plant, cab, hydraulics)
         name = law or "velocity"
         if dof == "all":
             if not simulate:
-                raise ValueError("dof: all needs --simulate")
+                raise InputError("dof: all needs --simulate")
             show(identification_report.matrix_table(identify_matrix(build, name)), width=100)
             return
         if simulate:

@@ -24,6 +24,7 @@ from cmf_mj.cli.common import (
     written,
 )
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.record.writer import write_facility_csv
 from cmf_mj.show import measurement as measurement_report
 from cmf_mj.signals.peaks import peaks
@@ -90,7 +91,7 @@ def measure_command(
     """Measure recordings, or a simulated session, in the field's terms."""
     try:
         if simulate == bool(files):
-            raise ValueError("files: name recordings, or use --simulate, not both and not neither")
+            raise InputError("files: name recordings, or use --simulate, not both and not neither")
         if simulate:
             build = plant_builder(plant, cab, hydraulics)
             measured = measure(

@@ -23,6 +23,7 @@ from cmf_mj.cli.common import (
     written,
 )
 from cmf_mj.control.states import Request, State
+from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.files import read_stream
 from cmf_mj.facility.host.stream import resample
 from cmf_mj.facility.host.udp import UdpReceiver
@@ -41,7 +42,7 @@ Begin = Annotated[
 def _begin(name: str) -> tuple[State, list[tuple[float, Request]]]:
     """State to begin in, and the operator's requests."""
     if name not in _BEGIN:
-        raise ValueError(f"begin: {name!r} is not one of {', '.join(_BEGIN)}")
+        raise InputError(f"begin: {name!r} is not one of {', '.join(_BEGIN)}")
     return _BEGIN[name], [(0.0, Request.ENGAGE)]
 
 

@@ -15,6 +15,7 @@ from cmf_mj.cli.common import (
     show,
     written,
 )
+from cmf_mj.core.errors import InputError
 from cmf_mj.show import verification as tables
 from cmf_mj.studies.verification.study import verify
 
@@ -32,7 +33,7 @@ def verify_command(
     """Hold the MuJoCo plant against Exudyn: error and CPU time over step sizes."""
     try:
         if finest < 4 or finest & (finest - 1):
-            raise ValueError(f"finest: {finest} must be a power of two, at least 4")
+            raise InputError(f"finest: {finest} must be a power of two, at least 4")
         parts = [2**i for i in range(finest.bit_length())]
         with progress_bar() as progress:
             found = verify(cab, hydraulics, seconds=seconds, parts=parts, progress=progress)

@@ -20,6 +20,7 @@ from cmf_mj.cli.common import (
     refuse,
     show,
 )
+from cmf_mj.core.errors import InputError
 from cmf_mj.facility.scenario.library import find_scenario
 from cmf_mj.facility.scenario.run import ScenarioRun, run_scenario
 from cmf_mj.facility.scenario.settings import Scenario, save_scenario, scenario_of
@@ -103,7 +104,7 @@ def video_command(
         sources = scenario or [_HEAVE]
         chosen = names_of(laws, ())
         if len(sources) > 1 and chosen:
-            raise ValueError("laws: are for one scenario; give one, or no laws")
+            raise InputError("laws: are for one scenario; give one, or no laws")
         records, titles = [], []
         with progress_bar() as progress:
             for source in sources:

@@ -23,6 +23,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from cmf_mj.control.leg_feedback import LegFeedback
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings
 
 MODES = 6
@@ -85,7 +86,7 @@ class Modes(Settings):
         rows = np.array(self.shape)
         error = float(np.abs(rows @ rows.T - np.eye(MODES)).max())
         if error > ORTHONORMAL:
-            raise ValueError(
+            raise InputError(
                 f"shape: rows are off orthonormal by {error:.3g}; allowed: {ORTHONORMAL:g}"
             )
         return self

@@ -35,6 +35,7 @@ from cmf_mj.control.plan import CompiledPlan, advance, ask, bounded, correct, ma
 from cmf_mj.control.reference_model import CompiledModel, follow, make_model
 from cmf_mj.control.valve_command import clamp
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 
 _INTEGRAL = SIGNALS.index("error_integral")
@@ -90,11 +91,11 @@ def make_dcl(law: Law, legs: int) -> Dcl:
     """Compile a law for a number of legs.
 
     Raises:
-        ValueError: a law in hydraulic modes for other than six legs, or not `mounted`.
+        InputError: a law in hydraulic modes for other than six legs, or not `mounted`.
     """
     modes = law.mounted_modes
     if modes is not None and legs != len(modes.mass):
-        raise ValueError(
+        raise InputError(
             f"coordinates: law {law.name} runs in hydraulic modes of {len(modes.mass)} legs; "
             f"there are {legs}"
         )

@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.machine import kinematics
 
 
@@ -52,15 +53,15 @@ def make_demand(
         compliance: their displacement per specific force [m/(m/s^2)], (6, 3, 3), platform axes.
 
     Raises:
-        ValueError: another shape, or a number that is not finite.
+        InputError: another shape, or a number that is not finite.
     """
 
     def checked(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.float64]:
         array = np.zeros(shape) if values is None else np.array(values, dtype=float, order="C")
         if array.shape != shape:
-            raise ValueError(f"{name}: shape is {array.shape}; it must be {shape}")
+            raise InputError(f"{name}: shape is {array.shape}; it must be {shape}")
         if not np.isfinite(array).all():
-            raise ValueError(f"{name}: {array[~np.isfinite(array)][0]} is not a finite number")
+            raise InputError(f"{name}: {array[~np.isfinite(array)][0]} is not a finite number")
         return array
 
     return Demand(

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.machine.gravity import (
     LegAxes,
     LegAxesState,
@@ -90,10 +91,10 @@ def gravity_compensation_state(
     """State that knows the pose of the measured leg positions (n,) [m].
 
     Raises:
-        ValueError: enabled, and the legs are not six or no pose has them.
+        InputError: enabled, and the legs are not six or no pose has them.
     """
     if compensation.enabled and position.shape != (6,):
-        raise ValueError(f"position: shape is {position.shape}; gravity along the legs needs (6,)")
+        raise InputError(f"position: shape is {position.shape}; gravity along the legs needs (6,)")
     return leg_axes_state(compensation.axes, position if compensation.enabled else np.zeros(6))
 
 
@@ -126,7 +127,7 @@ def gravity_history(position: NDArray[np.float64]) -> NDArray[np.float64]:
         position: (N, 6) [m].
 
     Raises:
-        ValueError: other than six legs, or no pose has the first row.
+        InputError: other than six legs, or no pose has the first row.
     """
     compensation = make_gravity_compensation(enabled=True)
     gravity = np.empty(position.shape)

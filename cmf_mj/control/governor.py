@@ -45,6 +45,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
 
@@ -90,24 +91,24 @@ def make_governor(
         frame: control frame [s].
 
     Raises:
-        ValueError: shapes that differ, or a value out of range, named.
+        InputError: shapes that differ, or a value out of range, named.
     """
     given = {"low": low, "high": high, "velocity": velocity, "acceleration": acceleration}
     arrays = {name: np.array(values, dtype=float) for name, values in given.items()}
     for name, array in arrays.items():
         if array.ndim != 1 or array.shape != arrays["low"].shape:
-            raise ValueError(f"{name}: shape is {array.shape}; low has {arrays['low'].shape}")
+            raise InputError(f"{name}: shape is {array.shape}; low has {arrays['low'].shape}")
         if not np.isfinite(array).all():
-            raise ValueError(f"{name}: {array[~np.isfinite(array)][0]} is not a finite number")
+            raise InputError(f"{name}: {array[~np.isfinite(array)][0]} is not a finite number")
     for name in ("velocity", "acceleration"):
         if (arrays[name] <= 0.0).any():
-            raise ValueError(f"{name}: {arrays[name].min()} must be greater than 0")
+            raise InputError(f"{name}: {arrays[name].min()} must be greater than 0")
     if (arrays["low"] >= arrays["high"]).any():
-        raise ValueError("low: must be less than high in every channel")
+        raise InputError("low: must be less than high in every channel")
     if not 0.0 < rejoin <= 1.0:
-        raise ValueError(f"rejoin: {rejoin} must be greater than 0 and at most 1")
+        raise InputError(f"rejoin: {rejoin} must be greater than 0 and at most 1")
     if not (np.isfinite(frame) and frame > 0.0):
-        raise ValueError(f"frame: {frame} s must be greater than 0")
+        raise InputError(f"frame: {frame} s must be greater than 0")
     return Governor(**arrays, rejoin=rejoin, frame=frame)
 
 
@@ -344,18 +345,18 @@ def govern(
         together: whether all channels share one scale.
 
     Raises:
-        ValueError: another shape, named.
+        InputError: another shape, named.
     """
     position = np.array(demand, dtype=float, order="C")
     if position.ndim != 2 or position.shape[1] != governor.low.size:
-        raise ValueError(
+        raise InputError(
             f"demand: shape is {position.shape}; it must be (frames, {governor.low.size})"
         )
     rates = []
     for name, given in (("velocity", velocity), ("acceleration", acceleration)):
         values = np.full(position.shape, np.nan) if given is None else np.array(given, dtype=float)
         if values.shape != position.shape:
-            raise ValueError(f"{name}: shape is {values.shape}; demand has {position.shape}")
+            raise InputError(f"{name}: shape is {values.shape}; demand has {position.shape}")
         rates.append(np.ascontiguousarray(values))
     found = Governed(position, rates[0], rates[1], np.ones(position.shape[0]))
     if position.shape[0]:

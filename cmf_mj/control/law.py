@@ -23,6 +23,7 @@ from cmf_mj.control.coordinates import Modes, PerMode, is_per_mode
 from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.control.plan import Plan
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Settings, merged, read_toml, validated
 
@@ -88,11 +89,11 @@ class Gains(Settings):
         """Gain of a signal, where all legs share it.
 
         Raises:
-            ValueError: the gain is a list, one a mode.
+            InputError: the gain is a list, one a mode.
         """
         gain = getattr(self, signal)
         if is_per_mode(gain):
-            raise ValueError(f"{signal}: {gain} is a list, one a mode; one gain for all is needed")
+            raise InputError(f"{signal}: {gain} is a list, one a mode; one gain for all is needed")
         return float(gain)
 
 
@@ -183,12 +184,12 @@ class Law(Settings):
         modal = self.coordinates == "hydraulic_modes"
         if modal != bool(self.modes):
             said = "needs a table [modes.CAB] for each cab" if modal else "takes no modes"
-            raise ValueError(f"coordinates: {self.coordinates} {said}")
+            raise InputError(f"coordinates: {self.coordinates} {said}")
         if self.plan is not None and self.reference_model is not None:
-            raise ValueError("plan: is not allowed beside a reference_model; choose one")
+            raise InputError("plan: is not allowed beside a reference_model; choose one")
         if self.plan is not None and modal == (self.plan.frequency is not None):
             said = "is not allowed, modes have their own" if modal else "is missing"
-            raise ValueError(f"plan.frequency: {said}, for coordinates {self.coordinates}")
+            raise InputError(f"plan.frequency: {said}, for coordinates {self.coordinates}")
         lists = [
             f"{table}.{field}"
             for table in ("input_gain", "direct_gain", "plan", "load_feedback")
@@ -196,7 +197,7 @@ class Law(Settings):
             if is_per_mode(value) and field != "pairs"
         ]
         if lists and not modal:
-            raise ValueError(f"{lists[0]}: a list needs coordinates hydraulic_modes; one number")
+            raise InputError(f"{lists[0]}: a list needs coordinates hydraulic_modes; one number")
         return self
 
     def mounted(self, cab: str) -> "Law":
@@ -206,12 +207,12 @@ class Law(Settings):
             cab: `gfd`, `rfd` or `ifd`, or the name of a plant without cabs.
 
         Raises:
-            ValueError: a law in hydraulic modes that has none of this cab.
+            InputError: a law in hydraulic modes that has none of this cab.
         """
         if self.coordinates == "legs":
             return self
         if cab not in self.modes:
-            raise ValueError(
+            raise InputError(
                 f"modes: law {self.name} has none of {cab!r}; it has {', '.join(self.modes)}"
             )
         return self.model_copy(update={"modes": {cab: self.modes[cab]}})
@@ -221,12 +222,12 @@ class Law(Settings):
         """Modes the law runs in; None for one in leg coordinates.
 
         Raises:
-            ValueError: the law has those of several cabs.
+            InputError: the law has those of several cabs.
         """
         if self.coordinates == "legs":
             return None
         if len(self.modes) > 1:
-            raise ValueError(
+            raise InputError(
                 f"modes: law {self.name} has those of {', '.join(self.modes)}; choose one with "
                 f"mounted({next(iter(self.modes))!r})"
             )
@@ -250,13 +251,13 @@ def _laws_of(path: Path) -> dict[str, Law]:
     laws = {}
     for name, table in tables.items():
         if not isinstance(table, dict):
-            raise ValueError(f"{path.name}: {name}: {table!r} is refused: a law is a table [name]")
+            raise InputError(f"{path.name}: {name}: {table!r} is refused: a law is a table [name]")
         whole = _derived(table, tables, f"{path.name}: {name}") | {"name": name}
         if whole.get("coordinates") == "hydraulic_modes":
             whole = {"modes": read_toml(_MODES)} | whole
         laws[name] = validated(Law, whole, f"{path.name}: {name}")
     if not laws:
-        raise ValueError(f"{path.name}: holds no law; a law is a table [name]")
+        raise InputError(f"{path.name}: holds no law; a law is a table [name]")
     return laws
 
 
@@ -264,7 +265,7 @@ def _derived(table: dict[str, Any], tables: dict[str, Any], where: str) -> dict[
     """A law's table laid over that of the law it is based on, whose title and source it leaves.
 
     Raises:
-        ValueError: the other law is unknown, or based on one itself.
+        InputError: the other law is unknown, or based on one itself.
     """
     if "based_on" not in table:
         return table
@@ -273,7 +274,7 @@ def _derived(table: dict[str, Any], tables: dict[str, Any], where: str) -> dict[
         others |= {k: v for k, v in found.items() if isinstance(v, dict) and "based_on" not in v}
     name = table["based_on"]
     if not isinstance(name, str) or name not in others:
-        raise ValueError(
+        raise InputError(
             f"{where}: based_on: {name!r} is refused: allowed: {', '.join(others)}, laws which are "
             "based on none"
         )
@@ -301,7 +302,7 @@ def load_law(source: str | Path | Law) -> Law:
             one of several, or a law already loaded.
 
     Raises:
-        ValueError: no such law, unreadable file, or a refused field with its valid range.
+        InputError: no such law, unreadable file, or a refused field with its valid range.
     """
     if isinstance(source, Law):
         return source
@@ -312,14 +313,14 @@ def load_law(source: str | Path | Law) -> Law:
     stem, found, name = text.rpartition(".toml")
     if not found or (name and not name.startswith(":")):
         shipped = ", ".join(law_names("all"))
-        raise ValueError(f"law: {text!r} is neither a .toml file nor one of {shipped}")
+        raise InputError(f"law: {text!r} is neither a .toml file nor one of {shipped}")
     laws = _laws_of(Path(stem + ".toml"))
     if name:
         if name[1:] not in laws:
-            raise ValueError(f"law: {name[1:]!r} is not in {stem}.toml; it has {', '.join(laws)}")
+            raise InputError(f"law: {name[1:]!r} is not in {stem}.toml; it has {', '.join(laws)}")
         return laws[name[1:]]
     if len(laws) > 1:
-        raise ValueError(
+        raise InputError(
             f"law: {text} holds {', '.join(laws)}; choose one with {text}:{next(iter(laws))}"
         )
     return next(iter(laws.values()))

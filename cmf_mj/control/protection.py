@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Settings, overlaid_default
@@ -89,12 +90,12 @@ class ProtectionSettings(Settings):
             quantity = getattr(self, name).threshold
             least = 0.0 if name == "frame_watchdog" else np.nextafter(0.0, 1.0)
             if quantity.unit not in allowed or quantity.value < least:
-                raise ValueError(
+                raise InputError(
                     f"{name}.threshold: {quantity.value:g} {quantity.unit} is refused: must be "
                     f"greater than 0 {' or '.join(allowed)}"
                 )
         if self.washout.unit != "1/s" or not 0.0 < self.washout.value < 1.0 / FRAME:
-            raise ValueError(
+            raise InputError(
                 f"washout: {self.washout.value:g} {self.washout.unit} is refused: must be between "
                 f"0 and {1.0 / FRAME:g} 1/s"
             )
@@ -136,7 +137,7 @@ def load_protection(source: str | Path | ProtectionSettings = "default") -> Prot
             it changes, each a whole table; the others are the default's.
 
     Raises:
-        ValueError: another name, an unreadable file or a refused field; each is named.
+        InputError: another name, an unreadable file or a refused field; each is named.
     """
     return overlaid_default("protection", ProtectionSettings, _FILE, source, levels=0)
 

@@ -41,6 +41,6 @@ def load_state_settings(source: str | Path | StateSettings | None = None) -> Sta
             default the shipped ones.
 
     Raises:
-        ValueError: unreadable file or a refused field; each is named.
+        InputError: unreadable file or a refused field; each is named.
     """
     return overlaid(StateSettings, _FILE, source)

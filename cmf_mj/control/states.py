@@ -36,6 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.control.state_settings import StateSettings, load_state_settings
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.kinematics import WORKING_STROKE
 
@@ -144,10 +145,10 @@ def start(states: States, code: State, position: ArrayLike) -> OperatingState:
         position: leg positions (n,) [m] at which it holds or the host is.
 
     Raises:
-        ValueError: a state that is passed through only.
+        InputError: a state that is passed through only.
     """
     if code not in (State.OFF, State.SETTLED, State.HOLD, State.ENGAGED):
-        raise ValueError(f"code: {State(code).name} is no state to start in")
+        raise InputError(f"code: {State(code).name} is no state to start in")
     at = np.clip(np.array(position, dtype=float), -states.travel, states.travel)
     gain = 0.0 if code == State.OFF else 1.0
     return OperatingState(

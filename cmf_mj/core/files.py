@@ -13,6 +13,8 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
+from cmf_mj.core.errors import InputError
+
 
 @contextmanager
 def whole_file(target: Path) -> Iterator[Path]:
@@ -51,7 +53,7 @@ def write_table(table: pa.Table, target: Path) -> Path:
     """Write a table as CSV or Parquet, by the name's end; numbers read back bit for bit.
 
     Raises:
-        ValueError: the name ends in neither.
+        InputError: the name ends in neither.
     """
     if target.suffix == ".csv":
         with whole_file(target) as partial:
@@ -59,7 +61,7 @@ def write_table(table: pa.Table, target: Path) -> Path:
         return target
     if target.suffix == ".parquet":
         return write_parquet(table, target)
-    raise ValueError(f"{target}: must end in .csv or .parquet")
+    raise InputError(f"{target}: must end in .csv or .parquet")
 
 
 def write_parquet(table: pa.Table, target: Path) -> Path:
@@ -73,7 +75,7 @@ def read_table(path: Path) -> pa.Table:
     """Read a CSV or Parquet file.
 
     Raises:
-        ValueError: it cannot be read, or its name ends in neither.
+        InputError: it cannot be read, or its name ends in neither.
     """
     try:
         if path.suffix == ".csv":
@@ -81,8 +83,8 @@ def read_table(path: Path) -> pa.Table:
         if path.suffix == ".parquet":
             return pyarrow.parquet.read_table(path)
     except (OSError, pa.ArrowInvalid) as error:
-        raise ValueError(f"{path}: cannot be read: {error}") from error
-    raise ValueError(f"{path}: must end in .csv or .parquet")
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    raise InputError(f"{path}: must end in .csv or .parquet")
 
 
 def read_column(
@@ -91,16 +93,16 @@ def read_column(
     """A column of numbers of a table read from `path`; float64 unless `kind` says otherwise.
 
     Raises:
-        ValueError: the column is missing, twice, has gaps or holds no numbers.
+        InputError: the column is missing, twice, has gaps or holds no numbers.
     """
     if table.column_names.count(name) != 1:
         found = "twice" if name in table.column_names else "missing"
-        raise ValueError(f"{path}: {name}: column is {found}; it has {table.column_names}")
+        raise InputError(f"{path}: {name}: column is {found}; it has {table.column_names}")
     column = table[name]
     if column.null_count:
         row = column.is_null().to_pylist().index(True)
-        raise ValueError(f"{path}: {name}: row {row + 1} is empty or not a number")
+        raise InputError(f"{path}: {name}: row {row + 1} is empty or not a number")
     try:
         return np.array(column.cast(kind or pa.float64()).to_numpy())
     except pa.ArrowInvalid as error:
-        raise ValueError(f"{path}: {name}: is not a column of numbers: {error}") from error
+        raise InputError(f"{path}: {name}: is not a column of numbers: {error}") from error

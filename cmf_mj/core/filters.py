@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 
 
 def low_pass(order: int, corner: float, rate: float) -> NDArray[np.float64]:
@@ -26,14 +27,14 @@ def low_pass(order: int, corner: float, rate: float) -> NDArray[np.float64]:
         rate: samples a second [Hz].
 
     Raises:
-        ValueError: an order below 0, or a corner that is not between 0 and half the rate.
+        InputError: an order below 0, or a corner that is not between 0 and half the rate.
     """
     if order < 0:
-        raise ValueError(f"order: {order} must be at least 0")
+        raise InputError(f"order: {order} must be at least 0")
     if order == 0:
         return np.empty((0, 6))
     if not 0.0 < corner < rate / 2.0:
-        raise ValueError(f"corner: {corner:g} Hz must be between 0 and {rate / 2.0:g} Hz")
+        raise InputError(f"corner: {corner:g} Hz must be between 0 and {rate / 2.0:g} Hz")
     return np.ascontiguousarray(signal.butter(order, corner, output="sos", fs=rate))
 
 

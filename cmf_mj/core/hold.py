@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 
 
 class Held(NamedTuple):
@@ -44,7 +45,7 @@ def hold(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, interval: float
         interval: T [s].
 
     Raises:
-        ValueError: matrices that do not fit each other, or an interval that is not above 0.
+        InputError: matrices that do not fit each other, or an interval that is not above 0.
     """
     system = [np.atleast_2d(np.array(matrix, dtype=float, order="C")) for matrix in (a, b, c, d)]
     states, inputs = system[1].shape
@@ -56,9 +57,9 @@ def hold(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, interval: float
     )
     for name, matrix, shape in zip("abcd", system, wanted, strict=True):
         if matrix.shape != shape:
-            raise ValueError(f"{name}: shape is {matrix.shape}; allowed: {shape}")
+            raise InputError(f"{name}: shape is {matrix.shape}; allowed: {shape}")
     if not (np.isfinite(interval) and interval > 0.0):
-        raise ValueError(f"interval: {interval} s must be greater than 0")
+        raise InputError(f"interval: {interval} s must be greater than 0")
     joined = np.zeros((states + 2 * inputs, states + 2 * inputs))
     joined[:states, :states] = interval * system[0]
     joined[:states, states : states + inputs] = interval * system[1]

@@ -6,6 +6,7 @@ from pydantic import AfterValidator, Field, field_validator
 from pydantic.fields import FieldInfo
 
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings
 
 
@@ -53,20 +54,20 @@ class Kind(NamedTuple):
         """The quantity, if it has the right dimension and lies in range.
 
         Raises:
-            ValueError: says what is allowed, in the quantity's own unit.
+            InputError: says what is allowed, in the quantity's own unit.
         """
         unit = quantity.unit
         if unit not in self.units:
-            raise ValueError(f"unit must be one of {', '.join(self.units)}")
+            raise InputError(f"unit must be one of {', '.join(self.units)}")
         if not self.signed and self.zero and quantity.value < 0.0:
-            raise ValueError(f"must be at least 0 {unit}")
+            raise InputError(f"must be at least 0 {unit}")
         if not self.signed and not self.zero and quantity.value <= 0.0:
-            raise ValueError(f"must be greater than 0 {unit}")
+            raise InputError(f"must be greater than 0 {unit}")
         size = abs(quantity.si)
         if size >= self.below:
-            raise ValueError(f"must be less than {units.from_si(unit, self.below):g} {unit}")
+            raise InputError(f"must be less than {units.from_si(unit, self.below):g} {unit}")
         if size > self.at_most:
-            raise ValueError(f"must be at most {units.from_si(unit, self.at_most):g} {unit}")
+            raise InputError(f"must be at most {units.from_si(unit, self.at_most):g} {unit}")
         return quantity
 
 

@@ -7,6 +7,8 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from cmf_mj.core.errors import InputError
+
 
 class Settings(BaseModel):
     """A table of a settings file: immutable, no unknown keys, no infinities or NaN."""
@@ -21,26 +23,26 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file.
 
     Raises:
-        ValueError: the file is missing or is not TOML; the message gives line and column.
+        InputError: the file is missing or is not TOML; the message gives line and column.
     """
     try:
         return parsed_toml(path.read_text(encoding="utf-8"), str(path))
     except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: is not valid TOML: {error}") from error
+        raise InputError(f"{path}: is not valid TOML: {error}") from error
 
 
 def parsed_toml(text: str, where: str) -> dict[str, Any]:
     """The tables of a TOML text, called `where` in errors.
 
     Raises:
-        ValueError: it is not TOML; the message gives line and column.
+        InputError: it is not TOML; the message gives line and column.
     """
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{where}: is not valid TOML: {error}") from error
+        raise InputError(f"{where}: is not valid TOML: {error}") from error
 
 
 def validated(model: type[Model], table: object, where: str) -> Model:
@@ -52,12 +54,12 @@ def validated(model: type[Model], table: object, where: str) -> Model:
         where: how the table is called in errors, e.g. `my.toml: stiff`.
 
     Raises:
-        ValueError: one line per fault, each naming field, value and what is allowed.
+        InputError: one line per fault, each naming field, value and what is allowed.
     """
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        raise ValueError("\n".join(_explain(model, e, where) for e in error.errors())) from None
+        raise InputError("\n".join(_explain(model, e, where) for e in error.errors())) from None
 
 
 def merged(
@@ -94,7 +96,7 @@ def overlaid(
         levels: as for `merged`.
 
     Raises:
-        ValueError: a file cannot be read, or one line per refused field.
+        InputError: a file cannot be read, or one line per refused field.
     """
     if isinstance(source, model):
         return source
@@ -117,7 +119,7 @@ def overlaid_default(
         levels: as for `merged`.
 
     Raises:
-        ValueError: another name, an unreadable file or a refused field; each is named.
+        InputError: another name, an unreadable file or a refused field; each is named.
     """
     if isinstance(source, model):
         return source
@@ -154,7 +156,7 @@ def named_set(
         The table with its `name`, and how it is called in errors.
 
     Raises:
-        ValueError: unknown set, unreadable file or a refused table; each is named.
+        InputError: unknown set, unreadable file or a refused table; each is named.
     """
     tables = read_toml(shipped)
     sets = {name: tables.get("common", {}) | tables[name] for name in names}
@@ -166,15 +168,15 @@ def named_set(
     if based:
         base = own.pop("base", None)
         if base not in names:
-            raise ValueError(f"{path}: base: {base!r} is not one of {', '.join(names)}")
+            raise InputError(f"{path}: base: {base!r} is not one of {', '.join(names)}")
         start = sets[base]
     if len(own) != 1 or not isinstance(next(iter(own.values())), dict):
-        raise ValueError(f"{path}: has the tables {sorted(own)}; exactly one is allowed")
+        raise InputError(f"{path}: has the tables {sorted(own)}; exactly one is allowed")
     name, changes = next(iter(own.items()))
     for field in ("name", *fixed):
         if field in changes:
             origin = "the table" if field == "name" else "the base"
-            raise ValueError(f"{path}: {name}: {field}: is taken from {origin}; leave it out")
+            raise InputError(f"{path}: {name}: {field}: is taken from {origin}; leave it out")
     return merged(start, changes, levels) | {"name": name}, f"{path}: {name}"
 
 
@@ -184,7 +186,7 @@ def _own_file(what: str, names: Sequence[str], source: str | Path) -> Path:
         said = f"not one of {', '.join(names)}"
         if len(names) < 3:
             said = f"neither {' nor '.join(names)}"
-        raise ValueError(f"{what}: {str(source)!r} is {said} nor a .toml file")
+        raise InputError(f"{what}: {str(source)!r} is {said} nor a .toml file")
     return path
 
 

@@ -5,6 +5,8 @@ from typing import TypeVar
 
 from joblib import Parallel, delayed
 
+from cmf_mj.core.errors import InputError
+
 Case = TypeVar("Case")
 Result = TypeVar("Result")
 
@@ -24,10 +26,10 @@ def on_threads(
         progress: called with (cases done, cases in all) after each, from the calling thread.
 
     Raises:
-        ValueError: fewer than one thread; nothing has been run then.
+        InputError: fewer than one thread; nothing has been run then.
     """
     if jobs is not None and jobs < 1:
-        raise ValueError(f"jobs: {jobs} must be at least 1")
+        raise InputError(f"jobs: {jobs} must be at least 1")
 
     def numbered(index: int) -> tuple[int, Result]:
         return index, work(cases[index])

@@ -12,6 +12,8 @@ from typing import TypeVar
 import numpy as np
 from scipy import constants
 
+from cmf_mj.core.errors import InputError
+
 INCH = constants.inch
 FOOT = constants.foot
 KNOT = constants.knot
@@ -77,14 +79,14 @@ def factor(unit: str) -> float:
         unit: a known unit, or known units joined by `/`, e.g. `in/s/%`.
 
     Raises:
-        ValueError: a part of the unit is not known; the message lists those that are.
+        InputError: a part of the unit is not known; the message lists those that are.
     """
     if unit in _FACTORS:
         return _FACTORS[unit]
     result = 1.0
     for index, part in enumerate(unit.split("/")):
         if part not in _FACTORS:
-            raise ValueError(f"unit: {unit!r} is not known; use {', '.join(sorted(_FACTORS))}")
+            raise InputError(f"unit: {unit!r} is not known; use {', '.join(sorted(_FACTORS))}")
         result = result * _FACTORS[part] if index == 0 else result / _FACTORS[part]
     return result
 

@@ -95,7 +95,7 @@ def make_electronics(settings: ElectronicsSettings, at_rest: LegFeedback) -> Ele
         at_rest: true motion and pressures at the start.
 
     Raises:
-        ValueError: a refused setting, or sensors that feel gravity on other than six legs.
+        InputError: a refused setting, or sensors that feel gravity on other than six legs.
     """
     legs = at_rest.position.shape[0]
     truth = Truth(*(np.array(values, dtype=float) for values in at_rest))

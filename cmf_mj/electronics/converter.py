@@ -24,6 +24,7 @@ from pydantic import Field, model_validator
 
 from cmf_mj.core import filters
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Settings, named_set, validated
@@ -55,7 +56,7 @@ class FullScale(Settings):
         for channel, units in _CHANNEL_UNITS.items():
             quantity = getattr(self, channel)
             if quantity.unit not in units or quantity.value <= 0.0:
-                raise ValueError(
+                raise InputError(
                     f"{channel}: {quantity.value:g} {quantity.unit} is refused: must be greater "
                     f"than 0 {' or '.join(units)}"
                 )
@@ -76,13 +77,13 @@ class ConverterSettings(Settings):
     @model_validator(mode="after")
     def _in_range(self) -> "ConverterSettings":
         if self.volts.unit != "V" or self.volts.value <= 0.0:
-            raise ValueError(
+            raise InputError(
                 f"volts: {self.volts.value:g} {self.volts.unit} is refused: must be more than 0 V"
             )
         corner = self.filter_corner
         nyquist = np.pi / FRAME
         if corner.unit not in ("Hz", "rad/s") or not 0.0 < corner.si < nyquist:
-            raise ValueError(
+            raise InputError(
                 f"filter_corner: {corner.value:g} {corner.unit} is refused: must be between 0 and "
                 f"{0.5 / FRAME:g} Hz"
             )
@@ -133,7 +134,7 @@ def load_converters(source: str | Path | ConverterSettings = "off") -> Converter
             table with all that `converters.toml` has.
 
     Raises:
-        ValueError: unknown set, unreadable file or a refused field; each is named.
+        InputError: unknown set, unreadable file or a refused field; each is named.
     """
     if isinstance(source, ConverterSettings):
         return source
@@ -225,10 +226,10 @@ def aliased(frequency: float, settings: ConverterSettings) -> Alias:
         settings: of `load_converters`.
 
     Raises:
-        ValueError: a negative frequency.
+        InputError: a negative frequency.
     """
     if not frequency >= 0.0:
-        raise ValueError(f"frequency: {frequency} Hz must be at least 0")
+        raise InputError(f"frequency: {frequency} Hz must be at least 0")
     rate = 1.0 / FRAME
     ratio = frequency / (settings.filter_corner.si / (2.0 * np.pi))
     order = settings.filter_order

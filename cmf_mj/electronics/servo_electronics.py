@@ -60,7 +60,7 @@ def load_servo_settings(source: str | Path | ServoSettings | None = None) -> Ser
             default the shipped ones.
 
     Raises:
-        ValueError: unreadable file or a refused field; each is named.
+        InputError: unreadable file or a refused field; each is named.
     """
     return overlaid(ServoSettings, _FILE, source)
 

@@ -24,6 +24,7 @@ from cmf_mj.control.protection import ProtectionSettings, load_protection
 from cmf_mj.control.state_settings import StateSettings, load_state_settings
 from cmf_mj.control.states import Request, State
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME, RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility import host as hosts
@@ -120,12 +121,12 @@ def operate(
         progress: called with the seconds simulated, about once a second of them.
 
     Raises:
-        ValueError: an argument out of range, named.
+        InputError: an argument out of range, named.
         OutOfBounds: the state left its physical bounds; leg, time and value are named.
     """
     arrivals = hosts.arrivals(frames) if isinstance(frames, hosts.HostStream) else frames
     if not arrivals.frame.size:
-        raise ValueError("frames: the host sends none; give at least one")
+        raise InputError("frames: the host sends none; give at least one")
     settings = facility or FacilitySettings()
     last = arrivals.frame[-1] / RATE + load_dcu(settings.dcu).delay.total
     count = _count(last if seconds is None else seconds)
@@ -182,7 +183,7 @@ def serve(
         progress: called with the seconds run, 0 when the clock starts and about once a second.
 
     Raises:
-        ValueError: an argument out of range, named.
+        InputError: an argument out of range, named.
         OSError: no monotonic clock to keep time by.
         OutOfBounds: the state left its physical bounds; leg, time and value are named.
     """
@@ -232,7 +233,7 @@ def _chain(session: Session) -> Chain:
 
 def _count(seconds: float) -> int:
     if not (np.isfinite(seconds) and seconds > 0.0):
-        raise ValueError(f"seconds: {seconds} must be greater than 0")
+        raise InputError(f"seconds: {seconds} must be greater than 0")
     return max(round(seconds * RATE), 1)
 
 
@@ -271,10 +272,10 @@ def prepare(
         window: control frames to keep in the record; default all.
 
     Raises:
-        ValueError: an argument out of range, named.
+        InputError: an argument out of range, named.
     """
     if every < 1:
-        raise ValueError(f"record_every: {every} frames must be at least 1")
+        raise InputError(f"record_every: {every} frames must be at least 1")
     settings = load_dcu(facility.dcu)
     limits = load_motion_limits(facility.limits)
     shown = states.make_states(load_state_settings(facility.states))

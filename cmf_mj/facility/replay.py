@@ -21,6 +21,7 @@ from cmf_mj.control.feedback import gravity_history
 from cmf_mj.control.law import SIGNALS, Law, load_law
 from cmf_mj.control.protection import Fault, Protection, latched, protect, protection_state
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.record.record import Record
 
@@ -104,7 +105,7 @@ def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = 
         feedback: recorded channel of each feedback in `FEEDBACK`, where it is another.
 
     Raises:
-        ValueError: a channel that the law reads is missing, its shape is another, or the rate does
+        InputError: a channel that the law reads is missing, its shape is another, or the rate does
             not divide the control rate.
     """
     told = record.metadata
@@ -142,10 +143,10 @@ def replay_protection(
         supply_pressure: constant, or (N,) [Pa].
 
     Raises:
-        ValueError: a missing channel, or another rate.
+        InputError: a missing channel, or another rate.
     """
     if _every(record) != 1:
-        raise ValueError(f"sample_rate: {record.rate} Hz is refused; allowed: {1 / FRAME:g} Hz")
+        raise InputError(f"sample_rate: {record.rate} Hz is refused; allowed: {1 / FRAME:g} Hz")
     reference = _legs(record, "leg_reference")
     histories = control.LegFeedback(*(_legs(record, name) for name in FEEDBACK.values()))
     histories.acceleration[:] -= _felt(record) * (not _compensated(record))
@@ -169,7 +170,7 @@ def _begun(record: Record, law: Law, legs: int) -> control.DclState | None:
 def _every(record: Record) -> int:
     every = 1.0 / (FRAME * record.rate)
     if not (every >= 1.0 and every.is_integer()):
-        raise ValueError(
+        raise InputError(
             f"sample_rate: {record.rate} Hz is refused; allowed: {1 / FRAME:g} Hz over an integer"
         )
     return int(every)
@@ -179,14 +180,14 @@ def _legs(record: Record, channel: str) -> NDArray[np.float64]:
     values = record[channel]
     legs = record["leg_position"].shape
     if values.ndim != 2 or values.shape != legs or values.shape[0] < 2:
-        raise ValueError(f"{channel}: shape is {values.shape}; allowed: (N, n) with N >= 2")
+        raise InputError(f"{channel}: shape is {values.shape}; allowed: (N, n) with N >= 2")
     return np.array(values, order="C")  # the compiled law takes writable ones only
 
 
 def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> control.LegFeedback:
     odd = sorted(set(names) - set(FEEDBACK))
     if odd:
-        raise ValueError(f"feedback: {odd[0]!r} is not one of {', '.join(FEEDBACK)}")
+        raise InputError(f"feedback: {odd[0]!r} is not one of {', '.join(FEEDBACK)}")
     histories = []
     for field, channel in (FEEDBACK | dict(names)).items():
         acting = (
@@ -200,7 +201,7 @@ def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> control.Leg
             )
         )
         if acting and channel not in record.channels:
-            raise ValueError(
+            raise InputError(
                 f"{channel}: is not recorded, and the law {law.name} reads it; recorded: "
                 f"{', '.join(record.channels)}"
             )

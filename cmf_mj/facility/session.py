@@ -17,6 +17,7 @@ from cmf_mj.control.protection import (
     make_protection,
     protection_state,
 )
+from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.electronics.chain import ElectronicsSettings, make_electronics, measure
 from cmf_mj.facility.front import Chain
@@ -59,7 +60,7 @@ _SENSOR_UNITS = {"gyro": "rad/s", "force": "N"}
 """Units of MuJoCo's sensors by the last word of their channel; m/s^2 for all others."""
 
 
-class OutOfBounds(FloatingPointError):
+class OutOfBounds(RunError):
     """The state of a run left its physical bounds."""
 
     def __init__(self, message: str, frame: int) -> None:
@@ -108,7 +109,7 @@ class Session:
             command_delay: frames from a DCL frame to its command at the valves.
 
         Raises:
-            ValueError: an argument out of range, named.
+            InputError: an argument out of range, named.
         """
         for field, value, least in (
             ("record_every", record_every, 1),
@@ -116,11 +117,11 @@ class Session:
             ("command_delay", command_delay, 0),
         ):
             if value < least:
-                raise ValueError(f"{field}: {value} frames must be at least {least}")
+                raise InputError(f"{field}: {value} frames must be at least {least}")
         step = float(plant.model.opt.timestep)
         steps = round(FRAME / step)
         if steps < 1 or abs(steps * step - FRAME) > 1e-12:
-            raise ValueError(f"timestep: {step} s must divide the control frame of {FRAME} s")
+            raise InputError(f"timestep: {step} s must divide the control frame of {FRAME} s")
         self.plant = plant
         law = None if law is None else law.mounted(plant.mounting)
         self._law = law
@@ -251,10 +252,10 @@ class Session:
         """Put one more event on the time line.
 
         Raises:
-            ValueError: it names a leg that is not there, or its time is past.
+            InputError: it names a leg that is not there, or its time is past.
         """
         if round(event.at / FRAME) < self.frame:
-            raise ValueError(
+            raise InputError(
                 f"at: {event.at} s of {event.kind} is past; allowed: from {self.frame * FRAME} s"
             )
         events = (*self._events, event)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from cmf_mj.control.demand import leg_demand
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
+from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.session import OutOfBounds, Session
 from cmf_mj.plant.events import Event
@@ -66,14 +67,14 @@ def simulate(
         read, `leg_extension` what is true.
 
     Raises:
-        ValueError: an argument out of range, named.
+        InputError: an argument out of range, named.
         OutOfBounds: the state left its physical bounds; leg, time and value are named.
     """
     loaded = load_law(law)
     if legs:
         reference = np.atleast_2d(np.asarray(command, dtype=float))
         if reference.shape[1] != plant.legs:
-            raise ValueError(
+            raise InputError(
                 f"command: has {reference.shape[1]} columns; allowed: {plant.legs}, one a leg"
             )
         demanded = None
@@ -129,15 +130,15 @@ def drive(
         The channels of `simulate` without those of demand and DCL.
 
     Raises:
-        ValueError: an argument out of range, named.
+        InputError: an argument out of range, named.
         OutOfBounds: the state left its physical bounds; leg, time and value are named.
     """
     table = np.atleast_2d(np.asarray(valves, dtype=float))
     if table.ndim != 2 or table.shape[1] != plant.legs:
-        raise ValueError(f"valves: has shape {table.shape}; allowed: (N, {plant.legs})")
+        raise InputError(f"valves: has shape {table.shape}; allowed: (N, {plant.legs})")
     if not (np.abs(table) <= 1.0).all():
         row, leg = np.argwhere(~(np.abs(table) <= 1.0))[0]
-        raise ValueError(
+        raise InputError(
             f"valves: {table[row, leg]} of leg {leg + 1} in row {row} is not between -1 and 1"
         )
     session = Session(

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine import kinematics, models
 from cmf_mj.machine.kinematics import Geometry
@@ -59,7 +60,7 @@ def leg_axes_state(axes: LegAxes, legs: NDArray[np.float64]) -> LegAxesState:
     """State that has found the pose of the leg extensions (6,) [m].
 
     Raises:
-        ValueError: no pose has these legs.
+        InputError: no pose has these legs.
     """
     pose = kinematics.legs_to_pose(legs, axes.geometry)
     state = LegAxesState(pose, np.empty((3, 3)), np.empty(6), np.empty((6, 3)))
@@ -133,11 +134,11 @@ def leg_directions(
         geometry: gimbals; default the CMF's.
 
     Raises:
-        ValueError: another shape.
+        InputError: another shape.
     """
     poses = np.asarray(pose, dtype=float)
     if poses.ndim == 0 or poses.shape[-1] != 6:
-        raise ValueError(f"pose: shape is {poses.shape}; the last axis must have length 6")
+        raise InputError(f"pose: shape is {poses.shape}; the last axis must have length 6")
     axes = make_leg_axes(geometry)
     lengths, directions = np.empty(poses.shape), np.empty((*poses.shape, 3))
     state = leg_axes_state(axes, np.zeros(6))

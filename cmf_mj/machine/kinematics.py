@@ -22,6 +22,7 @@ from scipy.optimize import brentq
 
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.machine import models
 
 DOFS = ("surge", "sway", "heave", "roll", "pitch", "yaw")
@@ -52,7 +53,7 @@ def make_geometry(upper: ArrayLike, lower: ArrayLike) -> Geometry:
     a = np.ascontiguousarray(upper, dtype=float)
     b = np.ascontiguousarray(lower, dtype=float)
     if a.shape != (6, 3) or b.shape != (6, 3):
-        raise ValueError(f"upper, lower: shapes are {a.shape}, {b.shape}; both must be (6, 3)")
+        raise InputError(f"upper, lower: shapes are {a.shape}, {b.shape}; both must be (6, 3)")
     return Geometry(a, b, np.linalg.norm(a - b, axis=1))
 
 
@@ -190,10 +191,10 @@ def _pose_history(geometry, legs, poses):  # type: ignore[no-untyped-def]
 def _rows(name: str, values: ArrayLike) -> NDArray[np.float64]:
     array = np.array(values, dtype=float, order="C")
     if array.ndim == 0 or array.shape[-1] != 6:
-        raise ValueError(f"{name}: shape is {array.shape}; the last axis must have length 6")
+        raise InputError(f"{name}: shape is {array.shape}; the last axis must have length 6")
     if not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise ValueError(f"{name}{list(where)}: {array[where]} is not a finite number")
+        raise InputError(f"{name}{list(where)}: {array[where]} is not a finite number")
     return array
 
 
@@ -201,11 +202,11 @@ def one_pose(values: ArrayLike) -> NDArray[np.float64]:
     """A single pose (6,), checked.
 
     Raises:
-        ValueError: another shape, or a number that is not finite.
+        InputError: another shape, or a number that is not finite.
     """
     pose = _rows("pose", values)
     if pose.ndim != 1:
-        raise ValueError(f"pose: shape is {pose.shape}; one pose of shape (6,) is needed")
+        raise InputError(f"pose: shape is {pose.shape}; one pose of shape (6,) is needed")
     return pose
 
 
@@ -239,7 +240,7 @@ def legs_to_pose(legs: ArrayLike, geometry: Geometry | None = None) -> NDArray[n
         (..., 6) poses: m and rad, z down. `pose_to_legs` gives the legs back within 1e-11 m.
 
     Raises:
-        ValueError: no pose has these legs; the message names the row and its legs.
+        InputError: no pose has these legs; the message names the row and its legs.
     """
     rows = _rows("legs", legs)
     poses = np.empty(rows.shape)
@@ -247,7 +248,7 @@ def legs_to_pose(legs: ArrayLike, geometry: Geometry | None = None) -> NDArray[n
     failed = _pose_history(geometry or read_geometry(), flat, poses.reshape(-1, 6))
     if failed >= 0:
         where = [int(i) for i in np.unravel_index(failed, rows.shape[:-1])]
-        raise ValueError(
+        raise InputError(
             f"legs{where or ''}: no platform pose has the leg extensions "
             f"{np.array2string(flat[failed], precision=4)} m"
         )
@@ -335,7 +336,7 @@ def _alike(**arrays: ArrayLike) -> list[NDArray[np.float64]]:
     (first, reference), *others = rows.items()
     for name, values in others:
         if values.shape != reference.shape:
-            raise ValueError(f"{name}: shape is {values.shape}; {first} has {reference.shape}")
+            raise InputError(f"{name}: shape is {values.shape}; {first} has {reference.shape}")
     return list(rows.values())
 
 
@@ -386,7 +387,7 @@ def excursion_envelope(
         Per degree of freedom the negative and the positive limit, m and rad, z down.
     """
     if not travel > 0.0:
-        raise ValueError(f"travel: {travel} m must be greater than 0")
+        raise InputError(f"travel: {travel} m must be greater than 0")
     shape = geometry or read_geometry()
 
     def reserve(excursion: float, dof: int) -> float:

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from cmf_mj.core.errors import InputError
+
 CABS = ("gfd", "rfd", "ifd")
 """The three flight decks: Generic, Research and Integration."""
 
@@ -54,8 +56,8 @@ def cab_path(cab: str) -> Path:
     """The MJCF of one cab.
 
     Raises:
-        ValueError: the cab is not one of `CABS`.
+        InputError: the cab is not one of `CABS`.
     """
     if cab not in CABS:
-        raise ValueError(f"cab: {cab!r} is not one of {', '.join(CABS)}")
+        raise InputError(f"cab: {cab!r} is not one of {', '.join(CABS)}")
     return directory() / "cabs" / f"{cab}.xml"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity, positive_in
 from cmf_mj.core.settings import Settings, overlaid
 from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE
@@ -44,7 +45,7 @@ class Range(Settings):
 def _range_in(*allowed: str) -> AfterValidator:
     def check(value: Range) -> Range:
         if value.unit not in allowed:
-            raise ValueError(f"unit must be one of {', '.join(allowed)}")
+            raise InputError(f"unit must be one of {', '.join(allowed)}")
         return value
 
     return AfterValidator(check)
@@ -55,7 +56,7 @@ class _Axis(Settings):
     def _nested(self) -> "_Axis":
         inner, outer = self.operational.si, self.mechanical.si  # type: ignore[attr-defined]
         if not (outer[0] <= inner[0] and inner[1] <= outer[1]):
-            raise ValueError("operational must lie within mechanical")
+            raise InputError("operational must lie within mechanical")
         return self
 
 
@@ -83,7 +84,7 @@ class Rotation(_Axis):
 
 def _share(quantity: Quantity) -> Quantity:
     if quantity.value > 1.0:
-        raise ValueError("must be at most 1")
+        raise InputError("must be at most 1")
     return quantity
 
 
@@ -144,6 +145,6 @@ def load_motion_limits(source: str | Path | MotionLimits | None = None) -> Motio
             default the shipped ones.
 
     Raises:
-        ValueError: unreadable file or a refused field; each is named.
+        InputError: unreadable file or a refused field; each is named.
     """
     return overlaid(MotionLimits, _FILE, source)

@@ -20,6 +20,7 @@ from scipy.optimize import minimize_scalar
 
 from cmf_mj.control.law import Law
 from cmf_mj.control.states import State
+from cmf_mj.core.errors import InputError
 from cmf_mj.facility import host as hosts
 from cmf_mj.facility.operation import FacilitySettings, Operation, operate
 from cmf_mj.machine import kinematics
@@ -109,7 +110,7 @@ def fly(
         progress: called with the seconds flown, about once a second of them.
 
     Raises:
-        ValueError: an argument that is refused, named.
+        InputError: an argument that is refused, named.
         OutOfBounds: the state left its physical bounds; leg, time and value are named.
     """
     settings = facility or FacilitySettings()
@@ -156,10 +157,10 @@ def felt(record: Record, time: NDArray[np.float64]) -> PilotMotion:
     """The crew's motion of a record at given times [s], without what lies beyond 30 Hz.
 
     Raises:
-        ValueError: a record too slow to have anything there.
+        InputError: a record too slow to have anything there.
     """
     if record.rate <= 2.0 * _CORNER:
-        raise ValueError(
+        raise InputError(
             f"record: {record.rate:g} rows a second; allowed: more than {2 * _CORNER:g}"
         )
     motion = PilotMotion.from_record(record)

@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.stream import HostFrame, HostStream, make_stream
 from cmf_mj.pilot.motion import PilotMotion
 
@@ -58,11 +59,11 @@ def pilot_motion(host: AircraftHost) -> PilotMotion:
     """All samples of a host in aircraft mode.
 
     Raises:
-        ValueError: none, faster than 80 Hz, or a sample that is refused, named.
+        InputError: none, faster than 80 Hz, or a sample that is refused, named.
     """
     samples = list(host.samples())
     if not samples:
-        raise ValueError("samples: the host sends none; give at least one")
+        raise InputError("samples: the host sends none; give at least one")
     motion = PilotMotion(*(np.array(column) for column in zip(*samples, strict=True)))
     _check_rate(motion.time)
     return motion
@@ -72,11 +73,11 @@ def host_stream(host: PlatformHost) -> HostStream:
     """All frames of a host in direct mode.
 
     Raises:
-        ValueError: none, faster than 80 Hz, or a frame that is refused, named.
+        InputError: none, faster than 80 Hz, or a frame that is refused, named.
     """
     frames = list(host.frames())
     if not frames:
-        raise ValueError("frames: the host sends none; give at least one")
+        raise InputError("frames: the host sends none; give at least one")
     sequence, *columns = (np.array(column) for column in zip(*frames, strict=True))
     stream = make_stream(*columns, sequence=sequence)
     _check_rate(stream.time)
@@ -87,4 +88,4 @@ def _check_rate(time: NDArray[np.float64]) -> None:
     if time.size > 1:
         rate = (time.size - 1) / float(time[-1] - time[0])
         if rate > MOST_RATE * (1.0 + 1e-6):
-            raise ValueError(f"time: {rate:.5g} frames a second; allowed: at most {MOST_RATE:g}")
+            raise InputError(f"time: {rate:.5g} frames a second; allowed: at most {MOST_RATE:g}")

@@ -24,6 +24,7 @@ import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import read_column, read_table, write_table
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine import models
@@ -59,16 +60,16 @@ class PilotMotion:
         """Take copies, check them and freeze them.
 
         Raises:
-            ValueError: a shape, an order in time or a number that is not finite, named.
+            InputError: a shape, an order in time or a number that is not finite, named.
         """
         stamps = np.array(self.time, dtype=float)
         if stamps.ndim != 1 or stamps.size < 1:
-            raise ValueError(f"time: shape is {stamps.shape}; allowed: (N,)")
+            raise InputError(f"time: shape is {stamps.shape}; allowed: (N,)")
         _finite("time", stamps)
         late = np.diff(stamps) <= 0.0
         if late.any():
             row = int(late.argmax()) + 1
-            raise ValueError(f"time: row {row}: {stamps[row]} s; allowed: above the row before")
+            raise InputError(f"time: row {row}: {stamps[row]} s; allowed: above the row before")
         object.__setattr__(self, "time", stamps)
         for name in COLUMNS:
             object.__setattr__(self, name, _rows(name, getattr(self, name), stamps.size))
@@ -85,24 +86,24 @@ class PilotMotion:
         """Samples a second [Hz].
 
         Raises:
-            ValueError: the samples are not evenly spaced.
+            InputError: the samples are not evenly spaced.
         """
         if self.time.size < 2:
-            raise ValueError(f"time: {self.time.size} samples have no rate; give at least 2")
+            raise InputError(f"time: {self.time.size} samples have no rate; give at least 2")
         step = float(self.time[-1] - self.time[0]) / (self.time.size - 1)
         off = np.abs(np.diff(self.time) - step)
         if off.max() > 1e-6 * step + 4.0 * np.spacing(np.abs(self.time).max()):
-            raise ValueError(f"time: intervals differ from {step:.9g} s; resample the motion")
+            raise InputError(f"time: intervals differ from {step:.9g} s; resample the motion")
         return 1.0 / step
 
     def resampled(self, rate: float) -> "PilotMotion":
         """The same motion at another rate, straight lines between samples; yaw may not wrap.
 
         Raises:
-            ValueError: the rate is not above 0.
+            InputError: the rate is not above 0.
         """
         if not (np.isfinite(rate) and rate > 0.0):
-            raise ValueError(f"rate: {rate} Hz must be greater than 0")
+            raise InputError(f"rate: {rate} Hz must be greater than 0")
         span = self.time[-1] - self.time[0]
         time = self.time[0] + np.arange(int(np.floor(span * rate + 1e-9)) + 1) / rate
         return PilotMotion(
@@ -133,10 +134,10 @@ class PilotMotion:
                 [m/s^2], (N, 3).
 
         Raises:
-            ValueError: shapes, or not exactly one of specific force and acceleration.
+            InputError: shapes, or not exactly one of specific force and acceleration.
         """
         if (specific_force is None) == (acceleration is None):
-            raise ValueError("specific_force, acceleration: give exactly one of them")
+            raise InputError("specific_force, acceleration: give exactly one of them")
         count = np.size(time)
         turned = _rows("attitude", attitude, count)
         if specific_force is not None:
@@ -167,7 +168,7 @@ class PilotMotion:
             station: from the platform's centroid, platform axes [m], (3,); `pilot_station`.
 
         Raises:
-            ValueError: shapes or numbers that are refused, named.
+            InputError: shapes or numbers that are refused, named.
         """
         count = np.size(time)
         poses = _rows("pose", pose, count, 6)
@@ -191,12 +192,12 @@ class PilotMotion:
             record: of a hexapod, by `simulate`, `operate` or `serve`.
 
         Raises:
-            ValueError: a channel is missing, or there are fewer than two rows.
+            InputError: a channel is missing, or there are fewer than two rows.
         """
         force, gyro = record["crew_accelerometer"] * FLIP, record["platform_gyro"] * FLIP
         attitude = record["platform_pose"][:, 3:]
         if record.time.size < 2:
-            raise ValueError(f"record: {record.time.size} rows; at least 2 are needed")
+            raise InputError(f"record: {record.time.size} rows; at least 2 are needed")
         time = record.time[1:] - float(record.metadata["mechanical_step"])
         at = [_interpolated(time, record.time, values) for values in (gyro, attitude)]
         return PilotMotion(time, force[1:], *at)
@@ -207,7 +208,7 @@ class PilotMotion:
         Columns: time, specific_force_x ..., angular_rate_x ..., roll, pitch, yaw, in SI.
 
         Raises:
-            ValueError: the name ends in neither.
+            InputError: the name ends in neither.
         """
         columns = {"time": self.time}
         for name, titles in COLUMNS.items():
@@ -220,7 +221,7 @@ class PilotMotion:
         """Read what `save` wrote, or any CSV or Parquet table with its columns.
 
         Raises:
-            ValueError: file, column or number that cannot be taken, named.
+            InputError: file, column or number that cannot be taken, named.
         """
         source = Path(path)
         table = read_table(source)
@@ -231,14 +232,14 @@ class PilotMotion:
         try:
             return PilotMotion(read_column(source, table, "time"), *parts)
         except ValueError as error:
-            raise ValueError(f"{source}: {error}") from error
+            raise InputError(f"{source}: {error}") from error
 
 
 def pilot_station(cab: str = "gfd") -> NDArray[np.float64]:
     """Site `crew` of a cab from the platform's centroid, platform axes, z down [m], (3,).
 
     Raises:
-        ValueError: unknown cab.
+        InputError: unknown cab.
     """
     root = ElementTree.parse(models.cab_path(cab)).getroot()
     site = next(element for element in root.iter("site") if element.get("name") == "crew")
@@ -265,11 +266,11 @@ def at_lever_arm(
         lever_arm: r [m], (3,).
 
     Raises:
-        ValueError: the lever arm is not three finite numbers.
+        InputError: the lever arm is not three finite numbers.
     """
     arm = np.asarray(lever_arm, dtype=float)
     if arm.shape != (3,) or not np.isfinite(arm).all():
-        raise ValueError(f"lever_arm: {arm} is refused; allowed: three finite numbers [m]")
+        raise InputError(f"lever_arm: {arm} is refused; allowed: three finite numbers [m]")
     inward = np.cross(angular_rate, np.cross(angular_rate, arm))
     return np.asarray(np.cross(angular_acceleration, arm) + inward)
 
@@ -329,12 +330,12 @@ def _finite(name: str, values: NDArray[np.float64]) -> None:
     bad = ~np.isfinite(values.reshape(values.shape[0], -1)).all(axis=1)
     if bad.any():
         row = int(bad.argmax())
-        raise ValueError(f"{name}: row {row}: {values[row]} is refused; allowed: finite numbers")
+        raise InputError(f"{name}: row {row}: {values[row]} is refused; allowed: finite numbers")
 
 
 def _rows(name: str, values: ArrayLike, count: int, width: int = 3) -> NDArray[np.float64]:
     array = np.array(values, dtype=float, order="C")
     if array.shape != (count, width):
-        raise ValueError(f"{name}: shape is {array.shape}; allowed: ({count}, {width})")
+        raise InputError(f"{name}: shape is {array.shape}; allowed: ({count}, {width})")
     _finite(name, array)
     return array

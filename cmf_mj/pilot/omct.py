@@ -32,6 +32,7 @@ from cmf_mj.control.dcu.arrivals import upsample
 from cmf_mj.control.dcu.settings import load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting
 from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.core.threads import on_threads
 from cmf_mj.core.units import DEGREE
@@ -170,7 +171,7 @@ def omct(
         progress: called with runs done and in all.
 
     Raises:
-        ValueError: an argument out of range, named; nothing has been run then.
+        InputError: an argument out of range, named; nothing has been run then.
     """
     settings, parameters = load_washout(washout), load_hydraulics(hydraulics)
     loaded = [load_law(law) for law in laws]
@@ -178,13 +179,13 @@ def omct(
     known = {dof for dof, _ in TESTS}
     for dof in dofs:
         if dof not in known:
-            raise ValueError(f"dofs: {dof!r} is not one of {', '.join(sorted(known))}")
+            raise InputError(f"dofs: {dof!r} is not one of {', '.join(sorted(known))}")
     if not frequencies:
-        raise ValueError("frequencies: is empty; at least one is needed")
+        raise InputError("frequencies: is empty; at least one is needed")
     for frequency in frequencies:
         check_positive(frequencies=frequency)
         if frequency > 0.25 * np.pi * HOST_RATE:
-            raise ValueError(
+            raise InputError(
                 f"frequencies: {frequency} rad/s must be at most {0.25 * np.pi * HOST_RATE:.4g}"
             )
     names = [*STAGES, *(law.name for law in loaded)]

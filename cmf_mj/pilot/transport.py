@@ -20,6 +20,7 @@ from cmf_mj import signals
 from cmf_mj.analysis import metrics
 from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.control.law import Law
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility import host as hosts
 from cmf_mj.facility.operation import FacilitySettings, operate
@@ -75,12 +76,12 @@ def transport_delay(
         facility: everything between host and valves.
 
     Raises:
-        ValueError: an argument that is refused, named.
+        InputError: an argument that is refused, named.
     """
     index = signals.dof_index(dof)
     signals.check_positive(frequency=frequency)
     if not (RATE / frequency).is_integer() or frequency > 8.0:
-        raise ValueError(
+        raise InputError(
             f"frequency: {frequency} Hz; allowed: up to 8 Hz with whole control frames a period, "
             "such as 0.5, 1 or 2"
         )

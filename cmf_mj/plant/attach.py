@@ -19,6 +19,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
@@ -57,7 +58,7 @@ def attach_hydraulics(
         the model's `qpos0`; `Plant.configuration` finds others.
 
     Raises:
-        ValueError: a name that is not there, or is both a joint and a tendon; a hinge or another
+        InputError: a name that is not there, or is both a joint and a tendon; a hinge or another
             joint that does not slide; a joint or tendon with an actuator already; neither range nor
             retracted length; a range or a start beyond the stroke; an integrator or a step the loop
             cannot run; an unreadable model or refused hydraulics.
@@ -66,23 +67,23 @@ def attach_hydraulics(
     parameters = load_hydraulics(hydraulics)
     given = dict(cylinders) if isinstance(cylinders, Mapping) else dict.fromkeys(cylinders)
     if isinstance(cylinders, str) or not given:
-        raise ValueError(f"cylinders: {cylinders!r} names no joints or tendons; allowed: a list")
+        raise InputError(f"cylinders: {cylinders!r} names no joints or tendons; allowed: a list")
     if not timestep > 0.0:
-        raise ValueError(f"timestep: {timestep} s must be greater than 0")
+        raise InputError(f"timestep: {timestep} s must be greater than 0")
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-        raise ValueError("integrator: RK4 cannot take its step in two halves; use implicitfast")
+        raise InputError("integrator: RK4 cannot take its step in two halves; use implicitfast")
     spec.option.timestep = timestep
     neutral = [_fit(spec, name, retracted, parameters) for name, retracted in given.items()]
     for name in payload:
         if spec.body(name) is None:
-            raise ValueError(f"payload: {name!r} is not one of {_names(spec.bodies)}")
+            raise InputError(f"payload: {name!r} is not one of {_names(spec.bodies)}")
     plant = Plant(spec.compile(), parameters, motors=list(given), payload=payload, neutral=neutral)
     plant.name = spec.modelname
     stroke = plant.hydraulics.cylinder.half_stroke
     extensions = plant.extensions()
     for leg in np.flatnonzero(np.abs(extensions) > stroke + _TOLERANCE):
         middle = plant.neutral[leg]
-        raise ValueError(
+        raise InputError(
             f"cylinders: {plant.actuators[leg]!r} starts at a length of "
             f"{middle + extensions[leg]:.4f} m; allowed: {middle - stroke[leg]:.4f} to "
             f"{middle + stroke[leg]:.4f} m"
@@ -96,7 +97,7 @@ def _read(model: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
     try:
         return mujoco.MjSpec.from_file(str(model))
     except (ValueError, OSError) as error:
-        raise ValueError(f"model: {model} cannot be read: {error}") from None
+        raise InputError(f"model: {model} cannot be read: {error}") from None
 
 
 def _fit(
@@ -109,17 +110,17 @@ def _fit(
     """
     joint, tendon = spec.joint(name), spec.tendon(name)
     if joint is not None and tendon is not None:
-        raise ValueError(f"cylinders: {name!r} is a joint and a tendon; rename one")
+        raise InputError(f"cylinders: {name!r} is a joint and a tendon; rename one")
     element = joint if tendon is None else tendon
     if element is None:
         slides = [j for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_SLIDE]
-        raise ValueError(
+        raise InputError(
             f"cylinders: {name!r} is not one of the slide joints ({_names(slides)}) or tendons "
             f"({_names(spec.tendons)})"
         )
     if tendon is None and joint.type != mujoco.mjtJoint.mjJNT_SLIDE:
         kind = joint.type.name.removeprefix("mjJNT_").lower()
-        raise ValueError(
+        raise InputError(
             f"cylinders: {name!r} is a {kind} joint; a cylinder needs a slide joint or a tendon"
         )
     kinds = (
@@ -129,11 +130,11 @@ def _fit(
     )
     for actuator in spec.actuators:
         if actuator.target == name and actuator.trntype in kinds:
-            raise ValueError(
+            raise InputError(
                 f"cylinders: {name!r} has the actuator {actuator.name!r} already; remove it"
             )
         if actuator.name == name:
-            raise ValueError(f"cylinders: an actuator is already named {name!r}; rename it")
+            raise InputError(f"cylinders: an actuator is already named {name!r}; rename it")
     motor = spec.add_actuator(name=name, target=name, trntype=kinds[0])
     motor.set_to_motor()
     # The model's defaults for actuators may say otherwise.
@@ -151,7 +152,7 @@ def _stops(
     limited = low < high and element.limited != mujoco.mjtLimited.mjLIMITED_FALSE
     if retracted is None:
         if not limited:
-            raise ValueError(
+            raise InputError(
                 f"cylinders: {name!r} has no range; give the cylinder's retracted length, "
                 f"{{{name!r}: length in m}}"
             )
@@ -159,14 +160,14 @@ def _stops(
     else:
         middle = retracted + half
     if not np.isfinite(middle):
-        raise ValueError(f"cylinders: {name!r}: {retracted} m must be a finite retracted length")
+        raise InputError(f"cylinders: {name!r}: {retracted} m must be a finite retracted length")
     least, most = middle - half, middle + half
     if not limited:
         element.range = np.array([least, most])
         element.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         element.solref_limit[:] = (_STOP_TIME, 1.0)
     elif low < least - _TOLERANCE or high > most + _TOLERANCE:
-        raise ValueError(
+        raise InputError(
             f"cylinders: {name!r} ranges from {low:.4f} to {high:.4f} m, its cylinder with half a "
             f"stroke of {half:.4f} m from {least:.4f} to {most:.4f} m only"
         )

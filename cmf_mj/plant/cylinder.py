@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.plant.oil import density, make_oil
 from cmf_mj.plant.parameters.hydraulics import (
@@ -185,7 +186,7 @@ def holding_pressures(
         tank: return pressure [Pa].
 
     Raises:
-        ValueError: a load is beyond the stall forces; the message names leg, load and range.
+        InputError: a load is beyond the stall forces; the message names leg, load and range.
     """
     loads = np.atleast_1d(np.asarray(load, dtype=float))
     cap_area, rod_area = cylinder.cap_area, cylinder.rod_area
@@ -193,7 +194,7 @@ def holding_pressures(
     high = cap_area * supply - rod_area * tank
     low, high = np.broadcast_to(low, loads.shape), np.broadcast_to(high, loads.shape)
     for leg in np.flatnonzero(~((low <= loads) & (loads <= high))):
-        raise ValueError(
+        raise InputError(
             f"static load of leg {leg + 1}: {loads[leg]:.0f} N cannot be held by a supply of "
             f"{supply:.0f} Pa; allowed: {low[leg]:.0f} to {high[leg]:.0f} N"
         )

@@ -25,6 +25,7 @@ from pydantic import Field, model_validator
 
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Settings, validated
 from cmf_mj.plant.faults import (
@@ -85,23 +86,23 @@ class Event(Settings):
     def _complete(self) -> "Event":
         local = self.kind in _VALVES + _SENSORS
         if local and self.leg is None:
-            raise ValueError(f"leg: is missing; {self.kind} needs the leg it happens to")
+            raise InputError(f"leg: is missing; {self.kind} needs the leg it happens to")
         if not local and self.leg is not None:
-            raise ValueError(f"leg: {self.leg} is not allowed; {self.kind} has no leg")
+            raise InputError(f"leg: {self.leg} is not allowed; {self.kind} has no leg")
         if self.valve is not None and self.kind not in _VALVES:
-            raise ValueError(f"valve: {self.valve} is not allowed; {self.kind} has no valve")
+            raise InputError(f"valve: {self.valve} is not allowed; {self.kind} has no valve")
         if self.size is not None:
             if self.kind not in _SIZES:
-                raise ValueError(f"size: {self.size} is not allowed; {self.kind} has none")
+                raise InputError(f"size: {self.size} is not allowed; {self.kind} has none")
             value, unit = self.size
             if unit not in _SIZES[self.kind][1]:
                 allowed = ", ".join(_SIZES[self.kind][1])
-                raise ValueError(f"size: unit {unit!r} is not one of {allowed}")
+                raise InputError(f"size: unit {unit!r} is not one of {allowed}")
             signed = self.kind in ("valve_hard_over", *_SENSORS)
             if value <= 0.0 and not signed:
-                raise ValueError(f"size: {value:g} {unit} must be greater than 0 {unit}")
+                raise InputError(f"size: {value:g} {unit} must be greater than 0 {unit}")
             if self.kind == "valve_hard_over" and abs(self.magnitude) > 1.0:
-                raise ValueError(f"size: {value:g} {unit} must be at most 100 % either way")
+                raise InputError(f"size: {value:g} {unit} must be at most 100 % either way")
         return self
 
     @property
@@ -130,7 +131,7 @@ def default_event(
         size: as in `Event`.
 
     Raises:
-        ValueError: as for `Event`; the message names the field.
+        InputError: as for `Event`; the message names the field.
     """
     chosen = 1 if leg is None and kind in _VALVES + _SENSORS else leg
     found = {"at": at, "kind": kind, "leg": chosen, "valve": valve, "size": size}
@@ -151,11 +152,11 @@ def make_timeline(events: Sequence[Event], legs: int) -> Timeline:
     """Put events in order.
 
     Raises:
-        ValueError: an event names a leg that is not there.
+        InputError: an event names a leg that is not there.
     """
     for event in events:
         if event.leg is not None and event.leg > legs:
-            raise ValueError(f"leg: {event.leg} of {event.kind} is not a leg; allowed: 1 to {legs}")
+            raise InputError(f"leg: {event.leg} of {event.kind} is not a leg; allowed: 1 to {legs}")
     ordered = sorted(events, key=lambda event: event.at)
     whole = np.int64
     return Timeline(

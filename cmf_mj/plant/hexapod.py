@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 from scipy.spatial.transform import Rotation
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.machine import kinematics, models
 from cmf_mj.plant import cylinder
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -55,7 +56,7 @@ class Hexapod(Plant):
             timestep: mechanical step [s]; default one control frame.
 
         Raises:
-            ValueError: unknown cab, a step that is not positive, or refused hydraulics.
+            InputError: unknown cab, a step that is not positive, or refused hydraulics.
         """
         self.cab = cab
         models.cab_path(cab)
@@ -94,13 +95,13 @@ class Hexapod(Plant):
             pose: (6,) surge, sway, heave [m], roll, pitch, yaw [rad], z down.
 
         Raises:
-            ValueError: a leg would leave its mechanical stroke.
+            InputError: a leg would leave its mechanical stroke.
         """
         target = kinematics.one_pose(pose)
         legs = kinematics.pose_to_legs(target, self.geometry)
         stroke = self.hydraulics.cylinder.half_stroke
         for leg in np.flatnonzero(np.abs(legs) >= stroke):
-            raise ValueError(
+            raise InputError(
                 f"pose: puts leg {leg + 1} at {legs[leg]:.4f} m; allowed: +-{stroke[leg]:.4f} m"
             )
         turn = kinematics.FLIP[:, None] * kinematics.rotation(*target[3:]) * kinematics.FLIP
@@ -151,7 +152,7 @@ def hexapod_spec(cab: str = "gfd") -> mujoco.MjSpec:
     """The editable MuJoCo model of the machine with a cab, for users who extend it.
 
     Raises:
-        ValueError: unknown cab.
+        InputError: unknown cab.
     """
     root = ElementTree.parse(models.hexapod_path()).getroot()
     attached = root.find("asset/model")

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.plant.cylinder import (
     CAP,
     ROD,
@@ -106,11 +107,11 @@ def make_hydraulics(
         step: mechanical step [s].
 
     Raises:
-        ValueError: the set speaks of an actuator that is not there.
+        InputError: the set speaks of an actuator that is not there.
     """
     for name in parameters.actuators:
         if name not in actuators:
-            raise ValueError(
+            raise InputError(
                 f"actuators: {name!r} is not an actuator; allowed: {', '.join(actuators)}"
             )
     return Hydraulics(
@@ -131,7 +132,7 @@ def rest(
     """State that holds the static loads [N] at the extensions [m] with closed valves.
 
     Raises:
-        ValueError: a load is beyond the stall forces.
+        InputError: a load is beyond the stall forces.
     """
     supply, cylinder = hydraulics.supply, hydraulics.cylinder
     legs = load.shape[0]

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.plant import native
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, make_hydraulics, rest
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -80,7 +81,7 @@ class Plant:
                 those of the configuration the model starts in, `qpos0`.
 
         Raises:
-            ValueError: a motor that is not there or no motor, lengths that are not one finite
+            InputError: a motor that is not there or no motor, lengths that are not one finite
                 number a motor, or the hydraulics are refused.
         """
         self.model = model
@@ -89,10 +90,10 @@ class Plant:
         self.actuators = tuple(names if motors is None else motors)
         """Names of the hydraulic motors, in the order of all arrays with a leg axis."""
         if not self.actuators:
-            raise ValueError("motors: the model has no actuators; each cylinder needs a motor")
+            raise InputError("motors: the model has no actuators; each cylinder needs a motor")
         for name in self.actuators:
             if name not in names:
-                raise ValueError(f"motors: {name!r} is not one of {', '.join(names)}")
+                raise InputError(f"motors: {name!r} is not one of {', '.join(names)}")
             _check_motor(model, name)
         self._motors = np.array([model.actuator(name).id for name in self.actuators])
         self._payload = np.array([model.body(name).id for name in payload], dtype=np.int64)
@@ -106,7 +107,7 @@ class Plant:
         self.neutral = np.array(neutral, dtype=float)
         """Lengths of the motors with the cylinders at half stroke [m], (n,)."""
         if self.neutral.shape != (self.legs,) or not np.isfinite(self.neutral).all():
-            raise ValueError(
+            raise InputError(
                 f"neutral: {neutral!r} must be {self.legs} finite lengths, one a motor"
             )
 
@@ -196,11 +197,11 @@ class Plant:
         """T, (nv, n): motion of all joints per unit actuator velocity, in the present state.
 
         Raises:
-            ValueError: the machine has not as many free motions as actuators.
+            InputError: the machine has not as many free motions as actuators.
         """
         null, arms = self._free_motions()
         if arms.shape[0] != arms.shape[1] or np.linalg.cond(arms) > 1e12:
-            raise ValueError(
+            raise InputError(
                 f"motors: {arms.shape[0]} cylinders do not determine the machine's "
                 f"{arms.shape[1]} free motions; there must be as many, independent"
             )
@@ -216,14 +217,14 @@ class Plant:
             extensions: from half stroke [m], (n,).
 
         Raises:
-            ValueError: the machine cannot be put together so, or an extension is beyond the stroke.
+            InputError: the machine cannot be put together so, or an extension is beyond the stroke.
         """
         target = np.asarray(extensions, dtype=float)
         if target.shape != (self.legs,):
-            raise ValueError(f"extensions: has shape {target.shape}; allowed: ({self.legs},)")
+            raise InputError(f"extensions: has shape {target.shape}; allowed: ({self.legs},)")
         half = self.hydraulics.cylinder.half_stroke
         for leg in np.flatnonzero(~(np.abs(target) <= half)):
-            raise ValueError(
+            raise InputError(
                 f"extensions: {self.actuators[leg]} at {target[leg]:.4f} m; "
                 f"allowed: +-{half[leg]:.4f} m"
             )
@@ -240,7 +241,7 @@ class Plant:
                 np.vstack([closed, moment]), np.concatenate([-gap, missing]), rcond=1e-9
             )[0]
             mujoco.mj_integratePos(self.model, self.data.qpos, move, 1.0)
-        raise ValueError(f"extensions: the machine cannot be closed at {target.tolist()} m")
+        raise InputError(f"extensions: the machine cannot be closed at {target.tolist()} m")
 
     def static_load(self) -> NDArray[np.float64]:
         """Axial forces (n,) [N] that hold the present configuration, positive extending.
@@ -279,7 +280,7 @@ class Plant:
             pose: as `place` takes it; default neutral.
 
         Raises:
-            ValueError: the supply cannot hold the machine there.
+            InputError: the supply cannot hold the machine there.
         """
         mujoco.mj_resetData(self.model, self.data)
         if pose is not None:
@@ -327,7 +328,7 @@ def _check_motor(model: mujoco.MjModel, name: str) -> None:
     """Refuse an actuator whose force is not its control, or that turns.
 
     Raises:
-        ValueError: names the actuator and what it is.
+        InputError: names the actuator and what it is.
     """
     actuator = model.actuator(name)
     slide = actuator.trntype[0] == mujoco.mjtTrn.mjTRN_TENDON or (
@@ -335,15 +336,15 @@ def _check_motor(model: mujoco.MjModel, name: str) -> None:
         and model.jnt_type[actuator.trnid[0]] == mujoco.mjtJoint.mjJNT_SLIDE
     )
     if not slide:
-        raise ValueError(f"motors: {name!r} must drive a slide joint or a tendon")
+        raise InputError(f"motors: {name!r} must drive a slide joint or a tendon")
     fixed = actuator.gaintype[0] == mujoco.mjtGain.mjGAIN_FIXED
     plain = fixed and actuator.biastype[0] == mujoco.mjtBias.mjBIAS_NONE
     if not plain or actuator.gainprm[0] != 1.0 or actuator.dyntype[0] != mujoco.mjtDyn.mjDYN_NONE:
-        raise ValueError(f"motors: {name!r} must be a plain motor, force = ctrl")
+        raise InputError(f"motors: {name!r} must be a plain motor, force = ctrl")
     if actuator.gear[0] != 1.0 or actuator.ctrllimited[0]:
-        raise ValueError(f"motors: {name!r} must have gear 1 and no ctrlrange")
+        raise InputError(f"motors: {name!r} must have gear 1 and no ctrlrange")
     target = actuator.trnid[0]
     tendon = actuator.trntype[0] == mujoco.mjtTrn.mjTRN_TENDON
     limited = model.tendon_actfrclimited if tendon else model.jnt_actfrclimited
     if actuator.forcelimited[0] or limited[target]:
-        raise ValueError(f"motors: {name!r} must have no forcerange and no actuatorfrcrange")
+        raise InputError(f"motors: {name!r} must have no forcerange and no actuatorfrcrange")

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.plant.cylinder import volumes
 from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.plant.oil import density, enthalpy, stored
@@ -46,12 +47,12 @@ def power_balance(plant: Plant, record: Record) -> PowerBalance:
         record: of `simulate` or `drive`.
 
     Raises:
-        ValueError: the record is of another plant or hydraulic set.
+        InputError: the record is of another plant or hydraulic set.
     """
     own = plant.describe()
     for field in ("model_digest", "hydraulic_parameters"):
         if record.metadata[field] != own[field]:
-            raise ValueError(f"record: its {field} is not that of {plant.name}")
+            raise InputError(f"record: its {field} is not that of {plant.name}")
     hydraulics = plant.hydraulics
     passed = {name: record["energy"][:, i] for i, name in enumerate(ENERGIES)}
     given = passed["pump"] + passed["accumulators"]

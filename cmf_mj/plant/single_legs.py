@@ -12,6 +12,7 @@ import mujoco
 from numpy.typing import ArrayLike
 
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -46,10 +47,10 @@ class SingleLegs(Plant):
             timestep: mechanical step [s]; default one control frame.
 
         Raises:
-            ValueError: a mass or step that is not positive, or refused hydraulics.
+            InputError: a mass or step that is not positive, or refused hydraulics.
         """
         if not effective_mass > 0.0:
-            raise ValueError(f"effective_mass: {effective_mass} kg must be greater than 0")
+            raise InputError(f"effective_mass: {effective_mass} kg must be greater than 0")
         spec = mujoco.MjSpec.from_file(str(models.single_legs_path()))
         set_timestep(spec, timestep)
         # The load is the weight under a gravity of its own: MuJoCo ignores a negative `gravcomp`.
@@ -68,10 +69,10 @@ def set_timestep(spec: mujoco.MjSpec, timestep: float | None) -> None:
     """Set the mechanical step of a model about to be compiled.
 
     Raises:
-        ValueError: the step is not positive.
+        InputError: the step is not positive.
     """
     if timestep is None:
         return
     if not timestep > 0.0:
-        raise ValueError(f"timestep: {timestep} s must be greater than 0")
+        raise InputError(f"timestep: {timestep} s must be greater than 0")
     spec.option.timestep = timestep

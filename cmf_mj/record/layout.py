@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings
 from cmf_mj.machine.kinematics import half_stroke
 
@@ -100,17 +101,17 @@ def check_dataset(where: str, dataset: dict[str, Any], first: dict[str, Any]) ->
     """Whole, real, finite, evenly sampled, at the same times as the first."""
     values, time = dataset["data"], dataset["x"]
     if values.size != dataset["num_pts"] or values.size < 2 or np.iscomplexobj(values):
-        raise ValueError(
+        raise InputError(
             f"{where}: has {values.size} values; allowed: {dataset['num_pts']} real ones, 2 or more"
         )
     if not np.isfinite(values).all():
         sample = int(np.argmin(np.isfinite(values)))
-        raise ValueError(f"{where}: {values[sample]} at sample {sample} is not finite")
+        raise InputError(f"{where}: {values[sample]} at sample {sample} is not finite")
     step = np.diff(time)
     if not (step > 0.0).all() or np.ptp(step) > 1e-3 * step[0]:
-        raise ValueError(f"{where}: its times are not even")
+        raise InputError(f"{where}: its times are not even")
     if not np.array_equal(time, first["x"]):
-        raise ValueError(f"{where}: its {time.size} times are not those of dataset 1")
+        raise InputError(f"{where}: its {time.size} times are not those of dataset 1")
 
 
 UFF_TYPES = {"m": 8, "m/s": 11, "m/s^2": 12, "N": 13, "Pa": 15}

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import validated
 from cmf_mj.record.layout import (
     BLOCK,
@@ -73,7 +74,7 @@ def read_facility_csv(path: str | Path) -> Record:
         `recording`; `recording` names the file and says how its columns were found.
 
     Raises:
-        ValueError: the file is not a whole recording; row, column and value are named.
+        InputError: the file is not a whole recording; row, column and value are named.
     """
     table = _cut(Path(path))
     column = _values(table)
@@ -109,17 +110,17 @@ def _cut(path: Path) -> _Table:
     while content and not content[0][1].strip():
         content.pop(0)
     if not content:
-        raise ValueError(f"{path}: has neither a header row nor samples")
+        raise InputError(f"{path}: has neither a header row nor samples")
     (header_row, header), samples = content[0], content[1:]
     separator = _separator(header)
     names = [_canonical(cell) for cell in header.split(separator)]
     if all(NUMBER.fullmatch(name) for name in names):
-        raise ValueError(
+        raise InputError(
             f"{path}: row {header_row}: {header[:40].strip()!r} is numbers; "
             "the first row must be a header"
         )
     if not samples:
-        raise ValueError(f"{path}: row {header_row}: is a header; no samples follow")
+        raise InputError(f"{path}: row {header_row}: is a header; no samples follow")
     by_name = bool(set(names) & set(NAMES))
     if not by_name:  # a header of any text: the report skips the row
         separator = _separator(samples[0][1])
@@ -131,13 +132,13 @@ def _cut(path: Path) -> _Table:
     for row, line in samples:
         cells = len(line.split(separator)) if line.strip() else 0
         if cells != len(names):
-            raise ValueError(
+            raise InputError(
                 f"{path}: row {row}: has {cells} columns, the last being "
                 f"{line.split(separator)[-1].strip()[:40] if cells else ''!r}; "
                 f"allowed: {len(names)}, as in the header"
             )
     if samples[-1][0] == numbered[-1][0]:
-        raise ValueError(
+        raise InputError(
             f"{path}: row {samples[-1][0]}, column {len(names)}: the file ends without a line end, "
             f"so that {samples[-1][1].split(separator)[-1].strip()[:40]!r} may be cut off; "
             "if it is whole, add a line end"
@@ -151,20 +152,20 @@ def _text(path: Path) -> str:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     if not content.strip():
-        raise ValueError(f"{path}: is empty")
+        raise InputError(f"{path}: is empty")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         row = content.count(b"\n", 0, error.start) + 1
-        raise ValueError(
+        raise InputError(
             f"{path}: row {row}: byte 0x{content[error.start]:02x} is not UTF-8 text"
         ) from None
     odd = NOT_TEXT.search(text)
     if odd:
         row = text.count("\n", 0, odd.start()) + 1
-        raise ValueError(f"{path}: row {row}: character 0x{ord(odd[0]):02x} is not text")
+        raise InputError(f"{path}: row {row}: character 0x{ord(odd[0]):02x} is not text")
     return text
 
 
@@ -186,14 +187,14 @@ def _read_trailer(path: Path, comments: list[tuple[int, str]]) -> Trailer | None
     row, line = found[-1]
     where = f"{path}: row {row}"
     if len(found) > 1:
-        raise ValueError(f"{where}: is a second line {TRAILER!r}; allowed: one")
+        raise InputError(f"{where}: is a second line {TRAILER!r}; allowed: one")
     try:
         content = json.loads(line.removeprefix(TRAILER))
     except ValueError as error:
-        raise ValueError(f"{where}: the metadata are not JSON: {error}") from None
+        raise InputError(f"{where}: the metadata are not JSON: {error}") from None
     trailer = validated(Trailer, content, where)
     if trailer.decimals not in range(10):
-        raise ValueError(f"{where}: decimals: {trailer.decimals} is refused; allowed: 0 to 9")
+        raise InputError(f"{where}: decimals: {trailer.decimals} is refused; allowed: 0 to 9")
     return trailer
 
 
@@ -202,7 +203,7 @@ def _published(where: str, names: list[str]) -> list[str]:
     width = len(names)
     if width != BLOCK_WIDTH and width < BLOCK - 1 + BLOCK_WIDTH:
         required = " and ".join(f"{g.name}_1 to _6" for g in LAYOUT if g.channel in REQUIRED)
-        raise ValueError(
+        raise InputError(
             f"{where}: none of {width} columns is named as allowed: {required}; allowed without "
             f"names: {BLOCK_WIDTH} columns or at least {BLOCK - 1 + BLOCK_WIDTH}"
         )
@@ -217,14 +218,14 @@ def _check_header(table: _Table) -> None:
     where = f"{table.path}: row {table.header_row}"
     for index, name in enumerate(table.names):
         if _ours(name) and name in seen:
-            raise ValueError(
+            raise InputError(
                 f"{where}, {table.column(index)}: column {seen[name] + 1} has that name already"
             )
         seen[name] = index
     for group in LAYOUT:
         missing = [name for name in group.names if name not in seen]
         if missing and (group.channel in REQUIRED or len(missing) < LEGS):
-            raise ValueError(f"{where}: the header lacks {', '.join(missing)}")
+            raise InputError(f"{where}: the header lacks {', '.join(missing)}")
 
 
 def _ours(name: str) -> bool:
@@ -256,7 +257,7 @@ def _refuse_number(table: _Table, indices: list[int]) -> None:
         for index in indices:
             cell = cells[index].strip()
             if not NUMBER.fullmatch(cell) or not np.isfinite(float(cell)):
-                raise ValueError(
+                raise InputError(
                     f"{table.cell(sample, index)} is refused; allowed: a finite number with a "
                     "decimal point"
                 )
@@ -270,26 +271,26 @@ def _check_rows(table: _Table, column: dict[str, NDArray[np.float64]]) -> None:
         off = np.abs(step * RATE - 1.0) > 0.2  # a clock printed in ms is 0.13 off
         if off.any():
             sample = int(np.argmax(off)) + 1
-            raise ValueError(
+            raise InputError(
                 f"{table.cell(sample, TIME)} s is {step[sample - 1]:.6g} s after the row before; "
                 f"allowed: 1/{RATE} s"
             )
         whole = (time.size - 1) / RATE
         if abs(time[-1] - time[0] - whole) > 1e-3 * whole + 1e-3:
             rate = (time.size - 1) / (time[-1] - time[0])
-            raise ValueError(
+            raise InputError(
                 f"{table.cell(-1, TIME)} s makes the rate {rate:.5g} Hz; allowed: {RATE} Hz"
             )
     if LAST in column:
         last = np.arange(len(table.rows)) == len(table.rows) - 1
         wrong = column[LAST] != last
         if wrong.any():
-            raise ValueError(
+            raise InputError(
                 f"{table.cell(int(np.argmax(wrong)), LAST)} is refused; allowed: 1 in the last "
                 "row and 0 before, so rows are missing or added"
             )
     if table.trailer and table.trailer.rows != len(table.rows):
-        raise ValueError(
+        raise InputError(
             f"{table.path}: row {table.rows[-1]}: is sample {len(table.rows)} and the last; "
             f"allowed: {table.trailer.rows} samples, as written"
         )
@@ -300,7 +301,7 @@ def _check_stroke(table: _Table, column: dict[str, NDArray[np.float64]]) -> None
     for name in POSITIONS:
         beyond = np.abs(column[name]) > limit
         if beyond.any():
-            raise ValueError(
+            raise InputError(
                 f"{table.cell(int(np.argmax(beyond)), name)} in is refused; "
                 f"allowed: a leg position within +-{limit:g} in"
             )
@@ -311,7 +312,7 @@ def _check_sums(table: _Table, column: dict[str, NDArray[np.float64]]) -> None:
         return
     for name, written in table.trailer.checksums.items():
         if name in column and written != checksum(column[name] * 10.0**table.trailer.decimals):
-            raise ValueError(
+            raise InputError(
                 f"{table.cell(0, name)} and below are not the values written: swapped or changed? "
                 f"If that is meant, delete the line {TRAILER.strip()!r}"
             )

@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file
 
 _SCHEMA_KEY = b"cmf_mj"
@@ -39,13 +40,13 @@ class Record:
         object.__setattr__(self, "time", np.array(self.time))
         for name, values in {"time": self.time, **own}.items():
             if values.shape[0] != self.time.shape[0]:
-                raise ValueError(
+                raise InputError(
                     f"{name}: has {values.shape[0]} samples; time has {self.time.shape[0]}"
                 )
             values.setflags(write=False)
         if set(self.units) != set(self.channels):
             odd = sorted(set(self.units) ^ set(self.channels))
-            raise ValueError(f"units: every channel needs one unit; check {', '.join(odd)}")
+            raise InputError(f"units: every channel needs one unit; check {', '.join(odd)}")
         object.__setattr__(self, "channels", MappingProxyType(own))
         object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
@@ -54,10 +55,10 @@ class Record:
         """A channel by name.
 
         Raises:
-            ValueError: no such channel; the message lists those there are.
+            InputError: no such channel; the message lists those there are.
         """
         if name not in self.channels:
-            raise ValueError(f"channel: {name!r} is not one of {', '.join(self.channels)}")
+            raise InputError(f"channel: {name!r} is not one of {', '.join(self.channels)}")
         return self.channels[name]
 
     @property
@@ -77,7 +78,7 @@ class Record:
             )
             taken = sorted(set(parts) & set(columns))
             if taken:
-                raise ValueError(f"{name}: its column {taken[0]} belongs to another channel")
+                raise InputError(f"{name}: its column {taken[0]} belongs to another channel")
             columns |= parts
         header = {
             "units": dict(self.units),
@@ -101,15 +102,15 @@ class Record:
         """Read a record written by `save`; values come back bit for bit.
 
         Raises:
-            ValueError: the file is not a record of this project.
+            InputError: the file is not a record of this project.
         """
         try:
             table = pq.read_table(path)
         except (OSError, pa.ArrowInvalid) as error:
-            raise ValueError(f"{path}: is not a readable Parquet file: {error}") from error
+            raise InputError(f"{path}: is not a readable Parquet file: {error}") from error
         raw = (table.schema.metadata or {}).get(_SCHEMA_KEY)
         if raw is None:
-            raise ValueError(f"{path}: is Parquet, but carries no {_SCHEMA_KEY.decode()} header")
+            raise InputError(f"{path}: is Parquet, but carries no {_SCHEMA_KEY.decode()} header")
         header = json.loads(raw)
 
         def column(name: str) -> NDArray[np.float64]:

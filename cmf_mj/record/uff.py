@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file
 from cmf_mj.record.layout import UFF_TYPES, check_dataset
 from cmf_mj.record.record import Record
@@ -28,26 +29,26 @@ def write_uff(record: Record, path: str | Path) -> Path:
         path: where to; folders are made.
 
     Raises:
-        ValueError: a value that is not finite, a name or unit UFF cannot hold.
+        InputError: a value that is not finite, a name or unit UFF cannot hold.
         ModuleNotFoundError: pyuff is not installed.
     """
     pyuff, target = _pyuff(), Path(path)
     if record.time.size < 2:
-        raise ValueError(f"record: has {record.time.size} samples; allowed: at least 2")
+        raise InputError(f"record: has {record.time.size} samples; allowed: at least 2")
     columns = list(_scalars(record))
     names = [name for _, name, _, _ in columns]
     for name in names:
         if len(name.encode()) > 80 or names.count(name) > 1:
-            raise ValueError(f"{name}: is longer than 80 characters or the name of two columns")
+            raise InputError(f"{name}: is longer than 80 characters or the name of two columns")
     lines = _id_lines(record, len(columns))
     datasets = []
     for channel, name, node, values in columns:
         unit = record.units[channel]
         if len(unit.encode()) > 20:
-            raise ValueError(f"{channel}: unit {unit!r} is longer than 20 characters")
+            raise InputError(f"{channel}: unit {unit!r} is longer than 20 characters")
         if not np.isfinite(values).all():
             sample = int(np.argmin(np.isfinite(values)))
-            raise ValueError(f"{name}: {values[sample]} at sample {sample} is not finite")
+            raise InputError(f"{name}: {values[sample]} at sample {sample} is not finite")
         datasets.append(
             pyuff.prepare_58(
                 binary=1,
@@ -86,7 +87,7 @@ def read_uff(path: str | Path) -> Record:
     the ordinate's label as they stand: files of others may not be in SI.
 
     Raises:
-        ValueError: the file is not whole, holds no time response, or its time responses differ in
+        InputError: the file is not whole, holds no time response, or its time responses differ in
             length or rate.
         ModuleNotFoundError: pyuff is not installed.
     """
@@ -95,13 +96,13 @@ def read_uff(path: str | Path) -> Record:
         source.open("rb").close()
         found = pyuff.UFF(str(source)).read_sets()
     except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except Exception as error:  # pyuff raises nothing more special
-        raise ValueError(f"{path}: is not a readable UFF file: {error}") from error
+        raise InputError(f"{path}: is not a readable UFF file: {error}") from error
     found = [found] if isinstance(found, dict) else found
     datasets = [each for each in found if each.get("type") == 58 and each["func_type"] == 1]
     if not datasets:
-        raise ValueError(f"{path}: holds no time response (dataset 58, function type 1)")
+        raise InputError(f"{path}: holds no time response (dataset 58, function type 1)")
     first = datasets[0]
     for i, each in enumerate(datasets, start=1):
         check_dataset(f"{path}: dataset {i} ({each['id1']})", each, first)
@@ -111,7 +112,7 @@ def read_uff(path: str | Path) -> Record:
     }
     written = metadata.pop("datasets", len(datasets))
     if written != len(datasets):
-        raise ValueError(
+        raise InputError(
             f"{path}: holds {len(datasets)} datasets 58; allowed: {written}, as written"
         )
     channels, channel_units = _channels(path, datasets)
@@ -184,7 +185,7 @@ def _channels(
         channel = name.removesuffix(f"_{node}") if grouped else name
         part = parts.setdefault(channel, [])
         if node * grouped != (len(part) + 1) * grouped or (part and not grouped):
-            raise ValueError(f"{path}: dataset {i} ({name}): is there twice or out of order")
+            raise InputError(f"{path}: dataset {i} ({name}): is there twice or out of order")
         part.append((node * grouped, each["data"]))
         channel_units[channel] = each["ordinate_axis_units_lab"]
     channels = {

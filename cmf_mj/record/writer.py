@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file
 from cmf_mj.record.layout import (
     BLOCK,
@@ -38,11 +39,11 @@ def write_facility_csv(record: Record, path: str | Path, *, decimals: int = 6) -
             exact.
 
     Raises:
-        ValueError: the record does not fit the layout; channel, sample, leg and value are named.
+        InputError: the record does not fit the layout; channel, sample, leg and value are named.
     """
     target = Path(path)
     if decimals not in range(10):
-        raise ValueError(f"decimals: {decimals} is refused; allowed: 0 to 9")
+        raise InputError(f"decimals: {decimals} is refused; allowed: 0 to 9")
     picked = slice(None, None, _every(record))
     time = record.time[picked]
     names = [f"UNUSED_{i + 1}" for i in range(BLOCK - 1 + BLOCK_WIDTH)]
@@ -84,13 +85,13 @@ def _every(record: Record) -> int:
     rate = float(record.metadata.get("sample_rate", np.nan))
     every = rate / RATE
     if not (every >= 1.0 and every.is_integer()):
-        raise ValueError(f"sample_rate: {rate} Hz is refused; allowed: a multiple of {RATE} Hz")
+        raise InputError(f"sample_rate: {rate} Hz is refused; allowed: a multiple of {RATE} Hz")
     if record.time.size == 0:
-        raise ValueError("record: has no samples")
+        raise InputError("record: has no samples")
     off = np.abs(record.time - record.time[0] - np.arange(record.time.size) / rate)
     if not off.max() < 1e-6:
         sample = int(np.argmax(~(off < 1e-6)))
-        raise ValueError(f"time: sample {sample} at {record.time[sample]} s is not at {rate} Hz")
+        raise InputError(f"time: sample {sample} at {record.time[sample]} s is not at {rate} Hz")
     return round(every)
 
 
@@ -98,14 +99,14 @@ def _legs(record: Record, group: Group, picked: slice) -> NDArray[np.float64]:
     """A channel in the file's unit, (N, 6), checked."""
     values = record[group.channel]
     if values.ndim != 2 or values.shape[1] != LEGS:
-        raise ValueError(f"{group.channel}: shape is {values.shape}; allowed: (N, {LEGS})")
+        raise InputError(f"{group.channel}: shape is {values.shape}; allowed: (N, {LEGS})")
     values = units.from_si(group.unit, values[picked])
     limit = stroke() if group.channel in REQUIRED else np.inf
     bad = ~(np.isfinite(values) & (np.abs(values) <= limit))
     if bad.any():
         sample, leg = np.argwhere(bad)[0]
         allowed = f"+-{limit:g} {group.unit}" if np.isfinite(limit) else "finite values"
-        raise ValueError(
+        raise InputError(
             f"{group.channel}: {values[sample, leg]} {group.unit} at sample {sample}, "
             f"leg {leg + 1}, is refused; allowed: {allowed}"
         )

@@ -82,7 +82,7 @@ def save_film(
         progress: called with the pictures done and those in all.
 
     Raises:
-        ValueError: an argument out of range or a missing package, named.
+        InputError: an argument out of range or a missing package, named.
     """
     return film(
         [ride.operation.record for ride in rides],

@@ -15,6 +15,7 @@ from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.identification.model import PolynomialModel, Root
 from cmf_mj.analysis.identification.validation import Residuals, fit_percentage, simulated
 from cmf_mj.control.law import Law
+from cmf_mj.core.errors import InputError
 from cmf_mj.show.measurement import read_recording, write_summary
 from cmf_mj.studies.identification import Identified, MatrixStudy, Method, identify
 from cmf_mj.studies.measurement import plain
@@ -329,7 +330,7 @@ def identify_files(
     """Identify from recordings: facility CSV, UFF 58 or Parquet; see `identify`.
 
     Raises:
-        ValueError: a broken file, one without valve commands or leg velocities, or as `identify`.
+        InputError: a broken file, one without valve commands or leg velocities, or as `identify`.
     """
     records = [read_recording(path) for path in files]
     return identify(records, axis, method=method, orders=orders, law=law)
@@ -339,12 +340,12 @@ def parse_orders(text: str | None) -> tuple[int, int, int] | None:
     """Orders of the command line, `na,nb,nk`.
 
     Raises:
-        ValueError: not three whole numbers.
+        InputError: not three whole numbers.
     """
     if text is None:
         return None
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 3 or not all(part.isdigit() for part in parts):
-        raise ValueError(f"orders: {text!r} is refused; allowed: na,nb,nk such as 4,3,1")
+        raise InputError(f"orders: {text!r} is refused; allowed: na,nb,nk such as 4,3,1")
     na, nb, nk = (int(part) for part in parts)
     return na, nb, nk

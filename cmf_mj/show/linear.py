@@ -139,7 +139,7 @@ def law_loops(laws: Sequence[str]) -> tuple[LawLoop, ...]:
     """Every law around linear models 1 to 3, pressures zero, as in Figure 4-5.
 
     Raises:
-        ValueError: a law is refused.
+        InputError: a law is refused.
     """
     found = []
     for law in [load_law(name) for name in laws]:
@@ -349,7 +349,7 @@ def linear_command(laws: Sequence[str], folder: Path) -> tuple[Table | str, ...]
     """What `cmf linear` prints, all files written.
 
     Raises:
-        ValueError: a law is refused; nothing has been written then.
+        InputError: a law is refused; nothing has been written then.
     """
     loops, rows = law_loops(laws), table_4_1()
     paths = save_linear(loops, rows, folder)

@@ -22,6 +22,7 @@ from cmf_mj.analysis.linearization.operating_point import OperatingPoint, operat
 from cmf_mj.analysis.linearization.reduction import dof_model, leg_model, minimal, reduced
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_csv
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.plant import Plant
@@ -54,12 +55,12 @@ def signal_model(
     """Position per command of a degree of freedom, or of a leg, `leg_1` and so on; SISO.
 
     Raises:
-        ValueError: no such degree of freedom or leg.
+        InputError: no such degree of freedom or leg.
     """
     if not signal.startswith("leg_"):
         return reduced(dof_model(system, plant, pose, signal), outputs=[signal])
     if not signal[4:].isdecimal():
-        raise ValueError(f"dof: {signal!r} is not one of leg_1 to leg_{plant.legs}")
+        raise InputError(f"dof: {signal!r} is not one of leg_1 to leg_{plant.legs}")
     return reduced(leg_model(system, int(signal[4:])), outputs=["leg_position"])
 
 
@@ -81,7 +82,7 @@ def study(
         measure: whether to run the simulation beside each loop.
 
     Raises:
-        ValueError: an argument out of range, or a plant without linearisation.
+        InputError: an argument out of range, or a plant without linearisation.
     """
     load_law(law)
     point = operating_point(plant, pose)

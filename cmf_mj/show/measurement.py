@@ -19,6 +19,7 @@ from cmf_mj.analysis.frequency_response import (
 from cmf_mj.analysis.metrics import SecondOrder, fit_second_order
 from cmf_mj.analysis.response.estimate import Estimator
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_csv, write_text
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.record.reader import read_facility_csv
@@ -186,7 +187,7 @@ def read_recording(path: Path) -> Record:
     """Read a recording by its ending: .csv (facility), .uff or .unv (UFF 58), .parquet.
 
     Raises:
-        ValueError: another ending, or a broken file.
+        InputError: another ending, or a broken file.
     """
     readers: dict[str, Callable[[Path], Record]] = {
         ".csv": read_facility_csv,
@@ -195,7 +196,7 @@ def read_recording(path: Path) -> Record:
         ".parquet": Record.load,
     }
     if path.suffix not in readers:
-        raise ValueError(f"{path}: ending {path.suffix!r} is not one of {', '.join(readers)}")
+        raise InputError(f"{path}: ending {path.suffix!r} is not one of {', '.join(readers)}")
     return readers[path.suffix](path)
 
 
@@ -207,12 +208,12 @@ def measure_files(
     Several files, or one of single sines, are rounds and give one response.
 
     Raises:
-        ValueError: a broken file, no demand in the degree of freedom, an unknown estimator;
+        InputError: a broken file, no demand in the degree of freedom, an unknown estimator;
             nothing has been written then.
     """
     if estimator not in get_args(Estimator):
         names = ", ".join(get_args(Estimator))
-        raise ValueError(f"estimator: {estimator!r} is not one of {names}")
+        raise InputError(f"estimator: {estimator!r} is not one of {names}")
     records = [read_recording(path) for path in files]
     if len(records) > 1 or "dwells" in records[0].metadata["command"]:
         response = rounds_response(records, dof)

@@ -114,7 +114,7 @@ def save_run(
         progress: called with the pictures of the film done and those in all.
 
     Raises:
-        ValueError: a film that cannot be made; the message says why.
+        InputError: a film that cannot be made; the message says why.
     """
     outputs, paths = scenario.outputs, [save_scenario(scenario, folder / "scenario.toml")]
     if outputs.record:

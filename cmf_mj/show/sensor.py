@@ -24,6 +24,7 @@ from cmf_mj.control.feedback import filter_acceleration, make_feedback, noise_ga
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import validated
 from cmf_mj.electronics.sensors.settings import CHANNELS, SensorSettings, load_sensors
@@ -127,7 +128,7 @@ def filter_effect(
         duration: time at rest [s].
 
     Raises:
-        ValueError: a refused set, law or seed, or a duration that is not positive.
+        InputError: a refused set, law or seed, or a duration that is not positive.
     """
     signals.check_positive(duration=duration)
     settings, loaded = load_sensors(sensors), load_law(law)
@@ -321,8 +322,8 @@ def law_of(record: Record) -> Law:
     """The law a record was made with, gains and all.
 
     Raises:
-        ValueError: the record does not say.
+        InputError: the record does not say.
     """
     if "law_parameters" not in record.metadata:
-        raise ValueError("law: the recording does not say which law made it; name one")
+        raise InputError("law: the recording does not say which law made it; name one")
     return validated(Law, record.metadata["law_parameters"], "law_parameters")

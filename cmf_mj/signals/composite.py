@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.signals.single import (
@@ -66,7 +67,7 @@ def seven_sines(
         settle: rest before, between and after the sines [s].
     """
     if number not in range(1, len(ROUNDS) + 1):
-        raise ValueError(f"number: {number} is not one of the rounds 1 to {len(ROUNDS)}")
+        raise InputError(f"number: {number} is not one of the rounds 1 to {len(ROUNDS)}")
     check_bounded(amplitude)
     tones = [(frequency, amplitude) for frequency in ROUNDS[number - 1]]
     history, dwells = _dwells(tones, cycles, 0.0, fade, settle)
@@ -106,7 +107,7 @@ def stepped_sines(
     """
     for name, values in (("frequencies", frequencies), ("amplitudes", amplitudes)):
         if len(values) == 0:
-            raise ValueError(f"{name}: none is given; at least one is needed")
+            raise InputError(f"{name}: none is given; at least one is needed")
     for frequency in frequencies:
         check_positive(frequencies=frequency)
     for amplitude in amplitudes:
@@ -164,17 +165,17 @@ def orthogonal_multisines(
     """
     if not isinstance(amplitudes, Mapping):
         if len(amplitudes) != len(DOFS):
-            raise ValueError(f"amplitudes: {len(amplitudes)} values are given; allowed: 6 or names")
+            raise InputError(f"amplitudes: {len(amplitudes)} values are given; allowed: 6 or names")
         amplitudes = dict(zip(DOFS, amplitudes, strict=True))
     for name, amplitude in amplitudes.items():
         dof_index(name)
         check_bounded(amplitude)
     driven = {name: float(amplitudes[name]) for name in DOFS if amplitudes.get(name, 0.0) != 0.0}
     if not driven:
-        raise ValueError("amplitudes: all are 0; at least one must not be")
+        raise InputError("amplitudes: all are 0; at least one must not be")
     orders = odd_orders(start, stop, period, periods)
     if orders.size < len(driven):
-        raise ValueError(
+        raise InputError(
             f"period: {period} s gives {orders.size} odd lines in {start} to {stop} Hz; "
             f"{len(driven)} degrees of freedom need one each"
         )
@@ -208,7 +209,7 @@ def acceleration_step(dof: str, acceleration: float, *, hold: float, at: float =
     """
     count, rest = round(hold * RATE), round(at * RATE)
     if count < 2 or not np.isfinite(acceleration) or acceleration == 0.0:
-        raise ValueError(f"acceleration: {acceleration} over hold {hold} s is no step")
+        raise InputError(f"acceleration: {acceleration} over hold {hold} s is no step")
     time = np.arange(1, count + 1) / RATE
     rise = 0.5 * acceleration * time**2
     end = acceleration * hold**2
@@ -234,10 +235,10 @@ def combine(*commands: Command) -> Command:
     `commands`, with their seeds.
 
     Raises:
-        ValueError: no command, or two that move the same degree of freedom.
+        InputError: no command, or two that move the same degree of freedom.
     """
     if not commands:
-        raise ValueError("commands: none is given; at least one is needed")
+        raise InputError("commands: none is given; at least one is needed")
     frames = max(command.pose.shape[0] for command in commands)
     pose = np.zeros((frames, 6))
     driver: dict[int, str] = {}
@@ -245,7 +246,7 @@ def combine(*commands: Command) -> Command:
         label = f"command {number} ({command.description.get('kind', 'array')})"
         for index in np.flatnonzero(command.pose.any(axis=0)).tolist():
             if index in driver:
-                raise ValueError(
+                raise InputError(
                     f"commands: {DOFS[index]} is moved by {driver[index]} and by {label}; "
                     "allowed: one command for a degree of freedom"
                 )
@@ -271,7 +272,7 @@ def _dwells(
     check_positive(fade=fade, settle=settle)
     check_not_negative(transient=transient)
     if cycles != round(cycles) or cycles < 1:
-        raise ValueError(f"cycles: {cycles} must be a whole number, at least 1")
+        raise InputError(f"cycles: {cycles} must be a whole number, at least 1")
     rest = np.zeros(round(settle * RATE))
     before = round((fade + transient) * RATE)
     after = round(fade * RATE)
@@ -309,15 +310,15 @@ def waypoints(times: ArrayLike, values: ArrayLike) -> NDArray[np.float64]:
         (N, n) at 2048 Hz, the last point included.
 
     Raises:
-        ValueError: fewer than two points, times that do not rise from 0, or values that are not
+        InputError: fewer than two points, times that do not rise from 0, or values that are not
             one finite row a point.
     """
     when = np.asarray(times, dtype=float)
     points = np.atleast_2d(np.asarray(values, dtype=float))
     if when.ndim != 1 or when.size < 2 or when[0] != 0.0 or not (np.diff(when) > 0.0).all():
-        raise ValueError(f"times: {times!r} must be at least two numbers that rise from 0 s")
+        raise InputError(f"times: {times!r} must be at least two numbers that rise from 0 s")
     if points.shape[0] != when.size or points.ndim != 2 or not np.isfinite(points).all():
-        raise ValueError(f"values: must be {when.size} finite rows, one a time")
+        raise InputError(f"values: must be {when.size} finite rows, one a time")
     time = np.arange(round(when[-1] * RATE) + 1) / RATE
     index = np.clip(np.searchsorted(when, time, side="right") - 1, 0, when.size - 2)
     s = np.clip((time - when[index]) / np.diff(when)[index], 0.0, 1.0)[:, None]

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
@@ -71,7 +72,7 @@ def peaks(command: Command) -> Peaks:
     """Largest displacement, velocity and acceleration per degree of freedom and per leg.
 
     Raises:
-        ValueError: the command holds a pose that is not finite.
+        InputError: the command holds a pose that is not finite.
     """
     legs = pose_to_legs(command.pose)
     velocity, acceleration = _rates(command.pose)
@@ -101,7 +102,7 @@ def check_limits(command: Command, limits: Limits | None = None) -> Peaks:
         The peaks of a command within the limits.
 
     Raises:
-        ValueError: the command leaves a limit; the message lists each quantity that does, with
+        InputError: the command leaves a limit; the message lists each quantity that does, with
             its value and its limit.
     """
     allowed = limits or Limits()
@@ -125,7 +126,7 @@ def check_limits(command: Command, limits: Limits | None = None) -> Peaks:
         ):
             faults += _excess(f"{name} {what}", value, limit, unit)
     if faults:
-        raise ValueError("; ".join(faults))
+        raise InputError("; ".join(faults))
     return found
 
 

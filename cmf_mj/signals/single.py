@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.kinematics import DOFS
 
@@ -34,7 +35,7 @@ class Command:
     def __post_init__(self) -> None:
         """Check the shape and freeze."""
         if self.pose.ndim != 2 or self.pose.shape[1] != 6 or self.pose.shape[0] < 1:
-            raise ValueError(f"command: shape is {self.pose.shape}; allowed: (N, 6) with N >= 1")
+            raise InputError(f"command: shape is {self.pose.shape}; allowed: (N, 6) with N >= 1")
         object.__setattr__(self, "pose", np.array(self.pose, dtype=float))
         self.pose.setflags(write=False)
         object.__setattr__(self, "description", MappingProxyType(dict(self.description)))
@@ -54,10 +55,10 @@ def dof_index(dof: str) -> int:
     """Position of a degree of freedom in a pose.
 
     Raises:
-        ValueError: it is not one of the six.
+        InputError: it is not one of the six.
     """
     if dof not in DOFS:
-        raise ValueError(f"dof: {dof!r} is not one of {', '.join(DOFS)}")
+        raise InputError(f"dof: {dof!r} is not one of {', '.join(DOFS)}")
     return DOFS.index(dof)
 
 
@@ -65,23 +66,23 @@ def check_positive(**values: float) -> None:
     """Refuse what is not a finite number above 0, by its name."""
     for name, value in values.items():
         if not (np.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name}: {value} must be a finite number greater than 0")
+            raise InputError(f"{name}: {value} must be a finite number greater than 0")
 
 
 def check_not_negative(**values: float) -> None:
     """Refuse what is not a finite number of at least 0, by its name."""
     for name, value in values.items():
         if not (np.isfinite(value) and value >= 0.0):
-            raise ValueError(f"{name}: {value} must be a finite number, at least 0")
+            raise InputError(f"{name}: {value} must be a finite number, at least 0")
 
 
 def check_bounded(amplitude: float, **frequencies: float) -> None:
     """Refuse an amplitude that is not finite and frequencies beyond half the frame rate."""
     if not np.isfinite(amplitude):
-        raise ValueError(f"amplitude: {amplitude} must be a finite number")
+        raise InputError(f"amplitude: {amplitude} must be a finite number")
     for name, value in frequencies.items():
         if value > RATE / 2:
-            raise ValueError(f"{name}: {value} Hz must be at most {RATE / 2} Hz")
+            raise InputError(f"{name}: {value} Hz must be at most {RATE / 2} Hz")
 
 
 def _command(
@@ -109,7 +110,7 @@ def step(dof: str, amplitude: float, *, at: float = 1.0, duration: float = 13.0)
     check_bounded(amplitude)
     check_positive(duration=duration, at=at)
     if at >= duration:
-        raise ValueError(f"at: {at} s must be less than the duration of {duration} s")
+        raise InputError(f"at: {at} s must be less than the duration of {duration} s")
     history = np.where(_time(duration) >= at, amplitude, 0.0)
     return _command(
         dof, history, {"kind": "step", "amplitude": amplitude, "at": at, "duration": duration}
@@ -132,10 +133,10 @@ def pulse(
     check_positive(width=width, at=at, duration=duration)
     begin, frames = max(round(at * RATE), 1), round(width * RATE)
     if frames < 2:
-        raise ValueError(f"width: {width} s must be at least two frames, {2 / RATE} s")
+        raise InputError(f"width: {width} s must be at least two frames, {2 / RATE} s")
     history = np.zeros(round(duration * RATE))
     if begin + frames >= history.size:
-        raise ValueError(
+        raise InputError(
             f"width: {width} s after {at} s must be within the {duration} s of the run"
         )
     history[begin : begin + frames] = amplitude
@@ -196,7 +197,7 @@ def chirp(
     check_not_negative(fade=fade)
     check_bounded(amplitude, stop=stop)
     if stop <= start:
-        raise ValueError(f"stop: {stop} Hz must be above start, {start} Hz")
+        raise InputError(f"stop: {stop} Hz must be above start, {start} Hz")
     stop = max(round((start + stop) * duration), 1) / duration - start
     time = _time(duration)
     sweep = amplitude * signal.chirp(time, start, duration, stop, method="linear", phi=-90.0)
@@ -245,14 +246,14 @@ def noise(
     check_positive(start=start, stop=stop, duration=duration, settle=settle, fade=fade)
     check_bounded(amplitude, stop=stop)
     if scale not in ("peak", "rms"):
-        raise ValueError(f"scale: {scale!r} is not one of peak, rms")
+        raise InputError(f"scale: {scale!r} is not one of peak, rms")
     if 2.0 * fade > duration:
-        raise ValueError(f"fade: {fade} s must be at most half the duration of {duration} s")
+        raise InputError(f"fade: {fade} s must be at most half the duration of {duration} s")
     samples = round(duration * RATE)
     frequency = np.fft.rfftfreq(samples, 1.0 / RATE)
     band = (frequency >= start) & (frequency <= stop)
     if not band.any():
-        raise ValueError(f"stop: no multiple of {1 / duration} Hz lies in {start} to {stop} Hz")
+        raise InputError(f"stop: no multiple of {1 / duration} Hz lies in {start} to {stop} Hz")
     draw = np.random.default_rng(seed).standard_normal((2, np.count_nonzero(band)))
     spectrum = np.zeros(frequency.size, dtype=complex)
     spectrum[band] = draw[0] + 1j * draw[1]
@@ -281,14 +282,14 @@ def odd_orders(start: float, stop: float, period: float, periods: int) -> NDArra
     check_positive(start=start, stop=stop, period=period)
     check_bounded(0.0, stop=stop)
     if periods < 2:
-        raise ValueError(f"periods: {periods} must be at least 2: one transient, one measured")
+        raise InputError(f"periods: {periods} must be at least 2: one transient, one measured")
     samples = round(period * RATE)
     if abs(samples / RATE - period) > 1e-9:
-        raise ValueError(f"period: {period} s must be a whole number of frames of 1/{RATE} s")
+        raise InputError(f"period: {period} s must be a whole number of frames of 1/{RATE} s")
     orders = np.arange(1, samples // 2, 2)
     orders = orders[(orders >= start * period) & (orders <= stop * period)]
     if orders.size == 0:
-        raise ValueError(f"stop: no odd multiple of {1 / period} Hz lies in {start} to {stop} Hz")
+        raise InputError(f"stop: no odd multiple of {1 / period} Hz lies in {start} to {stop} Hz")
     return orders
 
 
@@ -298,7 +299,7 @@ def line_weights(
     """Relative displacements at `frequency` [Hz]: 1, or (corner / f)^2 above the corner."""
     check_positive(corner=corner)
     if spectrum not in SPECTRA:
-        raise ValueError(f"spectrum: {spectrum!r} is not one of {', '.join(SPECTRA)}")
+        raise InputError(f"spectrum: {spectrum!r} is not one of {', '.join(SPECTRA)}")
     if spectrum == "flat":
         return np.ones(frequency.size)
     return np.minimum(1.0, (corner / frequency) ** 2)
@@ -325,7 +326,7 @@ def repeat(once: NDArray[np.float64], periods: int, fade: float) -> NDArray[np.f
     period = once.size / RATE
     check_not_negative(fade=fade)
     if fade > period:
-        raise ValueError(f"fade: {fade} s must be at most the period of {period} s")
+        raise InputError(f"fade: {fade} s must be at most the period of {period} s")
     tail = round(fade * RATE)
     history = np.concatenate([np.tile(once, periods), once[:tail]])
     history[:tail] *= raised_cosine(tail, fade, fade_out=False)

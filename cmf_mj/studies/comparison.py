@@ -25,6 +25,7 @@ from cmf_mj.analysis.published import published
 from cmf_mj.analysis.step_response import StepMetrics, step_metrics
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_csv
 from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics.chain import ElectronicsSettings
@@ -269,21 +270,21 @@ def compare(
         progress: called with (cases done, cases in all) after each case.
 
     Raises:
-        ValueError: an argument out of range, named; nothing has been run or written then.
+        InputError: an argument out of range, named; nothing has been run or written then.
     """
     loaded = [load_law(law) for law in laws]
     for field, chosen, known in (("dofs", dofs, DOFS), ("plants", plants, PLANTS)):
         for name in chosen:
             if name not in known:
-                raise ValueError(f"{field}: {name!r} is not one of {', '.join(known)}")
+                raise InputError(f"{field}: {name!r} is not one of {', '.join(known)}")
         if not chosen:
-            raise ValueError(f"{field}: is empty; choose from {', '.join(known)}")
+            raise InputError(f"{field}: is empty; choose from {', '.join(known)}")
     if not loaded:
-        raise ValueError("laws: is empty; name at least one law")
+        raise InputError("laws: is empty; name at least one law")
     models.cab_path(cab)
     parameters = load_hydraulics(hydraulics)
     if not (np.isfinite(amplitude) and 0.0 < amplitude <= 0.5):
-        raise ValueError(f"amplitude: {amplitude} m must be greater than 0 and at most 0.5")
+        raise InputError(f"amplitude: {amplitude} m must be greater than 0 and at most 0.5")
     cases = [
         Case(
             plant,

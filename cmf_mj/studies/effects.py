@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.studies.intervals import Interval, mean, share
 from cmf_mj.studies.settings import NOMINAL
@@ -130,13 +131,13 @@ def law_effects(
     """What laws change against another, machine by machine.
 
     Raises:
-        ValueError: a law is not in the table.
+        InputError: a law is not in the table.
     """
     rows = _drawn(table)
     there = in_order(rows, "law")
     for law in (against, *laws):
         if law not in there:
-            raise ValueError(f"laws: {law!r} is not one of {', '.join(there)}")
+            raise InputError(f"laws: {law!r} is not one of {', '.join(there)}")
     by_case = {(r["cab"], r["law"], r["dof"], r["draw"]): r for r in rows}
     found = []
     for cab in in_order(rows, "cab"):

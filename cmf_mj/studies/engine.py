@@ -16,6 +16,7 @@ import pyarrow as pa
 from joblib import Parallel, delayed, parallel_config
 from threadpoolctl import threadpool_limits
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.studies.evaluation import StudyRow, evaluate, failed
 from cmf_mj.studies.journal import Journal
 from cmf_mj.studies.settings import Study, StudyCase
@@ -70,15 +71,15 @@ def run_study(
         All rows, in the order of the cases; also written to `results.parquet`.
 
     Raises:
-        ValueError: an argument out of range, or a folder with another study.
+        InputError: an argument out of range, or a folder with another study.
         ModuleNotFoundError: `dask` without the extra `cluster`.
     """
     if jobs < 1:
-        raise ValueError(f"jobs: {jobs} must be at least 1")
+        raise InputError(f"jobs: {jobs} must be at least 1")
     if backend not in get_args(Backend):
-        raise ValueError(f"backend: {backend!r} is not one of {', '.join(get_args(Backend))}")
+        raise InputError(f"backend: {backend!r} is not one of {', '.join(get_args(Backend))}")
     if scheduler is not None and backend != "dask":
-        raise ValueError(f"scheduler: {scheduler} needs the backend dask, not {backend}")
+        raise InputError(f"scheduler: {scheduler} needs the backend dask, not {backend}")
     journal = Journal(Path(folder), study)
     total = len(study.cases)
 

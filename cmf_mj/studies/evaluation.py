@@ -98,7 +98,7 @@ def evaluate(case: StudyCase) -> list[StudyRow]:
     """Run a case.
 
     Raises:
-        ValueError: the rung, the pose or the law does not go with the method.
+        InputError: the rung, the pose or the law does not go with the method.
         FloatingPointError: a run left its physical bounds.
     """
     rung = rung_named(case.rung)

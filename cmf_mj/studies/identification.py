@@ -30,6 +30,7 @@ from cmf_mj.analysis.identification.response_fit import ResponseFit
 from cmf_mj.analysis.identification.validation import Residuals, residual_analysis, simulation_fit
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, law_names, load_law
+from cmf_mj.core.errors import InputError
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.kinematics import DOFS, pose_jacobian
 from cmf_mj.plant.plant import Plant
@@ -101,12 +102,12 @@ def identify(
         step: run of a step under that law, to compare the loop's damping with.
 
     Raises:
-        ValueError: an argument out of range, or records that cannot be fitted.
+        InputError: an argument out of range, or records that cannot be fitted.
     """
     if method not in get_args(Method):
-        raise ValueError(f"method: {method!r} is not one of {', '.join(get_args(Method))}")
+        raise InputError(f"method: {method!r} is not one of {', '.join(get_args(Method))}")
     if not records:
-        raise ValueError("records: none given; at least one is needed")
+        raise InputError("records: none given; at least one is needed")
     series = [experiment(record, axis, rate=rate) for record in records]
     if len(series) == 1:
         first, validation = series[0].split(SHARE)
@@ -141,7 +142,7 @@ def identify(
 
 def _best(selection: Selection | None) -> Orders:
     if selection is None:
-        raise ValueError("orders: neither given nor selected")
+        raise InputError("orders: neither given nor selected")
     return selection.best().orders
 
 
@@ -170,7 +171,7 @@ def excitation(
         seed: of the random phases.
 
     Raises:
-        ValueError: another kind, or an argument out of range.
+        InputError: another kind, or an argument out of range.
     """
     size = dof_amplitude(dof, amplitude)
     if kind == "multisine":
@@ -185,7 +186,7 @@ def excitation(
         return signals.pulse(dof, size)
     if kind == "sine":
         return signals.sine(dof, size, 1.0)
-    raise ValueError(f"signal: {kind!r} is not one of {', '.join(get_args(Signal))}")
+    raise InputError(f"signal: {kind!r} is not one of {', '.join(get_args(Signal))}")
 
 
 def simulated_records(
@@ -198,7 +199,7 @@ def simulated_records(
     """A run to fit and one of another multisine to validate.
 
     Raises:
-        ValueError: an argument out of range, named.
+        InputError: an argument out of range, named.
     """
     commands = (
         excitation(kind, dof, amplitude),
@@ -213,7 +214,7 @@ def simulated_step(
     """The step beside `simulated_records`: 1 in or 0.6 deg by default, the report's.
 
     Raises:
-        ValueError: an argument out of range, named.
+        InputError: an argument out of range, named.
     """
     size = dof_amplitude(dof, amplitude) * STEP_PER_AMPLITUDE
     return simulate(build(), law, signals.step(dof, size), record_every=RECORD_EVERY)
@@ -247,7 +248,7 @@ def identify_matrix(
         shared: degree of freedom whose model is tried everywhere.
 
     Raises:
-        ValueError: an argument out of range, named.
+        InputError: an argument out of range, named.
     """
     sizes = [dof_amplitude(dof, None) for dof in DOFS]
     first, second = (

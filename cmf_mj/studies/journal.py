@@ -17,6 +17,7 @@ from typing import Any, get_type_hints
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file, write_text
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.studies.evaluation import StudyRow
@@ -47,7 +48,7 @@ class Journal:
         """Open the folder of a study, new or with a part of it.
 
         Raises:
-            ValueError: the folder holds another study, or the same one of other sources.
+            InputError: the folder holds another study, or the same one of other sources.
         """
         self.folder = folder
         self.study = study
@@ -61,13 +62,13 @@ class Journal:
         identity = json.loads(json.dumps(self.study.identity()))
         if not path.exists():
             if (self.folder / JOURNAL).exists():
-                raise ValueError(f"{self.folder}: holds a journal without its {SPECIFICATION}")
+                raise InputError(f"{self.folder}: holds a journal without its {SPECIFICATION}")
             write_text(path, json.dumps(identity, indent=1))
             return
         there = json.loads(path.read_text(encoding="utf-8"))
         other = _differences(there, identity)
         if other:
-            raise ValueError(
+            raise InputError(
                 f"{self.folder}: holds a study that differs in {', '.join(other)}; "
                 "allowed: the same study, or another folder"
             )
@@ -113,15 +114,15 @@ def read_results(folder: str | Path) -> pa.Table:
     """The results of a finished study.
 
     Raises:
-        ValueError: there are none; an unfinished study is told from none.
+        InputError: there are none; an unfinished study is told from none.
     """
     place = Path(folder)
     if (place / RESULTS).is_file():
         return pq.read_table(place / RESULTS)
     if (place / JOURNAL).is_file():
         count = len(_lines(place / JOURNAL))
-        raise ValueError(f"{place}: is not finished: {count} cases are; run the study to its end")
-    raise ValueError(f"{place}: holds no study")
+        raise InputError(f"{place}: is not finished: {count} cases are; run the study to its end")
+    raise InputError(f"{place}: holds no study")
 
 
 def _lines(path: Path) -> dict[int, list[dict[str, Any]]]:

@@ -22,6 +22,7 @@ from cmf_mj.analysis.linearization.reduction import pose_loop, reduced
 from cmf_mj.analysis.response.periodic import sine_response
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.kinematics import DOFS, pose_jacobian
@@ -88,7 +89,7 @@ def loop_between(
         One input, one output, discrete at 2048 Hz; all other demands are zero.
 
     Raises:
-        ValueError: another signal, or a law that is refused.
+        InputError: another signal, or a law that is refused.
     """
     loop = closed_loop(load_law(law).mounted(plant.mounting), system)
     legs = [f"leg_{leg + 1}" for leg in range(plant.legs)]
@@ -98,7 +99,7 @@ def loop_between(
     elif signal in legs:
         index = legs.index(signal)
     else:
-        raise ValueError(f"dof: {signal!r} is not one of {', '.join(legs)}")
+        raise InputError(f"dof: {signal!r} is not one of {', '.join(legs)}")
     return loop[index, index]
 
 
@@ -129,7 +130,7 @@ def compare_with_simulation(
         settle: rest before the first sine [s].
 
     Raises:
-        ValueError: an argument out of range, an unstable loop, or a plant without linearisation.
+        InputError: an argument out of range, an unstable loop, or a plant without linearisation.
     """
     leg = signal.startswith("leg_")
     turns = not leg and dof_index(signal) >= 3
@@ -139,7 +140,7 @@ def compare_with_simulation(
     mounted = load_law(law).mounted(plant.mounting)
     fastest = float(np.abs(closed_loop(mounted, system).poles()).max())
     if fastest > 1.0 + 1e-9:
-        raise ValueError(f"law: its loop is unstable there, with a pole at {fastest:.6f}")
+        raise InputError(f"law: its loop is unstable there, with a pole at {fastest:.6f}")
     command = excitations.stepped_sines(
         "heave" if leg else signal,
         frequencies,

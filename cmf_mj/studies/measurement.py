@@ -24,6 +24,7 @@ from cmf_mj.analysis.frequency_response import (
 from cmf_mj.analysis.step_response import StepMetrics, step_metrics
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.simulation import simulate
@@ -129,7 +130,7 @@ def dof_accelerations(record: Record) -> NDArray[np.float64]:
     """Acceleration of the platform pose from the leg sensors, (N, 6) [m/s^2, rad/s^2].
 
     Raises:
-        ValueError: the record holds no leg velocities or accelerations.
+        InputError: the record holds no leg velocities or accelerations.
     """
     pose = legs_to_pose(record["leg_position"])
     legs = (record["leg_velocity"], record["leg_acceleration"])
@@ -144,7 +145,7 @@ def session_commands(dof: str, amplitude: float | None = None) -> list[signals.C
         amplitude: of each sine [m or rad]; default the report's 0.33 in or 0.2 deg.
 
     Raises:
-        ValueError: an argument out of range, or a demand beyond the limits; each is named.
+        InputError: an argument out of range, or a demand beyond the limits; each is named.
     """
     size = dof_amplitude(dof, amplitude)
     numbers = range(1, len(excitations.ROUNDS) + 1)
@@ -174,7 +175,7 @@ def facility_session(
         jobs: threads; default one per core. Records do not depend on it.
 
     Raises:
-        ValueError: an argument out of range, named, or a demand beyond the operational limits.
+        InputError: an argument out of range, named, or a demand beyond the operational limits.
     """
     loaded = load_law(law)
     commands = session_commands(dof, amplitude)
@@ -191,14 +192,14 @@ def dof_amplitude(dof: str, amplitude: float | None) -> float:
     """The given amplitude [m or rad], or the report's: 0.33 in or 0.2 deg.
 
     Raises:
-        ValueError: an amplitude that is not a finite number above 0.
+        InputError: an amplitude that is not a finite number above 0.
     """
     size = amplitude
     if size is None:
         translation = signals.dof_index(dof) < 3
         size = units.to_si("in", 0.33) if translation else units.to_si("deg", 0.2)
     if not (np.isfinite(size) and size > 0.0):
-        raise ValueError(f"amplitude: {size} must be a finite number greater than 0")
+        raise InputError(f"amplitude: {size} must be a finite number greater than 0")
     return size
 
 
@@ -232,7 +233,7 @@ def measure(
         electronics: sensors, converters and servo electronics; default ideal.
 
     Raises:
-        ValueError: an argument out of range, named.
+        InputError: an argument out of range, named.
     """
     translation = signals.dof_index(dof) < 3
     size = dof_amplitude(dof, amplitude)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy import stats
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Settings, validated
 from cmf_mj.electronics.chain import ElectronicsSettings
@@ -69,24 +70,24 @@ class Mismatch(Settings):
         """Refuse names that cannot scatter.
 
         Raises:
-            ValueError: the name and what is allowed.
+            InputError: the name and what is allowed.
         """
         for name, spread in self.hydraulics.items():
             allowed = VALVE_FIELDS if spread.per == "valve" else ACTUATOR_FIELDS
             if name not in allowed:
-                raise ValueError(
+                raise InputError(
                     f"mismatch.hydraulics: {name!r} cannot differ from {spread.per} to "
                     f"{spread.per}; allowed: {', '.join(allowed)}"
                 )
             if spread.effect == "offset" and name != "null_bias":
-                raise ValueError(f"mismatch.hydraulics.{name}: effect must be factor")
+                raise InputError(f"mismatch.hydraulics.{name}: effect must be factor")
         for name, spread in self.sensor_gains.items():
             if name not in LEG_CHANNELS:
-                raise ValueError(
+                raise InputError(
                     f"mismatch.sensor_gains: {name!r} is not one of {', '.join(LEG_CHANNELS)}"
                 )
             if spread.per != "actuator" or spread.effect != "factor":
-                raise ValueError(f"mismatch.sensor_gains.{name}: must be a factor per actuator")
+                raise InputError(f"mismatch.sensor_gains.{name}: must be a factor per actuator")
 
     def draw_hydraulics(
         self, base: HydraulicParameters, actuators: tuple[str, ...], seed: int, draw: int
@@ -100,7 +101,7 @@ class Mismatch(Settings):
             draw: number of the machine drawn.
 
         Raises:
-            ValueError: a drawn number out of its range.
+            InputError: a drawn number out of its range.
         """
         nominal = base.quantities()
         changes: dict[str, dict[str, object]] = {name: {} for name in actuators}

@@ -31,6 +31,7 @@ from pydantic import Field
 
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings, read_toml, validated
 from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import DOFS
@@ -169,7 +170,7 @@ def load_study(
         changes: fields of the specification that are replaced.
 
     Raises:
-        ValueError: what is wrong, by field.
+        InputError: what is wrong, by field.
     """
     where = "study"
     if isinstance(source, dict):
@@ -181,14 +182,14 @@ def load_study(
         table = read_toml(Path(source))
         where = str(source)
     else:
-        raise ValueError(
+        raise InputError(
             f"study: {str(source)!r} is neither a .toml file nor one of "
             f"{', '.join(ready_studies())}"
         )
     if "base" in table:
         base = str(table.pop("base"))
         if base not in ready_studies():
-            raise ValueError(f"{where}: base: {base!r} is not one of {', '.join(ready_studies())}")
+            raise InputError(f"{where}: base: {base!r} is not one of {', '.join(ready_studies())}")
         table = read_toml(_READY / f"{base}.toml") | table
     table |= changes or {}
     loaded = None if laws is None else tuple(load_law(law) for law in laws)
@@ -198,7 +199,7 @@ def load_study(
     _check(settings)
     chosen = loaded if loaded is not None else tuple(load_law(law) for law in settings.laws)
     if len({law.name for law in chosen}) < len(chosen):
-        raise ValueError(f"laws: {', '.join(law.name for law in chosen)} must differ in name")
+        raise InputError(f"laws: {', '.join(law.name for law in chosen)} must differ in name")
     return Study(settings, chosen, load_hydraulics(settings.hydraulics))
 
 
@@ -207,18 +208,18 @@ def _check(settings: StudySettings) -> None:
         models.cab_path(cab)
     for dof in settings.dofs:
         if dof not in DOFS:
-            raise ValueError(f"dofs: {dof!r} is not one of {', '.join(DOFS)}")
+            raise InputError(f"dofs: {dof!r} is not one of {', '.join(DOFS)}")
     for pose in settings.poses:
         if len(pose) != 6:
-            raise ValueError(f"poses: {pose} must be six numbers, in and deg")
+            raise InputError(f"poses: {pose} must be six numbers, in and deg")
     settings.mismatch.check()
     if settings.draws and not (settings.mismatch.hydraulics or settings.mismatch.sensor_gains):
-        raise ValueError(f"draws: {settings.draws} machines are alike without [mismatch]")
+        raise InputError(f"draws: {settings.draws} machines are alike without [mismatch]")
     if settings.simulate_every and settings.method != "linear":
-        raise ValueError(f"simulate_every: needs method linear, not {settings.method}")
+        raise InputError(f"simulate_every: needs method linear, not {settings.method}")
     for name in settings.rungs:
         if settings.method == "linear" and not rung_named(name).linear:
-            raise ValueError(
+            raise InputError(
                 f"rungs: {name!r} has no linearisation; friction, electronics and a delay of 0 "
                 "frames need the method sweep or matrix"
             )

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.plant.hexapod import Hexapod, hexapod_spec
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -84,7 +85,7 @@ def payload_spec(
         leg_inertia: factor on mass and inertia of cylinders and rods.
 
     Raises:
-        ValueError: unknown cab.
+        InputError: unknown cab.
     """
     payload = Payload(hexapod_spec(cab))
     spec = hexapod_spec(cab)
@@ -196,8 +197,8 @@ def rung_named(name: str) -> Rung:
     """A rung of the ladder, or `machine`.
 
     Raises:
-        ValueError: no such rung.
+        InputError: no such rung.
     """
     if name not in _RUNGS:
-        raise ValueError(f"rungs: {name!r} is not one of {', '.join(_RUNGS)}")
+        raise InputError(f"rungs: {name!r} is not one of {', '.join(_RUNGS)}")
     return _RUNGS[name]

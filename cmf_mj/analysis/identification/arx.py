@@ -31,6 +31,7 @@ from scipy import linalg
 from cmf_mj.analysis.identification.data import Experiment, Real
 from cmf_mj.analysis.identification.model import Orders, PolynomialModel, from_parameters
 from cmf_mj.analysis.identification.validation import simulation_fit
+from cmf_mj.core.errors import InputError
 
 Criterion = Literal["aic", "bic", "validation"]
 Unstable = Literal["report", "reflect", "refuse"]
@@ -40,17 +41,17 @@ def as_experiments(experiments: Experiment | Sequence[Experiment]) -> list[Exper
     """One or several experiments as a list of at least one, all of the same signals and rate.
 
     Raises:
-        ValueError: none, or they differ.
+        InputError: none, or they differ.
     """
     runs = [experiments] if isinstance(experiments, Experiment) else list(experiments)
     if not runs:
-        raise ValueError("experiments: none given; at least one is needed")
+        raise InputError("experiments: none given; at least one is needed")
     for run in runs[1:]:
         for field in ("input_names", "output_names"):
             if getattr(run, field) != getattr(runs[0], field):
-                raise ValueError(f"experiments: {field} differ between them")
+                raise InputError(f"experiments: {field} differ between them")
         if abs(run.step / runs[0].step - 1.0) > 1e-9:
-            raise ValueError(f"experiments: steps {runs[0].step} and {run.step} s; must be one")
+            raise InputError(f"experiments: steps {runs[0].step} and {run.step} s; must be one")
     return runs
 
 
@@ -71,13 +72,13 @@ def handled(model: PolynomialModel, unstable: Unstable) -> PolynomialModel:
     """A model with its unstable poles reported, reflected or refused.
 
     Raises:
-        ValueError: `refuse`, and there are some; or another word.
+        InputError: `refuse`, and there are some; or another word.
     """
     if unstable not in ("report", "reflect", "refuse"):
-        raise ValueError(f"unstable: {unstable!r} is not one of report, reflect, refuse")
+        raise InputError(f"unstable: {unstable!r} is not one of report, reflect, refuse")
     if unstable == "refuse" and model.unstable_poles:
         sizes = ", ".join(f"{abs(p):.6f}" for p in model.unstable_poles)
-        raise ValueError(f"unstable: poles of modulus {sizes}; allowed: at most 1")
+        raise InputError(f"unstable: poles of modulus {sizes}; allowed: at most 1")
     return model.stabilised() if unstable == "reflect" else model
 
 
@@ -97,7 +98,7 @@ def arx(
             `refuse` raises.
 
     Raises:
-        ValueError: orders out of range, too few samples, inputs that do not excite the model
+        InputError: orders out of range, too few samples, inputs that do not excite the model
             (regressors linearly dependent), or refused poles.
     """
     runs = as_experiments(experiments)
@@ -140,18 +141,18 @@ class _Solved(NamedTuple):
 def _factor(runs: list[Experiment], row: int, orders: Orders, lag: int) -> _Factor:
     for run in runs:
         if run.samples <= lag:
-            raise ValueError(f"orders: reach back {lag} samples; the experiment has {run.samples}")
+            raise InputError(f"orders: reach back {lag} samples; the experiment has {run.samples}")
     phi = np.concatenate([regressors(run, row, orders, lag) for run in runs])
     y = np.concatenate([run.output[lag:, row] for run in runs])
     if y.size <= phi.shape[1]:
-        raise ValueError(
+        raise InputError(
             f"orders: {phi.shape[1]} parameters; the experiments give {y.size} samples"
         )
     table = np.column_stack([phi, y])
     scale = np.linalg.norm(table, axis=0)
     silent = np.flatnonzero(scale == 0.0)
     if silent.size:
-        raise ValueError("experiments: an input or output is zero all the time")
+        raise InputError("experiments: an input or output is zero all the time")
     (triangle,) = linalg.qr(table / scale, mode="r", overwrite_a=True, check_finite=False)[:1]
     return _Factor(triangle[: table.shape[1]], scale, y.size)
 
@@ -163,7 +164,7 @@ def _solve(factor: _Factor, columns: Real) -> _Solved:
     triangle = linalg.qr(factor.triangle[:, keep], mode="r")[0][: count + 1]
     r = triangle[:count, :count]
     if np.abs(np.diag(r)).min() < 1e-13 * np.abs(np.diag(r)).max():
-        raise ValueError("orders: the experiments do not tell these parameters apart; lower them")
+        raise InputError("orders: the experiments do not tell these parameters apart; lower them")
     scale = factor.scale[keep]
     theta = linalg.solve_triangular(r, triangle[:count, count])
     inverse = linalg.solve_triangular(r, np.eye(count))
@@ -205,10 +206,10 @@ class Selection(NamedTuple):
             slack: of the validation fit [%].
 
         Raises:
-            ValueError: another criterion.
+            InputError: another criterion.
         """
         if criterion not in ("aic", "bic", "validation"):
-            raise ValueError(f"criterion: {criterion!r} is not one of aic, bic, validation")
+            raise InputError(f"criterion: {criterion!r} is not one of aic, bic, validation")
         pool = [c for c in self.candidates if c.stable] or list(self.candidates)
         if criterion == "validation":
             enough = max(c.fit for c in pool) - slack
@@ -230,12 +231,12 @@ def select_orders(
     One QR of the largest regressors serves all candidates, and all are judged on the same samples.
 
     Raises:
-        ValueError: an empty grid, orders out of range, or experiments that cannot be fitted.
+        InputError: an empty grid, orders out of range, or experiments that cannot be fitted.
     """
     runs, others = as_experiments(estimation), as_experiments(validation)
     grid = [Orders(*o).check() for o in product(na, nb, nk)]
     if not grid:
-        raise ValueError("na, nb, nk: the grid is empty")
+        raise InputError("na, nb, nk: the grid is empty")
     first = min(o.nk for o in grid)
     span = max(o.nk + o.nb for o in grid) - first
     widest = Orders(max(o.na for o in grid), span, first)

@@ -17,6 +17,7 @@ from cmf_mj.analysis.identification.model import PolynomialModel
 from cmf_mj.analysis.identification.response_fit import ResponseFit, fit_response
 from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 
 BAND = (0.1, 10.0)
 """Band in which a band-limited model is believed [Hz]: the report's of interest (section 4.2)."""
@@ -50,12 +51,12 @@ def to_continuous(
         The fit, relative over 200 lines evenly spaced in log frequency; look at its `misfit`.
 
     Raises:
-        ValueError: a band or orders out of range.
+        InputError: a band or orders out of range.
     """
     low, high = band
     nyquist = 0.5 / model.step
     if not 0.0 < low < high < nyquist:
-        raise ValueError(f"band: {low} to {high} Hz; allowed: rising, above 0, below {nyquist} Hz")
+        raise InputError(f"band: {low} to {high} Hz; allowed: rising, above 0, below {nyquist} Hz")
     frequency = np.geomspace(low, high, _LINES)
     count = model.orders.na if poles is None else poles
     return fit_response(
@@ -93,17 +94,17 @@ def from_zero_order_hold(model: control.StateSpace) -> control.StateSpace:
     [A B; 0 I] = expm([Ac Bc; 0 0] T), by the matrix logarithm.
 
     Raises:
-        ValueError: the model is continuous, or has a pole on the negative real axis or at 0, for
+        InputError: the model is continuous, or has a pole on the negative real axis or at 0, for
             which there is no such system of the same order.
     """
     step = model.dt
     if not step or step is True:
-        raise ValueError("model: has no sampling interval")
+        raise InputError("model: has no sampling interval")
     a, b = np.asarray(model.A), np.asarray(model.B)
     poles = np.linalg.eigvals(a)
     bad = poles[(np.abs(poles.imag) < 1e-12) & (poles.real <= 0.0)]
     if bad.size:
-        raise ValueError(f"model: pole {bad[0].real:.4f} has no continuous counterpart")
+        raise InputError(f"model: pole {bad[0].real:.4f} has no continuous counterpart")
     order, inputs = b.shape
     whole = np.block([[a, b], [np.zeros((inputs, order)), np.eye(inputs)]])
     with warnings.catch_warnings():
@@ -111,7 +112,7 @@ def from_zero_order_hold(model: control.StateSpace) -> control.StateSpace:
         log = np.real(linalg.logm(whole))
     lost = float(np.abs(linalg.expm(log) - whole).max() / np.abs(whole).max())
     if lost > _LOST:
-        raise ValueError(f"model: its hold cannot be inverted; the logarithm is off by {lost:.1e}")
+        raise InputError(f"model: its hold cannot be inverted; the logarithm is off by {lost:.1e}")
     log = log / step
     return control.ss(
         log[:order, :order],

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import interpolate, signal
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE as FRAMES
 from cmf_mj.machine.kinematics import DOFS, leg_motion_to_pose, legs_to_pose
 from cmf_mj.record.record import Record
@@ -62,7 +63,7 @@ class Experiment:
     def __post_init__(self) -> None:
         """Check shapes and freeze."""
         if not (np.isfinite(self.step) and self.step > 0.0):
-            raise ValueError(f"step: {self.step} s must be a finite number greater than 0")
+            raise InputError(f"step: {self.step} s must be a finite number greater than 0")
         for field in ("input", "output", "reference"):
             given = getattr(self, field)
             if given is None and field == "reference":
@@ -70,14 +71,14 @@ class Experiment:
             values = np.array(given, dtype=float)
             values = values[:, None] if values.ndim == 1 else values
             if values.ndim != 2 or values.shape[0] < 2:
-                raise ValueError(f"{field}: shape is {values.shape}; allowed: (N, k) with N >= 2")
+                raise InputError(f"{field}: shape is {values.shape}; allowed: (N, k) with N >= 2")
             if not np.isfinite(values).all():
                 row = int(np.argmin(np.isfinite(values).all(axis=1)))
-                raise ValueError(f"{field}: sample {row} is not finite")
+                raise InputError(f"{field}: sample {row} is not finite")
             values.setflags(write=False)
             object.__setattr__(self, field, values)
             if values.shape[0] != self.input.shape[0]:
-                raise ValueError(
+                raise InputError(
                     f"{field}: has {values.shape[0]} samples; input has {self.input.shape[0]}"
                 )
         for field in ("input", "output"):
@@ -85,7 +86,7 @@ class Experiment:
             for kind in ("names", "units"):
                 given = len(getattr(self, f"{field}_{kind}"))
                 if given != count:
-                    raise ValueError(f"{field}_{kind}: has {given} entries; {field} has {count}")
+                    raise InputError(f"{field}_{kind}: has {given} entries; {field} has {count}")
 
     @property
     def samples(self) -> int:
@@ -111,7 +112,7 @@ class Experiment:
         for all series, so that ratios of them are not touched.
 
         Raises:
-            ValueError: a factor below 1, or too few samples.
+            InputError: a factor below 1, or too few samples.
         """
         thin = self._mapped(partial(decimated, factor=factor))
         return replace(thin, step=self.step * factor)
@@ -120,17 +121,17 @@ class Experiment:
         """Take the mean or the straight line of least squares out of every series.
 
         Raises:
-            ValueError: another kind.
+            InputError: another kind.
         """
         if kind not in ("constant", "linear"):
-            raise ValueError(f"kind: {kind!r} is not one of constant, linear")
+            raise InputError(f"kind: {kind!r} is not one of constant, linear")
         return self._mapped(lambda x: signal.detrend(x, axis=0, type=kind))
 
     def between(self, start: float = 0.0, stop: float = float("inf")) -> "Experiment":
         """The samples from `start` to before `stop` [s], counted from the first.
 
         Raises:
-            ValueError: fewer than two samples lie between.
+            InputError: fewer than two samples lie between.
         """
         first = max(ceil(start / self.step - 1e-9), 0)
         last = self.samples
@@ -138,17 +139,17 @@ class Experiment:
             last = min(ceil(stop / self.step - 1e-9), last)
         if last - first < 2:
             end = self.samples * self.step
-            raise ValueError(f"start, stop: {start} to {stop} s hold no samples of 0 to {end:.3f}")
+            raise InputError(f"start, stop: {start} to {stop} s hold no samples of 0 to {end:.3f}")
         return self._mapped(lambda x: x[first:last])
 
     def split(self, share: float = 0.5) -> tuple["Experiment", "Experiment"]:
         """Estimation and validation parts: the first `share` of the run, and the rest.
 
         Raises:
-            ValueError: a share that leaves one of the two without samples.
+            InputError: a share that leaves one of the two without samples.
         """
         if not 0.0 < share < 1.0:
-            raise ValueError(f"share: {share} must be greater than 0 and less than 1")
+            raise InputError(f"share: {share} must be greater than 0 and less than 1")
         middle = share * self.samples * self.step
         return self.between(0.0, middle), self.between(middle)
 
@@ -158,7 +159,7 @@ class Experiment:
         """Some of the inputs and outputs, by name; the reference stays whole.
 
         Raises:
-            ValueError: a name the experiment does not have.
+            InputError: a name the experiment does not have.
         """
         u = _indices("inputs", self.input_names, inputs)
         y = _indices("outputs", self.output_names, outputs)
@@ -176,9 +177,9 @@ class Experiment:
 def decimated(values: Real, factor: int) -> Real:
     """Series (N, ...) at a `factor` times lower rate; see `Experiment.decimated`."""
     if factor != int(factor) or factor < 1:
-        raise ValueError(f"factor: {factor} must be a whole number, at least 1")
+        raise InputError(f"factor: {factor} must be a whole number, at least 1")
     if factor > 1 and values.shape[0] < _SHORTEST * factor:
-        raise ValueError(f"factor: {factor} is too much for {values.shape[0]} samples")
+        raise InputError(f"factor: {factor} is too much for {values.shape[0]} samples")
     left = int(factor)
     while left > 1:
         stage = next((q for q in range(_LONGEST, 1, -1) if left % q == 0), left)
@@ -192,7 +193,7 @@ def _indices(field: str, have: tuple[str, ...], wanted: Sequence[str] | None) ->
         return list(range(len(have)))
     for name in wanted:
         if name not in have:
-            raise ValueError(f"{field}: {name!r} is not one of {', '.join(have)}")
+            raise InputError(f"{field}: {name!r} is not one of {', '.join(have)}")
     return [have.index(name) for name in wanted]
 
 
@@ -236,18 +237,18 @@ def experiment(
         `<axis>_velocity` and so on in SI, the leg reference along the axes as reference.
 
     Raises:
-        ValueError: a channel, axis or rate the record does not have.
+        InputError: a channel, axis or rate the record does not have.
     """
     names = [axes] if isinstance(axes, str) else list(axes)
     channels = [outputs] if isinstance(outputs, str) else list(outputs)
     factor = round(record.rate / rate)
     if factor < 1 or abs(record.rate / rate - factor) > 1e-9:
-        raise ValueError(f"rate: {rate} Hz; the record's {record.rate} Hz must be a multiple of it")
+        raise InputError(f"rate: {rate} Hz; the record's {record.rate} Hz must be a multiple of it")
     frames = command_delay
     if frames is None:
         frames = int(record.metadata.get("command_delay", 1))
     if frames < 0:
-        raise ValueError(f"command_delay: {frames} frames must be at least 0")
+        raise InputError(f"command_delay: {frames} frames must be at least 0")
     needed = dict.fromkeys(("valve_command", "leg_reference", "leg_position", *channels))
     legs = {channel: record[channel] for channel in needed}
     legs["valve_command"] = _at_valve(legs["valve_command"], frames, record.rate)

@@ -30,6 +30,7 @@ from cmf_mj.analysis.linear_models.loop import closed_loop
 from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
 from cmf_mj.analysis.step_response import StepMetrics, damping_from_overshoot
 from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 
 STEP_TIME = 12.0
@@ -58,11 +59,11 @@ def closed_loop_response(
             axes that are the legs.
 
     Raises:
-        ValueError: shapes that do not match, a line at 0 Hz, a refused law.
+        InputError: shapes that do not match, a line at 0 Hz, a refused law.
     """
     f = np.asarray(frequency, dtype=float)
     if not (f > 0.0).all():
-        raise ValueError("frequency: must be greater than 0 at every line")
+        raise InputError("frequency: must be greater than 0 at every line")
     v = _square("velocity", velocity, f.size)
     s = 2j * np.pi * f[:, None, None]
     turn = np.eye(v.shape[1]) if legs_of_axes is None else np.asarray(legs_of_axes, dtype=float)
@@ -96,7 +97,7 @@ def _square(name: str, values: ArrayLike, lines: int) -> Complex:
     response = np.asarray(values, dtype=complex)
     response = response[:, None, None] if response.ndim == 1 else response
     if response.ndim != 3 or response.shape[0] != lines or response.shape[1] != response.shape[2]:
-        raise ValueError(
+        raise InputError(
             f"{name}: shape is {np.shape(values)}; allowed: ({lines}, n, n) or ({lines},)"
         )
     return response
@@ -141,7 +142,7 @@ def loop_errors(
         command_delay: frames from the DCL to the valves.
 
     Raises:
-        ValueError: a refused law or delay.
+        InputError: a refused law or delay.
     """
     loop = closed_loop(law, velocity, command_delay=command_delay)
     found = bandwidths(control.frequency_response(loop, measured.omega))

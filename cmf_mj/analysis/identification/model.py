@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg, signal
 
 from cmf_mj.analysis.identification.data import Experiment, Real
+from cmf_mj.core.errors import InputError
 
 Complex = NDArray[np.complex128]
 
@@ -39,7 +40,7 @@ class Orders(NamedTuple):
         for name, least in (("na", 1), ("nb", 1), ("nk", 0)):
             value = getattr(self, name)
             if value != int(value) or value < least:
-                raise ValueError(f"{name}: {value} must be a whole number, at least {least}")
+                raise InputError(f"{name}: {value} must be a whole number, at least {least}")
         return self
 
     @property
@@ -152,11 +153,11 @@ class PolynomialModel:
         """The same model taken for the signals of an experiment.
 
         Raises:
-            ValueError: the experiment has other numbers of inputs or outputs.
+            InputError: the experiment has other numbers of inputs or outputs.
         """
         shape = (experiment.output.shape[1], experiment.input.shape[1])
         if shape != (self.outputs, self.inputs):
-            raise ValueError(
+            raise InputError(
                 f"experiment: has {shape[1]} inputs and {shape[0]} outputs; the model has "
                 f"{self.inputs} and {self.outputs}"
             )
@@ -209,11 +210,11 @@ class PolynomialModel:
         """Outputs (N, ny) of inputs (N, nu) from rest.
 
         Raises:
-            ValueError: another number of inputs.
+            InputError: another number of inputs.
         """
         u = np.asarray(inputs, dtype=float)
         if u.ndim != 2 or u.shape[1] != self.inputs:
-            raise ValueError(f"inputs: shape is {u.shape}; allowed: (N, {self.inputs})")
+            raise InputError(f"inputs: shape is {u.shape}; allowed: (N, {self.inputs})")
         return np.column_stack(
             [
                 sum(
@@ -258,14 +259,14 @@ class PolynomialModel:
         """Refuse an experiment of other signals or another rate.
 
         Raises:
-            ValueError: names or rate differ; both are named.
+            InputError: names or rate differ; both are named.
         """
         for field in ("input_names", "output_names"):
             have, need = getattr(experiment, field), getattr(self, field)
             if have != need:
-                raise ValueError(f"{field}: {', '.join(have)}; the model's are {', '.join(need)}")
+                raise InputError(f"{field}: {', '.join(have)}; the model's are {', '.join(need)}")
         if abs(experiment.step / self.step - 1.0) > 1e-9:
-            raise ValueError(f"step: {experiment.step} s; the model's is {self.step} s")
+            raise InputError(f"step: {experiment.step} s; the model's is {self.step} s")
 
     def response(self, frequency: ArrayLike) -> Complex:
         """Frequency response (K, ny, nu) at `frequency` [Hz]."""

@@ -18,6 +18,7 @@ from cmf_mj.analysis.identification.arx import arx, as_experiments
 from cmf_mj.analysis.identification.data import Experiment
 from cmf_mj.analysis.identification.model import Orders, PolynomialModel
 from cmf_mj.analysis.identification.validation import simulation_fit
+from cmf_mj.core.errors import InputError
 
 Fitter = Callable[[Experiment | Sequence[Experiment], Orders], PolynomialModel]
 
@@ -58,18 +59,18 @@ def compare_dofs(
         fitter: `arx`, `instrumental_variable`, `output_error` or one of your own.
 
     Raises:
-        ValueError: outputs that do not pair with inputs, an axis the runs do not have, or as the
+        InputError: outputs that do not pair with inputs, an axis the runs do not have, or as the
             fitter does.
     """
     runs = as_experiments(estimation)
     axes = [name.removesuffix("_command") for name in runs[0].input_names]
     if len(runs[0].output_names) != len(axes):
-        raise ValueError(
+        raise InputError(
             f"estimation: has {len(axes)} inputs and {len(runs[0].output_names)} outputs; "
             "allowed: one output an input"
         )
     if shared not in axes:
-        raise ValueError(f"shared: {shared!r} is not one of {', '.join(axes)}")
+        raise InputError(f"shared: {shared!r} is not one of {', '.join(axes)}")
     chosen = Orders(*orders).check()
     alone = [_alone(runs, i) for i in range(len(axes))]
     own = [fitter(series, chosen) for series in alone]

@@ -23,6 +23,7 @@ from cmf_mj.analysis.response.estimate import SEGMENT, Estimate
 from cmf_mj.analysis.response.matrix import matrix_response
 from cmf_mj.analysis.response.periodic import periodic_response
 from cmf_mj.analysis.response.welch import welch_response
+from cmf_mj.core.errors import InputError
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.record.record import Record
 
@@ -52,13 +53,13 @@ def plant_response(
         reference to input and reference to output.
 
     Raises:
-        ValueError: no excitation along the axis, a record too short, a rate that does not fit.
+        InputError: no excitation along the axis, a record too short, a rate that does not fit.
     """
     series = experiment(
         record, axis, outputs=output, rate=_rate(record), command_delay=command_delay
     )
     if series.reference is None or np.ptp(series.reference[:, 0]) < 1e-9:
-        raise ValueError(f"axis: the record holds no demand in {axis}")
+        raise InputError(f"axis: the record holds no demand in {axis}")
     command = record.metadata["command"]
     to_input, to_output = (
         _response(series.reference[:, 0], values[:, 0], series.rate, command, segment)
@@ -93,7 +94,7 @@ def _response(
         period, periods = command["period"], command["periods"]
         samples = round(period * rate)
         if abs(samples - period * rate) > 1e-9:
-            raise ValueError(f"rate: a period of {period} s has no whole samples at {rate}")
+            raise InputError(f"rate: a period of {period} s has no whole samples at {rate}")
         orders = np.arange(1, samples // 2, 2)
         lines = orders[(orders >= low * period - 1e-9) & (orders <= high * period + 1e-9)]
         whole = slice(periods * samples)
@@ -113,17 +114,17 @@ def plant_matrix(record: Record, *, output: str = "leg_velocity") -> control.Fre
         output: channel.
 
     Raises:
-        ValueError: another excitation.
+        InputError: another excitation.
     """
     command = record.metadata["command"]
     if command.get("kind") != "orthogonal_multisines":
         kind = command.get("kind")
-        raise ValueError(f"record: its command is {kind!r}; orthogonal multisines are needed")
+        raise InputError(f"record: its command is {kind!r}; orthogonal multisines are needed")
     series = experiment(record, DOFS, outputs=output, rate=_rate(record))
     whole = slice(round(command["period"] * series.rate) * command["periods"])
     reference = series.reference
     if reference is None or (np.ptp(reference, axis=0) < 1e-9).any():
-        raise ValueError("record: a degree of freedom is at rest; all six are needed")
+        raise InputError("record: a degree of freedom is at rest; all six are needed")
     to_input, to_output = (
         matrix_response(
             reference[whole],

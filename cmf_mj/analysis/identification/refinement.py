@@ -35,6 +35,7 @@ from scipy import linalg, optimize, signal
 from cmf_mj.analysis.identification.arx import Unstable, arx, as_experiments, handled, regressors
 from cmf_mj.analysis.identification.data import Experiment, Real
 from cmf_mj.analysis.identification.model import STABILITY, Orders, PolynomialModel, from_parameters
+from cmf_mj.core.errors import InputError
 
 Instrument = Literal["input", "reference"]
 
@@ -92,11 +93,11 @@ def instrumental_variable(
             for the filter and the instruments, not in the estimate.
 
     Raises:
-        ValueError: as `arx`; no reference; another instrument; an iteration that diverges. One that
+        InputError: as `arx`; no reference; another instrument; an iteration that diverges. One that
             only has not ended is told by the result's `converged`.
     """
     if instrument not in ("input", "reference"):
-        raise ValueError(f"instrument: {instrument!r} is not one of input, reference")
+        raise InputError(f"instrument: {instrument!r} is not one of input, reference")
     runs = as_experiments(experiments)
     chosen = Orders(*orders).check()
     drives = [run.input for run in runs] if instrument == "input" else _driven(runs)
@@ -113,7 +114,7 @@ def _driven(runs: list[Experiment]) -> list[Real]:
     swapped = []
     for run in runs:
         if run.reference is None:
-            raise ValueError("instrument: the experiments have no reference")
+            raise InputError("instrument: the experiments have no reference")
         names = tuple(f"reference_{i + 1}" for i in range(run.reference.shape[1]))
         swapped.append(
             replace(
@@ -195,7 +196,7 @@ def _filtered(
         ys.append(thin.output[lag:, 0])
     phi, z = np.concatenate(phis), np.concatenate(zs)
     if phi.shape[1] != count or phi.shape[0] <= count:
-        raise ValueError(f"orders: {count} parameters; the experiments give {phi.shape[0]} samples")
+        raise InputError(f"orders: {count} parameters; the experiments give {phi.shape[0]} samples")
     return phi, np.concatenate(ys), z
 
 
@@ -207,11 +208,11 @@ def _instrumented(z: Real, phi: Real, y: Real) -> tuple[Real, Real]:
     size = np.linalg.norm(phi, axis=0)
     length = np.linalg.norm(z, axis=0)
     if not (np.isfinite(size).all() and np.isfinite(length).all() and (length > 0.0).all()):
-        raise ValueError("orders: the iteration has left the finite numbers; other orders may do")
+        raise InputError("orders: the iteration has left the finite numbers; other orders may do")
     q, _ = np.linalg.qr(z / length)
     matrix = q.T @ (phi / size)
     if np.linalg.cond(matrix) > _SINGULAR:
-        raise ValueError("orders: the instruments do not tell the parameters apart; lower them")
+        raise InputError("orders: the instruments do not tell the parameters apart; lower them")
     inverse = np.linalg.inv(matrix) / size[:, None]
     return inverse @ (q.T @ y), inverse
 
@@ -233,20 +234,20 @@ def output_error(
         evaluations: of the simulation a row, at most.
 
     Raises:
-        ValueError: as `arx`; another start. A search that has not ended is told by the result's
+        InputError: as `arx`; another start. A search that has not ended is told by the result's
             `converged`.
     """
     runs = as_experiments(experiments)
     chosen = Orders(*orders).check()
     if isinstance(start, PolynomialModel):
         if start.orders != chosen:
-            raise ValueError(f"start: has orders {tuple(start.orders)}; wanted {tuple(chosen)}")
+            raise InputError(f"start: has orders {tuple(start.orders)}; wanted {tuple(chosen)}")
         start.check(runs[0])
         first = start
     elif start in ("arx", "iv"):
         first = (arx if start == "arx" else instrumental_variable)(runs, chosen)
     else:
-        raise ValueError(f"start: {start!r} is not one of arx, iv, a model")
+        raise InputError(f"start: {start!r} is not one of arx, iv, a model")
     begin = first.stabilised()
     rows = [_OutputError(runs, begin, row).solve(evaluations) for row in range(begin.outputs)]
     result = _assembled(rows, chosen, runs, "oe")

@@ -28,6 +28,7 @@ from scipy import optimize
 from cmf_mj.analysis.identification.data import Real
 from cmf_mj.analysis.identification.model import Complex
 from cmf_mj.analysis.identification.vector_fit import checked_lines, vector_fit
+from cmf_mj.core.errors import InputError
 
 _LARGEST = 60.0
 """Bound of the logarithms of a1 and a0, which are in units of the band's middle."""
@@ -60,13 +61,13 @@ def response_deviation(response: ArrayLike, coherence: ArrayLike, averages: Arra
     """Standard deviation sigma of each line of a response, (K,).
 
     Raises:
-        ValueError: a coherence outside 0 to 1, or averages below 1.
+        InputError: a coherence outside 0 to 1, or averages below 1.
     """
     c, n = np.asarray(coherence, dtype=float), np.asarray(averages, dtype=float)
     if not ((c > 0.0) & (c <= 1.0)).all():
-        raise ValueError("coherence: must be above 0 and at most 1 at every line")
+        raise InputError("coherence: must be above 0 and at most 1 at every line")
     if not (n >= 1.0).all():
-        raise ValueError("averages: must be at least 1 at every line")
+        raise InputError("averages: must be at least 1 at every line")
     return np.asarray(np.abs(response) * np.sqrt((1.0 - c) / (2.0 * c * n)))
 
 
@@ -101,16 +102,16 @@ def fit_response(
         output_unit: kept in the result.
 
     Raises:
-        ValueError: bad lines, orders out of range, too few lines.
+        InputError: bad lines, orders out of range, too few lines.
     """
     f, h, sigma = checked_lines(frequency, response, deviation)
     if not 0 <= zeros <= poles:
-        raise ValueError(f"zeros: {zeros}; allowed with {poles} poles: 0 to {poles}")
+        raise InputError(f"zeros: {zeros}; allowed with {poles} poles: 0 to {poles}")
     unknowns = poles + zeros + 1 + int(fit_delay)
     if 2 * f.size <= unknowns:
-        raise ValueError(f"poles, zeros: {unknowns} unknowns; {f.size} lines are too few")
+        raise InputError(f"poles, zeros: {unknowns} unknowns; {f.size} lines are too few")
     if not (np.isfinite(delay) and delay >= 0.0):
-        raise ValueError(f"delay: {delay} s must be a finite number, at least 0")
+        raise InputError(f"delay: {delay} s must be a finite number, at least 0")
     scale = 2.0 * np.pi * float(np.sqrt(f[0] * f[-1]))
     s: Complex = np.asarray(2j * np.pi * f / scale, dtype=np.complex128)
     advanced = h * np.exp(s * delay * scale)
@@ -249,7 +250,7 @@ class _Refinement:
         late = float(max(x[-1], 0.0)) if self.fit_delay else self.delay
         lead = float(numerator[0])
         if lead == 0.0:
-            raise ValueError(f"zeros: {self.zeros} are too many; the highest coefficient is 0")
+            raise InputError(f"zeros: {self.zeros} are too many; the highest coefficient is 0")
         return lead, numerator / lead, self._denominator(x[: self.poles]), late
 
     def model(self, x: Real) -> Complex:
@@ -295,11 +296,11 @@ def select_response_orders(
     """Fits of every allowed pair of orders, best BIC first; pairs with more zeros are left out.
 
     Raises:
-        ValueError: no pair is allowed, or bad lines.
+        InputError: no pair is allowed, or bad lines.
     """
     pairs = [(n, m) for n, m in product(poles, zeros) if m <= n]
     if not pairs:
-        raise ValueError("poles, zeros: no pair with at most as many zeros as poles")
+        raise InputError("poles, zeros: no pair with at most as many zeros as poles")
     fits = [
         fit_response(frequency, response, n, m, deviation=deviation, fit_delay=fit_delay)
         for n, m in pairs

@@ -20,6 +20,7 @@ from scipy import signal, stats
 
 from cmf_mj.analysis.identification.data import Experiment, Real
 from cmf_mj.analysis.identification.model import PolynomialModel
+from cmf_mj.core.errors import InputError
 
 
 def fit_percentage(measured: ArrayLike, modelled: ArrayLike) -> Real:
@@ -28,15 +29,15 @@ def fit_percentage(measured: ArrayLike, modelled: ArrayLike) -> Real:
     A model that leaves the finite numbers has -inf.
 
     Raises:
-        ValueError: shapes that differ, or an output that does not move.
+        InputError: shapes that differ, or an output that does not move.
     """
     y, model = np.asarray(measured, dtype=float), np.asarray(modelled, dtype=float)
     if y.shape != model.shape:
-        raise ValueError(f"modelled: shape is {model.shape}; measured has {y.shape}")
+        raise InputError(f"modelled: shape is {model.shape}; measured has {y.shape}")
     y, model = (x[:, None] if x.ndim == 1 else x for x in (y, model))
     spread = np.linalg.norm(y - y.mean(axis=0), axis=0)
     if not (spread > 0.0).all():
-        raise ValueError("measured: an output does not move; a fit to it is not defined")
+        raise InputError("measured: an output does not move; a fit to it is not defined")
     with np.errstate(over="ignore", invalid="ignore"):
         missed = np.linalg.norm(y - model, axis=0) / spread
     return np.asarray(100.0 * (1.0 - np.where(np.isnan(missed), np.inf, missed)))
@@ -52,10 +53,10 @@ def simulated(model: PolynomialModel, experiment: Experiment, *, start: str = "e
             squares, as `compare` does; `rest` begins at zero.
 
     Raises:
-        ValueError: another start, or an experiment of other signals.
+        InputError: another start, or an experiment of other signals.
     """
     if start not in ("estimate", "rest"):
-        raise ValueError(f"start: {start!r} is not one of estimate, rest")
+        raise InputError(f"start: {start!r} is not one of estimate, rest")
     model.check(experiment)
     outputs = model.simulate(experiment.input)
     if start == "rest":
@@ -114,18 +115,18 @@ def residual_analysis(
     """Correlate a model's residuals with themselves and with the inputs.
 
     Raises:
-        ValueError: a confidence out of range, lags out of range, or residuals that are all zero.
+        InputError: a confidence out of range, lags out of range, or residuals that are all zero.
     """
     if not 0.0 < confidence < 1.0:
-        raise ValueError(f"confidence: {confidence} must be greater than 0 and less than 1")
+        raise InputError(f"confidence: {confidence} must be greater than 0 and less than 1")
     e = residuals(model, experiment)[:, row]
     if not 1 <= lags < e.size:
-        raise ValueError(f"lags: {lags}; allowed: 1 to {e.size - 1}")
+        raise InputError(f"lags: {lags}; allowed: 1 to {e.size - 1}")
     u = experiment.input[model.orders.lag :]
     e, u = e - e.mean(), u - u.mean(axis=0)
     size = float(np.sqrt(np.mean(e**2)))
     if size == 0.0:
-        raise ValueError("experiment: the residuals are zero; they have no correlation")
+        raise InputError("experiment: the residuals are zero; they have no correlation")
     e = e / size
     u = u / np.sqrt(np.mean(u**2, axis=0))
     auto = _correlation(e, e, lags)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from cmf_mj.analysis.identification.data import Real
 from cmf_mj.analysis.identification.model import Complex
+from cmf_mj.core.errors import InputError
 
 _SWEEPS = 30
 """Largest number of pole relocations."""
@@ -36,11 +37,11 @@ def vector_fit(
         Poles in the left half plane, and how many the last sweep had to reflect into it.
 
     Raises:
-        ValueError: bad lines, or too few for so many poles.
+        InputError: bad lines, or too few for so many poles.
     """
     f, h, sigma = checked_lines(frequency, response, deviation)
     if poles < 1 or f.size < poles + 1:
-        raise ValueError(f"poles: {poles}; allowed with {f.size} lines: 1 to {f.size - 1}")
+        raise InputError(f"poles: {poles}; allowed with {f.size} lines: 1 to {f.size - 1}")
     scale = 2.0 * np.pi * float(np.sqrt(f[0] * f[-1]))
     s: Complex = np.asarray(2j * np.pi * f / scale, dtype=np.complex128)
     found = _starting_poles(np.asarray(s.imag, dtype=float), poles)
@@ -62,18 +63,18 @@ def checked_lines(
     """Lines [Hz], response and deviation as arrays (K,) that belong together.
 
     Raises:
-        ValueError: they do not, or a value is out of range.
+        InputError: they do not, or a value is out of range.
     """
     f, h = np.asarray(frequency, dtype=float), np.asarray(response, dtype=complex)
     sigma = np.abs(h) if deviation is None else np.asarray(deviation, dtype=float)
     if f.ndim != 1 or not f.shape == h.shape == sigma.shape:
-        raise ValueError(f"frequency, response: {f.shape}, {h.shape}; must be one line of each")
+        raise InputError(f"frequency, response: {f.shape}, {h.shape}; must be one line of each")
     if f.size < 2 or not (np.isfinite(f).all() and f[0] > 0.0 and (np.diff(f) > 0.0).all()):
-        raise ValueError("frequency: must be finite, above 0 and rising")
+        raise InputError("frequency: must be finite, above 0 and rising")
     if not np.isfinite(h).all():
-        raise ValueError(f"response: is not finite at {f[~np.isfinite(h)][0]} Hz")
+        raise InputError(f"response: is not finite at {f[~np.isfinite(h)][0]} Hz")
     if not (np.isfinite(sigma).all() and (sigma > 0.0).all()):
-        raise ValueError("deviation: must be finite and greater than 0 at every line")
+        raise InputError("deviation: must be finite and greater than 0 at every line")
     return f, h, sigma
 
 

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from cmf_mj.analysis.linear_models.second_order import FeedbackLoop, Variant, feedback_model
 from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings, read_toml, validated
 
 _FILE = Path(__file__).with_name("report_models.toml")
@@ -82,13 +83,13 @@ def report_entry(number: str, variant: Variant = "corrected") -> ReportModel:
     """The entry of an equation; `corrected` is the print where nothing is wrong with it.
 
     Raises:
-        ValueError: no such equation or variant.
+        InputError: no such equation or variant.
     """
     if variant not in get_args(Variant):
-        raise ValueError(f"variant: {variant!r} is not one of {', '.join(get_args(Variant))}")
+        raise InputError(f"variant: {variant!r} is not one of {', '.join(get_args(Variant))}")
     entries = {entry.number: entry for entry in report_models()}
     if number not in entries:
-        raise ValueError(f"number: {number!r} is not one of {', '.join(entries)}")
+        raise InputError(f"number: {number!r} is not one of {', '.join(entries)}")
     return entries[number].read(variant)
 
 
@@ -106,15 +107,15 @@ def report_model(
         With its labels and units; `to_si` converts. Eq 3.6 is discrete at 2048 Hz.
 
     Raises:
-        ValueError: no such equation or variant, or `loop` missing or out of place.
+        InputError: no such equation or variant, or `loop` missing or out of place.
     """
     entry = report_entry(number, variant)
     if entry.formula:
         if loop is None:
-            raise ValueError(f"loop: Eq {number} needs a FeedbackLoop: {entry.formula}")
+            raise InputError(f"loop: Eq {number} needs a FeedbackLoop: {entry.formula}")
         return feedback_model(number, loop, variant)
     if loop is not None:
-        raise ValueError(f"loop: Eq {number} has coefficients and takes none")
+        raise InputError(f"loop: Eq {number} has coefficients and takes none")
     return UnitTransferFunction(
         entry.numerator,
         entry.denominator,
@@ -135,8 +136,8 @@ def hardware_velocity(number: int) -> UnitTransferFunction:
     """Leg velocity per command [in/s per %] of the report's linear model 1, 2 or 3.
 
     Raises:
-        ValueError: there is no such model.
+        InputError: there is no such model.
     """
     if number not in HARDWARE_MODELS:
-        raise ValueError(f"number: {number} is not one of {', '.join(map(str, HARDWARE_MODELS))}")
+        raise InputError(f"number: {number} is not one of {', '.join(map(str, HARDWARE_MODELS))}")
     return report_model(HARDWARE_MODELS[number])

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.control.dcl import Dcl, DclState, LegFeedback, make_dcl, step
 from cmf_mj.control.law import SIGNALS, Law, load_law
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 
 FEEDBACK = ("leg_position", "leg_velocity", "leg_acceleration", "cap_pressure", "rod_pressure")
@@ -61,10 +62,10 @@ def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
         Inputs `DCL_INPUTS`, output `command` [fraction]; with several legs `reference_1` and so on.
 
     Raises:
-        ValueError: the law is refused, or less than one leg.
+        InputError: the law is refused, or less than one leg.
     """
     if legs < 1:
-        raise ValueError(f"legs: {legs} must be at least 1")
+        raise InputError(f"legs: {legs} must be at least 1")
     dcl = make_dcl(load_law(law), legs)
     wide = len(DCL_INPUTS)
     count = len(_STATES) * legs

@@ -19,6 +19,7 @@ from cmf_mj.analysis.linear_models.dcl import FEEDBACK, dcl_state_space, labels
 from cmf_mj.analysis.linear_models.plants import leg_plant
 from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
 from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 
 OUTPUTS = (*FEEDBACK, "command")
@@ -54,16 +55,16 @@ def closed_loop(
         `reference_1` and on to `leg_position_1` and on, leg by leg within an output.
 
     Raises:
-        ValueError: the law is refused, the delay is less than a frame, or the plant or an output
+        InputError: the law is refused, the delay is less than a frame, or the plant or an output
             has other names, another rate, or lacks what the law reads.
     """
     if command_delay < 1:
-        raise ValueError(f"command_delay: {command_delay} frames must be at least 1")
+        raise InputError(f"command_delay: {command_delay} frames must be at least 1")
     for name in outputs:
         if name not in OUTPUTS:
-            raise ValueError(f"outputs: {name!r} is not one of {', '.join(OUTPUTS)}")
+            raise InputError(f"outputs: {name!r} is not one of {', '.join(OUTPUTS)}")
     if pressures not in ("modelled", "zero"):
-        raise ValueError(f"pressures: {pressures!r} is not one of modelled, zero")
+        raise InputError(f"pressures: {pressures!r} is not one of modelled, zero")
     loaded = load_law(law)
     held = _at_frames(plant)
     legs = _legs(held)
@@ -104,14 +105,14 @@ def _at_frames(plant: UnitTransferFunction | control.StateSpace) -> control.Stat
     if isinstance(plant, UnitTransferFunction):
         return leg_plant(plant)
     if not isinstance(plant, control.StateSpace):
-        raise ValueError(
+        raise InputError(
             f"plant: {type(plant).__name__} is refused: a StateSpace is needed, or a transfer "
             "function with units, UnitTransferFunction"
         )
     if plant.isctime(strict=True):
         return control.sample_system(plant, FRAME, method="zoh", copy_names=True)
     if plant.dt is True or plant.dt is None or not np.isclose(plant.dt, FRAME, rtol=1e-9):
-        raise ValueError(f"plant: its sampling time {plant.dt} must be {FRAME} s or continuous")
+        raise InputError(f"plant: its sampling time {plant.dt} must be {FRAME} s or continuous")
     return plant
 
 
@@ -119,7 +120,7 @@ def _legs(plant: control.StateSpace) -> int:
     legs = int(plant.ninputs)
     wanted = set(labels(("command",), legs))
     if legs > 1 and set(plant.input_labels) != wanted:
-        raise ValueError(
+        raise InputError(
             f"plant: its inputs {', '.join(plant.input_labels)} must be command_1 to command_{legs}"
         )
     return legs
@@ -150,7 +151,7 @@ def _feedback_rows(
             continue
         name = FEEDBACK[i // legs]
         if name in outputs or (read[i] and i < 3 * legs):
-            raise ValueError(
+            raise InputError(
                 f"plant: has no output {label}, which is needed; it has {', '.join(present)}"
             )
     return c, d

@@ -14,6 +14,7 @@ from scipy import linalg, signal
 
 from cmf_mj.analysis.linear_models.dcl import FEEDBACK
 from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 
 _POSITION, _VELOCITY, _ACCELERATION = FEEDBACK[:3]
@@ -42,7 +43,7 @@ def leg_plant(*models: UnitTransferFunction) -> control.StateSpace:
         Discrete at 2048 Hz, SI: input `command` [fraction], outputs `FEEDBACK`.
 
     Raises:
-        ValueError: a model that is discrete, has another or the same output as one before, or no
+        InputError: a model that is discrete, has another or the same output as one before, or no
             model of motion.
     """
     system = _joined(models)
@@ -50,7 +51,7 @@ def leg_plant(*models: UnitTransferFunction) -> control.StateSpace:
     system = _integrated(system, _VELOCITY, _POSITION)
     if _POSITION not in system.rows:
         given = ", ".join(system.rows) or "none"
-        raise ValueError(f"models: {given}; one of {', '.join(FEEDBACK[:3])} is needed")
+        raise InputError(f"models: {given}; one of {', '.join(FEEDBACK[:3])} is needed")
     system = _derived(system, _POSITION, _VELOCITY)
     system = _derived(system, _VELOCITY, _ACCELERATION)
     order = system.a.shape[0]
@@ -71,11 +72,11 @@ def _joined(models: tuple[UnitTransferFunction, ...]) -> _System:
     for model in models:
         name = model.output_labels[0]
         if name not in FEEDBACK:
-            raise ValueError(f"models: output {name!r} is not one of {', '.join(FEEDBACK)}")
+            raise InputError(f"models: output {name!r} is not one of {', '.join(FEEDBACK)}")
         if name in system.rows:
-            raise ValueError(f"models: {name} is given twice")
+            raise InputError(f"models: {name} is given twice")
         if not model.isctime():
-            raise ValueError(f"models: {name} is discrete; a continuous model is needed")
+            raise InputError(f"models: {name} is discrete; a continuous model is needed")
         si = model.to_si()
         a, b, c, d = signal.tf2ss(si.num_array[0, 0], si.den_array[0, 0])
         a, scaling = linalg.matrix_balance(a, permute=False)

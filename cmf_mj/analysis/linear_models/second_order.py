@@ -21,6 +21,7 @@ from scipy import optimize
 
 from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 
 Variant = Literal["printed", "corrected"]
 """Which reading of an equation: as printed, or with its misprint put right."""
@@ -63,14 +64,14 @@ class LoopCharacteristics(NamedTuple):
 def _checked(loop: FeedbackLoop) -> tuple[float, float]:
     """The factors a and b of the module's equations."""
     if not loop.natural_frequency > 0.0:
-        raise ValueError(f"natural_frequency: {loop.natural_frequency} rad/s must be above 0")
+        raise InputError(f"natural_frequency: {loop.natural_frequency} rad/s must be above 0")
     a = 1.0 + loop.acceleration_gain * loop.natural_frequency**2
     b = 1.0 + loop.position_gain
     if not a > 0.0:
         least = -1.0 / loop.natural_frequency**2
-        raise ValueError(f"acceleration_gain: {loop.acceleration_gain} s^2 must be above {least:g}")
+        raise InputError(f"acceleration_gain: {loop.acceleration_gain} s^2 must be above {least:g}")
     if not b > 0.0:
-        raise ValueError(f"position_gain: {loop.position_gain} must be above -1")
+        raise InputError(f"position_gain: {loop.position_gain} must be above -1")
     return a, b
 
 
@@ -85,10 +86,10 @@ def feedback_model(
         variant: as printed, Eq 3.2 closes the loop with a gain of 1 whatever K_p is.
 
     Raises:
-        ValueError: no such equation, or a loop that is not of second order.
+        InputError: no such equation, or a loop that is not of second order.
     """
     if number not in _USED:
-        raise ValueError(f"number: {number!r} is not one of {', '.join(_USED)}")
+        raise InputError(f"number: {number!r} is not one of {', '.join(_USED)}")
     gains = {name: getattr(loop, name) for name in GAINS[: _USED[number]]}
     if number == "3.2" and variant == "printed":
         gains["position_gain"] = 1.0
@@ -115,7 +116,7 @@ def characteristics(loop: FeedbackLoop) -> LoopCharacteristics:
     w sqrt(c + sqrt(c^2 + h^-2 - 1)), and it peaks by 1 / (2 z sqrt(1 - z^2)) below z = 0.707.
 
     Raises:
-        ValueError: a loop that is not of second order, or whose static gain is not positive.
+        InputError: a loop that is not of second order, or whose static gain is not positive.
     """
     a, b = _checked(loop)
     natural = loop.natural_frequency * np.sqrt(b / a)
@@ -151,10 +152,10 @@ def gain_effect(loop: FeedbackLoop, gain: Gain, values: Sequence[float]) -> tupl
     """The effect of one gain on frequency, damping and bandwidths, the others as in `loop`.
 
     Raises:
-        ValueError: no such gain, or a value that makes the loop not of second order.
+        InputError: no such gain, or a value that makes the loop not of second order.
     """
     if gain not in GAINS:
-        raise ValueError(f"gain: {gain!r} is not one of {', '.join(GAINS)}")
+        raise InputError(f"gain: {gain!r} is not one of {', '.join(GAINS)}")
     loops = [loop._replace(**{gain: float(value)}) for value in values]
     return tuple(
         GainEffect(gain, float(value), varied, characteristics(varied))
@@ -186,12 +187,12 @@ def bandwidth_example(
         `position`, `rate` and `acceleration`, each with the gains of those before it.
 
     Raises:
-        ValueError: a loop damping out of that range.
+        InputError: a loop damping out of that range.
     """
     bare = characteristics(FeedbackLoop(units.HERTZ, plant_damping, position_gain))
     highest = 0.5 / _HALF_POWER
     if not bare.damping_ratio <= loop_damping < highest:
-        raise ValueError(
+        raise InputError(
             f"loop_damping: {loop_damping} must be at least {bare.damping_ratio:.3g}, that of "
             f"position feedback alone, and below {highest:.3g}"
         )

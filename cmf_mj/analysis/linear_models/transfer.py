@@ -35,7 +35,7 @@ class UnitTransferFunction(control.TransferFunction):  # type: ignore[misc]
             keywords: `inputs`, `outputs` and `name` of python-control.
 
         Raises:
-            ValueError: a unit is not known.
+            InputError: a unit is not known.
         """
         units.factor(input_unit), units.factor(output_unit)
         super().__init__(list(numerator), list(denominator), dt, **keywords)

@@ -81,7 +81,7 @@ def linearize(
         has bare names.
 
     Raises:
-        ValueError: what has no linearisation (overlap, hysteresis, dry friction), named with the
+        InputError: what has no linearisation (overlap, hysteresis, dry friction), named with the
             set and the actuator; a configuration on a stop or beyond what the supply can hold.
     """
     point = at if at is not None else operating_point(plant, pose, excitation=excitation)

@@ -20,6 +20,8 @@ from typing import Literal
 import numpy as np
 from scipy import optimize, special
 
+from cmf_mj.core.errors import InputError
+
 Excitation = Literal["noise", "sine", "mean"]
 """What moves the valves: Gaussian, as a multisine of many lines nearly is, or one sine; `mean` is
 f = 1/2, the plain mean of both slopes that numerical differences give."""
@@ -36,12 +38,12 @@ def outward_share(ratio: float, excitation: Excitation = "noise") -> float:
         excitation: `noise`, `sine` or `mean`.
 
     Raises:
-        ValueError: a ratio that is not greater than 0, or another excitation.
+        InputError: a ratio that is not greater than 0, or another excitation.
     """
     if not 0.0 < ratio < np.inf:
-        raise ValueError(f"ratio: {ratio} must be greater than 0 and finite")
+        raise InputError(f"ratio: {ratio} must be greater than 0 and finite")
     if excitation not in ("noise", "sine", "mean"):
-        raise ValueError(f"excitation: {excitation!r} is not one of noise, sine, mean")
+        raise InputError(f"excitation: {excitation!r} is not one of noise, sine, mean")
     if excitation == "mean":
         return 0.5
     if excitation == "sine":

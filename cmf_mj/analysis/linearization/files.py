@@ -8,6 +8,7 @@ from typing import Any
 import control
 import numpy as np
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_text
 
 _MATRICES = ("A", "B", "C", "D")
@@ -41,7 +42,7 @@ def load_system(path: str | Path) -> control.StateSpace:
     """Read a state space written by `save_system`.
 
     Raises:
-        ValueError: the file is not one.
+        InputError: the file is not one.
     """
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
@@ -61,4 +62,4 @@ def load_system(path: str | Path) -> control.StateSpace:
             name=content["name"],
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path}: is not a state space of this project: {error!r}") from error
+        raise InputError(f"{path}: is not a state space of this project: {error!r}") from error

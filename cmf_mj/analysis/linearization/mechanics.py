@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.plant.plant import Plant
 
 _TRAVEL = 1e-3
@@ -41,7 +42,7 @@ def linear_mechanics(plant: Plant, pose: ArrayLike | None = None) -> Mechanics:
         pose: configuration as `plant.place` takes it; default neutral.
 
     Raises:
-        ValueError: dry friction in the model, a stop or contact that bears in this configuration,
+        InputError: dry friction in the model, a stop or contact that bears in this configuration,
             a leg on its stop, or cylinders that do not determine the motion.
     """
     mass = plant.reflected_mass(pose)
@@ -78,16 +79,16 @@ def _check_smooth(plant: Plant) -> None:
         ("tendon", model.tendon_frictionloss, lambda i: model.tendon(i).name),
     ):
         for i in np.flatnonzero(losses):
-            raise ValueError(
+            raise InputError(
                 f"frictionloss: {kind} {name(i)!r} of the model has dry friction of "
                 f"{losses[i]:g}, which has no linearisation; allowed: 0"
             )
     if (data.efc_type[: data.nefc] != mujoco.mjtConstraint.mjCNSTR_EQUALITY).any():
-        raise ValueError("pose: a stop or a contact of the model bears there; there must be none")
+        raise InputError("pose: a stop or a contact of the model bears there; there must be none")
     cylinder, extension = plant.hydraulics.cylinder, plant.extensions()
     free = cylinder.half_stroke - cylinder.minimum_gap
     for leg in np.flatnonzero(np.abs(extension) >= free):
-        raise ValueError(
+        raise InputError(
             f"pose: puts {plant.actuators[leg]} at {extension[leg]:.4f} m; "
             f"allowed: +-{free[leg]:.4f} m"
         )

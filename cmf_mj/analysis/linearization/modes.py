@@ -18,6 +18,7 @@ from scipy import linalg
 
 from cmf_mj.analysis.linear_models.dcl import labels
 from cmf_mj.analysis.linearization.reduction import jacobian_of
+from cmf_mj.core.errors import InputError
 from cmf_mj.plant.plant import Plant
 
 _FAMILIES = {
@@ -67,10 +68,10 @@ def modes(
         pose: where `system` is; default neutral.
 
     Raises:
-        ValueError: a system with other states or a discrete one, or a plant with other legs.
+        InputError: a system with other states or a discrete one, or a plant with other legs.
     """
     if not system.isctime(strict=True):
-        raise ValueError("system: is discrete; a linearised plant, which is continuous, is needed")
+        raise InputError("system: is discrete; a linearised plant, which is continuous, is needed")
     family = [_family(name) for name in system.state_labels]
     matrix, (scale, _) = linalg.matrix_balance(np.asarray(system.A), permute=False, separate=True)
     poles, right = np.linalg.eig(matrix)
@@ -112,7 +113,7 @@ def _family(state: str) -> str:
     for start, family in _FAMILIES.items():
         if state == start or state.startswith(f"{start}_"):
             return family
-    raise ValueError(f"system: its state {state!r} is none of a linearised plant")
+    raise InputError(f"system: its state {state!r} is none of a linearised plant")
 
 
 def _dof_shares(

@@ -23,6 +23,7 @@ from scipy import optimize
 from cmf_mj.analysis.linearization.describing import Excitation, outward_share
 from cmf_mj.analysis.linearization.mechanics import Mechanics, linear_mechanics
 from cmf_mj.analysis.linearization.ports import CAP, DRAWN, RETURNED, ROD, port_slopes
+from cmf_mj.core.errors import InputError
 from cmf_mj.plant.cylinder import holding_pressures
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.oil import ATMOSPHERE
@@ -60,7 +61,7 @@ def operating_point(
         excitation: what moves the valves, `noise`, `sine` or `mean`, see `describing`.
 
     Raises:
-        ValueError: what has no linearisation (overlap, hysteresis, dry friction), named with the
+        InputError: what has no linearisation (overlap, hysteresis, dry friction), named with the
             set and the actuator; a load or a flow the supply cannot hold; a configuration on a
             stop.
     """
@@ -86,7 +87,7 @@ def operating_point(
         if supply.constant:
             break
         if drawn > supply.pump_flow:
-            raise ValueError(
+            raise InputError(
                 f"pump_flow: set {name!r} draws {drawn:.4g} m^3/s at rest; the pump gives at most "
                 f"{supply.pump_flow:.4g} m^3/s"
             )
@@ -158,7 +159,7 @@ def _hold(plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float)
         for i in np.flatnonzero((balance[:-1] > 0.0) & (balance[1:] <= 0.0))
     ]
     if not found:
-        raise ValueError(
+        raise InputError(
             f"{plant.actuators[leg]}: set {plant.parameters.name!r} has no opening of the valves "
             f"that holds {load:.0f} N still"
         )
@@ -181,7 +182,7 @@ def _check_linear(plant: Plant) -> None:
             ("coulomb_friction", friction.coulomb),
         ):
             if value > 0.0:
-                raise ValueError(
+                raise InputError(
                     f"{field}: {value:g} of {name} in the set {plant.parameters.name!r} has no "
                     "linearisation; allowed: 0"
                 )
@@ -191,12 +192,12 @@ def _check_supply(plant: Plant, supply: Supply, high: float, low: float) -> None
     name = plant.parameters.name
     needed = float(plant.hydraulics.valve.threshold.max())
     if high - low < needed:
-        raise ValueError(
+        raise InputError(
             f"threshold_pressure: set {name!r} has {high - low:.4g} Pa across the valves; "
             f"they open from {needed:.4g} Pa on"
         )
     if not supply.constant and supply.accumulators > 0.0 and high <= supply.precharge:
-        raise ValueError(
+        raise InputError(
             f"precharge_pressure: {supply.precharge:.4g} Pa of set {name!r} must be less than the "
             f"supply's {high:.4g} Pa at rest; the accumulators would be empty"
         )

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from cmf_mj.analysis.linear_models.dcl import FEEDBACK, labels
+from cmf_mj.core.errors import InputError
 from cmf_mj.machine.kinematics import DOFS, pose_jacobian, read_geometry
 from cmf_mj.plant.plant import Plant
 from cmf_mj.signals.single import dof_index
@@ -44,7 +45,7 @@ def reduced(
         outputs: names of the outputs to keep; default all.
 
     Raises:
-        ValueError: a name that is not there, or none.
+        InputError: a name that is not there, or none.
     """
     columns = _chosen("inputs", inputs, system.input_labels)
     rows = _chosen("outputs", outputs, system.output_labels)
@@ -71,10 +72,10 @@ def _chosen(field: str, names: Sequence[str] | None, there: list[str]) -> list[i
     if names is None:
         return list(range(len(there)))
     if len(names) == 0:
-        raise ValueError(f"{field}: none is given; allowed: some of {', '.join(there)}")
+        raise InputError(f"{field}: none is given; allowed: some of {', '.join(there)}")
     for name in names:
         if name not in there:
-            raise ValueError(f"{field}: {name!r} is not one of {', '.join(there)}")
+            raise InputError(f"{field}: {name!r} is not one of {', '.join(there)}")
     return [there.index(name) for name in names]
 
 
@@ -102,15 +103,15 @@ def minimal(system: control.StateSpace, tolerance: float = 1e-4) -> control.Stat
             reached and shown.
 
     Raises:
-        ValueError: a discrete system, or one whose poles are defective.
+        InputError: a discrete system, or one whose poles are defective.
     """
     if not system.isctime():
-        raise ValueError("system: is discrete; a continuous one is needed")
+        raise InputError("system: is discrete; a continuous one is needed")
     direct = np.asarray(system.D)
     matrix, (scale, _) = linalg.matrix_balance(np.asarray(system.A), permute=False, separate=True)
     poles, right = np.linalg.eig(matrix)
     if poles.size and np.linalg.cond(right) > _DEFECTIVE:
-        raise ValueError("system: has defective poles, which have no modes of their own")
+        raise InputError("system: has defective poles, which have no modes of their own")
     b = np.linalg.solve(right, np.asarray(system.B) / scale[:, None])
     c = np.asarray(system.C) * scale @ right
     omega = np.geomspace(*_AXIS, 2000)
@@ -170,11 +171,11 @@ def leg_model(system: control.StateSpace, leg: int) -> control.StateSpace:
         a single output.
 
     Raises:
-        ValueError: no such leg.
+        InputError: no such leg.
     """
     legs = int(system.ninputs)
     if leg not in range(1, legs + 1):
-        raise ValueError(f"leg: {leg} is not one of 1 to {legs}")
+        raise InputError(f"leg: {leg} is not one of 1 to {legs}")
     end = f"_{leg}" if legs > 1 else ""
     found = reduced(system, [f"command{end}"], [f"{name}{end}" for name in FEEDBACK])
     return control.ss(
@@ -186,10 +187,10 @@ def jacobian_of(plant: Plant, pose: ArrayLike | None = None) -> Matrix:
     """d(legs)/d(pose), (6, 6), of a plant with the legs of the facility.
 
     Raises:
-        ValueError: a plant of another number of legs.
+        InputError: a plant of another number of legs.
     """
     if plant.legs != len(DOFS):
-        raise ValueError(
+        raise InputError(
             f"plant: has {plant.legs} legs; degrees of freedom need the facility's {len(DOFS)}"
         )
     geometry = getattr(plant, "geometry", None) or read_geometry()
@@ -216,7 +217,7 @@ def dof_model(
         rad]; outputs `<dof>` [m or rad], `<dof>_rate` and `<dof>_acceleration`.
 
     Raises:
-        ValueError: no such degree of freedom, or a plant with other legs.
+        InputError: no such degree of freedom, or a plant with other legs.
     """
     index = dof_index(dof)
     jacobian = jacobian_of(plant, pose)
@@ -258,7 +259,7 @@ def pose_loop(
         `frequency_response.matrix_frequency_response` measures it.
 
     Raises:
-        ValueError: a plant with other legs, or a loop without its signals.
+        InputError: a plant with other legs, or a loop without its signals.
     """
     jacobian = jacobian_of(plant, pose)
     legs = plant.legs

@@ -18,6 +18,7 @@ from cmf_mj.analysis.response.spectra import (
     _Windowing,
     _within,
 )
+from cmf_mj.core.errors import InputError
 
 
 def matrix_response(
@@ -61,11 +62,11 @@ def matrix_response(
         Response (K, ny, nu), radius alike, multiple coherence (K, ny).
 
     Raises:
-        ValueError: shapes that do not match, inputs that are not independent at a line.
+        InputError: shapes that do not match, inputs that are not independent at a line.
     """
     xs, ys = _runs("inputs", inputs), _runs("outputs", outputs)
     if xs.shape[:2] != ys.shape[:2]:
-        raise ValueError(f"inputs, outputs: {xs.shape}, {ys.shape}; runs and samples must agree")
+        raise InputError(f"inputs, outputs: {xs.shape}, {ys.shape}; runs and samples must agree")
     if period is None:
         windowing = _Windowing(rate, segment, overlap, window, band, pad)
         runs = [_segments(x.T, y.T, windowing) for x, y in zip(xs, ys, strict=True)]
@@ -85,7 +86,7 @@ def matrix_response(
         frequency, driven = frequency[chosen], driven[chosen]
         spectra_x, spectra_y = spectra_x[chosen], spectra_y[chosen]
     if frequency.size == 0:
-        raise ValueError("inputs: no line is driven within the band")
+        raise InputError("inputs: no line is driven within the band")
     shape = (frequency.size, spectra_y.shape[1], spectra_x.shape[1])
     response, radius = np.full(shape, np.nan + 0j), np.full(shape, np.nan)
     coherence, averages = np.empty(shape[:2]), np.empty(shape[0])
@@ -111,17 +112,17 @@ def stitch(estimates: Sequence[Estimate]) -> Estimate:
     highest mean coherence.
 
     Raises:
-        ValueError: no rounds, or rounds of different units or shapes.
+        InputError: no rounds, or rounds of different units or shapes.
     """
     rounds = list(estimates)
     if not rounds:
-        raise ValueError("estimates: none given; at least one is needed")
+        raise InputError("estimates: none given; at least one is needed")
     units = sorted({estimate.unit for estimate in rounds})
     if len(units) > 1:
-        raise ValueError(f"estimates: units {', '.join(map(repr, units))} have nothing in common")
+        raise InputError(f"estimates: units {', '.join(map(repr, units))} have nothing in common")
     shapes = {estimate.response.shape[1:] for estimate in rounds}
     if len(shapes) > 1:
-        raise ValueError(f"estimates: shapes a line {sorted(shapes)}; must be the same")
+        raise InputError(f"estimates: shapes a line {sorted(shapes)}; must be the same")
     frequency = np.concatenate([estimate.frequency for estimate in rounds])
     coherence = np.concatenate([estimate.coherence for estimate in rounds])
     rank = coherence.reshape(frequency.size, -1).mean(axis=1)

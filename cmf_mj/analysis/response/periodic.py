@@ -16,6 +16,7 @@ from cmf_mj.analysis.response.spectra import (
     _variance,
     _with_harmonics,
 )
+from cmf_mj.core.errors import InputError
 
 
 def periodic_response(
@@ -50,17 +51,17 @@ def periodic_response(
             than `DRIVEN` of its largest amplitude. State them where the input was measured.
 
     Raises:
-        ValueError: a period that is no whole number of samples, no period left, no line driven.
+        InputError: a period that is no whole number of samples, no period left, no line driven.
     """
     spectra_x = _periods("x", x, rate, period, transient)
     spectra_y = _periods("y", y, rate, period, transient)
     if spectra_x.shape != spectra_y.shape:
-        raise ValueError(f"x, y: shapes are {np.shape(x)}, {np.shape(y)}; must be the same")
+        raise InputError(f"x, y: shapes are {np.shape(x)}, {np.shape(y)}; must be the same")
     power = np.mean(np.abs(spectra_x) ** 2, axis=(0, 1))
     chosen = _orders(lines, power.size) if lines is not None else _driven(power)
     xs, ys = spectra_x[..., chosen], spectra_y[..., chosen]
     if not np.all(power[chosen] > 0.0):
-        raise ValueError(f"lines: {chosen[power[chosen] == 0.0][0]} holds no input")
+        raise InputError(f"lines: {chosen[power[chosen] == 0.0][0]} holds no input")
     realisations, periods, _ = xs.shape
     power_x = np.mean(np.abs(xs) ** 2, axis=1)
     each = np.mean(np.conj(xs) * ys, axis=1) / power_x  # (M, K)
@@ -110,20 +111,20 @@ def sine_response(
         harmonics: highest harmonic in the fit; those above half the rate are left out.
 
     Raises:
-        ValueError: frequencies out of range or too close, no whole cycle, no input at one of them.
+        InputError: frequencies out of range or too close, no whole cycle, no input at one of them.
     """
     xs, ys = _pair(x, y)
     wanted = np.sort(np.atleast_1d(np.asarray(frequency, dtype=float)))
     if wanted.size == 0 or not (wanted[0] > 0.0 and wanted[-1] < 0.5 * rate):
-        raise ValueError(f"frequency: {wanted} Hz; allowed: above 0 and below {0.5 * rate} Hz")
+        raise InputError(f"frequency: {wanted} Hz; allowed: above 0 and below {0.5 * rate} Hz")
     begin = round(settle * rate)
     cycles = int((xs.size - begin) * wanted[0] / rate + 1e-9)
     if cycles < 1:
-        raise ValueError(f"frequency: no whole cycle of {wanted[0]} Hz after settle, {settle} s")
+        raise InputError(f"frequency: no whole cycle of {wanted[0]} Hz after settle, {settle} s")
     size = round(cycles * rate / wanted[0])
     resolution = rate / size
     if wanted.size > 1 and np.diff(wanted).min() < 0.9 * resolution:
-        raise ValueError(
+        raise InputError(
             f"frequency: {wanted} Hz are closer than the {resolution:.3g} Hz the record resolves"
         )
     sines = _with_harmonics(wanted, harmonics, resolution, 0.5 * rate)
@@ -134,7 +135,7 @@ def sine_response(
     found = parts[: wanted.size] - 1j * parts[sines.size : sines.size + wanted.size]
     amplitude = np.abs(found[:, 0])
     if np.any(amplitude <= 1e-12 * np.ptp(both[:, 0])):
-        raise ValueError(f"x: holds no sine at {wanted[amplitude.argmin()]} Hz")
+        raise InputError(f"x: holds no sine at {wanted[amplitude.argmin()]} Hz")
     response = found[:, 1] / found[:, 0]
     residual = np.abs(np.fft.rfft(both[:, 1] - design @ parts[:, 1])) ** 2
     power, count = _near(residual, wanted / resolution, sines / resolution)

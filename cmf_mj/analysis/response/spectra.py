@@ -15,6 +15,7 @@ from cmf_mj.analysis.response.estimate import (
     Estimator,
     Real,
 )
+from cmf_mj.core.errors import InputError
 
 
 def effective_averages(window: ArrayLike, hop: int, segments: int) -> float:
@@ -25,7 +26,7 @@ def effective_averages(window: ArrayLike, hop: int, segments: int) -> float:
     """
     taper = np.asarray(window, dtype=float)
     if hop < 1 or segments < 1:
-        raise ValueError(f"hop, segments: {hop}, {segments}; both must be at least 1")
+        raise InputError(f"hop, segments: {hop}, {segments}; both must be at least 1")
     correlation = _correlation(taper, hop, np.ones(taper.size + (segments - 1) * hop, dtype=bool))
     return float(np.trace(correlation) ** 2 / np.sum(correlation**2))
 
@@ -44,13 +45,13 @@ class _Windowing(NamedTuple):
 def _segments(x: Real, y: Real, options: _Windowing) -> tuple[Real, Complex, Complex, Real]:
     """Lines, spectra (K, nu, S) and (K, ny, S) of x (nu, N) and y (ny, N), correlation (S, S)."""
     if options.segment <= 0.0 or not 0.0 <= options.overlap < 1.0:
-        raise ValueError(
+        raise InputError(
             f"segment, overlap: {options.segment} s, {options.overlap}; "
             "allowed: above 0 s, and 0 to below 1"
         )
     size, length = x.shape[-1], round(options.segment * options.rate)
     if size < length or length < 4:
-        raise ValueError(
+        raise InputError(
             f"segment: {options.segment} s must not exceed the record's {size / options.rate:.3f} s"
         )
     hop = max(length - int(options.overlap * length), 1)
@@ -95,13 +96,13 @@ def _periods(name: str, x: ArrayLike, rate: float, period: float, transient: int
     try:
         history = np.atleast_2d(np.asarray(x, dtype=float))
     except ValueError as error:
-        raise ValueError(f"{name}: realisations must be of one length") from error
+        raise InputError(f"{name}: realisations must be of one length") from error
     size = round(period * rate)
     if size < 3 or abs(size - period * rate) > 1e-6:
-        raise ValueError(f"period: {period} s is not a whole number of samples at {rate} Hz")
+        raise InputError(f"period: {period} s is not a whole number of samples at {rate} Hz")
     count = history.shape[-1] // size
     if not 0 <= transient < count:
-        raise ValueError(
+        raise InputError(
             f"transient: {transient} of the record's {count} periods leave none; allowed: 0 to "
             f"{count - 1}"
         )
@@ -126,13 +127,13 @@ def _fit(x: Complex, y: Complex, correlation: Real) -> _Fit:
     """Y = H X by least squares on each line; x (K, nu, S), y (K, ny, S), correlation (S, S)."""
     inputs, count = x.shape[1:]
     if count < inputs:
-        raise ValueError(f"inputs: {count} averages cannot tell {inputs} inputs apart")
+        raise InputError(f"inputs: {count} averages cannot tell {inputs} inputs apart")
     size = np.linalg.norm(x, axis=2, keepdims=True)
     if not np.all(size > 0.0):
-        raise ValueError(f"inputs: input {np.argwhere(size <= 0.0)[0][1] + 1} is zero at a line")
+        raise InputError(f"inputs: input {np.argwhere(size <= 0.0)[0][1] + 1} is zero at a line")
     basis, triangle = np.linalg.qr(_adjoint(x / size))  # (K, S, nu), (K, nu, nu)
     if np.abs(np.diagonal(triangle, axis1=1, axis2=2)).min() < 1e-6:
-        raise ValueError("inputs: not independent of each other; drive them in as many runs")
+        raise InputError("inputs: not independent of each other; drive them in as many runs")
     inverse = np.linalg.inv(triangle)
     response = y @ basis @ _adjoint(inverse) / np.swapaxes(size, 1, 2)
     unexplained = np.sum(np.abs(y - response @ x) ** 2, axis=2)  # (K, ny)
@@ -196,20 +197,20 @@ def _with_harmonics(wanted: Real, harmonics: int, resolution: float, top: float)
 def _pair(x: ArrayLike, y: ArrayLike) -> tuple[Real, Real]:
     xs, ys = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     if xs.ndim != 1 or xs.shape != ys.shape:
-        raise ValueError(f"x, y: shapes are {xs.shape}, {ys.shape}; both must be (N,)")
+        raise InputError(f"x, y: shapes are {xs.shape}, {ys.shape}; both must be (N,)")
     return xs, ys
 
 
 def _runs(name: str, values: ArrayLike) -> Real:
     history = np.asarray(values, dtype=float)
     if history.ndim not in (2, 3):
-        raise ValueError(f"{name}: shape is {history.shape}; allowed: (N, n) or (runs, N, n)")
+        raise InputError(f"{name}: shape is {history.shape}; allowed: (N, n) or (runs, N, n)")
     return history if history.ndim == 3 else history[None]
 
 
 def _known(estimator: str) -> None:
     if estimator not in get_args(Estimator):
-        raise ValueError(f"estimator: {estimator!r} is not one of {', '.join(get_args(Estimator))}")
+        raise InputError(f"estimator: {estimator!r} is not one of {', '.join(get_args(Estimator))}")
 
 
 def _lines(size: int, rate: float) -> Real:
@@ -227,16 +228,16 @@ def _driven(power: Real) -> NDArray[np.intp]:
     inner = np.concatenate([[0.0], power[1:]])
     lines = np.flatnonzero(inner > DRIVEN**2 * inner.max())
     if lines.size == 0:
-        raise ValueError("x: no line is driven; the input does not move")
+        raise InputError("x: no line is driven; the input does not move")
     return lines
 
 
 def _orders(lines: ArrayLike, size: int) -> NDArray[np.intp]:
     orders = np.asarray(lines)
     if orders.ndim != 1 or orders.size == 0 or not np.issubdtype(orders.dtype, np.integer):
-        raise ValueError(f"lines: {lines!r} must be a list of whole numbers")
+        raise InputError(f"lines: {lines!r} must be a list of whole numbers")
     if orders.min() < 1 or orders.max() >= size:
-        raise ValueError(f"lines: {orders.min()} to {orders.max()}; allowed: 1 to {size - 1}")
+        raise InputError(f"lines: {orders.min()} to {orders.max()}; allowed: 1 to {size - 1}")
     return np.sort(orders)
 
 

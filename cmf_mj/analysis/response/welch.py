@@ -21,6 +21,7 @@ from cmf_mj.analysis.response.spectra import (
     _Windowing,
     _within,
 )
+from cmf_mj.core.errors import InputError
 
 
 def welch_response(
@@ -55,7 +56,7 @@ def welch_response(
             that lags its swept input is not weighted differently from it.
 
     Raises:
-        ValueError: lengths that differ, a segment longer than the record, no input at a line.
+        InputError: lengths that differ, a segment longer than the record, no input at a line.
     """
     xs, ys = _pair(x, y)
     _known(estimator)
@@ -98,18 +99,18 @@ def report_response(
         detrend: take a straight line off input and output first, as the script that calls it does.
 
     Raises:
-        ValueError: lengths that differ, options out of range, a record shorter than its segments.
+        InputError: lengths that differ, options out of range, a record shorter than its segments.
     """
     xs, ys = _pair(x, y)
     if segments < 2 or not 0.0 <= overlap < 100.0:
-        raise ValueError(
+        raise InputError(
             f"segments, overlap: {segments}, {overlap} %; allowed: at least 2, and 0 to below 100 %"
         )
     size = xs.size
     share = overlap / 100.0
     length = int((size - 1) / ((segments - 1) * (1.0 - share) + 1.0))
     if length < 4:
-        raise ValueError(f"segments: {size} samples are too few for {segments} segments")
+        raise InputError(f"segments: {size} samples are too few for {segments} segments")
     hop = length - int(length * share)
     count = -(-max(size - (length + 1), 0) // hop) + 1
     tail = (count - 1) * hop + length + 1 - size
@@ -131,13 +132,13 @@ def from_h1(estimate: Estimate, estimator: Estimator) -> Estimate:
     `h2` is H1 / c, `hv` H1 / sqrt(c), `report` the mean of H1 and H2.
 
     Raises:
-        ValueError: no such estimator, or a matrix.
+        InputError: no such estimator, or a matrix.
     """
     _known(estimator)
     if estimator == "h1":
         return estimate
     if estimate.response.ndim != 1:
-        raise ValueError(f"estimator: {estimator!r} is for one input and one output, not a matrix")
+        raise InputError(f"estimator: {estimator!r} is for one input and one output, not a matrix")
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = 1.0 / estimate.coherence
         factor = {"h2": inverse, "hv": np.sqrt(inverse), "report": 0.5 * (1.0 + inverse)}[estimator]

@@ -10,6 +10,7 @@ from cmf_mj.control.dcu.play import step
 from cmf_mj.control.dcu.settings import Dcu
 from cmf_mj.control.dcu.state import DcuState
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 
 
 class Arrivals(NamedTuple):
@@ -64,17 +65,17 @@ def upsample(dcu: Dcu, state: DcuState, arrivals: Arrivals, frames: int) -> NDAr
         The demand (frames, 3, 6) at 2048 Hz: pose [m, rad], z down, and its two derivatives.
 
     Raises:
-        ValueError: shapes do not fit, or the control frames of arrival fall.
+        InputError: shapes do not fit, or the control frames of arrival fall.
     """
     count = arrivals.sequence.shape[0]
     for name, shape in (("frame", (count,)), ("time", (count,)), ("values", (count, 3, 6))):
         found = getattr(arrivals, name).shape
         if found != shape:
-            raise ValueError(f"{name}: shape is {found}; allowed: {shape}")
+            raise InputError(f"{name}: shape is {found}; allowed: {shape}")
     if (np.diff(arrivals.frame) < 0).any():
-        raise ValueError("frame: control frames of arrival must not fall")
+        raise InputError("frame: control frames of arrival must not fall")
     if frames < 1:
-        raise ValueError(f"frames: {frames} must be at least 1")
+        raise InputError(f"frames: {frames} must be at least 1")
     demand = np.empty((frames, 3, 6))
     _run(dcu, state, arrivals, demand)
     return demand

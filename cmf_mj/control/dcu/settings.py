@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationInfo, field_validator, model_validator
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Settings, overlaid_default
@@ -23,12 +24,12 @@ _FILE = Path(__file__).with_name("dcu.toml")
 
 def _checked(quantity: Quantity, field: str, allowed: tuple[str, ...]) -> Quantity:
     if quantity.unit not in allowed:
-        raise ValueError(f"unit must be one of {', '.join(allowed)}")
+        raise InputError(f"unit must be one of {', '.join(allowed)}")
     if field in ("interpolation_hold", "transmission", "dcl_frame", "clock_tolerance"):
         if quantity.value < 0.0:
-            raise ValueError(f"must be at least 0 {quantity.unit}")
+            raise InputError(f"must be at least 0 {quantity.unit}")
     elif quantity.value <= 0.0:
-        raise ValueError(f"must be greater than 0 {quantity.unit}")
+        raise InputError(f"must be greater than 0 {quantity.unit}")
     return quantity
 
 
@@ -50,7 +51,7 @@ class DelayBreakdown(Settings):
         whole = field in ("transmission", "dcl_frame")
         checked = _checked(quantity, field, ("1",) if whole else ("s",))
         if whole and not (checked.value.is_integer() and checked.value <= 2048.0):
-            raise ValueError("must be a whole number of control frames, at most 2048")
+            raise InputError("must be a whole number of control frames, at most 2048")
         return checked
 
     @property
@@ -125,19 +126,19 @@ class DcuLimits(Settings):
     @model_validator(mode="after")
     def _consistent(self) -> "DcuLimits":
         if self.minimum_interval.si < 2.0 * FRAME:
-            raise ValueError(
+            raise InputError(
                 f"minimum_interval: {self.minimum_interval.si} s must be at least two control "
                 f"frames, {2.0 * FRAME} s"
             )
         if not self.minimum_interval.si < self.timeout.si <= MOST_TIMEOUT:
-            raise ValueError(
+            raise InputError(
                 f"timeout: {self.timeout.si} s must exceed minimum_interval, "
                 f"{self.minimum_interval.si} s, and be at most {MOST_TIMEOUT} s"
             )
         if self.clock_rate.value > 0.05:
-            raise ValueError(f"clock_rate: {self.clock_rate.value} must be at most 0.05")
+            raise InputError(f"clock_rate: {self.clock_rate.value} must be at most 0.05")
         if self.clock_time.si < 1.0:
-            raise ValueError(f"clock_time: {self.clock_time.si} s must be at least 1 s")
+            raise InputError(f"clock_time: {self.clock_time.si} s must be at least 1 s")
         return self
 
     def pair(self, name: str) -> NDArray[np.float64]:
@@ -175,7 +176,7 @@ class DcuSettings(Settings):
     @model_validator(mode="after")
     def _in_time(self) -> "DcuSettings":
         if self.delay.play_delay >= self.dcu.timeout.si:
-            raise ValueError(
+            raise InputError(
                 f"timeout: {self.dcu.timeout.si} s must exceed host_interval and "
                 f"interpolation_hold together, {self.delay.play_delay} s"
             )
@@ -216,7 +217,7 @@ def load_dcu(source: str | Path | DcuSettings = "default") -> DcuSettings:
             settings already loaded.
 
     Raises:
-        ValueError: unreadable file, or a refused field with what is allowed.
+        InputError: unreadable file, or a refused field with what is allowed.
     """
     return overlaid_default("dcu", DcuSettings, _FILE, source)
 

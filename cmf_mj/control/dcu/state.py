@@ -14,6 +14,7 @@ from cmf_mj.control.dcu.motion import (
     VELOCITY,
 )
 from cmf_mj.control.dcu.settings import Dcu
+from cmf_mj.core.errors import InputError
 
 REASONS = (
     "not_finite",
@@ -153,11 +154,11 @@ def resting(dcu: Dcu, pose: ArrayLike | None = None) -> DcuState:
         pose: (6,) [m, rad], z down; default neutral.
 
     Raises:
-        ValueError: the pose is not six finite numbers within the pose limits.
+        InputError: the pose is not six finite numbers within the pose limits.
     """
     at = np.zeros(6) if pose is None else np.asarray(pose, dtype=float)
     if at.shape != (6,) or not (np.abs(at) <= dcu.pose).all():
-        raise ValueError(f"pose: {at} is refused; allowed: (6,) within +-{dcu.pose} m, rad")
+        raise InputError(f"pose: {at} is refused; allowed: (6,) within +-{dcu.pose} m, rad")
     state = DcuState(
         real=np.zeros(REALS),
         whole=np.zeros(WHOLES, dtype=np.int64),

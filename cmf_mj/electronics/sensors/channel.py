@@ -41,7 +41,7 @@ def make_channel(name: str, settings: ChannelSettings, rate: float, seed: int) -
         seed: of the run.
 
     Raises:
-        ValueError: a bandwidth of half the rate or more, or a seed out of range.
+        InputError: a bandwidth of half the rate or more, or a seed out of range.
     """
 
     def size(field: str, absent: float) -> float:

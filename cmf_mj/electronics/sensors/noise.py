@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 
 _ROUNDS = 10
 _WEYL = (0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B)
@@ -31,10 +32,10 @@ def stream_key(seed: int, channel: str) -> tuple[int, int]:
     """Key of a channel's stream: the seed, and 64 bits of its name's SHA-256.
 
     Raises:
-        ValueError: a seed that is not in 0 to 2^64 - 1.
+        InputError: a seed that is not in 0 to 2^64 - 1.
     """
     if not 0 <= seed < 2**64:
-        raise ValueError(f"seed: {seed} must be between 0 and 2^64 - 1")
+        raise InputError(f"seed: {seed} must be between 0 and 2^64 - 1")
     return seed, int.from_bytes(hashlib.sha256(channel.encode()).digest()[:8], "little")
 
 

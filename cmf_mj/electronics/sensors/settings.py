@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pydantic import model_validator
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Settings, named_set, validated
 
@@ -49,14 +50,14 @@ class ChannelSettings(Settings):
             least = 0.0 if quantity is None else quantity.value
             if least < 0.0 or (field != "noise_density" and quantity is not None and least == 0.0):
                 bound = "at least 0" if field == "noise_density" else "greater than 0"
-                raise ValueError(f"{field}: {least:g} {quantity.unit} must be {bound}")
+                raise InputError(f"{field}: {least:g} {quantity.unit} must be {bound}")
         for error in self.gain_errors:
             if error.unit not in ("1", "%") or abs(error.si) >= 1.0:
-                raise ValueError(
+                raise InputError(
                     f"gain_errors: {error} must be between -1 and 1, in a unit of 1 or %"
                 )
         if self.lowest and self.highest and self.lowest.si >= self.highest.si:
-            raise ValueError(
+            raise InputError(
                 f"lowest: {self.lowest.value:g} {self.lowest.unit} must be less than highest, "
                 f"{self.highest.value:g} {self.highest.unit}"
             )
@@ -90,7 +91,7 @@ class SensorSettings(Settings):
             for field, quantity in self.channel(channel).quantities().items():
                 allowed = _units_of(field, units)
                 if quantity.unit not in allowed:
-                    raise ValueError(
+                    raise InputError(
                         f"{channel}.{field}: unit {quantity.unit!r} must be one of "
                         f"{', '.join(allowed)}"
                     )
@@ -116,7 +117,7 @@ def load_sensors(source: str | Path | SensorSettings = "ideal") -> SensorSetting
             channels are merged number by number.
 
     Raises:
-        ValueError: unknown set, unreadable file or a refused field; each is named.
+        InputError: unknown set, unreadable file or a refused field; each is named.
     """
     if isinstance(source, SensorSettings):
         return source

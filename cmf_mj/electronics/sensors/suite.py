@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core import filters
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.electronics.sensors.channel import Channel, make_channel, read
 from cmf_mj.electronics.sensors.settings import CHANNELS, SensorSettings
@@ -82,7 +83,7 @@ def make_sensors(settings: SensorSettings, rate: float, seed: int = 0) -> Sensor
         seed: of the noise; each channel has a stream of its own.
 
     Raises:
-        ValueError: a bandwidth of half the rate or more, or a seed out of range.
+        InputError: a bandwidth of half the rate or more, or a seed out of range.
     """
     channels = {
         field: make_channel(name, settings.channel(name), rate, seed)
@@ -112,16 +113,16 @@ def sensor_state(
         accelerometer: platform's specific force (3,) [m/s^2]; default that of a level platform.
 
     Raises:
-        ValueError: gravity on the legs needs six legs, at positions that a pose has; gains that
+        InputError: gravity on the legs needs six legs, at positions that a pose has; gains that
             are not one a leg or axis.
     """
     for field, name in _FIELDS.items():
         given = getattr(sensors, field).gain.shape[0]
         count = 3 if name.startswith("platform_") else truth.position.shape[0]
         if given not in (0, count):
-            raise ValueError(f"{name}.gain_errors: {given} are given; allowed: {count} or none")
+            raise InputError(f"{name}.gain_errors: {given} are given; allowed: {count} or none")
     if sensors.gravity and truth.position.shape != (6,):
-        raise ValueError(
+        raise InputError(
             f"position: shape is {truth.position.shape}; gravity along the legs needs (6,)"
         )
     axes = leg_axes_state(sensors.axes, truth.position if sensors.gravity else np.zeros(6))
@@ -226,7 +227,7 @@ def sense_history(
         Readings as a `Truth` of histories, and (N, 6) of the platform's sensors.
 
     Raises:
-        ValueError: gravity needs six legs, at positions that a pose has.
+        InputError: gravity needs six legs, at positions that a pose has.
     """
     own = Truth(*(np.ascontiguousarray(channel, dtype=float) for channel in truth))
     first = Truth(*(channel[0].copy() for channel in own))

@@ -16,6 +16,7 @@ import zlib
 
 import numpy as np
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.stream import HostFrame
 
 MAGIC = b"CMFH"
@@ -52,7 +53,7 @@ DATAGRAM_REASONS = (
 """Why a datagram is refused, in the order of the tests."""
 
 
-class DatagramError(ValueError):
+class DatagramError(InputError):
     """A datagram that is refused."""
 
     def __init__(self, reason: str, explanation: str) -> None:
@@ -65,17 +66,17 @@ def encode(frame: HostFrame) -> bytes:
     """The datagram of a frame.
 
     Raises:
-        ValueError: the sequence number does not fit, or a vector is not (6,).
+        InputError: the sequence number does not fit, or a vector is not (6,).
     """
     if not 0 <= frame.sequence <= MOST_SEQUENCE:
-        raise ValueError(f"sequence: {frame.sequence} is refused; allowed: 0 to {MOST_SEQUENCE}")
+        raise InputError(f"sequence: {frame.sequence} is refused; allowed: 0 to {MOST_SEQUENCE}")
     row = np.zeros((), dtype=LAYOUT)
     row["magic"], row["version"], row["length"] = MAGIC, VERSION, SIZE
     row["sequence"], row["time"] = frame.sequence, frame.time
     for name in ("pose", "velocity", "acceleration"):
         values = np.asarray(getattr(frame, name), dtype=float)
         if values.shape != (6,):
-            raise ValueError(f"{name}: shape is {values.shape}; allowed: (6,)")
+            raise InputError(f"{name}: shape is {values.shape}; allowed: (6,)")
         row[name] = values
     row["checksum"] = zlib.crc32(row.tobytes()[:-4])
     return row.tobytes()

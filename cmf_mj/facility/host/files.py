@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from cmf_mj.control.dcu.arrivals import Arrivals, upsample
 from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import read_column, read_table, write_parquet, write_table
 from cmf_mj.core.settings import validated
 from cmf_mj.facility.host.stream import HostStream, make_stream
@@ -37,13 +38,13 @@ def read_stream(path: str | Path, *, derivatives: str = "spline") -> HostStream:
         derivatives: how to make them where the file has only poses, as in `make_stream`.
 
     Raises:
-        ValueError: file, column or frame that cannot be taken, named.
+        InputError: file, column or frame that cannot be taken, named.
     """
     source = Path(path)
     table = read_table(source)
     poses, first, second = (f"{DOFS[0]}{kind}" for kind in _KINDS)
     if (first in table.column_names) != (second in table.column_names):
-        raise ValueError(f"{source}: velocity and acceleration columns: give both or neither")
+        raise InputError(f"{source}: velocity and acceleration columns: give both or neither")
     time = read_column(source, table, "time")
     motion = [
         np.column_stack([read_column(source, table, f"{dof}{kind}") for dof in DOFS])
@@ -55,14 +56,14 @@ def read_stream(path: str | Path, *, derivatives: str = "spline") -> HostStream:
     try:
         return make_stream(time, *motion, sequence=numbers, derivatives=derivatives)
     except ValueError as error:
-        raise ValueError(f"{source}: {error}") from error
+        raise InputError(f"{source}: {error}") from error
 
 
 def write_stream(stream: HostStream, path: str | Path) -> Path:
     """Write a stream as CSV or Parquet, by the name's end; it reads back bit for bit.
 
     Raises:
-        ValueError: the name ends in neither.
+        InputError: the name ends in neither.
     """
     return write_table(_table(stream.sequence, stream.time, stream.values), Path(path))
 
@@ -99,13 +100,13 @@ class HostSession:
         """Read a session written by `save`; numbers come back bit for bit.
 
         Raises:
-            ValueError: the file is not a host session.
+            InputError: the file is not a host session.
         """
         source = Path(path)
         table = read_table(source)
         raw = (table.schema.metadata or {}).get(_SCHEMA_KEY)
         if raw is None:
-            raise ValueError(f"{source}: is not a host session")
+            raise InputError(f"{source}: is not a host session")
         header = json.loads(raw)
         values = np.stack(
             [

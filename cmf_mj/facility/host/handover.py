@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cmf_mj.control.dcu.arrivals import Arrivals
 from cmf_mj.control.dcu.motion import copy
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.stream import HostFrame
 
 NEVER = np.iinfo(np.int64).max
@@ -37,10 +38,10 @@ def make_ring(slots: int = 256) -> Ring:
     """An empty ring; 256 slots are three seconds of an 80 Hz host.
 
     Raises:
-        ValueError: fewer than two slots.
+        InputError: fewer than two slots.
     """
     if slots < 2:
-        raise ValueError(f"slots: {slots} must be at least 2")
+        raise InputError(f"slots: {slots} must be at least 2")
     counters = (np.zeros(1, dtype=np.int64) for _ in range(3))
     return Ring(
         np.full(slots, -1),
@@ -55,10 +56,10 @@ def make_log(capacity: int) -> Arrivals:
     """An empty log for `collect`, with room for a number of frames.
 
     Raises:
-        ValueError: no room.
+        InputError: no room.
     """
     if capacity < 1:
-        raise ValueError(f"capacity: {capacity} must be at least 1")
+        raise InputError(f"capacity: {capacity} must be at least 1")
     return Arrivals(
         np.full(capacity, NEVER),
         np.zeros(capacity, dtype=np.int64),

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BPoly, make_interp_spline
 
 from cmf_mj.control.dcu.arrivals import Arrivals
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.signals.single import Command, check_positive
@@ -83,30 +84,30 @@ def make_stream(
         derivatives: `spline` or `zero`, where they are to be made.
 
     Raises:
-        ValueError: shape, order or a number that is not finite; the frame is named.
+        InputError: shape, order or a number that is not finite; the frame is named.
     """
     stamps, poses = np.array(time, dtype=float), np.array(pose, dtype=float)
     count = stamps.size
     if stamps.ndim != 1 or count < 1 or poses.shape != (count, len(DOFS)):
-        raise ValueError(
+        raise InputError(
             f"pose: shape is {poses.shape}, time has {stamps.shape}; allowed: (N, 6) and (N,)"
         )
     _refuse(~np.isfinite(stamps), "time", stamps, "a finite number")
     _refuse(np.diff(stamps, prepend=-np.inf) <= 0.0, "time", stamps, "above the frame before")
     _refuse(~np.isfinite(poses).all(axis=1), "pose", poses, "finite numbers")
     if (velocity is None) != (acceleration is None):
-        raise ValueError("velocity, acceleration: give both or neither")
+        raise InputError("velocity, acceleration: give both or neither")
     if velocity is None or acceleration is None:
         first, second = differentiate(stamps, poses, derivatives)
     else:
         first, second = np.array(velocity, dtype=float), np.array(acceleration, dtype=float)
     for name, values in (("velocity", first), ("acceleration", second)):
         if values.shape != poses.shape:
-            raise ValueError(f"{name}: shape is {values.shape}; allowed: {poses.shape}")
+            raise InputError(f"{name}: shape is {values.shape}; allowed: {poses.shape}")
         _refuse(~np.isfinite(values).all(axis=1), name, values, "finite numbers")
     numbers = np.arange(count) if sequence is None else np.array(sequence)
     if numbers.shape != (count,) or numbers.dtype.kind != "i":
-        raise ValueError(f"sequence: {numbers.dtype} {numbers.shape}; allowed: integers ({count},)")
+        raise InputError(f"sequence: {numbers.dtype} {numbers.shape}; allowed: integers ({count},)")
     _refuse(np.diff(numbers, prepend=-1) <= 0, "sequence", numbers, "above the frame before")
     return HostStream(numbers.astype(np.int64), stamps, poses, first, second)
 
@@ -120,14 +121,14 @@ def differentiate(
     acceleration.
 
     Raises:
-        ValueError: unknown way, or fewer than six frames for a spline.
+        InputError: unknown way, or fewer than six frames for a spline.
     """
     if derivatives not in DERIVATIVES:
-        raise ValueError(f"derivatives: {derivatives!r} is not one of {', '.join(DERIVATIVES)}")
+        raise InputError(f"derivatives: {derivatives!r} is not one of {', '.join(DERIVATIVES)}")
     if derivatives == "zero":
         return np.zeros_like(pose), np.zeros_like(pose)
     if time.size < LEAST:
-        raise ValueError(f"pose: {time.size} frames; a spline needs at least {LEAST}")
+        raise InputError(f"pose: {time.size} frames; a spline needs at least {LEAST}")
     spline = make_interp_spline(time - time[0], pose, k=5)
     at = time - time[0]
     return spline(at, nu=1), spline(at, nu=2)
@@ -145,11 +146,11 @@ def from_command(
             `zero` takes the newest pose of the command and sends no derivatives (steps, pulses).
 
     Raises:
-        ValueError: rate out of range, or a command the spline cannot take.
+        InputError: rate out of range, or a command the spline cannot take.
     """
     check_positive(rate=rate)
     if rate > RATE:
-        raise ValueError(f"rate: {rate} Hz must be at most {RATE} Hz")
+        raise InputError(f"rate: {rate} Hz must be at most {RATE} Hz")
     frames = command.pose.shape[0]
     grid = np.arange(frames) / RATE
     time = np.arange(int(np.floor(grid[-1] * rate + 1e-9)) + 1) / rate
@@ -157,7 +158,7 @@ def from_command(
         newest = np.minimum(np.floor(time * RATE + 1e-6).astype(int), frames - 1)
         return make_stream(time, command.pose[newest], derivatives=derivatives)
     if frames < LEAST:
-        raise ValueError(f"command: {frames} frames; a spline needs at least {LEAST}")
+        raise InputError(f"command: {frames} frames; a spline needs at least {LEAST}")
     spline = make_interp_spline(grid, command.pose, k=5)
     return make_stream(time, spline(time), spline(time, nu=1), spline(time, nu=2))
 
@@ -166,11 +167,11 @@ def resample(stream: HostStream, rate: float) -> HostStream:
     """The same motion in frames at another rate: quintic Hermite between the given frames.
 
     Raises:
-        ValueError: rate out of range, or fewer than two frames.
+        InputError: rate out of range, or fewer than two frames.
     """
     check_positive(rate=rate)
     if stream.time.size < 2:
-        raise ValueError(f"stream: {stream.time.size} frames; resampling needs at least 2")
+        raise InputError(f"stream: {stream.time.size} frames; resampling needs at least 2")
     start = float(stream.time[0])
     curve = BPoly.from_derivatives(stream.time - start, stream.values)
     time = np.arange(int(np.floor((stream.time[-1] - start) * rate + 1e-9)) + 1) / rate
@@ -186,7 +187,7 @@ def arrivals(stream: HostStream, *, delay: int = 0) -> Arrivals:
         delay: whole control frames on the way, at least 0.
     """
     if delay < 0:
-        raise ValueError(f"delay: {delay} control frames must be at least 0")
+        raise InputError(f"delay: {delay} control frames must be at least 0")
     since = stream.time - stream.time[0]
     frame = np.ceil(since * RATE - 1e-6).astype(np.int64) + delay
     return Arrivals(frame, stream.sequence, stream.time, stream.values)
@@ -195,4 +196,4 @@ def arrivals(stream: HostStream, *, delay: int = 0) -> Arrivals:
 def _refuse(bad: ArrayLike, name: str, values: NDArray[Any], allowed: str) -> None:
     if np.any(bad):
         index = int(np.argmax(bad))
-        raise ValueError(f"{name}: frame {index}: {values[index]} is refused; allowed: {allowed}")
+        raise InputError(f"{name}: frame {index}: {values[index]} is refused; allowed: {allowed}")

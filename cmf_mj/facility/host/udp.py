@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.datagram import DATAGRAM_REASONS, SIZE, DatagramError, decode, encode
 from cmf_mj.facility.host.handover import Ring, make_ring, put
 from cmf_mj.facility.host.stream import HostFrame, HostStream
@@ -48,12 +49,12 @@ class UdpReceiver:
             ring: where frames go; default a new one.
 
         Raises:
-            ValueError: a port out of range or an address that is not IPv4.
+            InputError: a port out of range or an address that is not IPv4.
             OSError: the port is taken or the address is not of this machine.
         """
         for name, number in (("port", port), ("host_port", host_port or 0)):
             if not 0 <= number <= 65535:
-                raise ValueError(f"{name}: {number} is refused; allowed: 0 to 65535")
+                raise InputError(f"{name}: {number} is refused; allowed: 0 to 65535")
         for name, address in (("host", host), ("bind", bind)):
             _check_address(name, address)
         self.ring = ring if ring is not None else make_ring()
@@ -132,10 +133,10 @@ class UdpSender:
         """Open a socket.
 
         Raises:
-            ValueError: port out of range or an address that is not IPv4.
+            InputError: port out of range or an address that is not IPv4.
         """
         if not 1 <= port <= 65535:
-            raise ValueError(f"port: {port} is refused; allowed: 1 to 65535")
+            raise InputError(f"port: {port} is refused; allowed: 1 to 65535")
         _check_address("address", address)
         self._target = (address, port)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -175,7 +176,7 @@ class UdpSender:
             sleep: waits for a number of seconds.
 
         Raises:
-            ValueError: the speed is not above 0.
+            InputError: the speed is not above 0.
         """
         check_positive(speed=speed)
         datagrams = [encode(stream.row(index)) for index in range(stream.time.size)]
@@ -200,11 +201,11 @@ def parse_target(text: str) -> tuple[str, int]:
     """Address and port of `127.0.0.1:2048`.
 
     Raises:
-        ValueError: the text is not of that form.
+        InputError: the text is not of that form.
     """
     address, colon, port = text.rpartition(":")
     if not (colon and port.isascii() and port.isdigit()):
-        raise ValueError(f"to: {text!r} is refused; allowed: ADDRESS:PORT, e.g. 127.0.0.1:2048")
+        raise InputError(f"to: {text!r} is refused; allowed: ADDRESS:PORT, e.g. 127.0.0.1:2048")
     _check_address("to", address)
     return address, int(port)
 
@@ -213,4 +214,4 @@ def _check_address(name: str, address: str) -> None:
     try:
         socket.inet_pton(socket.AF_INET, address)
     except OSError as error:
-        raise ValueError(f"{name}: {address!r} is not an IPv4 address") from error
+        raise InputError(f"{name}: {address!r} is not an IPv4 address") from error

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.facility.scenario.settings import Scenario, load_scenario
 from cmf_mj.machine import models
 
@@ -15,13 +16,13 @@ def find_scenario(source: str | Path) -> Scenario:
     """A scenario by the name of a shipped one, or from a TOML file.
 
     Raises:
-        ValueError: neither, or a refused key.
+        InputError: neither, or a refused key.
     """
     text = str(source)
     if text.endswith(".toml"):
         return load_scenario(text)
     if text in scenario_names():
         return load_scenario(models.scenario_directory() / f"{text}.toml")
-    raise ValueError(
+    raise InputError(
         f"scenario: {text!r} is neither a .toml file nor one of {', '.join(scenario_names())}"
     )

@@ -16,6 +16,7 @@ from cmf_mj.control.dcl import make_dcl
 from cmf_mj.control.law import load_law
 from cmf_mj.control.protection import Fault
 from cmf_mj.control.states import State
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME, RATE
 from cmf_mj.facility.scenario.demand import Demand
 from cmf_mj.facility.scenario.handover import handed_over
@@ -79,7 +80,7 @@ class ScenarioRun:
             keep: of an `open` run, how much of the past the record keeps [s].
 
         Raises:
-            ValueError: an argument out of range, named.
+            InputError: an argument out of range, named.
         """
         self._begun = scenario
         self.plant = make_plant(scenario)
@@ -139,11 +140,11 @@ class ScenarioRun:
         A law takes over as `handover` says, signals as `demand` says.
 
         Raises:
-            ValueError: the change has a time of its own, or something in it is refused.
+            InputError: the change has a time of its own, or something in it is refused.
         """
         for field in ("at", "frame"):
             if getattr(change, field) is not None:
-                raise ValueError(
+                raise InputError(
                     f"{field}: {getattr(change, field)} is refused; a change applied live happens "
                     "in the next frame"
                 )
@@ -201,13 +202,13 @@ class ScenarioRun:
         legs = self.plant.legs
         for failure in change.failure:
             if failure.leg is not None and failure.leg > legs:
-                raise ValueError(
+                raise InputError(
                     f"leg: {failure.leg} of {failure.kind} is not a leg; allowed: 1 to {legs}"
                 )
         if change.push is not None:
             self._body(change.push)
         if change.request is not None and not isinstance(self._source, ChainSource):
-            raise ValueError(f"request: {change.request!r} needs [operation]")
+            raise InputError(f"request: {change.request!r} needs [operation]")
         law = self._law
         for due in getattr(self, "_due", ()):
             law = changed_law(law, due.change)
@@ -254,14 +255,14 @@ class ScenarioRun:
         """Number of the pushed body.
 
         Raises:
-            ValueError: the model has no such body.
+            InputError: the model has no such body.
         """
         model = self.plant.model
         names = [model.body(i).name for i in range(1, model.nbody)]
         if not push.body:
             return int(self._session.machine.mechanics.payload_bodies[0])
         if push.body not in names:
-            raise ValueError(f"body: {push.body!r} is not one of {', '.join(names)}")
+            raise InputError(f"body: {push.body!r} is not one of {', '.join(names)}")
         return int(model.body(push.body).id)
 
     def _push(self) -> None:
@@ -304,12 +305,12 @@ def run_scenario(
             run.
 
     Raises:
-        ValueError: an argument out of range, named; an `open` duration.
+        InputError: an argument out of range, named; an `open` duration.
         OutOfBounds: the state left its physical bounds; leg, time and value are named.
     """
     frames = scenario.frames
     if frames is None:
-        raise ValueError("duration: is open; a run to the end needs one in s")
+        raise InputError("duration: is open; a run to the end needs one in s")
     run = ScenarioRun(scenario)
     while not run.finished:
         run.advance(BLOCK)

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field, model_validator
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import Request, State
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_text
 from cmf_mj.core.rates import RATE
 from cmf_mj.core.settings import Settings, merged, parsed_toml, read_toml, validated
@@ -31,7 +32,7 @@ Length = Annotated[float, Field(gt=0.0)]
 def _ending(*allowed: str) -> AfterValidator:
     def check(name: str) -> str:
         if Path(name).suffix not in allowed or Path(name).name != name:
-            raise ValueError(f"must be a plain file name that ends in {' or '.join(allowed)}")
+            raise InputError(f"must be a plain file name that ends in {' or '.join(allowed)}")
         return name
 
     return AfterValidator(check)
@@ -87,19 +88,19 @@ class Change(Settings):
     @model_validator(mode="after")
     def _once(self) -> Self:
         if self.at is not None and self.frame is not None:
-            raise ValueError("at, frame: both are given; allowed: one of them")
+            raise InputError("at, frame: both are given; allowed: one of them")
         return self
 
     def when(self) -> int:
         """Control frame of the change.
 
         Raises:
-            ValueError: neither `at` nor `frame` is given.
+            InputError: neither `at` nor `frame` is given.
         """
         if self.frame is not None:
             return self.frame
         if self.at is None:
-            raise ValueError("at: is missing; a change in a scenario needs `at` or `frame`")
+            raise InputError("at: is missing; a change in a scenario needs `at` or `frame`")
         return round(self.at * RATE)
 
 
@@ -194,7 +195,7 @@ class Scenario(Settings):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.operation is not None and self.plant != "hexapod":
-            raise ValueError(f"operation: is for the hexapod, plant is {self.plant}")
+            raise InputError(f"operation: is for the hexapod, plant is {self.plant}")
         load_hydraulics(self.hydraulics)
         models.cab_path(self.cab)
         if self.protection is not None:
@@ -202,14 +203,14 @@ class Scenario(Settings):
         law, last = overlaid_law(load_law(self.law), self.gains), 0
         for number, change in enumerate(self.change):
             if change.at is None and change.frame is None:
-                raise ValueError(f"change.{number}: needs `at` in s or `frame`")
+                raise InputError(f"change.{number}: needs `at` in s or `frame`")
             frame = change.when()
             if frame < last:
-                raise ValueError(f"change: frame {frame} comes after frame {last}; sort by time")
+                raise InputError(f"change: frame {frame} comes after frame {last}; sort by time")
             last = frame
             law = changed_law(law, change)
             if change.request is not None and self.operation is None:
-                raise ValueError(f"change: request {change.request!r} needs [operation]")
+                raise InputError(f"change: request {change.request!r} needs [operation]")
         return self
 
     @property
@@ -226,7 +227,7 @@ def overlaid_law(law: Law, gains: Mapping[str, Any]) -> Law:
     """A law with some of its fields replaced, tables entry by entry.
 
     Raises:
-        ValueError: a field that is not one of a law, or is out of range.
+        InputError: a field that is not one of a law, or is out of range.
     """
     return validated(Law, merged(law.model_dump(), gains), "gains") if gains else law
 
@@ -250,7 +251,7 @@ def read_scenario(text: str, where: str, folder: Path | None = None) -> Scenario
         folder: that relative file names count from; default the working folder.
 
     Raises:
-        ValueError: not TOML, or one line a refused key with what is allowed.
+        InputError: not TOML, or one line a refused key with what is allowed.
     """
     return scenario_of(parsed_toml(text, where), where, folder)
 
@@ -264,7 +265,7 @@ def scenario_of(table: Mapping[str, Any], where: str, folder: Path | None = None
         folder: that relative file names count from; default the working folder.
 
     Raises:
-        ValueError: one line a refused key with what is allowed.
+        InputError: one line a refused key with what is allowed.
     """
     scenario: Scenario = validated(
         Scenario, _located(_frozen(table), (folder or Path()).resolve()), where
@@ -276,7 +277,7 @@ def change_of(table: Mapping[str, Any], where: str = "change") -> Change:
     """A change from plain values, lists included.
 
     Raises:
-        ValueError: one line a refused key with what is allowed.
+        InputError: one line a refused key with what is allowed.
     """
     change: Change = validated(Change, _frozen(table), where)
     return change
@@ -286,7 +287,7 @@ def load_scenario(path: str | Path) -> Scenario:
     """Read a scenario; names of files in it count from its own folder.
 
     Raises:
-        ValueError: unreadable file, or one line a refused key with what is allowed.
+        InputError: unreadable file, or one line a refused key with what is allowed.
     """
     source = Path(path)
     return scenario_of(read_toml(source), str(source), source.parent)

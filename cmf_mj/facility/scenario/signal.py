@@ -16,6 +16,7 @@ from scipy.interpolate import BPoly
 
 from cmf_mj import signals
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.core.settings import Settings
 from cmf_mj.facility.host.files import read_stream
@@ -34,7 +35,7 @@ _UNITS = {"in": "length", "m": "length", "mm": "length", "deg": "angle", "rad": 
 
 def _known_unit(amplitude: tuple[float, str]) -> tuple[float, str]:
     if amplitude[1] not in _UNITS:
-        raise ValueError(f"unit {amplitude[1]!r} is not one of {', '.join(_UNITS)}")
+        raise InputError(f"unit {amplitude[1]!r} is not one of {', '.join(_UNITS)}")
     return amplitude
 
 
@@ -46,13 +47,13 @@ def in_si(dof: str, amplitude: tuple[float, str]) -> float:
     """An amplitude in m or rad.
 
     Raises:
-        ValueError: a length for an angle, or an angle for a length.
+        InputError: a length for an angle, or an angle for a length.
     """
     value, unit = amplitude
     wanted = "length" if DOFS.index(dof) < 3 else "angle"
     if _UNITS[unit] != wanted:
         allowed = ", ".join(name for name, kind in _UNITS.items() if kind == wanted)
-        raise ValueError(f"amplitude: unit {unit!r} is refused for {dof}; allowed: {allowed}")
+        raise InputError(f"amplitude: unit {unit!r} is refused for {dof}; allowed: {allowed}")
     return units.to_si(unit, value)
 
 
@@ -299,7 +300,7 @@ class HostFile(_Signal):
         """Poses at 2048 Hz from the first frame's time to the last one's."""
         stream = read_stream(self.file, derivatives=self.derivatives)
         if stream.time.size < 2:
-            raise ValueError(f"{self.file}: {stream.time.size} frames; at least 2 are needed")
+            raise InputError(f"{self.file}: {stream.time.size} frames; at least 2 are needed")
         since = stream.time - stream.time[0]
         time = np.arange(int(np.floor(since[-1] * RATE + 1e-9)) + 1) / RATE
         return Command(BPoly.from_derivatives(since, stream.values)(time), {"kind": "host"})
@@ -315,7 +316,7 @@ class Recorded(_Signal):
         """The recorded demand."""
         record = Record.load(self.file)
         if abs(record.rate - RATE) > 1e-9:
-            raise ValueError(f"{self.file}: sample_rate: {record.rate:g} Hz; allowed: {RATE} Hz")
+            raise InputError(f"{self.file}: sample_rate: {record.rate:g} Hz; allowed: {RATE} Hz")
         return Command(record["demand_pose"], {"kind": "recorded"})
 
 

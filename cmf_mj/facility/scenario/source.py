@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cmf_mj.control.demand import leg_demand
 from cmf_mj.control.law import Law
 from cmf_mj.control.protection import load_protection
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.facility import host as hosts
 from cmf_mj.facility.front import Chain
@@ -88,11 +89,11 @@ class ChainSource:
         """Make the session of a scenario with the chain from host to valves.
 
         Raises:
-            ValueError: the plant is not the hexapod.
+            InputError: the plant is not the hexapod.
         """
         operation = scenario.operation
         if operation is None or not isinstance(plant, Hexapod):
-            raise ValueError("operation: needs the hexapod")
+            raise InputError("operation: needs the hexapod")
         self._demand = demand
         self._every = operation.host_every
         frames = scenario.frames

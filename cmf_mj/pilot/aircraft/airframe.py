@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 
 RATE = 240
 """Steps of the flight mechanics a second [Hz]: three a host frame of 80 Hz."""
@@ -79,7 +80,7 @@ class Airframe:
 
         Raises:
             ModuleNotFoundError: JSBSim is not installed.
-            ValueError: no such aircraft.
+            InputError: no such aircraft.
         """
         self.aircraft, self.seed = aircraft, seed
         self._failed: set[int] = set()
@@ -87,7 +88,7 @@ class Airframe:
         shipped = Path(library.get_default_root_dir()) / "aircraft"
         names = sorted(path.name for path in shipped.iterdir() if path.is_dir())
         if aircraft not in names:
-            raise ValueError(f"aircraft: {aircraft!r} is not one of {', '.join(names)}")
+            raise InputError(f"aircraft: {aircraft!r} is not one of {', '.join(names)}")
         with _quiet():
             self._fdm = library.FGFDMExec(library.get_default_root_dir())
         self._trim_failure = library.TrimFailureError
@@ -96,7 +97,7 @@ class Airframe:
             without_network(shipped / aircraft, Path(folder) / aircraft)
             self._fdm.set_aircraft_path(folder)
             if not self._fdm.load_model(aircraft):
-                raise ValueError(f"aircraft: {aircraft!r} cannot be loaded by JSBSim")
+                raise InputError(f"aircraft: {aircraft!r} cannot be loaded by JSBSim")
         self["simulation/randomseed"] = seed
 
     def __getitem__(self, name: str) -> float:
@@ -126,7 +127,7 @@ class Airframe:
             Throttle of the trim.
 
         Raises:
-            ValueError: JSBSim finds no trim.
+            InputError: JSBSim finds no trim.
         """
         start = {
             "h-agl-ft": units.from_si("ft", height),
@@ -138,7 +139,7 @@ class Airframe:
             with _quiet():
                 self["simulation/do_simple_trim"] = 1.0
         except self._trim_failure as error:
-            raise ValueError(
+            raise InputError(
                 f"airspeed: {airspeed:.1f} m/s at {height:.0f} m on a path of {path:.3f} rad "
                 f"cannot be trimmed with the {self.aircraft}: {error}"
             ) from error
@@ -153,7 +154,7 @@ class Airframe:
         for name in ("fcs/flap-cmd-norm", "fcs/flap-pos-norm"):
             self[name] = controls.flaps
         if not self._fdm.run_ic():
-            raise ValueError(f"aircraft: {self.aircraft} refuses the start {dict(start)}")
+            raise InputError(f"aircraft: {self.aircraft} refuses the start {dict(start)}")
         self["propulsion/set-running"] = -1.0
 
     def gust(self, velocity: tuple[float, float, float], length: float) -> None:
@@ -182,11 +183,11 @@ class Airframe:
             severity: 1 to 7, which sets its size above 2000 ft.
 
         Raises:
-            ValueError: unknown model.
+            InputError: unknown model.
         """
         kinds = {"milspec": 3.0, "tustin": 4.0}
         if model not in kinds:
-            raise ValueError(f"model: {model!r} is not one of {', '.join(kinds)}")
+            raise InputError(f"model: {model!r} is not one of {', '.join(kinds)}")
         speed = units.from_si("ft", wind)
         self["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = speed
         self["atmosphere/turbulence/milspec/severity"] = severity

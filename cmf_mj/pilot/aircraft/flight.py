@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import read_column, read_table, whole_file, write_parquet
 from cmf_mj.core.settings import Settings, validated
 from cmf_mj.pilot.host import PilotSample, pilot_samples
@@ -68,17 +69,17 @@ class Flight:
         """Freeze the other columns and check their lengths.
 
         Raises:
-            ValueError: a column of another length or with a number that is not finite.
+            InputError: a column of another length or with a number that is not finite.
         """
         own = {name: np.array(values, dtype=float) for name, values in self.others.items()}
         for name, values in own.items():
             if values.shape != self.motion.time.shape:
-                raise ValueError(
+                raise InputError(
                     f"{name}: shape is {values.shape}; allowed: {self.motion.time.shape}"
                 )
             if not np.isfinite(values).all():
                 row = int(np.argmin(np.isfinite(values)))
-                raise ValueError(f"{name}: row {row}: {values[row]}; allowed: finite numbers")
+                raise InputError(f"{name}: row {row}: {values[row]}; allowed: finite numbers")
             values.setflags(write=False)
         object.__setattr__(self, "others", MappingProxyType(own))
 
@@ -95,7 +96,7 @@ class Flight:
                 changes a specific force by at most 1e-6 m/s^2.
 
         Raises:
-            ValueError: the name ends in neither.
+            InputError: the name ends in neither.
         """
         target = Path(path)
         kind = np.float32 if single else np.float64
@@ -112,7 +113,7 @@ class Flight:
             header = json.dumps({"units": column_units, "origin": origin})
             return write_parquet(table.replace_schema_metadata({_KEY: header}), target)
         if target.suffix != ".csv":
-            raise ValueError(f"{target}: must end in .csv or .parquet")
+            raise InputError(f"{target}: must end in .csv or .parquet")
         titled = {f"{name} [{column_units[name]}]": values for name, values in columns.items()}
         with whole_file(target) as partial, partial.open("wb") as file:
             file.write(f"# {_KEY} {json.dumps(origin)}\n".encode())
@@ -124,7 +125,7 @@ class Flight:
         """Read a flight.
 
         Raises:
-            ValueError: file, header, column, unit or number that cannot be taken, named.
+            InputError: file, header, column, unit or number that cannot be taken, named.
         """
         source = Path(path)
         table, column_units, origin = _parts(source)
@@ -136,7 +137,7 @@ class Flight:
             try:
                 return np.asarray(units.to_si(column_units.get(name, "1"), values))
             except ValueError as error:
-                raise ValueError(f"{source}: {name}: {error}") from error
+                raise InputError(f"{source}: {name}: {error}") from error
 
         parts = [np.column_stack([column(name) for name in names]) for names in COLUMNS.values()]
         try:
@@ -145,7 +146,7 @@ class Flight:
         except ValueError as error:
             if str(error).startswith(str(source)):
                 raise
-            raise ValueError(f"{source}: {error}") from error
+            raise InputError(f"{source}: {error}") from error
 
 
 def flight_names() -> list[str]:
@@ -160,12 +161,12 @@ def load_flight(source: str | Path) -> Flight:
         source: name of a shipped flight, or a CSV or Parquet file.
 
     Raises:
-        ValueError: unknown name, or a file that is refused.
+        InputError: unknown name, or a file that is refused.
     """
     if Path(source).suffix:
         return Flight.load(source)
     if str(source) not in flight_names():
-        raise ValueError(
+        raise InputError(
             f"flight: {str(source)!r} is neither a .csv or .parquet file nor one of "
             f"{', '.join(flight_names())}"
         )
@@ -178,26 +179,26 @@ def _parts(path: Path) -> tuple[pa.Table, dict[str, str], Origin]:
         table = read_table(path)
         raw = (table.schema.metadata or {}).get(_KEY.encode())
         if raw is None:
-            raise ValueError(f"{path}: carries no {_KEY} header; is it a flight?")
+            raise InputError(f"{path}: carries no {_KEY} header; is it a flight?")
         header = json.loads(raw)
         return table, dict(header["units"]), validated(Origin, header["origin"], str(path))
     try:
         first, _, rest = path.read_text(encoding="utf-8").partition("\n")
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read: {error}") from error
+        raise InputError(f"{path}: cannot be read: {error}") from error
     if not first.startswith(f"# {_KEY} "):
-        raise ValueError(
+        raise InputError(
             f"{path}: row 1: is {first[:40]!r}; allowed: '# {_KEY} ' and the origin as JSON"
         )
     try:
         told = json.loads(first.removeprefix(f"# {_KEY} "))
         table = pyarrow.csv.read_csv(io.BytesIO(rest.encode()))
     except (json.JSONDecodeError, pa.ArrowInvalid) as error:
-        raise ValueError(f"{path}: cannot be read: {error}") from error
+        raise InputError(f"{path}: cannot be read: {error}") from error
     found = [_HEADER.match(cell.strip().strip('"')) for cell in table.column_names]
     if not all(found):
         odd = table.column_names[found.index(None)]
-        raise ValueError(f"{path}: row 2: {odd!r} is refused; allowed: name or name [unit]")
+        raise InputError(f"{path}: row 2: {odd!r} is refused; allowed: name or name [unit]")
     cells = [match.groupdict() for match in found if match]
     column_units = {str(cell["name"]): cell["unit"] or "1" for cell in cells}
     table = table.rename_columns([str(cell["name"]) for cell in cells])

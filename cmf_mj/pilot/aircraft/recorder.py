@@ -5,6 +5,7 @@ from importlib.metadata import version
 
 import numpy as np
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.pilot.aircraft.airframe import RATE, Airframe, State
 from cmf_mj.pilot.aircraft.flight import Flight, Origin
 from cmf_mj.pilot.aircraft.pilot import Pilot
@@ -27,10 +28,10 @@ class ScriptedFlight:
             seed: of the turbulence.
 
         Raises:
-            ValueError: unknown script.
+            InputError: unknown script.
         """
         if name not in SCRIPTS:
-            raise ValueError(f"flight: {name!r} is not one of {', '.join(SCRIPTS)}")
+            raise InputError(f"flight: {name!r} is not one of {', '.join(SCRIPTS)}")
         self.name, self.aircraft, self.seed = name, aircraft, seed
 
     def states(self) -> Iterator[State]:
@@ -38,7 +39,7 @@ class ScriptedFlight:
 
         Raises:
             ModuleNotFoundError: JSBSim is not installed.
-            ValueError: no such aircraft, or it cannot be trimmed.
+            InputError: no such aircraft, or it cannot be trimmed.
         """
         script = SCRIPTS[self.name]
         airframe = Airframe(self.aircraft, seed=self.seed)

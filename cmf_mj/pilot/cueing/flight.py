@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
@@ -51,7 +52,7 @@ def cue(
         rate: frames a second [Hz].
 
     Raises:
-        ValueError: an argument that is refused, named.
+        InputError: an argument that is refused, named.
     """
     algorithm = Washout(washout, station=pilot_station(cab), rate=rate)
     flown = algorithm.flown(motion)
@@ -107,19 +108,19 @@ def tune(
         rate: frames a second [Hz].
 
     Raises:
-        ValueError: an argument out of range, no gain to scale, or gains that are left alone and
+        InputError: an argument out of range, no gain to scale, or gains that are left alone and
             use more than the share already.
     """
     for name, value in (("share", share), ("largest_gain", largest_gain)):
         if not (np.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name}: {value} must be greater than 0")
+            raise InputError(f"{name}: {value} must be greater than 0")
     settings = load_washout(washout)
     unknown = [dof for dof in dofs if dof not in DOFS]
     if unknown:
-        raise ValueError(f"dofs: {unknown[0]!r} is not one of {', '.join(DOFS)}")
+        raise InputError(f"dofs: {unknown[0]!r} is not one of {', '.join(DOFS)}")
     scaled = np.array([dof in dofs for dof in DOFS])
     if not (settings.gains[scaled] > 0.0).any():
-        raise ValueError(f"dofs: {', '.join(dofs)} have no gain above 0 to scale")
+        raise InputError(f"dofs: {', '.join(dofs)} have no gain above 0 to scale")
     station, given = pilot_station(cab), limits or load_motion_limits()
 
     def tried(factor: float) -> tuple[WashoutSettings, Excursion]:
@@ -133,7 +134,7 @@ def tune(
         return Tuned(top[0], most, top[1], "largest gain")
     low, high, found = 0.0, most, tried(0.0)
     if found[1].largest > share:
-        raise ValueError(
+        raise InputError(
             f"dofs: the gains left alone use {found[1].largest:.3g} of {found[1].binding}; "
             f"allowed: {share}"
         )

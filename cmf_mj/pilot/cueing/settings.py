@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_text
 from cmf_mj.core.quantity import Kind, Quantity, positive_in
 from cmf_mj.core.settings import Settings, named_set, validated
@@ -117,7 +118,7 @@ class ClassicalSettings(_Set):
                 overshoot = 1.0 / np.tanh(0.5 * np.pi * zeta / np.sqrt(1.0 - zeta**2))
             most = STANDARD_GRAVITY / overshoot
             if not self.inputs.tilt_force_limit.si < most:
-                raise ValueError(
+                raise InputError(
                     f"inputs.tilt_force_limit: {self.inputs.tilt_force_limit} must be less than "
                     f"{most:.3g} m/s^2: the low-pass of {dof} may overshoot to 1 g"
                 )
@@ -220,7 +221,7 @@ def load_washout(source: str | Path | WashoutSettings = "simona") -> WashoutSett
             one table of changes, merged table by table; or parameters already loaded.
 
     Raises:
-        ValueError: unknown set, unreadable file or a refused field; each is named.
+        InputError: unknown set, unreadable file or a refused field; each is named.
     """
     if isinstance(source, ClassicalSettings | OptimalSettings):
         return source

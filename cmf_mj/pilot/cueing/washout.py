@@ -20,6 +20,7 @@ from numba.extending import overload
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostFrame, HostStream, make_stream
 from cmf_mj.machine.kinematics import rotation
@@ -170,14 +171,14 @@ class Washout:
             rate: frames a second [Hz].
 
         Raises:
-            ValueError: a parameter that is refused, named.
+            InputError: a parameter that is refused, named.
         """
         self.settings = load_washout(settings)
         arm = np.array(pilot_station() if station is None else station, dtype=float)
         if arm.shape != (3,) or not np.isfinite(arm).all():
-            raise ValueError(f"station: {arm} is refused; allowed: three finite numbers [m]")
+            raise InputError(f"station: {arm} is refused; allowed: three finite numbers [m]")
         if not (np.isfinite(rate) and rate > 0.0):
-            raise ValueError(f"rate: {rate} Hz must be greater than 0")
+            raise InputError(f"rate: {rate} Hz must be greater than 0")
         self.station, self.rate = arm, rate
         self._cueing = _compile(self.settings, arm, 1.0 / rate)
         self._state: CueingState | None = None
@@ -217,7 +218,7 @@ class Washout:
             angular_rate: body axes [rad/s], (3,).
 
         Raises:
-            ValueError: shapes or numbers that are refused.
+            InputError: shapes or numbers that are refused.
         """
         if self._state is None:
             return self.start(specific_force, angular_rate)
@@ -232,7 +233,7 @@ def _inputs(*given: ArrayLike) -> list[NDArray[np.float64]]:
     for name, values in zip(("specific_force", "angular_rate"), given, strict=True):
         array = np.array(values, dtype=float)
         if array.shape != (3,) or not np.isfinite(array).all():
-            raise ValueError(f"{name}: {array} is refused; allowed: three finite numbers")
+            raise InputError(f"{name}: {array} is refused; allowed: three finite numbers")
         found.append(array)
     return found
 

@@ -11,6 +11,7 @@ import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception.models import Sensed, otolith_response, sense
@@ -56,12 +57,12 @@ def cueing_error(
         senses: parameters, as `load_senses` takes them.
 
     Raises:
-        ValueError: different times.
+        InputError: different times.
     """
     if aircraft.time.shape != simulator.time.shape or not np.allclose(
         aircraft.time, simulator.time, rtol=0.0, atol=1e-6
     ):
-        raise ValueError(
+        raise InputError(
             f"simulator: {simulator.time.size} samples from {simulator.time[0]:.6g} s; the "
             f"aircraft has {aircraft.time.size} from {aircraft.time[0]:.6g} s"
         )

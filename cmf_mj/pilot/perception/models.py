@@ -67,7 +67,7 @@ def sense(motion: PilotMotion, senses: Senses | str | None = None) -> Sensed:
         senses: parameters, as `load_senses` takes them.
 
     Raises:
-        ValueError: uneven samples or refused parameters.
+        InputError: uneven samples or refused parameters.
     """
     loaded = load_senses(senses)
     responses = (canal_response(loaded.canals), otolith_response(loaded.otoliths))

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Kind, Quantity, positive_in
 from cmf_mj.core.settings import Settings, overlaid
 
@@ -76,7 +77,7 @@ class Senses(Settings):
     @model_validator(mode="after")
     def _apart(self) -> "Senses":
         if self.canals.time_constant.si == self.canals.adaptation.si:
-            raise ValueError("canals.adaptation: must differ from time_constant")
+            raise InputError("canals.adaptation: must differ from time_constant")
         return self
 
 
@@ -88,6 +89,6 @@ def load_senses(source: str | Path | Senses | None = None) -> Senses:
             default the shipped ones.
 
     Raises:
-        ValueError: unreadable file or a refused field; each is named.
+        InputError: unreadable file or a refused field; each is named.
     """
     return overlaid(Senses, _FILE, source)

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import create_model, model_validator
 
 from cmf_mj.core import quantity as kind
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Settings
 
@@ -138,7 +139,7 @@ class HydraulicParameters(_Actuator):
             _ordered(own, where, "minimum_gap", "half_stroke")
             _ordered(own, where, "coulomb_friction", "breakaway_friction", equal=True)
             if own["coulomb_friction"].value == 0.0 < own["breakaway_friction"].value:
-                raise ValueError(
+                raise InputError(
                     f"{where}breakaway_friction: {own['breakaway_friction']} needs a "
                     f"coulomb_friction greater than 0"
                 )
@@ -148,12 +149,12 @@ class HydraulicParameters(_Actuator):
         _ordered(quantities, "", "supply_pressure", "relief_pressure", equal=True)
         _ordered(quantities, "", "relief_pressure", "proof_pressure")
         if self.accumulator_count.value != int(self.accumulator_count.value):
-            raise ValueError(
+            raise InputError(
                 f"accumulator_count: {self.accumulator_count.value:g} must be a whole number"
             )
         for field in ("gas_exponent", "accumulator_exponent"):
             if getattr(self, field).value < 1.0:
-                raise ValueError(f"{field}: {getattr(self, field).value:g} must be at least 1")
+                raise InputError(f"{field}: {getattr(self, field).value:g} must be at least 1")
         return self
 
     @property
@@ -200,7 +201,7 @@ def _ordered(
     less, more = values[small], values[large]
     if less.si > more.si or (less.si == more.si and not equal):
         bound = "at most" if equal else "less than"
-        raise ValueError(f"{where}{small}: {less} must be {bound} {large}, {more}")
+        raise InputError(f"{where}{small}: {less} must be {bound} {large}, {more}")
 
 
 def cap_area(values: Mapping[str, Quantity]) -> float:

@@ -19,7 +19,7 @@ def load_hydraulics(source: str | Path | HydraulicParameters = "hardware") -> Hy
             them and one table of changes, or a set already loaded.
 
     Raises:
-        ValueError: unknown set, unreadable file or a refused field; each is named.
+        InputError: unknown set, unreadable file or a refused field; each is named.
     """
     if isinstance(source, HydraulicParameters):
         return source

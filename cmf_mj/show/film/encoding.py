@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file
 
 CODECS = ("libx264", "libopenh264", "mpeg4")
@@ -31,17 +32,17 @@ def check_format(target: Path, fps: int, speed: float, sizes: Mapping[str, int])
         sizes: lengths in pixels, by name.
 
     Raises:
-        ValueError: an argument out of range, named.
+        InputError: an argument out of range, named.
     """
     if target.suffix not in (".mp4", ".gif"):
-        raise ValueError(f"out: {target.name} must end in .mp4 or .gif")
+        raise InputError(f"out: {target.name} must end in .mp4 or .gif")
     if not (np.isfinite(speed) and speed > 0.0) or fps < 1:
-        raise ValueError(f"speed, fps: {speed}, {fps} must be greater than 0")
+        raise InputError(f"speed, fps: {speed}, {fps} must be greater than 0")
     if target.suffix == ".gif" and fps > GIF_FPS:
-        raise ValueError(f"fps: {fps} pictures a second of a GIF file must be at most {GIF_FPS}")
+        raise InputError(f"fps: {fps} pictures a second of a GIF file must be at most {GIF_FPS}")
     for name, length in sizes.items():
         if length % 2:
-            raise ValueError(f"{name}: {length} pixels must be even")
+            raise InputError(f"{name}: {length} pixels must be even")
 
 
 def write_film(
@@ -62,7 +63,7 @@ def write_film(
         progress: called with the pictures done and those in all.
 
     Raises:
-        ValueError: PyAV or its encoders are missing.
+        InputError: PyAV or its encoders are missing.
     """
     counted = _counted(pictures, count, progress)
     with whole_file(target) as partial:
@@ -102,12 +103,12 @@ def mp4_codec() -> str:
     """The first encoder of MP4 files that opens.
 
     Raises:
-        ValueError: PyAV is missing, or has none of them.
+        InputError: PyAV is missing, or has none of them.
     """
     try:
         import av
     except ImportError as error:
-        raise ValueError(
+        raise InputError(
             "out: an .mp4 file needs PyAV, pip install 'cmf-mj[video]'; a .gif file does not"
         ) from error
     for name in CODECS:
@@ -116,7 +117,7 @@ def mp4_codec() -> str:
         except (av.codec.codec.UnknownCodecError, ValueError):
             continue
         return name
-    raise ValueError(f"out: PyAV has none of the encoders {', '.join(CODECS)}; write a .gif file")
+    raise InputError(f"out: PyAV has none of the encoders {', '.join(CODECS)}; write a .gif file")
 
 
 def _write_gif(pictures: Iterator[NDArray[np.uint8]], target: Path, fps: int) -> None:

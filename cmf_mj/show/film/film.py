@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.machine import models
 from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.record.record import Record
@@ -56,16 +57,16 @@ def film(
         progress: called with the pictures done and those in all.
 
     Raises:
-        ValueError: an argument out of range or a missing package, named.
+        InputError: an argument out of range or a missing package, named.
     """
     chosen, target = settings or FilmSettings(), Path(path)
     if not records:
-        raise ValueError("records: none is given; give at least one")
+        raise InputError("records: none is given; give at least one")
     _check(target, chosen)
     named = list(titles) or [str(record.metadata["law"]) for record in records]
     end = max(float(record.time[-1]) for record in records)
     if not 0.0 <= chosen.start < end:
-        raise ValueError(f"start: {chosen.start} s; allowed: from 0 to below {end:g} s")
+        raise InputError(f"start: {chosen.start} s; allowed: from 0 to below {end:g} s")
     if chosen.seconds is not None:
         end = min(end, chosen.start + chosen.seconds)
     count = int((end - chosen.start) / chosen.speed * chosen.fps) + 1
@@ -86,7 +87,7 @@ def check_film(model: mujoco.MjModel, path: str | Path, settings: FilmSettings) 
         settings: how it will look.
 
     Raises:
-        ValueError: what `film` would refuse, named: settings, packages, OpenGL.
+        InputError: what `film` would refuse, named: settings, packages, OpenGL.
     """
     _check(Path(path), settings)
     if Path(path).suffix == ".mp4":
@@ -99,21 +100,21 @@ def _check(target: Path, settings: FilmSettings) -> None:
     sizes = {"width": settings.width, "height": settings.height, "strip": settings.strip}
     check_format(target, settings.fps, settings.speed, sizes)
     if settings.seconds is not None and not settings.seconds > 0.0:
-        raise ValueError(f"seconds: {settings.seconds} must be greater than 0")
+        raise InputError(f"seconds: {settings.seconds} must be greater than 0")
 
 
 def model_of(record: Record) -> mujoco.MjModel:
     """The MuJoCo model that a record's `generalised_position` belongs to.
 
     Raises:
-        ValueError: the record is not of one of the project's two plants.
+        InputError: the record is not of one of the project's two plants.
     """
     plant = record.metadata.get("plant")
     if plant == "hexapod":
         return hexapod_spec(str(record.metadata["cab"])).compile()
     if plant == "single_legs":
         return mujoco.MjModel.from_xml_path(str(models.single_legs_path()))
-    raise ValueError(f"plant: {plant!r} of the record is not one of hexapod, single_legs")
+    raise InputError(f"plant: {plant!r} of the record is not one of hexapod, single_legs")
 
 
 def _pictures(

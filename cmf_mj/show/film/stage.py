@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from cmf_mj.core.errors import InputError
+
 BACKENDS = ("egl", "osmesa")
 """Off-screen OpenGL, in the order in which they are tried."""
 
@@ -49,20 +51,20 @@ def choose_backend(environment: Mapping[str, str] | None = None) -> str:
         environment: variables; default those of this process.
 
     Raises:
-        ValueError: no OpenGL works; the message names the packages that bring one.
+        InputError: no OpenGL works; the message names the packages that bring one.
     """
     given = os.environ if environment is None else environment
     named = given.get("MUJOCO_GL", "").lower().strip()
     if named in ("egl", "osmesa", "glfw", "cgl"):
         return named
     if named:
-        raise ValueError(f"MUJOCO_GL: {named!r} is not one of egl, osmesa, glfw, cgl")
+        raise InputError(f"MUJOCO_GL: {named!r} is not one of egl, osmesa, glfw, cgl")
     if has_display(given):
         return "cgl" if sys.platform == "darwin" else "glfw"
     for backend in BACKENDS:
         if _works(backend):
             return backend
-    raise ValueError(f"MUJOCO_GL: no off-screen OpenGL works here; {PACKAGES}")
+    raise InputError(f"MUJOCO_GL: no off-screen OpenGL works here; {PACKAGES}")
 
 
 @lru_cache
@@ -88,17 +90,17 @@ class Stage:
             camera: of the model.
 
         Raises:
-            ValueError: size or camera, named, or no OpenGL.
+            InputError: size or camera, named, or no OpenGL.
         """
         for name, value, most in (
             ("width", width, int(model.vis.global_.offwidth)),
             ("height", height, int(model.vis.global_.offheight)),
         ):
             if not 16 <= value <= most:
-                raise ValueError(f"{name}: {value} pixels must be between 16 and {most}")
+                raise InputError(f"{name}: {value} pixels must be between 16 and {most}")
         cameras = [model.camera(i).name for i in range(model.ncam)]
         if camera not in cameras:
-            raise ValueError(f"camera: {camera!r} is not one of {', '.join(cameras)}")
+            raise InputError(f"camera: {camera!r} is not one of {', '.join(cameras)}")
         # Software OpenGL pays for vertices, for the shadow map and, most of all, for its own
         # multisampling: twice the pixels each way, averaged, look as good for 60 % of the time.
         model = copy.copy(model)
@@ -121,7 +123,7 @@ class Stage:
             self._gl = platform.GLContext(_FINER * width, _FINER * height)
         except Exception as error:  # PyOpenGL raises whatever its platform does
             said = f"MUJOCO_GL: {backend} does not work here ({error}); {PACKAGES}"
-            raise ValueError(said) from error
+            raise InputError(said) from error
         self._gl.make_current()
         self._scene = mujoco.MjvScene(model=model, maxgeom=10_000)
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.record.record import Record
 
@@ -73,7 +74,7 @@ def traces_of(record: Record, dof: str | None = None) -> Traces:
             1 in and angles against 1 deg.
 
     Raises:
-        ValueError: unknown degree of freedom or a channel that is missing.
+        InputError: unknown degree of freedom or a channel that is missing.
     """
     scale = np.array([units.INCH] * 3 + [units.DEGREE] * 3)
     demand = record["demand_pose"] / scale
@@ -82,7 +83,7 @@ def traces_of(record: Record, dof: str | None = None) -> Traces:
     elif dof in DOFS:
         index = DOFS.index(dof)
     else:
-        raise ValueError(f"dof: {dof!r} is not one of {', '.join(DOFS)}")
+        raise InputError(f"dof: {dof!r} is not one of {', '.join(DOFS)}")
     cap = record["cap_pressure"]
     leg = int(np.ptp(cap, axis=0).argmax())
     if "platform_pose" in record.channels:

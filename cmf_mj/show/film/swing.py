@@ -15,6 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from cmf_mj.analysis.modes import ModeSet, stroke_room, swinging
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.show.film.encoding import check_format, write_film
@@ -72,7 +73,7 @@ def swing_film(
         progress: called with the pictures done and those in all.
 
     Raises:
-        ValueError: an argument out of range or a missing package, named.
+        InputError: an argument out of range or a missing package, named.
     """
     chosen, target = settings or SwingSettings(), Path(path)
     check_format(target, chosen.fps, chosen.speed, {"width": chosen.width, "height": chosen.height})
@@ -87,14 +88,14 @@ def film_time(modes: ModeSet, chosen: SwingSettings) -> NDArray[np.float64]:
     """Time of the machine in each picture, (n,) [s], one for all modes.
 
     Raises:
-        ValueError: the film has no length, or too few pictures for the fastest mode.
+        InputError: the film has no length, or too few pictures for the fastest mode.
     """
     if not (np.isfinite(chosen.periods) and chosen.periods > 0.0):
-        raise ValueError(f"periods: {chosen.periods} of the lowest mode must be greater than 0")
+        raise InputError(f"periods: {chosen.periods} of the lowest mode must be greater than 0")
     fastest = float(modes.frequency_hz[-1])
     most = chosen.fps / (LEAST_PICTURES * fastest)
     if chosen.speed > most:
-        raise ValueError(
+        raise InputError(
             f"speed: {chosen.speed} with {chosen.fps} pictures a second leaves mode 6 at "
             f"{fastest:.1f} Hz fewer than {LEAST_PICTURES} a period; must be at most {most:.3g}"
         )
@@ -107,7 +108,7 @@ def one_swing(
 ) -> Swing:
     """A panel: the mode with the leg motion asked for [m], or what the working stroke leaves."""
     if not 0.0 < stroke <= WORKING_STROKE:
-        raise ValueError(
+        raise InputError(
             f"stroke: {stroke:.4f} m must be greater than 0 and at most {WORKING_STROKE:.4f} m"
         )
     shown = min(stroke, stroke_room(plant, modes, mode))

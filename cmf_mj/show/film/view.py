@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility.scenario.run import ScenarioRun
 from cmf_mj.facility.scenario.settings import Change, Push
@@ -50,10 +51,10 @@ class LiveView:
             speed: times real speed.
 
         Raises:
-            ValueError: the speed is not greater than 0.
+            InputError: the speed is not greater than 0.
         """
         if not (np.isfinite(speed) and speed > 0.0):
-            raise ValueError(f"speed: {speed} must be greater than 0")
+            raise InputError(f"speed: {speed} must be greater than 0")
         self.run, self.speed, self.paused = run, speed, False
         self.wants_saving = False
         self.model = run.plant.model
@@ -128,18 +129,18 @@ def show(
         launch: opens the window; default MuJoCo's `viewer.launch_passive`.
 
     Raises:
-        ValueError: there is no display, or no OpenGL on it; the message says what to do.
+        InputError: there is no display, or no OpenGL on it; the message says what to do.
     """
     if launch is None:
         if not has_display():
-            raise ValueError(NO_DISPLAY)
+            raise InputError(NO_DISPLAY)
         import mujoco.viewer
 
         launch = mujoco.viewer.launch_passive
     try:
         window = launch(view.model, view.shown, key_callback=view.key)
     except RuntimeError as error:
-        raise ValueError(f"view: no window: {error}. {NO_DISPLAY}") from error
+        raise InputError(f"view: no window: {error}. {NO_DISPLAY}") from error
     with window:
         begun = last = time.monotonic()
         while window.is_running() and not view.run.finished:

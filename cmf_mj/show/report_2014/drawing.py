@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.show.report_2014.chart import Chart, Panel, names_in
 
 _DASHES = {"solid": "-", "dash": "--", "dot": ":"}
@@ -22,12 +23,12 @@ def optional_module(name: str) -> ModuleType:
     """A module that only the extra `report` installs.
 
     Raises:
-        ValueError: it is not installed.
+        InputError: it is not installed.
     """
     try:
         return import_module(name)
     except ImportError as error:
-        raise ValueError(
+        raise InputError(
             f"{error.name}: is not installed; the report needs `pip install cmf-mj[report]`"
         ) from error
 
@@ -36,7 +37,7 @@ def require_extra() -> None:
     """Refuse before anything is run if the extra `report` is not installed.
 
     Raises:
-        ValueError: plotly or Jinja2 is missing.
+        InputError: plotly or Jinja2 is missing.
     """
     for name in ("plotly.graph_objects", "jinja2"):
         optional_module(name)

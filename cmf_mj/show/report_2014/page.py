@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import cast
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_text
 from cmf_mj.show.report_2014 import appendices, chapter_2, chapter_3, chapter_4, force, statements
 from cmf_mj.show.report_2014.blocks import Content, Section
@@ -36,12 +37,12 @@ def chosen_figures(numbers: Sequence[str] | None) -> tuple[ReportFigure, ...]:
     """Figures by number; None for all.
 
     Raises:
-        ValueError: a number that is none.
+        InputError: a number that is none.
     """
     known = {figure.number: figure for figure in FIGURES}
     for number in numbers or ():
         if number not in known:
-            raise ValueError(f"figures: {number!r} is not one of {', '.join(known)}")
+            raise InputError(f"figures: {number!r} is not one of {', '.join(known)}")
     return FIGURES if numbers is None else tuple(f for f in FIGURES if f.number in numbers)
 
 
@@ -49,11 +50,11 @@ def chosen_tables(numbers: Sequence[str] | None) -> tuple[str, ...]:
     """Result tables by number; None for all.
 
     Raises:
-        ValueError: a number that is none.
+        InputError: a number that is none.
     """
     for number in numbers or ():
         if number not in TABLES:
-            raise ValueError(f"tables: {number!r} is not one of {', '.join(TABLES)}")
+            raise InputError(f"tables: {number!r} is not one of {', '.join(TABLES)}")
     return TABLES if numbers is None else tuple(t for t in TABLES if t in numbers)
 
 
@@ -78,7 +79,7 @@ def make_content(
         progress: called with (runs done, runs in all).
 
     Raises:
-        ValueError: an argument out of range, named; nothing has been run then.
+        InputError: an argument out of range, named; nothing has been run then.
     """
     shown, results = chosen_figures(figures), chosen_tables(tables)
     studies = figures is None and tables is None
@@ -108,7 +109,7 @@ def render(content: Content) -> str:
     """The page as text: the same bytes for the same content.
 
     Raises:
-        ValueError: plotly or Jinja2 is not installed.
+        InputError: plotly or Jinja2 is not installed.
     """
     jinja = optional_module("jinja2")
     library = optional_module("plotly.offline").get_plotlyjs()
@@ -140,7 +141,7 @@ def save_page(content: Content, folder: Path) -> Path:
     """Write `report.html`; it appears only when it is complete.
 
     Raises:
-        ValueError: plotly or Jinja2 is not installed.
+        InputError: plotly or Jinja2 is not installed.
     """
     target = folder / "report.html"
     text = render(content)

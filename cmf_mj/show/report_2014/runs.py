@@ -18,6 +18,7 @@ from cmf_mj.analysis.frequency_response import FrequencyResponse, rounds_respons
 from cmf_mj.analysis.identification.model import Orders
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.kinematics import DOFS
@@ -214,10 +215,10 @@ def perform(
         progress: called with (done, in all) after each.
 
     Raises:
-        ValueError: an argument out of range, named.
+        InputError: an argument out of range, named.
     """
     if seed < 0:
-        raise ValueError(f"seed: {seed} must be at least 0")
+        raise InputError(f"seed: {seed} must be at least 0")
     # The longest first, so that no thread is left with one at the end.
     order = sorted(set(wanted), key=lambda w: (w.signal != "rounds", w.on != "machine", w))
     total = len(order) + int(sensors)

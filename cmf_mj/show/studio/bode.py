@@ -86,7 +86,7 @@ def measure(
         progress: called with control frames done and in all.
 
     Raises:
-        ValueError: the scenario cannot be run.
+        InputError: the scenario cannot be run.
         OutOfBounds: the loop with this law left its physical bounds.
     """
     sweep = sweep_scenario(scenario, dof)

@@ -6,6 +6,7 @@ from pathlib import Path
 import viser
 
 from cmf_mj.control.law import Law, law_names, load_law
+from cmf_mj.core.errors import InputError
 from cmf_mj.facility.scenario.settings import Change, change_of
 from cmf_mj.show.studio.desk import Desk, by_hand, picked
 from cmf_mj.show.studio.gains import Knob, knobs, law_as_gains
@@ -99,7 +100,7 @@ def _uploaded(file: viser.UploadedFile) -> Law:
     """The one law of a file from the browser.
 
     Raises:
-        ValueError: it is not TOML or not one law; the message names the field.
+        InputError: it is not TOML or not one law; the message names the field.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / (Path(file.name).name or "law.toml")
@@ -107,4 +108,4 @@ def _uploaded(file: viser.UploadedFile) -> Law:
         try:
             return load_law(path)
         except ValueError as error:
-            raise ValueError(str(error).replace(f"{folder}/", "")) from None
+            raise InputError(str(error).replace(f"{folder}/", "")) from None

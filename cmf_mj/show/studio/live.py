@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility.scenario.run import Live, ScenarioRun
 from cmf_mj.facility.scenario.settings import Change, Scenario
@@ -63,7 +64,7 @@ class LiveSession:
             display: who shows it.
 
         Raises:
-            ValueError: the scenario is refused, named by its key.
+            InputError: the scenario is refused, named by its key.
         """
         self._display = display
         self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
@@ -221,9 +222,9 @@ def _open_run(scenario: Scenario) -> ScenarioRun:
     """A run without end, on the hexapod.
 
     Raises:
-        ValueError: another plant, or the scenario is refused; named by its key.
+        InputError: another plant, or the scenario is refused; named by its key.
     """
     if scenario.plant != "hexapod":
-        raise ValueError(f"plant: {scenario.plant!r} has no platform to show; allowed: hexapod")
+        raise InputError(f"plant: {scenario.plant!r} has no platform to show; allowed: hexapod")
     keep = KEPT_ROWS * scenario.record_every / RATE
     return ScenarioRun(scenario.model_copy(update={"duration": "open"}), keep=keep)

@@ -9,6 +9,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.machine import models
 from cmf_mj.record.record import Record
 from cmf_mj.show.studio import traces
@@ -29,20 +30,20 @@ class Recording:
             width: generalised positions of the model.
 
         Raises:
-            ValueError: the record is of another plant or does not hold what the page shows.
+            InputError: the record is of another plant or does not hold what the page shows.
         """
         plant = record.metadata.get("plant")
         if plant != "hexapod":
-            raise ValueError(f"plant: {plant!r} of the record cannot be shown; allowed: hexapod")
+            raise InputError(f"plant: {plant!r} of the record cannot be shown; allowed: hexapod")
         needed = {**traces.CHANNELS, "generalised_position": width}
         for name, columns in needed.items():
             shape = record[name].shape[1:] or (1,)
             if shape != (columns,):
-                raise ValueError(f"{name}: has {shape[0]} columns; {columns} are needed")
+                raise InputError(f"{name}: has {shape[0]} columns; {columns} are needed")
         if record.time.size < 2:
-            raise ValueError(f"time: has {record.time.size} samples; at least 2 are needed")
+            raise InputError(f"time: has {record.time.size} samples; at least 2 are needed")
         if record.metadata.get("cab") not in models.CABS:
-            raise ValueError(f"cab: {record.metadata.get('cab')!r} is not one of {models.CABS}")
+            raise InputError(f"cab: {record.metadata.get('cab')!r} is not one of {models.CABS}")
         self.record = record
         self.cab = str(record.metadata["cab"])
         self.start, self.end = float(record.time[0]), float(record.time[-1])
@@ -70,7 +71,7 @@ def read_recording(name: str, content: bytes, width: int) -> Recording:
     """A recording from a file of the browser.
 
     Raises:
-        ValueError: the file is no record of the hexapod; the message names file and field.
+        InputError: the file is no record of the hexapod; the message names file and field.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / (Path(name).name or "record.parquet")
@@ -79,7 +80,7 @@ def read_recording(name: str, content: bytes, width: int) -> Recording:
             return Recording(Record.load(path), width)
         except ValueError as error:
             text = str(error).replace(f"{folder}/", "")
-            raise ValueError(text if path.name in text else f"{path.name}: {text}") from None
+            raise InputError(text if path.name in text else f"{path.name}: {text}") from None
 
 
 class ReplayPanel:

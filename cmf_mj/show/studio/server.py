@@ -27,7 +27,7 @@ class Studio:
             scenario: what each tab begins with; default `first_scenario`.
 
         Raises:
-            ValueError: the scenario is refused.
+            InputError: the scenario is refused.
             OSError: the address cannot be listened on.
         """
         self._scenario = scenario or first_scenario()

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, get_args
 from pydantic import Field, model_validator
 
 from cmf_mj.analysis.published import Published, published_results
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings, read_toml, validated
 
 _FILE = Path(__file__).with_name("studies.toml")
@@ -44,7 +45,7 @@ class Parameter(Settings):
     @model_validator(mode="after")
     def _ordered(self) -> "Parameter":
         if not 0.0 < self.low < self.high:
-            raise ValueError(
+            raise InputError(
                 f"{self.name}: low {self.low:g} must be above 0 and below high {self.high:g}"
             )
         return self
@@ -64,12 +65,12 @@ class Row(Settings):
         """The printed numbers.
 
         Raises:
-            ValueError: the report has no such row in heave.
+            InputError: the report has no such row in heave.
         """
         for row in published_results():
             if (row.table, row.law, row.of, row.dof) == (self.table, self.law, self.of, "heave"):
                 return row
-        raise ValueError(f"rows: Table {self.table} has no {self.law} of {self.of} in heave")
+        raise InputError(f"rows: Table {self.table} has no {self.law} of {self.of} in heave")
 
     def printed(self, measure: Measure) -> float:
         """A printed number, NaN where there is none."""
@@ -111,15 +112,15 @@ class Study(Settings):
         for row in self.rows:
             for measure in (*row.fitted, *row.predicted):
                 if row.printed(measure) != row.printed(measure):
-                    raise ValueError(f"rows: Table {row.table} prints no {measure} of {row.law}")
+                    raise InputError(f"rows: Table {row.table} prints no {measure} of {row.law}")
             if set(row.fitted) & set(row.predicted):
-                raise ValueError(
+                raise InputError(
                     f"rows: Table {row.table}, {row.law}: a quantity is fitted and predicted"
                 )
         free = len(self.free)
         fitted = sum(len(row.fitted) for row in self.rows)
         if not 0 < free <= fitted:
-            raise ValueError(f"parameters: {free} are free; allowed: 1 to the {fitted} fitted")
+            raise InputError(f"parameters: {free} are free; allowed: 1 to the {fitted} fitted")
         return self
 
     @property
@@ -151,11 +152,11 @@ def load_study(source: str | Study) -> Study:
     """A study by name.
 
     Raises:
-        ValueError: no such study.
+        InputError: no such study.
     """
     if isinstance(source, Study):
         return source
     studies = load_studies()
     if source not in studies:
-        raise ValueError(f"study: {source!r} is not one of {', '.join(studies)}")
+        raise InputError(f"study: {source!r} is not one of {', '.join(studies)}")
     return studies[source]

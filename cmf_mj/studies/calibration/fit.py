@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.studies.calibration.definition import MEASURES, Measure, Row, Study
 from cmf_mj.studies.calibration.trial import (
     Measured,
@@ -143,10 +144,10 @@ def calibrate(
         progress: called with a line of text at each step.
 
     Raises:
-        ValueError: less than one round.
+        InputError: less than one round.
     """
     if rounds < 1:
-        raise ValueError(f"rounds: {rounds} must be at least 1")
+        raise InputError(f"rounds: {rounds} must be at least 1")
     tell = progress or (lambda text: None)
 
     def stage(values: dict[str, float]) -> Stage:

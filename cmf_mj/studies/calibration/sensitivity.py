@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.studies.calibration.definition import MEASURES, Measure, Study
 from cmf_mj.studies.calibration.trial import Values, linear_results
 
@@ -81,10 +82,10 @@ def spread(
         seed: of the hypercube.
 
     Raises:
-        ValueError: less than two samples.
+        InputError: less than two samples.
     """
     if samples < 2:
-        raise ValueError(f"samples: {samples} must be at least 2")
+        raise InputError(f"samples: {samples} must be at least 2")
     parameters = study.parameters
     cube = qmc.LatinHypercube(len(parameters), rng=np.random.default_rng(seed)).random(samples)
     low, high = (np.array([getattr(p, end) for p in parameters]) for end in ("low", "high"))

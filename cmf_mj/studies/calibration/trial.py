@@ -22,6 +22,7 @@ from cmf_mj.analysis.linearization.reduction import leg_model
 from cmf_mj.analysis.step_response import step_metrics, step_shape
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import validated
 from cmf_mj.core.threads import on_threads
@@ -179,10 +180,10 @@ def simulated_results(
         jobs: threads; default one per core.
 
     Raises:
-        ValueError: another payload.
+        InputError: another payload.
     """
     if values.get("payload", 1.0) != 1.0:
-        raise ValueError(f"payload: {values['payload']} must be 1 in a simulation")
+        raise InputError(f"payload: {values['payload']} must be 1 in a simulation")
     found = compare(
         [law_of(name, values) for name in laws],
         ["heave"],

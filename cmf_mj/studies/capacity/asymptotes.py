@@ -120,7 +120,7 @@ def asymptotes(plant: Hexapod, dof: str) -> Asymptotes:
     """Closed-form limits of a degree of freedom from the parameters, at neutral.
 
     Raises:
-        ValueError: unknown degree of freedom.
+        InputError: unknown degree of freedom.
     """
     index = dof_index(dof)
     hydraulics, supply, own = plant.hydraulics, plant.hydraulics.supply, plant.hydraulics.cylinder

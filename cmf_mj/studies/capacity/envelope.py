@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_csv
 from cmf_mj.core.rates import RATE
 from cmf_mj.core.threads import on_threads
@@ -154,7 +155,7 @@ def largest_sine(
         A point whose largest ratio lies between 0.98 and 1; or less, where a ratio jumps.
 
     Raises:
-        ValueError: an argument out of range, named.
+        InputError: an argument out of range, named.
     """
     check_positive(frequency=frequency)
     allowed = least_allowed(plant.parameters, least_pressure)
@@ -313,20 +314,20 @@ def performance_envelope(
         progress: called with (points done, points in all) after each point.
 
     Raises:
-        ValueError: an argument out of range, named; nothing has been run then.
+        InputError: an argument out of range, named; nothing has been run then.
     """
     loaded, parameters = load_law(law), load_hydraulics(hydraulics)
     models.cab_path(cab)
     allowed = least_allowed(parameters, least_pressure)
     for field, chosen in (("dofs", dofs), ("frequencies", frequencies)):
         if not chosen:
-            raise ValueError(f"{field}: is empty; at least one is needed")
+            raise InputError(f"{field}: is empty; at least one is needed")
     for dof in dofs:
         dof_index(dof)
     for frequency in frequencies:
         check_positive(frequencies=frequency)
         if frequency > RATE / 32:
-            raise ValueError(f"frequencies: {frequency} Hz must be at most {RATE / 32} Hz")
+            raise InputError(f"frequencies: {frequency} Hz must be at most {RATE / 32} Hz")
     cases = [(dof, float(frequency)) for dof in dofs for frequency in frequencies]
 
     def point(case: tuple[str, float]) -> EnvelopePoint:

@@ -15,6 +15,7 @@ from scipy.interpolate import PchipInterpolator
 
 from cmf_mj import signals
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.signals.single import Command, dof_index
@@ -49,18 +50,18 @@ def manoeuvre(
         frequency: of a sine, highest of a chirp, of noise and of a multisine [Hz].
 
     Raises:
-        ValueError: an argument out of range, or one that the signal does not take.
+        InputError: an argument out of range, or one that the signal does not take.
     """
     kind = str(name)
     if kind not in SIGNALS:
         for field, value in (("amplitude", amplitude), ("frequency", frequency)):
             if value is not None:
-                raise ValueError(f"{field}: {value:g} is not allowed; a file of poses has its own")
+                raise InputError(f"{field}: {value:g} is not allowed; a file of poses has its own")
         return read_poses(name)
     size = units.to_si(field_unit(dof), _SIZES[kind]) if amplitude is None else amplitude
     if kind == "step":
         if frequency is not None:
-            raise ValueError(f"frequency: {frequency:g} Hz is not allowed; a step has none")
+            raise InputError(f"frequency: {frequency:g} Hz is not allowed; a step has none")
         return signals.step(dof, size)
     rate = _FREQUENCIES[kind] if frequency is None else frequency
     if kind == "sine":
@@ -79,22 +80,22 @@ def read_poses(path: str | Path) -> Command:
     """Read a command from a CSV or Parquet file of poses.
 
     Raises:
-        ValueError: unknown signal or kind of file, a missing column, a number that is not finite
+        InputError: unknown signal or kind of file, a missing column, a number that is not finite
             or times that do not rise; each is named.
     """
     source = Path(path)
     readers = {".csv": pa_csv.read_csv, ".parquet": pq.read_table}
     if source.suffix not in readers:
-        raise ValueError(
+        raise InputError(
             f"signal: {str(path)!r} is not one of {', '.join(SIGNALS)} nor a .csv or .parquet file"
         )
     try:
         table = readers[source.suffix](source)
     except pa.ArrowInvalid as error:
-        raise ValueError(f"{source}: is not a readable table: {error}") from error
+        raise InputError(f"{source}: is not a readable table: {error}") from error
     moved = [name for name in DOFS if name in table.column_names]
     if "time" not in table.column_names or not moved:
-        raise ValueError(
+        raise InputError(
             f"{source}: has the columns {', '.join(table.column_names)}; needed: time and at "
             f"least one of {', '.join(DOFS)}"
         )
@@ -103,14 +104,14 @@ def read_poses(path: str | Path) -> Command:
         try:
             columns[name] = np.asarray(table[name].to_numpy(), dtype=float)
         except ValueError as error:
-            raise ValueError(f"{source}: {name}: is not a column of numbers") from error
+            raise InputError(f"{source}: {name}: is not a column of numbers") from error
         for row in np.flatnonzero(~np.isfinite(columns[name])):
-            raise ValueError(f"{source}: {name}: row {row + 1} is not a finite number")
+            raise InputError(f"{source}: {name}: row {row + 1} is not a finite number")
     time = columns["time"]
     if time.size < 2:
-        raise ValueError(f"{source}: has {time.size} rows; at least 2 are needed")
+        raise InputError(f"{source}: has {time.size} rows; at least 2 are needed")
     for row in np.flatnonzero(np.diff(time) <= 0.0):
-        raise ValueError(
+        raise InputError(
             f"{source}: time: {time[row + 1]:g} s in row {row + 2} does not exceed "
             f"{time[row]:g} s before it"
         )

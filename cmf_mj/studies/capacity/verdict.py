@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.control.law import Law
+from cmf_mj.core.errors import InputError
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.hydraulics import Hydraulics
@@ -72,12 +73,12 @@ def least_allowed(parameters: HydraulicParameters, least_pressure: float | None 
         least_pressure: gauge [Pa]; default `LEAST_PRESSURE` of the set pressure.
 
     Raises:
-        ValueError: it is not between tank and set pressure.
+        InputError: it is not between tank and set pressure.
     """
     least, most = parameters.return_pressure.si, parameters.supply_pressure.si
     chosen = LEAST_PRESSURE * most if least_pressure is None else least_pressure
     if not least < chosen < most:
-        raise ValueError(
+        raise InputError(
             f"least_pressure: {chosen:.6g} Pa must be between the tank's {least:.6g} Pa "
             f"and the supply's {most:.6g} Pa"
         )
@@ -125,7 +126,7 @@ def capacity(
             set pressure.
 
     Raises:
-        ValueError: an argument out of range, named; a command beyond the operational limits.
+        InputError: an argument out of range, named; a command beyond the operational limits.
         FloatingPointError: the state left its physical bounds; leg, time and value are named.
     """
     demanded = command if isinstance(command, Command) else Command.from_pose(command)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.signals.peaks import check_limits
 from cmf_mj.signals.single import Command, check_not_negative, check_positive, dof_index, sine
@@ -39,12 +40,12 @@ def manoeuvre(
         after: length of the run after the event [s], at least 4 s.
 
     Raises:
-        ValueError: an argument out of range, or the motion exceeds the machine's limits.
+        InputError: an argument out of range, or the motion exceeds the machine's limits.
     """
     check_positive(frequency=frequency)
     check_not_negative(at=at)
     if not after >= 2.0 * REST:
-        raise ValueError(f"after: {after} s must be at least {2.0 * REST:g} s")
+        raise InputError(f"after: {after} s must be at least {2.0 * REST:g} s")
     cycles = (at + after - REST) * frequency
     moving = sine(dof, amplitude, frequency, cycles=cycles, fade=FADE)
     rest = np.zeros((round(REST / FRAME), 6))
@@ -57,7 +58,7 @@ def size_of(dof: str, amplitude: float | None) -> float:
     """The amplitude of the sine [m or rad]; None for the default one of the degree of freedom.
 
     Raises:
-        ValueError: unknown degree of freedom, or an amplitude that is not positive.
+        InputError: unknown degree of freedom, or an amplitude that is not positive.
     """
     if amplitude is None:
         return AMPLITUDES[0] if dof_index(dof) < 3 else AMPLITUDES[1]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.simulation import OutOfBounds, simulate
@@ -43,7 +44,7 @@ def run_failure(
         protection: `default`, a TOML file, or None for no protection.
 
     Raises:
-        ValueError: an argument out of range, named.
+        InputError: an argument out of range, named.
     """
     machine = Hexapod() if plant is None else plant
     loaded = load_law(law)
@@ -51,7 +52,7 @@ def run_failure(
     run = manoeuvre(dof, size, frequency, at=event.at, after=after) if command is None else command
     frames = run.pose.shape[0]
     if not event.at < (frames - 1) * FRAME:
-        raise ValueError(
+        raise InputError(
             f"at: {event.at} s must be less than the run of {(frames - 1) * FRAME:g} s"
         )
     message = ""
@@ -95,7 +96,7 @@ def run_failures(
         progress: called with (runs done, runs in all) after each.
 
     Raises:
-        ValueError: an argument out of range, named.
+        InputError: an argument out of range, named.
     """
     loaded, parameters = load_law(law), load_hydraulics(hydraulics)
     guard = None if protection is None else load_protection(protection)

@@ -24,6 +24,7 @@ from cmf_mj.control.law import Gains, Law, ReferenceModel, load_law
 from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.control.plan import Plan
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.loading import load_hydraulics
@@ -283,8 +284,8 @@ def form_named(name: str) -> Form:
     """A form.
 
     Raises:
-        ValueError: no such form.
+        InputError: no such form.
     """
     if name not in FORMS:
-        raise ValueError(f"form: {name!r} is not one of {', '.join(FORMS)}")
+        raise InputError(f"form: {name!r} is not one of {', '.join(FORMS)}")
     return FORMS[name]

@@ -4,6 +4,7 @@ import numpy as np
 
 from cmf_mj.control.coordinates import MODES, Modes
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import ActuatorChanges, HydraulicParameters
@@ -23,14 +24,14 @@ def nominal_modes(plant: Plant) -> Modes:
         plant: with six legs, whose oil springs are alike there.
 
     Raises:
-        ValueError: another number of legs, or springs that are not alike.
+        InputError: another number of legs, or springs that are not alike.
     """
     if plant.legs != MODES:
-        raise ValueError(f"plant: {plant.name} has {plant.legs} legs; hydraulic modes need {MODES}")
+        raise InputError(f"plant: {plant.name} has {plant.legs} legs; hydraulic modes need {MODES}")
     hydraulics = plant.hydraulics
     springs = stiffness(hydraulics.cylinder, hydraulics.oil.bulk_modulus, np.zeros(MODES))
     if np.ptp(springs) > 1e-9 * springs.max():
-        raise ValueError(
+        raise InputError(
             f"hydraulics: springs of {plant.parameters.name} are {springs.min():.6g} to "
             f"{springs.max():.6g} N/m; they must be alike"
         )

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control.law import Law
+from cmf_mj.core.errors import InputError
 from cmf_mj.studies.tuning.evaluation import Worth, evaluate
 from cmf_mj.studies.tuning.forms import Form, Template, candidate, form_named, named
 
@@ -98,12 +99,12 @@ def search(
         progress: called with (laws tried, laws in all).
 
     Raises:
-        ValueError: less than one evaluation, or no such form.
+        InputError: less than one evaluation, or no such form.
     """
     import cma
 
     if evaluations < 1:
-        raise ValueError(f"evaluations: {evaluations} must be at least 1")
+        raise InputError(f"evaluations: {evaluations} must be at least 1")
     kept = limits or Limits()
     chosen = form_named(form)
     begun = np.array(chosen.start if start is None else start)

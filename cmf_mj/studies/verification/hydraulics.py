@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 
@@ -118,18 +119,18 @@ class Circuit:
             extension: [m], (N, n).
 
         Raises:
-            ValueError: a chamber below atmospheric pressure, where gas is released, or a leg near
+            InputError: a chamber below atmospheric pressure, where gas is released, or a leg near
                 its stop, where chambers end otherwise.
         """
         lowest = float(pressure.min())
         if not lowest >= 0.0:
-            raise ValueError(
+            raise InputError(
                 f"pressure: falls to {lowest:.0f} Pa; without released gas at least 0 Pa is allowed"
             )
         most = self.half_stroke - 20.0 * self.minimum_gap
         largest = float(np.abs(extension).max())
         if not largest <= most:
-            raise ValueError(
+            raise InputError(
                 f"extension: reaches {largest:.4f} m; clear of the stops +-{most:.4f} m is allowed"
             )
 
@@ -141,16 +142,16 @@ def make_circuit(parameters: HydraulicParameters) -> Circuit:
     lets a force built up at neutral begin to relax at `leak_rate` = 4 beta L / (h (Ac + Ar)).
 
     Raises:
-        ValueError: the set has what these equations leave out.
+        InputError: the set has what these equations leave out.
     """
     values = parameters.quantities()
     if parameters.supply != "constant" or parameters.actuators:
-        raise ValueError(
+        raise InputError(
             f"hydraulics: {parameters.name!r} must have a constant supply and equal actuators"
         )
     for name in _OFF:
         if values[name].value != 0.0:
-            raise ValueError(f"{name}: {values[name]} must be 0 for the cross-verification")
+            raise InputError(f"{name}: {values[name]} must be 0 for the cross-verification")
     si = {name: quantity.si for name, quantity in values.items()}
     bore, rod = si["bore_diameter"], si["rod_diameter"]
     area = 0.25 * np.pi * np.array([[bore * bore], [bore * bore - rod * rod]])

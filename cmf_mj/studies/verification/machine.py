@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.studies.verification.hydraulics import Circuit, make_circuit
@@ -88,7 +89,7 @@ class Machine:
 
         Raises:
             ImportError: exudyn is not installed; says what to install.
-            ValueError: the hydraulics have what the second equations leave out.
+            InputError: the hydraulics have what the second equations leave out.
         """
         self.circuit: Circuit = make_circuit(plant.parameters)
         self._exudyn = _engine()
@@ -227,18 +228,18 @@ class Machine:
             N + 1 rows, the first at the start.
 
         Raises:
-            ValueError: wrong commands or step, or a state that the second equations leave out.
+            InputError: wrong commands or step, or a state that the second equations leave out.
             RuntimeError: Exudyn could not solve a step.
         """
         commands = np.asarray(valves, dtype=float)
         if commands.ndim != 2 or commands.shape[1] != _LEGS or not (np.abs(commands) <= 1.0).all():
-            raise ValueError(
+            raise InputError(
                 f"valves: shape {commands.shape}, largest {np.abs(commands).max()}; "
                 f"allowed: (N, {_LEGS}), -1 to 1"
             )
         parts = round(1.0 / (RATE * step)) if step > 0.0 else 0
         if parts < 1 or not np.isclose(parts * RATE * step, 1.0, rtol=1e-9):
-            raise ValueError(f"step: {step} s must be 1/{RATE} s over a whole number")
+            raise InputError(f"step: {step} s must be 1/{RATE} s over a whole number")
         frames = len(commands)
         self._rate = float(parts * RATE)
         self._spools = self.circuit.spools(commands, parts)

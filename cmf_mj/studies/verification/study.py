@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility.simulation import drive
 from cmf_mj.plant.hexapod import Hexapod
@@ -109,15 +110,15 @@ def verify(
 
     Raises:
         ImportError: exudyn is not installed.
-        ValueError: an argument out of range, named, or a run left what Exudyn's side models.
+        InputError: an argument out of range, named, or a run left what Exudyn's side models.
     """
     pairs = zip(parts, parts[1:], strict=False)
     if len(parts) < 3 or parts[0] < 1 or any(b != 2 * a for a, b in pairs):
-        raise ValueError(
+        raise InputError(
             f"parts: {list(parts)} must be at least three numbers, each twice the one before"
         )
     if round(seconds * RATE) < 2:
-        raise ValueError(f"seconds: {seconds} must be at least {2 / RATE} s, two frames")
+        raise InputError(f"seconds: {seconds} must be at least {2 / RATE} s, two frames")
     parameters = load_hydraulics(hydraulics)
     valves = valve_sines(seconds)
     machine = Machine(Hexapod(cab, parameters))
