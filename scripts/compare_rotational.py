@@ -10,7 +10,7 @@ from pathlib import Path
 from cmf_mj.cli.common import refuse
 from cmf_mj.cli.comparing import run_comparison
 from cmf_mj.machine.models import CABS
-from cmf_mj.studies.comparison import PLANTS
+from cmf_mj.plant.build import PLANTS
 
 LAWS = ["position_error_rate", "acceleration", "acceleration_opposing"]
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -17,12 +18,10 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.build import PLANTS, make_plant
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
-from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.signals.single import dof_index
-from cmf_mj.studies.comparison import PLANTS
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -83,9 +82,8 @@ def plant_builder(plant: str, cab: str, hydraulics: str) -> Callable[[], Plant]:
     """Builder of a plant named on the command line; refuses bad names at once."""
     if plant not in PLANTS:
         raise InputError(f"plant: {plant!r} is not one of {', '.join(PLANTS)}")
-    parameters = load_hydraulics(hydraulics)
     models.cab_path(cab)
-    return lambda: Hexapod(cab, parameters) if plant == "hexapod" else SingleLegs(parameters)
+    return partial(make_plant, plant, cab, load_hydraulics(hydraulics))
 
 
 def in_si(dof: str, amplitude: float | None) -> float | None:

@@ -21,8 +21,9 @@ from cmf_mj.control.law import law_names
 from cmf_mj.core import units
 from cmf_mj.core.files import write_text
 from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.plant.build import PLANTS
 from cmf_mj.show import comparison as report
-from cmf_mj.studies.comparison import AMPLITUDE, DEFAULT_LAWS, PLANTS, Comparison, compare
+from cmf_mj.studies.comparison import AMPLITUDE, DEFAULT_LAWS, Comparison, compare
 
 
 def run_comparison(

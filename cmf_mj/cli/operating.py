@@ -29,7 +29,6 @@ from cmf_mj.facility.host.stream import resample
 from cmf_mj.facility.host.udp import UdpReceiver
 from cmf_mj.facility.operation import FacilitySettings, Operation, operate, serve
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.show import operation as operation_report
 
 _BEGIN = {"settled": State.OFF, "engaged": State.ENGAGED}
@@ -75,7 +74,7 @@ def serve_command(
     """Run the facility in real time on host frames from the network."""
     try:
         state, requests = _begin(begin)
-        plant = Hexapod(cab, load_hydraulics(hydraulics))
+        plant = Hexapod(cab, hydraulics)
         facility = FacilitySettings(electronics=noise_choice(noise))
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
         with (
@@ -130,7 +129,7 @@ def operate_command(
         state, requests = _begin(begin)
         stream = read_stream(file, derivatives=derivatives)
         operation = operate(
-            Hexapod(cab, load_hydraulics(hydraulics)),
+            Hexapod(cab, hydraulics),
             law,
             stream if rate is None else resample(stream, rate),
             seconds=seconds,

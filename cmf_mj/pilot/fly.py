@@ -35,7 +35,6 @@ from cmf_mj.pilot.perception.error import CueingError, cueing_error
 from cmf_mj.pilot.perception.settings import Senses
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.record.record import Record
 
 RECORD_EVERY = 8
@@ -125,7 +124,7 @@ def fly(
         motion = (stream.time, stream.pose, stream.velocity, stream.acceleration)
         asked = PilotMotion.from_platform(*motion, pilot_station(cab))
     operation = operate(
-        Hexapod(cab, load_hydraulics(hydraulics)),
+        Hexapod(cab, hydraulics),
         law,
         stream,
         facility=settings,

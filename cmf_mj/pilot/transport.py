@@ -29,7 +29,6 @@ from cmf_mj.machine.kinematics import FLIP
 from cmf_mj.pilot import host as pilot_host
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
 
 _SETTLE, _CYCLES = 4, 4
 
@@ -89,7 +88,7 @@ def transport_delay(
     size = amplitude if amplitude is not None else (0.01 if index < 3 else np.radians(0.5))
     command = signals.sine(dof, size, frequency, cycles=_SETTLE + _CYCLES + 2.0, fade=1.0)
     stream = hosts.from_command(command, pilot_host.MOST_RATE)
-    plant = Hexapod(cab, load_hydraulics(hydraulics))
+    plant = Hexapod(cab, hydraulics)
     record = operate(plant, law, stream, facility=settings).record
     omega = 2.0 * np.pi * frequency
     first = round(_SETTLE * RATE / frequency)

@@ -32,18 +32,14 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.build import PLANTS, make_plant
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
-from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.record.record import Record
 
 DEFAULT_LAWS = ("velocity", "position_error_rate", "acceleration")
 """The law flown, and the report's two advances on it."""
-
-PLANTS = ("hexapod", "single_legs")
-"""The faithful plant and the report's original one."""
 
 AMPLITUDE = 0.33 * units.INCH
 """Translational amplitude of the report's frequency responses [m]."""
@@ -85,9 +81,7 @@ class Case:
 
     def build(self) -> Plant:
         """A plant of its own for this case."""
-        if self.plant == "hexapod":
-            return Hexapod(self.cab, self.hydraulics)
-        return SingleLegs(self.hydraulics)
+        return make_plant(self.plant, self.cab, self.hydraulics)
 
 
 class CaseResult(NamedTuple):

@@ -31,12 +31,9 @@ from cmf_mj.facility.scenario.settings import (
 from cmf_mj.facility.scenario.signal import Motion, added
 from cmf_mj.facility.scenario.source import BLOCK, ChainSource, TableSource
 from cmf_mj.facility.session import SUPPLY_CHANNELS
+from cmf_mj.plant.build import make_plant
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.faults import OVERLOAD
-from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.loading import load_hydraulics
-from cmf_mj.plant.plant import Plant
-from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.record.record import Record
 
 _SUPPLY = tuple(SUPPLY_CHANNELS)
@@ -83,7 +80,7 @@ class ScenarioRun:
             InputError: an argument out of range, named.
         """
         self._begun = scenario
-        self.plant = make_plant(scenario)
+        self.plant = make_plant(scenario.plant, scenario.cab, scenario.hydraulics)
         """The machine; its MuJoCo data is that of the run."""
         self._law = overlaid_law(load_law(scenario.law), scenario.gains)
         self._demand = Demand(added(scenario.signal, scenario.seed))
@@ -284,14 +281,6 @@ class ScenarioRun:
         self._next = last
         while len(self._parts) > self._most:
             self._first += self._parts.popleft()[0].shape[0]
-
-
-def make_plant(scenario: Scenario) -> Plant:
-    """The machine of a scenario."""
-    hydraulics = load_hydraulics(scenario.hydraulics)
-    if scenario.plant == "hexapod":
-        return Hexapod(scenario.cab, hydraulics)
-    return SingleLegs(hydraulics)
 
 
 def run_scenario(

@@ -22,11 +22,10 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.build import make_plant
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
-from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.record.record import Record
 from cmf_mj.show.sensor import FilterEffect, filter_effect
 from cmf_mj.signals import composite as excitations
@@ -110,8 +109,7 @@ def hydraulics_of(on: On) -> HydraulicParameters:
 
 def plant_of(on: On) -> Plant:
     """A plant of its own."""
-    parameters = hydraulics_of(on)
-    return SingleLegs(parameters) if on == "model" else Hexapod(CAB, parameters)
+    return make_plant("single_legs" if on == "model" else "hexapod", CAB, HYDRAULICS[on])
 
 
 def amplitude_of(dof: str) -> float:
