@@ -16,6 +16,7 @@ from cmf_mj import load_law
 from cmf_mj.core import units
 from cmf_mj.core.files import write_csv, write_text
 from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.show.comparison import markdown
 from cmf_mj.studies.tuning.confirmation import Outcome, Trial, crosstalk, run_trial
@@ -105,7 +106,7 @@ def numbers(text: str) -> list[float]:
 def pose_of(text: str) -> tuple[float, ...]:
     """A pose in in and deg, SI."""
     values = numbers(text)
-    return tuple(units.to_si("in" if i < 3 else "deg", v) for i, v in enumerate(values))
+    return tuple(units.to_si(dof_unit(i), v) for i, v in enumerate(values))
 
 
 def main() -> None:

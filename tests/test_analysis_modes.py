@@ -12,10 +12,10 @@ from cmf_mj.analysis import modes
 from cmf_mj.analysis.modes import Range, modes_at, over_envelope, plane_map, sweep
 from cmf_mj.cli.common import app
 from cmf_mj.core import units
+from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS, pose_jacobian, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant import cylinder
-from cmf_mj.show import modes as modes_report
 
 RAISED = np.array([0.1, -0.2, -0.3, 0.05, -0.1, 0.2])
 MIRROR = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
@@ -161,7 +161,7 @@ def check_mass_and_shapes(folder: Path, pose: list[float], frequency_hz: np.ndar
         assert float(row["frequency_hz"]) == pytest.approx(frequency, rel=1e-4)
         leg_mass = (shape @ mass @ shape) / (shape @ shape)
         assert float(row["leg_mass_lbm"]) * units.POUND_MASS == pytest.approx(leg_mass, rel=1e-4)
-        by_unit = [(dof, modes_report.unit_of(dof)) for dof in DOFS]
+        by_unit = [(dof, dof_unit(dof)) for dof in DOFS]
         moved = [units.to_si(unit, float(row[f"{dof}_{unit}_per_in"])) for dof, unit in by_unit]
         along = pose_jacobian(pose, plant.geometry) @ moved
         assert along == pytest.approx(units.INCH * shape, abs=1e-4 * units.INCH)
@@ -176,10 +176,7 @@ def test_the_command_writes_what_it_says(tmp_path: Path) -> None:
     with (tmp_path / "modes.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 91
-    pose = [
-        units.to_si(modes_report.unit_of(dof), float(rows[7][f"{dof}_{modes_report.unit_of(dof)}"]))
-        for dof in DOFS
-    ]
+    pose = [units.to_si(dof_unit(dof), float(rows[7][f"{dof}_{dof_unit(dof)}"])) for dof in DOFS]
     expected = modes_at(Hexapod("gfd"), pose).frequency_hz
     got = [float(rows[7][f"mode_{i}_hz"]) for i in range(1, 7)]
     assert got == pytest.approx(expected, rel=1e-4)

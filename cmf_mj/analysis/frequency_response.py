@@ -25,9 +25,9 @@ from cmf_mj.analysis.response.periodic import periodic_response, sine_response
 from cmf_mj.analysis.response.welch import from_h1, report_response, welch_response
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
+from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import DOFS, legs_to_pose
 from cmf_mj.record.record import Record
-from cmf_mj.signals.single import dof_index
 
 DRIVEN_SHARE = 1e-2
 """Demand power over its largest line from which on a line of single sines counts as driven."""

@@ -17,11 +17,11 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.machine import models
+from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.build import PLANTS, make_plant
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
-from cmf_mj.signals.single import dof_index
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -90,7 +90,7 @@ def in_si(dof: str, amplitude: float | None) -> float | None:
     """An amplitude of the command line, in or deg, in SI."""
     if amplitude is None:
         return None
-    return units.to_si("in" if dof_index(dof) < 3 else "deg", amplitude)
+    return units.to_si(dof_unit(dof), amplitude)
 
 
 def pose_option(text: str) -> NDArray[np.float64]:
@@ -105,7 +105,7 @@ def pose_option(text: str) -> NDArray[np.float64]:
         raise InputError(f"pose: {text!r} must be six numbers with commas between") from error
     if len(values) != len(DOFS):
         raise InputError(f"pose: {text!r} has {len(values)} numbers; six are needed")
-    return np.array([units.to_si("in" if i < 3 else "deg", v) for i, v in enumerate(values)])
+    return np.array([units.to_si(dof_unit(i), v) for i, v in enumerate(values)])
 
 
 def noise_choice(noise: bool) -> ElectronicsSettings | None:

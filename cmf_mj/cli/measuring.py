@@ -25,10 +25,10 @@ from cmf_mj.cli.common import (
 )
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
+from cmf_mj.machine.dof import dof_index, dof_unit
 from cmf_mj.record.writer import write_facility_csv
 from cmf_mj.show import measurement as measurement_report
 from cmf_mj.signals.peaks import peaks
-from cmf_mj.signals.single import dof_index
 from cmf_mj.studies.measurement import facility_session, measure, session_commands
 
 
@@ -48,7 +48,7 @@ def record_command(
     try:
         build = plant_builder(plant, cab, hydraulics)
         largest = [peaks(command) for command in session_commands(dof, in_si(dof, amplitude))]
-        index, unit = dof_index(dof), "in" if dof_index(dof) < 3 else "deg"
+        index, unit = dof_index(dof), dof_unit(dof)
         velocity, acceleration = (
             units.from_si(unit, max(float(getattr(peak, kind)[index]) for peak in largest))
             for kind in ("velocity", "acceleration")

@@ -25,6 +25,7 @@ from cmf_mj.core.rates import RATE
 from cmf_mj.facility import host as hosts
 from cmf_mj.facility.operation import FacilitySettings, operate
 from cmf_mj.machine import kinematics
+from cmf_mj.machine.dof import by_kind, dof_index
 from cmf_mj.machine.kinematics import FLIP
 from cmf_mj.pilot import host as pilot_host
 from cmf_mj.plant.hexapod import Hexapod
@@ -77,7 +78,7 @@ def transport_delay(
     Raises:
         InputError: an argument that is refused, named.
     """
-    index = signals.dof_index(dof)
+    index = dof_index(dof)
     signals.check_positive(frequency=frequency)
     if not (RATE / frequency).is_integer() or frequency > 8.0:
         raise InputError(
@@ -85,7 +86,7 @@ def transport_delay(
             "such as 0.5, 1 or 2"
         )
     settings = facility or FacilitySettings()
-    size = amplitude if amplitude is not None else (0.01 if index < 3 else np.radians(0.5))
+    size = amplitude if amplitude is not None else by_kind(dof, 0.01, np.radians(0.5))
     command = signals.sine(dof, size, frequency, cycles=_SETTLE + _CYCLES + 2.0, fade=1.0)
     stream = hosts.from_command(command, pilot_host.MOST_RATE)
     plant = Hexapod(cab, hydraulics)

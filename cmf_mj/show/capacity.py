@@ -12,11 +12,11 @@ from rich.table import Table
 
 from cmf_mj.core import units
 from cmf_mj.core.files import write_text
+from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.studies.capacity.asymptotes import Asymptotes
 from cmf_mj.studies.capacity.envelope import Envelope, EnvelopePoint
-from cmf_mj.studies.capacity.manoeuvre import field_unit
 from cmf_mj.studies.capacity.verdict import CapacityResult, relief_flow
 
 _GALLON, _GPM, _PSI = units.GALLON, units.GALLON_PER_MINUTE, units.PSI
@@ -162,7 +162,7 @@ def envelope_table(envelope: Envelope) -> Table:
 
 def _scales(dof: str) -> tuple[float, float]:
     """The field's unit of displacement, and of acceleration, in SI."""
-    if field_unit(dof) == "in":
+    if dof_unit(dof) == "in":
         return units.INCH, units.STANDARD_GRAVITY
     return units.DEGREE, units.DEGREE
 
@@ -232,7 +232,7 @@ def _motion(axis: Axes, result: CapacityResult) -> None:
     demand = record["demand_pose"]
     colours = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
     moved = [i for i in range(6) if np.ptp(demand[:, i]) > 0.0]
-    names = [field_unit(DOFS[i]) for i in moved]
+    names = [dof_unit(DOFS[i]) for i in moved]
     for i, unit in zip(moved, names, strict=True):
         dof = DOFS[i]
         asked = units.from_si(unit, demand[:, i])
@@ -277,7 +277,7 @@ def envelope_figure(envelope: Envelope) -> Figure:
 
 def _envelope_panel(axis: Axes, points: list[EnvelopePoint], own: Asymptotes) -> None:
     length, turn = _scales(own.dof)
-    unit = field_unit(own.dof)
+    unit = dof_unit(own.dof)
     held = [point for point in points if np.isfinite(point.velocity)]
     lowest = min(point.frequency for point in points)
     highest = max(max(point.frequency for point in points), 2.0 * lowest)

@@ -14,7 +14,7 @@ from cmf_mj.analysis.frequency_response import dof_history
 from cmf_mj.analysis.published import published
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.dof import dof_unit
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.studies.comparison import CaseResult, Comparison, ComparisonRow
 
@@ -190,12 +190,8 @@ def bode_figure(results: Sequence[CaseResult]) -> Figure:
 def _title(dof: str, amplitude: float, results: Sequence[CaseResult]) -> str:
     case = results[0].case
     cab = next((r.case.cab.upper() for r in results if r.case.cab), "")
-    size = f"{units.from_si(_field_unit(dof), amplitude):.3g} {_field_unit(dof)}"
+    size = f"{units.from_si(dof_unit(dof), amplitude):.3g} {dof_unit(dof)}"
     return f"{dof}, {size}, {case.hydraulics.name} hydraulics" + (f", {cab}" if cab else "")
-
-
-def _field_unit(dof: str) -> str:
-    return "in" if DOFS.index(dof) < 3 else "deg"
 
 
 def step_figure(results: Sequence[CaseResult]) -> Figure:
@@ -205,7 +201,7 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
     response, command = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     colours = _styles(results)
     reference = results[0].step
-    demanded = units.from_si(_field_unit(dof), dof_history(reference, "leg_reference", dof))
+    demanded = units.from_si(dof_unit(dof), dof_history(reference, "leg_reference", dof))
     begin, step = (reference.metadata["command"][key] for key in ("at", "amplitude"))
     response.plot(reference.time - begin, demanded, color="0.5", linewidth=1.0)
     for result in results:
@@ -220,10 +216,10 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
             history = dof_history(record, "leg_position", dof)
         except ValueError:
             continue  # no platform pose has these legs: the run went unstable
-        response.plot(time, units.from_si(_field_unit(dof), history), **style)
+        response.plot(time, units.from_si(dof_unit(dof), history), **style)
         command.plot(time, 100.0 * record["valve_command"][:, 0], **style)
     size = float(demanded[-1])
-    response.set(ylabel=f"{dof} [{_field_unit(dof)}]", title=_title(dof, step, results))
+    response.set(ylabel=f"{dof} [{dof_unit(dof)}]", title=_title(dof, step, results))
     response.set_ylim(-0.5 * size, 2.0 * size)
     command.set(xlabel="time after the step [s]", ylabel="valve 1 [%]", ylim=(-105, 105))
     command.set_xlim(-0.2, 3.0)

@@ -13,6 +13,7 @@ from rich.table import Table
 from cmf_mj.core.files import write_csv
 from cmf_mj.core.units import DEGREE, INCH
 from cmf_mj.facility.host.files import write_stream
+from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.kinematics import DOFS, pose_to_legs
 from cmf_mj.pilot.cueing.envelope import LIMITS, Excursion
 from cmf_mj.pilot.cueing.flight import Cue, Tuned
@@ -57,7 +58,7 @@ def error_table(flown: Cue) -> Table:
         values = (error.threshold[i], error.peak[i], error.rms[i])
         cells = [f"{value / _SHOWN[i]:.3f}" for value in values]
         share = f"{100.0 * error.share_above[i]:.1f} %"
-        table.add_row(name, "m/s^2" if i < 3 else "deg/s", *cells, share)
+        table.add_row(name, by_kind(i, "m/s^2", "deg/s"), *cells, share)
     return table
 
 

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from cmf_mj.core import units
 from cmf_mj.core.files import whole_file
+from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.fly import Ride, error_spectra
@@ -59,7 +60,7 @@ def flight_traces(ride: Ride) -> Traces:
     felt = [(_six(motion), label, colour, width) for motion, label, colour, width in _felt(ride)]
     panels = tuple(
         Panel(
-            f"{name} [{'m/s²' if index < 3 else 'deg/s'}]",
+            f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]",
             tuple(Curve(label, six[:, index], colour, width) for six, label, colour, width in felt),
         )
         for index, name in enumerate(_NAMES)
@@ -191,7 +192,7 @@ def comparison_figure(rides: Sequence[Ride]) -> Figure:
             size = np.sqrt(density[1:, index]) / _SCALE[index]
             axes.loglog(frequency[1:], size, color=colour, linewidth=width, label=label)
     for index, axes in enumerate(panels):
-        unit = "m/s²/√Hz" if index < 3 else "deg/s/√Hz"
+        unit = by_kind(index, "m/s²/√Hz", "deg/s/√Hz")
         axes.set_title(f"error of {_NAMES[index]} [{unit}]", fontsize=10)
         axes.set_xlim(frequency[1], 30.0)
         axes.grid(True, which="major", color="0.9", linewidth=0.6)
@@ -240,7 +241,7 @@ def ideal_error(ride: Ride) -> CueingError | None:
 def comparison_cells(rides: Sequence[Ride]) -> tuple[list[str], list[list[str]]]:
     """Header and a line per law: perceived rms errors of machine and flight, delay, envelope."""
     header = ["law"]
-    header += [f"{name} [{'mm/s²' if i < 3 else 'deg/s'}]" for i, name in enumerate(_NAMES)]
+    header += [f"{name} [{by_kind(i, 'mm/s²', 'deg/s')}]" for i, name in enumerate(_NAMES)]
     header += ["flight: f_x [mm/s²]", "f_y [mm/s²]", "loop [ms]", "legs [%]", "fault"]
 
     def cells(error: CueingError, indices: Sequence[int]) -> list[str]:

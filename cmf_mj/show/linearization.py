@@ -24,6 +24,7 @@ from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_csv
+from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.linear_agreement import Comparison, compare_with_simulation, loop_between
@@ -109,7 +110,7 @@ def pose_text(pose: NDArray[np.float64]) -> str:
     """A pose in in and deg, zeros left out."""
     parts = []
     for i, (dof, value) in enumerate(zip(DOFS, pose, strict=True)):
-        unit = "in" if i < 3 else "deg"
+        unit = dof_unit(i)
         if value != 0.0:
             parts.append(f"{dof} {units.from_si(unit, float(value)):.4g} {unit}")
     return ", ".join(parts) or "neutral"

@@ -21,6 +21,7 @@ from cmf_mj.analysis.response.estimate import Estimator
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_csv, write_text
+from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.record.record import Record
@@ -34,7 +35,7 @@ def _share(value: float) -> str:
 
 def _field(dof: str) -> tuple[str, str]:
     """The field's units of displacement and acceleration for a degree of freedom."""
-    return ("in", "m/s^2") if DOFS.index(dof) < 3 else ("deg", "deg/s^2")
+    return dof_unit(dof), by_kind(dof, "m/s^2", "deg/s^2")
 
 
 def response_table(title: str, response: FrequencyResponse, fit: SecondOrder) -> Table:
@@ -87,7 +88,7 @@ def measurement_table(measured: Measurement) -> Table:
         rows.append((f"dynamic threshold, {level:.3g} {turn}", time, "to 63 % of the step"))
     for dof, value in zip(DOFS, measured.crosstalk[DOFS.index(measured.dof)], strict=True):
         if dof != measured.dof:
-            same = (DOFS.index(dof) < 3) == (DOFS.index(measured.dof) < 3)
+            same = dof_unit(dof) == dof_unit(measured.dof)
             text = _share(value) if same else f"{value:.4f} SI"
             rows.append((f"crosstalk into {dof}", text, "acceleration at 1 Hz, rms over rms"))
     for row in rows:

@@ -15,6 +15,7 @@ from rich.table import Table
 from cmf_mj.analysis.modes import ModeSet, PlaneMap, Range, Sweep
 from cmf_mj.core import units
 from cmf_mj.core.files import whole_file, write_csv, write_text
+from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.show.comparison import markdown
 
@@ -26,12 +27,7 @@ _STYLES: tuple[Literal["-", "--", ":"], ...] = ("-", "--", ":")
 _SIX = range(1, 7)
 
 
-def unit_of(dof: str) -> str:
-    """Unit in which a degree of freedom is shown."""
-    return "in" if DOFS.index(dof) < 3 else "deg"
-
-
-_POSE_HEADER = ["cab", *(f"{dof}_{unit_of(dof)}" for dof in DOFS)]
+_POSE_HEADER = ["cab", *(f"{dof}_{dof_unit(dof)}" for dof in DOFS)]
 
 
 def title_of(modes: ModeSet, name: str = "") -> str:
@@ -44,9 +40,9 @@ def _pose_text(modes: ModeSet) -> str:
     if not modes.pose.any():
         return "neutral"
     parts = (
-        f"{dof} {size} {unit_of(dof)}"
+        f"{dof} {size} {dof_unit(dof)}"
         for dof, value in zip(DOFS, modes.pose, strict=True)
-        if (size := f"{units.from_si(unit_of(dof), value):.1f}") not in ("0.0", "-0.0")
+        if (size := f"{units.from_si(dof_unit(dof), value):.1f}") not in ("0.0", "-0.0")
     )
     return ", ".join(parts)
 
@@ -114,7 +110,7 @@ def sweep_figure(cabs: Sequence[str], sweeps: Sequence[Sequence[Sweep]]) -> Figu
     panels = figure.subplots(2, 3, sharey=True)
     for style, found in zip(_STYLES, sweeps, strict=False):
         for axis, one in zip(panels.flat, found, strict=True):
-            along = units.from_si(unit_of(one.dof), one.excursion)
+            along = units.from_si(dof_unit(one.dof), one.excursion)
             for mode, colour in enumerate(_COLOURS):
                 axis.semilogy(along, one.frequency_hz[:, mode], style, color=colour)
             axis.set_xlabel(_axis_text(one.dof))
@@ -135,7 +131,7 @@ def sweep_figure(cabs: Sequence[str], sweeps: Sequence[Sequence[Sweep]]) -> Figu
 
 
 def _axis_text(dof: str) -> str:
-    return f"{dof} [{unit_of(dof)}]" + (", down" if dof == "heave" else "")
+    return f"{dof} [{dof_unit(dof)}]" + (", down" if dof == "heave" else "")
 
 
 def map_figure(cabs: Sequence[str], maps: Sequence[Sequence[PlaneMap]]) -> Figure:
@@ -150,7 +146,7 @@ def map_figure(cabs: Sequence[str], maps: Sequence[Sequence[PlaneMap]]) -> Figur
         )
         for cab, axis, one, values in zip(cabs, column, found, lowest, strict=True):
             first, second = (
-                units.from_si(unit_of(dof), along)
+                units.from_si(dof_unit(dof), along)
                 for dof, along in zip(one.dofs, (one.first, one.second), strict=True)
             )
             drawn = axis.contourf(first, second, values, levels=levels, cmap="viridis")
@@ -165,7 +161,7 @@ def map_figure(cabs: Sequence[str], maps: Sequence[Sequence[PlaneMap]]) -> Figur
 
 
 def _pose_cells(modes: ModeSet) -> list[str]:
-    shown = (units.from_si(unit_of(d), v) for d, v in zip(DOFS, modes.pose, strict=True))
+    shown = (units.from_si(dof_unit(d), v) for d, v in zip(DOFS, modes.pose, strict=True))
     return [modes.cab, *_numbers(shown)]
 
 
@@ -225,7 +221,7 @@ def save_modes(modes: Iterable[ModeSet], folder: Path) -> list[Path]:
     header = ["leg", *(f"leg_{i}_lbm" for i in _SIX)]
     first = _write_lines(folder / "reflected_mass.csv", header, masses)
     header = ["mode", "frequency_hz", "leg_mass_lbm", *(f"share_{dof}" for dof in DOFS)]
-    header += [f"leg_{i}" for i in _SIX] + [f"{dof}_{unit_of(dof)}_per_in" for dof in DOFS]
+    header += [f"leg_{i}" for i in _SIX] + [f"{dof}_{dof_unit(dof)}_per_in" for dof in DOFS]
     shapes = ([*_pose_cells(m), *_mode_cells(m, mode)] for m in each for mode in range(6))
     return [first, _write_lines(folder / "mode_shapes.csv", header, shapes)]
 
@@ -240,5 +236,5 @@ def _mode_cells(modes: ModeSet, mode: int) -> list[str]:
         *_numbers([modes.frequency_hz[mode], units.from_si("lbm", modes.leg_mass[mode])]),
         *_numbers(modes.share[:, mode]),
         *_numbers(legs / largest),
-        *_numbers(units.from_si(unit_of(d), v) for d, v in zip(DOFS, moved, strict=True)),
+        *_numbers(units.from_si(dof_unit(d), v) for d, v in zip(DOFS, moved, strict=True)),
     ]

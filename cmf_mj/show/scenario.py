@@ -12,6 +12,7 @@ from cmf_mj.core import units
 from cmf_mj.core.files import whole_file
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility.scenario.settings import Scenario, save_scenario
+from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.record.record import Record
 from cmf_mj.show.film.film import FilmSettings, film
@@ -90,9 +91,9 @@ def _motion(axis: Axes, record: Record) -> None:
         axis.set_ylabel("legs [in]", fontsize=9)
         return
     for index in moved if moved.size else range(6):
-        scale = units.INCH if index < 3 else units.DEGREE
+        unit = dof_unit(int(index))
+        scale = units.factor(unit)
         axis.plot(time, demand[:, index] / scale, color="0.7", lw=2.0)
-        unit = "in" if index < 3 else "deg"
         label = f"{DOFS[index]} [{unit}]"
         axis.plot(time, found[:, index] / scale, color=_COLOURS[index], lw=0.9, label=label)
     axis.set_ylabel("demand (grey), response", fontsize=9)

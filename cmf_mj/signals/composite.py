@@ -16,13 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
+from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.signals.single import (
     Command,
     check_bounded,
     check_not_negative,
     check_positive,
-    dof_index,
     line_weights,
     odd_orders,
     raised_cosine,

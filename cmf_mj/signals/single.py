@@ -17,7 +17,7 @@ from scipy import signal
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.dof import dof_index
 
 SPECTRA = ("flat", "acceleration")
 """Amplitude spectra of a multisine."""
@@ -49,17 +49,6 @@ class Command:
     def duration(self) -> float:
         """Length [s]."""
         return self.pose.shape[0] / RATE
-
-
-def dof_index(dof: str) -> int:
-    """Position of a degree of freedom in a pose.
-
-    Raises:
-        InputError: it is not one of the six.
-    """
-    if dof not in DOFS:
-        raise InputError(f"dof: {dof!r} is not one of {', '.join(DOFS)}")
-    return DOFS.index(dof)
 
 
 def check_positive(**values: float) -> None:

@@ -31,6 +31,7 @@ from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine import models
+from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.build import PLANTS, make_plant
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -56,7 +57,7 @@ FULL_SWEEP, QUICK_SWEEP = 100.0, 30.0
 
 def dof_amplitude(dof: str, amplitude: float = AMPLITUDE) -> float:
     """Amplitude of a sweep in a degree of freedom [m or rad], given that in translation [m]."""
-    return amplitude * (1.0 if DOFS.index(dof) < 3 else ROTATION_PER_TRANSLATION)
+    return amplitude * by_kind(dof, 1.0, ROTATION_PER_TRANSLATION)
 
 
 @dataclass(frozen=True)

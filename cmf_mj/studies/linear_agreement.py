@@ -25,10 +25,11 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility.simulation import simulate
+from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import DOFS, pose_jacobian
 from cmf_mj.plant.plant import Plant
 from cmf_mj.signals import composite as excitations
-from cmf_mj.signals.single import Command, dof_index
+from cmf_mj.signals.single import Command
 
 FREQUENCIES = (0.5, 1.0, 1.7, 2.4, 3.0, 3.7, 4.5, 5.5, 6.5, 8.0)
 """Sines of a comparison [Hz]."""

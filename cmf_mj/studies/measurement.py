@@ -28,6 +28,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.simulation import simulate
+from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.machine.kinematics import DOFS, leg_motion_to_pose, legs_to_pose
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
@@ -196,8 +197,7 @@ def dof_amplitude(dof: str, amplitude: float | None) -> float:
     """
     size = amplitude
     if size is None:
-        translation = signals.dof_index(dof) < 3
-        size = units.to_si("in", 0.33) if translation else units.to_si("deg", 0.2)
+        size = units.to_si(dof_unit(dof), by_kind(dof, 0.33, 0.2))
     if not (np.isfinite(size) and size > 0.0):
         raise InputError(f"amplitude: {size} must be a finite number greater than 0")
     return size
@@ -235,7 +235,6 @@ def measure(
     Raises:
         InputError: an argument out of range, named.
     """
-    translation = signals.dof_index(dof) < 3
     size = dof_amplitude(dof, amplitude)
     plant = build()
 
@@ -283,7 +282,7 @@ def measure(
         SLOW,
     )
 
-    unit = 1.0 if translation else units.DEGREE * 5.0
+    unit = by_kind(dof, 1.0, units.DEGREE * 5.0)
     threshold = []
     for step in (0.05 * unit, 0.1 * unit, 0.5 * unit):
         record = run(excitations.acceleration_step(dof, step, hold=0.5), every=4)

@@ -34,6 +34,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings, read_toml, validated
 from cmf_mj.machine import models
+from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
@@ -122,7 +123,7 @@ class Study:
         def add(method: Method, rung: str, cab: str, pose: list[float], draw: int) -> None:
             for law in self.laws:
                 for dof in own.dofs if method == "sweep" else [""]:
-                    at = tuple(units.to_si("in" if i < 3 else "deg", v) for i, v in enumerate(pose))
+                    at = tuple(units.to_si(dof_unit(i), v) for i, v in enumerate(pose))
                     found.append(
                         StudyCase(
                             len(found), method, rung, cab, at, draw, law, dof, own, self.hydraulics

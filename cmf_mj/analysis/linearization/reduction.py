@@ -13,9 +13,9 @@ from scipy import linalg
 
 from cmf_mj.analysis.linear_models.dcl import FEEDBACK, labels
 from cmf_mj.core.errors import InputError
+from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import DOFS, pose_jacobian, read_geometry
 from cmf_mj.plant.plant import Plant
-from cmf_mj.signals.single import dof_index
 
 Matrix = NDArray[np.float64]
 

@@ -20,6 +20,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.core.settings import Settings
 from cmf_mj.facility.host.files import read_stream
+from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite as excitations
@@ -50,7 +51,7 @@ def in_si(dof: str, amplitude: tuple[float, str]) -> float:
         InputError: a length for an angle, or an angle for a length.
     """
     value, unit = amplitude
-    wanted = "length" if DOFS.index(dof) < 3 else "angle"
+    wanted = by_kind(dof, "length", "angle")
     if _UNITS[unit] != wanted:
         allowed = ", ".join(name for name, kind in _UNITS.items() if kind == wanted)
         raise InputError(f"amplitude: unit {unit!r} is refused for {dof}; allowed: {allowed}")

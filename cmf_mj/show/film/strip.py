@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
+from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.record.record import Record
 
@@ -87,7 +88,7 @@ def traces_of(record: Record, dof: str | None = None) -> Traces:
     cap = record["cap_pressure"]
     leg = int(np.ptp(cap, axis=0).argmax())
     if "platform_pose" in record.channels:
-        label = f"{DOFS[index]} [{'in' if index < 3 else 'deg'}]"
+        label = f"{DOFS[index]} [{dof_unit(index)}]"
         wanted, found = demand[:, index], record["platform_pose"][:, index] / scale[index]
     else:
         label = f"leg {leg + 1} [in]"

@@ -10,7 +10,7 @@ from cmf_mj.analysis.frequency_response import FrequencyResponse, dof_history
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.dof import dof_unit
 from cmf_mj.record.record import Record
 from cmf_mj.show.report_2014.chart import COLOURS, GREY, Chart, Curve, Dash, Panel, curve
 from cmf_mj.show.report_2014.runs import On, Runs, Wanted
@@ -57,11 +57,6 @@ class Response(NamedTuple):
 def law_title(name: str) -> str:
     """Of a shipped law."""
     return load_law(name).title
-
-
-def field_unit(dof: str) -> str:
-    """Inches or degrees."""
-    return "in" if DOFS.index(dof) < 3 else "deg"
 
 
 def printed(
@@ -151,7 +146,7 @@ def step_history(record: Record, channel: str, along: str) -> NDArray[np.float64
     """
     if along.startswith("leg_"):
         return -units.from_si("in", dof_history(record, channel, along))
-    return units.from_si(field_unit(along), dof_history(record, channel, along))
+    return units.from_si(dof_unit(along), dof_history(record, channel, along))
 
 
 def motion(

@@ -21,7 +21,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.simulation import simulate
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.dof import by_kind
 from cmf_mj.plant.build import make_plant
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
@@ -114,7 +114,7 @@ def plant_of(on: On) -> Plant:
 
 def amplitude_of(dof: str) -> float:
     """Of a sweep, 0.33 in or 0.2 deg (Appendix D) [m or rad]."""
-    return AMPLITUDE * (1.0 if DOFS.index(dof) < 3 else ROTATION_PER_TRANSLATION)
+    return AMPLITUDE * by_kind(dof, 1.0, ROTATION_PER_TRANSLATION)
 
 
 @dataclass(frozen=True)

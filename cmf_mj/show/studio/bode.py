@@ -18,7 +18,8 @@ from cmf_mj.analysis.frequency_response import Bandwidths, bandwidths, frequency
 from cmf_mj.core import units
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.facility.scenario.settings import Scenario, scenario_of
-from cmf_mj.show.studio.choices import settled, unit_of
+from cmf_mj.machine.dof import dof_unit
+from cmf_mj.show.studio.choices import settled
 from cmf_mj.show.studio.desk import Desk
 from cmf_mj.show.studio.plots import axes
 from cmf_mj.studies.measurement import RECORD_EVERY, dof_amplitude
@@ -54,7 +55,7 @@ def sweep_scenario(scenario: Scenario, dof: str) -> Scenario:
         scenario: of the session so far.
         dof: degree of freedom.
     """
-    unit = unit_of(dof)
+    unit = dof_unit(dof)
     signal = {
         "kind": "multisine",
         "dof": dof,

@@ -5,6 +5,7 @@ from typing import Any
 from cmf_mj.core import units
 from cmf_mj.core.settings import merged
 from cmf_mj.facility.scenario.settings import Push, Scenario, scenario_of
+from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.machine.motion_limits import load_motion_limits
 
@@ -33,15 +34,10 @@ LOWEST = 0.05
 _TURNS = {"frequency": ("sine",), "stop": ("chirp", "noise", "multisine")}
 
 
-def unit_of(dof: str) -> str:
-    """Unit a degree of freedom is set and shown in: in or deg."""
-    return "in" if DOFS.index(dof) < 3 else "deg"
-
-
 def largest_amplitude(dof: str) -> float:
     """Operational excursion of a degree of freedom that both ends have, in its shown unit."""
     low, high = load_motion_limits().operational[DOFS.index(dof)]
-    return round(units.from_si(unit_of(dof), float(min(-low, high))), 1)
+    return round(units.from_si(dof_unit(dof), float(min(-low, high))), 1)
 
 
 def signal_table(kind: str, dof: str, amplitude: float, frequency: float) -> list[dict[str, Any]]:
@@ -55,7 +51,7 @@ def signal_table(kind: str, dof: str, amplitude: float, frequency: float) -> lis
     """
     if kind == "rest":
         return []
-    table: dict[str, Any] = {"kind": kind, "dof": dof, "amplitude": [amplitude, unit_of(dof)]}
+    table: dict[str, Any] = {"kind": kind, "dof": dof, "amplitude": [amplitude, dof_unit(dof)]}
     for name, kinds in _TURNS.items():
         if kind in kinds:
             table[name] = frequency

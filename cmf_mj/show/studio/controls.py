@@ -6,6 +6,7 @@ import viser
 
 from cmf_mj.facility.scenario.settings import Failure, Push, Scenario, change_of
 from cmf_mj.machine import models
+from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.parameters.loading import HYDRAULICS
@@ -105,7 +106,7 @@ class SignalControls:
         self._limit()
         self._kind.value = table["kind"]
         value, unit = table["amplitude"]
-        if unit == choices.unit_of(self.dof):
+        if unit == dof_unit(self.dof):
             self._amplitude.value = value
         self._frequency.value = table.get("frequency", table.get("stop", self._frequency.value))
 
@@ -118,7 +119,7 @@ class SignalControls:
     def _limit(self) -> None:
         """Scale the amplitude to the degree of freedom."""
         largest = choices.largest_amplitude(self.dof)
-        self._amplitude.label = f"amplitude [{choices.unit_of(self.dof)}]"
+        self._amplitude.label = f"amplitude [{dof_unit(self.dof)}]"
         self._amplitude.max = largest
         self._amplitude.value = min(self._amplitude.value, largest)
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from viser import uplot
 
 from cmf_mj.core import units
+from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.show.studio.choices import unit_of
 
 LEG_COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b")
 _BLACK, _BLUE, _ORANGE, _GREY = "#222222", "#1f77b4", "#ff7f0e", "#8a9099"
@@ -109,7 +109,7 @@ class Plots:
         time = traces["time"]
         if time.size < 2:
             return
-        index, unit = DOFS.index(dof), unit_of(dof)
+        index, unit = DOFS.index(dof), dof_unit(dof)
 
         def drawn(name: str, in_unit: str) -> list[NDArray[np.float64]]:
             return list(np.ascontiguousarray(units.from_si(in_unit, traces[name]).T))

@@ -27,6 +27,7 @@ from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import validated
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.simulation import simulate
+from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -218,7 +219,7 @@ def simulated_stability(
 
     def run(case: tuple[str, str]) -> Verdict:
         cab, dof = case
-        size = _SWEPT if DOFS.index(dof) < 3 else _SWEPT * ROTATION_PER_TRANSLATION
+        size = _SWEPT * by_kind(dof, 1.0, ROTATION_PER_TRANSLATION)
         record = simulate(Hexapod(cab, hydraulics), law, signals.step(dof, size), record_every=8)
         metrics = step_metrics(record)
         return Verdict(cab, dof, metrics.stable, metrics.residual)

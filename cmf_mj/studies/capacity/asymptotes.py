@@ -31,13 +31,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import excursion_envelope, pose_jacobian
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.oil import density
 from cmf_mj.signals.peaks import Limits
-from cmf_mj.signals.single import dof_index
 
 
 @dataclass(frozen=True)

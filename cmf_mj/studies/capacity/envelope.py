@@ -31,6 +31,7 @@ from cmf_mj.core.rates import RATE
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine import models
+from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -38,7 +39,7 @@ from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import stepped_sines
 from cmf_mj.signals.peaks import Limits
-from cmf_mj.signals.single import Command, check_positive, dof_index
+from cmf_mj.signals.single import Command, check_positive
 from cmf_mj.studies.capacity.asymptotes import Asymptotes, asymptotes
 from cmf_mj.studies.capacity.verdict import least_allowed, relief_flow
 

@@ -17,8 +17,9 @@ from cmf_mj import signals
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
+from cmf_mj.machine.dof import dof_index, dof_unit
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.signals.single import Command, dof_index
+from cmf_mj.signals.single import Command
 
 SIGNALS = ("sine", "step", "chirp", "noise", "multisine")
 """Manoeuvres with a name."""
@@ -31,11 +32,6 @@ _FREQUENCIES = {"sine": 0.25, "chirp": 2.0, "noise": 1.0, "multisine": 1.0}
 
 _CYCLES, _SECONDS = 5.0, 20.0
 """A sine lasts so many cycles, and so long, at least."""
-
-
-def field_unit(dof: str) -> str:
-    """The field's unit of a degree of freedom, in or deg."""
-    return "in" if dof_index(dof) < 3 else "deg"
 
 
 def manoeuvre(
@@ -58,7 +54,7 @@ def manoeuvre(
             if value is not None:
                 raise InputError(f"{field}: {value:g} is not allowed; a file of poses has its own")
         return read_poses(name)
-    size = units.to_si(field_unit(dof), _SIZES[kind]) if amplitude is None else amplitude
+    size = units.to_si(dof_unit(dof), _SIZES[kind]) if amplitude is None else amplitude
     if kind == "step":
         if frequency is not None:
             raise InputError(f"frequency: {frequency:g} Hz is not allowed; a step has none")
@@ -118,6 +114,6 @@ def read_poses(path: str | Path) -> Command:
     frames = time[0] + np.arange(int(np.floor((time[-1] - time[0]) * RATE + 1e-6)) + 1) / RATE
     pose = np.zeros((frames.size, 6))
     for name in moved:
-        history = units.to_si(field_unit(name), columns[name])
+        history = units.to_si(dof_unit(name), columns[name])
         pose[:, dof_index(name)] = PchipInterpolator(time, history)(np.minimum(frames, time[-1]))
     return Command(pose, {"kind": "file", "file": source.name, "dof": moved})

@@ -5,8 +5,9 @@ import numpy as np
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
+from cmf_mj.machine.dof import by_kind, dof_index
 from cmf_mj.signals.peaks import check_limits
-from cmf_mj.signals.single import Command, check_not_negative, check_positive, dof_index, sine
+from cmf_mj.signals.single import Command, check_not_negative, check_positive, sine
 
 AMPLITUDES = (6.0 * units.INCH, 4.0 * units.DEGREE)
 """Default amplitude of the manoeuvre in translation [m] and rotation [rad]."""
@@ -61,7 +62,7 @@ def size_of(dof: str, amplitude: float | None) -> float:
         InputError: unknown degree of freedom, or an amplitude that is not positive.
     """
     if amplitude is None:
-        return AMPLITUDES[0] if dof_index(dof) < 3 else AMPLITUDES[1]
+        return by_kind(dof, *AMPLITUDES)
     dof_index(dof)
     check_positive(amplitude=amplitude)
     return amplitude

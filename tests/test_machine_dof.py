@@ -1,0 +1,23 @@
+"""Degrees of freedom by name."""
+
+import doctest
+
+import pytest
+
+from cmf_mj.machine import dof
+from cmf_mj.machine.kinematics import DOFS
+
+
+def test_three_lengths_then_three_angles():
+    assert [dof.dof_unit(name) for name in DOFS] == ["in"] * 3 + ["deg"] * 3
+    assert [dof.dof_unit(i) for i in range(6)] == [dof.dof_unit(name) for name in DOFS]
+    assert [dof.dof_index(name) for name in DOFS] == list(range(6))
+
+
+def test_examples_run():
+    assert doctest.testmod(dof).attempted == 2
+
+
+def test_unknown_degree_of_freedom_lists_the_six():
+    with pytest.raises(ValueError, match="dof: 'up' is not one of surge, sway, heave, roll"):
+        dof.by_kind("up", 1.0, 2.0)
