@@ -1,0 +1,113 @@
+"""How every figure looks: one palette, one pair of Bode axes, one way to a file."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
+from numpy.typing import NDArray
+
+from cmf_mj.analysis.frequency_response import FrequencyResponse
+from cmf_mj.core import units
+from cmf_mj.core.files import whole_file
+from cmf_mj.machine.kinematics import DOFS
+
+BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = (
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9",
+)  # fmt: skip
+COLOURS = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, "#000000", "#999933")
+"""Told apart by readers with any colour vision (Okabe and Ito), in order of use."""
+
+DARK, GREY, PALE = "0.2", "0.6", "0.9"
+"""Of what is measured against, of references, and of grids."""
+
+
+def field_unit(dof: str | int) -> str:
+    """Unit in which a degree of freedom is written: in or deg."""
+    return "in" if (DOFS.index(dof) if isinstance(dof, str) else dof) < 3 else "deg"
+
+
+def pose_text(pose: NDArray[np.float64], form: str = ".4g") -> str:
+    """A pose in in and deg, zeros left out; `neutral` if all are.
+
+    >>> pose_text(np.array([0.0254, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    'surge 1 in'
+    """
+    parts = []
+    for dof, value in zip(DOFS, pose, strict=True):
+        size = format(units.from_si(field_unit(dof), float(value)), form)
+        if float(size) != 0.0:
+            parts.append(f"{dof} {size} {field_unit(dof)}")
+    return ", ".join(parts) or "neutral"
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure [in] whose axes and labels leave room for one another."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def grid(*axes: Axes, which: str = "major") -> None:
+    """A pale grid behind the curves; `both` also at the minor ticks."""
+    for axis in axes:
+        axis.grid(True, which=which, color=PALE, linewidth=0.6)  # type: ignore[arg-type]
+        axis.set_axisbelow(True)
+
+
+def legend(*axes: Axes, **options: Any) -> None:
+    """A small legend in each of the axes."""
+    for axis in axes:
+        axis.legend(**{"fontsize": 8, **options})
+
+
+def dress_bode(gain: Axes, phase: Axes, title: str = "", *, limits: bool = False) -> None:
+    """Labels and grid of a pair of Bode axes; `limits` draws the -3 dB and -90 deg lines."""
+    gain.set(ylabel="gain [dB]", title=title)
+    phase.set(xlabel="frequency [Hz]", ylabel="phase [deg]", xscale="log")
+    phase.yaxis.set_major_locator(MultipleLocator(45.0))
+    grid(gain, phase, which="both")
+    if limits:
+        gain.axhline(-3.0, color=GREY, linewidth=0.8)
+        phase.axhline(-90.0, color=GREY, linewidth=0.8)
+
+
+def bode_axes(title: str = "", *, limits: bool = False) -> tuple[Figure, Axes, Axes]:
+    """A figure with axes of gain and phase; `limits` draws the -3 dB and -90 deg lines."""
+    figure = new_figure(8.0, 7.0)
+    gain, phase = figure.subplots(2, 1, sharex=True)
+    dress_bode(gain, phase, title, limits=limits)
+    return figure, gain, phase
+
+
+def plot_bode(gain: Axes, phase: Axes, response: FrequencyResponse, **style: Any) -> str:
+    """Draw a response.
+
+    Returns:
+        Its colour.
+    """
+    (line,) = gain.semilogx(response.frequency, response.gain_db, **style)
+    style["color"] = line.get_color()
+    phase.semilogx(response.frequency, response.phase_deg, **style)
+    return str(line.get_color())
+
+
+def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
+    """Write a figure by the ending of the name and release its memory.
+
+    The file appears when it is complete, and the same figure gives the same bits: no date, no names
+    of programs. Folders are made.
+    """
+    kind = path.suffix[1:]
+    metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    with whole_file(path) as partial, rc_context({"svg.hashsalt": path.stem}):
+        figure.savefig(partial, dpi=dpi, format=kind, metadata=metadata.get(kind))
+    figure.clear()
+    return path
+
+
+def save_figures(figures: Mapping[str, Figure], folder: Path, dpi: int = 110) -> list[Path]:
+    """Write figures to NAME.png in a folder."""
+    return [save_figure(figure, folder / f"{name}.png", dpi) for name, figure in figures.items()]

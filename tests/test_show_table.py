@@ -1,0 +1,74 @@
+"""The one table and the one way of a figure to its file."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from cmf_mj.show.look import bode_axes, new_figure, pose_text, save_figure
+from cmf_mj.show.table import Table
+
+TABLE = Table(
+    "bandwidths [Hz]",
+    ("law", "of", ("published\n-90", ".2f"), ("off", "+.1f %")),
+    [
+        ("velocity", "h", 4.0, float("nan")),
+        ("velocity", "m", np.float64(4.129), -3.21),
+        ("force", "", None, "unstable"),
+    ],
+    caption="h [hardware]",
+    grouped=True,
+)
+
+
+def test_markdown_and_csv_hold_every_cell(tmp_path: Path) -> None:
+    assert TABLE.markdown() == (
+        "| law | of | published -90 | off |\n| --- | --- | --- | --- |\n"
+        "| velocity | h | 4.00 | - |\n| velocity | m | 4.13 | -3.2 % |\n"
+        "| force |  | - | unstable |\n"
+    )
+    assert TABLE.save(tmp_path / "new" / "t.md").read_text() == TABLE.markdown()
+    lines = TABLE.save(tmp_path / "t.csv").read_text().splitlines()
+    assert lines[2:] == ["velocity,h,4.00,-", "velocity,m,4.13,-3.2 %", "force,,-,unstable"]
+
+
+def test_terminal_shows_brackets_and_writes_a_repeated_name_once() -> None:
+    console = Console(width=80, record=True)
+    console.print(TABLE)
+    text = console.export_text()
+    assert "bandwidths [Hz]" in text
+    assert "h [hardware]" in text
+    assert text.count("velocity") == 1
+    lines = [line.strip() for line in text.splitlines()]
+    place = next(i for i, line in enumerate(lines) if line.startswith("force"))
+    assert lines[place - 1] == ""
+
+
+@pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
+def test_the_same_figure_gives_the_same_bits(kind: str, tmp_path: Path) -> None:
+    paths = []
+    for name in ("a", "b"):
+        figure, gain, _ = bode_axes("title", limits=True)
+        gain.plot([0.1, 1.0], [0.0, -3.0], label="line")
+        paths.append(save_figure(figure, tmp_path / name / f"bode.{kind}"))
+        assert not figure.axes
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    assert b"atplotlib" not in paths[0].read_bytes() or kind != "png"
+    assert [path.name for path in paths[0].parent.iterdir()] == [paths[0].name]
+
+
+def test_a_figure_that_fails_leaves_no_file(tmp_path: Path) -> None:
+    figure = new_figure(1.0, 1.0)
+    figure.text(0.5, 0.5, "$\\nonsense$")
+    with pytest.raises(ValueError, match="nonsense"):
+        save_figure(figure, tmp_path / "bad.png")
+    assert not list(tmp_path.iterdir())
+
+
+def test_poses_are_written_in_the_fields_units() -> None:
+    assert pose_text(np.zeros(6)) == "neutral"
+    pose = np.array([0.0254, 0.0, -0.00127, np.radians(3.0), 0.0, 0.0])
+    assert pose_text(pose) == "surge 1 in, heave -0.05 in, roll 3 deg"
+    assert pose_text(pose, ".1f") == "surge 1.0 in, heave -0.1 in, roll 3.0 deg"
+    assert pose_text(0.1 * pose, ".1f") == "surge 0.1 in, roll 0.3 deg"
