@@ -7,6 +7,8 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
+from crosscheck.hydraulics import Circuit, make_circuit
+from crosscheck.machine import Machine
 from typer.testing import CliRunner
 
 from cmf_mj import Hexapod, load_hydraulics
@@ -14,9 +16,8 @@ from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.machine import models
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.studies.verification.hydraulics import Circuit, make_circuit
-from cmf_mj.studies.verification.machine import Machine
-from cmf_mj.studies.verification.study import Verification, distance, in_mujoco, valve_sines, verify
+from cmf_mj.studies import verification
+from cmf_mj.studies.verification import Verification, distance, in_mujoco, valve_sines, verify
 
 TARGET = 2e-6
 """Largest difference of a leg extension that counts as agreement [m]."""
@@ -151,6 +152,15 @@ def test_without_exudyn_the_error_says_what_to_install(monkeypatch: pytest.Monke
     monkeypatch.setitem(sys.modules, "exudyn", None)
     with pytest.raises(ImportError, match=r"install cmf-mj\[verification\]"):
         Machine(Hexapod("gfd", "report"))
+
+
+def test_outside_a_checkout_the_command_says_what_it_needs(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(verification, "_TESTS", tmp_path)
+    refused = CliRunner().invoke(app, ["verify", "--seconds", "0.02", "--out", str(tmp_path)])
+    assert refused.exit_code == 2
+    assert "needs a checkout" in refused.output
 
 
 def test_the_command_writes_table_data_and_figure(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from cmf_mj.cli.common import (
 )
 from cmf_mj.core.errors import InputError
 from cmf_mj.show import verification as tables
-from cmf_mj.studies.verification.study import verify
+from cmf_mj.studies.verification import verify
 
 
 @app.command("verify")
@@ -30,7 +30,7 @@ def verify_command(
     ] = 8,
     out: Annotated[Path, typer.Option(help="folder for results")] = Path("out/verification"),
 ) -> None:
-    """Hold the MuJoCo plant against Exudyn: error and CPU time over step sizes."""
+    """Compare the plant with Exudyn, from a checkout: error and CPU time over step sizes."""
     try:
         if finest < 4 or finest & (finest - 1):
             raise InputError(f"finest: {finest} must be a power of two, at least 4")

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from cmf_mj.core.files import whole_file, write_csv, write_text
 from cmf_mj.show.comparison import markdown
-from cmf_mj.studies.verification.study import ENGINES, Run, Verification
+from cmf_mj.studies.verification import ENGINES, Run, Verification
 
 _TITLES = {"mujoco": "MuJoCo", "exudyn": "Exudyn"}
 _STYLES = {"mujoco": ("#0072b2", "o"), "exudyn": ("#d55e00", "s")}
@@ -30,7 +30,7 @@ def cells(found: Verification) -> tuple[list[str], list[list[str]]]:
             _parts(run),
             f"{run.extension_error * _MICRO:.4f}",
             f"{run.pressure_error:.1f}",
-            f"{run.spent:.2f}",
+            f"{run.cpu_time:.2f}",
         ]
         for run in found.runs
     ]
@@ -75,7 +75,7 @@ def figure(found: Verification) -> Figure:
         errors = [run.extension_error * _MICRO for run in runs]
         for axis, along in (
             (by_step, [run.step for run in runs]),
-            (by_cost, [run.spent for run in runs]),
+            (by_cost, [run.cpu_time for run in runs]),
         ):
             axis.loglog(along, errors, color=colour, marker=marker, label=_TITLES[engine])
         for run, following in zip(runs, [*runs[1:], None], strict=True):
@@ -83,7 +83,7 @@ def figure(found: Verification) -> Figure:
             falls = following and following.extension_error < 0.5 * run.extension_error
             by_cost.annotate(
                 f"{_parts(run)} s",
-                (run.spent, run.extension_error * _MICRO),
+                (run.cpu_time, run.extension_error * _MICRO),
                 xytext=(6, 4) if falls else (0, -14),
                 textcoords="offset points",
                 ha="left" if falls else "center",

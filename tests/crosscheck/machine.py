@@ -21,21 +21,12 @@ from scipy.spatial.transform import Rotation
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.studies.verification.hydraulics import Circuit, make_circuit
+from cmf_mj.studies.verification import Trajectory
+from crosscheck.hydraulics import Circuit, make_circuit
 
 _LEGS = 6
 _UNIT = 1e5
 """Pressure states are counted in this [Pa], so that all residuals have a similar size."""
-
-
-class Trajectory(NamedTuple):
-    """What an engine computed, at the ends of the control frames and at the start."""
-
-    step: float  #: Mechanical step [s].
-    time: NDArray[np.float64]  #: [s], (N,).
-    extension: NDArray[np.float64]  #: Leg extensions from neutral [m], (N, 6).
-    pressure: NDArray[np.float64]  #: Pressures of cap and rod chambers [Pa], (N, 6, 2).
-    spent: float  #: CPU time of the run, without building the model [s].
 
 
 class _Body(NamedTuple):
@@ -260,9 +251,9 @@ class Machine:
         self.system.SetPostStepUserFunction(keep)
         begin = clock.process_time()
         self._solve(frames * parts, frames / RATE)
-        spent = clock.process_time() - begin
+        cpu_time = clock.process_time() - begin
         self.circuit.check(pressure, extension)
-        return Trajectory(step, np.arange(frames + 1) / RATE, extension, pressure, spent)
+        return Trajectory(step, np.arange(frames + 1) / RATE, extension, pressure, cpu_time)
 
     def _solve(self, steps: int, end: float) -> None:
         settings = self._exudyn.SimulationSettings()

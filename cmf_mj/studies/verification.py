@@ -1,6 +1,8 @@
-"""Both engines on the same valve commands: how far apart, and at what cost.
+"""MuJoCo and Exudyn on the same valve commands: how far apart, and at what cost.
 
-Every run is held against one reference, the Exudyn runs with the two smallest steps h and h/2
+The machine in Exudyn is written in `tests/crosscheck`, which only a checkout of the repository has.
+
+Every run is compared with one reference, the Exudyn runs with the two smallest steps h and h/2
 extrapolated by Richardson's rule for order 2,
 
     y = y(h/2) + (y(h/2) - y(h)) / 3,
@@ -9,9 +11,12 @@ whose own uncertainty is its distance from the same formed one step coarser. So 
 is against another engine and another formulation, an error of Exudyn is its own step error.
 """
 
+import sys
 import time as clock
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +27,6 @@ from cmf_mj.facility.simulation import drive
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
-from cmf_mj.studies.verification.machine import Machine, Trajectory
 
 FREQUENCY = (0.7, 1.1, 1.6, 2.1, 2.7, 3.3)
 """Of the valve sines, leg by leg [Hz]."""
@@ -33,6 +37,18 @@ PHASE = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)
 
 ENGINES = ("mujoco", "exudyn")
 
+_TESTS = Path(__file__).resolve().parents[2] / "tests"
+
+
+class Trajectory(NamedTuple):
+    """What an engine computed, at the ends of the control frames and at the start."""
+
+    step: float  #: Mechanical step [s].
+    time: NDArray[np.float64]  #: [s], (N,).
+    extension: NDArray[np.float64]  #: Leg extensions from neutral [m], (N, 6).
+    pressure: NDArray[np.float64]  #: Pressures of cap and rod chambers [Pa], (N, 6, 2).
+    cpu_time: float  #: Of the run, without building the model [s].
+
 
 class Run(NamedTuple):
     """One run of one engine against the reference."""
@@ -41,11 +57,11 @@ class Run(NamedTuple):
     step: float  #: [s].
     extension_error: float  #: Largest error of a leg extension at any frame [m].
     pressure_error: float  #: Largest error of a chamber pressure at any frame [Pa].
-    spent: float  #: CPU time [s].
+    cpu_time: float  #: [s].
 
 
 class Verification(NamedTuple):
-    """The runs of both engines and what they are held against."""
+    """The runs of both engines and the reference they are compared with."""
 
     cab: str  #: `gfd`, `rfd` or `ifd`.
     seconds: float  #: Simulated time.
@@ -69,9 +85,26 @@ def in_mujoco(
     drive(plant, valves[:2])  # compiles, where the cache is empty
     begin = clock.process_time()
     record = drive(plant, valves)
-    spent = clock.process_time() - begin
+    cpu_time = clock.process_time() - begin
     pressure = np.stack([record["cap_pressure"], record["rod_pressure"]], axis=-1)
-    return Trajectory(step, record.time, record["leg_extension"], pressure, spent)
+    return Trajectory(step, record.time, record["leg_extension"], pressure, cpu_time)
+
+
+def exudyn_machine(plant: Hexapod) -> Any:
+    """The machine of a plant in Exudyn, `Machine` of `tests/crosscheck/machine.py`.
+
+    Raises:
+        ImportError: exudyn is not installed, or this is no checkout of the repository.
+        InputError: the hydraulics have what the second equations leave out.
+    """
+    if not (_TESTS / "crosscheck").is_dir():
+        raise ImportError(
+            "the cross-verification needs a checkout of the repository: the installed package "
+            "does not hold tests/crosscheck"
+        )
+    if str(_TESTS) not in sys.path:
+        sys.path.append(str(_TESTS))
+    return import_module("crosscheck.machine").Machine(plant)
 
 
 def extrapolated(coarse: Trajectory, fine: Trajectory) -> Trajectory:
@@ -106,10 +139,10 @@ def verify(
         hydraulics: a set with constant supply and no losses.
         seconds: simulated time.
         parts: mechanical steps to a control frame, at least three, each twice the one before.
-        progress: told (runs done, runs in all).
+        progress: called with (runs done, runs in all).
 
     Raises:
-        ImportError: exudyn is not installed.
+        ImportError: exudyn is not installed, or this is no checkout of the repository.
         InputError: an argument out of range, named, or a run left what Exudyn's side models.
     """
     pairs = zip(parts, parts[1:], strict=False)
@@ -121,24 +154,24 @@ def verify(
         raise InputError(f"seconds: {seconds} must be at least {2 / RATE} s, two frames")
     parameters = load_hydraulics(hydraulics)
     valves = valve_sines(seconds)
-    machine = Machine(Hexapod(cab, parameters))
-    tell = progress or (lambda done, total: None)
-    found: dict[str, list[Trajectory]] = {engine: [] for engine in ENGINES}
+    machine = exudyn_machine(Hexapod(cab, parameters))
+    report = progress or (lambda done, total: None)
+    trajectories: dict[str, list[Trajectory]] = {engine: [] for engine in ENGINES}
     total = 2 * len(parts)
     for done, count in enumerate(parts):
         step = 1.0 / (RATE * count)
-        tell(2 * done, total)
-        found["mujoco"].append(in_mujoco(valves, step, cab, parameters))
-        tell(2 * done + 1, total)
-        found["exudyn"].append(machine.run(valves, step))
-    tell(total, total)
-    own = found["exudyn"]
-    reference = extrapolated(own[-2], own[-1])
+        report(2 * done, total)
+        trajectories["mujoco"].append(in_mujoco(valves, step, cab, parameters))
+        report(2 * done + 1, total)
+        trajectories["exudyn"].append(machine.run(valves, step))
+    report(total, total)
+    coarse, middle, fine = trajectories["exudyn"][-3:]
+    reference = extrapolated(middle, fine)
     runs = [
-        Run(engine, one.step, *distance(one, reference), one.spent)
+        Run(engine, one.step, *distance(one, reference), one.cpu_time)
         for engine in ENGINES
-        for one in found[engine]
+        for one in trajectories[engine]
     ]
-    uncertainty = distance(extrapolated(own[-3], own[-2]), reference)
+    uncertainty = distance(extrapolated(coarse, middle), reference)
     travel = float(np.abs(reference.extension).max())
     return Verification(cab, seconds, runs, travel, *uncertainty)
