@@ -3,6 +3,7 @@
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths, frequency_response
 from cmf_mj.analysis.step_response import StepMetrics, step_metrics
 from cmf_mj.control.law import Law, law_names, load_law
+from cmf_mj.core.errors import CmfError, InputError, MissingExtraError, RunError
 from cmf_mj.facility.simulation import drive, simulate
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.plant.attach import attach_hydraulics
@@ -15,12 +16,16 @@ from cmf_mj.signals.single import Command
 from cmf_mj.studies.comparison import compare
 
 __all__ = [
+    "CmfError",
     "Command",
     "FrequencyResponse",
     "Hexapod",
+    "InputError",
     "Law",
+    "MissingExtraError",
     "Plant",
     "Record",
+    "RunError",
     "SingleLegs",
     "StepMetrics",
     "attach_hydraulics",

@@ -9,8 +9,7 @@ from followed_commands import record_of
 from numpy.typing import NDArray
 from scipy import optimize, signal
 
-from cmf_mj import FrequencyResponse, bandwidths, signals
-from cmf_mj.analysis import frequency_response
+from cmf_mj import FrequencyResponse, bandwidths, frequency_response, signals
 from cmf_mj.analysis.response.estimate import Estimator
 from cmf_mj.machine.kinematics import DOFS
 

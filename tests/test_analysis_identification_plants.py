@@ -6,8 +6,16 @@ import control
 import numpy as np
 import pytest
 
-from cmf_mj import Hexapod, Record, SingleLegs, bandwidths, signals, simulate, step_metrics
-from cmf_mj.analysis import frequency_response
+from cmf_mj import (
+    Hexapod,
+    Record,
+    SingleLegs,
+    bandwidths,
+    frequency_response,
+    signals,
+    simulate,
+    step_metrics,
+)
 from cmf_mj.analysis.frequency_response import FrequencyResponse, matrix_frequency_response
 from cmf_mj.analysis.identification.arx import arx
 from cmf_mj.analysis.identification.continuous import in_field_units, to_continuous

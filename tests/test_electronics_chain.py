@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cmf_mj import Hexapod, SingleLegs, signals, simulate
-from cmf_mj.analysis import frequency_response
+from cmf_mj import Hexapod, SingleLegs, frequency_response, signals, simulate
 from cmf_mj.analysis.frequency_response import bandwidths
 from cmf_mj.electronics.chain import ElectronicsSettings
 

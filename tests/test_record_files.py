@@ -6,8 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from cmf_mj import Record, SingleLegs, signals, simulate
-from cmf_mj.analysis import frequency_response
+from cmf_mj import Record, SingleLegs, frequency_response, signals, simulate
 from cmf_mj.core import units
 from cmf_mj.record.layout import LAYOUT
 from cmf_mj.record.reader import read_facility_csv

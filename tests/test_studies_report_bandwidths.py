@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from cmf_mj import Hexapod, SingleLegs, bandwidths, signals, simulate
-from cmf_mj.analysis import frequency_response
+from cmf_mj import Hexapod, SingleLegs, bandwidths, frequency_response, signals, simulate
 from cmf_mj.analysis.frequency_response import Bandwidths
 from cmf_mj.analysis.published import Published, published_results
 from cmf_mj.analysis.step_response import step_metrics

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cmf_mj import Hexapod, SingleLegs, bandwidths, signals, simulate
-from cmf_mj.analysis import frequency_response
+from cmf_mj import Hexapod, SingleLegs, bandwidths, frequency_response, signals, simulate
 from cmf_mj.analysis.frequency_response import matrix_frequency_response, rounds_response
 from cmf_mj.cli.common import app
 from cmf_mj.plant.plant import Plant

@@ -48,7 +48,7 @@ class LedgerEntry(Settings):
     printed: _Text  #: What the report says.
     finding: _Text  #: What is wrong with it.
     project: _Text  #: What this project does.
-    demonstration: Annotated[str, Field(pattern=r"^tests/test_ledger\w*\.py::test_\w+$")]
+    demonstration: Annotated[str, Field(pattern=r"^tests/test_analysis_ledger\w*\.py::test_\w+$")]
     """The test that shows it in numbers."""
     figures: Annotated[tuple[Evidence, ...], Field(strict=False)] = ()  #: What the test computes.
 
