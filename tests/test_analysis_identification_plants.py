@@ -26,8 +26,8 @@ from cmf_mj.analysis.identification.plant_response import plant_matrix, plant_re
 from cmf_mj.analysis.identification.refinement import instrumental_variable, output_error
 from cmf_mj.analysis.identification.response_fit import fit_response
 from cmf_mj.analysis.identification.validation import simulation_fit
-from cmf_mj.analysis.linear_models.catalogue import hardware_velocity
-from cmf_mj.analysis.linear_models.loop import closed_loop
+from cmf_mj.analysis.linear.catalogue import hardware_velocity
+from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.signals.composite import orthogonal_multisines
 from cmf_mj.signals.single import Command

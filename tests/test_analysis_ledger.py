@@ -9,12 +9,12 @@ import pytest
 from cmf_mj import SingleLegs
 from cmf_mj.analysis import response as estimation
 from cmf_mj.analysis.ledger import LedgerEntry
-from cmf_mj.analysis.linear_models.catalogue import hardware_velocity, report_model
-from cmf_mj.analysis.linear_models.loop import closed_loop, loop_response
-from cmf_mj.analysis.linear_models.measures import LoopMeasures, measure_loop
-from cmf_mj.analysis.linear_models.second_order import FeedbackLoop, characteristics
-from cmf_mj.analysis.linearization.assembly import linearize
-from cmf_mj.analysis.linearization.reduction import leg_model
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.catalogue import hardware_velocity, report_model
+from cmf_mj.analysis.linear.loop import closed_loop, loop_response
+from cmf_mj.analysis.linear.reduction import leg_model
+from cmf_mj.analysis.linear.second_order import FeedbackLoop, characteristics
+from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import Published, published_results
 from cmf_mj.control.error import integrate, make_error_calculations
 from cmf_mj.control.law import load_law
@@ -46,7 +46,7 @@ def leg() -> control.StateSpace:
 
 
 @pytest.fixture(scope="module")
-def single(leg: control.StateSpace) -> dict[str, LoopMeasures]:
+def single(leg: control.StateSpace) -> dict[str, Measures]:
     """Laws of the report around it."""
     laws = ("original", "velocity", "position_error_rate", "velocity_error", "combined_rate")
     signs = ("acceleration", "acceleration_opposing")
@@ -120,20 +120,20 @@ def test_amplitude_is_not_one_per_cent_of_a_leg(entry: LedgerEntry) -> None:
 
 
 def test_original_law_has_two_published_results(
-    entry: LedgerEntry, single: dict[str, LoopMeasures]
+    entry: LedgerEntry, single: dict[str, Measures]
 ) -> None:
     one, two, ours = printed("2-4", "original"), printed("3-5", "original"), single["original"]
     assert one.phase_bandwidth_hz != two.phase_bandwidth_hz
     assert one.damping_ratio != two.damping_ratio
     assert ours.phase_bandwidth_hz == pytest.approx(entry.figure("-90 deg, ours"), abs=0.005)
-    assert ours.step_damping_ratio == pytest.approx(entry.figure("damping, ours"), abs=0.005)
+    assert ours.damping_ratio == pytest.approx(entry.figure("damping, ours"), abs=0.005)
     for name in ("phase_bandwidth_hz", "damping_ratio"):
-        mine = getattr(ours, "step_damping_ratio" if name == "damping_ratio" else name)
+        mine = getattr(ours, name)
         assert abs(mine - getattr(one, name)) < abs(mine - getattr(two, name))
 
 
 def test_velocity_law_has_two_published_results(
-    entry: LedgerEntry, single: dict[str, LoopMeasures]
+    entry: LedgerEntry, single: dict[str, Measures]
 ) -> None:
     ours = single["velocity"].gain_bandwidth_hz
     assert ours == pytest.approx(entry.figure("-3 dB, ours"), abs=0.005)
@@ -221,7 +221,7 @@ def test_combination_is_last_of_three(entry: LedgerEntry) -> None:
     assert (error.phase_bandwidth_hz or 0.0) > (rate.phase_bandwidth_hz or 0.0)
 
 
-def test_gains_of_the_combination_add(entry: LedgerEntry, single: dict[str, LoopMeasures]) -> None:
+def test_gains_of_the_combination_add(entry: LedgerEntry, single: dict[str, Measures]) -> None:
     gains = load_law("combined_rate").direct_gain
     total = gains.velocity - gains.position_error_rate
     assert total == pytest.approx(entry.figure("gain on the velocity"))
@@ -234,7 +234,7 @@ def test_gains_of_the_combination_add(entry: LedgerEntry, single: dict[str, Loop
 
 
 def test_velocity_error_has_more_phase_bandwidth(
-    entry: LedgerEntry, single: dict[str, LoopMeasures]
+    entry: LedgerEntry, single: dict[str, Measures]
 ) -> None:
     rate, error = printed("3-2", "position_error_rate"), printed("3-2", "velocity_error")
     more = (error.phase_bandwidth_hz or 0.0) - (rate.phase_bandwidth_hz or 0.0)
@@ -248,7 +248,7 @@ def test_velocity_error_has_more_phase_bandwidth(
 
 
 def test_position_error_rate_has_two_published_results(
-    entry: LedgerEntry, single: dict[str, LoopMeasures]
+    entry: LedgerEntry, single: dict[str, Measures]
 ) -> None:
     ours = single["position_error_rate"]
     low, high = (
@@ -256,7 +256,7 @@ def test_position_error_rate_has_two_published_results(
     )
     assert ours.gain_bandwidth_hz == pytest.approx(entry.figure("-3 dB, ours"), abs=0.005)
     assert abs(ours.gain_bandwidth_hz - low) < abs(ours.gain_bandwidth_hz - high)
-    lost = single["velocity"].step_damping_ratio - ours.step_damping_ratio
+    lost = single["velocity"].damping_ratio - ours.damping_ratio
     assert lost == pytest.approx(entry.figure("damping below the velocity law, ours"), abs=0.005)
 
 
@@ -280,7 +280,7 @@ def test_eq_3_4_lowers_frequency_and_damping(entry: LedgerEntry) -> None:
 
 
 def test_signs_of_acceleration_feedback_differ(
-    entry: LedgerEntry, leg: control.StateSpace, single: dict[str, LoopMeasures]
+    entry: LedgerEntry, leg: control.StateSpace, single: dict[str, Measures]
 ) -> None:
     """The pair of surge and pitch, which decides on the hexapod, is in test_studies_findings.py."""
     plain = single["position_error_rate"]
@@ -356,7 +356,7 @@ def test_acceleration_is_not_best_in_phase(entry: LedgerEntry) -> None:
     assert below == pytest.approx(entry.figure("below force feedback"))
 
 
-def test_acceleration_gains_no_hertz(entry: LedgerEntry, single: dict[str, LoopMeasures]) -> None:
+def test_acceleration_gains_no_hertz(entry: LedgerEntry, single: dict[str, Measures]) -> None:
     without, own = printed("3-5", "position_error_rate"), printed("3-5", "acceleration")
     more = (own.phase_bandwidth_hz or 0.0) - (without.phase_bandwidth_hz or 0.0)
     assert more == pytest.approx(entry.figure("gain in heave, printed"))
@@ -369,9 +369,7 @@ def test_acceleration_gains_no_hertz(entry: LedgerEntry, single: dict[str, LoopM
     assert min(others) - (own.phase_bandwidth_hz or 0.0) > 0.6
 
 
-def test_force_feedback_is_not_damped_best(
-    entry: LedgerEntry, single: dict[str, LoopMeasures]
-) -> None:
+def test_force_feedback_is_not_damped_best(entry: LedgerEntry, single: dict[str, Measures]) -> None:
     better = (printed("3-5", "original").damping_ratio or 0.0) - (
         printed("3-5", "force").damping_ratio or 0.0
     )

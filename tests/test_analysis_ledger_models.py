@@ -8,9 +8,9 @@ from scipy import signal
 from cmf_mj import Hexapod
 from cmf_mj.analysis import response as estimation
 from cmf_mj.analysis.ledger import LedgerEntry
-from cmf_mj.analysis.linear_models.catalogue import hardware_velocity, report_entry, report_model
-from cmf_mj.analysis.linear_models.loop import closed_loop
-from cmf_mj.analysis.linear_models.measures import LoopMeasures, measure_loop
+from cmf_mj.analysis.linear.catalogue import hardware_velocity, report_entry, report_model
+from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import published_results
 from cmf_mj.core import units
 from cmf_mj.machine import kinematics
@@ -24,7 +24,7 @@ Real = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
-def loops() -> dict[int, LoopMeasures]:
+def loops() -> dict[int, Measures]:
     """The velocity law around linear models 1 to 3."""
     return {n: measure_loop(closed_loop("velocity", hardware_velocity(n))) for n in (1, 2, 3)}
 
@@ -80,15 +80,13 @@ def test_acceleration_of_model_3_is_not_the_derivative(entry: LedgerEntry) -> No
     assert abs(ratio) == pytest.approx(entry.figure(name), abs=0.1)
 
 
-def test_rise_takes_less_than_two_tenths(
-    entry: LedgerEntry, loops: dict[int, LoopMeasures]
-) -> None:
+def test_rise_takes_less_than_two_tenths(entry: LedgerEntry, loops: dict[int, Measures]) -> None:
     rise = loops[1].rise_time
     assert rise == pytest.approx(entry.figure("rise time, model #1"), abs=5e-4)
     assert rise < 0.2
 
 
-def test_model_3_is_farthest_in_damping(entry: LedgerEntry, loops: dict[int, LoopMeasures]) -> None:
+def test_model_3_is_farthest_in_damping(entry: LedgerEntry, loops: dict[int, Measures]) -> None:
     hardware = TABLE_4_1["hardware"].damping_ratio or 0.0
     overshoot = np.exp(-np.pi * hardware / np.sqrt(1.0 - hardware**2))
     assert overshoot == pytest.approx(entry.figure("overshoot for 0.4"), abs=5e-4)
@@ -101,7 +99,7 @@ def test_model_3_is_farthest_in_damping(entry: LedgerEntry, loops: dict[int, Loo
 
 
 def test_conclusion_names_the_wrong_equation(
-    entry: LedgerEntry, loops: dict[int, LoopMeasures]
+    entry: LedgerEntry, loops: dict[int, Measures]
 ) -> None:
     assert report_entry("4.17", "printed").model == report_entry("4.12").model == "linear model #1"
     assert report_entry("4.17").model == report_entry("4.18").model == "linear model #3"

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.linear_models.catalogue import hardware_velocity, report_model
-from cmf_mj.analysis.linear_models.dcl import DCL_INPUTS, FEEDBACK, dcl_state_space
-from cmf_mj.analysis.linear_models.loop import closed_loop, loop_response
-from cmf_mj.analysis.linear_models.plants import leg_plant
-from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
+from cmf_mj.analysis.linear.catalogue import hardware_velocity, report_model
+from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space
+from cmf_mj.analysis.linear.loop import closed_loop, loop_response
+from cmf_mj.analysis.linear.plants import leg_plant
+from cmf_mj.analysis.linear.transfer import UnitTransferFunction
 from cmf_mj.control.dcl import DclState, LegFeedback, make_dcl, step
 from cmf_mj.control.law import SIGNALS, Gains, Law, ReferenceModel, law_names, load_law
 from cmf_mj.core.rates import FRAME

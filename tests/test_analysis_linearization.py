@@ -11,15 +11,15 @@ from hydraulic_equations import EQ_4_1, MASS, with_leak_rate
 from scipy import special
 
 from cmf_mj import Hexapod, Plant, SingleLegs
-from cmf_mj.analysis.linear_models.loop import closed_loop
-from cmf_mj.analysis.linearization.assembly import linearize
-from cmf_mj.analysis.linearization.describing import outward_share
-from cmf_mj.analysis.linearization.files import load_system, save_system
-from cmf_mj.analysis.linearization.mechanics import linear_mechanics
-from cmf_mj.analysis.linearization.modes import modes
-from cmf_mj.analysis.linearization.operating_point import operating_point
-from cmf_mj.analysis.linearization.ports import port_slopes
-from cmf_mj.analysis.linearization.reduction import dof_model, leg_model, minimal, reduced
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.describing import outward_share
+from cmf_mj.analysis.linear.files import load_system, save_system
+from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.mechanics import linear_mechanics
+from cmf_mj.analysis.linear.operating_point import operating_point
+from cmf_mj.analysis.linear.poles import modes
+from cmf_mj.analysis.linear.ports import port_slopes
+from cmf_mj.analysis.linear.reduction import dof_model, leg_model, minimal, reduced
 from cmf_mj.core import units
 from cmf_mj.facility.simulation import drive
 from cmf_mj.machine.kinematics import DOFS, legs_to_pose, pose_to_legs

@@ -4,14 +4,14 @@ import control
 import numpy as np
 import pytest
 
-from cmf_mj.analysis.linear_models.catalogue import (
+from cmf_mj.analysis.linear.catalogue import (
     hardware_velocity,
     report_entry,
     report_model,
     report_models,
 )
-from cmf_mj.analysis.linear_models.second_order import FeedbackLoop
-from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
+from cmf_mj.analysis.linear.second_order import FeedbackLoop
+from cmf_mj.analysis.linear.transfer import UnitTransferFunction
 from cmf_mj.core import units
 
 NUMBERS = [entry.number for entry in report_models()]

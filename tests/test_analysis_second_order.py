@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cmf_mj.analysis.linear_models.second_order import (
+from cmf_mj.analysis.linear.second_order import (
     FeedbackLoop,
     bandwidth_example,
     characteristics,

@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 
 from cmf_mj import Hexapod, Law, SingleLegs, law_names, load_law, signals, simulate
-from cmf_mj.analysis.linear_models.dcl import dcl_state_space
-from cmf_mj.analysis.linear_models.loop import closed_loop
-from cmf_mj.analysis.linearization.assembly import linearize
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.law import dcl_state_space
+from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.control.law import Gains
 from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.core.rates import FRAME

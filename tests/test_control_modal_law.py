@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from cmf_mj import Hexapod, Law, SingleLegs, law_names, load_hydraulics, load_law, signals, simulate
-from cmf_mj.analysis.linear_models.dcl import DCL_INPUTS, FEEDBACK, dcl_state_space
-from cmf_mj.analysis.linear_models.loop import closed_loop
-from cmf_mj.analysis.linearization.assembly import linearize
-from cmf_mj.analysis.linearization.reduction import pose_loop
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space
+from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.reduction import pose_loop
 from cmf_mj.control import dcl as blocks
 from cmf_mj.control.coordinates import MODES, make_coordinates, to_legs, to_modes
 from cmf_mj.control.dcl import DclState, LegFeedback, engaged, make_dcl

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cmf_mj import Hexapod, Law, SingleLegs, load_hydraulics, load_law, signals, simulate
-from cmf_mj.analysis.linear_models.loop import closed_loop, loop_response
+from cmf_mj.analysis.linear.loop import closed_loop, loop_response
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.dcl import DclState, LegFeedback, engaged, make_dcl, step
 from cmf_mj.control.law import SIGNALS, Gains

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cmf_mj.analysis.linear_models.catalogue import report_models
-from cmf_mj.analysis.linear_models.measures import table_4_1
-from cmf_mj.analysis.linear_models.second_order import (
+from cmf_mj.analysis.linear.catalogue import report_models
+from cmf_mj.analysis.linear.second_order import (
     GAINS,
     FeedbackLoop,
     bandwidth_example,
     characteristics,
 )
+from cmf_mj.analysis.linear.table_4_1 import table_4_1
 from cmf_mj.analysis.published import published_results
 from cmf_mj.cli.common import app
 from cmf_mj.show.linear import (

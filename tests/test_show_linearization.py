@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cmf_mj import Hexapod
-from cmf_mj.analysis.linearization.assembly import linearize
-from cmf_mj.analysis.linearization.files import load_system
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.files import load_system
 from cmf_mj.cli.common import app
 from cmf_mj.cli.linearizing import pose_option
 from cmf_mj.core import units

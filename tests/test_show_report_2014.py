@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 from cmf_mj import load_law
 from cmf_mj.analysis.ledger import load_ledger
-from cmf_mj.analysis.linear_models.loop import closed_loop
-from cmf_mj.analysis.linearization.assembly import linearize
-from cmf_mj.analysis.linearization.reduction import leg_model
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.reduction import leg_model
 from cmf_mj.analysis.published import published_gains, published_results
 from cmf_mj.cli.common import app
 from cmf_mj.core.rates import FRAME

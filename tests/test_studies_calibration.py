@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cmf_mj.analysis.linearization.assembly import linearize
-from cmf_mj.analysis.linearization.operating_point import operating_point
-from cmf_mj.analysis.linearization.reduction import leg_model
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.operating_point import operating_point
+from cmf_mj.analysis.linear.reduction import leg_model
 from cmf_mj.cli.common import app
 from cmf_mj.core.settings import validated
 from cmf_mj.plant.hexapod import Hexapod

@@ -45,7 +45,8 @@ class StepMetrics(NamedTuple):
     steady_state_error: float  #: Demanded minus reached.
     rise_time: float  #: 10 to 90 % [s].
     settling_time: float  #: From the step to staying within 2 % of the final value [s].
-    residual: float  #: Largest leg swing of the last second over the largest leg step.
+    residual: float
+    """Largest leg swing of the last second over the largest leg step; NaN of a linear loop."""
     stable: bool  #: The verdict.
 
 
@@ -65,27 +66,31 @@ def resonant_damping(peak: float) -> float:
     return float(np.sin(0.5 * np.arcsin(1.0 / peak))) if peak > 1.0 else float("nan")
 
 
-class StepShape(NamedTuple):
-    """Measures of a step response's shape, fractions of the step unless a unit is given."""
+def measure_step(
+    reached: NDArray[np.float64], rate: float, *, final: float, demanded: float = 1.0
+) -> StepMetrics:
+    """Measure a step response that ends, one of a stable system.
 
-    overshoot: float  #: Largest excess over the final value.
-    damping_ratio: float  #: From the overshoot; NaN below an overshoot of 0.001.
-    rise_time: float  #: 10 to 90 % [s].
-    settling_time: float  #: From the step to staying within 2 % of the final value [s].
-
-
-def step_shape(shape: NDArray[np.float64], rate: float) -> StepShape:
-    """Measure a response scaled to a final value of 1, sampled from the step on, (N,)."""
+    Args:
+        reached: motion from rest, sampled from the step on, (N,).
+        rate: samples a second [Hz].
+        final: where it ends.
+        demanded: the step.
+    """
+    shape = reached / final
     overshoot = float(shape.max() - 1.0)
     ten = int(np.argmax(shape >= 0.1))
     ninety = int(np.argmax(shape >= 0.9))
     outside = np.flatnonzero(np.abs(shape - 1.0) > 0.02)
-    settled = int(outside[-1]) + 1 if outside.size else 0
-    return StepShape(
+    inside = int(outside[-1]) + 1 if outside.size else 0
+    return StepMetrics(
         overshoot=overshoot,
         damping_ratio=damping_from_overshoot(overshoot if overshoot >= NO_OVERSHOOT else 0.0),
+        steady_state_error=1.0 - final / demanded,
         rise_time=(ninety - ten) / rate,
-        settling_time=settled / rate,
+        settling_time=inside / rate,
+        residual=float("nan"),
+        stable=True,
     )
 
 
@@ -123,16 +128,8 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
     demanded = float(demand[-1] - demand[at - 1])
     if abs(demanded) < NO_DEMAND:
         raise InputError(f"dof: the record holds no step in {chosen}; it moved {command['dof']}")
-    shape = step_shape((feedback[at:] - rest) / size, record.rate)
-    return StepMetrics(
-        overshoot=shape.overshoot,
-        damping_ratio=shape.damping_ratio,
-        steady_state_error=1.0 - size / demanded,
-        rise_time=shape.rise_time,
-        settling_time=shape.settling_time,
-        residual=residual,
-        stable=stable,
-    )
+    measured = measure_step(feedback[at:] - rest, record.rate, final=size, demanded=demanded)
+    return measured._replace(residual=residual, stable=stable)
 
 
 def _verdict(record: Record) -> tuple[float, bool]:

@@ -13,7 +13,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
-from cmf_mj.analysis.linear_models.catalogue import (
+from cmf_mj.analysis.linear.catalogue import (
     HARDWARE_MODELS,
     ReportModel,
     hardware_velocity,
@@ -21,15 +21,8 @@ from cmf_mj.analysis.linear_models.catalogue import (
     report_model,
     report_models,
 )
-from cmf_mj.analysis.linear_models.loop import closed_loop, loop_response
-from cmf_mj.analysis.linear_models.measures import (
-    LoopMeasures,
-    TableRow,
-    measure_loop,
-    step_response,
-    table_4_1,
-)
-from cmf_mj.analysis.linear_models.second_order import (
+from cmf_mj.analysis.linear.loop import closed_loop, loop_response, loop_step
+from cmf_mj.analysis.linear.second_order import (
     GAINS,
     FeedbackLoop,
     GainEffect,
@@ -38,11 +31,19 @@ from cmf_mj.analysis.linear_models.second_order import (
     feedback_model,
     gain_effect,
 )
+from cmf_mj.analysis.linear.table_4_1 import TableRow, table_4_1
+from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.files import write_csv
 
 _LINES = np.geomspace(0.1, 20.0, 400)
+_LOOP_COLUMNS = (
+    *("stable", "phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db", "static_gain"),
+    *("overshoot", "damping_ratio", "demand_damping_ratio", "peak_damping_ratio"),
+    *("mode_damping_ratio", "mode_frequency_hz", "rise_time", "settling_time"),
+)
+_READINGS = {"damping_ratio": "step_damping_ratio"}
 _GAIN_TITLES = {
     "position_gain": ("position gain", "$K_p$"),
     "rate_gain": ("rate gain", "$K_r\\omega$"),
@@ -132,7 +133,7 @@ class LawLoop(NamedTuple):
     law: Law
     model: int  #: Linear model 1 to 3.
     loop: control.StateSpace
-    measures: LoopMeasures
+    measures: Measures
 
 
 def law_loops(laws: Sequence[str]) -> tuple[LawLoop, ...]:
@@ -162,7 +163,7 @@ def loop_table(loops: Sequence[LawLoop]) -> Table:
     for item in loops:
         m = item.measures
         values = [m.phase_bandwidth_hz, m.gain_bandwidth_hz, m.peak_gain_db, m.static_gain]
-        values += [m.step_damping_ratio, m.mode_damping_ratio]
+        values += [m.damping_ratio, m.mode_damping_ratio]
         cells = ["-" if value != value else f"{value:.2f}" for value in values]
         if not m.stable:
             cells[-2] = "unstable"
@@ -235,7 +236,7 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
         _bode(gain, phase, response, label=label)
         colour = gain.lines[-1].get_color()
         if item.measures.stable:
-            time, reached = step_response(item.loop, 2.0)
+            time, reached = loop_step(item.loop, 2.0)
             axis.plot(time, reached, label=label, color=colour)
         beside = printed[f"linear_{item.model}"]
         if item.law.name == beside.law:
@@ -329,8 +330,11 @@ def save_linear(loops: Sequence[LawLoop], rows: Sequence[TableRow], folder: Path
     write_csv(folder / "table_4_1.csv", TableRow._fields, rows)
     write_csv(
         folder / "loops.csv",
-        ("law", "model", *LoopMeasures._fields),
-        [(item.law.name, item.model, *item.measures) for item in loops],
+        ("law", "model", *(_READINGS.get(name, name) for name in _LOOP_COLUMNS)),
+        [
+            (item.law.name, item.model, *(getattr(item.measures, name) for name in _LOOP_COLUMNS))
+            for item in loops
+        ],
     )
     write_csv(
         folder / "gain_effects.csv",

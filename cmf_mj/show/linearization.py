@@ -14,12 +14,12 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
-from cmf_mj.analysis.linear_models.loop import loop_response
-from cmf_mj.analysis.linearization.assembly import linearize
-from cmf_mj.analysis.linearization.files import save_system
-from cmf_mj.analysis.linearization.modes import Mode, modes
-from cmf_mj.analysis.linearization.operating_point import OperatingPoint, operating_point
-from cmf_mj.analysis.linearization.reduction import dof_model, leg_model, minimal, reduced
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.files import save_system
+from cmf_mj.analysis.linear.loop import loop_response
+from cmf_mj.analysis.linear.operating_point import OperatingPoint, operating_point
+from cmf_mj.analysis.linear.poles import Mode, modes
+from cmf_mj.analysis.linear.reduction import dof_model, leg_model, minimal, reduced
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError

@@ -26,13 +26,14 @@ from cmf_mj.analysis.frequency_response import (
     dof_history,
     matrix_frequency_response,
 )
-from cmf_mj.analysis.linear_models.dcl import labels
-from cmf_mj.analysis.linear_models.loop import closed_loop
-from cmf_mj.analysis.linear_models.measures import STEP_DURATION
-from cmf_mj.analysis.linearization.assembly import linearize
-from cmf_mj.analysis.linearization.reduction import jacobian_of, pose_loop
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.law import labels
+from cmf_mj.analysis.linear.loop import STEP_DURATION, closed_loop
+from cmf_mj.analysis.linear.reduction import jacobian_of, pose_loop
+from cmf_mj.analysis.measures import crosstalk as largest_gains
+from cmf_mj.analysis.measures import least_damped_mode, oscillations
 from cmf_mj.analysis.response.welch import welch_response
-from cmf_mj.analysis.step_response import step_metrics, step_shape
+from cmf_mj.analysis.step_response import measure_step, step_metrics
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME
 from cmf_mj.facility.simulation import simulate
@@ -227,7 +228,7 @@ def _linear(
     loop = pose_loop(closed_loop(law, system, command_delay=delay), plant, case.pose)
     poles = np.linalg.eigvals(np.asarray(loop.A))
     stable = bool(np.abs(poles).max() < 1.0)
-    mode = _least_damped(poles)
+    mode = least_damped_mode(poles)
     if not stable:  # there is no response to measure
         blank, nowhere = (_NAN, _NAN, _NAN), np.full(len(DOFS), _NAN)
         return [
@@ -241,19 +242,19 @@ def _linear(
     gains = 1.0 + errors.get("leg_position", np.zeros(plant.legs))
     true = np.linalg.solve(jacobian, jacobian / gains[:, None])
     moved = np.einsum("ij,jkf->ikf", true, response)
-    crosstalk = np.abs(moved).max(axis=2) * _UNIT / _UNIT[:, None]
+    crosstalk = largest_gains(moved, _UNIT)
     steps = _steps(loop)
     reached = np.real(np.asarray(control.dcgain(loop)))
     rows = []
     for i, dof in enumerate(DOFS):
         final = float(reached[i, i])
-        shape = step_shape(steps[:, i, i] / final, 1.0 / FRAME)
+        shape = measure_step(steps[:, i, i], 1.0 / FRAME, final=final)
         rows.append(
             _row(
                 dof,
                 stable=True,
                 widths=bandwidths(control.FrequencyResponseData(response[i, i], omega)),
-                step=(shape.overshoot, shape.damping_ratio, 1.0 - final),
+                step=(shape.overshoot, shape.damping_ratio, shape.steady_state_error),
                 crosstalk=crosstalk[:, i],
                 mode=mode,
             )
@@ -283,26 +284,10 @@ def _steps(loop: control.StateSpace) -> NDArray[np.float64]:
     return np.concatenate(blocks)
 
 
-def _pairs(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Continuous poles [rad/s] above the real axis of a discrete loop."""
-    upper: NDArray[np.complex128] = poles[poles.imag > 1e-9]
-    return np.asarray(np.log(upper) / FRAME, dtype=complex)
-
-
 def _lines(poles: NDArray[np.complex128]) -> NDArray[np.float64]:
     """Frequencies [Hz] of a response, among them those of all poles in the band."""
-    own = np.abs(_pairs(poles)) / (2.0 * np.pi)
+    own = np.abs(oscillations(poles)) / (2.0 * np.pi)
     return np.union1d(FREQUENCIES, own[(own > BAND[0]) & (own < BAND[1])])
-
-
-def _least_damped(poles: NDArray[np.complex128]) -> tuple[float, float]:
-    """Least damping ratio and frequency [Hz] of the pairs of a discrete loop below 50 Hz."""
-    pairs = _pairs(poles)
-    pairs = pairs[np.abs(pairs) < 2.0 * np.pi * 50.0]
-    if pairs.size == 0:
-        return _NAN, _NAN
-    slow = pairs[np.argmin(-pairs.real / np.abs(pairs))]
-    return float(-slow.real / np.abs(slow)), float(np.abs(slow) / (2.0 * np.pi))
 
 
 def _matrix(

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis.frequency_response import dof_history
-from cmf_mj.analysis.linear_models.loop import closed_loop
-from cmf_mj.analysis.linearization.assembly import linearize
-from cmf_mj.analysis.linearization.reduction import pose_loop, reduced
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.reduction import pose_loop, reduced
 from cmf_mj.analysis.response.periodic import sine_response
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units

@@ -15,7 +15,7 @@ from scipy import linalg
 
 from cmf_mj.analysis.identification.model import PolynomialModel
 from cmf_mj.analysis.identification.response_fit import ResponseFit, fit_response
-from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
+from cmf_mj.analysis.linear.transfer import UnitTransferFunction
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 
@@ -74,7 +74,7 @@ def to_continuous(
 def in_field_units(velocity: control.TransferFunction) -> UnitTransferFunction:
     """Leg velocity per command in in/s per %, of one in m/s per full command.
 
-    Its output is named `leg_velocity`, as `linear_models.closed_loop` wants it: a degree of freedom
+    Its output is named `leg_velocity`, as `linear.loop.closed_loop` wants it: a degree of freedom
     is closed with the law like a leg.
     """
     return UnitTransferFunction(

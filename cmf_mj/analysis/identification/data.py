@@ -6,7 +6,7 @@ sampling instants the held command jumps; its band-limited value there is the me
     u(t[k]) = (c[k-d] + c[k-d-1]) / 2,    d = command_delay of the run
 
 which is exact to (pi f / 2048)^2 / 2. A model identified from u to the legs therefore holds neither
-the computing frame nor the hold, as a linear plant of `cmf_mj.analysis.linear_models` does.
+the computing frame nor the hold, as a linear plant of `cmf_mj.analysis.linear` does.
 
 Degrees of freedom: any leg signal s (n,) of the loop, commands and velocities alike, is mapped by
 the Jacobian of the pose, J^-1 s; leg positions by `legs_to_pose`. The law has the same gains for

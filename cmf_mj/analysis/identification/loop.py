@@ -1,7 +1,7 @@
 """Identified models closed with the law, and their errors against the measured loop (Table 4-1).
 
 A model of leg velocity per command is closed as in Figure 4-5: position by integration, pressures
-zero. `linear_models.closed_loop` does so for one continuous transfer function. For several axes,
+zero. `linear.loop.closed_loop` does so for one continuous transfer function. For several axes,
 and for models that are a response only, `closed_loop_response` solves the loop line by line,
 
     T = H V / s (1 - H (C_p V / s + C_v V + C_a V s e^(-s T0) + C_cap P_cap + C_rod P_rod))^-1 C_r
@@ -25,9 +25,9 @@ from numpy.typing import ArrayLike
 from cmf_mj.analysis.frequency_response import Bandwidths, FrequencyResponse, bandwidths
 from cmf_mj.analysis.identification.data import Real
 from cmf_mj.analysis.identification.model import Complex
-from cmf_mj.analysis.linear_models.dcl import DCL_INPUTS, dcl_state_space
-from cmf_mj.analysis.linear_models.loop import closed_loop
-from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
+from cmf_mj.analysis.linear.law import DCL_INPUTS, dcl_state_space
+from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.transfer import UnitTransferFunction
 from cmf_mj.analysis.step_response import StepMetrics, damping_from_overshoot
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError

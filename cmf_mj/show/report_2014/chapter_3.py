@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cmf_mj.analysis.linear_models.loop import loop_response
-from cmf_mj.analysis.linear_models.second_order import (
+from cmf_mj.analysis.linear.loop import loop_response
+from cmf_mj.analysis.linear.second_order import (
     bandwidth_example,
     characteristics,
     feedback_model,

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.analysis.identification.continuous import in_field_units
-from cmf_mj.analysis.linear_models.catalogue import hardware_velocity, report_model
-from cmf_mj.analysis.linear_models.loop import closed_loop, loop_response
-from cmf_mj.analysis.linear_models.measures import measure_loop
-from cmf_mj.analysis.linear_models.plants import leg_plant
-from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
+from cmf_mj.analysis.linear.catalogue import hardware_velocity, report_model
+from cmf_mj.analysis.linear.loop import closed_loop, loop_response
+from cmf_mj.analysis.linear.plants import leg_plant
+from cmf_mj.analysis.linear.transfer import UnitTransferFunction
+from cmf_mj.analysis.measures import measure_loop
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME
 from cmf_mj.record.record import Record
@@ -273,7 +273,7 @@ def _model_a(runs: Runs) -> Chart:
         "Heave step of -1 in (non-linear model: +1 in, turned over), velocity FB. Linear model "
         "A is "
         f"Eqs 4.4 to 4.6: -90 deg at {found.phase_bandwidth_hz:.2f} Hz, -3 dB at "
-        f"{found.gain_bandwidth_hz:.2f} Hz, damping ratio {found.step_damping_ratio:.2f}. Its "
+        f"{found.gain_bandwidth_hz:.2f} Hz, damping ratio {found.damping_ratio:.2f}. Its "
         "speed "
         f"is 0.352 in/s per %, that of the stand-in 0.35, that of the non-linear model 0.277. "
         f"{MODEL} {STAND_IN}",

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import Bandwidths
-from cmf_mj.analysis.linear_models.dcl import DCL_INPUTS, FEEDBACK, dcl_state_space
-from cmf_mj.analysis.linear_models.loop import closed_loop
-from cmf_mj.analysis.linearization.assembly import linearize
-from cmf_mj.analysis.linearization.reduction import leg_model
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space
+from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.reduction import leg_model
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME

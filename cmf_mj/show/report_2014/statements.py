@@ -5,10 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmf_mj.analysis.linear_models.catalogue import hardware_velocity
-from cmf_mj.analysis.linear_models.loop import closed_loop
-from cmf_mj.analysis.linear_models.measures import step_response
-from cmf_mj.analysis.linear_models.second_order import bandwidth_example, characteristics
+from cmf_mj.analysis.linear.catalogue import hardware_velocity
+from cmf_mj.analysis.linear.loop import closed_loop, loop_step
+from cmf_mj.analysis.linear.second_order import bandwidth_example, characteristics
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.record.record import Record
@@ -114,7 +113,7 @@ def statements(runs: Runs) -> list[Statement]:
     example = bandwidth_example()
     reference = leg_motion(runs.record("machine", "velocity", "rise"), "leg_reference", "in")
     peaks = [
-        float(step_response(closed_loop("velocity", hardware_velocity(n)), 3.0)[1].max())
+        float(loop_step(closed_loop("velocity", hardware_velocity(n)), 3.0)[1].max())
         * float(reference[-1])
         for n in (1, 2)
     ]

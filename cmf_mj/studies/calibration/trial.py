@@ -15,11 +15,10 @@ import numpy as np
 
 from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import bandwidths
-from cmf_mj.analysis.linear_models.loop import closed_loop, loop_response
-from cmf_mj.analysis.linear_models.measures import step_response
-from cmf_mj.analysis.linearization.assembly import linearize
-from cmf_mj.analysis.linearization.reduction import leg_model
-from cmf_mj.analysis.step_response import step_metrics, step_shape
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.loop import closed_loop, loop_response, loop_step
+from cmf_mj.analysis.linear.reduction import leg_model
+from cmf_mj.analysis.step_response import measure_step, step_metrics
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
@@ -145,9 +144,9 @@ def _measure(loop: control.StateSpace, step: bool) -> Measured:
     stable = bool(np.all(np.abs(loop.poles()) < 1.0 + 1e-9))
     damping = float("nan")
     if stable and step:
-        _, reached = step_response(loop, _STEP)
+        _, reached = loop_step(loop, _STEP)
         static = float(np.real(np.squeeze(loop.dcgain())))
-        damping = step_shape(reached / static, 1.0 / FRAME).damping_ratio
+        damping = measure_step(reached, 1.0 / FRAME, final=static).damping_ratio
     return Measured(widths.phase_hz, widths.gain_hz, damping, stable)
 
 

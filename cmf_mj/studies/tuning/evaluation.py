@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import bandwidths
 from cmf_mj.analysis.identification.loop import closed_loop_response
-from cmf_mj.analysis.linear_models.dcl import FEEDBACK
-from cmf_mj.analysis.linearization.assembly import linearize
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.law import FEEDBACK
 from cmf_mj.control import dcl as blocks
 from cmf_mj.control.law import SIGNALS, Law
 from cmf_mj.core.rates import FRAME

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
-from cmf_mj.analysis.linear_models.dcl import FEEDBACK, dcl_state_space, labels
-from cmf_mj.analysis.linear_models.plants import leg_plant
-from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
+from cmf_mj.analysis.linear.law import FEEDBACK, dcl_state_space, labels
+from cmf_mj.analysis.linear.plants import leg_plant
+from cmf_mj.analysis.linear.transfer import UnitTransferFunction
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
@@ -27,6 +27,9 @@ OUTPUTS = (*FEEDBACK, "command")
 
 Pressures = Literal["modelled", "zero"]
 """Whether the law sees the plant's pressures; a plant without them has zero pressures."""
+
+STEP_DURATION = 10.0
+"""Length of the steps measured [s]."""
 
 Matrix = NDArray[np.float64]
 
@@ -197,3 +200,12 @@ def loop_response(
         inputs=[loop.input_labels[input]],
         outputs=[loop.output_labels[output]],
     )
+
+
+def loop_step(
+    loop: control.StateSpace, duration: float = STEP_DURATION, output: int = 0, input: int = 0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Time [s] and response of a closed loop to a unit step at 2048 Hz, both (N,)."""
+    time = np.arange(round(duration / FRAME)) * FRAME
+    response = control.step_response(loop, time, input=input, output=output)
+    return np.asarray(time, dtype=np.float64), np.asarray(response.outputs).reshape(-1)

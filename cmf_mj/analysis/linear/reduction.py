@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from cmf_mj.analysis.linear_models.dcl import FEEDBACK, labels
+from cmf_mj.analysis.linear.law import FEEDBACK, labels
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import DOFS, pose_jacobian, read_geometry
@@ -250,7 +250,7 @@ def pose_loop(
     """A closed loop of six legs as one of the pose: J^-1 H J.
 
     Args:
-        loop: of `linear_models.closed_loop` around all legs, with the output `leg_position`.
+        loop: of `linear.loop.closed_loop` around all legs, with the output `leg_position`.
         plant: with the legs of the facility.
         pose: (6,) [m, rad], z down; default neutral.
 

@@ -22,10 +22,10 @@ import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.analysis.linear_models.dcl import FEEDBACK, labels
-from cmf_mj.analysis.linearization.describing import Excitation
-from cmf_mj.analysis.linearization.operating_point import OperatingPoint, operating_point
-from cmf_mj.analysis.linearization.ports import CAP, DRAWN, HIGH, LOW, RETURNED, ROD, port_slopes
+from cmf_mj.analysis.linear.describing import Excitation
+from cmf_mj.analysis.linear.law import FEEDBACK, labels
+from cmf_mj.analysis.linear.operating_point import OperatingPoint, operating_point
+from cmf_mj.analysis.linear.ports import CAP, DRAWN, HIGH, LOW, RETURNED, ROD, port_slopes
 from cmf_mj.plant.cylinder import volumes
 from cmf_mj.plant.oil import density
 from cmf_mj.plant.parameters.hydraulics import VALVES
@@ -74,7 +74,7 @@ def linearize(
     Returns:
         Inputs `command_1` and on, fractions; outputs `leg_position` [m], `leg_velocity`,
         `leg_acceleration`, `cap_pressure` and `rod_pressure` [Pa] of all legs, name by name as
-        `linear_models.closed_loop` reads them, and of a supply that is no constant one
+        `linear.loop.closed_loop` reads them, and of a supply that is no constant one
         `supply_pressure` and `return_pressure` [Pa]. States `drive`, `spool`, `leg_position`,
         `leg_velocity`, `cap_pressure`, `rod_pressure`, each with the leg's number, and of the
         supply `supply_pressure`, `return_pressure`, `accumulator_oil`, `pump_flow`. A single leg

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, signal
 
-from cmf_mj.analysis.linear_models.dcl import FEEDBACK
-from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
+from cmf_mj.analysis.linear.law import FEEDBACK
+from cmf_mj.analysis.linear.transfer import UnitTransferFunction
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 

@@ -6,8 +6,8 @@ from typing import Any, get_args
 
 from pydantic import Field, model_validator
 
-from cmf_mj.analysis.linear_models.second_order import FeedbackLoop, Variant, feedback_model
-from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
+from cmf_mj.analysis.linear.second_order import FeedbackLoop, Variant, feedback_model
+from cmf_mj.analysis.linear.transfer import UnitTransferFunction
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings, read_toml, validated
 

@@ -19,7 +19,7 @@ from typing import Literal, NamedTuple, cast
 import numpy as np
 from scipy import optimize
 
-from cmf_mj.analysis.linear_models.transfer import UnitTransferFunction
+from cmf_mj.analysis.linear.transfer import UnitTransferFunction
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from cmf_mj.analysis.linear_models.dcl import labels
-from cmf_mj.analysis.linearization.reduction import jacobian_of
+from cmf_mj.analysis.linear.law import labels
+from cmf_mj.analysis.linear.reduction import jacobian_of
 from cmf_mj.core.errors import InputError
 from cmf_mj.plant.plant import Plant
 
