@@ -3,7 +3,7 @@ from typing import Any
 
 import pytest
 
-from cmf_mj.core.settings import Settings, merged, named_set, overlaid, overlaid_default
+from cmf_mj.core.settings import Loader, Settings, merged, named_set
 
 SHIPPED = """
 [common]
@@ -96,16 +96,34 @@ def test_a_name_that_is_no_set_lists_the_sets(sets: Path, whole: Path) -> None:
     with pytest.raises(ValueError, match="sets: 'common' is neither light nor heavy nor a .toml"):
         named_set("sets", NAMES, sets, "common")
     with pytest.raises(ValueError, match="whole: 'odd' is neither default nor a .toml file"):
-        overlaid_default("whole", Whole, whole, "odd")
+        Loader(Whole, whole, what="whole")("odd")
 
 
 def test_a_file_overlays_what_it_repeats(whole: Path, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text("[part]\nwidth = 5.0\n")
-    shipped = overlaid(Whole, whole, None)
-    assert overlaid_default("whole", Whole, whole, "default") == shipped
-    assert overlaid(Whole, whole, shipped) is shipped
-    mine = overlaid(Whole, whole, file)
+    load = Loader(Whole, whole)
+    shipped = load()
+    assert load("default") == shipped
+    assert load(shipped) is shipped
+    mine = load(file)
     assert (mine.size, mine.part.length, mine.part.width) == (1.0, 2.0, 5.0)
     with pytest.raises(ValueError, match="mine.toml: part.length: is missing"):
-        overlaid(Whole, whole, file, levels=0)
+        Loader(Whole, whole, levels=0)(file)
+
+
+class Ranked(Settings):
+    name: str
+    depth: int
+    mass: dict[str, Any]
+
+
+def test_a_loader_of_sets_takes_its_default_a_name_or_a_file(sets: Path, tmp_path: Path) -> None:
+    load = Loader(Ranked, sets, what="sets", names=NAMES, default="heavy")
+    assert (load().name, load().depth, load("light").depth) == ("heavy", 2, 1)
+    file = tmp_path / "mine.toml"
+    file.write_text('base = "light"\n[own]\ndepth = 7\n')
+    assert (load(file).name, load(str(file)).depth) == ("own", 7)
+    assert load(load(file)) == load(file)
+    with pytest.raises(ValueError, match="sets: 'odd' is neither light nor heavy nor a .toml"):
+        load("odd")

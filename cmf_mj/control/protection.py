@@ -30,7 +30,7 @@ from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.rates import FRAME
-from cmf_mj.core.settings import Settings, overlaid_default
+from cmf_mj.core.settings import Loader, Settings
 
 FAULTS = (
     "none",
@@ -60,7 +60,6 @@ _UNITS = {
 _TRACKING, _DISAGREE, _OVER, _UNDER, _SPEED, _ACCELERATION, _HOST, _FRAME = range(1, 9)
 _MACHINE = -1
 """Leg of a fault that belongs to no leg."""
-_FILE = Path(__file__).with_name("protection.toml")
 
 
 class Check(Settings):
@@ -129,17 +128,10 @@ class Fault(NamedTuple):
     frame: int  #: Frame in which it was detected.
 
 
-def load_protection(source: str | Path | ProtectionSettings = "default") -> ProtectionSettings:
-    """Load protection settings.
-
-    Args:
-        source: `default`, settings already loaded, or the path of a TOML file with the conditions
-            it changes, each a whole table; the others are the default's.
-
-    Raises:
-        InputError: another name, an unreadable file or a refused field; each is named.
-    """
-    return overlaid_default("protection", ProtectionSettings, _FILE, source, levels=0)
+load_protection = Loader(
+    ProtectionSettings, Path(__file__).with_name("protection.toml"), levels=0, what="protection"
+)
+"""Loads protection settings: `default`, or a file with the conditions it changes, each whole."""
 
 
 def make_protection(settings: ProtectionSettings) -> Protection:

@@ -4,9 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 from cmf_mj.core.quantity import Quantity, positive_in
-from cmf_mj.core.settings import Settings, overlaid
-
-_FILE = Path(__file__).with_name("states.toml")
+from cmf_mj.core.settings import Loader, Settings
 
 _Time = Annotated[Quantity, positive_in("s")]
 _Length = Annotated[Quantity, positive_in("in", "m")]
@@ -33,14 +31,5 @@ class StateSettings(Settings):
     arrival_timeout: _Time  #: Time after the end of raise or return in which the legs must arrive.
 
 
-def load_state_settings(source: str | Path | StateSettings | None = None) -> StateSettings:
-    """Load the settings of the operating states.
-
-    Args:
-        source: path of a TOML file that repeats what it changes, or settings already loaded;
-            default the shipped ones.
-
-    Raises:
-        InputError: unreadable file or a refused field; each is named.
-    """
-    return overlaid(StateSettings, _FILE, source)
+load_state_settings = Loader(StateSettings, Path(__file__).with_name("states.toml"))
+"""Loads the settings of the operating states."""

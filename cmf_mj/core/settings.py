@@ -2,8 +2,9 @@
 
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, Generic, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -83,50 +84,6 @@ def merged(
     return table
 
 
-def overlaid(
-    model: type[Model], shipped: Path, source: str | Path | Model | None, *, levels: int = 1
-) -> Model:
-    """The settings of a shipped file, with the entries of a user's file in their place.
-
-    Args:
-        model: the settings class.
-        shipped: file of the package that holds every entry.
-        source: file that repeats what it changes, or settings already loaded; None for the shipped
-            values.
-        levels: as for `merged`.
-
-    Raises:
-        InputError: a file cannot be read, or one line per refused field.
-    """
-    if isinstance(source, model):
-        return source
-    table = read_toml(shipped)
-    if source is None:
-        return validated(model, table, shipped.name)
-    return validated(model, merged(table, read_toml(Path(str(source))), levels), str(source))
-
-
-def overlaid_default(
-    what: str, model: type[Model], shipped: Path, source: str | Path | Model, *, levels: int = 1
-) -> Model:
-    """As `overlaid`, for settings whose shipped values go by the name `default`.
-
-    Args:
-        what: how these settings are called in errors.
-        model: the settings class.
-        shipped: file of the package that holds every entry.
-        source: `default`, a TOML file that repeats what it changes, or settings already loaded.
-        levels: as for `merged`.
-
-    Raises:
-        InputError: another name, an unreadable file or a refused field; each is named.
-    """
-    if isinstance(source, model):
-        return source
-    own = None if str(source) == "default" else _own_file(what, ("default",), str(source))
-    return overlaid(model, shipped, own, levels=levels)
-
-
 def named_set(
     what: str,
     names: Sequence[str],
@@ -178,6 +135,47 @@ def named_set(
             origin = "the table" if field == "name" else "the base"
             raise InputError(f"{path}: {name}: {field}: is taken from {origin}; leave it out")
     return merged(start, changes, levels) | {"name": name}, f"{path}: {name}"
+
+
+@dataclass(frozen=True)
+class Loader(Generic[Model]):
+    """Loads the settings of a shipped file, called as `load(source)`.
+
+    A file of the user repeats what it changes: the shipped settings, or the shipped set that it
+    names as `base`, see `named_set`.
+    """
+
+    model: type[Model]  #: Settings class.
+    shipped: Path  #: File of the package that holds every entry.
+    levels: int = 1  #: Levels down to which tables are merged, as for `merged`.
+    what: str = ""  #: How the settings are called in errors; checks the name of the user's file.
+    names: tuple[str, ...] = ()  #: Shipped sets; none where the whole file is one, `default`.
+    default: str = "default"  #: What is loaded without a source.
+    based: bool = True  #: Whether a file of the user has a `base`.
+
+    def __call__(self, source: str | Path | Model | None = None) -> Model:
+        """Load settings.
+
+        Args:
+            source: name of a shipped set, TOML file of the user, or settings already loaded.
+
+        Raises:
+            InputError: unknown set, unreadable file or a refused field; each is named.
+        """
+        if isinstance(source, self.model):
+            return source
+        chosen = self.default if source is None else str(source)
+        if self.names:
+            named = named_set(
+                self.what, self.names, self.shipped, chosen, levels=self.levels, based=self.based
+            )
+            return validated(self.model, *named)
+        table = read_toml(self.shipped)
+        if chosen == self.default:
+            return validated(self.model, table, self.shipped.name)
+        if self.what:
+            _own_file(self.what, (self.default,), chosen)
+        return validated(self.model, merged(table, read_toml(Path(chosen)), self.levels), chosen)
 
 
 def _own_file(what: str, names: Sequence[str], source: str | Path) -> Path:

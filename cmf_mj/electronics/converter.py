@@ -27,12 +27,11 @@ from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.rates import FRAME
-from cmf_mj.core.settings import Settings, named_set, validated
+from cmf_mj.core.settings import Loader, Settings
 
 CONVERTER_SETS = ("off", "sixteen_bit")
 """Names of the shipped sets."""
 
-_FILE = Path(__file__).with_name("converters.toml")
 _CHANNEL_UNITS = {
     "position": ("in", "m"),
     "velocity": ("in/s", "m/s"),
@@ -126,20 +125,16 @@ class Alias(NamedTuple):
     gain: float  #: Amplitude that the anti-alias filter leaves of it.
 
 
-def load_converters(source: str | Path | ConverterSettings = "off") -> ConverterSettings:
-    """Load converter settings.
-
-    Args:
-        source: `off`, `sixteen_bit`, settings already loaded, or the path of a TOML file of one
-            table with all that `converters.toml` has.
-
-    Raises:
-        InputError: unknown set, unreadable file or a refused field; each is named.
-    """
-    if isinstance(source, ConverterSettings):
-        return source
-    table, where = named_set("converters", CONVERTER_SETS, _FILE, source, based=False)
-    return validated(ConverterSettings, table, where)
+load_converters = Loader(
+    ConverterSettings,
+    Path(__file__).with_name("converters.toml"),
+    what="converters",
+    names=CONVERTER_SETS,
+    default="off",
+    based=False,
+)
+"""Loads converter settings: `off`, `sixteen_bit`, or a file of one table with all that
+`converters.toml` has."""
 
 
 def make_converters(settings: ConverterSettings) -> Converters:

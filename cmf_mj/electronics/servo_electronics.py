@@ -25,9 +25,7 @@ from pydantic import Field
 
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.quantity import Quantity, positive_in
-from cmf_mj.core.settings import Settings, overlaid
-
-_FILE = Path(__file__).with_suffix(".toml")
+from cmf_mj.core.settings import Loader, Settings
 
 
 class Bits(Settings):
@@ -52,17 +50,8 @@ class ServoSettings(Settings):
     dac_bits: Bits  #: Resolution n of the DAC.
 
 
-def load_servo_settings(source: str | Path | ServoSettings | None = None) -> ServoSettings:
-    """Load the settings of the servo electronics.
-
-    Args:
-        source: path of a TOML file that repeats what it changes, or settings already loaded;
-            default the shipped ones.
-
-    Raises:
-        InputError: unreadable file or a refused field; each is named.
-    """
-    return overlaid(ServoSettings, _FILE, source)
+load_servo_settings = Loader(ServoSettings, Path(__file__).with_suffix(".toml"))
+"""Loads the settings of the servo electronics."""
 
 
 class ServoElectronics(NamedTuple):

@@ -14,10 +14,8 @@ from pydantic import AfterValidator, Field, model_validator
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity, positive_in
-from cmf_mj.core.settings import Settings, overlaid
+from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE
-
-_FILE = Path(__file__).with_suffix(".toml")
 
 _TRAVEL = Quantity(
     value=units.from_si("in", WORKING_STROKE),
@@ -137,14 +135,5 @@ class MotionLimits(Settings):
         return np.array([axis.acceleration.si for axis in self.axes])
 
 
-def load_motion_limits(source: str | Path | MotionLimits | None = None) -> MotionLimits:
-    """Load the limits of the motion base.
-
-    Args:
-        source: path of a TOML file that repeats what it changes, or limits already loaded;
-            default the shipped ones.
-
-    Raises:
-        InputError: unreadable file or a refused field; each is named.
-    """
-    return overlaid(MotionLimits, _FILE, source)
+load_motion_limits = Loader(MotionLimits, Path(__file__).with_suffix(".toml"))
+"""Loads the limits of the motion base."""

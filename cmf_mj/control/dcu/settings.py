@@ -17,9 +17,7 @@ from pydantic import ValidationInfo, field_validator, model_validator
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.rates import FRAME
-from cmf_mj.core.settings import Settings, overlaid_default
-
-_FILE = Path(__file__).with_name("dcu.toml")
+from cmf_mj.core.settings import Loader, Settings
 
 
 def _checked(quantity: Quantity, field: str, allowed: tuple[str, ...]) -> Quantity:
@@ -209,17 +207,8 @@ class Dcu(NamedTuple):
     line: int  #: Control frames in the transport line.
 
 
-def load_dcu(source: str | Path | DcuSettings = "default") -> DcuSettings:
-    """Load the settings of a DCU.
-
-    Args:
-        source: `default`, a TOML file with the numbers it changes in `[delay]` and `[dcu]`, or
-            settings already loaded.
-
-    Raises:
-        InputError: unreadable file, or a refused field with what is allowed.
-    """
-    return overlaid_default("dcu", DcuSettings, _FILE, source)
+load_dcu = Loader(DcuSettings, Path(__file__).with_name("dcu.toml"), what="dcu")
+"""Loads the settings of a DCU: `default`, or a file with numbers of `[delay]` and `[dcu]`."""
 
 
 def make_dcu(source: str | Path | DcuSettings = "default") -> Dcu:

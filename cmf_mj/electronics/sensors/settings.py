@@ -10,7 +10,7 @@ from pydantic import model_validator
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
-from cmf_mj.core.settings import Settings, named_set, validated
+from cmf_mj.core.settings import Loader, Settings
 
 SENSOR_SETS = ("ideal", "noisy")
 """Names of the shipped sets."""
@@ -25,8 +25,6 @@ CHANNELS = {
     "platform_accelerometer": ("g", "in/s/s", "m/s/s"),
 }
 """Channels with the units their numbers may be given in."""
-
-_FILE = Path(__file__).with_name("sensors.toml")
 
 
 class ChannelSettings(Settings):
@@ -108,17 +106,12 @@ def _units_of(field: str, units: tuple[str, ...]) -> tuple[str, ...]:
     return ("Hz", "rad/s") if field == "bandwidth" else units
 
 
-def load_sensors(source: str | Path | SensorSettings = "ideal") -> SensorSettings:
-    """Load a sensor set.
-
-    Args:
-        source: `ideal`, `noisy`, a set already loaded, or the path of a TOML file with
-            `base = "ideal"|"noisy"` and one table, named after the set, of what it changes:
-            channels are merged number by number.
-
-    Raises:
-        InputError: unknown set, unreadable file or a refused field; each is named.
-    """
-    if isinstance(source, SensorSettings):
-        return source
-    return validated(SensorSettings, *named_set("sensors", SENSOR_SETS, _FILE, source))
+load_sensors = Loader(
+    SensorSettings,
+    Path(__file__).with_name("sensors.toml"),
+    what="sensors",
+    names=SENSOR_SETS,
+    default="ideal",
+)
+"""Loads a sensor set: `ideal`, `noisy`, or a file with `base` naming one of them and one table of
+changes; channels are merged number by number."""

@@ -9,9 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Kind, Quantity, positive_in
-from cmf_mj.core.settings import Settings, overlaid
-
-_FILE = Path(__file__).with_name("perception.toml")
+from cmf_mj.core.settings import Loader, Settings
 
 Time = Annotated[Quantity, positive_in("s")]
 Lead = Annotated[Quantity, AfterValidator(Kind(("s",), zero=True).check)]
@@ -81,14 +79,5 @@ class Senses(Settings):
         return self
 
 
-def load_senses(source: str | Path | Senses | None = None) -> Senses:
-    """Load the parameters of the senses.
-
-    Args:
-        source: path of a TOML file that repeats what it changes, or parameters already loaded;
-            default the shipped ones.
-
-    Raises:
-        InputError: unreadable file or a refused field; each is named.
-    """
-    return overlaid(Senses, _FILE, source)
+load_senses = Loader(Senses, Path(__file__).with_name("perception.toml"))
+"""Loads the parameters of the senses."""
