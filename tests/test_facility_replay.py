@@ -10,10 +10,9 @@ from cmf_mj import Hexapod, Record, SingleLegs, law_names, load_law, signals, si
 from cmf_mj.cli.common import app
 from cmf_mj.control.protection import load_protection, make_protection
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.replay import replay, replay_protection
+from cmf_mj.facility.replay import law_of, replay, replay_protection
 from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.record.writer import write_facility_csv
-from cmf_mj.show.sensor import law_of
 
 INCH = 0.0254
 

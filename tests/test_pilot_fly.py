@@ -73,7 +73,7 @@ def test_the_delay_of_a_slow_transient_is_found_whatever_its_gain() -> None:
 
 def test_the_machines_error_is_that_of_the_flight_less_that_of_the_washout(ride: Ride) -> None:
     """Senses are linear: aircraft - cab = (aircraft - asked) + (asked - cab)."""
-    baseline = flight_report.ideal_error(ride)
+    baseline = ride.washout_error
     assert ride.cueing is not None and baseline is not None
     np.testing.assert_allclose(
         ride.cueing.error, baseline.error + ride.machine.error, rtol=0, atol=1e-12

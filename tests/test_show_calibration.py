@@ -11,15 +11,15 @@ from typer.testing import CliRunner
 from cmf_mj.cli import calibrating
 from cmf_mj.cli.common import app
 from cmf_mj.show import calibration as calibration_report
-from cmf_mj.show.calibration import CalibrationReport
 from cmf_mj.studies.calibration.definition import load_study
+from cmf_mj.studies.calibration.examination import Examination
 from cmf_mj.studies.calibration.fit import Calibration, Stage, residual_rows
 from cmf_mj.studies.calibration.sensitivity import sensitivity, spread
 from cmf_mj.studies.calibration.trial import Verdict, least_damping, linear_results, starting_values
 
 
 @pytest.fixture(scope="module")
-def found() -> CalibrationReport:
+def found() -> Examination:
     """The study `hardware` with linear results in place of simulated ones, nothing fitted."""
     study = load_study("hardware")
     values = starting_values(study)
@@ -28,7 +28,7 @@ def found() -> CalibrationReport:
     stage = Stage(values, results, results, least_damping(study, values))
     later = stage._replace(values=values | {"leg_speed": 0.3512})
     errors = {"leg_speed": 0.011, "leak_rate": 2.5}
-    return CalibrationReport(
+    return Examination(
         Calibration(study, (stage, later), errors, np.eye(2)),
         sensitivity(study, values, ("velocity",)),
         tuple(spread(study, values, samples=3)),
@@ -41,7 +41,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_files_hold_what_was_computed(found: CalibrationReport, tmp_path: Path) -> None:
+def test_files_hold_what_was_computed(found: Examination, tmp_path: Path) -> None:
     paths = calibration_report.save(found, tmp_path / "study")
     assert sorted(path.name for path in paths) == sorted(p.name for p in paths[0].parent.iterdir())
     table = rows_of(tmp_path / "study" / "residuals.csv")
@@ -70,7 +70,7 @@ def test_files_hold_what_was_computed(found: CalibrationReport, tmp_path: Path) 
         assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
 
 
-def test_text_marks_what_is_outside_and_what_is_missing(found: CalibrationReport) -> None:
+def test_text_marks_what_is_outside_and_what_is_missing(found: Examination) -> None:
     text = calibration_report.text(found)
     assert "| leg_speed | in/s/% | 0.35 | 0.3512 +- 0.011 | 0.286 to 0.4 |" in text
     assert "| bulk_modulus | psi | 1e+05 | held |" in text
@@ -83,10 +83,10 @@ def test_text_marks_what_is_outside_and_what_is_missing(found: CalibrationReport
 
 
 def test_command_writes_a_folder_a_study(
-    found: CalibrationReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    found: Examination, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(calibrating, "calibrate", lambda *_, **__: found.calibration)
-    monkeypatch.setattr(calibration_report, "examine", lambda *_, **__: found)
+    monkeypatch.setattr(calibrating, "examine", lambda *_, **__: found)
     arguments = ["calibrate", "--study", "hardware", "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output

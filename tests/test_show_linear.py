@@ -14,13 +14,12 @@ from cmf_mj.analysis.linear.second_order import (
     FeedbackLoop,
     bandwidth_example,
     characteristics,
+    gain_effects,
 )
-from cmf_mj.analysis.linear.table_4_1 import table_4_1
+from cmf_mj.analysis.linear.table_4_1 import law_loops, table_4_1
 from cmf_mj.analysis.published import published_results
 from cmf_mj.cli.common import app
 from cmf_mj.show.linear import (
-    gain_effects,
-    law_loops,
     loop_figures,
     misprint_table,
     model_table,

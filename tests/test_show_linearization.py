@@ -14,7 +14,9 @@ from cmf_mj.analysis.linear.files import load_system
 from cmf_mj.cli.common import app
 from cmf_mj.cli.linearizing import pose_option
 from cmf_mj.core import units
-from cmf_mj.show.linearization import mode_table, pose_text, study
+from cmf_mj.show.linearization import mode_table
+from cmf_mj.show.look import pose_text
+from cmf_mj.studies.linearization import linearization_study
 
 
 def run(*arguments: str) -> str:
@@ -52,7 +54,7 @@ def test_measured_loops_stand_beside_the_linear_ones(tmp_path: Path) -> None:
 
 
 def test_poles_that_coincide_share_a_line() -> None:
-    found = study(Hexapod("gfd"), "velocity", np.zeros(6), ["heave"])
+    found = linearization_study(Hexapod("gfd"), "velocity", np.zeros(6), ["heave"])
     times = [int(cell) for cell in mode_table(found).columns[1].cells]
     assert sum(times) == len(found.modes)
     assert times.count(6) == 3  # integrators, drives, spools

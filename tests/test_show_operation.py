@@ -16,7 +16,7 @@ from cmf_mj import Hexapod, Record, signals
 from cmf_mj.cli.common import app
 from cmf_mj.facility import host
 from cmf_mj.facility.host.files import HostSession
-from cmf_mj.facility.operation import Operation, Timing, operate
+from cmf_mj.facility.operation import Operation, Timing, account, operate
 from cmf_mj.show import operation as operation_report
 
 
@@ -40,13 +40,13 @@ TIMING = Timing(
 
 def test_every_frame_is_in_one_line_of_the_account(run: Operation) -> None:
     arrived = run.session.arrivals.frame.size
-    plain = operation_report.account(run)
+    plain = account(run)
     assert plain["received"] == arrived
     assert plain["not_finite"] == 1
     assert plain["accepted"] == arrived - 1 - plain["waiting"]
     live = run._replace(unused={"early": 3, "lost": 2})
     datagrams = {"wrong_sender": 7}
-    told = operation_report.account(live, arrived + 9, datagrams)
+    told = account(live, arrived + 9, datagrams)
     assert (told["early"], told["lost"], told["after_end"], told["wrong_sender"]) == (3, 2, 4, 7)
     parts = ("early", "lost", "after_end", "accepted", "waiting", *run.rejections)
     assert sum(told[name] for name in parts) == told["received"]
@@ -74,7 +74,7 @@ def test_files_of_a_run_in_real_time(run: Operation, tmp_path: Path) -> None:
     np.testing.assert_array_equal(played[:, 0], record["demand_pose"])
     with paths[2].open(newline="") as file:
         counts = dict(list(csv.reader(file))[1:])
-    assert counts == {n: str(c) for n, c in operation_report.account(run).items()}
+    assert counts == {n: str(c) for n, c in account(run).items()}
     table = np.genfromtxt(paths[4], delimiter=",", names=True)
     assert table.size == 1001
     assert table["computing_s"][-1] == 900e-6

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from cmf_mj import load_law
 from cmf_mj.cli.common import app
 from cmf_mj.control.feedback import noise_gain
-from cmf_mj.show.sensor import FilterEffect, filter_effect
+from cmf_mj.studies.accelerometer_filter import FilterEffect, filter_effect
 
 GRAVITY = 9.80665
 

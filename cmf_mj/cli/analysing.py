@@ -8,10 +8,11 @@ import typer
 from cmf_mj.cli.common import TEXT_WIDTH, LawName, app, names_of, refuse, show, written
 from cmf_mj.control.law import law_names
 from cmf_mj.electronics.sensors.settings import load_sensors
-from cmf_mj.facility.replay import replay
+from cmf_mj.facility.replay import law_of, replay
+from cmf_mj.record.reader import read_recording
 from cmf_mj.show import linear as linear_report
-from cmf_mj.show import measurement as measurement_report
 from cmf_mj.show import sensor as sensor_report
+from cmf_mj.studies.accelerometer_filter import filter_effect
 
 
 @app.command("linear")
@@ -38,7 +39,7 @@ def sensors_command(
     """Show a sensor set, and what the accelerometer filter does to it (Figures 3-15, 3-16)."""
     try:
         settings = load_sensors(sensors)
-        effect = sensor_report.filter_effect(settings, law, seed=seed)
+        effect = filter_effect(settings, law, seed=seed)
         paths = sensor_report.save_sensor_figures(effect, out)
         tables = (sensor_report.sensor_table(settings), sensor_report.effect_table(effect))
         show(*tables, written(paths), width=TEXT_WIDTH)
@@ -56,8 +57,8 @@ def replay_command(
 ) -> None:
     """Run the control law open loop on recorded feedback; compare the compensator's output."""
     try:
-        record = measurement_report.read_recording(recording)
-        replayed = replay(record, law or sensor_report.law_of(record))
+        record = read_recording(recording)
+        replayed = replay(record, law or law_of(record))
         path = sensor_report.save_replay(replayed, out / f"{recording.stem}_{replayed.law}.png")
         show(sensor_report.replay_summary(replayed), f"written: {path}")
     except (ValueError, OSError, ModuleNotFoundError) as error:

@@ -8,6 +8,7 @@ import typer
 from cmf_mj.cli.common import TEXT_WIDTH, Jobs, app, names_of, refuse, show, written
 from cmf_mj.show import calibration as calibration_report
 from cmf_mj.studies.calibration.definition import load_studies, load_study
+from cmf_mj.studies.calibration.examination import examine
 from cmf_mj.studies.calibration.fit import calibrate
 
 
@@ -27,7 +28,7 @@ def calibrate_command(
         studies = [load_study(name) for name in names_of(study, tuple(load_studies()))]
         for chosen in studies:
             fitted = calibrate(chosen, rounds=rounds, quick=quick, jobs=jobs, progress=_tell)
-            found = calibration_report.examine(fitted, samples=samples, jobs=jobs)
+            found = examine(fitted, samples=samples, jobs=jobs)
             paths = calibration_report.save(found, out / chosen.name)
             verdict = calibration_report.verdict_text(found)
             show(

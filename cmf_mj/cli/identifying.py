@@ -19,6 +19,7 @@ from cmf_mj.cli.common import (
     written,
 )
 from cmf_mj.core.errors import InputError
+from cmf_mj.record.reader import read_recording
 from cmf_mj.show import identification as identification_report
 from cmf_mj.studies.identification import (
     Method,
@@ -28,6 +29,21 @@ from cmf_mj.studies.identification import (
     simulated_records,
     simulated_step,
 )
+
+
+def parse_orders(text: str | None) -> tuple[int, int, int] | None:
+    """Orders of the command line, `na,nb,nk`.
+
+    Raises:
+        InputError: not three whole numbers.
+    """
+    if text is None:
+        return None
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 3 or not all(part.isdigit() for part in parts):
+        raise InputError(f"orders: {text!r} is refused; allowed: na,nb,nk such as 4,3,1")
+    na, nb, nk = (int(part) for part in parts)
+    return na, nb, nk
 
 
 @app.command("identify")
@@ -64,7 +80,7 @@ def identify_command(
     try:
         if simulate == bool(files):
             raise InputError("files: name recordings, or use --simulate, not both and not neither")
-        chosen = identification_report.parse_orders(orders)
+        chosen = parse_orders(orders)
         build = plant_builder(plant, cab, hydraulics)
         name = law or "velocity"
         if dof == "all":
@@ -77,9 +93,8 @@ def identify_command(
             step = simulated_step(build, name, dof, in_si(dof, amplitude))
             found = identify(records, dof, method=method, orders=chosen, law=name, step=step)
         else:
-            found = identification_report.identify_files(
-                files or [], dof, method=method, orders=chosen, law=law
-            )
+            records = [read_recording(path) for path in files or []]
+            found = identify(records, dof, method=method, orders=chosen, law=law)
         paths = identification_report.save_identification(found, out)
         tables = (
             identification_report.orders_table(found),

@@ -21,6 +21,7 @@ from cmf_mj.cli.common import (
 )
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.show import linearization as linearization_report
+from cmf_mj.studies.linearization import linearization_study
 
 
 @app.command("linearize")
@@ -43,7 +44,7 @@ def linearize_command(
     """Linearise a plant: modes, Bode diagrams, poles and zeros, a law around it."""
     try:
         build = plant_builder(plant, cab, hydraulics)
-        found = linearization_report.study(
+        found = linearization_study(
             build(), law, pose_option(pose), names_of(dof, DOFS), measure=measure
         )
         paths = linearization_report.save_study(found, out)

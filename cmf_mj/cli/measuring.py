@@ -30,6 +30,7 @@ from cmf_mj.record.writer import write_facility_csv
 from cmf_mj.show import measurement as measurement_report
 from cmf_mj.signals.peaks import peaks
 from cmf_mj.studies.measurement import facility_session, measure, session_commands
+from cmf_mj.studies.recordings import measure_recordings
 
 
 @app.command("record")
@@ -104,7 +105,9 @@ def measure_command(
             paths = measurement_report.save_measurement(measured, out)
             table = measurement_report.measurement_table(measured)
         else:
-            paths, table = measurement_report.measure_files(files or [], dof, estimator, out)
+            measures = measure_recordings(files or [], dof, estimator)
+            paths = measurement_report.save_recordings(measures, out)
+            table = measurement_report.recordings_table(measures)
         show(table, written(paths), width=TEXT_WIDTH)
     except (ValueError, OSError, FloatingPointError, ModuleNotFoundError) as error:
         refuse(error)

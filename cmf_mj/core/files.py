@@ -1,8 +1,9 @@
 """Files that appear only when they are complete, and tables in CSV and Parquet."""
 
 import csv
+import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,11 @@ def write_text(target: Path, text: str) -> Path:
     with whole_file(target) as partial:
         partial.write_text(text, encoding="utf-8")
     return target
+
+
+def write_json(target: Path, content: Mapping[str, Any]) -> Path:
+    """Write a mapping as indented JSON; NaN is refused."""
+    return write_text(target, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def write_csv(

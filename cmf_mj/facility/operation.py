@@ -8,7 +8,7 @@ on frames from the network. Both give an `Operation`: the record, what became of
 and the session, which run again gives the same demand bit for bit.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -349,3 +349,43 @@ def _operation(
     record = Record(time, named | channels, channel_units, session.describe() | context)
     played = hosts.HostSession(arrivals, session.frame, pose, unit)
     return Operation(record, played, counts, rejections, unused, timing)
+
+
+def account(
+    operation: Operation,
+    received: int | None = None,
+    datagrams: Mapping[str, int] | None = None,
+) -> dict[str, int]:
+    """What became of the host's frames, counted.
+
+    Every frame a host sends is in exactly one line of the account:
+
+        received = early + lost + after the end + at the DCU
+        at the DCU = accepted + refused, by reason + the one that waits for confirmation at the end
+
+    Args:
+        operation: the run.
+        received: frames the receiver put into its ring, counted after it was closed; default those
+            that came to the DCU.
+        datagrams: datagrams the receiver dropped, by reason.
+
+    Returns:
+        Counts by name: `received`, `early`, `lost`, `after_end`, `accepted`, `waiting`, each reason
+        of the DCU and each of the receiver, then `late`, `missing`, `resynchronised`, `silent`.
+    """
+    counts, refused = dict(operation.counts), dict(operation.rejections)
+    arrived = operation.session.arrivals.frame.size
+    early, lost = (operation.unused.get(name, 0) for name in ("early", "lost"))
+    all_frames = arrived + early + lost if received is None else received
+    accepted = counts.pop("accepted")
+    return {
+        "received": all_frames,
+        "early": early,
+        "lost": lost,
+        "after_end": all_frames - early - lost - arrived,
+        "accepted": accepted,
+        "waiting": arrived - accepted - sum(refused.values()),
+        **refused,
+        **(datagrams or {}),
+        **counts,
+    }

@@ -23,6 +23,7 @@ from cmf_mj.control.protection import Fault, Protection, latched, protect, prote
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
+from cmf_mj.core.settings import validated
 from cmf_mj.record.record import Record
 
 FEEDBACK = {
@@ -235,3 +236,14 @@ def _raised(values: NDArray[np.float64], every: int) -> NDArray[np.float64]:
     coarse = np.arange(values.shape[0])
     fine = np.arange((values.shape[0] - 1) * every + 1) / every
     return np.ascontiguousarray(CubicSpline(coarse, values, axis=0)(fine))
+
+
+def law_of(record: Record) -> Law:
+    """The law a record was made with, gains and all.
+
+    Raises:
+        InputError: the record does not say.
+    """
+    if "law_parameters" not in record.metadata:
+        raise InputError("law: the recording does not say which law made it; name one")
+    return validated(Law, record.metadata["law_parameters"], "law_parameters")

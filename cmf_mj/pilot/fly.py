@@ -79,6 +79,11 @@ class Ride(NamedTuple):
     operation: Operation  #: Record and account of the run.
 
     @property
+    def washout_error(self) -> CueingError | None:
+        """Perceived error of a machine that follows the frames at once; None in direct mode."""
+        return None if self.aircraft is None else cueing_error(self.aircraft, self.asked)
+
+    @property
     def fault(self) -> str | None:
         """Name of the fault that ended the flight, or None."""
         found = self.operation.record.metadata["fault"]

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,6 +32,7 @@ from cmf_mj.record.layout import (
     stroke,
 )
 from cmf_mj.record.record import Record
+from cmf_mj.record.uff import read_uff
 
 
 class _Table(NamedTuple):
@@ -325,3 +327,20 @@ def _letters(column: int) -> str:
         rest, digit = divmod(rest - 1, 26)
         name = chr(ord("A") + digit) + name
     return name
+
+
+def read_recording(path: Path) -> Record:
+    """Read a recording by its ending: .csv (facility), .uff or .unv (UFF 58), .parquet.
+
+    Raises:
+        InputError: another ending, or a broken file.
+    """
+    readers: dict[str, Callable[[Path], Record]] = {
+        ".csv": read_facility_csv,
+        ".uff": read_uff,
+        ".unv": read_uff,
+        ".parquet": Record.load,
+    }
+    if path.suffix not in readers:
+        raise InputError(f"{path}: ending {path.suffix!r} is not one of {', '.join(readers)}")
+    return readers[path.suffix](path)

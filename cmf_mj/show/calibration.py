@@ -1,7 +1,6 @@
 """Tables, CSV files and figures of a calibration."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,42 +9,14 @@ from rich.table import Table
 
 from cmf_mj.core.files import whole_file, write_csv, write_text
 from cmf_mj.show.comparison import markdown
+from cmf_mj.studies.calibration.examination import Examination
 from cmf_mj.studies.calibration.fit import Calibration, Residual, residual_rows
-from cmf_mj.studies.calibration.sensitivity import Sensitivity, Spread, sensitivity, spread
-from cmf_mj.studies.calibration.trial import Verdict, simulated_stability
+from cmf_mj.studies.calibration.sensitivity import Sensitivity, Spread
+from cmf_mj.studies.calibration.trial import Verdict
 
 _MEASURE = {"phase": "-90 deg", "gain": "-3 dB", "damping": "zeta"}
 _OF = {"hardware": "h", "nonlinear": "m"}
 _FITTED, _PREDICTED = "#0072b2", "#d55e00"
-
-
-@dataclass(frozen=True)
-class CalibrationReport:
-    """A calibration with its sensitivities, the spread of the velocity law, stability runs."""
-
-    calibration: Calibration
-    sensitivity: Sensitivity  #: At the shipped values.
-    spread: tuple[Spread, ...]  #: About the shipped values.
-    verdicts: tuple[Verdict, ...]  #: Step runs with the fitted values.
-
-
-def examine(
-    calibration: Calibration, *, samples: int = 128, jobs: int | None = None
-) -> CalibrationReport:
-    """Add sensitivities, uncertainty and the stability runs of a study that asks for them.
-
-    Args:
-        calibration: of `calibrate`.
-        samples: of the Latin hypercube.
-        jobs: threads of the stability runs.
-    """
-    study, shipped = calibration.study, calibration.before.values
-    return CalibrationReport(
-        calibration,
-        sensitivity(study, shipped),
-        tuple(spread(study, shipped, ("original", "velocity"), samples=samples)),
-        tuple(simulated_stability(study, calibration.after.values, jobs=jobs)),
-    )
 
 
 def _off(row: Residual) -> str:
@@ -133,7 +104,7 @@ def _damping_cells(calibration: Calibration) -> list[list[str]]:
 _DAMPING_HEADER = ("cab", "least damping, shipped", "fitted")
 
 
-def tables(found: CalibrationReport) -> list[Table]:
+def tables(found: Examination) -> list[Table]:
     """Parameters, residuals, least damping and uncertainty for the terminal."""
     calibration = found.calibration
     title = f"{calibration.study.name}: {calibration.study.title}"
@@ -156,7 +127,7 @@ def _table(title: str, header: Sequence[str], cells: Iterable[Sequence[str]]) ->
     return table
 
 
-def verdict_text(found: CalibrationReport) -> str:
+def verdict_text(found: Examination) -> str:
     """One line on the stability runs, or nothing."""
     if not found.verdicts:
         return ""
@@ -169,7 +140,7 @@ def verdict_text(found: CalibrationReport) -> str:
     )
 
 
-def text(found: CalibrationReport) -> str:
+def text(found: Examination) -> str:
     """The tables as Markdown, for docs/calibration.md."""
     calibration = found.calibration
     parts = [
@@ -241,7 +212,7 @@ def sensitivity_figure(found: Sensitivity, name: str) -> Figure:
     return figure
 
 
-def save(found: CalibrationReport, folder: Path) -> list[Path]:
+def save(found: Examination, folder: Path) -> list[Path]:
     """Write CSV files, figures and the Markdown of a study.
 
     Returns:

@@ -19,7 +19,7 @@ from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.fly import Ride, error_spectra
 from cmf_mj.pilot.motion import PilotMotion
-from cmf_mj.pilot.perception.error import CueingError, cueing_error
+from cmf_mj.pilot.perception.error import CueingError
 from cmf_mj.pilot.transport import TransportDelay
 from cmf_mj.show.comparison import markdown
 from cmf_mj.show.film.film import FilmSettings, film
@@ -214,7 +214,7 @@ def _bars(panels: NDArray[np.object_], rides: Sequence[Ride]) -> None:
         groups[0].append((ride.law, colour, ride.machine))
         if ride.cueing is not None:
             groups[1].append((ride.law, colour, ride.cueing))
-    baseline = ideal_error(rides[0])
+    baseline = rides[0].washout_error
     if baseline is not None:
         groups[1].insert(0, ("machine that follows at once", "0.6", baseline))
     for axes, title, group in zip(panels, titles, groups, strict=True):
@@ -233,11 +233,6 @@ def _bars(panels: NDArray[np.object_], rides: Sequence[Ride]) -> None:
             axes.legend(fontsize=7, loc="upper right")
 
 
-def ideal_error(ride: Ride) -> CueingError | None:
-    """Perceived error of a machine that follows the frames at once; None in direct mode."""
-    return None if ride.aircraft is None else cueing_error(ride.aircraft, ride.asked)
-
-
 def comparison_cells(rides: Sequence[Ride]) -> tuple[list[str], list[list[str]]]:
     """Header and a line per law: perceived rms errors of machine and flight, delay, envelope."""
     header = ["law"]
@@ -249,7 +244,7 @@ def comparison_cells(rides: Sequence[Ride]) -> tuple[list[str], list[list[str]]]
         return [f"{1e3 * rms[i]:.1f}" if i < 3 else f"{rms[i]:.3f}" for i in indices]
 
     lines = []
-    baseline = ideal_error(rides[0])
+    baseline = rides[0].washout_error
     if baseline is not None:
         lines.append(
             ["machine that follows at once", *["0"] * 6, *cells(baseline, (0, 1)), "0", "-", "-"]

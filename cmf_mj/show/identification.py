@@ -1,6 +1,5 @@
 """Tables, figures and files of an identification."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +13,8 @@ from scipy import stats
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.identification.model import PolynomialModel, Root
 from cmf_mj.analysis.identification.validation import Residuals, fit_percentage, simulated
-from cmf_mj.control.law import Law
-from cmf_mj.core.errors import InputError
-from cmf_mj.show.measurement import read_recording, write_summary
-from cmf_mj.studies.identification import Identified, MatrixStudy, Method, identify
+from cmf_mj.core.files import write_json
+from cmf_mj.studies.identification import Identified, MatrixStudy
 from cmf_mj.studies.measurement import plain
 
 CONFIDENCE = 0.95
@@ -276,7 +273,8 @@ def save_identification(found: Identified, folder: Path) -> list[Path]:
     }
     model, rational = found.model, found.continuous.rational
     loop = found.loop
-    write_summary(
+    write_json(
+        folder / "model.json",
         plain(
             {
                 "axis": found.axis,
@@ -312,40 +310,7 @@ def save_identification(found: Identified, folder: Path) -> list[Path]:
                 },
             }
         ),
-        folder / "model.json",
     )
     for name, figure in figures.items():
         figure.savefig(folder / name, dpi=110)
     return [folder / name for name in ("model.json", *figures)]
-
-
-def identify_files(
-    files: Sequence[Path],
-    axis: str,
-    *,
-    method: Method,
-    orders: tuple[int, int, int] | None,
-    law: str | Law | None,
-) -> Identified:
-    """Identify from recordings: facility CSV, UFF 58 or Parquet; see `identify`.
-
-    Raises:
-        InputError: a broken file, one without valve commands or leg velocities, or as `identify`.
-    """
-    records = [read_recording(path) for path in files]
-    return identify(records, axis, method=method, orders=orders, law=law)
-
-
-def parse_orders(text: str | None) -> tuple[int, int, int] | None:
-    """Orders of the command line, `na,nb,nk`.
-
-    Raises:
-        InputError: not three whole numbers.
-    """
-    if text is None:
-        return None
-    parts = [part.strip() for part in text.split(",")]
-    if len(parts) != 3 or not all(part.isdigit() for part in parts):
-        raise InputError(f"orders: {text!r} is refused; allowed: na,nb,nk such as 4,3,1")
-    na, nb, nk = (int(part) for part in parts)
-    return na, nb, nk

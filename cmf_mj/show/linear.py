@@ -2,9 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
-import control
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,12 +14,11 @@ from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.linear.catalogue import (
     HARDWARE_MODELS,
     ReportModel,
-    hardware_velocity,
     report_entry,
     report_model,
     report_models,
 )
-from cmf_mj.analysis.linear.loop import closed_loop, loop_response, loop_step
+from cmf_mj.analysis.linear.loop import loop_response, loop_step
 from cmf_mj.analysis.linear.second_order import (
     GAINS,
     FeedbackLoop,
@@ -29,12 +26,10 @@ from cmf_mj.analysis.linear.second_order import (
     LoopCharacteristics,
     bandwidth_example,
     feedback_model,
-    gain_effect,
+    gain_effects,
 )
-from cmf_mj.analysis.linear.table_4_1 import TableRow, table_4_1
-from cmf_mj.analysis.measures import Measures, measure_loop
+from cmf_mj.analysis.linear.table_4_1 import LawLoop, TableRow, law_loops, table_4_1
 from cmf_mj.analysis.published import published_results
-from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.files import write_csv
 
 _LINES = np.geomspace(0.1, 20.0, 400)
@@ -125,29 +120,6 @@ def table_4_1_table(rows: Sequence[TableRow]) -> Table:
             end_section=row.quantity == "damping, peak",
         )
     return table
-
-
-class LawLoop(NamedTuple):
-    """A law around one of the report's hardware models."""
-
-    law: Law
-    model: int  #: Linear model 1 to 3.
-    loop: control.StateSpace
-    measures: Measures
-
-
-def law_loops(laws: Sequence[str]) -> tuple[LawLoop, ...]:
-    """Every law around linear models 1 to 3, pressures zero, as in Figure 4-5.
-
-    Raises:
-        InputError: a law is refused.
-    """
-    found = []
-    for law in [load_law(name) for name in laws]:
-        for number in HARDWARE_MODELS:
-            loop = closed_loop(law, hardware_velocity(number))
-            found.append(LawLoop(law, number, loop, measure_loop(loop)))
-    return tuple(found)
 
 
 def loop_table(loops: Sequence[LawLoop]) -> Table:
@@ -278,15 +250,6 @@ def example_figure() -> Figure:
 def _relative(effect: GainEffect) -> float:
     """A gain times the power of w that makes it a number."""
     return effect.value * effect.loop.natural_frequency ** GAINS.index(effect.gain)
-
-
-def gain_effects(steps: int = 41) -> tuple[GainEffect, ...]:
-    """Each gain of section 3.4 varied from nothing to twice its size in `bandwidth_example`."""
-    loop = bandwidth_example()["acceleration"]
-    found: list[GainEffect] = []
-    for gain in GAINS:
-        found += gain_effect(loop, gain, list(np.linspace(0.0, 2.0 * getattr(loop, gain), steps)))
-    return tuple(found)
 
 
 def gain_figure(effects: Sequence[GainEffect]) -> Figure:

@@ -2,121 +2,27 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
-import control
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
-from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
-from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.frequency_response import bandwidths
 from cmf_mj.analysis.linear.files import save_system
-from cmf_mj.analysis.linear.loop import loop_response
-from cmf_mj.analysis.linear.operating_point import OperatingPoint, operating_point
-from cmf_mj.analysis.linear.poles import Mode, modes
-from cmf_mj.analysis.linear.reduction import dof_model, leg_model, minimal, reduced
-from cmf_mj.control.law import load_law
-from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
+from cmf_mj.analysis.linear.poles import Mode
 from cmf_mj.core.files import write_csv
-from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.plant.plant import Plant
-from cmf_mj.studies.linear_agreement import Comparison, compare_with_simulation, loop_between
+from cmf_mj.show.look import pose_text
+from cmf_mj.studies.linearization import FREQUENCIES, LinearizationStudy
 
-_LINES = np.geomspace(0.1, 20.0, 400)
 _NAMED = 0.1
 """Share from which on a kind of state or a degree of freedom is named."""
 
 
-class Linearized(NamedTuple):
-    """A plant linearised in a configuration, with loops of one law."""
-
-    plant: Plant
-    pose: NDArray[np.float64]  #: [m, rad], (6,).
-    law: str
-    point: OperatingPoint
-    system: control.StateSpace
-    modes: tuple[Mode, ...]
-    responses: dict[str, FrequencyResponse]  #: Position per command, by degree of freedom or leg.
-    models: dict[str, control.StateSpace]  #: The same as minimal systems.
-    loops: dict[str, FrequencyResponse]  #: Demand to position under the law.
-    comparisons: dict[str, Comparison]
-    """The loops beside the simulation, where that was asked for."""
-
-
-def signal_model(
-    system: control.StateSpace, plant: Plant, pose: NDArray[np.float64], signal: str
-) -> control.StateSpace:
-    """Position per command of a degree of freedom, or of a leg, `leg_1` and so on; SISO.
-
-    Raises:
-        InputError: no such degree of freedom or leg.
-    """
-    if not signal.startswith("leg_"):
-        return reduced(dof_model(system, plant, pose, signal), outputs=[signal])
-    if not signal[4:].isdecimal():
-        raise InputError(f"dof: {signal!r} is not one of leg_1 to leg_{plant.legs}")
-    return reduced(leg_model(system, int(signal[4:])), outputs=["leg_position"])
-
-
-def study(
-    plant: Plant,
-    law: str,
-    pose: NDArray[np.float64],
-    signals: Sequence[str],
-    *,
-    measure: bool = False,
-) -> Linearized:
-    """Linearise a plant and close a law around it.
-
-    Args:
-        plant: with the legs of the facility.
-        law: name or TOML file.
-        pose: (6,) [m, rad], z down.
-        signals: degrees of freedom, or legs.
-        measure: whether to run the simulation beside each loop.
-
-    Raises:
-        InputError: an argument out of range, or a plant without linearisation.
-    """
-    load_law(law)
-    point = operating_point(plant, pose)
-    system = linearize(plant, at=point)
-    found = {name: signal_model(system, plant, pose, name) for name in signals}
-    loops = {name: loop_between(plant, system, law, pose, name) for name in signals}
-    return Linearized(
-        plant,
-        pose,
-        law,
-        point,
-        system,
-        modes(system, plant, pose),
-        {name: loop_response(model, _LINES) for name, model in found.items()},
-        {name: minimal(model) for name, model in found.items()},
-        {name: loop_response(loop, _LINES) for name, loop in loops.items()},
-        {name: compare_with_simulation(plant, law, pose, name) for name in signals}
-        if measure
-        else {},
-    )
-
-
-def pose_text(pose: NDArray[np.float64]) -> str:
-    """A pose in in and deg, zeros left out."""
-    parts = []
-    for i, (dof, value) in enumerate(zip(DOFS, pose, strict=True)):
-        unit = dof_unit(i)
-        if value != 0.0:
-            parts.append(f"{dof} {units.from_si(unit, float(value)):.4g} {unit}")
-    return ", ".join(parts) or "neutral"
-
-
-def _title(found: Linearized) -> str:
+def _title(found: LinearizationStudy) -> str:
     plant = found.plant
     name = f"{plant.name} {plant.cab}".strip().replace("_", " ")
     return f"{name}, {plant.parameters.name}, {pose_text(found.pose)}"
@@ -153,7 +59,7 @@ def _alike(found: Sequence[Mode]) -> list[list[Mode]]:
     return groups
 
 
-def mode_table(found: Linearized) -> Table:
+def mode_table(found: LinearizationStudy) -> Table:
     """All modes: pole, frequency, damping, what takes part."""
     table = Table(
         title=f"modes: {_title(found)}",
@@ -171,12 +77,12 @@ def mode_table(found: Linearized) -> Table:
     return table
 
 
-def loop_table(found: Linearized) -> Table:
+def loop_table(found: LinearizationStudy) -> Table:
     """Bandwidths of the law's loops, and how far the simulation is off where it ran."""
     table = Table(
         title=f"{found.law} around the linearised plant",
         caption="measured less linear, largest from "
-        f"{_band(found)}; '-': not reached below {_LINES[-1]:g} Hz",
+        f"{_band(found)}; '-': not reached below {FREQUENCIES[-1]:g} Hz",
         caption_justify="left",
         box=SIMPLE_HEAD,
         pad_edge=False,
@@ -196,7 +102,7 @@ def loop_table(found: Linearized) -> Table:
     return table
 
 
-def _band(found: Linearized) -> str:
+def _band(found: LinearizationStudy) -> str:
     for beside in found.comparisons.values():
         return f"{beside.frequency.min():g} to {beside.frequency.max():g} Hz"
     return "0.5 to 8 Hz"
@@ -213,7 +119,7 @@ def _axes(title: str) -> tuple[Figure, Axes, Axes]:
     return figure, gain, phase
 
 
-def bode_figure(found: Linearized) -> Figure:
+def bode_figure(found: LinearizationStudy) -> Figure:
     """Position per command of every degree of freedom or leg."""
     figure, gain, phase = _axes(f"position per command, all legs by J\n{_title(found)}")
     for name, response in found.responses.items():
@@ -224,7 +130,7 @@ def bode_figure(found: Linearized) -> Figure:
     return figure
 
 
-def loop_figure(found: Linearized) -> Figure:
+def loop_figure(found: LinearizationStudy) -> Figure:
     """The law's loops; dots where the simulation was run beside them."""
     dots = "; dots: simulation" if found.comparisons else ""
     figure, gain, phase = _axes(f"{found.law}, demand to position{dots}\n{_title(found)}")
@@ -246,7 +152,7 @@ def loop_figure(found: Linearized) -> Figure:
     return figure
 
 
-def pole_zero_figure(found: Linearized) -> Figure:
+def pole_zero_figure(found: LinearizationStudy) -> Figure:
     """Poles and zeros of the minimal models, position per command."""
     count = len(found.models)
     columns = min(count, 3)
@@ -271,7 +177,7 @@ def pole_zero_figure(found: Linearized) -> Figure:
     return figure
 
 
-def save_study(found: Linearized, folder: Path) -> list[Path]:
+def save_study(found: LinearizationStudy, folder: Path) -> list[Path]:
     """Write the state space as JSON, modes and comparison as CSV, all figures as PNG."""
     folder.mkdir(parents=True, exist_ok=True)
     point = found.point

@@ -1,9 +1,7 @@
 """Tables, figures and files of a measuring session and of measured responses."""
 
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast, get_args
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,20 +11,15 @@ from rich.table import Table
 from cmf_mj.analysis.frequency_response import (
     FrequencyResponse,
     bandwidths,
-    frequency_response,
-    rounds_response,
 )
-from cmf_mj.analysis.metrics import SecondOrder, fit_second_order
-from cmf_mj.analysis.response.estimate import Estimator
+from cmf_mj.analysis.metrics import SecondOrder
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
-from cmf_mj.core.files import write_csv, write_text
+from cmf_mj.core.files import write_csv, write_json
 from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.record.reader import read_facility_csv
-from cmf_mj.record.record import Record
-from cmf_mj.record.uff import read_uff
+from cmf_mj.show.look import save_figure
 from cmf_mj.studies.measurement import Measurement, plain
+from cmf_mj.studies.recordings import RecordingMeasures
 
 
 def _share(value: float) -> str:
@@ -54,6 +47,12 @@ def response_table(title: str, response: FrequencyResponse, fit: SecondOrder) ->
     for row in rows:
         table.add_row(*row)
     return table
+
+
+def recordings_table(measures: RecordingMeasures) -> Table:
+    """Bandwidths, peak and second-order fit of recordings."""
+    title = f"{measures.dof}: {', '.join(path.name for path in measures.files)}"
+    return response_table(title, measures.response, measures.second_order)
 
 
 def measurement_table(measured: Measurement) -> Table:
@@ -167,9 +166,15 @@ def write_response(response: FrequencyResponse, path: Path) -> None:
     write_csv(path, header, zip(*columns, strict=True))
 
 
-def write_summary(summary: Mapping[str, Any], path: Path) -> None:
-    """Write a summary as JSON; the file appears only when it is complete."""
-    write_text(path, json.dumps(summary, indent=2, allow_nan=False) + "\n")
+def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
+    """Write `response.csv`, `response.png` and `summary.json`."""
+    paths = [folder / name for name in ("response.csv", "response.png", "summary.json")]
+    write_response(measures.response, paths[0])
+    save_figure(
+        response_figure(measures.dof, {measures.files[0].stem: measures.response}), paths[1]
+    )
+    write_json(paths[2], plain(measures.summary()))
+    return paths
 
 
 def save_measurement(measured: Measurement, folder: Path) -> list[Path]:
@@ -180,58 +185,5 @@ def save_measurement(measured: Measurement, folder: Path) -> list[Path]:
     title = f"{measured.law}, {measured.dof}"
     response_figure(title, {measured.plant: measured.response}).savefig(paths[1], dpi=110)
     measures_figure(measured).savefig(paths[2], dpi=110)
-    write_summary(measured.summary(), paths[3])
+    write_json(paths[3], measured.summary())
     return paths
-
-
-def read_recording(path: Path) -> Record:
-    """Read a recording by its ending: .csv (facility), .uff or .unv (UFF 58), .parquet.
-
-    Raises:
-        InputError: another ending, or a broken file.
-    """
-    readers: dict[str, Callable[[Path], Record]] = {
-        ".csv": read_facility_csv,
-        ".uff": read_uff,
-        ".unv": read_uff,
-        ".parquet": Record.load,
-    }
-    if path.suffix not in readers:
-        raise InputError(f"{path}: ending {path.suffix!r} is not one of {', '.join(readers)}")
-    return readers[path.suffix](path)
-
-
-def measure_files(
-    files: Sequence[Path], dof: str, estimator: str, folder: Path
-) -> tuple[list[Path], Table]:
-    """Measure the response in recordings: write CSV, figure and summary, return them and a table.
-
-    Several files, or one of single sines, are rounds and give one response.
-
-    Raises:
-        InputError: a broken file, no demand in the degree of freedom, an unknown estimator;
-            nothing has been written then.
-    """
-    if estimator not in get_args(Estimator):
-        names = ", ".join(get_args(Estimator))
-        raise InputError(f"estimator: {estimator!r} is not one of {names}")
-    records = [read_recording(path) for path in files]
-    if len(records) > 1 or "dwells" in records[0].metadata["command"]:
-        response = rounds_response(records, dof)
-    else:
-        response = frequency_response(records[0], dof, estimator=cast("Estimator", estimator))
-    fit = fit_second_order(response.frequency, response.response)
-    summary = {
-        "files": [str(path) for path in files],
-        "dof": dof,
-        "estimator": estimator,
-        "bandwidths": bandwidths(response)._asdict(),
-        "second_order": fit._asdict(),
-        "coherence_least": float(response.coherence.min()),
-    }
-    paths = [folder / name for name in ("response.csv", "response.png", "summary.json")]
-    folder.mkdir(parents=True, exist_ok=True)
-    write_response(response, paths[0])
-    response_figure(f"{dof}", {files[0].stem: response}).savefig(paths[1], dpi=110)
-    write_summary(plain(summary), paths[2])
-    return paths, response_table(f"{dof}: {', '.join(p.name for p in files)}", response, fit)

@@ -18,47 +18,12 @@ from cmf_mj.control.states import State
 from cmf_mj.core import units
 from cmf_mj.core.files import write_csv
 from cmf_mj.core.rates import FRAME
-from cmf_mj.facility.operation import Operation, Timing
+from cmf_mj.facility.operation import Operation, Timing, account
 
 PERCENTILES = (50.0, 90.0, 99.0, 99.9)
 """Shares of the frames that are printed [%]."""
 
 _BLUE, _ORANGE = "#0072b2", "#d55e00"
-
-
-def account(
-    operation: Operation,
-    received: int | None = None,
-    datagrams: Mapping[str, int] | None = None,
-) -> dict[str, int]:
-    """What became of the host's frames, counted.
-
-    Args:
-        operation: the run.
-        received: frames the receiver put into its ring, counted after it was closed; default those
-            that came to the DCU.
-        datagrams: datagrams the receiver dropped, by reason.
-
-    Returns:
-        Counts by name: `received`, `early`, `lost`, `after_end`, `accepted`, `waiting`, each reason
-        of the DCU and each of the receiver, then `late`, `missing`, `resynchronised`, `silent`.
-    """
-    counts, refused = dict(operation.counts), dict(operation.rejections)
-    arrived = operation.session.arrivals.frame.size
-    early, lost = (operation.unused.get(name, 0) for name in ("early", "lost"))
-    given = arrived + early + lost if received is None else received
-    accepted = counts.pop("accepted")
-    return {
-        "received": given,
-        "early": early,
-        "lost": lost,
-        "after_end": given - early - lost - arrived,
-        "accepted": accepted,
-        "waiting": arrived - accepted - sum(refused.values()),
-        **refused,
-        **(datagrams or {}),
-        **counts,
-    }
 
 
 def account_table(

@@ -215,3 +215,12 @@ def bandwidth_example(
         "rate": damped,
         "acceleration": damped._replace(acceleration_gain=added * unit),
     }
+
+
+def gain_effects(steps: int = 41) -> tuple[GainEffect, ...]:
+    """Each gain of section 3.4 varied from nothing to twice its size in `bandwidth_example`."""
+    loop = bandwidth_example()["acceleration"]
+    found: list[GainEffect] = []
+    for gain in GAINS:
+        found += gain_effect(loop, gain, list(np.linspace(0.0, 2.0 * getattr(loop, gain), steps)))
+    return tuple(found)

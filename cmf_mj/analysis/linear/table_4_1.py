@@ -1,14 +1,41 @@
-"""Table 4-1 computed: the velocity law around the report's linear models, beside the print."""
+"""Laws around the report's linear models, and Table 4-1 computed next to its print."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
+
+import control
 
 from cmf_mj.analysis.linear.catalogue import HARDWARE_MODELS, hardware_velocity
 from cmf_mj.analysis.linear.loop import closed_loop
-from cmf_mj.analysis.measures import measure_loop
+from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import published_results
+from cmf_mj.control.law import Law, load_law
 
 BANDWIDTH_TOLERANCE, DAMPING_TOLERANCE = 0.03, 0.1
 """Deviations from Table 4-1 [Hz and 1] that count as agreement."""
+
+
+class LawLoop(NamedTuple):
+    """A law around one of the report's hardware models."""
+
+    law: Law
+    model: int  #: Linear model 1 to 3.
+    loop: control.StateSpace
+    measures: Measures
+
+
+def law_loops(laws: Sequence[str]) -> tuple[LawLoop, ...]:
+    """Every law around linear models 1 to 3, pressures zero, as in Figure 4-5.
+
+    Raises:
+        InputError: a law is refused.
+    """
+    loops = []
+    for law in [load_law(name) for name in laws]:
+        for number in HARDWARE_MODELS:
+            loop = closed_loop(law, hardware_velocity(number))
+            loops.append(LawLoop(law, number, loop, measure_loop(loop)))
+    return tuple(loops)
 
 
 class TableRow(NamedTuple):

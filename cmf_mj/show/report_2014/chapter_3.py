@@ -33,7 +33,7 @@ from cmf_mj.show.report_2014.curves import (
     step_history,
 )
 from cmf_mj.show.report_2014.runs import LEG, SLOW, Runs, Wanted, hydraulics_of
-from cmf_mj.show.sensor import AMPLITUDE, FREQUENCY, REPORTED_REST, Readings
+from cmf_mj.studies.accelerometer_filter import AMPLITUDE, FREQUENCY, REPORTED_REST, Readings
 
 RATES = ("original", "velocity", "position_error_rate", "velocity_error", "combined_rate")
 """Laws of Figures 3-9 to 3-11."""

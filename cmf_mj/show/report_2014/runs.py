@@ -27,8 +27,8 @@ from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
-from cmf_mj.show.sensor import FilterEffect, filter_effect
 from cmf_mj.signals import composite as excitations
+from cmf_mj.studies.accelerometer_filter import FilterEffect, filter_effect
 from cmf_mj.studies.comparison import (
     AMPLITUDE,
     ROTATION_PER_TRANSLATION,
