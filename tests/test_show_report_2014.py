@@ -18,6 +18,7 @@ from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.reduction import leg_model
 from cmf_mj.analysis.published import published_gains, published_results
 from cmf_mj.cli.common import app
+from cmf_mj.core import errors
 from cmf_mj.core.rates import FRAME
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.show import report_2014 as reproduction
@@ -320,7 +321,7 @@ def test_report_without_plotly_says_what_to_install(
             raise ImportError(f"No module named {name!r}", name=name)
         return real(name, package)
 
-    monkeypatch.setattr(drawing, "import_module", without)
+    monkeypatch.setattr(errors, "import_module", without)
     result = CliRunner().invoke(app, ["report", "--out", str(tmp_path / "out")])
     assert result.exit_code == 2
     assert "cmf-mj[report]" in result.output

@@ -7,6 +7,7 @@ import typer
 from rich.table import Table
 
 from cmf_mj.cli.common import TEXT_WIDTH, Jobs, app, progress_bar, refuse, show
+from cmf_mj.core.errors import CmfError, require
 from cmf_mj.show import report_2014 as reproduction
 
 
@@ -28,7 +29,8 @@ def report_command(
 ) -> None:
     """Reproduce the 2014 report on one HTML page, printed results beside ours."""
     try:
-        reproduction.require_extra()
+        for package in ("plotly", "jinja2"):
+            require(package, "report")
         with progress_bar() as update:
             content = reproduction.make_content(
                 _numbers(figures),
@@ -48,5 +50,5 @@ def report_command(
         written = f"written to {path}: {len(content.figures)} figures, {size:.1f} MB"
         parts: list[Table | str] = [summary] if content.tables else []
         show(*parts, written, width=TEXT_WIDTH)
-    except (ValueError, OSError, FloatingPointError) as error:
+    except (CmfError, OSError) as error:
         refuse(error)

@@ -4,7 +4,6 @@
 show, `sections.SECTIONS` how it is ordered.
 """
 
-from cmf_mj.show.report_2014.drawing import require_extra
 from cmf_mj.show.report_2014.page import (
     FIGURES,
     TABLES,
@@ -25,7 +24,6 @@ __all__ = [
     "make_content",
     "outside",
     "render",
-    "require_extra",
     "result_rows",
     "save_page",
     "sections_of",

@@ -5,13 +5,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import cast
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, require
 from cmf_mj.core.files import write_text
 from cmf_mj.show.report_2014 import appendices, chapter_2, chapter_3, chapter_4, force, statements
 from cmf_mj.show.report_2014.blocks import Content, Section
 from cmf_mj.show.report_2014.chart import Chart
 from cmf_mj.show.report_2014.curves import ReportFigure
-from cmf_mj.show.report_2014.drawing import chart_height, optional_module, plotly_json, still
+from cmf_mj.show.report_2014.drawing import chart_height, plotly_json, still
 from cmf_mj.show.report_2014.ledger_section import CALIBRATION_NEEDS
 from cmf_mj.show.report_2014.runs import Wanted, perform
 from cmf_mj.show.report_2014.sections import SECTIONS, STUDIES
@@ -109,11 +109,11 @@ def render(content: Content) -> str:
     """The page as text: the same bytes for the same content.
 
     Raises:
-        InputError: plotly or Jinja2 is not installed.
+        MissingExtraError: plotly or Jinja2 is not installed.
     """
-    jinja = optional_module("jinja2")
-    library = optional_module("plotly.offline").get_plotlyjs()
-    markup = optional_module("markupsafe").Markup
+    jinja = require("jinja2", "report")
+    library = require("plotly.offline", "report").get_plotlyjs()
+    markup = require("markupsafe", "report").Markup
 
     def pictured(chart: Chart) -> str:
         return base64.b64encode(still(chart).encode()).decode()
@@ -141,7 +141,7 @@ def save_page(content: Content, folder: Path) -> Path:
     """Write `report.html`; it appears only when it is complete.
 
     Raises:
-        InputError: plotly or Jinja2 is not installed.
+        MissingExtraError: plotly or Jinja2 is not installed.
     """
     target = folder / "report.html"
     text = render(content)
