@@ -2,7 +2,7 @@ from . import signals as signals
 from .analysis.frequency_response import FrequencyResponse as FrequencyResponse
 from .analysis.frequency_response import bandwidths as bandwidths
 from .analysis.frequency_response import frequency_response as frequency_response
-from .analysis.linearization.assembly import linearize as linearize
+from .analysis.linear.assembly import linearize as linearize
 from .analysis.step_response import StepMetrics as StepMetrics
 from .analysis.step_response import step_metrics as step_metrics
 from .control.law import Law as Law

@@ -32,6 +32,7 @@ class MissingExtraError(CmfError, ModuleNotFoundError):
 
     __module__ = "cmf_mj"
 
+
 def require(package: str, extra: str) -> Any:
     """Import a package that comes with an optional extra.
 
