@@ -12,10 +12,11 @@ from typer.testing import CliRunner
 from cmf_mj import Hexapod, load_law, signals, simulate
 from cmf_mj.cli.common import app
 from cmf_mj.control import dcl as control
+from cmf_mj.control.engage import engaged, handed_over
+from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME, RATE
 from cmf_mj.facility.scenario.demand import Demand
-from cmf_mj.facility.scenario.handover import handed_over
 from cmf_mj.facility.scenario.library import load_scenario, scenario_names
 from cmf_mj.facility.scenario.run import ScenarioRun, run_scenario
 from cmf_mj.facility.scenario.settings import (
@@ -177,17 +178,16 @@ def test_a_law_takes_over_at_the_output_of_the_one_before(law: str) -> None:
     rng = np.random.default_rng(3)
     before, after = (control.make_dcl(load_law(name), 6) for name in ("velocity", law))
     reference = rng.uniform(-0.1, 0.1, 6)
-    feedback = control.LegFeedback(
+    feedback = LegFeedback(
         reference + rng.uniform(-0.003, 0.003, 6), *(rng.uniform(-0.02, 0.02, (2, 6))),
         *rng.uniform(2e6, 4e6, (2, 6)),
     )  # fmt: skip
-    state = control.engaged(before, reference, feedback)
+    state = engaged(before, reference, feedback)
     begun = handed_over(before, state, after, reference, feedback)
     outputs = []
     for compiled, own in ((before, state), (after, begun)):
-        signal, output, command = np.zeros((6, 10)), np.zeros(6), np.zeros(6)
-        control.step(compiled, own, reference, feedback, signal, output, command)
-        outputs.append(output)
+        control.step(compiled, own, reference, feedback)
+        outputs.append(compiled.workspace.output)
     assert np.abs(outputs[0]).max() > 0.005
     has_state = after.compensator.output_gain[0] != 0.0 or load_law(law).uses_integral
     gap = np.abs(outputs[1] - outputs[0]).max()

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.control import dcl as control
+from cmf_mj.control.engage import engaged, handed_over
 from cmf_mj.control.law import Gains, Law
 from cmf_mj.control.protection import (
     Fault,
@@ -36,7 +37,6 @@ from cmf_mj.facility.loop import (
     run,
 )
 from cmf_mj.facility.pace import Pace, idle_pace
-from cmf_mj.facility.scenario.handover import handed_over
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.events import Event, make_timeline
 from cmf_mj.plant.faults import OVERLOAD, no_faults
@@ -203,7 +203,7 @@ class Session:
         self.controller = Controller(
             closed=law is not None,
             dcl=dcl,
-            state=control.engaged(dcl, feedback.position if law is None else table[0], feedback),
+            state=engaged(dcl, feedback.position if law is None else table[0], feedback),
             table=np.ascontiguousarray(table),
             delay=options.command_delay,
             guarded=options.protection is not None,
@@ -257,7 +257,7 @@ class Session:
             OutOfBounds: the state left its physical bounds; leg, time and value are named.
         """
         if self.frame == 0:
-            state = self.controller.state._asdict()
+            state = self.controller.state.arrays()
             self._begun = {name: values.tolist() for name, values in state.items()}
         end = self.frames if frames is None else min(self.frame + frames, self.frames)
         frame, bound, leg = run(
@@ -332,11 +332,12 @@ class Session:
         )
 
     def engage(self, law: Law) -> None:
-        """Hand over to another law, from the next frame on, as `handover` says."""
+        """Hand over to another law, from the next frame on, as `control.engage` says."""
         self._engaged = law.mounted(self.plant.mounting)
         controller, memory = self.controller, self.memory
         dcl = control.make_dcl(self._engaged, self.plant.legs)
-        reference = memory.signals[:, 0] if self.frame else memory.feedback.position
+        limited = controller.dcl.workspace.limited
+        reference = limited.copy() if self.frame else memory.feedback.position
         parts = controller.electronics
         state = handed_over(
             controller.dcl,
@@ -350,7 +351,7 @@ class Session:
 
     def forget_integral(self) -> None:
         """Start the error integral from zero."""
-        self.controller.state.integral[:] = 0.0
+        self.controller.state.error.integral[:] = 0.0
 
     def exchange(self, **parts: Any) -> None:
         """Go on with other parts of the chain, by their field in `Chain`."""
