@@ -163,7 +163,9 @@ def _begun(record: Record, law: Law, legs: int) -> control.DclState | None:
     said = record.metadata.get("law_state")
     if not said or record.metadata.get("law_parameters") != law.model_dump(mode="json"):
         return None
-    return control.DclState.of(said) if len(said["compensator"]) == legs else None
+    known = control.DclState.zeros(legs).arrays()
+    fits = said.keys() == known.keys() and all(len(values) == legs for values in said.values())
+    return control.DclState.of(said) if fits else None
 
 
 def _every(record: Record) -> int:
