@@ -18,16 +18,21 @@ from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.reduction import leg_model
 from cmf_mj.analysis.published import published_gains, published_results
 from cmf_mj.cli.common import app
-from cmf_mj.core import errors
 from cmf_mj.core.rates import FRAME
 from cmf_mj.plant.single_legs import SingleLegs
-from cmf_mj.show import report_2014 as reproduction
+from cmf_mj.show.chart import Chart, curve, thinned
 from cmf_mj.show.report_2014 import drawing, force, statements, tables
-from cmf_mj.show.report_2014.blocks import Content, PageTable
-from cmf_mj.show.report_2014.chart import Chart, Panel, curve, names_in, thinned
-from cmf_mj.show.report_2014.ledger_section import CALIBRATION_NEEDS
-from cmf_mj.show.report_2014.page import FIGURES, TABLES
-from cmf_mj.show.report_2014.runs import FORCE_READINGS, Runs, Wanted, hydraulics_of, law_of
+from cmf_mj.show.report_2014.contents import Content, PageTable
+from cmf_mj.show.report_2014.page import (
+    FIGURES,
+    STUDY_NEEDS,
+    TABLES,
+    make_content,
+    render,
+    save_page,
+)
+from cmf_mj.show.report_2014.runs import FORCE_READINGS, Runs, RunSpec, hydraulics_of, law_of
+from cmf_mj.show.report_2014.sections import sections_of
 from cmf_mj.studies.calibration.definition import load_studies
 from cmf_mj.studies.comparison import CaseResult
 
@@ -46,12 +51,12 @@ REPORT_FIGURES = (
 @pytest.fixture(scope="module")
 def content() -> Content:
     """Five figures and Table 2-4 from quick runs."""
-    return reproduction.make_content(SHOWN, ["2-4"], jobs=2, quick=True)
+    return make_content(SHOWN, ["2-4"], jobs=2, quick=True)
 
 
 @pytest.fixture(scope="module")
 def page(content: Content, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return reproduction.save_page(content, tmp_path_factory.mktemp("report"))
+    return save_page(content, tmp_path_factory.mktemp("report"))
 
 
 def charts(content: Content) -> dict[str, Chart]:
@@ -73,12 +78,9 @@ def test_captions_say_where_the_machine_is_a_stand_in(content: Content) -> None:
 
 def test_page_is_the_same_for_any_number_of_jobs(content: Content) -> None:
     chosen: Any = (["3-14", "2-4"], [])
-    first, second = (
-        reproduction.render(reproduction.make_content(*chosen, jobs=jobs, quick=True))
-        for jobs in (1, 2)
-    )
+    first, second = (render(make_content(*chosen, jobs=jobs, quick=True)) for jobs in (1, 2))
     assert first == second
-    other = reproduction.make_content(["2-4"], [], jobs=1, quick=True)
+    other = make_content(["2-4"], [], jobs=1, quick=True)
     curves = charts(other)["2-4"].panels[0].curves
     shared = charts(content)["2-4"].panels[0].curves
     assert all(np.array_equal(a.y, b.y) for a, b in zip(curves, shared, strict=True))
@@ -112,7 +114,7 @@ def test_pictures_for_print_are_svg_that_parses(content: Content) -> None:
 
 
 def test_table_2_4_judges_each_row_by_its_tolerance(content: Content) -> None:
-    rows = reproduction.result_rows(content.runs, "2-4")
+    rows = tables.result_rows(content.runs, "2-4")
     assert [(row.of, row.quantity) for row in rows] == [
         (of, quantity)
         for of in ("hardware", "non-linear model")
@@ -128,7 +130,7 @@ def test_table_2_4_judges_each_row_by_its_tolerance(content: Content) -> None:
 
 def altered(runs: Runs, factor: float) -> Runs:
     """The same runs with other -90 deg bandwidths."""
-    found: dict[Wanted, Any] = {}
+    found: dict[RunSpec, Any] = {}
     for key, result in runs.results.items():
         if isinstance(result, CaseResult):
             widths = result.bandwidths
@@ -138,12 +140,12 @@ def altered(runs: Runs, factor: float) -> Runs:
 
 
 def test_a_slower_model_falls_outside_and_is_coloured(content: Content) -> None:
-    before = reproduction.result_rows(content.runs, "2-4")
-    after = reproduction.result_rows(altered(content.runs, 0.6), "2-4")
+    before = tables.result_rows(content.runs, "2-4")
+    after = tables.result_rows(altered(content.runs, 0.6), "2-4")
     assert all(row.within for row in before if row.quantity == "-90 deg")
-    assert [row.quantity for row in reproduction.outside(after)].count("-90 deg") == 2
+    assert [row.quantity for row in tables.outside(after)].count("-90 deg") == 2
     slow = Content(altered(content.runs, 0.6), (), ("2-4",), studies=False)
-    chapter = next(s for s in reproduction.sections_of(slow) if s.anchor == "chapter-2")
+    chapter = next(s for s in sections_of(slow) if s.anchor == "chapter-2")
     shown = next(b for b in chapter.blocks if isinstance(b, PageTable) and b.anchor == "table-2-4")
     assert [row.verdict for row in shown.rows[::3]] == ["outside", "outside"]
 
@@ -151,9 +153,8 @@ def test_a_slower_model_falls_outside_and_is_coloured(content: Content) -> None:
 @pytest.fixture(scope="module")
 def studied(content: Content) -> Content:
     """All sections; the original law stands in for those that were not run."""
-    found: dict[Wanted, Any] = dict(content.runs.results)
-    needs = [*force.FORCE_NEEDS, *statements.STATEMENT_NEEDS, *statements.REST_NEEDS]
-    for need in (*needs, *CALIBRATION_NEEDS):
+    found: dict[RunSpec, Any] = dict(content.runs.results)
+    for need in STUDY_NEEDS:
         found.setdefault(need, content.runs.case(need.on, "original"))
     runs = Runs(found, content.runs.sensors, content.runs.quick, content.runs.seed)
     return Content(runs, (), (), studies=True)
@@ -162,14 +163,14 @@ def studied(content: Content) -> Content:
 def tables_of(content: Content) -> dict[str, PageTable]:
     return {
         block.anchor: block
-        for section in reproduction.sections_of(content)
+        for section in sections_of(content)
         for block in section.blocks
         if isinstance(block, PageTable)
     }
 
 
 def test_all_sections_have_rows_as_wide_as_their_headers(studied: Content) -> None:
-    sections = reproduction.sections_of(studied)
+    sections = sections_of(studied)
     assert [section.anchor for section in sections if section.anchor in OWN] == list(OWN)
     for name, table in tables_of(studied).items():
         assert table.rows, name
@@ -177,7 +178,7 @@ def test_all_sections_have_rows_as_wide_as_their_headers(studied: Content) -> No
 
 
 def test_studies_are_left_out_of_a_part(content: Content) -> None:
-    shown = {section.anchor for section in reproduction.sections_of(content)}
+    shown = {section.anchor for section in sections_of(content)}
     assert not shown & {"force", "steady-state", "text", "calibration"}
     assert {"ledger", "parameters", "provenance"} <= shown
 
@@ -291,8 +292,6 @@ def test_thinning_keeps_peaks_order_and_number() -> None:
 def test_curves_drop_what_cannot_be_drawn() -> None:
     drawn = curve("c", [0.0, 1.0, 2.0, 3.0], [1.0, np.nan, np.inf, 2.0], "#000", within=(0, 5))
     assert drawn.x.tolist() == [0.0, 3.0]
-    panels = [Panel("y", (drawn, drawn)), Panel("z", (drawn._replace(name="d"),))]
-    assert names_in(panels) == ["c", "d"]
 
 
 @pytest.mark.parametrize(
@@ -321,7 +320,7 @@ def test_report_without_plotly_says_what_to_install(
             raise ImportError(f"No module named {name!r}", name=name)
         return real(name, package)
 
-    monkeypatch.setattr(errors, "import_module", without)
+    monkeypatch.setattr(drawing, "import_module", without)
     result = CliRunner().invoke(app, ["report", "--out", str(tmp_path / "out")])
     assert result.exit_code == 2
     assert "cmf-mj[report]" in result.output

@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, sync_playwright
 
-from cmf_mj.show import report_2014 as reproduction
+from cmf_mj.show.report_2014.page import make_content, save_page
 
 FIGURES = ["3-14", "3-17"]
 
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    content = reproduction.make_content(FIGURES, [], jobs=2, quick=True)
-    return reproduction.save_page(content, tmp_path_factory.mktemp("report"))
+    content = make_content(FIGURES, [], jobs=2, quick=True)
+    return save_page(content, tmp_path_factory.mktemp("report"))
 
 
 class Visit:

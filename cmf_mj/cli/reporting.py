@@ -7,8 +7,9 @@ import typer
 from rich.table import Table
 
 from cmf_mj.cli.common import TEXT_WIDTH, Jobs, app, progress_bar, refuse, show
-from cmf_mj.core.errors import CmfError, require
-from cmf_mj.show import report_2014 as reproduction
+from cmf_mj.show.report_2014.drawing import require_extra
+from cmf_mj.show.report_2014.page import make_content, save_page
+from cmf_mj.show.report_2014.tables import result_rows
 
 
 def _numbers(text: str) -> list[str] | None:
@@ -29,10 +30,9 @@ def report_command(
 ) -> None:
     """Reproduce the 2014 report on one HTML page, printed results beside ours."""
     try:
-        for package in ("plotly", "jinja2"):
-            require(package, "report")
+        require_extra()
         with progress_bar() as update:
-            content = reproduction.make_content(
+            content = make_content(
                 _numbers(figures),
                 _numbers(tables),
                 jobs=jobs,
@@ -40,15 +40,15 @@ def report_command(
                 seed=seed,
                 progress=update,
             )
-        path = reproduction.save_page(content, out)
+        path = save_page(content, out)
         summary = Table("table", "within", "outside", "reported", title="rows by verdict")
         for table in content.tables:
-            verdicts = [row.within for row in reproduction.result_rows(content.runs, table)]
+            verdicts = [row.within for row in result_rows(content.runs, table)]
             counts = (verdicts.count(True), verdicts.count(False), verdicts.count(None))
             summary.add_row(table, *map(str, counts))
         size = path.stat().st_size / 1e6
         written = f"written to {path}: {len(content.figures)} figures, {size:.1f} MB"
         parts: list[Table | str] = [summary] if content.tables else []
         show(*parts, written, width=TEXT_WIDTH)
-    except (CmfError, OSError) as error:
+    except (ValueError, OSError, FloatingPointError) as error:
         refuse(error)

@@ -1,5 +1,6 @@
 """UFF 58, the universal file format of modal-analysis tools, through pyuff."""
 
+import importlib
 import json
 import warnings
 from collections.abc import Iterator
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.core.errors import InputError, require
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file
 from cmf_mj.record.layout import UFF_TYPES, check_dataset
 from cmf_mj.record.record import Record
@@ -29,9 +30,9 @@ def write_uff(record: Record, path: str | Path) -> Path:
 
     Raises:
         InputError: a value that is not finite, a name or unit UFF cannot hold.
-        MissingExtraError: pyuff is not installed.
+        ModuleNotFoundError: pyuff is not installed.
     """
-    pyuff, target = require("pyuff", "uff"), Path(path)
+    pyuff, target = _pyuff(), Path(path)
     if record.time.size < 2:
         raise InputError(f"record: has {record.time.size} samples; allowed: at least 2")
     columns = list(_scalars(record))
@@ -88,9 +89,9 @@ def read_uff(path: str | Path) -> Record:
     Raises:
         InputError: the file is not whole, holds no time response, or its time responses differ in
             length or rate.
-        MissingExtraError: pyuff is not installed.
+        ModuleNotFoundError: pyuff is not installed.
     """
-    pyuff, source = require("pyuff", "uff"), Path(path)
+    pyuff, source = _pyuff(), Path(path)
     try:
         source.open("rb").close()
         found = pyuff.UFF(str(source)).read_sets()
@@ -119,6 +120,15 @@ def read_uff(path: str | Path) -> Record:
     metadata.setdefault("command", {"kind": "recording"})
     metadata["recording"] = {"file": source.name}
     return Record(time, channels, channel_units, metadata)
+
+
+def _pyuff() -> Any:
+    try:
+        return importlib.import_module("pyuff")
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "UFF files need pyuff: pip install 'cmf-mj[uff]'", name="pyuff"
+        ) from error
 
 
 def _scalars(record: Record) -> Iterator[tuple[str, str, int, NDArray[np.float64]]]:

@@ -2,6 +2,8 @@
 
 import io
 import math
+from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 from matplotlib import rc_context
@@ -9,18 +11,52 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
-from cmf_mj.core.errors import require
-from cmf_mj.show.report_2014.chart import Chart, Panel, names_in
+from cmf_mj.core.errors import InputError
+from cmf_mj.show.chart import Chart, Curve, Panel, plot_curves
 
-_DASHES = {"solid": "-", "dash": "--", "dot": ":"}
 _PANEL, _MARGIN = 230, 96
 """Height of a panel and of what surrounds all [px]."""
 
 
-def _range(limits: tuple[float, float] | None, log: bool) -> list[float] | None:
-    if limits is None:
-        return None
-    return [math.log10(value) for value in limits] if log else list(limits)
+def optional_module(name: str) -> ModuleType:
+    """A module that only the extra `report` installs.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise InputError(
+            f"{error.name}: is not installed; the report needs `pip install cmf-mj[report]`"
+        ) from error
+
+
+def require_extra() -> None:
+    """Refuse before anything is run if the extra `report` is not installed.
+
+    Raises:
+        InputError: plotly or Jinja2 is missing.
+    """
+    for name in ("plotly.graph_objects", "jinja2"):
+        optional_module(name)
+
+
+def chart_height(chart: Chart) -> int:
+    """Height on the screen [px]."""
+    return _MARGIN + round(sum(panel.height for panel in chart.panels) * _PANEL)
+
+
+def _axis_panel(panel: Panel, panels: tuple[Panel, ...]) -> Panel:
+    """The panel whose x axis it has: the next with a title."""
+    following = panels[panels.index(panel) :]
+    return next(candidate for candidate in following if candidate.x_title)
+
+
+def _axis(title: str, limits: tuple[float, float] | None, *, log: bool) -> dict[str, Any]:
+    scaled = [math.log10(v) for v in limits] if limits and log else limits and list(limits)
+    kind = {"type": "log" if log else "linear", "range": scaled}
+    return {"title": {"text": title}, **kind, "gridcolor": "#e5e5e5", "zeroline": False}
 
 
 def _log_ticks(limits: tuple[float, float] | None) -> list[float] | None:
@@ -32,20 +68,38 @@ def _log_ticks(limits: tuple[float, float] | None) -> list[float] | None:
     return [tick for tick in ticks if limits[0] <= tick <= limits[1]]
 
 
-def _own_axis(panel: Panel, panels: tuple[Panel, ...]) -> Panel:
-    """The panel whose x axis it has: the next with a title."""
-    following = panels[panels.index(panel) :]
-    return next(candidate for candidate in following if candidate.x_title)
+def _guide(level: float, suffix: str) -> dict[str, Any]:
+    where = {"xref": f"x{suffix} domain", "yref": f"y{suffix}"}
+    ends = {"x0": 0, "x1": 1, "y0": level, "y1": level}
+    return {
+        "type": "line",
+        **where,
+        **ends,
+        "line": {"color": "#999999", "width": 1, "dash": "dot"},
+    }
 
 
-def chart_height(chart: Chart) -> int:
-    """Height on the screen [px]."""
-    return _MARGIN + round(sum(panel.height for panel in chart.panels) * _PANEL)
+def _trace(line: Curve, suffix: str, *, in_legend: bool) -> dict[str, Any]:
+    colour = {"color": line.colour}
+    return {
+        "type": "scatter",
+        "name": line.name,
+        "legendgroup": line.name,
+        "showlegend": in_legend,
+        "x": line.x,
+        "y": line.y,
+        "xaxis": f"x{suffix}",
+        "yaxis": f"y{suffix}",
+        "mode": "markers" if line.marks else "lines",
+        "line": {**colour, "width": line.width, "dash": line.dash, "simplify": False},
+        "marker": {**colour, "size": 9, "symbol": "circle-open", "line": {"width": 2}},
+        "hovertemplate": "%{x:.4g}, %{y:.4g}<extra>%{fullData.name}</extra>",
+    }
 
 
 def plotly_json(chart: Chart) -> str:
     """The chart as JSON of a plotly figure; the same bytes for the same chart."""
-    graph = require("plotly.graph_objects", "report")
+    graph = optional_module("plotly.graph_objects")
     total = sum(panel.height for panel in chart.panels)
     layout: dict[str, Any] = {
         "template": "none",
@@ -57,92 +111,47 @@ def plotly_json(chart: Chart) -> str:
         "shapes": [],
     }
     traces: list[dict[str, Any]] = []
-    shown: set[str] = set()
+    names: set[str] = set()
     top = 1.0
     for index, panel in enumerate(chart.panels):
         suffix = "" if index == 0 else str(index + 1)
-        axis = _own_axis(panel, chart.panels)
+        shared = _axis_panel(panel, chart.panels)
         share = panel.height / total
         last = index == len(chart.panels) - 1
         gap = 0.0 if last else 0.2 if panel.x_title else 0.08
         bottom = top - share
         layout[f"yaxis{suffix}"] = {
-            "title": {"text": panel.y_title},
+            **_axis(panel.y_title, panel.y_range, log=False),
             "domain": [round(max(bottom + gap * share, 0.0), 4), round(top, 4)],
-            "type": "log" if panel.y_log else "linear",
-            "range": _range(panel.y_range, panel.y_log),
             "dtick": panel.y_tick,
-            "gridcolor": "#e5e5e5",
-            "zeroline": False,
             "anchor": f"x{suffix}",
         }
+        across = _axis(panel.x_title, shared.x_range, log=shared.x_log)
+        across["title"]["standoff"] = 6
         layout[f"xaxis{suffix}"] = {
-            "title": {"text": panel.x_title, "standoff": 6},
-            "type": "log" if axis.x_log else "linear",
-            "range": _range(axis.x_range, axis.x_log),
-            "tickvals": _log_ticks(axis.x_range) if axis.x_log else None,
-            "gridcolor": "#e5e5e5",
-            "zeroline": False,
+            **across,
+            "tickvals": _log_ticks(shared.x_range) if shared.x_log else None,
             "anchor": f"y{suffix}",
             "showticklabels": bool(panel.x_title),
-            "matches": None if axis is panel else f"x{chart.panels.index(axis) + 1}",
+            "matches": None if shared is panel else f"x{chart.panels.index(shared) + 1}",
         }
-        for level in panel.guides:
-            layout["shapes"].append(
-                {
-                    "type": "line",
-                    "xref": f"x{suffix} domain",
-                    "yref": f"y{suffix}",
-                    "x0": 0,
-                    "x1": 1,
-                    "y0": level,
-                    "y1": level,
-                    "line": {"color": "#999999", "width": 1, "dash": "dot"},
-                }
-            )
+        layout["shapes"] += [_guide(level, suffix) for level in panel.guides]
         for line in panel.curves:
-            traces.append(
-                {
-                    "type": "scatter",
-                    "name": line.name,
-                    "legendgroup": line.name,
-                    "showlegend": line.name not in shown,
-                    "x": line.x,
-                    "y": line.y,
-                    "xaxis": f"x{suffix}",
-                    "yaxis": f"y{suffix}",
-                    "mode": "markers" if line.marks else "lines",
-                    "line": {
-                        "color": line.colour,
-                        "width": line.width,
-                        "dash": line.dash,
-                        "simplify": False,
-                    },
-                    "marker": {
-                        "color": line.colour,
-                        "size": 9,
-                        "symbol": "circle-open",
-                        "line": {"width": 2},
-                    },
-                    "hovertemplate": "%{x:.4g}, %{y:.4g}<extra>%{fullData.name}</extra>",
-                }
-            )
-            shown.add(line.name)
+            traces.append(_trace(line, suffix, in_legend=line.name not in names))
+            names.add(line.name)
         top = bottom
     return str(graph.Figure(data=traces, layout=layout).to_json())
 
 
-def _dress(axes: Axes, panel: Panel, axis: Panel) -> None:
+def _dress(axes: Axes, panel: Panel, shared: Panel) -> None:
     axes.set_ylabel(panel.y_title, fontsize=8)
-    if axis.x_log:
+    if shared.x_log:
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.xaxis.set_minor_formatter(NullFormatter())
-    if panel.y_log:
-        axes.set_yscale("log")
-    if axis.x_range is not None:
-        axes.set_xlim(*axis.x_range)
+    if shared.x_range is not None:
+        axes.set_xlim(*shared.x_range)
     if panel.y_range is not None:
         axes.set_ylim(*panel.y_range)
     if panel.y_tick is not None:
@@ -164,22 +173,12 @@ def still(chart: Chart) -> str:
         grid = figure.subplots(len(chart.panels), 1, squeeze=False, height_ratios=ratios)[:, 0]
         handles: dict[str, Any] = {}
         for axes, panel in zip(grid, chart.panels, strict=True):
-            for line in panel.curves:
-                style = {"marker": "o", "linestyle": "", "fillstyle": "none", "markersize": 5}
-                drawn = axes.plot(
-                    line.x,
-                    line.y,
-                    color=line.colour,
-                    linewidth=0.7 * line.width,
-                    label=line.name,
-                    **(style if line.marks else {"linestyle": _DASHES[line.dash]}),
-                )
-                handles.setdefault(line.name, drawn[0])
-            _dress(axes, panel, _own_axis(panel, chart.panels))
-        names = names_in(chart.panels)
+            for name, handle in plot_curves(axes, panel.curves, scale=0.7).items():
+                handles.setdefault(name, handle)
+            _dress(axes, panel, _axis_panel(panel, chart.panels))
         figure.legend(
-            [handles[name] for name in names],
-            names,
+            list(handles.values()),
+            list(handles),
             loc="outside upper left",
             ncols=2,
             fontsize=7,

@@ -19,14 +19,26 @@ from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.reduction import leg_model
+from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.record.record import Record
-from cmf_mj.show.report_2014.chart import COLOURS, Chart, Panel, curve
-from cmf_mj.show.report_2014.runs import FORCE_READINGS, Runs, Wanted, hydraulics_of, law_of
+from cmf_mj.show.chart import Chart, Panel, curve
+from cmf_mj.show.look import COLOURS
+from cmf_mj.show.report_2014.contents import (
+    Block,
+    PageFigure,
+    PageTable,
+    TableRow,
+    captioned,
+    table,
+    texts,
+)
+from cmf_mj.show.report_2014.runs import FORCE_READINGS, Runs, RunSpec, hydraulics_of, law_of
+from cmf_mj.show.report_2014.tables import printed_number as number
 
 REPORTED_HZ, REPORTED_G = 25.0, 3.0
 """Of the oscillation in Figures 3-20 and 3-21, section 3.4.2."""
@@ -47,10 +59,6 @@ class Oscillation(NamedTuple):
     crossover_gain: float  #: Of the open loop there; above 1 the loop oscillates.
 
 
-def _leg(parameters: HydraulicParameters) -> control.StateSpace:
-    return leg_model(linearize(SingleLegs(parameters)), 1)
-
-
 def open_loop(law: Law, leg: control.StateSpace, f: NDArray[np.float64]) -> NDArray[np.complex128]:
     """L at `f` [Hz], (K,): from the command at the valve around to the DCL's output."""
     omega = 2.0 * np.pi * f
@@ -64,7 +72,7 @@ def open_loop(law: Law, leg: control.StateSpace, f: NDArray[np.float64]) -> NDAr
 
 def oscillation(law: Law, parameters: HydraulicParameters) -> Oscillation:
     """Least damped poles and phase crossover of one leg under a law."""
-    leg = _leg(parameters)
+    leg = leg_model(linearize(SingleLegs(parameters)), 1)
     poles = np.log(closed_loop(law, leg).poles().astype(complex)) / FRAME
     poles = poles[(poles.imag > 0.0) & (np.abs(poles) < 2.0 * np.pi * _HIGHEST)]
     # Pairs that are all but real belong to the law's integrator, not to an oscillation.
@@ -73,8 +81,7 @@ def oscillation(law: Law, parameters: HydraulicParameters) -> Oscillation:
     worst = poles[oscillating][np.argmin(damping[oscillating])]
     loop = open_loop(law, leg, _FREQUENCY)
     turns = np.flatnonzero((loop.imag[1:] * loop.imag[:-1] < 0.0) & (loop.real[1:] > 0.0))
-    nan = float("nan")
-    crossover, gain = nan, nan
+    crossover, gain = float("nan"), float("nan")
     if turns.size:
         at = turns[np.argmax(np.abs(loop[turns]))]
         crossover, gain = float(_FREQUENCY[at]), float(np.abs(loop[at]))
@@ -118,27 +125,20 @@ def force_law(reading: str) -> str:
     return "force" if reading == next(iter(FORCE_READINGS)) else f"force:{reading}"
 
 
-FORCE_NEEDS = tuple(Wanted("model", force_law(reading)) for reading in FORCE_READINGS)
+FORCE_NEEDS = tuple(RunSpec("model", force_law(reading)) for reading in FORCE_READINGS)
 """Runs of the study."""
 
 
 def readings(runs: Runs) -> list[Reading]:
     """All readings of the gain."""
     parameters = hydraulics_of("model")
-    found = []
+    rows = []
     for title, gain in FORCE_READINGS.items():
         name = force_law(title)
         result = runs.case("model", name)
-        found.append(
-            Reading(
-                title,
-                gain,
-                oscillation(law_of(name), parameters),
-                *cycle(result.step),
-                result.bandwidths,
-            )
-        )
-    return found
+        linear = oscillation(law_of(name), parameters)
+        rows.append(Reading(title, gain, linear, *cycle(result.step), result.bandwidths))
+    return rows
 
 
 class Variation(NamedTuple):
@@ -169,7 +169,7 @@ def variations() -> list[Variation]:
     return [Variation(title, oscillation(law, _varied(f, v))) for title, f, v in changes]
 
 
-def gain_chart() -> Chart:
+def _gain_chart() -> Chart:
     """Frequency and damping of the least damped pair over the force gain."""
     parameters = hydraulics_of("model")
     sizes = np.geomspace(0.1, 10.0, 41)
@@ -179,33 +179,71 @@ def gain_chart() -> Chart:
         gains = base.direct_gain.model_copy(update={"force": -0.01 * float(size)})
         return oscillation(base.model_copy(update={"direct_gain": gains}), parameters)
 
-    found = [at(size) for size in sizes]
-    panels = (
-        Panel(
-            "frequency [Hz]",
-            (
-                curve("unstable poles", sizes, [o.pole_hz for o in found], COLOURS[0]),
-                curve(
-                    "phase crossover", sizes, [o.crossover_hz for o in found], COLOURS[1], "dash"
-                ),
-            ),
-            (5.0, 30.0),
-            guides=(REPORTED_HZ,),
-        ),
-        Panel(
-            "damping ratio of the poles",
-            (curve("unstable poles", sizes, [o.pole_damping for o in found], COLOURS[0]),),
-            guides=(0.0,),
-            x_title="force gain over the printed 0.01 % per lbf",
-            x_range=(0.1, 10.0),
-            x_log=True,
-        ),
+    poles, damping, crossover, _ = zip(*map(at, sizes), strict=True)
+    frequencies = (
+        curve("unstable poles", sizes, poles, COLOURS[0]),
+        curve("phase crossover", sizes, crossover, COLOURS[1], "dash"),
     )
-    return Chart(
-        panels,
-        "Linear loop of one leg, report set, force opposing. The pair grows at every gain, and "
-        "most "
-        "slowly at about the printed one. Only at seven times the gain has it 25 Hz (dotted), "
-        "and a "
-        "command that clamps then pulls the oscillation down to the crossover.",
+    ratio = Panel(
+        "damping ratio of the poles",
+        (curve("unstable poles", sizes, damping, COLOURS[0]),),
+        guides=(0.0,),
+        x_title="force gain over the printed 0.01 % per lbf",
+        x_range=(0.1, 10.0),
+        x_log=True,
     )
+    frequency = Panel("frequency [Hz]", frequencies, (5.0, 30.0), guides=(REPORTED_HZ,))
+    return captioned("force_gain", (frequency, ratio), {})
+
+
+def _readings_table(rows: list[Reading]) -> PageTable:
+    cells: list[TableRow | tuple[str, ...]] = [
+        (
+            r.title,
+            f"{r.gain:+.3g}",
+            f"{number(r.linear.pole_hz)} / {r.linear.pole_damping:+.3f}",
+            f"{number(r.linear.crossover_hz)} / {number(r.linear.crossover_gain, 2)}",
+            number(r.cycle_hz),
+            f"{r.pressure:.0f}",
+            f"{r.acceleration:.1f}",
+            number(r.bandwidths.phase_hz),
+            number(r.bandwidths.gain_hz),
+            f"{r.bandwidths.peak_db:.1f}",
+        )
+        for r in rows
+    ]
+    printed = next(
+        r for r in published_results() if r.law == "force" and r.phase_bandwidth_hz is not None
+    )
+    widths = (f"{printed.phase_bandwidth_hz:g}", f"{printed.gain_bandwidth_hz:g}", "about 1")
+    last = ("printed", "", "", "", f"{REPORTED_HZ:g}", "", f"{REPORTED_G:g}", *widths)
+    return table("force-readings", [*cells, TableRow(last, "reported")])
+
+
+def blocks(runs: Runs) -> list[Block]:
+    """The section on the oscillation of section 3.4.2."""
+    rows = readings(runs)
+    first, second, third = texts(
+        "force",
+        reported_hz=REPORTED_HZ,
+        reported_g=REPORTED_G,
+        cycle_hz=number(rows[0].cycle_hz),
+        acceleration=rows[0].acceleration,
+        pressure=rows[0].pressure,
+    )
+    title = "Least damped poles over the force gain"
+    changed = [
+        (
+            v.title,
+            number(v.linear.pole_hz),
+            f"{v.linear.pole_damping:+.3f}",
+            number(v.linear.crossover_hz),
+            number(v.linear.crossover_gain, 2),
+        )
+        for v in variations()
+    ]
+    return [
+        *(first, _readings_table(rows), second),
+        *(PageFigure("figure-force", title, _gain_chart()), table("force-variations", changed)),
+        third,
+    ]

@@ -5,57 +5,44 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import cast
 
-from cmf_mj.core.errors import InputError, require
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_text
-from cmf_mj.show.report_2014 import appendices, chapter_2, chapter_3, chapter_4, force, statements
-from cmf_mj.show.report_2014.blocks import Content, Section
-from cmf_mj.show.report_2014.chart import Chart
-from cmf_mj.show.report_2014.curves import ReportFigure
-from cmf_mj.show.report_2014.drawing import chart_height, plotly_json, still
+from cmf_mj.show.chart import Chart
+from cmf_mj.show.report_2014 import figures_of_laws, figures_of_models
+from cmf_mj.show.report_2014.contents import CONTENTS, Content, ReportFigure, specs
+from cmf_mj.show.report_2014.drawing import chart_height, optional_module, plotly_json, still
+from cmf_mj.show.report_2014.force import FORCE_NEEDS
 from cmf_mj.show.report_2014.ledger_section import CALIBRATION_NEEDS
-from cmf_mj.show.report_2014.runs import Wanted, perform
-from cmf_mj.show.report_2014.sections import SECTIONS, STUDIES
+from cmf_mj.show.report_2014.runs import perform
+from cmf_mj.show.report_2014.sections import sections_of
+from cmf_mj.show.report_2014.statements import REST_NEEDS, STATEMENT_NEEDS
 from cmf_mj.show.report_2014.tables import TITLES, table_needs
 
-TITLE = "Control laws of the NASA Langley Cockpit Motion Facility: the 2014 report, reproduced"
+_DRAWINGS = vars(figures_of_laws) | vars(figures_of_models)
+_TEMPLATE = Path(__file__).with_name("page.html.jinja")
 
-FIGURES: tuple[ReportFigure, ...] = (
-    *chapter_2.FIGURES,
-    *chapter_3.FIGURES,
-    *chapter_4.FIGURES,
-    *appendices.FIGURES,
+FIGURES = tuple(
+    ReportFigure(
+        *(entry["number"], entry["title"], _DRAWINGS[entry["draw"]]),
+        *(specs(*entry.get("runs", ())), entry.get("sensors", False), entry.get("options", {})),
+    )
+    for entry in CONTENTS["figure"]
 )
 """All figures with numbers behind them, in the report's order."""
 
 TABLES = tuple(TITLES)
-"""All result tables; those of gains, limits and parameters need no run and are always shown."""
+"""All result tables; those of gains, limits and parameters need no run and are always there."""
 
-_TEMPLATE = Path(__file__).with_name("page.html.jinja")
+STUDY_NEEDS = (*FORCE_NEEDS, *STATEMENT_NEEDS, *REST_NEEDS, *CALIBRATION_NEEDS)
+"""Runs of the sections that come only with all figures and tables."""
 
 
-def chosen_figures(numbers: Sequence[str] | None) -> tuple[ReportFigure, ...]:
-    """Figures by number; None for all.
-
-    Raises:
-        InputError: a number that is none.
-    """
-    known = {figure.number: figure for figure in FIGURES}
+def _chosen(name: str, numbers: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:
+    """Those of `known` that are in `numbers`; all for None."""
     for number in numbers or ():
         if number not in known:
-            raise InputError(f"figures: {number!r} is not one of {', '.join(known)}")
-    return FIGURES if numbers is None else tuple(f for f in FIGURES if f.number in numbers)
-
-
-def chosen_tables(numbers: Sequence[str] | None) -> tuple[str, ...]:
-    """Result tables by number; None for all.
-
-    Raises:
-        InputError: a number that is none.
-    """
-    for number in numbers or ():
-        if number not in TABLES:
-            raise InputError(f"tables: {number!r} is not one of {', '.join(TABLES)}")
-    return TABLES if numbers is None else tuple(t for t in TABLES if t in numbers)
+            raise InputError(f"{name}: {number!r} is not one of {', '.join(known)}")
+    return tuple(number for number in known if numbers is None or number in numbers)
 
 
 def make_content(
@@ -81,41 +68,35 @@ def make_content(
     Raises:
         InputError: an argument out of range, named; nothing has been run then.
     """
-    shown, results = chosen_figures(figures), chosen_tables(tables)
+    numbers = _chosen("figures", figures, [figure.number for figure in FIGURES])
+    chosen = tuple(figure for figure in FIGURES if figure.number in numbers)
+    results = _chosen("tables", tables, TABLES)
     studies = figures is None and tables is None
-    wanted: list[Wanted] = [need for figure in shown for need in figure.needs]
-    wanted += [need for table in results for need in table_needs(table)]
-    if studies:
-        wanted += [*force.FORCE_NEEDS, *statements.STATEMENT_NEEDS, *statements.REST_NEEDS]
-        wanted += CALIBRATION_NEEDS
+    needs = [need for figure in chosen for need in figure.needs]
+    needs += [need for table in results for need in table_needs(table)]
+    needs += STUDY_NEEDS if studies else ()
     runs = perform(
-        wanted,
-        sensors=any(figure.sensors for figure in shown),
+        needs,
+        sensors=any(figure.sensors for figure in chosen),
         jobs=jobs,
         quick=quick,
         seed=seed,
         progress=progress,
     )
-    return Content(runs, shown, results, studies)
-
-
-def sections_of(content: Content) -> tuple[Section, ...]:
-    """The sections that have something to show."""
-    made = (section(content) for section in SECTIONS if content.studies or section not in STUDIES)
-    return tuple(section for section in made if section.blocks)
+    return Content(runs, chosen, results, studies)
 
 
 def render(content: Content) -> str:
     """The page as text: the same bytes for the same content.
 
     Raises:
-        MissingExtraError: plotly or Jinja2 is not installed.
+        InputError: plotly or Jinja2 is not installed.
     """
-    jinja = require("jinja2", "report")
-    library = require("plotly.offline", "report").get_plotlyjs()
-    markup = require("markupsafe", "report").Markup
+    jinja = optional_module("jinja2")
+    library = optional_module("plotly.offline").get_plotlyjs()
+    markup = optional_module("markupsafe").Markup
 
-    def pictured(chart: Chart) -> str:
+    def picture(chart: Chart) -> str:
         return base64.b64encode(still(chart).encode()).decode()
 
     def data(chart: Chart) -> str:
@@ -124,26 +105,21 @@ def render(content: Content) -> str:
 
     environment = jinja.Environment(autoescape=True, undefined=jinja.StrictUndefined)
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
-    return cast(
-        "str",
-        template.render(
-            title=TITLE,
-            sections=sections_of(content),
-            height=chart_height,
-            plotly=data,
-            still=pictured,
-            library=markup(library),
-        ),
+    page = template.render(
+        title=CONTENTS["title"],
+        sections=sections_of(content),
+        height=chart_height,
+        plotly=data,
+        still=picture,
+        library=markup(library),
     )
+    return cast("str", page)
 
 
 def save_page(content: Content, folder: Path) -> Path:
     """Write `report.html`; it appears only when it is complete.
 
     Raises:
-        MissingExtraError: plotly or Jinja2 is not installed.
+        InputError: plotly or Jinja2 is not installed.
     """
-    target = folder / "report.html"
-    text = render(content)
-    write_text(target, text)
-    return target
+    return write_text(folder / "report.html", render(content))

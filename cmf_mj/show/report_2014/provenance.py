@@ -1,6 +1,6 @@
-"""Sections on what the page rests on: parameters with their status, models, versions, seed."""
+"""What the page rests on: parameters with their status, models, versions, seed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 
 import numpy as np
@@ -8,133 +8,91 @@ import numpy as np
 from cmf_mj.core import units
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.electronics.sensors.settings import CHANNELS, load_sensors
-from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
-from cmf_mj.show.report_2014.blocks import Content, PageTable, Section, TableRow
-from cmf_mj.show.report_2014.runs import CAB, HYDRAULICS, On, Runs, hydraulics_of, plant_of
+from cmf_mj.show.report_2014.contents import PageTable, table, texts
+from cmf_mj.show.report_2014.runs import CAB, HYDRAULICS, PLANTS, Runs, hydraulics_of, plant_of
 from cmf_mj.studies.comparison import CaseResult
 
-_PLANTS: tuple[On, ...] = ("model", "machine")
-_STATUS = (
-    "Stated: printed in the report; derived: follows from printed numbers; calibrated: fitted to "
-    "printed results; assumed: nobody published it."
-)
+_STATUS = texts("status")[0].text
 
 
 def _mechanics_table() -> PageTable:
     """Masses as the models have them, read from the compiled MJCF."""
-    single, whole = (plant_of(on) for on in _PLANTS)
+    single, whole = plant_of("model"), plant_of("machine")
     payload = float(whole.model.body_subtreemass[whole.model.body("platform").id])
     cab = whole.model.body("cab/cab")
     ahead, _, up = (float(value) for value in cab.ipos)
-    rows = (
-        (
-            "mass on a single leg",
-            _pounds(float(single.reflected_mass()[0, 0])),
-            "stated",
-            "7200 lbm",
-        ),
-        (
-            "load on a single leg",
-            f"{units.from_si('lbf', float(single.static_load()[0])):.0f} lbf",
-            "stated",
-            "7200 lbf",
-        ),
+    load = f"{units.from_si('lbf', float(single.static_load()[0])):.0f} lbf"
+    centre = f"{ahead:.2f} m ahead of and {up:.2f} m above the platform's centroid"
+    modal = np.linalg.eigvalsh(whole.reflected_mass())[::-1] / units.POUND_MASS
+    rows = [
+        ("mass on a single leg", _pounds(single.reflected_mass()[0, 0]), "stated", "7200 lbm"),
+        ("load on a single leg", load, "stated", "7200 lbf"),
         ("platform and cab", _pounds(payload), "derived", "7200 lbm a leg in heave"),
-        ("cab alone", _pounds(float(cab.mass[0])), "assumed", "the split is ours"),
+        ("cab alone", _pounds(cab.mass[0]), "assumed", "the split is ours"),
+        ("centre of mass of the cab", centre, "assumed", "decides surge, sway, roll and pitch"),
         (
-            "centre of mass of the cab",
-            f"{ahead:.2f} m ahead of and {up:.2f} m above the platform's centroid",
+            "masses the legs feel, mode by mode",
+            f"{', '.join(f'{mass:.0f}' for mass in modal)} lbm",
             "assumed",
-            "decides surge, sway, roll and pitch",
+            "eigenvalues of the reflected mass J^-T M J^-1 at neutral",
         ),
-        _modal_row(whole),
-    )
-    return PageTable(
-        "parameters-mechanics",
-        f"Mechanics: single legs, and hexapod with the {CAB.upper()}",
-        ("parameter", "value", "status", "source"),
-        tuple(TableRow(row) for row in rows),
-        f"{_STATUS} models/README.md has every number of the models.",
-    )
+    ]
+    title = f"Mechanics: single legs, and hexapod with the {CAB.upper()}"
+    note = f"{_STATUS} models/README.md has every number of the models."
+    return table("parameters", rows, anchor="parameters-mechanics", title=title, note=note)
 
 
 def _pounds(mass: float) -> str:
     return f"{mass / units.POUND_MASS:.0f} lbm"
 
 
-def _modal_row(plant: Plant) -> tuple[str, str, str, str]:
-    masses = np.linalg.eigvalsh(plant.reflected_mass())[::-1] / units.POUND_MASS
-    text = ", ".join(f"{mass:.0f}" for mass in masses)
-    source = "eigenvalues of the reflected mass J^-T M J^-1 at neutral"
-    return ("masses the legs feel, mode by mode", f"{text} lbm", "assumed", source)
+def _quantity_rows(values: Mapping[str, Quantity], of: str = "") -> list[tuple[str, ...]]:
+    return [
+        (f"{of}{name}".replace("_", " "), f"{q.value:g} {q.unit}", q.status, q.source)
+        for name, q in values.items()
+    ]
 
 
-def _sensor_table() -> PageTable:
-    settings = load_sensors("noisy")
-    rows = tuple(
-        TableRow(
-            (f"{channel}: {name}".replace("_", " "), f"{q.value:g} {q.unit}", q.status, q.source)
-        )
-        for channel in CHANNELS
-        for name, q in settings.channel(channel).quantities().items()
-    )
-    return PageTable(
-        "parameters-sensors",
-        "Sensors of Figures 3-15 and 3-16: noisy",
-        ("number", "value", "status", "source"),
-        rows,
-    )
-
-
-def _parameter_table(name: str, values: Mapping[str, Quantity]) -> PageTable:
-    rows = tuple(
-        TableRow((key.replace("_", " "), f"{q.value:g} {q.unit}", q.status, q.source))
-        for key, q in values.items()
-    )
-    return PageTable(
-        f"parameters-{name}",
-        f"Hydraulics: {name}",
-        ("parameter", "value", "status", "source"),
-        rows,
-        _STATUS,
-    )
-
-
-def parameters(content: Content) -> Section:
+def parameters() -> list[PageTable]:
     """Numbers of hydraulics, mechanics and sensors with their status."""
-    tables = [_parameter_table(HYDRAULICS[on], hydraulics_of(on).quantities()) for on in _PLANTS]
-    tables += [_mechanics_table(), _sensor_table()]
-    return Section("parameters", "Parameters and their status", tuple(tables))
-
-
-def _records(runs: Runs) -> Sequence[Record]:
-    found = []
-    for result in runs.results.values():
-        kept = (
-            result
-            if isinstance(result, tuple) and not isinstance(result, CaseResult)
-            else (result,)
+    tables = [
+        table(
+            "parameters",
+            _quantity_rows(hydraulics_of(on).quantities()),
+            anchor=f"parameters-{HYDRAULICS[on]}",
+            title=f"Hydraulics: {HYDRAULICS[on]}",
+            note=_STATUS,
         )
-        found += [item.step if isinstance(item, CaseResult) else item for item in kept]
-    return found
+        for on in PLANTS
+    ]
+    settings = load_sensors("noisy")
+    sensors = [
+        row
+        for channel in CHANNELS
+        for row in _quantity_rows(settings.channel(channel).quantities(), f"{channel}: ")
+    ]
+    return [*tables, _mechanics_table(), table("parameters-sensors", sensors)]
 
 
-def provenance(content: Content) -> Section:
+def _records(runs: Runs) -> Iterator[Record]:
+    for result in runs.results.values():
+        if isinstance(result, CaseResult):
+            yield result.step
+        else:
+            yield from result if isinstance(result, tuple) else (result,)
+
+
+def provenance(runs: Runs) -> PageTable:
     """What made the page: models, versions, seed."""
-    rows: dict[tuple[str, ...], None] = {
-        ("seed", str(content.runs.seed)): None,
-        ("cab of the hexapod", CAB.upper()): None,
-        ("runs", str(len(content.runs.results))): None,
-    }
-    for record in _records(content.runs):
+    rows = [
+        ("seed", str(runs.seed)),
+        ("cab of the hexapod", CAB.upper()),
+        ("runs", str(len(runs.results))),
+    ]
+    for record in _records(runs):
         meta = record.metadata
-        rows[(f"model digest, {meta['plant']}", str(meta["model_digest"]))] = None
-        for key, value in sorted(meta["versions"].items()):
-            rows[(f"version, {key}", str(value))] = None
-    for package in ("matplotlib", "plotly", "jinja2"):
-        rows[(f"version, {package}", version(package))] = None
-    table = PageTable(
-        "provenance-table", "Made by", ("", ""), tuple(TableRow(cells) for cells in rows)
-    )
-    return Section("provenance", "Models, versions and seed", (table,))
+        rows.append((f"model digest, {meta['plant']}", str(meta["model_digest"])))
+        rows += [(f"version, {key}", str(value)) for key, value in sorted(meta["versions"].items())]
+    rows += [(f"version, {name}", version(name)) for name in ("matplotlib", "plotly", "jinja2")]
+    return table("provenance-table", list(dict.fromkeys(rows)))

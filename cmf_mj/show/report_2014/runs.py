@@ -21,7 +21,6 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.simulation import simulate
-from cmf_mj.machine.dof import by_kind
 from cmf_mj.plant.build import make_plant
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
@@ -29,13 +28,7 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite as excitations
 from cmf_mj.studies.accelerometer_filter import FilterEffect, filter_effect
-from cmf_mj.studies.comparison import (
-    AMPLITUDE,
-    ROTATION_PER_TRANSLATION,
-    Case,
-    CaseResult,
-    run_case,
-)
+from cmf_mj.studies.comparison import Case, CaseResult, dof_amplitude, run_case
 from cmf_mj.studies.identification import Identified, identify
 
 On = Literal["model", "machine"]
@@ -43,6 +36,9 @@ Signal = Literal["case", "rise", "sine", "pulse", "sine_1_hz", "sine_5_hz", "rou
 
 HYDRAULICS: Mapping[On, str] = {"model": "report", "machine": "hardware"}
 """Hydraulic sets of the two plants."""
+
+PLANTS: Mapping[On, str] = {"model": "single_legs", "machine": "hexapod"}
+"""The two plants."""
 
 CAB = "gfd"
 """Cab of the machine."""
@@ -53,14 +49,14 @@ STEP = 1.0 * units.INCH
 SLOW, FIRST, FAST = 0.5, 1.0, 5.0
 """Sines of Figures 3-10 and 3-22, of linear model 2, and of Figure 4-7 [Hz]."""
 
-IDENTIFIED_ON = {1: "pulse", 2: "sine_1_hz", 3: "rounds"}
+IDENTIFIED_ON: Mapping[int, Signal] = {1: "pulse", 2: "sine_1_hz", 3: "rounds"}
 """Signals of the report's linear models 1 to 3 (section 4.3)."""
 
 ORDERS = Orders(4, 3, 1)
 """Of our own models of a leg: two lags and the oil mode."""
 
 LEG = "leg_1"
-"""The leg shown where the report shows a leg."""
+"""The leg whose motion figures show."""
 
 _EVERY: Mapping[Signal, int] = {"rise": 1, "sine": 16, "sine_5_hz": 1}
 """Frames between samples; others are recorded at the facility's 128 Hz."""
@@ -68,7 +64,7 @@ _EVERY: Mapping[Signal, int] = {"rise": 1, "sine": 16, "sine_5_hz": 1}
 _RECORDER = 16
 
 
-class Wanted(NamedTuple):
+class RunSpec(NamedTuple):
     """One run: on which plant, under which law, along which degree of freedom, which signal.
 
     `case` is the chirp and step of `studies.run_case`; the others are single records, `rounds` the
@@ -109,92 +105,78 @@ def hydraulics_of(on: On) -> HydraulicParameters:
 
 def plant_of(on: On) -> Plant:
     """A plant of its own."""
-    return make_plant("single_legs" if on == "model" else "hexapod", CAB, HYDRAULICS[on])
-
-
-def amplitude_of(dof: str) -> float:
-    """Of a sweep, 0.33 in or 0.2 deg (Appendix D) [m or rad]."""
-    return AMPLITUDE * by_kind(dof, 1.0, ROTATION_PER_TRANSLATION)
+    return make_plant(PLANTS[on], CAB, HYDRAULICS[on])
 
 
 @dataclass(frozen=True)
 class Runs:
     """Results of all runs asked for."""
 
-    results: Mapping[Wanted, Any]
+    results: Mapping[RunSpec, Any]
     sensors: FilterEffect | None
     quick: bool
     seed: int
 
     def case(self, on: On, law: str, dof: str = "heave") -> CaseResult:
         """Chirp and step."""
-        return cast("CaseResult", self.results[Wanted(on, law, dof)])
+        return cast("CaseResult", self.results[RunSpec(on, law, dof)])
 
     def record(self, on: On, law: str, signal: Signal, dof: str = "heave") -> Record:
         """A single record."""
-        return cast("Record", self.results[Wanted(on, law, dof, signal)])
+        return cast("Record", self.results[RunSpec(on, law, dof, signal)])
 
     def rounds(self, law: str) -> FrequencyResponse:
         """The machine's response in heave from the five rounds of sines."""
-        return rounds_response(self.results[Wanted("machine", law, "heave", "rounds")])
+        return rounds_response(self.results[RunSpec("machine", law, "heave", "rounds")])
 
     @cached_property
     def identified(self) -> dict[int, Identified]:
         """Our own linear models 1 to 3 of the machine's leg, made as the report made its own."""
         validation = self.record("machine", "velocity", "multisine")
-        found = {}
+        models = {}
         for number, signal in IDENTIFIED_ON.items():
-            kept = self.results[Wanted("machine", "velocity", "heave", cast("Signal", signal))]
-            records = list(kept) if signal == "rounds" else [kept]
-            found[number] = identify(
+            result = self.results[RunSpec("machine", "velocity", "heave", signal)]
+            records = [*result] if signal == "rounds" else [result]
+            models[number] = identify(
                 [*records, validation], LEG, method="arx", orders=ORDERS, law="velocity"
             )
-        return found
+        return models
 
 
-def _command(wanted: Wanted, seed: int) -> signals.Command:
-    size = amplitude_of(wanted.dof)
-    if wanted.signal == "rise":
-        return signals.step(wanted.dof, -STEP)
-    if wanted.signal == "sine":
-        return signals.sine(wanted.dof, STEP, SLOW, cycles=5.0)
-    if wanted.signal == "pulse":
-        return signals.pulse(wanted.dof, STEP)
-    if wanted.signal == "sine_1_hz":
-        return signals.sine(wanted.dof, STEP, FIRST)
-    if wanted.signal == "sine_5_hz":
-        return signals.sine(wanted.dof, size, FAST, cycles=20.0)
-    return signals.multisine(
-        wanted.dof, size, stop=16.0, spectrum="acceleration", fade=1.0, seed=seed
+def _command(spec: RunSpec, seed: int) -> signals.Command:
+    dof, size = spec.dof, dof_amplitude(spec.dof)
+    if spec.signal == "rise":
+        return signals.step(dof, -STEP)
+    if spec.signal == "sine":
+        return signals.sine(dof, STEP, SLOW, cycles=5.0)
+    if spec.signal == "pulse":
+        return signals.pulse(dof, STEP)
+    if spec.signal == "sine_1_hz":
+        return signals.sine(dof, STEP, FIRST)
+    if spec.signal == "sine_5_hz":
+        return signals.sine(dof, size, FAST, cycles=20.0)
+    return signals.multisine(dof, size, stop=16.0, spectrum="acceleration", fade=1.0, seed=seed)
+
+
+def _perform(spec: RunSpec, quick: bool, seed: int) -> CaseResult | Record | tuple[Record, ...]:
+    law, size = law_of(spec.law), dof_amplitude(spec.dof)
+    if spec.signal == "case":
+        cab = "" if spec.on == "model" else CAB
+        parameters = hydraulics_of(spec.on)
+        return run_case(Case(PLANTS[spec.on], cab, parameters, law, spec.dof, size, quick))
+    plant, every = plant_of(spec.on), _EVERY.get(spec.signal, _RECORDER)
+    if spec.signal != "rounds":
+        return simulate(plant, law, _command(spec, seed), record_every=every)
+    shorter: dict[str, Any] = {"cycles": 3, "settle": 1.0} if quick else {}
+    sines = (
+        excitations.seven_sines(spec.dof, size, number, **shorter)
+        for number in range(1, len(excitations.ROUNDS) + 1)
     )
-
-
-def _perform(wanted: Wanted, quick: bool, seed: int) -> CaseResult | Record | tuple[Record, ...]:
-    law = law_of(wanted.law)
-    size = amplitude_of(wanted.dof)
-    if wanted.signal == "case":
-        plant = "single_legs" if wanted.on == "model" else "hexapod"
-        cab = "" if wanted.on == "model" else CAB
-        return run_case(Case(plant, cab, hydraulics_of(wanted.on), law, wanted.dof, size, quick))
-    plant_built = plant_of(wanted.on)
-    if wanted.signal == "rounds":
-        shorter: dict[str, Any] = {"cycles": 3, "settle": 1.0} if quick else {}
-        numbers = range(1, len(excitations.ROUNDS) + 1)
-        return tuple(
-            simulate(
-                plant_built,
-                law,
-                excitations.seven_sines(wanted.dof, size, number, **shorter),
-                record_every=_RECORDER,
-            )
-            for number in numbers
-        )
-    every = _EVERY.get(wanted.signal, _RECORDER)
-    return simulate(plant_built, law, _command(wanted, seed), record_every=every)
+    return tuple(simulate(plant, law, command, record_every=every) for command in sines)
 
 
 def perform(
-    wanted: Iterable[Wanted],
+    specs: Iterable[RunSpec],
     *,
     sensors: bool = False,
     jobs: int | None = None,
@@ -205,7 +187,7 @@ def perform(
     """Make all runs.
 
     Args:
-        wanted: runs; one asked for twice is made once.
+        specs: runs; one asked for twice is made once.
         sensors: read and filter the accelerometers too (Figures 3-15 and 3-16).
         jobs: threads; default one per core. Results do not depend on it.
         quick: sweeps of 30 s for 100 s and shorter rounds.
@@ -218,7 +200,7 @@ def perform(
     if seed < 0:
         raise InputError(f"seed: {seed} must be at least 0")
     # The longest first, so that no thread is left with one at the end.
-    order = sorted(set(wanted), key=lambda w: (w.signal != "rounds", w.on != "machine", w))
+    order = sorted(set(specs), key=lambda w: (w.signal != "rounds", w.on != "machine", w))
     total = len(order) + int(sensors)
     results = on_threads(
         lambda one: _perform(one, quick, seed),
@@ -233,5 +215,5 @@ def perform(
 
 
 def leg_motion(record: Record, channel: str, unit: str) -> np.ndarray:
-    """History of the shown leg (N,) in `unit`, positive out."""
+    """A channel of leg 1 (N,) in `unit`, positive out."""
     return units.from_si(unit, record[channel][:, 0])

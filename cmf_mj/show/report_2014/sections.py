@@ -1,12 +1,14 @@
-"""The sections of the page, in order. A section is a function from what was run to its blocks.
+"""The sections of the page: `contents.toml` names their blocks, and each name is a function here.
 
-A section that is left out of `SECTIONS` is left out of the page and of its contents; a new one is a
-function and its entry.
+A new section is an entry there; a new kind of block is a function and its entry in `BLOCKS`.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping, Sequence
 
-from cmf_mj.show.report_2014.blocks import (
+from cmf_mj.show.report_2014 import force, ledger_section, provenance
+from cmf_mj.show.report_2014.contents import (
+    CONTENTS,
+    VERDICTS,
     Block,
     Content,
     PageFigure,
@@ -14,48 +16,39 @@ from cmf_mj.show.report_2014.blocks import (
     Section,
     TableRow,
     Text,
-    Verdict,
+    table,
+    texts,
 )
-from cmf_mj.show.report_2014.ledger_section import calibration, ledger
-from cmf_mj.show.report_2014.provenance import parameters, provenance
 from cmf_mj.show.report_2014.runs import Runs
-from cmf_mj.show.report_2014.study_sections import force_feedback, steady_state, text_numbers
+from cmf_mj.show.report_2014.statements import rest_rows, statements
 from cmf_mj.show.report_2014.tables import (
     TITLES,
     TOLERANCES,
     ResultRow,
     gain_rows,
     limit_rows,
+    printed_number,
     result_rows,
 )
 
 
-def result_table(runs: Runs, table: str) -> PageTable:
-    """A result table as the page shows it."""
-    rows = result_rows(runs, table)
-    title = f"Table {table}" if table[0] != "s" else table.capitalize()
-    appendix = table.startswith("D-")
-    common = ("", "of", "quantity", "printed", "computed", "deviation", "allowed", "verdict")
-    header = (*common, "hexapod", "remark") if appendix else (*common, "remark")
-    return PageTable(
-        f"table-{table.replace(' ', '-')}",
-        f"{title}: {TITLES[table]}",
-        header,
-        _said_once(_result_cells(row, appendix) for row in rows),
-        TOLERANCES,
-    )
-
-
-def _said_once(rows: Iterable[TableRow]) -> tuple[TableRow, ...]:
-    """Rows whose remark, the last cell, repeats only as a reference to the first."""
+def result_table(runs: Runs, name: str) -> PageTable:
+    """A result table as the page has it; a long remark is written once."""
+    appendix = name.startswith("D-")
     seen: set[str] = set()
-    found = []
-    for row in rows:
-        remark = row.cells[-1]
-        again = len(remark) > 40 and remark in seen
-        seen.add(remark)
-        found.append(row._replace(cells=(*row.cells[:-1], "as above")) if again else row)
-    return tuple(found)
+    rows = []
+    for row in result_rows(runs, name):
+        again = len(row.note) > 40 and row.note in seen
+        seen.add(row.note)
+        rows.append(_result_cells(row._replace(note="as above") if again else row, appendix))
+    title = f"Table {name}" if name[0] != "s" else name.capitalize()
+    return table(
+        "results-hexapod" if appendix else "results",
+        rows,
+        anchor=f"table-{name.replace(' ', '-')}",
+        title=f"{title}: {TITLES[name]}",
+        note=TOLERANCES,
+    )
 
 
 def _result_cells(row: ResultRow, appendix: bool) -> TableRow:
@@ -66,7 +59,7 @@ def _result_cells(row: ResultRow, appendix: bool) -> TableRow:
             return "–"
         return f"{100.0 * value:{sign}.1f} %" if relative else f"{value:{sign}.2f}"
 
-    verdict: Verdict = "reported" if row.within is None else "within" if row.within else "outside"
+    verdict = VERDICTS[row.within]
     cells = [
         row.label,
         row.of,
@@ -83,30 +76,26 @@ def _result_cells(row: ResultRow, appendix: bool) -> TableRow:
     return TableRow((*cells, row.note), verdict)
 
 
-def gains_table(number: str) -> PageTable:
-    """A gain table beside the shipped law."""
+def _results(content: Content, number: str) -> list[PageTable]:
+    return [result_table(content.runs, number)] if number in content.tables else []
+
+
+def _gains(content: Content, number: str) -> list[PageTable]:
+    """A gain table and the shipped law."""
     rows = []
     for row in gain_rows():
-        if row.table != number:
-            continue
-        verdict: Verdict = "within" if row.same else "outside" if not row.note else "reported"
-        printed = "not printed here" if row.printed != row.printed else f"{row.printed:g}"
-        said = "same" if row.same else "differs"
-        rows.append(
-            TableRow((row.law, row.gain, printed, f"{row.shipped:g}", said, row.note), verdict)
-        )
-    return PageTable(
-        f"table-{number}",
-        f"Table {number}: gains",
-        ("law", "gain", "printed", "in use", "", "remark"),
-        tuple(rows),
-        "In use: laws.toml. Units: % per in, Pa, in/s, in s, in/s², lbf.",
-    )
+        if row.table == number:
+            verdict = VERDICTS[True if row.same else None if row.note else False]
+            printed = "not printed here" if row.printed != row.printed else f"{row.printed:g}"
+            same = "same" if row.same else "differs"
+            cells = (row.law, row.gain, printed, f"{row.shipped:g}", same, row.note)
+            rows.append(TableRow(cells, verdict))
+    return [table("gains", rows, anchor=f"table-{number}", title=f"Table {number}: gains")]
 
 
-def limits_table() -> PageTable:
-    """Table 2-1 beside the geometry."""
-    rows = tuple(
+def _limits(content: Content, argument: str) -> list[PageTable]:
+    """Table 2-1 and the geometry."""
+    rows = [
         TableRow(
             (
                 row.dof,
@@ -119,102 +108,68 @@ def limits_table() -> PageTable:
             "reported",
         )
         for row in limit_rows()
-    )
-    return PageTable(
-        "table-2-1",
-        "Table 2-1: displacement limits",
-        ("", "mechanical", "operational", "where a leg reaches ±37.5 in", "deviation", "remark"),
-        rows,
-        "z down: positive heave lowers. The computed excursion is along one axis from neutral. The "
-        "printed limits are used as they are; the deviation is from the mechanical one.",
-    )
+    ]
+    return [table("table-2-1", rows)]
 
 
 def _figures(content: Content, prefix: str) -> list[PageFigure]:
     return [
-        PageFigure(
-            figure.anchor, f"Figure {figure.number}: {figure.title}", figure.draw(content.runs)
-        )
-        for figure in content.figures
-        if figure.number.startswith(prefix)
+        PageFigure(f"figure-{f.number}", f"Figure {f.number}: {f.title}", f.draw(content.runs))
+        for f in content.figures
+        if f.number.startswith(prefix)
     ]
 
 
-def _tables(content: Content, *numbers: str) -> list[PageTable]:
-    return [result_table(content.runs, number) for number in numbers if number in content.tables]
-
-
-def about(content: Content) -> Section:
+def _about(content: Content, argument: str) -> list[Text]:
     """What the page is, and how the plants are read."""
-    quick = (
-        "Quick version: sweeps of 30 s for 100 s and shorter rounds; bandwidths move by about 2 %."
-    )
-    lines = [
-        "Figures and result tables of Investigation and Development of Control Laws for the NASA "
-        "Langley Research Center Cockpit Motion Facility (June 2014), made anew by simulation. "
-        "Printed results stand beside ours and enter no computation.",
-        "Non-linear model: the report's own plant, six uncoupled legs, with the report set of "
-        "hydraulics. Hardware: no recording is available; a simulated stand-in takes its place, "
-        "the "
-        "hexapod with the Generic Flight Deck and the hardware set, which was calibrated on the "
-        "hardware rows of Tables 2-4 and 2-6. Frequency responses go from DCL leg demand to leg "
-        "feedback; host and DCU, with their delay, are outside.",
-        TOLERANCES,
+    quick = texts("quick") if content.runs.quick else []
+    return [*texts("about"), Text(TOLERANCES), *quick]
+
+
+def _steady_states(content: Content, argument: str) -> list[PageTable]:
+    """The velocity law's offset, and the integral that removes it."""
+    rows = [
+        (row.law, row.formula or "integral", *(f"{value:.3f}" for value in row[2:]))
+        for row in rest_rows(content.runs)
     ]
-    if content.runs.quick:
-        lines.append(quick)
-    return Section("about", "About this page", tuple(Text(line) for line in lines))
+    return [table("steady-states", rows)]
 
 
-def chapter_2(content: Content) -> Section:
-    """Axes, original law, velocity feedback."""
-    blocks: list[Block] = [limits_table(), gains_table("2-2"), gains_table("2-5")]
-    blocks += [*_tables(content, "2-4", "2-6"), *_figures(content, "2-")]
-    return Section("chapter-2", "Chapter 2: the facility and its first laws", tuple(blocks))
+def _statements(content: Content, argument: str) -> list[PageTable]:
+    rows = [
+        (
+            *(s.section, s.what, f"{s.printed} {s.unit}"),
+            *(f"{printed_number(s.computed)} {s.unit}", s.remark),
+        )
+        for s in statements(content.runs)
+    ]
+    return [table("text-numbers", rows)]
 
 
-def chapter_3(content: Content) -> Section:
-    """New compensators."""
-    blocks: list[Block] = [gains_table(number) for number in ("3-1", "3-3", "3-4")]
-    blocks += [*_tables(content, "section 3.2.2", "3-2", "3-5"), *_figures(content, "3-")]
-    return Section("chapter-3", "Chapter 3: new compensators", tuple(blocks))
+BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
+    "about": _about,
+    "text": lambda content, name: texts(name),
+    "limits": _limits,
+    "gains": _gains,
+    "results": _results,
+    "figures": _figures,
+    "steady_states": _steady_states,
+    "statements": _statements,
+    "force": lambda content, _: force.blocks(content.runs),
+    "ledger": lambda content, _: [ledger_section.ledger_table()],
+    "calibration": lambda content, _: ledger_section.calibration(content.runs),
+    "parameters": lambda content, _: provenance.parameters(),
+    "provenance": lambda content, _: [provenance.provenance(content.runs)],
+}
+"""Kinds of blocks: functions of what was run and an argument."""
 
 
-def chapter_4(content: Content) -> Section:
-    """Linear models."""
-    blocks: list[Block] = [*_tables(content, "4-1"), *_figures(content, "4-")]
-    return Section("chapter-4", "Chapter 4: linear models of the hardware", tuple(blocks))
-
-
-def appendix_b(content: Content) -> Section:
-    """Original and velocity feedback in all degrees of freedom."""
-    return Section(
-        "appendix-b", "Appendix B: original and velocity feedback", tuple(_figures(content, "B-"))
-    )
-
-
-def appendix_d(content: Content) -> Section:
-    """Rate and acceleration feedback in the other degrees of freedom."""
-    blocks: list[Block] = [*_tables(content, "D-1", "D-2"), *_figures(content, "D-")]
-    return Section("appendix-d", "Appendix D: the other degrees of freedom", tuple(blocks))
-
-
-SECTIONS: tuple[Callable[[Content], Section], ...] = (
-    about,
-    chapter_2,
-    chapter_3,
-    steady_state,
-    force_feedback,
-    chapter_4,
-    text_numbers,
-    appendix_b,
-    appendix_d,
-    ledger,
-    calibration,
-    parameters,
-    provenance,
-)
-"""The page, in order."""
-
-STUDIES = (steady_state, force_feedback, text_numbers, calibration)
-"""Sections shown only with all figures and tables, since they need runs of their own."""
+def sections_of(content: Content) -> tuple[Section, ...]:
+    """The sections that have something to say; studies only with all figures and tables."""
+    sections = []
+    for entry in CONTENTS["section"]:
+        if content.studies or not entry.get("study"):
+            parts = (name.partition(" ") for name in entry["blocks"])
+            blocks = [block for kind, _, what in parts for block in BLOCKS[kind](content, what)]
+            sections.append(Section(entry["anchor"], entry["title"], tuple(blocks)))
+    return tuple(section for section in sections if section.blocks)

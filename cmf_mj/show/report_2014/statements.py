@@ -1,6 +1,5 @@
 """Numbers that the report's text states outside its tables, and the error at rest of its laws."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,16 +9,22 @@ from cmf_mj.analysis.linear.loop import closed_loop, loop_step
 from cmf_mj.analysis.linear.second_order import bandwidth_example, characteristics
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
-from cmf_mj.record.record import Record
-from cmf_mj.show.report_2014.curves import cases, law_title
-from cmf_mj.show.report_2014.runs import LEG, Runs, Wanted, leg_motion
+from cmf_mj.show.report_2014.contents import CONTENTS, specs
+from cmf_mj.show.report_2014.runs import Runs, leg_motion
 
 INTEGRAL_LAWS = ("original", "velocity", "velocity_integral", "position_error_rate")
-"""Laws whose error at rest is shown, without and with the integral."""
+"""Laws whose error at rest the page states, without and with the integral."""
+
+STATEMENT_NEEDS = specs(
+    "model original,velocity_integral,force",
+    "machine original,velocity_integral",
+    "machine velocity heave rise",
+)
+REST_NEEDS = specs(f"model,machine {','.join(INTEGRAL_LAWS)}")
 
 
 class Statement(NamedTuple):
-    """One number of the text beside ours."""
+    """One number of the text and ours."""
 
     section: str
     what: str
@@ -39,12 +44,11 @@ class RestRow(NamedTuple):
     machine: float
 
 
-STATEMENT_NEEDS: tuple[Wanted, ...] = (
-    *cases("model", ("original", "velocity_integral", "force")),
-    *cases("machine", ("original", "velocity_integral")),
-    Wanted("machine", "velocity", "heave", "rise"),
-)
-REST_NEEDS = (*cases("model", INTEGRAL_LAWS), *cases("machine", INTEGRAL_LAWS))
+def _net_gain(law_name: str) -> float:
+    """Gain of the position at rest, D_p + C B_p / (1 - A)."""
+    law = load_law(law_name)
+    through = law.output_gain * law.input_gain.of_legs("position") / (1.0 - law.state_gain)
+    return law.direct_gain.of_legs("position") + through
 
 
 def dc_gain(law_name: str) -> float:
@@ -55,121 +59,63 @@ def dc_gain(law_name: str) -> float:
     law = load_law(law_name)
     if law.uses_integral:
         return 1.0
-    through = law.output_gain * law.input_gain.of_legs("position") / (1.0 - law.state_gain)
-    return -law.direct_gain.of_legs("reference") / (law.direct_gain.of_legs("position") + through)
+    return -law.direct_gain.of_legs("reference") / _net_gain(law_name)
 
 
-def rest_rows(runs: Runs, laws: Sequence[str] = INTEGRAL_LAWS) -> list[RestRow]:
+def rest_rows(runs: Runs) -> list[RestRow]:
     """Steady states of the steps of 1 in."""
     rows = []
-    for name in laws:
+    for name in INTEGRAL_LAWS:
         law = load_law(name)
-        net = law.direct_gain.of_legs("position") + law.output_gain * law.input_gain.of_legs(
-            "position"
-        ) / (1.0 - law.state_gain)
-        formula = (
-            "" if law.uses_integral else f"{law.direct_gain.of_legs('reference'):g}/{-net:.2f}"
+        formula = f"{law.direct_gain.of_legs('reference'):g}/{-_net_gain(name):.2f}"
+        model, machine = (
+            1.0 - runs.case(on, name).metrics.steady_state_error for on in ("model", "machine")
         )
-        reached = (
-            1.0 - runs.case("model", name).metrics.steady_state_error,
-            1.0 - runs.case("machine", name).metrics.steady_state_error,
-        )
-        rows.append(RestRow(law.title, formula, dc_gain(name), *reached))
+        shown = "" if law.uses_integral else formula
+        rows.append(RestRow(law.title, shown, dc_gain(name), model, machine))
     return rows
 
 
-def _late_acceleration(record: Record) -> float:
-    """Largest leg acceleration from 1 s after a step on [g]."""
-    late = record.time > record.metadata["command"]["at"] + 1.0
-    return float(np.abs(record["leg_acceleration"][late]).max()) / units.STANDARD_GRAVITY
-
-
-def _sensor_statements(runs: Runs) -> list[Statement]:
-    effect = runs.sensors
-    if effect is None:
-        return []
+def _values(runs: Runs) -> dict[str, float]:
+    """What runs and formulas give, by the names that `contents.toml` has for it."""
     gravity = units.STANDARD_GRAVITY
-    return [
-        Statement(
-            *("3.4.1", "accelerometer of a leg at rest", "g", "0.86"),
-            effect.rest_reading / gravity,
-            "gravity along the leg is 0.832 g; a bias makes up the rest",
-        ),
-        Statement(
-            *("3.4.1", "delay of the accelerometer filter", "ms", "about 10"),
-            1e3 * effect.delay,
-            "of Eq 3.6 at 1.2 Hz; its delay at low frequency is 64 ms",
-        ),
-    ]
+    model, machine = runs.case("model", "original"), runs.case("machine", "original")
+    with_integral = runs.case("machine", "velocity_integral").metrics
+    ringing, force = runs.case("model", "velocity_integral").step, runs.case("model", "force")
+    late = ringing.time > ringing.metadata["command"]["at"] + 1.0
+    example = bandwidth_example()
+    reference = leg_motion(runs.record("machine", "velocity", "rise"), "leg_reference", "in")
+    values = {
+        "machine_overshoot": 100.0 * machine.metrics.overshoot,
+        "model_overshoot": 100.0 * model.metrics.overshoot,
+        "integral_overshoot": 100.0 * with_integral.overshoot,
+        "integral_error": 100.0 * abs(with_integral.steady_state_error),
+        "late_acceleration": float(np.abs(ringing["leg_acceleration"][late]).max()) / gravity,
+        "rate_bandwidth": characteristics(example["rate"]).gain_bandwidth_hz,
+        "acceleration_bandwidth": characteristics(example["acceleration"]).gain_bandwidth_hz,
+        "force_peak": force.bandwidths.peak_db,
+        "force_acceleration": float(np.abs(force.step["leg_acceleration"]).max()) / gravity,
+        "leg_extension": float(reference[-1]),
+    }
+    for number in (1, 2):
+        _, step = loop_step(closed_loop("velocity", hardware_velocity(number)), 3.0)
+        values[f"peak_{number}"] = float(step.max()) * float(reference[-1])
+    if (effect := runs.sensors) is not None:
+        values |= {
+            "rest_reading": effect.rest_reading / gravity,
+            "filter_delay": 1e3 * effect.delay,
+        }
+    return values
 
 
 def statements(runs: Runs) -> list[Statement]:
     """All numbers of the text that a run or a formula gives."""
-    model, machine = (
-        {law: runs.case(on, law).metrics for law in ("original", "velocity_integral")}
-        for on in ("model", "machine")
-    )
-    force = runs.case("model", "force")
-    example = bandwidth_example()
-    reference = leg_motion(runs.record("machine", "velocity", "rise"), "leg_reference", "in")
-    peaks = [
-        float(loop_step(closed_loop("velocity", hardware_velocity(n)), 3.0)[1].max())
-        * float(reference[-1])
-        for n in (1, 2)
-    ]
+    values = _values(runs)
     return [
         Statement(
-            *("2.5", "overshoot of the original law, hardware", "%", "15"),
-            100.0 * machine["original"].overshoot,
-            "hexapod stand-in",
-        ),
-        Statement(
-            *("2.5", "overshoot of the original law, non-linear model", "%", "7"),
-            100.0 * model["original"].overshoot,
-            "",
-        ),
-        Statement(
-            *("3.2.2", "overshoot with the integral, hardware", "%", "23"),
-            100.0 * machine["velocity_integral"].overshoot,
-            "hexapod stand-in",
-        ),
-        Statement(
-            *("3.2.2", "steady-state error with the integral, hardware", "%", "below 1"),
-            100.0 * abs(machine["velocity_integral"].steady_state_error),
-            "hexapod stand-in",
-        ),
-        Statement(
-            *("3.2.2", "acceleration of the oscillation with the integral", "g", "0.1"),
-            _late_acceleration(runs.case("model", "velocity_integral").step),
-            "largest from 1 s after the step on; the report calls 0.1 g imperceptible, published "
-            "thresholds are several times lower",
-        ),
-        Statement(
-            *("3.4", "-3 dB of position and rate feedback", "Hz", "1.08"),
-            characteristics(example["rate"]).gain_bandwidth_hz,
-            "our plant and gains are chosen to give it",
-        ),
-        Statement(
-            *("3.4", "-3 dB with acceleration feedback", "Hz", "1.06"),
-            characteristics(example["acceleration"]).gain_bandwidth_hz,
-            "likewise",
-        ),
-        *_sensor_statements(runs),
-        Statement(
-            *("3.4.2", "peak gain of force feedback", "dB", "about 1"),
-            force.bandwidths.peak_db,
-            "",
-        ),
-        Statement(
-            *("3.4.2", "acceleration of force feedback after a step", "g", "upwards of 3"),
-            float(np.abs(force.step["leg_acceleration"]).max()) / units.STANDARD_GRAVITY,
-            f"largest of the run, {law_title('force')} on single legs",
-        ),
-        Statement(
-            *("4.3", "leg extension of a heave step of -1 in", "in", "0.83"),
-            float(reference[-1]),
-            f"geometry, {LEG.replace('_', ' ')}",
-        ),
-        Statement(*("4.3.1", "peak of linear model #1", "in", "0.9"), peaks[0], "Eq 4.12 closed"),
-        Statement(*("4.3.2", "peak of linear model #2", "in", "0.9"), peaks[1], "Eq 4.15 closed"),
+            *(entry["section"], entry["what"], entry["unit"], entry["printed"]),
+            *(values[entry["value"]], entry["remark"]),
+        )
+        for entry in CONTENTS["statement"]
+        if entry["value"] in values
     ]

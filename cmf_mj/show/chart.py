@@ -1,13 +1,12 @@
-"""A figure as data: panels of curves, drawn alike for the screen and for print."""
+"""A figure as data: panels of curves, drawn alike on a page, in print and in films."""
 
-from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from collections.abc import Iterable
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike, NDArray
-
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555")
-"""A palette that colour-blind readers can tell apart (Okabe and Ito)."""
 
 GREY = "#777777"
 """Of demands and references."""
@@ -16,6 +15,7 @@ MOST = 1200
 """Largest number of points a curve keeps."""
 
 Dash = Literal["solid", "dash", "dot"]
+_DASHES = {"solid": "-", "dash": "--", "dot": ":"}
 
 
 class Curve(NamedTuple):
@@ -37,7 +37,6 @@ class Panel(NamedTuple):
     curves: tuple[Curve, ...]
     y_range: tuple[float, float] | None = None
     y_tick: float | None = None
-    y_log: bool = False
     guides: tuple[float, ...] = ()  #: Horizontal lines.
     x_title: str = ""
     x_range: tuple[float, float] | None = None
@@ -101,6 +100,19 @@ def curve(
     return Curve(name, across.astype(np.float32), up.astype(np.float32), colour, dash, marks, width)
 
 
-def names_in(panels: Sequence[Panel]) -> list[str]:
-    """Legend entries in order."""
-    return list(dict.fromkeys(c.name for panel in panels for c in panel.curves))
+def plot_curves(axes: Axes, curves: Iterable[Curve], *, scale: float = 1.0) -> dict[str, Line2D]:
+    """Draw curves; the first line of each name for a legend.
+
+    Args:
+        axes: of Matplotlib.
+        curves: to draw.
+        scale: points of a picture per width of a curve.
+    """
+    lines: dict[str, Line2D] = {}
+    for one in curves:
+        style: dict[str, Any] = {"linestyle": _DASHES[one.dash]}
+        if one.marks:
+            style = {"marker": "o", "linestyle": "", "fillstyle": "none", "markersize": 5}
+        style |= {"color": one.colour, "linewidth": scale * one.width, "label": one.name}
+        lines.setdefault(one.name, axes.plot(one.x, one.y, **style)[0])
+    return lines
