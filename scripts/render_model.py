@@ -9,7 +9,7 @@ from pathlib import Path
 import matplotlib.image
 import mujoco
 
-from cmf_mj.facility.scenario.library import find_scenario
+from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.machine import models
 from cmf_mj.plant.hexapod import hexapod_spec
@@ -36,7 +36,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     if arguments.motion is not None:
-        shown = find_scenario(arguments.motion)
+        shown = load_scenario(arguments.motion)
         changes = {"cab": arguments.cab, "duration": arguments.seconds, "record_every": 8}
         record = run_scenario(shown.model_copy(update=changes))
         film([record], arguments.out, _MOTION, titles=[shown.title])

@@ -10,7 +10,8 @@ from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
 from cmf_mj.analysis.linear.plants import leg_plant
 from cmf_mj.analysis.linear.transfer import UnitTransferFunction
-from cmf_mj.control.dcl import DclState, LegFeedback, make_dcl, step
+from cmf_mj.control.dcl import DclState, make_dcl, step
+from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import SIGNALS, Gains, Law, ReferenceModel, law_names, load_law
 from cmf_mj.core.rates import FRAME
 
@@ -81,7 +82,7 @@ def run_frames(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The loop frame by frame with the compiled DCL, rows found by name: feedback, commands."""
     dcl = make_dcl(load_law(law), legs)
-    state = DclState(*(np.zeros(legs) for _ in DclState._fields))
+    state = DclState.zeros(legs)
     names = [""] if legs == 1 else [f"_{leg + 1}" for leg in range(legs)]
     rows = [[plant.output_labels.index(n + leg) for leg in names] for n in FEEDBACK]
     columns = [plant.input_labels.index(f"command{leg}") for leg in names]
@@ -93,12 +94,11 @@ def run_frames(
         u[columns] = held
         y = plant.C @ x + plant.D @ u
         feedback = LegFeedback(*(y[row].copy() for row in rows))
-        signals, output, command = np.zeros((legs, 10)), np.zeros(legs), np.zeros(legs)
-        step(dcl, state, demand, feedback, signals, output, command)
+        step(dcl, state, demand, feedback)
         x = plant.A @ x + plant.B @ u
-        held = command.copy()
+        held = dcl.workspace.command.copy()
         found.append(np.concatenate([*feedback]))
-        commands.append(output.copy())
+        commands.append(dcl.workspace.output.copy())
     return np.array(found), np.array(commands)
 
 
@@ -109,12 +109,12 @@ def test_linear_dcl_is_the_compiled_one(law: str | Law) -> None:
     size = {"reference": 1e-4, "leg_position": 1e-4, "leg_velocity": 1e-3, "leg_acceleration": 0.1}
     inputs = {name: random.normal(size=(frames, legs)) * size.get(name, 1e3) for name in DCL_INPUTS}
     dcl = make_dcl(load_law(law), legs)
-    state = DclState(*(np.zeros(legs) for _ in DclState._fields))
+    state = DclState.zeros(legs)
     expected = np.zeros((frames, legs))
-    workspace, command = np.zeros((legs, 10)), np.zeros(legs)
     for k in range(frames):
         feedback = LegFeedback(*(inputs[name][k] for name in FEEDBACK))
-        step(dcl, state, inputs["reference"][k], feedback, workspace, expected[k], command)
+        step(dcl, state, inputs["reference"][k], feedback)
+        expected[k] = dcl.workspace.output
     system = dcl_state_space(law, legs)
     driven = np.vstack([inputs[label[:-2]][:, int(label[-1]) - 1] for label in system.input_labels])
     found = control.forced_response(system, inputs=driven)

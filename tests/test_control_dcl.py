@@ -11,12 +11,17 @@ import pytest
 from cmf_mj import Law, law_names, load_law
 from cmf_mj.control import dcl as blocks
 from cmf_mj.control.compensator import compensate, make_compensator
-from cmf_mj.control.dcl import Dcl, DclState, LegFeedback, engaged, make_dcl
+from cmf_mj.control.dcl import Dcl, DclState, make_dcl
+from cmf_mj.control.engage import engaged
 from cmf_mj.control.error import filtered_rate, integrate, make_error_calculations
-from cmf_mj.control.feedback import filter_acceleration, make_feedback, pressure_force
+from cmf_mj.control.feedback import (
+    LegFeedback,
+    filter_acceleration,
+    make_feedback,
+    pressure_force,
+)
 from cmf_mj.control.law import SIGNALS
-from cmf_mj.control.limits import limit, make_limits
-from cmf_mj.control.valve_command import clamp
+from cmf_mj.control.limits import clamp, limit
 
 FRAME = 1.0 / 2048.0
 INCH = 0.0254
@@ -44,7 +49,9 @@ def run(
     output, command = np.zeros((frames, legs)), np.zeros((frames, legs))
     for k in range(frames):
         now = LegFeedback(*(np.ascontiguousarray(channel[k]) for channel in feedback))
-        blocks.step(dcl, state, demand[k], now, signals_out[k], output[k], command[k])
+        blocks.step(dcl, state, demand[k], now)
+        work = dcl.workspace
+        signals_out[k], output[k], command[k] = work.inputs, work.output, work.command
     return output, command, signals_out
 
 
@@ -106,7 +113,7 @@ def random_histories(seed: int, frames: int = 400) -> tuple[np.ndarray, LegFeedb
 
 
 def zeros(legs: int) -> DclState:
-    return DclState(*(np.zeros(legs) for _ in DclState._fields))
+    return DclState.zeros(legs)
 
 
 REPORT_LAWS = [name for name in law_names() if load_law(name).reference_model is None]
@@ -292,16 +299,15 @@ def test_only_the_integrator_sees_the_bottom_below_the_trigger() -> None:
     _, _, read = run(dcl, state, at, LegFeedback(at, still, still, still.copy(), still.copy()))
     assert read[0, 0, SIGNALS.index("position")] == at[0, 0]
     assert read[0, 0, SIGNALS.index("position_error_rate")] == 0.0
-    assert state.integral[0] / INCH == pytest.approx(FRAME * 0.3, rel=1e-9)
+    assert state.error.integral[0] / INCH == pytest.approx(FRAME * 0.3, rel=1e-9)
 
 
 def test_demands_are_limited_to_the_working_stroke() -> None:
     """+-37.5 in (section 3.2.1); inside they pass unchanged."""
-    limits = make_limits()
     for inches in (-37.5, -3.0, 0.0, 37.4):
-        assert limit(limits, inches * INCH) == inches * INCH
-    assert limit(limits, 45 * INCH) == pytest.approx(37.5 * INCH, rel=1e-15)
-    assert limit(limits, -45 * INCH) == pytest.approx(-37.5 * INCH, rel=1e-15)
+        assert limit(inches * INCH) == inches * INCH
+    assert limit(45 * INCH) == pytest.approx(37.5 * INCH, rel=1e-15)
+    assert limit(-45 * INCH) == pytest.approx(-37.5 * INCH, rel=1e-15)
     dcl, far = make_dcl(load_law("velocity_error"), 2), np.array([[50.0, -50.0]]) * INCH
     _, _, read = run(
         dcl, zeros(2), far, LegFeedback(*(np.zeros((1, 2)) for _ in LegFeedback._fields))
@@ -327,11 +333,11 @@ def test_engaged_filters_have_settled(name: str, inches: float) -> None:
     reference = np.array([inches, inches + 1.0, inches - 2.0]) * INCH
     feedback = feedback_at_rest(reference.copy(), 4.2e6, 4.1e6)
     state = engaged(dcl, reference, feedback)
-    start = DclState(*(values.copy() for values in state))
+    start = DclState.of(state.arrays())
     frames = np.repeat(reference[None], 50, axis=0)
     held = LegFeedback(*(np.repeat(channel[None], 50, axis=0) for channel in feedback))
     output, _, _ = run(dcl, state, frames, held)
-    for before, after in zip(start, state, strict=True):
+    for before, after in zip(start.arrays().values(), state.arrays().values(), strict=True):
         np.testing.assert_allclose(after, before, rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(output, np.repeat(output[:1], 50, axis=0), rtol=0, atol=1e-12)
 
@@ -350,7 +356,7 @@ def test_engaged_laws_with_an_integral_command_nothing(name: str, inches: float)
     )
     np.testing.assert_allclose(output, 0.0, rtol=0, atol=1e-12)
     np.testing.assert_allclose(command, 0.0, rtol=0, atol=1e-12)
-    assert np.abs(state.integral).max() > 0.0
+    assert np.abs(state.error.integral).max() > 0.0
 
 
 def test_engaged_integral_through_the_state_commands_nothing() -> None:

@@ -15,11 +15,11 @@ import pytest
 
 from cmf_mj import Hexapod, Law, load_law, signals, simulate
 from cmf_mj.control import dcl as blocks
-from cmf_mj.control.feedback import gravity_history
+from cmf_mj.control.engage import engaged, handed_over
+from cmf_mj.control.feedback import LegFeedback, gravity_history
 from cmf_mj.control.protection import load_protection, make_protection
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.replay import replay, replay_protection
-from cmf_mj.facility.scenario.handover import handed_over
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.gravity import axial_gravity
 from cmf_mj.record.record import Record
@@ -147,17 +147,16 @@ def test_a_law_that_reads_gravity_takes_over_without_a_jump(first: bool) -> None
     )
     reference = np.random.default_rng(6).uniform(-0.1, 0.1, 6)
     read = {True: inertial, False: inertial + gravity}
-    feedback = blocks.LegFeedback(
+    feedback = LegFeedback(
         reference + 0.001, np.zeros(6), read[first], np.full(6, 3e6), np.full(6, 2e6)
     )
-    state = blocks.engaged(before, reference, feedback)
+    state = engaged(before, reference, feedback)
     begun = handed_over(before, state, after, reference, feedback, gravity)
     shift = PASSED * gravity * (1.0 if first else -1.0)
     np.testing.assert_allclose(begun.acceleration - state.acceleration, shift, rtol=1e-12)
     outputs = []
     for compiled, own, choice in ((before, state, first), (after, begun, not first)):
-        signal, output, command = np.zeros((6, 10)), np.zeros(6), np.zeros(6)
         seen = feedback._replace(acceleration=read[choice])
-        blocks.step(compiled, own, reference, seen, signal, output, command)
-        outputs.append(output)
+        blocks.step(compiled, own, reference, seen)
+        outputs.append(compiled.workspace.output)
     np.testing.assert_allclose(outputs[1], outputs[0], rtol=0.0, atol=1e-12)

@@ -10,9 +10,10 @@ from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.reduction import pose_loop
 from cmf_mj.control import dcl as blocks
-from cmf_mj.control.coordinates import MODES, make_coordinates, to_legs, to_modes
-from cmf_mj.control.dcl import DclState, LegFeedback, engaged, make_dcl
-from cmf_mj.control.law import SIGNALS
+from cmf_mj.control.coordinates import MODES, make_shape, to_legs, to_modes
+from cmf_mj.control.dcl import DclState, make_dcl
+from cmf_mj.control.engage import engaged
+from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.plan import actuator_polynomial, response_polynomial
 from cmf_mj.core.rates import FRAME
 from cmf_mj.facility.replay import replay
@@ -65,13 +66,13 @@ def histories(frames: int = 400, scale: float = 1.0) -> tuple[np.ndarray, LegFee
 
 def outputs(law: Law, demand: np.ndarray, feedback: LegFeedback) -> tuple[np.ndarray, DclState]:
     dcl = make_dcl(law, MODES)
-    state = DclState(*(np.zeros(MODES) for _ in DclState._fields))
-    found, command = np.empty(demand.shape), np.zeros(MODES)
-    room = np.zeros((MODES, len(SIGNALS)))
+    state = DclState.zeros(MODES)
+    found = np.empty(demand.shape)
     for k, wanted in enumerate(demand):
         now = LegFeedback(*(np.ascontiguousarray(channel[k]) for channel in feedback))
-        blocks.step(dcl, state, wanted, now, room, found[k], command)
-        np.testing.assert_array_equal(room[:, 0], np.clip(wanted, -0.9525, 0.9525))
+        blocks.step(dcl, state, wanted, now)
+        found[k] = dcl.workspace.output
+        np.testing.assert_array_equal(dcl.workspace.limited, np.clip(wanted, -0.9525, 0.9525))
     return found, state
 
 
@@ -91,10 +92,10 @@ def test_shipped_modes_are_those_of_the_nominal_plant(cab: str) -> None:
 
 
 def test_the_map_goes_there_and_back() -> None:
-    room = make_coordinates(MODAL.modes["ifd"], MODES)
+    shape = make_shape(MODAL.modes["ifd"], MODES)
     legs, modes, back = np.arange(1.0, 7.0), np.zeros(MODES), np.zeros(MODES)
-    to_modes(room, legs, modes)
-    to_legs(room, modes, back)
+    to_modes(shape, legs, modes)
+    to_legs(shape, modes, back)
     np.testing.assert_allclose(back, legs, rtol=1e-14)
     assert np.linalg.norm(modes) == pytest.approx(np.linalg.norm(legs), rel=1e-14)
 
@@ -159,22 +160,21 @@ def test_the_plan_stays_within_its_authority_and_arrives() -> None:
     still = LegFeedback(*(np.zeros((4096, MODES)) for _ in FEEDBACK))
     found, state = outputs(law, demand, still)
     assert np.abs(found).max() == pytest.approx(0.8, abs=1e-12)
-    np.testing.assert_allclose(state.model_position, 20.0 * INCH, rtol=1e-6)
+    np.testing.assert_allclose(state.plan.position, 20.0 * INCH, rtol=1e-6)
     ramped = law_of(plan=LEG_PLAN["plan"] | {"rate": 10.0})  # type: ignore[operator]
     slow, state = outputs(ramped, 0.5 * demand, still)
     assert np.abs(slow).max() < 0.55  # 10 in/s need 29 %; its start and end the rest
-    np.testing.assert_allclose(state.model_position, 10.0 * INCH, rtol=1e-3)
+    np.testing.assert_allclose(state.plan.position, 10.0 * INCH, rtol=1e-3)
 
 
 def reference_of(law: Law, demand: np.ndarray) -> np.ndarray:
     """Reference of the plan for leg demands (N, n), (N, n)."""
     dcl, found = make_dcl(law, MODES), np.empty(demand.shape)
-    state = DclState(*(np.zeros(MODES) for _ in DclState._fields))
+    state = DclState.zeros(MODES)
     still = LegFeedback(*(np.zeros(MODES) for _ in FEEDBACK))
-    output, command, room = np.zeros(MODES), np.zeros(MODES), np.zeros((MODES, len(SIGNALS)))
     for k, wanted in enumerate(demand):
-        blocks.step(dcl, state, wanted, still, room, output, command)
-        found[k] = state.model_reference
+        blocks.step(dcl, state, wanted, still)
+        found[k] = state.plan.reference
     return found
 
 
@@ -223,14 +223,13 @@ def test_load_feedback_passes_what_swings() -> None:
     dcl = make_dcl(law, MODES)
     rest = LegFeedback(*(np.zeros(MODES) for _ in FEEDBACK))._replace(cap_pressure=np.full(6, 4e6))
     state = engaged(dcl, np.zeros(MODES), rest)
-    output, command, room = np.zeros(MODES), np.zeros(MODES), np.zeros((MODES, len(SIGNALS)))
-    blocks.step(dcl, state, np.zeros(MODES), rest, room, output, command)
-    np.testing.assert_array_equal(output, 0.0)
+    blocks.step(dcl, state, np.zeros(MODES), rest)
+    np.testing.assert_array_equal(dcl.workspace.output, 0.0)
     pushed = rest._replace(cap_pressure=np.full(6, 4e6 + 1000.0 * POUND_FORCE / area))
     for k in range(300):
-        blocks.step(dcl, state, np.zeros(MODES), pushed, room, output, command)
+        blocks.step(dcl, state, np.zeros(MODES), pushed)
         expected = -0.02 * np.exp(-2.0 * np.pi * 0.5 * FRAME * k)
-        np.testing.assert_allclose(output, expected, rtol=1e-9)
+        np.testing.assert_allclose(dcl.workspace.output, expected, rtol=1e-9)
 
 
 def test_planned_inertia_is_not_damped() -> None:
@@ -240,19 +239,18 @@ def test_planned_inertia_is_not_damped() -> None:
     open_plan = law.plan.model_copy(update={"position": 0.0, "velocity": 0.0})
     bare = law.model_copy(update={"plan": open_plan, "direct_gain": type(law.direct_gain)()})
     without = bare.model_copy(update={"load_feedback": None})
-    dcl, state = make_dcl(bare, MODES), DclState(*(np.zeros(MODES) for _ in DclState._fields))
-    other, twin = make_dcl(without, MODES), DclState(*(np.zeros(MODES) for _ in DclState._fields))
+    dcl, state = make_dcl(bare, MODES), DclState.zeros(MODES)
+    other, twin = make_dcl(without, MODES), DclState.zeros(MODES)
     shape, mass = np.array(law.modes["gfd"].shape), np.array(law.modes["gfd"].mass) * 0.45359237
-    room, found, expected = np.zeros((MODES, len(SIGNALS))), np.zeros(MODES), np.zeros(MODES)
-    command, demand = np.zeros(MODES), 0.002 * np.arange(1.0, 7.0)
+    demand = 0.002 * np.arange(1.0, 7.0)
     area = 0.25 * np.pi * (5.5 * INCH) ** 2
     largest = 0.0
     for _ in range(300):
-        push = shape.T @ (mass * state.model_acceleration) / area
+        push = shape.T @ (mass * state.plan.acceleration) / area
         now = LegFeedback(*(np.zeros(MODES) for _ in FEEDBACK))._replace(cap_pressure=push)
-        blocks.step(dcl, state, demand, now, room, found, command)
-        blocks.step(other, twin, demand, now, room, expected, command)
-        np.testing.assert_allclose(found, expected, atol=1e-9)
+        blocks.step(dcl, state, demand, now)
+        blocks.step(other, twin, demand, now)
+        np.testing.assert_allclose(dcl.workspace.output, other.workspace.output, atol=1e-9)
         largest = max(largest, float(np.abs(push).max()))
     assert largest > 1e5
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cmf_mj import Hexapod, Record, law_names, signals, simulate
-from cmf_mj.control.dcl import LegFeedback
+from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.protection import (
     FAULTS,
     Fault,

@@ -9,8 +9,10 @@ import pytest
 from cmf_mj import Hexapod, Law, SingleLegs, load_hydraulics, load_law, signals, simulate
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
 from cmf_mj.analysis.step_response import step_metrics
-from cmf_mj.control.dcl import DclState, LegFeedback, engaged, make_dcl, step
-from cmf_mj.control.law import SIGNALS, Gains
+from cmf_mj.control.dcl import DclState, make_dcl, step
+from cmf_mj.control.engage import engaged
+from cmf_mj.control.feedback import LegFeedback
+from cmf_mj.control.law import Gains
 from cmf_mj.core.rates import FRAME
 from cmf_mj.facility.replay import replay
 
@@ -40,8 +42,8 @@ def run(
     output = np.zeros(reference.shape)
     for k in range(reference.shape[0]):
         now = LegFeedback(*(np.ascontiguousarray(channel[k]) for channel in feedback))
-        workspace = np.zeros((legs, len(SIGNALS)))
-        step(dcl, state, reference[k], now, workspace, output[k], np.zeros(legs))
+        step(dcl, state, reference[k], now)
+        output[k] = dcl.workspace.output
     return output, state
 
 
@@ -61,12 +63,13 @@ def test_a_law_without_a_model_knows_nothing_of_its_states() -> None:
     spoilt = engaged(
         make_dcl(law, 2), reference[0], LegFeedback(*(channel[0] for channel in feedback))
     )
-    for name in DclState._fields[5:]:
-        getattr(spoilt, name)[:] = np.nan
+    for name, array in spoilt.arrays().items():
+        if name.startswith(("model.", "plan.", "load_")):
+            array[:] = np.nan
     found, after = run(law, reference, feedback, spoilt)
     assert found.tobytes() == clean.tobytes()
-    assert np.isnan(after.model_position).all()
-    assert not state.adaptation.any()
+    assert np.isnan(after.model.position).all()
+    assert not state.model.adaptation.factor.any()
 
 
 def test_the_model_is_exact_for_a_step() -> None:
@@ -217,11 +220,11 @@ def test_nothing_drifts_at_rest_and_the_leak_forgets() -> None:
     noise[0] += reference
     output, state = run(ADAPTIVE, reference, LegFeedback(*noise))
     assert np.ptp(output) > 0.01
-    np.testing.assert_array_equal(state.adaptation, 0.0)
-    state.adaptation[:] = 0.3
+    np.testing.assert_array_equal(state.model.adaptation.factor, 0.0)
+    state.model.adaptation.factor[:] = 0.3
     _, after = run(ADAPTIVE, reference, LegFeedback(*noise), state)
     expected = 0.3 * np.exp(-SETTINGS.leak * frames * FRAME)
-    np.testing.assert_allclose(after.adaptation, expected, rtol=1e-4)
+    np.testing.assert_allclose(after.model.adaptation.factor, expected, rtol=1e-4)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -237,13 +240,13 @@ def test_the_factor_keeps_within_its_bounds_and_stands_still_when_clamped(sign: 
     fast = with_model(ADAPTIVE, adaptation=SETTINGS.model_copy(update={"rate": 5.0}))
     _, state = run(fast, reference, answer)
     bound = SETTINGS.lowest if sign > 0 else SETTINGS.highest
-    np.testing.assert_allclose(1.0 + state.adaptation, bound, rtol=0.02)
-    kept = state.adaptation.copy()
+    np.testing.assert_allclose(1.0 + state.model.adaptation.factor, bound, rtol=0.02)
+    kept = state.model.adaptation.factor.copy()
     off = answer._replace(position=answer.position - 15.0 * INCH)
     output, after = run(fast, reference[:2000], LegFeedback(*(c[:2000] for c in off)), state)
     clamped = (np.abs(output) >= 1.0).all(axis=0)
     assert clamped.all()
-    np.testing.assert_array_equal(after.adaptation, kept)
+    np.testing.assert_array_equal(after.model.adaptation.factor, kept)
 
 
 def test_errors_count_from_the_model() -> None:

@@ -93,9 +93,9 @@ def test_own_sets_are_refused_by_field(sets: Path, tmp_path: Path, text: str, me
 
 
 def test_a_name_that_is_no_set_lists_the_sets(sets: Path, whole: Path) -> None:
-    with pytest.raises(ValueError, match="sets: 'common' is neither light nor heavy nor a .toml"):
+    with pytest.raises(ValueError, match="sets: 'common' is not one of light, heavy nor a .toml"):
         named_set("sets", NAMES, sets, "common")
-    with pytest.raises(ValueError, match="whole: 'odd' is neither default nor a .toml file"):
+    with pytest.raises(ValueError, match="whole: 'odd' is not one of default nor a .toml file"):
         Loader(Whole, whole, what="whole")("odd")
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from cmf_mj.control.dcl import LegFeedback
+from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.electronics.converter import (
     CONVERTER_SETS,
     Converters,

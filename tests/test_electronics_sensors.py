@@ -7,7 +7,7 @@ import pytest
 from scipy import signal, stats
 
 from cmf_mj import Hexapod, signals, simulate
-from cmf_mj.control.dcl import LegFeedback
+from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.electronics.sensors.noise import block, four_normals, key_schedule, stream_key
 from cmf_mj.electronics.sensors.settings import (
     CHANNELS,

@@ -49,10 +49,10 @@ def test_the_law_starts_as_the_record_says(run: Record) -> None:
     record = simulate(Hexapod(), "velocity_integral", np.zeros((64, 6)))
     said = dict(record.metadata["law_state"])
     assert replay(record, "velocity_integral").identical
-    wound = dict(record.metadata) | {"law_state": said | {"integral": [0.01] * 6}}
+    wound = dict(record.metadata) | {"law_state": said | {"error.integral": [0.01] * 6}}
     other = Record(record.time, dict(record.channels), dict(record.units), wound)
     shift = replay(other, "velocity_integral").output - record["compensator_output"]
-    expected = 50.0 * 0.01 / INCH * (0.01 - np.array(said["integral"]))
+    expected = 50.0 * 0.01 / INCH * (0.01 - np.array(said["error.integral"]))
     np.testing.assert_allclose(shift[0], expected, rtol=1e-9)
 
 

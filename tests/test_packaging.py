@@ -9,21 +9,23 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 USE = """
-import cmf_mj, cmf_mj.machine.models, numpy as np
+import pathlib, cmf_mj, cmf_mj.machine.models, numpy as np
 assert cmf_mj.__file__.startswith({site!r}), cmf_mj.__file__
 assert str(cmf_mj.machine.models.directory()).startswith({site!r})
 for cab in cmf_mj.machine.models.CABS:
     plant = cmf_mj.Hexapod(cab)
-from cmf_mj.pilot.aircraft import flight_names, load_flight
+from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
 assert all(load_flight(name).motion.rate > 79.0 for name in flight_names()), flight_names()
 assert len(flight_names()) == 7
 record = cmf_mj.simulate(plant, "velocity", np.zeros((20, 6)))
 assert record["leg_position"].shape == (20, 6)
-from cmf_mj.facility.scenario import ScenarioRun, find_scenario, scenario_names
+from cmf_mj.facility.scenario.library import load_scenario, scenario_names
+from cmf_mj.facility.scenario.run import ScenarioRun
 assert len(scenario_names()) >= 12
-run = ScenarioRun(find_scenario("heave_sine"))
+run = ScenarioRun(load_scenario("heave_sine"))
 run.advance(20)
 assert run.latest().time == 20 / 2048
+assert (pathlib.Path(cmf_mj.__file__).parent / "py.typed").is_file()
 print(len(cmf_mj.law_names()))
 """
 

@@ -313,7 +313,7 @@ def test_bad_specifications_are_refused(
 
 
 def test_an_unknown_study_is_refused() -> None:
-    with pytest.raises(ValueError, match="study: 'all' is neither a .toml file nor one"):
+    with pytest.raises(ValueError, match="study: 'all' is not one of"):
         load_study("all")
     assert CliRunner().invoke(app, ["study", "all"]).exit_code == 2
 

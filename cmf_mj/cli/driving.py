@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from cmf_mj.cli.common import app, refuse
-from cmf_mj.facility.scenario.settings import load_scenario
+from cmf_mj.facility.scenario.library import load_scenario
 
 
 @app.command("studio")

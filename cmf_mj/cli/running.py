@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from cmf_mj.cli.common import app, progress_bar, refuse, show, written
-from cmf_mj.facility.scenario.library import find_scenario, scenario_names
+from cmf_mj.facility.scenario.library import load_scenario, scenario_names
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.facility.scenario.settings import Scenario
 from cmf_mj.show import scenario as scenario_report
@@ -32,9 +32,9 @@ def run_command(
             return
         if not scenario:
             for name in scenario_names():
-                show(f"{name:24} {find_scenario(name).title}")
+                show(f"{name:24} {load_scenario(name).title}")
             return
-        chosen = find_scenario(scenario)
+        chosen = load_scenario(scenario)
         with progress_bar() as progress:
             record = run_scenario(chosen, progress=progress)
         folder = out or Path("out/run") / Path(scenario).stem

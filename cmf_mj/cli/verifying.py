@@ -39,5 +39,5 @@ def verify_command(
             found = verify(cab, hydraulics, seconds=seconds, parts=parts, progress=progress)
         paths = tables.save(found, out)
         show(tables.table(found), written(paths, out), width=TEXT_WIDTH)
-    except (ValueError, OSError, ImportError, RuntimeError) as error:
+    except (ValueError, OSError, ImportError, FloatingPointError) as error:
         refuse(error)

@@ -21,7 +21,7 @@ from cmf_mj.cli.common import (
     show,
 )
 from cmf_mj.core.errors import InputError
-from cmf_mj.facility.scenario.library import find_scenario
+from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.facility.scenario.run import ScenarioRun, run_scenario
 from cmf_mj.facility.scenario.settings import Scenario, save_scenario, scenario_of
 from cmf_mj.record.record import Record
@@ -64,7 +64,7 @@ def view_command(
             number, _, unit = amplitude.partition(" ")
             size = [float(number), unit]
             sine = [{"kind": "sine", "dof": dof, "amplitude": size, "frequency": frequency}]
-        chosen = _with(find_scenario(scenario), law=law, cab=cab, signal=sine)
+        chosen = _with(load_scenario(scenario), law=law, cab=cab, signal=sine)
         if sine is not None:
             chosen = _with(chosen, duration="open")
 
@@ -112,7 +112,7 @@ def video_command(
                     records.append(Record.load(source))
                     titles.append(f"{Path(source).stem}: {records[-1].metadata['law']}")
                     continue
-                found = find_scenario(source)
+                found = load_scenario(source)
                 for law in chosen or [found.law]:
                     one = _with(found, law=law, cab=cab)
                     records.append(run_scenario(one, progress=progress))

@@ -14,13 +14,12 @@ flight simulator motion system (2001); A. R. Plummer and P. S. Guinzio, Modal co
 electrohydrostatic flight simulator motion system (2009).
 """
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
-from cmf_mj.control.leg_feedback import LegFeedback
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
@@ -92,43 +91,16 @@ class Modes(Settings):
         return self
 
 
-class Coordinates(NamedTuple):
-    """Compiled map, and room to work in."""
-
-    shape: NDArray[np.float64]  #: V^T, (n, n).
-    limited: NDArray[np.float64]  #: Leg demands within limits [m], (n,).
-    reference: NDArray[np.float64]  #: The same in coordinates of the law.
-    integral: NDArray[np.float64]  #: Error integrals in coordinates of the law [m s].
-    target: NDArray[np.float64]  #: What the errors count from, in coordinates of the law [m].
-    plan: NDArray[np.float64]  #: Planned commands in coordinates of the law, fractions.
-    legs: NDArray[np.float64]  #: Room for leg quantities.
-    feedback: LegFeedback  #: Feedback in coordinates of the law.
-
-
-def make_coordinates(modes: Modes | None, legs: int) -> Coordinates:
-    """Compile the map of a cab's modes; None for the legs themselves.
+def make_shape(modes: Modes | None, legs: int) -> NDArray[np.float64]:
+    """V^T of a cab's modes, (n, n); None for the legs themselves.
 
     Shapes are made orthonormal to round-off, by the nearest such matrix, so that a demand comes
     back from the modes as it was.
     """
-    shape = np.eye(legs)
-    if modes is not None:
-        left, _, right = np.linalg.svd(np.array(modes.shape))
-        shape = np.ascontiguousarray(left @ right)
-
-    def room() -> NDArray[np.float64]:
-        return np.zeros(legs)
-
-    return Coordinates(
-        shape=shape,
-        limited=room(),
-        reference=room(),
-        integral=room(),
-        target=room(),
-        plan=room(),
-        legs=room(),
-        feedback=LegFeedback(room(), room(), room(), room(), room()),
-    )
+    if modes is None:
+        return np.eye(legs)
+    left, _, right = np.linalg.svd(np.array(modes.shape))
+    return np.ascontiguousarray(left @ right)
 
 
 def mode_mass(modes: Modes) -> NDArray[np.float64]:
@@ -137,22 +109,22 @@ def mode_mass(modes: Modes) -> NDArray[np.float64]:
 
 
 @compiled
-def to_modes(coordinates, legs, modes):  # type: ignore[no-untyped-def]
+def to_modes(shape, legs, modes):  # type: ignore[no-untyped-def]
     """Write q = V^T l."""
     count = legs.shape[0]
     for mode in range(count):
         total = 0.0
         for leg in range(count):
-            total += coordinates.shape[mode, leg] * legs[leg]
+            total += shape[mode, leg] * legs[leg]
         modes[mode] = total
 
 
 @compiled
-def to_legs(coordinates, modes, legs):  # type: ignore[no-untyped-def]
+def to_legs(shape, modes, legs):  # type: ignore[no-untyped-def]
     """Write l = V q."""
     count = legs.shape[0]
     for leg in range(count):
         total = 0.0
         for mode in range(count):
-            total += coordinates.shape[mode, leg] * modes[mode]
+            total += shape[mode, leg] * modes[mode]
         legs[leg] = total

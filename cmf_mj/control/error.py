@@ -12,11 +12,22 @@ subtracts the measured velocity unfiltered.
 
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.rates import FRAME
 from cmf_mj.machine import kinematics
+
+
+class ErrorState(NamedTuple):
+    """State of the error block, every array (n,), by leg or mode but for the integral."""
+
+    integral: NDArray[np.float64]  #: Error integral by leg [m s].
+    position_filter: NDArray[np.float64]  #: Derivative filter of the position error [m].
+    reference_filter: NDArray[np.float64]  #: Derivative filter of the reference [m].
 
 
 class ErrorCalculations(NamedTuple):

@@ -40,6 +40,16 @@ FORCE_AREA = 11.97 * units.INCH**2
 """Area the pressure difference acts on in Eq 3.7 [m^2]: the annulus, as the report states it."""
 
 
+class LegFeedback(NamedTuple):
+    """What the sensors hand to the DCL, every array (n,)."""
+
+    position: NDArray[np.float64]  #: Leg extension from neutral [m].
+    velocity: NDArray[np.float64]  #: Leg velocity [m/s].
+    acceleration: NDArray[np.float64]  #: Leg acceleration [m/s^2].
+    cap_pressure: NDArray[np.float64]  #: Cap pressure [Pa].
+    rod_pressure: NDArray[np.float64]  #: Rod pressure [Pa].
+
+
 class Feedback(NamedTuple):
     """Compiled parameters of the feedback block."""
 

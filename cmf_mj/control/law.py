@@ -23,7 +23,7 @@ from cmf_mj.control.coordinates import Modes, PerMode, is_per_mode
 from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.control.plan import Plan
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, unknown_name
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Settings, merged, read_toml, validated
 
@@ -312,8 +312,7 @@ def load_law(source: str | Path | Law) -> Law:
             return _laws_of(file)[text]
     stem, found, name = text.rpartition(".toml")
     if not found or (name and not name.startswith(":")):
-        shipped = ", ".join(law_names("all"))
-        raise InputError(f"law: {text!r} is neither a .toml file nor one of {shipped}")
+        raise unknown_name("law", text, law_names("all"), " nor a .toml file")
     laws = _laws_of(Path(stem + ".toml"))
     if name:
         if name[1:] not in laws:

@@ -65,8 +65,8 @@ def load(block, mode, feedback, acceleration):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def damp(block, state, mode, feedback):  # type: ignore[no-untyped-def]
-    """Command of one mode, fraction; the filter moves on."""
-    swing = load(block, mode, feedback, state.model_acceleration[mode]) - state.load_filter[mode]
-    state.load_filter[mode] += block.passes * swing
+def damp(block, state, mode, feedback, acceleration):  # type: ignore[no-untyped-def]
+    """Command of one mode, fraction; its low-passed force `state[mode]` moves on."""
+    swing = load(block, mode, feedback, acceleration) - state[mode]
+    state[mode] += block.passes * swing
     return -block.gain[mode] * swing

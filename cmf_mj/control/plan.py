@@ -97,6 +97,21 @@ class Plan(Settings):
     velocity: PerMode = 0.0  #: K_r [%/(in/s)].
 
 
+class PlanState(NamedTuple):
+    """State of a plan, every array (n,)."""
+
+    position: NDArray[np.float64]  #: Planned position [m].
+    velocity: NDArray[np.float64]  #: Planned velocity [m/s].
+    acceleration: NDArray[np.float64]  #: Planned acceleration [m/s^2].
+    jerk: NDArray[np.float64]  #: Planned jerk [m/s^3].
+    snap: NDArray[np.float64]  #: Planned derivative of the jerk [m/s^4].
+    command: NDArray[np.float64]  #: Planned command on its way, fraction.
+    reference: NDArray[np.float64]  #: Reference, as smooth as it has to be [m].
+    reference_rate: NDArray[np.float64]  #: Its rate [m per frame].
+    demand: NDArray[np.float64]  #: Demand of the frame before [m].
+    demand_rate: NDArray[np.float64]  #: Its rate, within the bound [m per frame].
+
+
 class CompiledPlan(NamedTuple):
     """Compiled parameters, SI; arrays by coordinate."""
 
@@ -171,12 +186,12 @@ def _advanced(plan, state, mode, row):  # type: ignore[no-untyped-def]
     """A derivative of the planned position a frame ahead."""
     weights = plan.transition[mode, row]
     return (
-        weights[0] * state.model_position[mode]
-        + weights[1] * state.model_velocity[mode]
-        + weights[2] * state.model_acceleration[mode]
-        + weights[3] * state.model_jerk[mode]
-        + weights[4] * state.model_snap[mode]
-        + plan.input[mode, row] * state.model_command[mode]
+        weights[0] * state.position[mode]
+        + weights[1] * state.velocity[mode]
+        + weights[2] * state.acceleration[mode]
+        + weights[3] * state.jerk[mode]
+        + weights[4] * state.snap[mode]
+        + plan.input[mode, row] * state.command[mode]
     )
 
 
@@ -192,29 +207,36 @@ def approach(error, pull, most):  # type: ignore[no-untyped-def]
 def ask(plan, state, mode, demand):  # type: ignore[no-untyped-def]
     """Command that the plan would like of one mode, fraction; its reference moves on."""
     fastest, most, pull = plan.rate[mode], plan.acceleration[mode], plan.pull
-    before, moved = state.model_demand[mode], state.model_demand_rate[mode]
+    before, moved = state.demand[mode], state.demand_rate[mode]
     moving = min(max(demand - before, -fastest), fastest)
-    rate = state.model_reference_rate[mode]
-    closing = approach(state.model_reference[mode] - before, pull, most)
+    rate = state.reference_rate[mode]
+    closing = approach(state.reference[mode] - before, pull, most)
     change = moving - moved - 2.0 * pull * (rate - moved + closing)
     rate += min(max(change, -most), most)
     rate = min(max(rate, -fastest), fastest)
-    state.model_demand[mode] = demand
-    state.model_demand_rate[mode] = moving
-    state.model_reference_rate[mode] = rate
-    state.model_reference[mode] += rate
-    wanted = plan.forward[mode] * state.model_reference[mode]
+    state.demand[mode] = demand
+    state.demand_rate[mode] = moving
+    state.reference_rate[mode] = rate
+    state.reference[mode] += rate
+    wanted = plan.forward[mode] * state.reference[mode]
     for row in range(ORDER):
         wanted -= plan.feedback[mode, row] * _advanced(plan, state, mode, row)
     return wanted
 
 
 @compiled
-def bounded(plan, coordinates, modal, commands):  # type: ignore[no-untyped-def]
-    """Clamp planned commands (n,), in coordinates of the law, to the authority of each leg."""
-    legs = coordinates.legs
+def bounded(plan, shape, modal, commands, legs):  # type: ignore[no-untyped-def]
+    """Clamp planned commands (n,), in coordinates of the law, to the authority of each leg.
+
+    Args:
+        plan: parameters.
+        shape: V^T of the modes.
+        modal: whether commands are those of modes.
+        commands: overwritten.
+        legs: (n,) workspace.
+    """
     if modal:
-        to_legs(coordinates, commands, legs)
+        to_legs(shape, commands, legs)
     else:
         legs[:] = commands
     beyond = False
@@ -222,7 +244,7 @@ def bounded(plan, coordinates, modal, commands):  # type: ignore[no-untyped-def]
         beyond = beyond or abs(legs[leg]) > plan.authority
         legs[leg] = min(max(legs[leg], -plan.authority), plan.authority)
     if beyond and modal:
-        to_modes(coordinates, legs, commands)
+        to_modes(shape, legs, commands)
     elif beyond:
         commands[:] = legs
 
@@ -230,8 +252,8 @@ def bounded(plan, coordinates, modal, commands):  # type: ignore[no-untyped-def]
 @compiled
 def correct(plan, state, mode, feedback):  # type: ignore[no-untyped-def]
     """Command for what the mode has of errors from the plan, fraction."""
-    error = state.model_position[mode] - feedback.position[mode]
-    rate = state.model_velocity[mode] - feedback.velocity[mode]
+    error = state.position[mode] - feedback.position[mode]
+    rate = state.velocity[mode] - feedback.velocity[mode]
     return plan.position_gain[mode] * error + plan.velocity_gain[mode] * rate
 
 
@@ -243,9 +265,9 @@ def advance(plan, state, mode, command):  # type: ignore[no-untyped-def]
     acceleration = _advanced(plan, state, mode, 2)
     jerk = _advanced(plan, state, mode, 3)
     snap = _advanced(plan, state, mode, 4)
-    state.model_position[mode] = position
-    state.model_velocity[mode] = velocity
-    state.model_acceleration[mode] = acceleration
-    state.model_jerk[mode] = jerk
-    state.model_snap[mode] = snap
-    state.model_command[mode] = command
+    state.position[mode] = position
+    state.velocity[mode] = velocity
+    state.acceleration[mode] = acceleration
+    state.jerk[mode] = jerk
+    state.snap[mode] = snap
+    state.command[mode] = command

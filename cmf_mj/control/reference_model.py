@@ -55,12 +55,30 @@ normalisation. The report plans a model reference law (chapter 4 and section 5.2
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import signal
 
 from cmf_mj.control.law import ReferenceModel
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.rates import FRAME
+
+
+class AdaptationState(NamedTuple):
+    """State of the adaptation, every array (n,)."""
+
+    factor: NDArray[np.float64]  #: d, the factor of the feed-forward less 1.
+    error: NDArray[np.float64]  #: H s, the filtered error that it learns from [m/s].
+    feed_forward: NDArray[np.float64]  #: H f, fraction.
+    power: NDArray[np.float64]  #: H f^2.
+
+
+class ModelState(NamedTuple):
+    """State of the reference model, every array (n,)."""
+
+    position: NDArray[np.float64]  #: p_m [m].
+    velocity: NDArray[np.float64]  #: v_m [m/s].
+    adaptation: AdaptationState
 
 
 class CompiledModel(NamedTuple):
@@ -132,23 +150,23 @@ def adapt(model, state, leg, feed_forward, error, rate):  # type: ignore[no-unty
 
     Args:
         model: parameters, of a law that adapts.
-        state: `DclState`; the adaptation of the leg is overwritten.
+        state: `AdaptationState`; that of the leg is overwritten.
         leg: index of the leg.
         feed_forward: f, fraction.
         error: e [m].
         rate: v_m - v [m/s].
     """
     stays, passes = model.stays, 1.0 - model.stays
-    combined = stays * state.learned_error[leg] + passes * (rate + model.slope * error)
-    filtered = stays * state.learned_feed_forward[leg] + passes * feed_forward
-    power = stays * state.feed_forward_power[leg] + passes * feed_forward * feed_forward
+    combined = stays * state.error[leg] + passes * (rate + model.slope * error)
+    filtered = stays * state.feed_forward[leg] + passes * feed_forward
+    power = stays * state.power[leg] + passes * feed_forward * feed_forward
     learned = combined - min(max(combined, -model.dead_zone), model.dead_zone)
-    moved = (1.0 - model.leak) * state.adaptation[leg]
+    moved = (1.0 - model.leak) * state.factor[leg]
     moved += model.adaptation_gain * learned * filtered / (model.level * model.level + power)
-    state.adaptation[leg] = min(max(moved, model.lowest), model.highest)
-    state.learned_error[leg] = combined
-    state.learned_feed_forward[leg] = filtered
-    state.feed_forward_power[leg] = power
+    state.factor[leg] = min(max(moved, model.lowest), model.highest)
+    state.error[leg] = combined
+    state.feed_forward[leg] = filtered
+    state.power[leg] = power
 
 
 @compiled
@@ -157,13 +175,13 @@ def follow(model, state, leg, reference, feedback, output):  # type: ignore[no-u
 
     Args:
         model: parameters, of a law that has a model.
-        state: `DclState`; model and adaptation of the leg are overwritten.
+        state: `ModelState`; that of the leg is overwritten.
         leg: index of the leg.
         reference: its demand [m].
         feedback: `LegFeedback`.
         output: compensator output, fraction.
     """
-    position, velocity = state.model_position[leg], state.model_velocity[leg]
+    position, velocity = state.position[leg], state.velocity[leg]
     next_velocity = (
         model.velocity_of_position * position
         + model.velocity_stays * velocity
@@ -173,14 +191,14 @@ def follow(model, state, leg, reference, feedback, output):  # type: ignore[no-u
     feed_forward = model.velocity_gain * velocity + model.acceleration_gain * acceleration
     error = position - feedback.position[leg]
     rate = velocity - feedback.velocity[leg]
-    total = output + (1.0 + state.adaptation[leg]) * feed_forward
+    total = output + (1.0 + state.adaptation.factor[leg]) * feed_forward
     total += model.position_gain * error + model.rate_gain * rate
     if model.adapting and abs(total) < 1.0:
-        adapt(model, state, leg, feed_forward, error, rate)
-    state.model_position[leg] = (
+        adapt(model, state.adaptation, leg, feed_forward, error, rate)
+    state.position[leg] = (
         model.position_stays * position
         + model.position_of_velocity * velocity
         + model.position_of_reference * reference
     )
-    state.model_velocity[leg] = next_velocity
+    state.velocity[leg] = next_velocity
     return total

@@ -68,6 +68,19 @@ class UserWide(_PackageStamp, caching.UserWideCacheLocator):  # type: ignore[mis
     """Cache in the user's cache folder, where the sources cannot be written to."""
 
 
+class _Index(caching.IndexDataCacheFile):  # type: ignore[misc]
+    """Index of a cache that counts as empty where a class in its signatures has moved."""
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            overloads: dict[Any, str] = super()._load_index()
+        except (AttributeError, ImportError):
+            return {}
+        return overloads
+
+
+caching.IndexDataCacheFile = _Index
+
 _LOCATORS = ",".join(f"{__name__}.{c.__name__}" for c in (UserProvided, InTree, UserWide))
 
 

@@ -3,6 +3,11 @@
 Catch `CmfError` to tell them from a defect. The command line prints their message alone.
 """
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+from importlib import import_module
+from typing import Any
+
 
 class CmfError(Exception):
     """Any error that this project raises on purpose."""
@@ -22,7 +27,50 @@ class RunError(CmfError, FloatingPointError):
     __module__ = "cmf_mj"
 
 
-class MissingExtraError(CmfError, ImportError):
+class MissingExtraError(CmfError, ModuleNotFoundError):
     """A package of an optional extra is not installed; the message names the extra."""
 
     __module__ = "cmf_mj"
+
+
+def require(package: str, extra: str) -> Any:
+    """Import a package that comes with an optional extra.
+
+    Args:
+        package: its import name.
+        extra: of this project, as in `pip install 'cmf-mj[extra]'`.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        return import_module(package)
+    except ImportError as error:
+        text = f"{package} is not installed: pip install 'cmf-mj[{extra}]'"
+        raise MissingExtraError(text, name=error.name) from error
+
+
+def unknown_name(field: str, name: object, known: Iterable[str], more: str = "") -> InputError:
+    """The error for a name that is not known: it lists those that are, and the most similar.
+
+    Args:
+        field: what is named.
+        name: the unknown name.
+        known: the names allowed.
+        more: what else is allowed, e.g. ` nor a .toml file`.
+    """
+    known = list(known)
+    close = get_close_matches(str(name), known, 1)
+    guess = f"; did you mean {close[0]}?" if close else ""
+    return InputError(f"{field}: {name!r} is not one of {', '.join(known)}{more}{guess}")
+
+
+def check_name(field: str, name: str, known: Iterable[str], more: str = "") -> str:
+    """The name, if it is known; arguments as of `unknown_name`.
+
+    Raises:
+        InputError: it is not.
+    """
+    if name not in known:
+        raise unknown_name(field, name, known, more)
+    return name

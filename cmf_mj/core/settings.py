@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, unknown_name
 
 
 class Settings(BaseModel):
@@ -125,7 +125,7 @@ def named_set(
     if based:
         base = own.pop("base", None)
         if base not in names:
-            raise InputError(f"{path}: base: {base!r} is not one of {', '.join(names)}")
+            raise unknown_name(f"{path}: base", base, names)
         start = sets[base]
     if len(own) != 1 or not isinstance(next(iter(own.values())), dict):
         raise InputError(f"{path}: has the tables {sorted(own)}; exactly one is allowed")
@@ -181,10 +181,7 @@ class Loader(Generic[Model]):
 def _own_file(what: str, names: Sequence[str], source: str | Path) -> Path:
     path = Path(source)
     if path.suffix != ".toml":
-        said = f"not one of {', '.join(names)}"
-        if len(names) < 3:
-            said = f"neither {' nor '.join(names)}"
-        raise InputError(f"{what}: {str(source)!r} is {said} nor a .toml file")
+        raise unknown_name(what, str(source), names, " nor a .toml file")
     return path
 
 

@@ -16,9 +16,9 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from cmf_mj.control.dcl import LegFeedback
 from cmf_mj.control.feedback import (
     GravityCompensation,
+    LegFeedback,
     find_gravity,
     gravity_compensation_state,
     make_gravity_compensation,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control import dcl as control
-from cmf_mj.control.law import SIGNALS
+from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.protection import FAULTS, NO_FAULT, Protection, ProtectionState, protect, reset
 from cmf_mj.core.compiled import compiled
 from cmf_mj.electronics import sensors
@@ -111,11 +111,9 @@ class Memory(NamedTuple):
     mean: NDArray[np.float64]  #: Mean velocity between them [m/s], (n,).
     mean_before: NDArray[np.float64]  #: That of the step before, (n,).
     load: NDArray[np.float64]  #: Cylinder forces [N], (n,).
-    truth: control.LegFeedback  #: True motion and pressures.
-    feedback: control.LegFeedback  #: What the DCL reads.
+    truth: LegFeedback  #: True motion and pressures.
+    feedback: LegFeedback  #: What the DCL reads.
     reference: NDArray[np.float64]  #: Leg reference [m], (n,).
-    signals: NDArray[np.float64]  #: Inputs of the compensator, (n, 10).
-    output: NDArray[np.float64]  #: Its outputs, (n,).
     command: NDArray[np.float64]
     """Commands on their way to the valves, newest first, (delay + 1, n)."""
     closure: NDArray[np.float64]  #: Largest gimbal error since the last row [m], (1,).
@@ -130,10 +128,10 @@ def make_memory(machine: Machine, delay: int) -> Memory:
     extension = mechanics.length[mechanics.motors] - mechanics.neutral
     legs = extension.size
 
-    def feedback() -> control.LegFeedback:
+    def feedback() -> LegFeedback:
         pressure = machine.state.pressure
         cap, rod = pressure[:, CAP].copy(), pressure[:, ROD].copy()
-        return control.LegFeedback(extension.copy(), np.zeros(legs), np.zeros(legs), cap, rod)
+        return LegFeedback(extension.copy(), np.zeros(legs), np.zeros(legs), cap, rod)
 
     return Memory(
         extension,
@@ -144,8 +142,6 @@ def make_memory(machine: Machine, delay: int) -> Memory:
         feedback(),
         feedback(),
         extension.copy(),
-        np.zeros((legs, len(SIGNALS))),
-        np.zeros(legs),
         np.zeros((delay + 1, legs)),
         np.zeros(1),
         np.zeros(5, dtype=np.int64),
@@ -201,16 +197,16 @@ def _reset(electronics, guard, marks, plant_faults, integral, position):  # type
 
 
 @compiled
-def _record(row, memory, feedback, state, qpos, sensordata, indices):  # type: ignore[no-untyped-def]
+def _record(row, memory, work, feedback, state, qpos, sensordata, indices):  # type: ignore[no-untyped-def]
     """Write a row."""
     legs = memory.extension.shape[0]
     for leg in range(legs):
-        row[leg] = memory.signals[leg, 0]
+        row[leg] = work.limited[leg]
         row[legs + leg] = feedback.position[leg]
         row[2 * legs + leg] = feedback.velocity[leg]
         row[3 * legs + leg] = feedback.acceleration[leg]
         row[4 * legs + leg] = memory.extension[leg]
-        row[5 * legs + leg] = memory.output[leg]
+        row[5 * legs + leg] = work.output[leg]
         row[6 * legs + leg] = memory.command[0, leg]
         row[7 * legs + leg] = 0.5 * (state.spool[leg, 0] + state.spool[leg, 1])
         row[8 * legs + leg] = feedback.cap_pressure[leg]
@@ -261,10 +257,11 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
     electronics, chain, pace = controller.electronics, controller.chain, controller.pace
     extension, before, mean = memory.extension, memory.before, memory.mean
     mean_before, load, truth = memory.mean_before, memory.load, memory.truth
-    feedback, reference, signals = memory.feedback, memory.reference, memory.signals
-    output, command, marks, closure = memory.output, memory.command, memory.marks, memory.closure
+    feedback, reference, work = memory.feedback, memory.reference, dcl.workspace
+    command, marks, closure = memory.command, memory.marks, memory.closure
     plant_faults, supply = faults.plant, state.supply
-    newest, oldest, limited = command[0], command[delay], signals[:, 0]
+    newest, oldest = command[0], command[delay]
+    limited, commanded = work.limited, work.command
     compensated, inertial = (
         dcl.feedback.gravity_compensation,
         without_gravity(electronics, feedback),
@@ -309,13 +306,13 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
                         guard,
                         marks,
                         plant_faults,
-                        dcl_state.integral,
+                        dcl_state.error.integral,
                         feedback.position,
                     )
                 if closed:
-                    control.step(dcl, dcl_state, reference, feedback, signals, output, newest)
+                    control.step(dcl, dcl_state, reference, feedback)
                     for leg in range(legs):
-                        newest[leg] *= gain
+                        newest[leg] = gain * commanded[leg]
                 else:
                     for leg in range(legs):
                         newest[leg] = reference[leg]
@@ -335,7 +332,16 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
                 x, y, z = sensordata[i], sensordata[i + 1], sensordata[i + 2]
                 closure[0] = max(closure[0], np.sqrt(x * x + y * y + z * z))
             if inner == 0 and row >= 0:
-                _record(layout.out[row], memory, feedback, state, qpos, sensordata, layout.sensors)
+                _record(
+                    layout.out[row],
+                    memory,
+                    work,
+                    feedback,
+                    state,
+                    qpos,
+                    sensordata,
+                    layout.sensors,
+                )
             for leg in range(legs):
                 ctrl[motors[leg]] = load[leg]
             call(mechanics.force_stage, model, data)

@@ -10,7 +10,7 @@ and the session, which run again gives the same demand bit for bit.
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,9 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME, RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility import host as hosts
-from cmf_mj.facility.front import LOG, Chain, make_chain
+from cmf_mj.facility.front import LOG, make_chain
 from cmf_mj.facility.pace import Pace, make_pace
-from cmf_mj.facility.session import Session
+from cmf_mj.facility.session import Options, Session
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
 from cmf_mj.plant.events import Event
@@ -89,18 +89,38 @@ class Operation(NamedTuple):
     timing: Timing | None  #: Of a run in real time.
 
 
+class OperationOptions(TypedDict, total=False):
+    """Options of `operate` and `serve`."""
+
+    begin: State
+    """Operating state to begin in: off, settled, hold or engaged, the default. Off and settled
+    begin on the stops, the others at the first frame's pose, or neutral if that is beyond the
+    operational limits or the legs' working stroke. Settled has its valves open from the first
+    frame, so that a law whose balance is elsewhere jumps; off fades them in."""
+    requests: Sequence[tuple[float, Request]]  #: Operator's requests and their times [s].
+    events: Sequence[Event]  #: Failures on the time line.
+    facility: FacilitySettings  #: Everything between host and valves.
+    record_every: int  #: Keep one frame in this many; default 1, in real time 16.
+    progress: Callable[[float], None] | None
+    """Called with the seconds run, about once a second; in real time with 0 when the clock
+    starts."""
+
+
+class Start(NamedTuple):
+    """How a run of the chain begins, and what the operator does."""
+
+    state: State  #: Operating state to begin in.
+    pose: NDArray[np.float64]  #: Of the demand at the start, (6,) [m, rad].
+    requests: Sequence[tuple[float, Request]] = ()  #: Operator's requests and their times [s].
+
+
 def operate(
     plant: Hexapod,
     law: str | Path | Law,
     frames: hosts.HostStream | Arrivals,
     *,
     seconds: float | None = None,
-    begin: State = State.ENGAGED,
-    requests: Sequence[tuple[float, Request]] = (),
-    events: Sequence[Event] = (),
-    facility: FacilitySettings | None = None,
-    record_every: int = 1,
-    progress: Callable[[float], None] | None = None,
+    **options: Unpack[OperationOptions],
 ) -> Operation:
     """Run the facility on host frames.
 
@@ -110,15 +130,8 @@ def operate(
         frames: a `HostStream`, or frames with the control frame they arrive in.
         seconds: length of the run; default until the last frame has had its turn. The host's
             silence trips the host watchdog soon after.
-        begin: operating state to begin in: off, settled, hold or engaged. Off and settled begin on
-            the stops, the others at the first frame's pose, or neutral if that is beyond the
-            operational limits or the legs' working stroke. Settled has its valves open from the
-            first frame, so that a law whose balance is elsewhere jumps; off fades them in.
-        requests: operator's requests and their times [s].
-        events: failures on the time line.
-        facility: everything between host and valves.
-        record_every: keep one frame in this many.
-        progress: called with the seconds simulated, about once a second of them.
+        **options: `begin`, `requests`, `events`, `facility`, `record_every` and `progress`; see
+            `OperationOptions`.
 
     Raises:
         InputError: an argument out of range, named.
@@ -127,30 +140,15 @@ def operate(
     arrivals = hosts.arrivals(frames) if isinstance(frames, hosts.HostStream) else frames
     if not arrivals.frame.size:
         raise InputError("frames: the host sends none; give at least one")
-    settings = facility or FacilitySettings()
+    settings = options.get("facility") or FacilitySettings()
     last = arrivals.frame[-1] / RATE + load_dcu(settings.dcu).delay.total
     count = _count(last if seconds is None else seconds)
     pose = starting_pose(arrivals.values[0, 0], load_motion_limits(settings.limits))
-    session, unit = prepare(
-        plant,
-        load_law(law),
-        arrivals,
-        hosts.make_ring(2),
-        False,
-        count,
-        begin,
-        pose,
-        requests,
-        events,
-        settings,
-        None,
-        record_every,
+    session = facility_session(
+        plant, load_law(law), arrivals, settings, _start(options, pose), _options(options, count, 1)
     )
-    while session.frame < count:
-        session.run(RATE)
-        if progress is not None:
-            progress(session.frame / RATE)
-    return _operation(session, arrivals, unit, pose, {}, None)
+    _run(session, options)
+    return _operation(session, arrivals, settings, pose, {}, None)
 
 
 def serve(
@@ -158,13 +156,7 @@ def serve(
     law: str | Path | Law,
     ring: hosts.Ring,
     seconds: float,
-    *,
-    begin: State = State.ENGAGED,
-    requests: Sequence[tuple[float, Request]] = (),
-    events: Sequence[Event] = (),
-    facility: FacilitySettings | None = None,
-    record_every: int = 16,
-    progress: Callable[[float], None] | None = None,
+    **options: Unpack[OperationOptions],
 ) -> Operation:
     """Run the facility in real time on frames that a receiver puts into a ring.
 
@@ -175,44 +167,57 @@ def serve(
         law: name, TOML file or loaded `Law`.
         ring: of `host.UdpReceiver`, or filled by `host.put`.
         seconds: length of the run.
-        begin: operating state to begin in.
-        requests: operator's requests and their times [s].
-        events: failures on the time line.
-        facility: everything between host and valves.
-        record_every: keep one frame in this many.
-        progress: called with the seconds run, 0 when the clock starts and about once a second.
+        **options: as for `operate`; the pose at the start is neutral.
 
     Raises:
         InputError: an argument out of range, named.
         OSError: no monotonic clock to keep time by.
         OutOfBounds: the state left its physical bounds; leg, time and value are named.
     """
-    settings, loaded, neutral = facility or FacilitySettings(), load_law(law), np.zeros(6)
+    settings, loaded = options.get("facility") or FacilitySettings(), load_law(law)
+    start = _start(options, np.zeros(6))
 
-    def prepared(count: int, source: hosts.Ring, pace: Pace) -> tuple[Session, DcuSettings]:
+    def session_of(count: int, source: hosts.Ring, pace: Pace) -> Session:
         log = hosts.make_log(int(count / RATE * _LOG_CAPACITY) + 256)
-        return prepare(
-            plant, loaded, log, source, True, count, begin, neutral, requests, events, settings,
-            pace, record_every,
-        )  # fmt: skip
+        run = _options(options, count, 16)
+        return facility_session(plant, loaded, log, settings, start, run, ring=source, pace=pace)
 
-    prepared(8, hosts.make_ring(2), make_pace(8))[0].run()
+    session_of(8, hosts.make_ring(2), make_pace(8)).run()
     count = _count(seconds)
     pace = make_pace(count)
-    session, unit = prepared(count, ring, pace)
-    if progress is not None:
+    session = session_of(count, ring, pace)
+    if (progress := options.get("progress")) is not None:
         progress(0.0)
     started, lost = int(ring.written[0]), int(ring.lost[0])
     unused = {"early": started - int(ring.read[0])}
     ring.read[0] = started
-    while session.frame < count:
+    _run(session, options)
+    log = session.chain.arrivals
+    arrivals = hosts.logged(log, int((log.frame < hosts.NEVER).sum()))
+    unused["lost"] = int(ring.lost[0]) - lost
+    timing = Timing(pace.busy, pace.late)
+    return _operation(session, arrivals, settings, start.pose, unused, timing)
+
+
+def _start(options: OperationOptions, pose: NDArray[np.float64]) -> Start:
+    return Start(options.get("begin", State.ENGAGED), pose, options.get("requests", ()))
+
+
+def _options(options: OperationOptions, frames: int, every: int) -> Options:
+    return Options(
+        events=options.get("events", ()),
+        record_every=options.get("record_every", every),
+        frames=frames,
+    )
+
+
+def _run(session: Session, options: OperationOptions) -> None:
+    """Run a session to its end, a second at a time."""
+    progress = options.get("progress")
+    while session.frame < session.frames:
         session.run(RATE)
         if progress is not None:
             progress(session.frame / RATE)
-    log = _chain(session).arrivals
-    arrivals = hosts.logged(log, int((log.frame < hosts.NEVER).sum()))
-    unused["lost"] = int(ring.lost[0]) - lost
-    return _operation(session, arrivals, unit, neutral, unused, Timing(pace.busy, pace.late))
 
 
 def starting_pose(pose: NDArray[np.float64], limits: MotionLimits) -> NDArray[np.float64]:
@@ -224,96 +229,70 @@ def starting_pose(pose: NDArray[np.float64], limits: MotionLimits) -> NDArray[np
     return np.zeros(6)
 
 
-def _chain(session: Session) -> Chain:
-    chain = session.controller.chain
-    if chain is None:
-        raise TypeError("session: runs on a table, not on a chain")
-    return chain
-
-
 def _count(seconds: float) -> int:
     if not (np.isfinite(seconds) and seconds > 0.0):
         raise InputError(f"seconds: {seconds} must be greater than 0")
     return max(round(seconds * RATE), 1)
 
 
-def prepare(
+def facility_session(
     plant: Hexapod,
     law: Law,
     arrivals: Arrivals,
-    ring: hosts.Ring,
-    live: bool,
-    count: int,
-    begin: State,
-    pose: NDArray[np.float64],
-    requests: Sequence[tuple[float, Request]],
-    events: Sequence[Event],
-    facility: FacilitySettings,
-    pace: Pace | None,
-    every: int,
-    window: int | None = None,
-) -> tuple[Session, DcuSettings]:
-    """Make a session of the whole chain, and its DCU's settings.
+    settings: FacilitySettings,
+    start: Start,
+    options: Options,
+    *,
+    ring: hosts.Ring | None = None,
+    pace: Pace | None = None,
+) -> Session:
+    """A session of the whole chain from host to valves.
 
     Args:
         plant: the hexapod.
         law: loaded law.
-        arrivals: host frames, or a log to collect them in.
+        arrivals: host frames, or with a ring a log to collect them in.
+        settings: everything between host and valves.
+        start: how it begins, and the operator's requests.
+        options: of the run, with its `frames`; start, protection and electronics are those of
+            `start` and `settings`.
         ring: hand-over of live frames.
-        live: whether frames come from it.
-        count: control frames of the run.
-        begin: operating state to begin in.
-        pose: of the demand at the start, (6,) [m, rad].
-        requests: operator's requests and their times [s].
-        events: failures on the time line.
-        facility: everything between host and valves.
-        pace: real time; None for as fast as possible.
-        every: keep one frame in this many.
-        window: control frames to keep in the record; default all.
+        pace: real time; default as fast as possible.
 
     Raises:
         InputError: an argument out of range, named.
     """
-    if every < 1:
-        raise InputError(f"record_every: {every} frames must be at least 1")
-    settings = load_dcu(facility.dcu)
-    limits = load_motion_limits(facility.limits)
-    shown = states.make_states(load_state_settings(facility.states))
-    down = begin in (State.OFF, State.SETTLED)
-    legs = np.full(6, _RESTING) if down else kinematics.pose_to_legs(pose)
-    start = kinematics.legs_to_pose(legs) if down else pose
+    options.check()
+    limits = load_motion_limits(settings.limits)
+    operating = states.make_states(load_state_settings(settings.states))
+    down = start.state in (State.OFF, State.SETTLED)
+    legs = np.full(6, _RESTING) if down else kinematics.pose_to_legs(start.pose)
+    kept = options.frames if options.window is None else options.window
+    assert kept is not None
     chain = make_chain(
-        make_dcu(settings),
+        make_dcu(load_dcu(settings.dcu)),
         arrivals,
-        sorted((round(at * RATE), code) for at, code in requests),
-        -(-(count if window is None else window) // every),
-        begin=begin,
-        ring=ring,
-        live=live,
+        sorted((round(at * RATE), code) for at, code in start.requests),
+        -(-kept // options.record_every),
+        begin=start.state,
+        ring=ring or hosts.make_ring(2),
+        live=ring is not None,
         limits=(governor.make_pose_governor(limits), governor.make_leg_governor(limits)),
-        shown=shown,
-        geometry=facility.demand or make_demand(),
+        shown=operating,
+        geometry=settings.demand or make_demand(),
         position=legs,
-        pose=pose,
+        pose=start.pose,
     )
-    protection = facility.protection
-    session = Session(
-        plant,
-        law,
-        chain.reference[:1].copy(),
-        frames=count,
-        window=window,
-        start=start,
-        events=events,
+    protection = settings.protection
+    run = options._replace(
+        start=kinematics.legs_to_pose(legs) if down else start.pose,
         protection=None if protection is None else load_protection(protection),
-        electronics=facility.electronics,
-        chain=chain,
-        pace=pace,
-        record_every=every,
+        electronics=settings.electronics,
     )
+    session = Session(plant, law, chain, run, pace)
     if down:
-        session.controller.state.integral[:] = 0.0
-    return session, settings
+        session.forget_integral()
+    return session
 
 
 def chain_channels(
@@ -329,13 +308,13 @@ def chain_channels(
 def _operation(
     session: Session,
     arrivals: Arrivals,
-    unit: DcuSettings,
+    settings: FacilitySettings,
     pose: NDArray[np.float64],
     unused: dict[str, int],
     timing: Timing | None,
 ) -> Operation:
     time, channels, channel_units = session.history()
-    chain = _chain(session)
+    chain, unit = session.chain, load_dcu(settings.dcu)
     named, log_units = chain_channels(chain.log[: time.size])
     channel_units |= log_units
     counts, rejections = chain.dcu_state.counts, chain.dcu_state.rejections

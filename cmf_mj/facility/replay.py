@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cmf_mj.control import dcl as control
-from cmf_mj.control.feedback import gravity_history
-from cmf_mj.control.law import SIGNALS, Law, load_law
+from cmf_mj.control.engage import engaged
+from cmf_mj.control.feedback import LegFeedback, gravity_history
+from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import Fault, Protection, latched, protect, protection_state
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
@@ -69,24 +70,25 @@ class Replay(NamedTuple):
 
 
 @compiled
-def _run(dcl, state, reference, feedback, signals, command, output, factor):  # type: ignore[no-untyped-def]
+def _run(dcl, state, reference, feedback, output, factor):  # type: ignore[no-untyped-def]
     for frame in range(reference.shape[0]):
         for leg in range(reference.shape[1]):
-            factor[frame, leg] = 1.0 + state.adaptation[leg]
-        now = control.LegFeedback(
+            factor[frame, leg] = 1.0 + state.model.adaptation.factor[leg]
+        now = LegFeedback(
             feedback.position[frame],
             feedback.velocity[frame],
             feedback.acceleration[frame],
             feedback.cap_pressure[frame],
             feedback.rod_pressure[frame],
         )
-        control.step(dcl, state, reference[frame], now, signals, output[frame], command)
+        control.step(dcl, state, reference[frame], now)
+        output[frame] = dcl.workspace.output
 
 
 @compiled
 def _watch(protection, state, reference, feedback, supply_pressure):  # type: ignore[no-untyped-def]
     for frame in range(reference.shape[0]):
-        now = control.LegFeedback(
+        now = LegFeedback(
             feedback.position[frame],
             feedback.velocity[frame],
             feedback.acceleration[frame],
@@ -116,15 +118,14 @@ def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = 
     reference = _legs(record, "leg_reference")
     if every > 1:
         reference = _raised(reference, every)
-        histories = control.LegFeedback(*(_raised(h, every) for h in histories))
+        histories = LegFeedback(*(_raised(h, every) for h in histories))
     frames, legs = reference.shape
     dcl = control.make_dcl(loaded, legs)
-    first = control.LegFeedback(*(history[0].copy() for history in histories))
-    state = _begun(record, loaded, legs) or control.engaged(dcl, reference[0], first)
+    first = LegFeedback(*(history[0].copy() for history in histories))
+    state = _begun(record, loaded, legs) or engaged(dcl, reference[0], first)
     output = np.empty((frames, legs))
-    signals = np.zeros((legs, len(SIGNALS)))
     factor = np.empty((frames, legs))
-    _run(dcl, state, reference, histories, signals, np.zeros(legs), output, factor)
+    _run(dcl, state, reference, histories, output, factor)
     known = "compensator_output" in record.channels
     recorded = _legs(record, "compensator_output") if known else None
     picked = np.ascontiguousarray(output[::every])
@@ -149,7 +150,7 @@ def replay_protection(
     if _every(record) != 1:
         raise InputError(f"sample_rate: {record.rate} Hz is refused; allowed: {1 / FRAME:g} Hz")
     reference = _legs(record, "leg_reference")
-    histories = control.LegFeedback(*(_legs(record, name) for name in FEEDBACK.values()))
+    histories = LegFeedback(*(_legs(record, name) for name in FEEDBACK.values()))
     histories.acceleration[:] -= _felt(record) * (not _compensated(record))
     state = protection_state(histories.position[0])
     supply = np.array(np.broadcast_to(supply_pressure, reference.shape[0]), dtype=float)
@@ -162,10 +163,9 @@ def _begun(record: Record, law: Law, legs: int) -> control.DclState | None:
     said = record.metadata.get("law_state")
     if not said or record.metadata.get("law_parameters") != law.model_dump(mode="json"):
         return None
-    state = control.DclState(
-        **{name: np.array(values, dtype=float) for name, values in said.items()}
-    )
-    return state if all(values.shape == (legs,) for values in state) else None
+    known = control.DclState.zeros(legs).arrays()
+    fits = said.keys() == known.keys() and all(len(values) == legs for values in said.values())
+    return control.DclState.of(said) if fits else None
 
 
 def _every(record: Record) -> int:
@@ -185,7 +185,7 @@ def _legs(record: Record, channel: str) -> NDArray[np.float64]:
     return np.array(values, order="C")  # the compiled law takes writable ones only
 
 
-def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> control.LegFeedback:
+def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> LegFeedback:
     odd = sorted(set(names) - set(FEEDBACK))
     if odd:
         raise InputError(f"feedback: {odd[0]!r} is not one of {', '.join(FEEDBACK)}")
@@ -209,7 +209,7 @@ def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> control.Leg
         present = channel in record.channels
         still = np.zeros(record["leg_position"].shape)
         histories.append(_legs(record, channel) if present else still)
-    found = control.LegFeedback(*histories)
+    found = LegFeedback(*histories)
     if "acceleration" not in names and FEEDBACK["acceleration"] in record.channels:
         shift = int(_compensated(record)) - int(law.gravity_compensation)
         if shift:

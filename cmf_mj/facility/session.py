@@ -1,14 +1,15 @@
 """A session: one plant, one controller and the compiled loop, run in one go or in parts."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import Any
+from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.control import dcl as control
-from cmf_mj.control.law import Law, load_law
+from cmf_mj.control.engage import engaged, handed_over
+from cmf_mj.control.law import Gains, Law
 from cmf_mj.control.protection import (
     Fault,
     ProtectionSettings,
@@ -17,6 +18,7 @@ from cmf_mj.control.protection import (
     make_protection,
     protection_state,
 )
+from cmf_mj.control.states import State
 from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.electronics.chain import ElectronicsSettings, make_electronics, measure
@@ -35,8 +37,9 @@ from cmf_mj.facility.loop import (
     run,
 )
 from cmf_mj.facility.pace import Pace, idle_pace
+from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.events import Event, make_timeline
-from cmf_mj.plant.faults import no_faults
+from cmf_mj.plant.faults import OVERLOAD, no_faults
 from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.plant.plant import Plant
 
@@ -60,6 +63,13 @@ _SENSOR_UNITS = {"gyro": "rad/s", "force": "N"}
 """Units of MuJoCo's sensors by the last word of their channel; m/s^2 for all others."""
 
 
+_NO_LAW = Law(name="none", title="Open loop: the table is the valve command", direct_gain=Gains())
+"""All gains are zero. The DCL of an open loop never runs; compiled code needs one of its type."""
+
+FOREVER = 2**62
+"""Frames of a run without end."""
+
+
 class OutOfBounds(RunError):
     """The state of a run left its physical bounds."""
 
@@ -69,6 +79,73 @@ class OutOfBounds(RunError):
         self.frame = frame
 
 
+class RunOptions(TypedDict, total=False):
+    """Options of every run, as in `Options`."""
+
+    start: ArrayLike | None
+    events: Sequence[Event]
+    record_every: int
+    command_delay: int
+
+
+class Options(NamedTuple):
+    """What may differ between two runs of the same plant and law."""
+
+    start: ArrayLike | None = None
+    """Configuration to start from, as `plant.place` takes it; default neutral."""
+    events: Sequence[Event] = ()  #: Failures on the time line.
+    record_every: int = 1  #: Keep one frame in this many.
+    command_delay: int = 1  #: Frames from a DCL frame to its command at the valves.
+    protection: ProtectionSettings | None = None  #: Conditions that make an emergency stop.
+    electronics: ElectronicsSettings | None = None
+    """Sensors, converters, servo electronics; default ideal."""
+    frames: int | None = None  #: Control frames of the run; default the rows of the table.
+    window: int | None = None
+    """Control frames to keep in the record; later ones overwrite the first. Default all."""
+
+    def check(self) -> None:
+        """Refuse a number that is too small.
+
+        Raises:
+            InputError: the option, named.
+        """
+        window = 1 if self.window is None else self.window
+        for field, value, least in (
+            ("record_every", self.record_every, 1),
+            ("window", window, 1),
+            ("command_delay", self.command_delay, 0),
+        ):
+            if value < least:
+                raise InputError(f"{field}: {value} frames must be at least {least}")
+
+
+class Table(NamedTuple):
+    """References made before the run, taken again from the start after the last row."""
+
+    rows: NDArray[np.float64]
+    """Leg references [m], or valve commands as fractions in open loop, (N, n)."""
+    poses: NDArray[np.float64] | None = None  #: Platform demand they are made of, (N, 6).
+
+
+class Live(NamedTuple):
+    """The present state of a run, copied; arrays with a leg axis are (n,)."""
+
+    time: float  #: Time of the next frame [s].
+    qpos: NDArray[np.float64]  #: MuJoCo's generalised positions, (nq,).
+    demand: NDArray[np.float64]  #: Platform demand of the last frame [m, rad], z down, (6,).
+    reference: NDArray[np.float64]  #: Leg reference [m].
+    extension: NDArray[np.float64]  #: True leg extension from neutral [m].
+    valve_command: NDArray[np.float64]  #: Fraction of full command.
+    cap_pressure: NDArray[np.float64]  #: [Pa] gauge.
+    rod_pressure: NDArray[np.float64]  #: [Pa] gauge.
+    force: NDArray[np.float64]  #: Cylinder force [N], positive extending.
+    supply_pressure: float  #: [Pa] gauge.
+    return_pressure: float  #: [Pa] gauge.
+    law: str  #: Name of the law in force.
+    state: str  #: Operating state; empty without the chain.
+    fault: Fault | None  #: Fault detected.
+
+
 class Session:
     """Plant, controller and record of one run."""
 
@@ -76,83 +153,61 @@ class Session:
         self,
         plant: Plant,
         law: Law | None,
-        table: NDArray[np.float64],
-        *,
-        frames: int | None = None,
-        window: int | None = None,
-        start: ArrayLike | None = None,
-        events: Sequence[Event] = (),
-        protection: ProtectionSettings | None = None,
-        electronics: ElectronicsSettings | None = None,
-        chain: Chain | None = None,
+        source: Table | Chain,
+        options: Options,
         pace: Pace | None = None,
-        record_every: int = 1,
-        command_delay: int = 1,
     ) -> None:
         """Put the plant at rest and engage the law there.
 
         Args:
             plant: any plant; its mechanical step must divide the control frame.
             law: control law; None to take the table for valve commands.
-            table: leg references [m] or valve commands as fractions, (N, n); with a chain only the
-                reference to engage at, (1, n).
-            frames: control frames of the run; default the rows of the table.
-            window: control frames to keep in the record; later ones overwrite the first. Default
-                all of them.
-            start: configuration to start from, as `plant.place` takes it; default neutral.
-            events: failures on the time line.
-            protection: conditions that make an emergency stop.
-            electronics: sensors, converters, servo electronics; default ideal.
-            chain: host to reference; default the table.
+            source: where the reference comes from; a chain needs `options.frames`.
+            options: everything else.
             pace: real time; default as fast as possible.
-            record_every: keep one frame in this many.
-            command_delay: frames from a DCL frame to its command at the valves.
 
         Raises:
             InputError: an argument out of range, named.
         """
-        for field, value, least in (
-            ("record_every", record_every, 1),
-            ("window", 1 if window is None else window, 1),
-            ("command_delay", command_delay, 0),
-        ):
-            if value < least:
-                raise InputError(f"{field}: {value} frames must be at least {least}")
+        options.check()
         step = float(plant.model.opt.timestep)
         steps = round(FRAME / step)
         if steps < 1 or abs(steps * step - FRAME) > 1e-12:
             raise InputError(f"timestep: {step} s must divide the control frame of {FRAME} s")
-        self.plant = plant
         law = None if law is None else law.mounted(plant.mounting)
-        self._law = law
-        self._engaged = law
-        self._events = tuple(events)
-        self.frames = table.shape[0] if frames is None else frames
+        chain = source if isinstance(source, Chain) else None
+        table = source.reference[:1].copy() if isinstance(source, Chain) else source.rows
+        self.plant = plant
+        self._law = self._engaged = law
+        self._options = options
+        self._events = tuple(options.events)
+        self._poses = None if isinstance(source, Chain) else source.poses
+        self.frames = table.shape[0] if options.frames is None else options.frames
         self.frame = 0
         """Control frames run so far."""
-        self.every = record_every
+        self.every = options.record_every
         self.machine = Machine(
             plant.mechanics(),
             plant.hydraulics,
-            plant.start(start),
+            plant.start(options.start),
             no_faults(plant.legs),
-            make_timeline(events, plant.legs),
+            make_timeline(self._events, plant.legs),
         )
-        self.memory = make_memory(self.machine, command_delay)
+        self.memory = make_memory(self.machine, options.command_delay)
         at_rest, feedback = self.memory.truth, self.memory.feedback
+        electronics = options.electronics
         parts = None if electronics is None else make_electronics(electronics, at_rest)
-        self._electronics = electronics
-        dcl = control.make_dcl(law or load_law("original"), plant.legs)
+        dcl = control.make_dcl(law or _NO_LAW, plant.legs)
         compensated = dcl.feedback.gravity_compensation
         measure(parts, self.machine.faults, 0, at_rest, compensated, feedback)
         self.controller = Controller(
             closed=law is not None,
             dcl=dcl,
-            state=control.engaged(dcl, feedback.position if law is None else table[0], feedback),
+            state=engaged(dcl, feedback.position if law is None else table[0], feedback),
             table=np.ascontiguousarray(table),
-            delay=command_delay,
-            guarded=protection is not None,
-            protection=make_protection(protection or load_protection()),
+            delay=options.command_delay,
+            guarded=options.protection is not None,
+            protection=make_protection(options.protection or load_protection()),
             guard=protection_state(feedback.position),
             electronics=parts,
             chain=chain,
@@ -170,18 +225,30 @@ class Session:
             plant.model.nq,
             indices.size,
         )
-        kept = self.frames if window is None else window
-        out = np.empty((-(-kept // record_every), sum(widths)))
-        self.layout = Layout(indices, plant.gimbal_sensors, steps, record_every, out)
+        kept = self.frames if options.window is None else options.window
+        out = np.empty((-(-kept // self.every), sum(widths)))
+        self.layout = Layout(indices, plant.gimbal_sensors, steps, self.every, out)
+
+    @property
+    def chain(self) -> Chain:
+        """The chain from the host to the leg reference.
+
+        Raises:
+            TypeError: the run takes its reference from a table.
+        """
+        chain = self.controller.chain
+        if chain is None:
+            raise TypeError("session: runs on a table, not on a chain")
+        return chain
 
     @property
     def fault(self) -> Fault | None:
         """The fault detected, also one that was reset, if there is one."""
-        found = latched(self.controller.guard)
-        if found is None and self.memory.marks[2] != 0:
-            guard = self.controller.guard
-            found = latched(guard._replace(fault=self.memory.marks[2:]))
-        return found
+        guard = self.controller.guard
+        present = latched(guard)
+        if present is None and self.memory.marks[2] != 0:
+            return latched(guard._replace(fault=self.memory.marks[2:]))
+        return present
 
     def run(self, frames: int | None = None) -> None:
         """Run a number of control frames, by default all that are left.
@@ -190,7 +257,7 @@ class Session:
             OutOfBounds: the state left its physical bounds; leg, time and value are named.
         """
         if self.frame == 0:
-            state = self.controller.state._asdict()
+            state = self.controller.state.arrays()
             self._begun = {name: values.tolist() for name, values in state.items()}
         end = self.frames if frames is None else min(self.frame + frames, self.frames)
         frame, bound, leg = run(
@@ -207,7 +274,7 @@ class Session:
         pressures = f"cap {cap:.4g} Pa, rod {rod:.4g} Pa gauge"
         hydraulics = self.machine.hydraulics
         half, proof = hydraulics.cylinder.half_stroke[leg], hydraulics.proof_pressure
-        said = {
+        what = {
             FINITE: f"is not finite: {pressures}, extension {extension:.4g} m",
             VACUUM: f"has a chamber below vacuum ({pressures}); cavitation_gas sets a floor",
             PROOF: f"has a chamber beyond the proof pressure of {proof:.4g} Pa ({pressures})",
@@ -216,37 +283,104 @@ class Session:
         }[bound]
         with_law = f" with law {self._engaged.name}" if self._engaged else ""
         name = self.plant.actuators[leg]
-        return f"{self.plant.name}{with_law}: {name} {said} at {frame * FRAME:.4f} s"
+        return f"{self.plant.name}{with_law}: {name} {what} at {frame * FRAME:.4f} s"
 
     def describe(self) -> dict[str, Any]:
         """What a record keeps of the run."""
         fault, law = self.fault, self._law
-        found = None
+        detected = None
         if fault is not None:
-            found = {"name": fault.name, "leg": fault.leg, "time": fault.frame * FRAME}
+            detected = {"name": fault.name, "leg": fault.leg, "time": fault.frame * FRAME}
+        electronics = self._options.electronics
         return {
             **self.plant.describe(),
             "law": law.name if law else "",
             "law_parameters": law.model_dump(mode="json") if law else {},
             "law_state": self._begun if law else {},
             "events": [event.model_dump(exclude_none=True) for event in self._events],
-            "fault": found,
-            "electronics": self._electronics.describe() if self._electronics else None,
+            "fault": detected,
+            "electronics": electronics.describe() if electronics else None,
             "sample_rate": 1.0 / (FRAME * self.every),
             "command_delay": self.controller.delay,
             "versions": dict(_VERSIONS),
         }
 
-    def engage(self, law: Law, dcl: control.Dcl, state: control.DclState) -> None:
-        """Go on with another law from the next frame.
+    def look(self) -> Live:
+        """The present state."""
+        memory, state, chain = self.memory, self.machine.state, self.controller.chain
+        demand, operating = np.zeros(6), ""
+        if chain is not None:
+            demand, operating = chain.motion[0], State(chain.marks[3]).name.lower()
+        elif self._poses is not None:
+            demand = self._poses[max(self.frame - 1, 0) % self._poses.shape[0]]
+        supply = dict(zip(SUPPLY_CHANNELS, state.supply.tolist(), strict=True))
+        return Live(
+            time=self.frame * FRAME,
+            qpos=self.plant.data.qpos.copy(),
+            demand=demand.copy(),
+            reference=memory.reference.copy(),
+            extension=self.plant.extensions(),
+            valve_command=memory.command[0].copy(),
+            cap_pressure=state.pressure[:, CAP].copy(),
+            rod_pressure=state.pressure[:, ROD].copy(),
+            force=memory.load.copy(),
+            supply_pressure=supply["supply_pressure"],
+            return_pressure=supply["return_pressure"],
+            law=self._engaged.name if self._engaged else "",
+            state=operating,
+            fault=self.fault,
+        )
 
-        Args:
-            law: which.
-            dcl: compiled.
-            state: its state there.
+    def engage(self, law: Law) -> None:
+        """Hand over to another law, from the next frame on, as `control.engage` says."""
+        self._engaged = law.mounted(self.plant.mounting)
+        controller, memory = self.controller, self.memory
+        dcl = control.make_dcl(self._engaged, self.plant.legs)
+        limited = controller.dcl.workspace.limited
+        reference = limited.copy() if self.frame else memory.feedback.position
+        parts = controller.electronics
+        state = handed_over(
+            controller.dcl,
+            controller.state,
+            dcl,
+            reference,
+            memory.feedback,
+            None if parts is None else parts.gravity,
+        )
+        self.controller = controller._replace(dcl=dcl, state=state)
+
+    def forget_integral(self) -> None:
+        """Start the error integral from zero."""
+        self.controller.state.error.integral[:] = 0.0
+
+    def exchange(self, **parts: Any) -> None:
+        """Go on with other parts of the chain, by their field in `Chain`."""
+        self.controller = self.controller._replace(chain=self.chain._replace(**parts))
+
+    def body(self, name: str = "") -> int:
+        """Number of a body of the model, by default the first that carries the payload.
+
+        Raises:
+            InputError: the model has no such body.
         """
-        self._engaged = law
-        self.controller = self.controller._replace(dcl=dcl, state=state)
+        model = self.plant.model
+        names = [model.body(i).name for i in range(1, model.nbody)]
+        if not name:
+            return int(self.machine.mechanics.payload_bodies[0])
+        if name not in names:
+            raise InputError(f"body: {name!r} is not one of {', '.join(names)}")
+        return int(model.body(name).id)
+
+    def push(self, wrenches: Mapping[int, Sequence[float]]) -> None:
+        """Apply external forces and torques (6,) to bodies, by their numbers, besides an overload.
+
+        An overload that strikes during a part of the run is part of them from the next part on.
+        """
+        forces, loaded = self.machine.mechanics.payload, self.machine.mechanics.payload_bodies
+        for body, wrench in wrenches.items():
+            forces[body] = wrench
+            if body in loaded:
+                forces[body, 2] -= self.machine.faults.plant[OVERLOAD] / loaded.size
 
     def inject(self, event: Event) -> None:
         """Put one more event on the time line.

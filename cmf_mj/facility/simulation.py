@@ -4,9 +4,8 @@
 it at the valves. Both are the one loop of `loop.run`, whose docstring gives the order.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,8 +15,7 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
 from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.session import OutOfBounds, Session
-from cmf_mj.plant.events import Event
+from cmf_mj.facility.session import Options, OutOfBounds, RunOptions, Session, Table
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.single import Command
@@ -30,13 +28,10 @@ def simulate(
     law: str | Law,
     command: Command | ArrayLike,
     *,
-    events: Sequence[Event] = (),
-    start: ArrayLike | None = None,
     legs: bool = False,
     protection: str | Path | ProtectionSettings | None = None,
     electronics: ElectronicsSettings | None = None,
-    record_every: int = 1,
-    command_delay: int = 1,
+    **options: Unpack[RunOptions],
 ) -> Record:
     """Run a control law on a plant and record all signals.
 
@@ -49,15 +44,14 @@ def simulate(
         law: name, TOML file or loaded `Law`.
         command: a `Command`, platform poses (N, 6) at 2048 Hz [m, rad], z down, or with `legs`
             extensions of the actuators (N, n) [m].
-        events: failures on the time line.
-        start: configuration to start from, as `plant.place` takes it; default the command's first
-            pose, with `legs` the model's `qpos0`; `plant.configuration` finds that of extensions.
         legs: whether `command` are extensions.
         protection: conditions that make an emergency stop, `default` or a TOML file; the metadata
             tell the `fault` and its time. Default none.
         electronics: sensors, converters and servo electronics; default ideal, to the bit.
-        record_every: keep one frame in this many.
-        command_delay: frames from a DCL frame to its command at the valves.
+        **options: `start`, by default the command's first pose, with `legs` the model's `qpos0`
+            (`plant.configuration` gives that of extensions); `events` on the time line;
+            `record_every`, keep one frame in this many; `command_delay`, frames from a DCL frame
+            to its command at the valves, by default 1.
 
     Returns:
         Channels of the demand, the legs, the hydraulics, the supply, `energy` passed since the
@@ -77,54 +71,37 @@ def simulate(
             raise InputError(
                 f"command: has {reference.shape[1]} columns; allowed: {plant.legs}, one a leg"
             )
-        demanded = None
-        begin = start
+        table, demanded = Table(reference), None
     else:
         demanded = command if isinstance(command, Command) else Command.from_pose(command)
-        reference = leg_demand(demanded.pose)
-        begin = demanded.pose[0] if start is None else start
+        table = Table(leg_demand(demanded.pose), demanded.pose)
+        if options.get("start") is None:
+            options["start"] = demanded.pose[0]
     context: dict[str, Any] = {
         "command": dict(demanded.description) if demanded else {"signal": "leg extensions"},
         "seed": demanded.seed if demanded else None,
     }
+    guard = None if protection is None else load_protection(protection)
     session = Session(
-        plant,
-        loaded,
-        reference,
-        start=begin,
-        events=events,
-        protection=None if protection is None else load_protection(protection),
-        electronics=electronics,
-        record_every=record_every,
-        command_delay=command_delay,
+        plant, loaded, table, Options(protection=guard, electronics=electronics, **options)
     )
     session.run()
     time, channels, units = session.history()
     if demanded is not None:
-        channels = {"demand_pose": demanded.pose[::record_every], **channels}
+        channels = {"demand_pose": demanded.pose[:: session.every], **channels}
         units = {"demand_pose": "m, rad", **units}
     return Record(time, channels, units, session.describe() | context)
 
 
-def drive(
-    plant: Plant,
-    valves: ArrayLike,
-    *,
-    events: Sequence[Event] = (),
-    start: ArrayLike | None = None,
-    record_every: int = 1,
-    command_delay: int = 0,
-) -> Record:
+def drive(plant: Plant, valves: ArrayLike, **options: Unpack[RunOptions]) -> Record:
     """Run a plant open loop on given valve commands and record all signals.
 
     Args:
         plant: any `Plant`.
         valves: valve commands as fractions, -1 to 1, positive extending, (N, n) at 2048 Hz, each
             held over its frame.
-        events: failures on the time line.
-        start: configuration to start from, as `plant.place` takes it; default neutral.
-        record_every: keep one frame in this many.
-        command_delay: frames from a row to the valves.
+        **options: as for `simulate`; `command_delay` is that from a row to the valves, by
+            default 0.
 
     Returns:
         The channels of `simulate` without those of demand and DCL.
@@ -141,15 +118,8 @@ def drive(
         raise InputError(
             f"valves: {table[row, leg]} of leg {leg + 1} in row {row} is not between -1 and 1"
         )
-    session = Session(
-        plant,
-        None,
-        table,
-        start=start,
-        events=events,
-        record_every=record_every,
-        command_delay=command_delay,
-    )
+    options.setdefault("command_delay", 0)
+    session = Session(plant, None, Table(table), Options(**options))
     session.run()
     time, channels, units = session.history()
     for name in ("leg_reference", "compensator_output"):

@@ -2,7 +2,7 @@
 
 from typing import TypeVar
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import check_name
 from cmf_mj.machine.kinematics import DOFS
 
 Choice = TypeVar("Choice")
@@ -14,9 +14,7 @@ def dof_index(dof: str) -> int:
     Raises:
         InputError: it is not one of the six.
     """
-    if dof not in DOFS:
-        raise InputError(f"dof: {dof!r} is not one of {', '.join(DOFS)}")
-    return DOFS.index(dof)
+    return DOFS.index(check_name("dof", dof, DOFS))
 
 
 def by_kind(dof: str | int, translation: Choice, rotation: Choice) -> Choice:

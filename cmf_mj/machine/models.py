@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import check_name
 
 CABS = ("gfd", "rfd", "ifd")
 """The three flight decks: Generic, Research and Integration."""
@@ -58,6 +58,4 @@ def cab_path(cab: str) -> Path:
     Raises:
         InputError: the cab is not one of `CABS`.
     """
-    if cab not in CABS:
-        raise InputError(f"cab: {cab!r} is not one of {', '.join(CABS)}")
-    return directory() / "cabs" / f"{cab}.xml"
+    return directory() / "cabs" / f"{check_name('cab', cab, CABS)}.xml"

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import check_name
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.plant import Plant
@@ -27,6 +27,5 @@ def make_plant(
     Raises:
         InputError: an unknown name or refused hydraulics.
     """
-    if plant not in PLANTS:
-        raise InputError(f"plant: {plant!r} is not one of {', '.join(PLANTS)}")
+    check_name("plant", plant, PLANTS)
     return Hexapod(cab, hydraulics) if plant == "hexapod" else SingleLegs(hydraulics)

@@ -1,6 +1,5 @@
 """UFF 58, the universal file format of modal-analysis tools, through pyuff."""
 
-import importlib
 import json
 import warnings
 from collections.abc import Iterator
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, require
 from cmf_mj.core.files import whole_file
 from cmf_mj.record.layout import UFF_TYPES, check_dataset
 from cmf_mj.record.record import Record
@@ -30,9 +29,9 @@ def write_uff(record: Record, path: str | Path) -> Path:
 
     Raises:
         InputError: a value that is not finite, a name or unit UFF cannot hold.
-        ModuleNotFoundError: pyuff is not installed.
+        MissingExtraError: pyuff is not installed.
     """
-    pyuff, target = _pyuff(), Path(path)
+    pyuff, target = require("pyuff", "uff"), Path(path)
     if record.time.size < 2:
         raise InputError(f"record: has {record.time.size} samples; allowed: at least 2")
     columns = list(_scalars(record))
@@ -89,9 +88,9 @@ def read_uff(path: str | Path) -> Record:
     Raises:
         InputError: the file is not whole, holds no time response, or its time responses differ in
             length or rate.
-        ModuleNotFoundError: pyuff is not installed.
+        MissingExtraError: pyuff is not installed.
     """
-    pyuff, source = _pyuff(), Path(path)
+    pyuff, source = require("pyuff", "uff"), Path(path)
     try:
         source.open("rb").close()
         found = pyuff.UFF(str(source)).read_sets()
@@ -120,15 +119,6 @@ def read_uff(path: str | Path) -> Record:
     metadata.setdefault("command", {"kind": "recording"})
     metadata["recording"] = {"file": source.name}
     return Record(time, channels, channel_units, metadata)
-
-
-def _pyuff() -> Any:
-    try:
-        return importlib.import_module("pyuff")
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "UFF files need pyuff: pip install 'cmf-mj[uff]'", name="pyuff"
-        ) from error
 
 
 def _scalars(record: Record) -> Iterator[tuple[str, str, int, NDArray[np.float64]]]:

@@ -16,7 +16,7 @@ import pyarrow as pa
 from joblib import Parallel, delayed, parallel_config
 from threadpoolctl import threadpool_limits
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, require
 from cmf_mj.studies.evaluation import StudyRow, evaluate, failed
 from cmf_mj.studies.journal import Journal
 from cmf_mj.studies.settings import Study, StudyCase
@@ -72,7 +72,7 @@ def run_study(
 
     Raises:
         InputError: an argument out of range, or a folder with another study.
-        ModuleNotFoundError: `dask` without the extra `cluster`.
+        MissingExtraError: `dask` without the extra `cluster`.
     """
     if jobs < 1:
         raise InputError(f"jobs: {jobs} must be at least 1")
@@ -163,12 +163,7 @@ def _workers(backend: Backend, jobs: int, scheduler: str | None) -> Iterator[int
 
 
 def _client(jobs: int, scheduler: str | None) -> Any:
-    try:
-        from distributed import Client
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "distributed: is not installed; pip install 'cmf-mj[cluster]'"
-        ) from error
+    client = require("distributed", "cluster").Client
     if scheduler is not None:
-        return Client(scheduler)
-    return Client(n_workers=jobs, threads_per_worker=1, processes=True, dashboard_address=None)
+        return client(scheduler)
+    return client(n_workers=jobs, threads_per_worker=1, processes=True, dashboard_address=None)

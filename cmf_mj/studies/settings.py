@@ -31,7 +31,7 @@ from pydantic import Field
 
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name, unknown_name
 from cmf_mj.core.settings import Settings, read_toml, validated
 from cmf_mj.machine import models
 from cmf_mj.machine.dof import dof_unit
@@ -183,14 +183,11 @@ def load_study(
         table = read_toml(Path(source))
         where = str(source)
     else:
-        raise InputError(
-            f"study: {str(source)!r} is neither a .toml file nor one of "
-            f"{', '.join(ready_studies())}"
-        )
+        raise unknown_name("study", str(source), ready_studies(), " nor a .toml file")
     if "base" in table:
         base = str(table.pop("base"))
         if base not in ready_studies():
-            raise InputError(f"{where}: base: {base!r} is not one of {', '.join(ready_studies())}")
+            raise unknown_name(f"{where}: base", base, ready_studies())
         table = read_toml(_READY / f"{base}.toml") | table
     table |= changes or {}
     loaded = None if laws is None else tuple(load_law(law) for law in laws)
@@ -208,8 +205,7 @@ def _check(settings: StudySettings) -> None:
     for cab in settings.cabs:
         models.cab_path(cab)
     for dof in settings.dofs:
-        if dof not in DOFS:
-            raise InputError(f"dofs: {dof!r} is not one of {', '.join(DOFS)}")
+        check_name("dofs", dof, DOFS)
     for pose in settings.poses:
         if len(pose) != 6:
             raise InputError(f"poses: {pose} must be six numbers, in and deg")

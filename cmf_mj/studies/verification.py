@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, MissingExtraError
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility.simulation import drive
 from cmf_mj.plant.hexapod import Hexapod
@@ -94,11 +94,11 @@ def exudyn_machine(plant: Hexapod) -> Any:
     """The machine of a plant in Exudyn, `Machine` of `tests/crosscheck/machine.py`.
 
     Raises:
-        ImportError: exudyn is not installed, or this is no checkout of the repository.
+        MissingExtraError: exudyn is not installed, or this is no checkout of the repository.
         InputError: the hydraulics have what the second equations leave out.
     """
     if not (_TESTS / "crosscheck").is_dir():
-        raise ImportError(
+        raise MissingExtraError(
             "the cross-verification needs a checkout of the repository: the installed package "
             "does not hold tests/crosscheck"
         )
@@ -142,7 +142,7 @@ def verify(
         progress: called with (runs done, runs in all).
 
     Raises:
-        ImportError: exudyn is not installed, or this is no checkout of the repository.
+        MissingExtraError: exudyn is not installed, or this is no checkout of the repository.
         InputError: an argument out of range, named, or a run left what Exudyn's side models.
     """
     pairs = zip(parts, parts[1:], strict=False)

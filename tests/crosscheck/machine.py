@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, RunError, require
 from cmf_mj.core.rates import RATE
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.studies.verification import Trajectory
@@ -36,14 +36,9 @@ class _Body(NamedTuple):
 
 
 def _engine() -> Any:
-    try:
-        import exudyn
-        import exudyn.itemInterface
-        import exudyn.rigidBodyUtilities
-    except ImportError as error:
-        raise ImportError(
-            "the cross-verification needs exudyn; install cmf-mj[verification]"
-        ) from error
+    exudyn = require("exudyn", "verification")
+    for part in ("itemInterface", "rigidBodyUtilities"):
+        require(f"exudyn.{part}", "verification")
     exudyn.config.printToConsole = False  # its hints on user functions; failures raise all the same
     return exudyn
 
@@ -79,7 +74,7 @@ class Machine:
             plant: gives the mechanical numbers, the hydraulic set and the static leg forces.
 
         Raises:
-            ImportError: exudyn is not installed; says what to install.
+            MissingExtraError: exudyn is not installed.
             InputError: the hydraulics have what the second equations leave out.
         """
         self.circuit: Circuit = make_circuit(plant.parameters)
@@ -264,4 +259,4 @@ class Machine:
         settings.solution.file.write = False
         solver = self._exudyn.DynamicSolverType.TrapezoidalIndex2
         if not self.system.SolveDynamic(settings, solverType=solver):
-            raise RuntimeError(f"Exudyn could not solve {steps} steps to {end} s")
+            raise RunError(f"Exudyn could not solve {steps} steps to {end} s")

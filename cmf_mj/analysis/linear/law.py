@@ -9,8 +9,9 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control.dcl import Dcl, DclState, LegFeedback, make_dcl, step
-from cmf_mj.control.law import SIGNALS, Law, load_law
+from cmf_mj.control.dcl import Dcl, DclState, make_dcl, step
+from cmf_mj.control.feedback import LegFeedback
+from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 
@@ -22,7 +23,7 @@ DCL_INPUTS = ("reference", *FEEDBACK)
 
 Matrix = NDArray[np.float64]
 
-_STATES = tuple("error_integral" if name == "integral" else name for name in DclState._fields)
+_STATES = tuple(DclState.zeros(1).arrays())
 
 _SIZE = 2.0**-30
 """Size of states and inputs that the law is asked with: no clamp acts, and no digit is lost."""
@@ -39,12 +40,11 @@ def _answers(
     dcl: Dcl, legs: int, states: Matrix, inputs: Matrix
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Output and next state of one frame, per unit; states (m, n) and inputs (6, n)."""
-    state = DclState(*(_SIZE * row for row in states))
+    state = DclState.of(dict(zip(_STATES, _SIZE * states, strict=True)))
     reference, *feedback = _SIZE * inputs
-    output, command = np.zeros(legs), np.zeros(legs)
-    signals = np.zeros((legs, len(SIGNALS)))
-    step(dcl, state, reference, LegFeedback(*feedback), signals, output, command)
-    return output / _SIZE, np.array(state).ravel() / _SIZE
+    step(dcl, state, reference, LegFeedback(*feedback))
+    following = np.concatenate(list(state.arrays().values()))
+    return dcl.workspace.output / _SIZE, following / _SIZE
 
 
 def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
@@ -91,7 +91,7 @@ def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
         FRAME,
         inputs=labels(DCL_INPUTS, legs),
         outputs=labels(("command",), legs),
-        states=[labels(_STATES, legs)[i] for i in kept],
+        states=[labels(_STATES, legs)[i].replace(".", "_") for i in kept],
         name="DCL",
     )
 

@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from cmf_mj.core.errors import InputError
-from cmf_mj.facility.scenario.settings import Scenario, load_scenario
+from cmf_mj.core.errors import check_name
+from cmf_mj.core.settings import read_toml
+from cmf_mj.facility.scenario.settings import Scenario, scenario_of
 from cmf_mj.machine import models
 
 
@@ -12,17 +13,18 @@ def scenario_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in models.scenario_directory().glob("*.toml")))
 
 
-def find_scenario(source: str | Path) -> Scenario:
+def load_scenario(source: str | Path) -> Scenario:
     """A scenario by the name of a shipped one, or from a TOML file.
 
+    Args:
+        source: the name, or a file; names of files in it count from its folder.
+
     Raises:
-        InputError: neither, or a refused key.
+        InputError: an unknown name, an unreadable file, or one line a refused key with what is
+            allowed.
     """
-    text = str(source)
-    if text.endswith(".toml"):
-        return load_scenario(text)
-    if text in scenario_names():
-        return load_scenario(models.scenario_directory() / f"{text}.toml")
-    raise InputError(
-        f"scenario: {text!r} is neither a .toml file nor one of {', '.join(scenario_names())}"
-    )
+    path = Path(source)
+    if path.suffix != ".toml":
+        check_name("scenario", str(source), scenario_names(), " nor a .toml file")
+        path = models.scenario_directory() / f"{source}.toml"
+    return scenario_of(read_toml(path), str(path), path.parent)

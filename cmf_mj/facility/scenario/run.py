@@ -12,17 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control.dcl import make_dcl
 from cmf_mj.control.law import load_law
-from cmf_mj.control.protection import Fault
-from cmf_mj.control.states import State
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME, RATE
 from cmf_mj.facility.scenario.demand import Demand
-from cmf_mj.facility.scenario.handover import handed_over
 from cmf_mj.facility.scenario.settings import (
     Change,
-    Push,
     Scenario,
     changed_law,
     overlaid_law,
@@ -30,34 +25,9 @@ from cmf_mj.facility.scenario.settings import (
 )
 from cmf_mj.facility.scenario.signal import Motion, added
 from cmf_mj.facility.scenario.source import BLOCK, ChainSource, TableSource
-from cmf_mj.facility.session import SUPPLY_CHANNELS
+from cmf_mj.facility.session import FOREVER, Live
 from cmf_mj.plant.build import make_plant
-from cmf_mj.plant.cylinder import CAP, ROD
-from cmf_mj.plant.faults import OVERLOAD
 from cmf_mj.record.record import Record
-
-_SUPPLY = tuple(SUPPLY_CHANNELS)
-_FOREVER = 2**62
-"""Frames of a run without end."""
-
-
-class Live(NamedTuple):
-    """A look at a run, copied; arrays with a leg axis are (n,)."""
-
-    time: float  #: Time of the next frame [s].
-    qpos: NDArray[np.float64]  #: MuJoCo's generalised positions, (nq,).
-    demand: NDArray[np.float64]  #: Platform demand of the last frame [m, rad], z down, (6,).
-    reference: NDArray[np.float64]  #: Leg reference [m].
-    extension: NDArray[np.float64]  #: True leg extension from neutral [m].
-    valve_command: NDArray[np.float64]  #: Fraction of full command.
-    cap_pressure: NDArray[np.float64]  #: [Pa] gauge.
-    rod_pressure: NDArray[np.float64]  #: [Pa] gauge.
-    force: NDArray[np.float64]  #: Cylinder force [N], positive extending.
-    supply_pressure: float  #: [Pa] gauge.
-    return_pressure: float  #: [Pa] gauge.
-    law: str  #: Name of the law in force.
-    state: str  #: Operating state; empty without the chain.
-    fault: Fault | None  #: Fault detected.
 
 
 class _Due(NamedTuple):
@@ -89,16 +59,14 @@ class ScenarioRun:
             self._demand, self.plant, self._law, scenario
         )
         self._session = self._source.session
-        if scenario.frames is None:
-            self._session.frames = _FOREVER
         self._filled = 0
         self._due = deque(self._checked(change.when(), change) for change in scenario.change)
         self._done: list[Change] = []
-        self._pushes: dict[int, Push] = {}
+        self._pushes: dict[int, tuple[float, ...]] = {}
         self._strikes = sorted(round(event.at / FRAME) + 1 for event in scenario.event)
         self._parts: deque[tuple[NDArray[np.float64], NDArray[np.float64]]] = deque()
         self._first = self._next = 0
-        self._most = _FOREVER if scenario.frames else max(round(keep * RATE / BLOCK), 1)
+        self._most = FOREVER if scenario.frames else max(round(keep * RATE / BLOCK), 1)
 
     @property
     def frame(self) -> int:
@@ -123,7 +91,7 @@ class ScenarioRun:
                 self._happen(self._due.popleft())
             if self.frame % BLOCK == 0:
                 self._fill(self.frame)
-            self._push()
+            session.push(self._pushes)
             ends = [target, (self.frame // BLOCK + 1) * BLOCK]
             ends += [due.frame for due in self._due]
             ends += [strike for strike in self._strikes if strike > self.frame]
@@ -149,27 +117,8 @@ class ScenarioRun:
         self._due.insert(at, self._checked(self.frame, change))
 
     def latest(self) -> Live:
-        """How things stand."""
-        session, memory = self._session, self._session.memory
-        state = session.machine.state
-        code = self._source.state()
-        supply = dict(zip(_SUPPLY, state.supply.tolist(), strict=True))
-        return Live(
-            time=self.frame * FRAME,
-            qpos=self.plant.data.qpos.copy(),
-            demand=self._source.pose(max(self.frame - 1, 0)),
-            reference=memory.reference.copy(),
-            extension=self.plant.extensions(),
-            valve_command=memory.command[0].copy(),
-            cap_pressure=state.pressure[:, CAP].copy(),
-            rod_pressure=state.pressure[:, ROD].copy(),
-            force=memory.load.copy(),
-            supply_pressure=supply["supply_pressure"],
-            return_pressure=supply["return_pressure"],
-            law=self._law.name,
-            state="" if code is None else State(code).name.lower(),
-            fault=session.fault,
-        )
+        """The present state."""
+        return self._session.look()
 
     def scenario(self) -> Scenario:
         """What has been done so far, as a scenario that does it again bit for bit."""
@@ -184,7 +133,7 @@ class ScenarioRun:
         parts = [*self._parts, self._rows(self._next, last)]
         loop, front = (np.concatenate(rows) for rows in zip(*parts, strict=True))
         time, channels, units = session.history(loop, self._first)
-        own, own_units = self._source.channels(front)
+        demand, demand_units = self._source.channels(front)
         scenario = self.scenario()
         context: dict[str, Any] = {
             "command": _command(scenario),
@@ -192,10 +141,10 @@ class ScenarioRun:
             "scenario": scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True),
         }
         context |= session.describe() | self._source.described()
-        return Record(time, own | channels, own_units | units, context)
+        return Record(time, demand | channels, demand_units | units, context)
 
     def _checked(self, frame: int, change: Change) -> _Due:
-        """The change with its motion, after everything in it was found to be possible."""
+        """The change with its motion, after a check that all of it is possible."""
         legs = self.plant.legs
         for failure in change.failure:
             if failure.leg is not None and failure.leg > legs:
@@ -203,7 +152,7 @@ class ScenarioRun:
                     f"leg: {failure.leg} of {failure.kind} is not a leg; allowed: 1 to {legs}"
                 )
         if change.push is not None:
-            self._body(change.push)
+            self._session.body(change.push.body)
         if change.request is not None and not isinstance(self._source, ChainSource):
             raise InputError(f"request: {change.request!r} needs [operation]")
         law = self._law
@@ -219,19 +168,7 @@ class ScenarioRun:
         self._done.append(change.model_copy(update={"at": None, "frame": self.frame}))
         if change.law is not None or change.gains:
             self._law = changed_law(self._law, change)
-            after = make_dcl(self._law, self.plant.legs)
-            controller, memory = session.controller, session.memory
-            reference = memory.signals[:, 0] if self.frame else memory.feedback.position
-            parts = controller.electronics
-            state = handed_over(
-                controller.dcl,
-                controller.state,
-                after,
-                reference,
-                memory.feedback,
-                None if parts is None else parts.gravity,
-            )
-            session.engage(self._law, after, state)
+            session.engage(self._law)
         if due.motion is not None:
             self._demand.change(self.frame, due.motion, round(change.fade * RATE))
             if self.frame % BLOCK:
@@ -240,36 +177,14 @@ class ScenarioRun:
             session.inject(failure.event(self.frame * FRAME))
             self._strikes.append(self.frame + 1)
         if change.push is not None:
-            self._pushes[self._body(change.push)] = change.push
+            push = change.push
+            self._pushes[session.body(push.body)] = (*push.force, *push.torque)
         if change.request is not None and isinstance(self._source, ChainSource):
             self._source.request(self.frame, request_code(change.request))
 
     def _fill(self, first: int) -> None:
         self._source.fill(first)
         self._filled = first
-
-    def _body(self, push: Push) -> int:
-        """Number of the pushed body.
-
-        Raises:
-            InputError: the model has no such body.
-        """
-        model = self.plant.model
-        names = [model.body(i).name for i in range(1, model.nbody)]
-        if not push.body:
-            return int(self._session.machine.mechanics.payload_bodies[0])
-        if push.body not in names:
-            raise InputError(f"body: {push.body!r} is not one of {', '.join(names)}")
-        return int(model.body(push.body).id)
-
-    def _push(self) -> None:
-        """Apply the external forces, beside an overload."""
-        machine = self._session.machine
-        forces, loaded = machine.mechanics.payload, machine.mechanics.payload_bodies
-        for body, push in self._pushes.items():
-            forces[body] = (*push.force, *push.torque)
-            if body in loaded:
-                forces[body, 2] -= machine.faults.plant[OVERLOAD] / loaded.size
 
     def _rows(self, first: int, last: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return self._session.rows(first, last), self._source.rows(first, last)

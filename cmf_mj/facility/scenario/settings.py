@@ -13,7 +13,7 @@ from cmf_mj.control.states import Request, State
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_text
 from cmf_mj.core.rates import RATE
-from cmf_mj.core.settings import Settings, merged, parsed_toml, read_toml, validated
+from cmf_mj.core.settings import Settings, merged, parsed_toml, validated
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.operation import FacilitySettings
 from cmf_mj.facility.scenario.signal import Signal
@@ -281,16 +281,6 @@ def change_of(table: Mapping[str, Any], where: str = "change") -> Change:
     """
     change: Change = validated(Change, _frozen(table), where)
     return change
-
-
-def load_scenario(path: str | Path) -> Scenario:
-    """Read a scenario; names of files in it count from its own folder.
-
-    Raises:
-        InputError: unreadable file, or one line a refused key with what is allowed.
-    """
-    source = Path(path)
-    return scenario_of(read_toml(source), str(source), source.parent)
 
 
 def save_scenario(scenario: Scenario, path: str | Path) -> Path:

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.control.demand import leg_demand
 from cmf_mj.control.law import Law
 from cmf_mj.control.protection import load_protection
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.facility import host as hosts
-from cmf_mj.facility.front import Chain
-from cmf_mj.facility.operation import chain_channels, prepare, starting_pose
+from cmf_mj.facility.operation import Start, chain_channels, facility_session, starting_pose
 from cmf_mj.facility.scenario.demand import Demand
 from cmf_mj.facility.scenario.settings import Scenario, request_code
-from cmf_mj.facility.session import Session
+from cmf_mj.facility.session import FOREVER, Options, Session, Table
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.plant import Plant
@@ -45,14 +45,12 @@ class TableSource:
         self.session = Session(
             plant,
             law,
-            self._table,
-            frames=scenario.frames,
-            window=BLOCK,
-            start=self._poses[0],
-            events=scenario.event,
-            protection=None if protection is None else load_protection(protection),
-            electronics=scenario.chosen_electronics(),
-            record_every=scenario.record_every,
+            Table(self._table, self._poses),
+            _options(scenario)._replace(
+                start=self._poses[0],
+                protection=None if protection is None else load_protection(protection),
+                electronics=scenario.chosen_electronics(),
+            ),
         )
 
     def fill(self, first: int) -> None:
@@ -68,14 +66,6 @@ class TableSource:
     def channels(rows: NDArray[np.float64]) -> Channels:
         """Channels and units of rows."""
         return {"demand_pose": rows}, {"demand_pose": "m, rad"}
-
-    def pose(self, frame: int) -> NDArray[np.float64]:
-        """Platform demand of a frame of the present block, (6,)."""
-        return self._poses[frame % BLOCK].copy()
-
-    def state(self) -> int | None:
-        """There is no operating state."""
-        return None
 
     def described(self) -> dict[str, Any]:
         """What a record keeps of it."""
@@ -96,39 +86,28 @@ class ChainSource:
             raise InputError("operation: needs the hexapod")
         self._demand = demand
         self._every = operation.host_every
-        frames = scenario.frames
-        self._arrivals = hosts.make_log((frames or BLOCK) // self._every + BLOCK)
+        self._arrivals = hosts.make_log((scenario.frames or BLOCK) // self._every + BLOCK)
         self.fill(0)
         limits = load_motion_limits(operation.limits)
-        self.session, self._unit = prepare(
+        self._settings = operation.facility(scenario)
+        self.session = facility_session(
             plant,
             law,
             self._arrivals,
-            hosts.make_ring(2),
-            False,
-            frames or BLOCK,
-            operation.state,
-            starting_pose(self._arrivals.values[0, 0], limits),
-            [(one.at, request_code(one.request)) for one in operation.request],
-            scenario.event,
-            operation.facility(scenario),
-            None,
-            scenario.record_every,
-            window=BLOCK,
+            self._settings,
+            Start(
+                operation.state,
+                starting_pose(self._arrivals.values[0, 0], limits),
+                [(one.at, request_code(one.request)) for one in operation.request],
+            ),
+            _options(scenario),
         )
-
-    @property
-    def _chain(self) -> Chain:
-        chain = self.session.controller.chain
-        if chain is None:
-            raise TypeError("session: runs on a table, not on a chain")
-        return chain
 
     def fill(self, first: int) -> None:
         """Make the host frames that arrive in the block of frames from `first` on."""
         poses = self._demand.poses(first - 1, BLOCK + 2)
         numbers = np.arange(-(-first // self._every), -(-(first + BLOCK) // self._every))
-        self._make_room(int(numbers[-1]) + 1 if numbers.size else 0)
+        self._extend(int(numbers[-1]) + 1 if numbers.size else 0)
         frames = numbers * self._every
         at = frames - first + 1
         before, here, after = poses[at - 1], poses[at], poses[at + 1]
@@ -142,49 +121,47 @@ class ChainSource:
         log.values[numbers, 1] = (after - before) / (2.0 * FRAME)
         log.values[numbers, 2] = (after - 2.0 * here + before) / FRAME**2
 
-    def _make_room(self, count: int) -> None:
+    def _extend(self, count: int) -> None:
         if count <= self._arrivals.frame.size:
             return
         larger = hosts.make_log(2 * count)
         for new, old in zip(larger, self._arrivals, strict=True):
             new[: old.shape[0]] = old
         self._arrivals = larger
-        self._exchange(arrivals=larger)
+        self.session.exchange(arrivals=larger)
 
     def request(self, frame: int, code: int) -> None:
         """Let the operator request something in a frame."""
-        chain = self._chain
-        self._exchange(
+        chain = self.session.chain
+        self.session.exchange(
             request_frame=np.append(chain.request_frame, frame),
             request=np.append(chain.request, code),
         )
 
-    def _exchange(self, **parts: Any) -> None:
-        session = self.session
-        session.controller = session.controller._replace(chain=self._chain._replace(**parts))
-
     def rows(self, first: int, last: int) -> NDArray[np.float64]:
         """Rows of the record from `first` to before `last`, of the present block."""
-        return self._chain.log[np.arange(first, last) % self._chain.log.shape[0]]
+        log = self.session.chain.log
+        return log[np.arange(first, last) % log.shape[0]]
 
     @staticmethod
     def channels(rows: NDArray[np.float64]) -> Channels:
         """Channels and units of rows."""
         return chain_channels(rows)
 
-    def pose(self, frame: int) -> NDArray[np.float64]:
-        """Platform demand within its limits of the frame just run, (6,)."""
-        return self._chain.motion[0].copy()
-
-    def state(self) -> int | None:
-        """Operating state."""
-        return int(self._chain.marks[3])
-
     def described(self) -> dict[str, Any]:
         """What a record keeps of it."""
-        state = self._chain.dcu_state
+        state = self.session.chain.dcu_state
         return {
-            "dcu": self._unit.model_dump(mode="json"),
+            "dcu": load_dcu(self._settings.dcu).model_dump(mode="json"),
             "host_counts": state.counts,
             "host_rejections": state.rejections,
         }
+
+
+def _options(scenario: Scenario) -> Options:
+    return Options(
+        events=scenario.event,
+        record_every=scenario.record_every,
+        frames=scenario.frames or FOREVER,
+        window=BLOCK,
+    )

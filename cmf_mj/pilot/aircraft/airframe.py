@@ -21,14 +21,13 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, require, unknown_name
 
 RATE = 240
 """Steps of the flight mechanics a second [Hz]: three a host frame of 80 Hz."""
@@ -79,16 +78,16 @@ class Airframe:
             seed: of the turbulence; the same seed gives the same bits.
 
         Raises:
-            ModuleNotFoundError: JSBSim is not installed.
+            MissingExtraError: JSBSim is not installed.
             InputError: no such aircraft.
         """
         self.aircraft, self.seed = aircraft, seed
         self._failed: set[int] = set()
-        library = _library()
+        library = require("jsbsim", "flight")
         shipped = Path(library.get_default_root_dir()) / "aircraft"
         names = sorted(path.name for path in shipped.iterdir() if path.is_dir())
         if aircraft not in names:
-            raise InputError(f"aircraft: {aircraft!r} is not one of {', '.join(names)}")
+            raise unknown_name("aircraft", aircraft, names)
         with _quiet():
             self._fdm = library.FGFDMExec(library.get_default_root_dir())
         self._trim_failure = library.TrimFailureError
@@ -263,16 +262,6 @@ def without_network(aircraft: Path, copy: Path) -> None:
         for element in tree.getroot().findall(tag):
             tree.getroot().remove(element)
     tree.write(file)
-
-
-def _library() -> ModuleType:
-    try:
-        import jsbsim
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "flying an aircraft needs JSBSim: pip install 'cmf-mj[flight]'", name="jsbsim"
-        ) from error
-    return jsbsim
 
 
 @contextmanager

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, unknown_name
 from cmf_mj.core.files import read_column, read_table, whole_file, write_parquet
 from cmf_mj.core.settings import Settings, validated
 from cmf_mj.pilot.host import PilotSample, pilot_samples
@@ -166,10 +166,7 @@ def load_flight(source: str | Path) -> Flight:
     if Path(source).suffix:
         return Flight.load(source)
     if str(source) not in flight_names():
-        raise InputError(
-            f"flight: {str(source)!r} is neither a .csv or .parquet file nor one of "
-            f"{', '.join(flight_names())}"
-        )
+        raise unknown_name("flight", str(source), flight_names(), " nor a .csv or .parquet file")
     return Flight.load(_SHIPPED / f"{source}.parquet")
 
 

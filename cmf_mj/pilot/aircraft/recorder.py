@@ -38,7 +38,7 @@ class ScriptedFlight:
         """Fly and tell the state 80 times a second; time counts from 0.
 
         Raises:
-            ModuleNotFoundError: JSBSim is not installed.
+            MissingExtraError: JSBSim is not installed.
             InputError: no such aircraft, or it cannot be trimmed.
         """
         script = SCRIPTS[self.name]

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
-from cmf_mj.facility.scenario.run import Live, ScenarioRun
+from cmf_mj.facility.scenario.run import ScenarioRun
 from cmf_mj.facility.scenario.settings import Change, Scenario
+from cmf_mj.facility.session import Live
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 from cmf_mj.show.studio import traces

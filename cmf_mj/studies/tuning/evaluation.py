@@ -19,7 +19,9 @@ from cmf_mj.analysis.identification.loop import closed_loop_response
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.law import FEEDBACK
 from cmf_mj.control import dcl as blocks
-from cmf_mj.control.law import SIGNALS, Law
+from cmf_mj.control.engage import engaged
+from cmf_mj.control.feedback import LegFeedback
+from cmf_mj.control.law import Law
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics import servo_electronics as servo
@@ -99,14 +101,13 @@ def step_response(
     size = CHIRP[chosen] * STEP_PER_AMPLITUDE
     legs = cab.jacobian.shape[0]
     dcl = blocks.make_dcl(law, legs)
-    still = blocks.LegFeedback(*(np.zeros(legs) for _ in FEEDBACK))
-    state = blocks.engaged(dcl, np.zeros(legs), still)
+    still = LegFeedback(*(np.zeros(legs) for _ in FEEDBACK))
+    state = engaged(dcl, np.zeros(legs), still)
     found = np.empty((round(STEP_TIME / FRAME), legs))
     demand = cab.jacobian[:, chosen] @ size
     drive, driven = servo.make_servo_electronics(), servo.start(legs)
-    room = np.zeros((legs, len(SIGNALS))), np.zeros(legs), np.zeros(legs)
     plant = a, np.ascontiguousarray(b * gains), c
-    run(dcl, state, drive, driven, *plant, demand, still, *room, found)
+    run(dcl, state, drive, driven, *plant, demand, still, found)
     return found @ np.linalg.inv(cab.jacobian)[chosen].T / size
 
 

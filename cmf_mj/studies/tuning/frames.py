@@ -8,9 +8,9 @@ from cmf_mj.electronics import servo_electronics as servo
 
 
 @compiled
-def run(dcl, state, drive, driven, a, b, c, demand, feedback, signals, output, command, legs_out):  # type: ignore[no-untyped-def]
+def run(dcl, state, drive, driven, a, b, c, demand, feedback, legs_out):  # type: ignore[no-untyped-def]
     """Run the law against a sampled linear plant, one frame of delay."""
-    legs = demand.shape[0]
+    legs, command = demand.shape[0], dcl.workspace.command
     x, counts, volts = np.zeros(a.shape[0]), np.zeros(legs), np.zeros(legs)
     for frame in range(legs_out.shape[0]):
         y = c @ x
@@ -22,5 +22,5 @@ def run(dcl, state, drive, driven, a, b, c, demand, feedback, signals, output, c
             feedback.rod_pressure[leg] = y[4 * legs + leg]
         legs_out[frame] = feedback.position
         x = a @ x + b @ command
-        blocks.step(dcl, state, demand, feedback, signals, output, command)
+        blocks.step(dcl, state, demand, feedback)
         servo.step(drive, driven, True, command, feedback.position, counts, volts, command)

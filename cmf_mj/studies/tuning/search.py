@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control.law import Law
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, require
 from cmf_mj.studies.tuning.evaluation import Worth, evaluate
 from cmf_mj.studies.tuning.forms import Form, Template, candidate, form_named, named
 
@@ -101,8 +101,6 @@ def search(
     Raises:
         InputError: less than one evaluation, or no such form.
     """
-    import cma
-
     if evaluations < 1:
         raise InputError(f"evaluations: {evaluations} must be at least 1")
     kept = limits or Limits()
@@ -116,6 +114,7 @@ def search(
     options = {"bounds": [0.0, 1.0], "seed": seed, "verbose": -9, "popsize": 12}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
+        cma = require("cma", "search")
         strategy = cma.CMAEvolutionStrategy((begun - low) / (high - low), chosen.spread, options)
     best, tried = (np.inf, begun.tolist()), 0
     while tried < evaluations and not strategy.stop():
