@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,11 @@ import pyarrow.parquet as pq
 
 CASES = Path("tests/references/behaviour.toml")
 """Scenarios; those of this checkout run at both commits."""
+
+VALUES = Path("tests/references/behaviour_values.toml")
+"""Key values of their records, which tests/test_behaviour.py holds on any processor."""
+
+KEY_CHANNELS = ("leg_reference", "leg_extension", "valve_command", "cap_pressure", "leg_force")
 
 FLIGHT = "doublets"
 
@@ -54,6 +60,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("out/behaviour"))
     parser.add_argument("--no-compare", action="store_true", help="leave out `cmf compare`")
     parser.add_argument("--only", help="names of cases, comma-separated")
+    parser.add_argument("--keep", action="store_true", help=f"write the base's {VALUES.name}")
     options = parser.parse_args()
     only = set(options.only.split(",")) if options.only else None
     folders = []
@@ -64,12 +71,37 @@ def main() -> int:
             if only is None or name in only:
                 _run(root, results / name, arguments)
         folders.append(results)
+    if options.keep:
+        _keep(folders[0])
     differing = _differences(folders[0], folders[1], only)
     for line in differing:
         print(line)
     compared = sum(1 for _ in folders[0].rglob("*.parquet"))
     print(f"{compared} records: " + (f"{len(differing)} differences" if differing else "same bits"))
     return 1 if differing else 0
+
+
+def key_values(columns: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """Root mean square of each key channel, (N, n), in SI, and of its last row."""
+    values = {}
+    for name in KEY_CHANNELS:
+        values[name] = float(np.sqrt(np.mean(columns[name] ** 2)))
+        values[f"{name}_last"] = float(np.sqrt(np.mean(columns[name][-1] ** 2)))
+    return values
+
+
+def _keep(results: Path) -> None:
+    lines = ["# Written by scripts/compare_behaviour.py --keep: root mean squares in SI.", ""]
+    for case in tomllib.loads(CASES.read_text(encoding="utf-8")):
+        table = pq.read_table(results / case / "record.parquet")
+        columns = {
+            name: np.column_stack([table[f"{name}_{leg}"].to_numpy() for leg in range(1, 7)])
+            for name in KEY_CHANNELS
+        }
+        lines.append(f"[{case}]")
+        lines += [f"{name} = {value:.9g}" for name, value in key_values(columns).items()]
+        lines.append("")
+    VALUES.write_text("\n".join(lines), encoding="utf-8")
 
 
 def _export(commit: str, out: Path) -> Path:

@@ -1,0 +1,31 @@
+"""Numbers that a change of structure must not move: key values of eighteen runs.
+
+They were written by scripts/compare_behaviour.py, which also compares all records bit for bit at
+two commits. Regression, no oracle: the physics is checked elsewhere.
+"""
+
+import runpy
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from cmf_mj.facility.scenario.run import run_scenario
+from cmf_mj.facility.scenario.settings import scenario_of
+
+SCRIPT = runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "compare_behaviour.py"))
+REFERENCES = Path(__file__).parent / "references"
+CASES = tomllib.loads((REFERENCES / "behaviour.toml").read_text(encoding="utf-8"))
+VALUES = tomllib.loads((REFERENCES / "behaviour_values.toml").read_text(encoding="utf-8"))
+
+TOLERANCE = 1e-3
+"""Share of the root mean square. Another processor rounds otherwise, and converters then differ by counts."""
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_key_values_stand(case: str) -> None:
+    record = run_scenario(scenario_of(CASES[case], case))
+    values = SCRIPT["key_values"](record.channels)
+    for name, value in VALUES[case].items():
+        size = VALUES[case][name.removesuffix("_last")]
+        assert abs(values[name] - value) <= TOLERANCE * size, name
