@@ -19,7 +19,7 @@ CASES = tomllib.loads((REFERENCES / "behaviour.toml").read_text(encoding="utf-8"
 VALUES = tomllib.loads((REFERENCES / "behaviour_values.toml").read_text(encoding="utf-8"))
 
 TOLERANCE = 1e-3
-"""Share of the root mean square. Another processor rounds otherwise, and converters then differ by counts."""
+"""Share of the root mean square: another processor rounds otherwise, converters jump counts."""
 
 
 @pytest.mark.parametrize("case", CASES)
