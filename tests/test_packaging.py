@@ -36,11 +36,14 @@ def test_an_installed_wheel_works_outside_the_checkout(tmp_path: Path) -> None:
         cwd=ROOT,
         check=True,
         capture_output=True,
+        env=os.environ | {"CMF_MJ_PAGES": "https://example.org/raw/"},
     )
     (wheel,) = tmp_path.glob("*.whl")
     site = tmp_path / "site"
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
+    (metadata,) = site.glob("*.dist-info/METADATA")
+    assert "](https://example.org/raw/docs/images/hexapod.png)" in metadata.read_text("utf-8")
     result = subprocess.run(
         [sys.executable, "-c", USE.format(site=str(site))],
         cwd=tmp_path,
