@@ -18,7 +18,7 @@ from cmf_mj.core.files import write_csv, write_text
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.show.comparison import markdown
+from cmf_mj.show.table import Table
 from cmf_mj.studies.tuning.confirmation import Outcome, Trial, crosstalk, run_trial
 from cmf_mj.studies.tuning.nominal import CABS
 
@@ -84,7 +84,8 @@ def worst(outcomes: list[Outcome]) -> str:
     """Worst of each law, degree of freedom and cab over all other choices."""
     header = ("law", "dof", "cab", "-90", "-3 dB", "peak", "overshoot", "zeta")
     groups = grouped(outcomes, "dof", "cab")
-    return markdown(header, [[*key, *worst_of(members)] for key, members in groups.items()])
+    rows = [[*key, *worst_of(members)] for key, members in groups.items()]
+    return Table("", header, rows).markdown()
 
 
 def summary(outcomes: list[Outcome]) -> str:
@@ -95,7 +96,7 @@ def summary(outcomes: list[Outcome]) -> str:
     for law in dict.fromkeys(one.trial.law.name for one in outcomes):
         found = [worst_of(groups[law, dof]) for dof in dofs]
         lines.append([law, *(f"{w.phase} / {w.gain} / {w.peak} / {w.damping}" for w in found)])
-    return markdown(("law", *dofs), lines)
+    return Table("", ("law", *dofs), lines).markdown()
 
 
 def numbers(text: str) -> list[float]:

@@ -9,9 +9,8 @@ from pathlib import Path
 
 from cmf_mj.cli.common import names_of, refuse
 from cmf_mj.control.law import law_names
-from cmf_mj.core.files import write_csv, write_text
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.show.comparison import markdown
+from cmf_mj.show.table import Table
 from cmf_mj.studies.comparison import ComparisonRow, compare
 
 HEADER = (
@@ -74,10 +73,9 @@ def main() -> None:
     except (ValueError, OSError, FloatingPointError) as error:
         refuse(error)
     lines = [line(before, after) for before, after in zip(ideal, real, strict=True)]
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_text(options.out / "comparison.md", markdown(HEADER, lines))
-    write_csv(options.out / "comparison.csv", HEADER, lines)
-    print(options.out / "comparison.md")
+    table = Table("", HEADER, lines)
+    table.save(options.out / "comparison.csv")
+    print(table.save(options.out / "comparison.md"))
 
 
 if __name__ == "__main__":

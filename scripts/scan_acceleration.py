@@ -12,9 +12,8 @@ import numpy as np
 
 from cmf_mj import load_law
 from cmf_mj.control.law import Law
-from cmf_mj.core.files import whole_file
 from cmf_mj.core.rates import FRAME
-from cmf_mj.show.comparison import markdown
+from cmf_mj.show.table import Table
 from cmf_mj.studies.evaluation import StudyRow, evaluate
 from cmf_mj.studies.settings import load_study
 from cmf_mj.studies.tuning.nominal import CABS
@@ -78,9 +77,7 @@ def main() -> None:
         *ROTATIONS,
         "peak [dB]",
     )
-    with whole_file(options.out / "gain.md") as path:
-        path.write_text(markdown(header, lines), encoding="utf-8")
-    print(options.out / "gain.md")
+    print(Table("", header, lines).save(options.out / "gain.md"))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,8 @@ from cmf_mj.cli.common import refuse
 from cmf_mj.control.states import Request, State
 from cmf_mj.facility import host
 from cmf_mj.facility.operation import operate
-from cmf_mj.show.operation import operation_figure
+from cmf_mj.show.look import save_figure
+from cmf_mj.show.overview import overview_figure
 
 
 def main() -> None:
@@ -29,8 +30,7 @@ def main() -> None:
             seconds=options.seconds,
             record_every=8,
         )
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        operation_figure(operation).savefig(options.out, dpi=110)
+        save_figure(overview_figure(operation.record), options.out)
     except (ValueError, OSError, FloatingPointError) as error:
         refuse(error)
     print(options.out)

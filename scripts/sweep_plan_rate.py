@@ -14,14 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from cmf_mj import Hexapod, Law, load_hydraulics, load_law
-from cmf_mj.core.files import whole_file
 from cmf_mj.facility import host
 from cmf_mj.facility.operation import FacilitySettings, operate
 from cmf_mj.pilot import host as pilot_host
 from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
 from cmf_mj.pilot.cueing.envelope import confined
 from cmf_mj.pilot.fly import fly
-from cmf_mj.show.comparison import markdown
+from cmf_mj.show.table import Table
 from cmf_mj.studies.tuning.nominal import CABS, mismatched
 
 SIZES = np.array([1.2, 1.2, 0.9, 0.45, 0.4, 0.6])
@@ -94,10 +93,9 @@ def main() -> None:
             line.append(f"{size:.0f}" + (f", {ride.fault}" if ride.fault else ""))
         found = sum(cycles(law, number) for number in range(options.streams))
         lines.append([*line, f"{found} of {options.streams}"])
-    table = markdown(header, lines)
-    with whole_file(options.out / "rates.md") as partial:
-        partial.write_text(table, encoding="utf-8")
-    print(table)
+    table = Table("", header, lines)
+    table.save(options.out / "rates.md")
+    print(table.markdown())
 
 
 if __name__ == "__main__":

@@ -15,8 +15,7 @@ from pathlib import Path
 
 from cmf_mj import load_hydraulics
 from cmf_mj.analysis.ledger import load_ledger
-from cmf_mj.show.comparison import markdown, parameter_cells
-from cmf_mj.show.ledger import ledger_markdown
+from cmf_mj.show.listing import ledger_markdown, parameter_table
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = (
@@ -59,7 +58,7 @@ COPIES = {
 
 def parameters(name: str) -> str:
     """A hydraulic set as a Markdown table."""
-    return markdown(*parameter_cells(load_hydraulics(name)))
+    return parameter_table(load_hydraulics(name)).markdown()
 
 
 DATA: dict[str, Callable[[], str]] = {

@@ -22,7 +22,7 @@ from cmf_mj.pilot.omct import (
     omct,
     outputs_of,
 )
-from cmf_mj.show.omct import omct_cells, phase, share_cells, unit
+from cmf_mj.show.omct import omct_table, phase, share_table, unit
 
 SIMONA = load_washout()
 S = control.TransferFunction.s
@@ -124,12 +124,13 @@ def test_aircraft_motion_is_one_of_a_pilot():
 
 
 def test_report_holds_all_tests_and_units(machine):
-    header, lines = omct_cells(machine)
+    table = omct_table(machine)
+    header, lines = table.header, table.cells
     assert header[3:] == ["1"]
     assert [line[0] for line in lines if ">" in line[0]] == ["surge > surge", "surge > pitch"]
     assert unit(TESTS.index(("surge", "pitch")))[0] == "deg/(m/s^2)"
     assert unit(TESTS.index(("yaw", "yaw"))) == ("", 1.0)
-    head, shares = share_cells(machine)
+    head, shares = share_table(machine).header, share_table(machine).cells
     assert head == ["test", "velocity"]
     assert [line[0] for line in shares] == ["surge > surge", "surge > pitch"]
     share = machine.share("velocity")[TESTS.index(("surge", "surge")), 0]
@@ -149,7 +150,7 @@ def test_shares_are_told_up_to_1_hz_with_what_is_beside_the_fundamental():
     remainder = {name: np.zeros(shape) for name in responses}
     remainder["wild"][0, 0], remainder["slow"][0, 3] = 1.5, 9.0
     result = Omct("w", "gfd", "hardware", frequency, responses, remainder)
-    assert share_cells(result)[1][0][1:] == [
+    assert share_table(result).cells[0][1:] == [
         "0.90 to 1.20, -20°",
         "1.00, 0°*, left its bounds",
     ]

@@ -42,7 +42,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 
 def test_files_hold_what_was_computed(found: Examination, tmp_path: Path) -> None:
-    paths = calibration_report.save(found, tmp_path / "study")
+    paths = calibration_report.save_calibration(found, tmp_path / "study")
     assert sorted(path.name for path in paths) == sorted(p.name for p in paths[0].parent.iterdir())
     table = rows_of(tmp_path / "study" / "residuals.csv")
     study, stage = found.calibration.study, found.calibration.before
@@ -71,7 +71,7 @@ def test_files_hold_what_was_computed(found: Examination, tmp_path: Path) -> Non
 
 
 def test_text_marks_what_is_outside_and_what_is_missing(found: Examination) -> None:
-    text = calibration_report.text(found)
+    text = calibration_report.markdown(found)
     assert "| leg_speed | in/s/% | 0.35 | 0.3512 +- 0.011 | 0.286 to 0.4 |" in text
     assert "| bulk_modulus | psi | 1e+05 | held |" in text
     assert "| 2-6 | velocity | h | -3 dB | fitted | 4.00 | - | - | - | - |" in text

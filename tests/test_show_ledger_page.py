@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from cmf_mj.analysis import ledger
 from cmf_mj.analysis.ledger import ledger_entry, load_ledger
 from cmf_mj.cli.common import app
-from cmf_mj.show.ledger import ledger_markdown
+from cmf_mj.show.listing import ledger_markdown
 
 TESTS = Path(__file__).parent
 

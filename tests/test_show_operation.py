@@ -53,7 +53,7 @@ def test_every_frame_is_in_one_line_of_the_account(run: Operation) -> None:
 
 
 def test_timing_is_told_in_the_terms_of_the_frame() -> None:
-    rows = dict(operation_report.timing_rows(TIMING))
+    rows = dict(operation_report.timing_table(TIMING).cells)
     assert rows["50 % of frames below"] == "40.0 us"
     assert rows["largest"] == "900.0 us"
     assert rows["over 488 us of computing"] == "2 of 1000"

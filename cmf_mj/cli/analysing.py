@@ -12,6 +12,7 @@ from cmf_mj.facility.replay import law_of, replay
 from cmf_mj.record.reader import read_recording
 from cmf_mj.show import linear as linear_report
 from cmf_mj.show import sensor as sensor_report
+from cmf_mj.show.listing import sensor_table
 from cmf_mj.studies.accelerometer_filter import filter_effect
 
 
@@ -41,7 +42,7 @@ def sensors_command(
         settings = load_sensors(sensors)
         effect = filter_effect(settings, law, seed=seed)
         paths = sensor_report.save_sensor_figures(effect, out)
-        tables = (sensor_report.sensor_table(settings), sensor_report.effect_table(effect))
+        tables = (sensor_table(settings), sensor_report.effect_table(effect))
         show(*tables, written(paths), width=TEXT_WIDTH)
     except (ValueError, OSError, FloatingPointError) as error:
         refuse(error)

@@ -29,7 +29,7 @@ def calibrate_command(
         for chosen in studies:
             fitted = calibrate(chosen, rounds=rounds, quick=quick, jobs=jobs, progress=_tell)
             found = examine(fitted, samples=samples, jobs=jobs)
-            paths = calibration_report.save(found, out / chosen.name)
+            paths = calibration_report.save_calibration(found, out / chosen.name)
             verdict = calibration_report.verdict_text(found)
             show(
                 *calibration_report.tables(found),

@@ -9,9 +9,8 @@ from typing import Annotated, NoReturn
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
@@ -35,7 +34,7 @@ TEXT_WIDTH = 120
 """Width for tables that fold their text, where the terminal is narrower or there is none."""
 
 
-def show(*parts: Table | str, width: int = 0) -> None:
+def show(*parts: RenderableType, width: int = 0) -> None:
     """Print tables and text, never narrower than `width`."""
     console = Console()
     if console.width < width:

@@ -19,10 +19,9 @@ from cmf_mj.cli.common import (
 )
 from cmf_mj.control.law import law_names
 from cmf_mj.core import units
-from cmf_mj.core.files import write_text
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.build import PLANTS
-from cmf_mj.show import comparison as report
+from cmf_mj.show.comparison import comparison_table, save_comparison
 from cmf_mj.studies.comparison import AMPLITUDE, DEFAULT_LAWS, Comparison, compare
 
 
@@ -55,18 +54,14 @@ def run_comparison(
             electronics=noise_choice(noise),
             progress=update,
         )
-    out.mkdir(parents=True, exist_ok=True)
-    comparison.save_csv(out / "comparison.csv")
-    figures = report.save_figures(comparison, out)
-    header, lines = report.comparison_cells(comparison.rows)
-    write_text(out / "comparison.md", report.markdown(header, lines))
-    table = report.comparison_table(comparison.rows)
+    paths = save_comparison(comparison, out)
+    table = comparison_table(comparison.rows)
     kept = ", records/" if records else ""
     gap = max(result.gimbal_error for result in comparison.results)
     show(
         table,
         f"largest gap of a closed gimbal: {gap * 1e6:.2f} micrometres",
-        f"written to {out}: comparison.csv, comparison.md, {len(figures)} figures{kept}",
+        f"written to {out}: comparison.csv, comparison.md, {len(paths) - 2} figures{kept}",
         width=Console(width=1000).measure(table).maximum,
     )
     return comparison

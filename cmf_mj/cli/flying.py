@@ -37,7 +37,8 @@ from cmf_mj.pilot.fly import fly
 from cmf_mj.pilot.transport import transport_delay
 from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.show import flight as flight_report
-from cmf_mj.show.film.film import FilmSettings, check_film
+from cmf_mj.show.film.film import FilmSettings, check_film, film
+from cmf_mj.show.operation import save_operation
 
 
 @app.command("flight")
@@ -116,11 +117,16 @@ def fly_command(
                     progress=lambda done, task=task: bar.update(task, completed=done),  # type: ignore[misc]
                 )
                 rides.append(ride)
+                paths += save_operation(ride.operation, out / ride.law)
                 paths += flight_report.save_ride(ride, out / ride.law)
         paths += flight_report.save_comparison(rides, out)
         if video:
             with progress_bar() as update:
-                paths.append(flight_report.save_film(rides, filmed, look, update))
+                records = [ride.operation.record for ride in rides]
+                titles = [f"{ride.law}, {ride.cab}" for ride in rides]
+                traces = [flight_report.flight_traces(ride) for ride in rides]
+                film(records, filmed, look, titles=titles, traces=traces, progress=update)
+            paths.append(filmed)
         table = flight_report.comparison_table(rides)
         show(flown.origin.title, table, width=Console(width=1000).measure(table).maximum)
         if delay:

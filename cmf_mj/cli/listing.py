@@ -8,14 +8,13 @@ from cmf_mj.analysis.ledger import ledger_entry, load_ledger
 from cmf_mj.cli.common import TEXT_WIDTH, app, refuse, show
 from cmf_mj.control.law import law_names, load_law
 from cmf_mj.plant.parameters.loading import load_hydraulics
-from cmf_mj.show import comparison as report
-from cmf_mj.show.ledger import ledger_table
+from cmf_mj.show.listing import law_table, ledger_table, parameter_table
 
 
 @app.command("laws")
 def laws_command() -> None:
     """List the shipped control laws with their sources."""
-    show(report.law_table([load_law(name) for name in law_names("all")]), width=TEXT_WIDTH)
+    show(law_table([load_law(name) for name in law_names("all")]), width=TEXT_WIDTH)
 
 
 @app.command("parameters")
@@ -26,7 +25,7 @@ def parameters_command(
 ) -> None:
     """Show a hydraulic parameter set: value, unit, status and source of every number."""
     try:
-        show(report.parameter_table(load_hydraulics(hydraulics)), width=TEXT_WIDTH)
+        show(parameter_table(load_hydraulics(hydraulics)), width=TEXT_WIDTH)
     except ValueError as error:
         refuse(error)
 

@@ -16,7 +16,7 @@ from cmf_mj.cli.common import (
     written,
 )
 from cmf_mj.core.errors import InputError
-from cmf_mj.show import verification as tables
+from cmf_mj.show import verification as verification_report
 from cmf_mj.studies.verification import verify
 
 
@@ -37,7 +37,7 @@ def verify_command(
         parts = [2**i for i in range(finest.bit_length())]
         with progress_bar() as progress:
             found = verify(cab, hydraulics, seconds=seconds, parts=parts, progress=progress)
-        paths = tables.save(found, out)
-        show(tables.table(found), written(paths, out), width=TEXT_WIDTH)
+        paths = verification_report.save_verification(found, out)
+        show(verification_report.verification_table(found), written(paths, out), width=TEXT_WIDTH)
     except (ValueError, OSError, ImportError, FloatingPointError) as error:
         refuse(error)

@@ -4,15 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from cmf_mj.core import units
-from cmf_mj.core.files import write_csv, write_text
-from cmf_mj.show.comparison import markdown
-from cmf_mj.studies.failure.measures import FailureResult, Peak
+from cmf_mj.core.files import write_csv
+from cmf_mj.show.look import DARK, ORANGE, PURPLE, grid, legend, new_figure, save_figures
+from cmf_mj.show.table import Column, Table
+from cmf_mj.studies.failure.measures import FailureResult
 
 LEGEND = (
     "load: largest axial leg load before the event, after it until a leg meets a stop, and in all "
@@ -23,75 +21,50 @@ LEGEND = (
 )
 """What the columns of the table mean."""
 
-_MARKS = {"event": ("#d55e00", "--"), "detected": ("#cc79a7", ":")}
+_COLUMNS: tuple[Column, ...] = (
+    *("event", ("load\nbefore", ".1f"), ("\nx", ".2f"), ("\nafter", ".1f"), ("\nx", ".2f")),
+    *(("\nall", ".1f"), ("\nx", ".2f"), ("crew\nbefore", ".2f"), ("\nafter", ".2f")),
+    *(("\nall", ".2f"), "found\nby", ("\nafter", ".4f"), "ends", ("supply\nleast", ".0f")),
+    *(("chamber\nleast", ".0f"), ("\nmost", ".0f"), ("stops\nfirst", ".1f"), ("\nfastest", ".1f")),
+)
 
 
 def label(result: FailureResult) -> str:
     """The event in a few words, fit for a file name."""
     event = result.event
-    parts: list[str] = [event.kind]
-    if event.leg is not None:
-        parts.append(f"leg_{event.leg}")
-    if event.valve is not None:
-        parts.append(f"valve_{event.valve}")
-    return "-".join(parts)
+    leg = [] if event.leg is None else [f"leg_{event.leg}"]
+    valve = [] if event.valve is None else [f"valve_{event.valve}"]
+    return "-".join([event.kind, *leg, *valve])
 
 
-def _speed(peak: Peak | None) -> str:
-    return "-" if peak is None else f"{units.from_si('in/s', peak.value):.1f}"
-
-
-def failure_cells(results: Sequence[FailureResult]) -> tuple[list[str], list[list[str]]]:
-    """Header and lines: a line an event."""
-    header = ["event", "load\nbefore", "\nx", "\nafter", "\nx", "\nall", "\nx"]
-    header += ["crew\nbefore", "\nafter", "\nall", "found\nby", "\nafter", "ends"]
-    header += ["supply\nleast", "chamber\nleast", "\nmost", "stops\nfirst", "\nfastest"]
-    lines = []
-    for result in results:
-        found = result.detection_time
-        loads = (result.load_before, result.load_free, result.load_after)
-        felt = (result.acceleration_before, result.acceleration_free, result.acceleration_after)
-        pressures = (result.supply_least, result.pressure_least, result.pressure_peak)
-        lines.append(
-            [
-                label(result).replace("-", " "),
-                *(
-                    text
-                    for load in loads
-                    for text in (f"{1e-3 * load.value:.1f}", f"{result.multiple(load):.2f}")
-                ),
-                *(f"{units.from_si('g', peak.value):.2f}" for peak in felt),
-                result.detected_by or "-",
-                "-" if found is None else f"{found:.4f}",
-                result.state,
-                *(f"{units.from_si('psi', peak.value):.0f}" for peak in pressures),
-                _speed(result.contact_speed),
-                _speed(result.impact_speed),
-            ]
-        )
-    return header, lines
+def _setting(result: FailureResult) -> str:
+    return f"protection {'on' if result.protected else 'off'}"
 
 
 def failure_table(results: Sequence[FailureResult]) -> Table:
-    """The study as a terminal table."""
-    first = results[0]
-    about = first.record.metadata
-    guard = "on" if first.protected else "off"
-    table = Table(
-        title=f"{about['law']} in {first.dof}, {about['cab']} cab, {about['hydraulics']} "
-        f"hydraulics, protection {guard}",
-        caption=LEGEND,
-        caption_justify="left",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
+    """The study: a row an event."""
+    about = results[0].record.metadata
+    rows = []
+    for result in results:
+        loads = (result.load_before, result.load_free, result.load_after)
+        crew = (result.acceleration_before, result.acceleration_free, result.acceleration_after)
+        pressures = (result.supply_least, result.pressure_least, result.pressure_peak)
+        speeds = (result.contact_speed, result.impact_speed)
+        rows.append(
+            (
+                label(result).replace("-", " "),
+                *(n for load in loads for n in (1e-3 * load.value, result.multiple(load))),
+                *(units.from_si("g", peak.value) for peak in crew),
+                *(result.detected_by, result.detection_time, result.state),
+                *(units.from_si("psi", peak.value) for peak in pressures),
+                *(peak and units.from_si("in/s", peak.value) for peak in speeds),
+            )
+        )
+    title = (
+        f"{about['law']} in {results[0].dof}, {about['cab']} cab, {about['hydraulics']} "
+        f"hydraulics, {_setting(results[0])}"
     )
-    header, lines = failure_cells(results)
-    for index, name in enumerate(header):
-        left = index in (0, 10, 12)
-        table.add_column(name, justify="left" if left else "right", no_wrap=True)
-    for line in lines:
-        table.add_row(*line)
-    return table
+    return Table(title, _COLUMNS, rows, LEGEND)
 
 
 def _columns(result: FailureResult) -> dict[str, object]:
@@ -109,11 +82,8 @@ def _columns(result: FailureResult) -> dict[str, object]:
         "dof": result.dof,
         "protected": result.protected,
     }
-    for name, load in (
-        ("before", result.load_before),
-        ("free", result.load_free),
-        ("after", result.load_after),
-    ):
+    for name in ("before", "free", "after"):
+        load = getattr(result, f"load_{name}")
         row[f"load_{name}_n"] = load.value
         row[f"load_{name}_multiple"] = result.multiple(load)
         row[f"load_{name}_leg"] = load.leg
@@ -140,41 +110,30 @@ def _columns(result: FailureResult) -> dict[str, object]:
 
 def save_failures(results: Sequence[FailureResult], folder: Path) -> list[Path]:
     """Write `failures.csv`, `failures.md` and a figure an event."""
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / "failures.csv", folder / "failures.md"]
     rows = [_columns(result) for result in results]
-    write_csv(paths[0], rows[0], [row.values() for row in rows])
-    header, lines = failure_cells(results)
-    write_text(paths[1], markdown(header, lines))
-    for result in results:
-        path = folder / f"{label(result)}.png"
-        failure_figure(result).savefig(path, dpi=110)
-        paths.append(path)
-    return paths
+    return [
+        write_csv(folder / "failures.csv", rows[0], [row.values() for row in rows]),
+        failure_table(results).save(folder / "failures.md"),
+        *save_figures({label(result): failure_figure(result) for result in results}, folder),
+    ]
 
 
 def failure_figure(result: FailureResult) -> Figure:
     """Extensions, axial loads, crew acceleration and pressures, with event and detection."""
     record = result.record
     time = record.time - result.event.at
-    figure = Figure(figsize=(9.0, 11.0), layout="constrained")
-    axes = figure.subplots(4, 1, sharex=True)
-    legs, loads, crew, pressures = axes
-    for leg in range(record["leg_extension"].shape[1]):
-        name = f"leg {leg + 1}"
-        (line,) = legs.plot(time, record["leg_extension"][:, leg] / units.INCH, label=name)
-        legs.plot(
-            time,
-            record["leg_reference"][:, leg] / units.INCH,
-            color=line.get_color(),
-            linewidth=0.6,
-            alpha=0.5,
-        )
-        loads.plot(time, 1e-3 * record["axial_load"][:, leg], color=line.get_color())
+    figure = new_figure(9.0, 11.0)
+    axes = legs, loads, crew, pressures = figure.subplots(4, 1, sharex=True)
+    reference, extension = (record[f"leg_{n}"] / units.INCH for n in ("reference", "extension"))
+    for leg in range(extension.shape[1]):
+        (line,) = legs.plot(time, extension[:, leg], label=f"leg {leg + 1}")
+        colour = line.get_color()
+        legs.plot(time, reference[:, leg], color=colour, linewidth=0.6, alpha=0.5)
+        loads.plot(time, 1e-3 * record["axial_load"][:, leg], color=colour)
     felt = record["crew_acceleration"] / units.STANDARD_GRAVITY
-    for name, values in zip(("x", "y", "z"), felt.T, strict=True):
+    for name, values in zip("xyz", felt.T, strict=True):
         crew.plot(time, values, linewidth=0.8, label=name)
-    crew.plot(time, np.linalg.norm(felt, axis=1), color="0.2", linewidth=0.8, label="size")
+    crew.plot(time, np.linalg.norm(felt, axis=1), color=DARK, linewidth=0.8, label="size")
     for name, values in (
         ("largest cap", record["cap_pressure"].max(axis=1)),
         ("least cap", record["cap_pressure"].min(axis=1)),
@@ -183,31 +142,21 @@ def failure_figure(result: FailureResult) -> Figure:
         ("supply", record["supply_pressure"]),
     ):
         pressures.plot(time, values / units.PSI, label=name, linewidth=0.9)
-    about = record.metadata
-    state = result.state.replace("_", " ")
+    about, state = record.metadata, result.state.replace("_", " ")
     legs.set(
         ylabel="extension [in]",
         title=f"{label(result).replace('-', ' ')}: {state}\n{about['law']} in {result.dof}, "
-        f"{about['cab']}, {about['hydraulics']}, protection {'on' if result.protected else 'off'}",
+        f"{about['cab']}, {about['hydraulics']}, {_setting(result)}",
+        xlim=(max(time[0], -4.0), time[-1]),
     )
     loads.set(ylabel="axial leg load [kN]")
     crew.set(ylabel="crew acceleration [g]")
     pressures.set(ylabel="pressure [psi]", xlabel="time after the event [s]")
     for axis in axes:
-        axis.grid(True, color="0.9", linewidth=0.6)
-        _mark(axis, result)
-    for axis, columns in ((legs, 2), (crew, 2), (pressures, 2)):
-        axis.legend(fontsize=7, ncols=columns, loc="upper right")
-    legs.set_xlim(max(time[0], -4.0), time[-1])
+        axis.axvline(0.0, color=ORANGE, linestyle="--", linewidth=1.0, label="event")
+        if result.detection_time is not None:
+            style = {"color": PURPLE, "linestyle": ":", "linewidth": 1.4, "label": "detected"}
+            axis.axvline(result.detection_time, **style)
+    grid(*axes)
+    legend(legs, crew, pressures, fontsize=7, ncols=2, loc="upper right")
     return figure
-
-
-def _mark(axis: Axes, result: FailureResult) -> None:
-    """Lines at the event and at its detection."""
-    colour, style = _MARKS["event"]
-    axis.axvline(0.0, color=colour, linestyle=style, linewidth=1.0, label="event")
-    if result.detection_time is not None:
-        colour, style = _MARKS["detected"]
-        axis.axvline(
-            result.detection_time, color=colour, linestyle=style, linewidth=1.4, label="detected"
-        )

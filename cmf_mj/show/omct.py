@@ -2,18 +2,18 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
-from cmf_mj.core.files import write_csv, write_text
+from cmf_mj.core.files import write_csv
 from cmf_mj.core.units import DEGREE, STANDARD_GRAVITY
 from cmf_mj.pilot.omct import STAGES, TESTS, Omct
-from cmf_mj.show.comparison import markdown
+from cmf_mj.show.look import COLOURS, GREY, grid, new_figure, save_figure
+from cmf_mj.show.table import Table, number
 
 LEGEND = (
     "modulus and phase [deg] from the aircraft's pilot to the simulator's; washout: host frames; "
@@ -32,142 +32,120 @@ UP_TO = 2.0 * np.pi + 0.1
 """Highest frequency of the table of shares [rad/s]: 1 Hz, which is 6.31 rad/s of the test."""
 
 _ROTATIONS = ("roll", "pitch", "yaw")
-_COLOURS = ("#999999", "#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 
 def unit(place: int) -> tuple[str, float]:
     """Unit of a test's modulus and what one of it is in SI."""
-    given, output = TESTS[place]
-    if (given in _ROTATIONS) == (output in _ROTATIONS):
+    driven, output = TESTS[place]
+    if (driven in _ROTATIONS) == (output in _ROTATIONS):
         return "", 1.0
-    if given in _ROTATIONS:
+    if driven in _ROTATIONS:
         return "m/s^2/deg", 1.0 / DEGREE
     return "deg/(m/s^2)", DEGREE
 
 
 def title(stage: str) -> str:
     """A stage or law as tables and figures call it."""
-    return {"washout": "washout", "demand": "ideal"}.get(stage, stage)
+    return "ideal" if stage == "demand" else stage
 
 
 def phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
     """Phase [deg] unwrapped along the frequencies that have a response, (K,)."""
     known = np.isfinite(response)
-    found = np.full(response.shape, np.nan)
-    found[known] = np.degrees(np.unwrap(np.angle(response[known])))
-    return found
+    angle = np.full(response.shape, np.nan)
+    angle[known] = np.degrees(np.unwrap(np.angle(response[known])))
+    return angle
 
 
-def omct_cells(result: Omct) -> tuple[list[str], list[list[str]]]:
-    """Header and lines: modulus and phase of each test and stage over the frequencies."""
-    header = ["test", "", "rad/s", *(f"{value:.3g}" for value in result.frequency)]
-    lines = []
-    for place, (given, output) in enumerate(TESTS):
+def omct_table(result: Omct) -> Table:
+    """Modulus and phase of each test and stage over the frequencies."""
+    rows: list[list[str]] = []
+    rules = []
+    for place, (driven, output) in enumerate(TESTS):
         name, scale = unit(place)
         for stage, responses in result.responses.items():
             row = responses[place]
             if not np.isfinite(row).any():
                 continue
-            test = (
-                f"{given} > {output}" if stage == STAGES[0] else name if stage == "demand" else ""
-            )
-            sizes, angles = np.abs(row) / scale, phase(row)
-            lines.append([test, title(stage), "mod", *(_cell(size, 3) for size in sizes)])
-            lines.append(["", "", "deg", *(_cell(angle, 0) for angle in angles)])
-    return header, lines
+            test = name if stage == "demand" else ""
+            if stage == STAGES[0]:
+                test = f"{driven} > {output}"
+                rules.append(len(rows))
+            sizes = (_text(size, 3) for size in np.abs(row) / scale)
+            rows.append([test, title(stage), "mod", *sizes])
+            rows.append(["", "", "deg", *(_text(angle, 0) for angle in phase(row))])
+    about = f"OMCT: washout {result.washout}, {result.cab} cab, {result.hydraulics} hydraulics"
+    frequencies = [(f"{value:.3g}", "") for value in result.frequency]
+    return Table(about, ("test", "", "rad/s", *frequencies), rows, LEGEND, rules=rules)
 
 
-def share_cells(result: Omct) -> tuple[list[str], list[list[str]]]:
-    """Header and a line a test: the share of each law up to `UP_TO`.
+def share_table(result: Omct) -> Table:
+    """A row a test: the share of each law up to `UP_TO`.
 
     A cell holds least and largest modulus of machine over ideal, or one where they round alike, and
-    the phase [deg] at the last frequency; `*` where anywhere the output has more beside the
+    the phase [deg] at the last frequency; `*` where anywhere the output has more outside the
     fundamental than in it.
     """
     laws = [name for name in result.responses if name not in STAGES]
     low = result.frequency <= UP_TO
-    lines = []
-    for place, (given, output) in enumerate(TESTS):
+    rows = []
+    for place, (driven, output) in enumerate(TESTS):
         shares = [result.share(law)[place][low] for law in laws]
         if any(np.isfinite(share).any() for share in shares):
             cells = [
                 _range(share, bool((result.remainder[law][place][low] > 1.0).any()))
                 for law, share in zip(laws, shares, strict=True)
             ]
-            lines.append([f"{given} > {output}", *cells])
-    return ["test", *laws], lines
+            rows.append([f"{driven} > {output}", *cells])
+    return Table("", ("test", *laws), rows)
 
 
-def _range(share: NDArray[np.complex128], beside: bool) -> str:
+def _range(share: NDArray[np.complex128], impure: bool) -> str:
     known = np.isfinite(share)
     if not known.any():
         return "-"
-    sizes = [_cell(value, 2) for value in (np.abs(share[known]).min(), np.abs(share[known]).max())]
+    sizes = [_text(value, 2) for value in (np.abs(share[known]).min(), np.abs(share[known]).max())]
     size = sizes[0] if sizes[0] == sizes[1] else " to ".join(sizes)
     lost = "" if known.all() else ", left its bounds"
-    return f"{size}, {_cell(phase(share)[known][-1], 0)}°{'*' if beside else ''}{lost}"
+    return f"{size}, {_text(phase(share)[known][-1], 0)}°{'*' if impure else ''}{lost}"
 
 
-def _cell(value: float, digits: int) -> str:
-    return "-" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"  # no -0
-
-
-def omct_table(result: Omct) -> Table:
-    """The tests as a terminal table."""
-    table = Table(
-        title=f"OMCT: washout {result.washout}, {result.cab} cab, {result.hydraulics} hydraulics",
-        caption=LEGEND,
-        caption_justify="left",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-        padding=(0, 1, 0, 0),
-    )
-    header, lines = omct_cells(result)
-    for index, name in enumerate(header):
-        table.add_column(name, justify="left" if index < 3 else "right", no_wrap=True)
-    for number, line in enumerate(lines):
-        if number and ">" in line[0]:
-            table.add_section()
-        table.add_row(*line)
-    return table
+def _text(value: float, digits: int) -> str:
+    return number(round(value, digits) + 0.0, f".{digits}f")  # no -0
 
 
 def omct_figure(result: Omct) -> Figure:
     """Modulus and phase of all tests over frequency."""
-    figure = Figure(figsize=(13.0, 15.0), layout="constrained")
+    figure = new_figure(13.0, 15.0)
     axes = figure.subplots(5, 4, sharex=True)
-    for place, (given, output) in enumerate(TESTS):
+    colours = ("#999999", "#000000", *(colour for colour in COLOURS if colour != "#000000"))
+    for place, (driven, output) in enumerate(TESTS):
         row, side = divmod(place, 2)
         modulus, angle = axes[row, 2 * side], axes[row, 2 * side + 1]
         name, scale = unit(place)
-        known = False
         for index, (stage, responses) in enumerate(result.responses.items()):
-            values = responses[place]
-            style = {
-                "color": _COLOURS[index % len(_COLOURS)],
+            style: dict[str, Any] = {
+                "color": colours[index % len(colours)],
                 "linestyle": "--" if stage == "washout" else "-",
-                "marker": "o",
-                "markersize": 3.0,
-                "linewidth": 1.2,
                 "label": title(stage),
             }
-            known = known or bool(np.isfinite(values).any())
-            modulus.plot(result.frequency, np.abs(values) / scale, **style)
-            angle.plot(result.frequency, phase(values), **style)
-        if known:
+            style |= {"marker": "o", "markersize": 3.0, "linewidth": 1.2}
+            modulus.plot(result.frequency, np.abs(responses[place]) / scale, **style)
+            angle.plot(result.frequency, phase(responses[place]), **style)
+        if any(np.isfinite(responses[place]).any() for responses in result.responses.values()):
             modulus.set(xscale="log", yscale="log")
             low, high = modulus.get_ylim()
             plain = FuncFormatter(lambda value, _: f"{value:g}")
             modulus.yaxis.set_major_formatter(plain)
             modulus.yaxis.set_minor_formatter(plain if high < 10.0 * low else NullFormatter())
-        if given != output and given in _ROTATIONS:
-            modulus.axhline(STANDARD_GRAVITY * DEGREE, color="0.5", linestyle=":", linewidth=1.0)
-        modulus.set_title(f"{given} > {output}", fontsize=10)
+        if driven != output and driven in _ROTATIONS:
+            modulus.axhline(STANDARD_GRAVITY * DEGREE, color=GREY, linestyle=":", linewidth=1.0)
+        modulus.set_title(f"{driven} > {output}", fontsize=10)
         modulus.set_ylabel(f"modulus [{name}]" if name else "modulus", fontsize=9)
         angle.set_ylabel("phase [deg]", fontsize=9)
-        for axis in (modulus, angle):
-            axis.grid(True, which="both", color="0.9", linewidth=0.6)
-            axis.tick_params(which="both", labelsize=8)
+    grid(*axes.flat, which="both")
+    for axis in axes.flat:
+        axis.tick_params(which="both", labelsize=8)
     for axis in axes[-1]:
         axis.set_xlabel("frequency [rad/s]", fontsize=9)
     handles, labels = axes[0, 0].get_legend_handles_labels()
@@ -177,26 +155,23 @@ def omct_figure(result: Omct) -> Figure:
 
 def save_omct(result: Omct, folder: Path) -> list[Path]:
     """Write `omct.csv` (SI), `omct.md`, `share.md` (laws over an ideal machine) and `omct.png`."""
-    folder.mkdir(parents=True, exist_ok=True)
-    write_csv(folder / "omct.csv", _HEADER, _rows(result))
-    for name, cells in (("omct.md", omct_cells(result)), ("share.md", share_cells(result))):
-        write_text(folder / name, markdown(*cells))
-    omct_figure(result).savefig(folder / "omct.png", dpi=70)
-    return [folder / name for name in ("omct.csv", "omct.md", "share.md", "omct.png")]
+    return [
+        write_csv(folder / "omct.csv", _HEADER, _rows(result)),
+        omct_table(result).save(folder / "omct.md"),
+        share_table(result).save(folder / "share.md"),
+        save_figure(omct_figure(result), folder / "omct.png", 70),
+    ]
 
 
 def _rows(result: Omct) -> Iterator[list[str]]:
-    for place, (given, output) in enumerate(TESTS):
+    for place, (driven, output) in enumerate(TESTS):
         for stage, responses in result.responses.items():
-            share = result.share(stage)[place]
+            share, response = result.share(stage)[place], responses[place]
             columns = (
-                np.abs(responses[place]),
-                phase(responses[place]),
-                result.remainder[stage][place],
-                np.abs(share),
-                phase(share),
+                *(np.abs(response), phase(response), result.remainder[stage][place]),
+                *(np.abs(share), phase(share)),
             )
             for frequency, values in zip(result.frequency, zip(*columns, strict=True), strict=True):
                 if np.isfinite(values[0]):
-                    where = [f"{given}>{output}", title(stage), f"{frequency:.6g}"]
+                    where = [f"{driven}>{output}", title(stage), f"{frequency:.6g}"]
                     yield [*where, *(f"{value:.6g}" for value in values)]

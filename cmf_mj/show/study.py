@@ -1,7 +1,7 @@
-"""Tables and figures of finished studies, for the terminal, for Markdown, CSV and PNG files."""
+"""Tables and figures of finished studies."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -10,11 +10,10 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
-from rich.table import Table
 
-from cmf_mj.core.files import whole_file, write_csv, write_text
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.show.comparison import markdown
+from cmf_mj.show.look import BLUE, COLOURS, grid, new_figure, save_figures
+from cmf_mj.show.table import Cell, Table, number
 from cmf_mj.studies.effects import (
     ENOUGH_DAMPING,
     Row,
@@ -30,8 +29,6 @@ from cmf_mj.studies.effects import (
 from cmf_mj.studies.intervals import Interval
 from cmf_mj.studies.settings import NOMINAL
 
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999933")
-
 REFERENCES = {"rotation": "position_error_rate", "rotation_flown": "velocity"}
 """Tables of effects and the laws they are against: the one that acceleration feedback is added to,
 and the one flown."""
@@ -46,85 +43,64 @@ _MEASURES = (
 )
 
 
-class Lines(NamedTuple):
-    """A table as text."""
-
-    header: list[str]
-    lines: list[list[str]]
-
-
-def _number(value: float, digits: int = 2, *, sign: bool = False) -> str:
-    return "-" if value != value else f"{value:{'+' if sign else ''}.{digits}f}"
-
-
-def _percent(found: Interval) -> str:
-    if found.machines == 0:
+def _percent(share: Interval) -> str:
+    if share.machines == 0:
         return "-"
-    return f"{100.0 * found.value:.0f} ({100.0 * found.low:.0f}-{100.0 * found.high:.0f})"
+    return f"{100.0 * share.value:.0f} ({100.0 * share.low:.0f}-{100.0 * share.high:.0f})"
 
 
-def _difference(found: Interval, digits: int) -> str:
-    if found.machines == 0:
+def _difference(change: Interval, digits: int) -> str:
+    if change.machines == 0:
         return "-"
-    middle = _number(found.value, digits, sign=True)
-    if np.isnan(found.low):
-        return f"{middle} (n = {found.machines})"
-    low, high = (_number(v, digits, sign=True) for v in (found.low, found.high))
-    return f"{middle} ({low} to {high}), n = {found.machines}"
+    middle, low, high = (number(v, f"+.{digits}f") for v in (change.value, change.low, change.high))
+    between = "" if np.isnan(change.low) else f" ({low} to {high}), n = {change.machines}"
+    return middle + (between or f" (n = {change.machines})")
 
 
-def rate_lines(table: pa.Table) -> Lines:
+def rate_table(table: pa.Table) -> Table:
     """Shares of machines that are stable, and damped in each degree of freedom [%]."""
-    header = ["cab", "law", "stable %", *(f"{dof} damped %" for dof in DOFS), "least mode damping"]
-    lines = [
-        [
-            found.cab,
-            found.law,
-            _percent(found.stable),
-            *(_percent(found.damped[dof]) for dof in DOFS),
-            _number(found.mode_damping.value, 3),
-        ]
-        for found in rates(table)
+    names = ("cab", "law", "stable %", *(f"{dof} damped %" for dof in DOFS))
+    rows: list[tuple[Cell, ...]] = [
+        (
+            *(rate.cab, rate.law, _percent(rate.stable)),
+            *(_percent(rate.damped[dof]) for dof in DOFS),
+            rate.mode_damping.value,
+        )
+        for rate in rates(table)
     ]
-    return Lines(header, lines)
+    return Table("", (*names, ("least mode damping", ".3f")), rows)
 
 
-def effect_lines(table: pa.Table, against: str) -> Lines:
+def effect_table(table: pa.Table, against: str) -> Table:
     """What all other laws change in rotation against one."""
     laws = [law for law in in_order(rows_of(table), "law") if law != against]
-    header = ["cab", "law", "dof", "stable %", "-90 deg [Hz]", "zeta", "least mode damping"]
-    lines = [
-        [
-            found.cab,
-            found.law,
-            found.dof,
-            _percent(found.stable),
-            _difference(found.phase_bandwidth_hz, 2),
-            _difference(found.damping_ratio, 3),
-            _difference(found.mode_damping, 3),
-        ]
-        for found in law_effects(table, laws, against=against, dofs=ROTATION)
+    header = ("cab", "law", "dof", "stable %", "-90 deg [Hz]", "zeta", "least mode damping")
+    rows = [
+        (
+            *(effect.cab, effect.law, effect.dof, _percent(effect.stable)),
+            _difference(effect.phase_bandwidth_hz, 2),
+            _difference(effect.damping_ratio, 3),
+            _difference(effect.mode_damping, 3),
+        )
+        for effect in law_effects(table, laws, against=against, dofs=ROTATION)
     ]
-    return Lines(header, lines)
+    return Table("", header, rows)
 
 
-def agreement_lines(table: pa.Table) -> Lines:
-    """Linear cases beside simulated ones."""
-    header = ["law", "machines", "same verdict", "-90 deg: median difference [Hz]", "zeta"]
-    lines = [
-        [
-            found.law,
-            str(found.machines),
-            str(found.verdicts),
-            _number(found.phase_hz),
-            _number(found.damping_ratio),
-        ]
-        for found in agreement(table)
+def agreement_table(table: pa.Table) -> Table:
+    """Linear cases compared with simulated ones."""
+    columns = (
+        *("law", ("machines", "d"), ("same verdict", "d")),
+        *(("-90 deg: median difference [Hz]", ".2f"), ("zeta", ".2f")),
+    )
+    rows = [
+        (each.law, each.machines, each.verdicts, each.phase_hz, each.damping_ratio)
+        for each in agreement(table)
     ]
-    return Lines(header, lines)
+    return Table("", columns, rows)
 
 
-def measure_lines(table: pa.Table) -> Lines:
+def measure_table(table: pa.Table) -> Table:
     """Measures of every case that was swept, a column a rung or cab."""
     rows = rows_of(table)
     columns = list(dict.fromkeys((row["rung"], row["cab"]) for row in rows))
@@ -133,43 +109,40 @@ def measure_lines(table: pa.Table) -> Lines:
     by_case = {(r["law"], r["dof"], r["rung"], r["cab"]): r for r in rows}
     lines = []
     for law, dof in dict.fromkeys((row["law"], row["dof"]) for row in rows):
-        found = [by_case.get((law, dof, *column)) for column in columns]
-        lines.append([law, dof, *("" if row is None else _cell(row) for row in found)])
-    return Lines(header, lines)
+        cases = [by_case.get((law, dof, *column)) for column in columns]
+        lines.append([law, dof, *("" if row is None else _cell(row) for row in cases)])
+    return Table("", header, lines)
 
 
 def _cell(row: Row) -> str:
-    damping = _number(row["damping_ratio"]) if row["stable"] else "u"
-    return f"{_number(row['phase_bandwidth_hz'])} / {_number(row['peak_gain_db'], 1)} / {damping}"
+    damping = number(row["damping_ratio"], ".2f") if row["stable"] else "u"
+    width, peak = number(row["phase_bandwidth_hz"], ".2f"), number(row["peak_gain_db"], ".1f")
+    return f"{width} / {peak} / {damping}"
 
 
-def climb_lines(table: pa.Table) -> Lines:
-    """Share of each effect: median change over the laws, a line a rung."""
-    found = climb(table)
-    dofs = list(dict.fromkeys(step.dof for step in found))
-    header = ["adds", *dofs]
-    by_place = {(step.rung, step.dof): step for step in found}
-    lines = []
-    for rung in dict.fromkeys(step.rung for step in found):
-        cells = []
-        for dof in dofs:
-            step = by_place[rung, dof]
-            cells.append(
-                f"{_number(step.phase_bandwidth_hz, sign=True)} / "
-                f"{_number(step.peak_gain_db, 1, sign=True)} / "
-                f"{_number(step.damping_ratio, sign=True)} / "
-                f"{_number(step.crosstalk, sign=True)}"
-            )
-        lines.append([rung, *cells])
-    return Lines(header, lines)
+def climb_table(table: pa.Table) -> Table:
+    """Share of each effect: median change over the laws, a row a rung."""
+    steps = climb(table)
+    by_place = {(step.rung, step.dof): step for step in steps}
+    dofs, rungs = (list(dict.fromkeys(getattr(s, name) for s in steps)) for name in ("dof", "rung"))
+    forms = [(name, "+.1f" if name == "peak_gain_db" else "+.2f") for name, _ in _MEASURES]
+    rows = [
+        [
+            rung,
+            *(
+                " / ".join(number(getattr(by_place[rung, dof], name), form) for name, form in forms)
+                for dof in dofs
+            ),
+        ]
+        for rung in rungs
+    ]
+    return Table("", ("adds", *dofs), rows)
 
 
-def _value(row: Row, name: str) -> float:
-    if name == "crosstalk":
-        return largest_crosstalk(row)
-    if name == "damping_ratio" and not row["stable"]:
+def _value(row: Row | None, name: str) -> float:
+    if row is None or (name == "damping_ratio" and not row["stable"]):
         return float("nan")
-    return float(row[name])
+    return largest_crosstalk(row) if name == "crosstalk" else float(row[name])
 
 
 def ladder_figure(table: pa.Table) -> Figure:
@@ -177,30 +150,26 @@ def ladder_figure(table: pa.Table) -> Figure:
     rows = rows_of(table)
     rungs, laws, dofs = (in_order(rows, name) for name in ("rung", "law", "dof"))
     by_case = {(r["rung"], r["law"], r["dof"]): r for r in rows}
-    figure = Figure(figsize=(2.6 * len(dofs) + 0.6, 10.5), layout="constrained")
+    figure = new_figure(2.6 * len(dofs) + 0.6, 10.5)
     axes = figure.subplots(len(_MEASURES), len(dofs), sharex=True, sharey="row", squeeze=False)
     for (name, title), line in zip(_MEASURES, axes, strict=True):
         for dof, axis in zip(dofs, line, strict=True):
             for i, law in enumerate(laws):
-                found = [by_case.get((rung, law, dof)) for rung in rungs]
-                values = np.array([np.nan if row is None else _value(row, name) for row in found])
-                style = {"color": _COLOURS[i % len(_COLOURS)]}
-                axis.plot(
-                    values,
-                    marker="o",
-                    markersize=3.0,
-                    linewidth=1.0,
-                    linestyle="-" if i < len(_COLOURS) else "--",
-                    label=law,
-                    **style,
-                )
-                unstable = [k for k, row in enumerate(found) if row and not row["stable"]]
-                axis.plot(unstable, values[unstable], "x", markersize=7.0, **style)
-            axis.grid(True, color="0.9", linewidth=0.6)
+                cases = [by_case.get((rung, law, dof)) for rung in rungs]
+                values = np.array([_value(row, name) for row in cases])
+                style: dict[str, Any] = {
+                    "color": COLOURS[i % len(COLOURS)],
+                    "linestyle": "-" if i < len(COLOURS) else "--",
+                }
+                axis.plot(values, marker="o", markersize=3.0, linewidth=1.0, label=law, **style)
+                unstable = [k for k, row in enumerate(cases) if row and not row["stable"]]
+                style["linestyle"] = ""
+                axis.plot(unstable, values[unstable], marker="x", markersize=7.0, **style)
             if name == "crosstalk":
                 axis.set_yscale("log")
                 axis.set_xticks(range(len(rungs)), rungs, rotation=90, fontsize=8)
         line[0].set_ylabel(title)
+    grid(*axes.flat)
     for dof, axis in zip(dofs, axes[0], strict=True):
         axis.set_title(dof)
     handles, labels = axes[0, 0].get_legend_handles_labels()
@@ -213,33 +182,29 @@ def _matrix(axis: Axes, matrix: NDArray[np.float64], title: str) -> AxesImage:
     axis.set_xticks(range(6), DOFS, rotation=90, fontsize=7)
     axis.set_yticks(range(6), DOFS, fontsize=7)
     axis.set_title(title, fontsize=9)
+    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 6}
     for (i, j), value in np.ndenumerate(matrix):
         if not np.isnan(value):
             text = f"{value:.2f}" if value < 9.95 else f"{value:.0f}"
-            axis.text(
-                j, i, text, ha="center", va="center", fontsize=6, color="w" if value < 1.0 else "k"
-            )
+            axis.text(j, i, text, color="w" if value < 1.0 else "k", **style)
     return image
 
 
 def crosstalk_figure(table: pa.Table, law: str) -> Figure:
-    """Crosstalk of a law: the nominal machine beside the median and 95 % of those drawn."""
+    """Crosstalk of a law: the nominal machine, then the median and 95 % of those drawn."""
     rows = rows_of(table, method="linear", law=law)
     cabs = in_order(rows, "cab")
-    figure = Figure(figsize=(9.6, 3.1 * len(cabs) + 0.4), layout="constrained")
+    figure = new_figure(9.6, 3.1 * len(cabs) + 0.4)
     axes = figure.subplots(len(cabs), 3, squeeze=False)
     for cab, line in zip(cabs, axes, strict=True):
-        own = [row for row in rows if row["cab"] == cab]
-        nominal = [row for row in own if row["draw"] == NOMINAL]
-        drawn = [row for row in own if row["draw"] != NOMINAL]
+        of_cab = [row for row in rows if row["cab"] == cab]
+        nominal = [row for row in of_cab if row["draw"] == NOMINAL]
+        drawn = [row for row in of_cab if row["draw"] != NOMINAL]
         stable = sum(row["stable"] for row in drawn if row["dof"] == DOFS[0])
         image = _matrix(line[0], crosstalk_matrix(nominal, np.median), f"{cab.upper()}, nominal")
         _matrix(line[1], crosstalk_matrix(drawn, np.median), f"median of {stable} machines")
-        _matrix(
-            line[2],
-            crosstalk_matrix(drawn, lambda values: float(np.quantile(values, 0.95))),
-            "95 % stay below",
-        )
+        most = crosstalk_matrix(drawn, lambda values: float(np.quantile(values, 0.95)))
+        _matrix(line[2], most, "95 % stay below")
         line[0].set_ylabel("moved")
     for axis in axes[-1]:
         axis.set_xlabel("driven")
@@ -250,32 +215,27 @@ def crosstalk_figure(table: pa.Table, law: str) -> Figure:
 
 def rate_figure(table: pa.Table) -> Figure:
     """Shares of stable machines and of damped ones in each degree of freedom, with intervals."""
-    found = rates(table)
-    cabs = list(dict.fromkeys(rate.cab for rate in found))
-    laws = list(dict.fromkeys(rate.law for rate in found))
+    every = rates(table)
+    cabs, laws = (list(dict.fromkeys(getattr(r, name) for r in every)) for name in ("cab", "law"))
     titles = ["stable", *DOFS]
-    figure = Figure(figsize=(11.0, 0.38 * len(laws) * len(cabs) + 1.6), layout="constrained")
+    figure = new_figure(11.0, 0.38 * len(laws) * len(cabs) + 1.6)
     axes = figure.subplots(len(cabs), len(titles), sharex=True, sharey=True, squeeze=False)
     for cab, line in zip(cabs, axes, strict=True):
-        own = [rate for rate in found if rate.cab == cab]
+        of_cab = [rate for rate in every if rate.cab == cab]
         for title, axis in zip(titles, line, strict=True):
-            shares = [r.stable if title == "stable" else r.damped[title] for r in own]
-            middle = np.array([s.value for s in shares])
+            shares = [r.stable if title == "stable" else r.damped[title] for r in of_cab]
+            middle = 100.0 * np.array([s.value for s in shares])
             errors = np.array([[s.value - s.low, s.high - s.value] for s in shares]).T
+            spread = 100.0 * np.maximum(errors, 0.0)
             axis.errorbar(
-                100.0 * middle,
-                range(len(own)),
-                xerr=100.0 * np.maximum(errors, 0.0),
-                fmt="o",
-                markersize=4.0,
-                color="#0072b2",
+                middle, range(len(of_cab)), xerr=spread, fmt="o", markersize=4.0, color=BLUE
             )
-            axis.grid(True, color="0.9", linewidth=0.6)
             axis.set_xlim(-5.0, 105.0)
-        line[0].set_yticks(range(len(own)), [rate.law for rate in own], fontsize=8)
-        line[0].set_ylim(len(own) - 0.5, -0.5)
+        line[0].set_yticks(range(len(of_cab)), [rate.law for rate in of_cab], fontsize=8)
+        line[0].set_ylim(len(of_cab) - 0.5, -0.5)
         line[-1].yaxis.set_label_position("right")
         line[-1].set_ylabel(cab.upper())
+    grid(*axes.flat)
     for title, axis in zip(titles, axes[0], strict=True):
         name = title if title == "stable" else f"{title}\nzeta > {ENOUGH_DAMPING:g}"
         axis.set_title(name, fontsize=9)
@@ -284,70 +244,60 @@ def rate_figure(table: pa.Table) -> Figure:
     return figure
 
 
-def tables_of(table: pa.Table) -> dict[str, Lines]:
+def _drawn(rows: list[Row]) -> bool:
+    return any(row["method"] == "linear" and row["draw"] != NOMINAL for row in rows)
+
+
+def tables_of(table: pa.Table) -> dict[str, Table]:
     """The tables a study has something for, by the name of their file."""
     rows = rows_of(table)
-    methods = in_order(rows, "method")
-    found: dict[str, Lines] = {}
+    methods, laws = in_order(rows, "method"), in_order(rows, "law")
+    tables: dict[str, Table] = {}
     if "sweep" in methods:
-        found["measures"] = measure_lines(table)
+        tables["measures"] = measure_table(table)
     if len(in_order(rows, "rung")) > 1:
-        found["effects"] = climb_lines(table)
+        tables["effects"] = climb_table(table)
     if "linear" in methods and any(row["draw"] != NOMINAL for row in rows):
-        found["rates"] = rate_lines(table)
-        there = in_order(rows, "law")
+        tables["rates"] = rate_table(table)
         for name, against in REFERENCES.items():
-            if against in there and len(there) > 1:
-                found[name] = effect_lines(table, against)
+            if against in laws and len(laws) > 1:
+                tables[name] = effect_table(table, against)
     if "linear" in methods and "matrix" in methods:
-        found["agreement"] = agreement_lines(table)
-    return found
+        tables["agreement"] = agreement_table(table)
+    return tables
 
 
 def figures_of(table: pa.Table) -> dict[str, Figure]:
     """The figures a study has something for, by the name of their file."""
     rows = rows_of(table)
-    found: dict[str, Figure] = {}
+    figures: dict[str, Figure] = {}
     if len(in_order(rows, "rung")) > 1:
-        found["ladder"] = ladder_figure(table)
-    if any(row["method"] == "linear" and row["draw"] != NOMINAL for row in rows):
-        found["rates"] = rate_figure(table)
+        figures["ladder"] = ladder_figure(table)
+    if _drawn(rows):
+        figures["rates"] = rate_figure(table)
         for law in in_order(rows, "law"):
-            found[f"crosstalk_{law}"] = crosstalk_figure(table, law)
-    return found
+            figures[f"crosstalk_{law}"] = crosstalk_figure(table, law)
+    return figures
 
 
-def save_report(table: pa.Table, folder: str | Path) -> list[Path]:
+def save_report(table: pa.Table, folder: Path) -> list[Path]:
     """Write every table as Markdown and CSV and every figure as PNG."""
-    place = Path(folder)
-    paths = []
-    for name, (header, lines) in tables_of(table).items():
-        target = place / f"{name}.md"
-        write_text(target, markdown(header, lines))
-        paths.append(target)
-        paths.append(write_csv(place / f"{name}.csv", header, lines))
-    for name, figure in figures_of(table).items():
-        target = place / f"{name}.png"
-        with whole_file(target) as partial:
-            figure.savefig(partial, dpi=80, format="png")
-        paths.append(target)
-    return paths
+    paths = [
+        each.save(folder / f"{name}.{kind}")
+        for name, each in tables_of(table).items()
+        for kind in ("md", "csv")
+    ]
+    return paths + save_figures(figures_of(table), folder, 80)
 
 
 def summary_table(table: pa.Table) -> Table:
     """Cases by law and method: how many ran, were stable, failed."""
     rows = table.to_pylist()
-    shown = Table(title=f"{len(in_order(rows, 'case'))} cases")
-    for name in ("method", "law", "cases", "stable rows", "rows", "failed"):
-        shown.add_column(name, justify="left" if name in ("method", "law") else "right")
+    lines = []
     for method, law in dict.fromkeys((row["method"], row["law"]) for row in rows):
-        own = [row for row in rows if (row["method"], row["law"]) == (method, law)]
-        wrong = [row for row in own if row["error_type"]]
-        counts = (
-            len(in_order(own, "case")),
-            sum(row["stable"] for row in own),
-            len(own) - len(wrong),
-            len(wrong),
-        )
-        shown.add_row(method, law, *(str(count) for count in counts))
-    return shown
+        every = [row for row in rows if (row["method"], row["law"]) == (method, law)]
+        wrong = sum(bool(row["error_type"]) for row in every)
+        stable = sum(row["stable"] for row in every)
+        lines.append((method, law, len(in_order(every, "case")), stable, len(every) - wrong, wrong))
+    counts = ((name, "d") for name in ("cases", "stable rows", "rows", "failed"))
+    return Table(f"{len(in_order(rows, 'case'))} cases", ("method", "law", *counts), lines)

@@ -1,7 +1,7 @@
 """Blocks on what the print has wrong and on what was fitted to it."""
 
 from cmf_mj.analysis.ledger import load_ledger
-from cmf_mj.show.ledger import figures_text
+from cmf_mj.show.listing import figures_text
 from cmf_mj.show.report_2014.contents import VERDICTS, Block, PageTable, TableRow, table
 from cmf_mj.show.report_2014.curves import law_title
 from cmf_mj.show.report_2014.runs import HYDRAULICS, On, Runs, RunSpec
