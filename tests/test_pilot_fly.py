@@ -226,18 +226,18 @@ def test_cmf_flight_records_and_cmf_fly_compares(failing: PilotMotion, tmp_path:
 
 def test_traces_of_a_ride_are_what_the_pilots_are_subjected_to(ride: Ride) -> None:
     traces = flight_report.flight_traces(ride)
-    assert [panel.label for panel in traces.panels][::3] == ["f_x [m/s²]", "p [deg/s]"]
+    assert [panel.y_title for panel in traces.panels][::3] == ["f_x [m/s²]", "p [deg/s]"]
     assert traces.time[0] == 0.0 and traces.time[-1] == pytest.approx(12.0, abs=0.02)
     force, rate = traces.panels[1].curves, traces.panels[5].curves
-    assert [curve.label for curve in force] == ["aircraft", "asked of the platform", "cab"]
+    assert [curve.name for curve in force] == ["aircraft", "asked of the platform", "cab"]
     assert ride.aircraft is not None
-    np.testing.assert_array_equal(force[0].values, ride.aircraft.specific_force[:, 1])
+    np.testing.assert_array_equal(force[0].y, ride.aircraft.specific_force[:, 1])
     yaw = np.degrees(ride.simulator.angular_rate[:, 2])
-    np.testing.assert_allclose(rate[2].values, yaw, rtol=1e-14)
+    np.testing.assert_allclose(rate[2].y, yaw, rtol=1e-14)
 
 
 def test_a_ride_without_aircraft_has_traces_of_what_was_asked(direct: Ride) -> None:
-    labels = [curve.label for curve in flight_report.flight_traces(direct).panels[0].curves]
+    labels = [curve.name for curve in flight_report.flight_traces(direct).panels[0].curves]
     assert labels == ["asked of the platform", "cab"]
 
 

@@ -19,10 +19,11 @@ from cmf_mj.core.rates import RATE
 from cmf_mj.facility.scenario import settings as scenario
 from cmf_mj.facility.scenario.run import ScenarioRun, run_scenario
 from cmf_mj.plant.hexapod import hexapod_spec
+from cmf_mj.show.chart import Curve, Panel
 from cmf_mj.show.film import stage
 from cmf_mj.show.film.film import FilmSettings, check_film, film
 from cmf_mj.show.film.stage import Stage, choose_backend
-from cmf_mj.show.film.strip import Curve, Panel, Strip, Traces, traces_of
+from cmf_mj.show.film.strip import Strip, Traces, traces_of
 from cmf_mj.show.film.view import LiveView, show
 
 SMALL = FilmSettings(fps=10, width=160, height=100, strip=140)
@@ -159,30 +160,31 @@ def test_a_part_of_a_run_is_filmed_from_its_row_on(record: Record, tmp_path: Pat
 
 def test_traces_of_a_part_hold_it_and_the_end_of_a_run_that_was_over() -> None:
     time = np.arange(5) / 10.0
-    traces = Traces(time, (Panel("x", (Curve("a", time**2, "k"),)),))
+    traces = Traces((Panel("x", (Curve("a", time, time**2, "k"),)),))
     part = traces.between(0.1, 0.3)
     np.testing.assert_array_equal(part.time, time[1:4])
-    np.testing.assert_array_equal(part.panels[0].curves[0].values, time[1:4] ** 2)
+    np.testing.assert_array_equal(part.panels[0].curves[0].y, time[1:4] ** 2)
     np.testing.assert_array_equal(traces.between(1.0, 2.0).time, time[-1:])
 
 
 def test_traces_are_the_record_s(record: Record) -> None:
     traces = traces_of(record)
     motion, pressures = traces.panels
-    assert motion.label == "heave [in]"
-    response = {curve.label: curve.values for curve in motion.curves}["response"]
+    assert motion.y_title == "heave [in]"
+    response = {curve.name: curve.y for curve in motion.curves}["response"]
     np.testing.assert_array_equal(response, record["platform_pose"][:, 2] / units.INCH)
-    leg = int(pressures.label.split()[1])
+    leg = int(pressures.y_title.split()[1])
     cap = pressures.curves[0]
-    assert cap.label == "cap"
-    np.testing.assert_array_equal(cap.values, record["cap_pressure"][:, leg - 1] / units.PSI)
+    assert cap.name == "cap"
+    np.testing.assert_array_equal(cap.y, record["cap_pressure"][:, leg - 1] / units.PSI)
 
 
 def test_panels_stand_in_columns_each_with_its_own_cursor() -> None:
     """Six panels in two columns: at a time two cursors in a row of pixels, a column apart."""
     time = np.linspace(0.0, 1.0, 50)
-    curves = Curve("a", np.sin(time), "#0072b2"), Curve("b", np.cos(time), "#d55e00")
-    traces = Traces(time, tuple(Panel(f"q{i} [m]", curves) for i in range(6)), columns=2)
+    sine, cosine = np.sin(time), np.cos(time)
+    curves = Curve("a", time, sine, "#0072b2"), Curve("b", time, cosine, "#d55e00")
+    traces = Traces(tuple(Panel(f"q{i} [m]", curves) for i in range(6)), columns=2)
     picture = Strip(traces, 600, 300).picture(0.5)
     assert picture.shape == (300, 600, 3)
     red = (picture == (200, 30, 30)).all(axis=2)
@@ -307,7 +309,7 @@ def pulling(view: LiveView, up: float) -> mujoco.MjvPerturb:
     perturb.active = int(mujoco.mjtPertBit.mjPERT_TRANSLATE)
     perturb.localmass = 1.0
     perturb.scale = 1.0
-    perturb.refselpos = view.shown.xipos[perturb.select] + (0.0, 0.0, up)
+    perturb.refselpos = view.drawn.xipos[perturb.select] + (0.0, 0.0, up)
     perturb.localpos = view.model.body_ipos[perturb.select]
     return perturb
 
@@ -316,7 +318,7 @@ def test_pace_pause_and_pulls_without_a_window() -> None:
     view = LiveView(ScenarioRun(quick(duration="open", signal=[])), speed=0.5)
     view.step(0.05)
     assert view.run.frame == int(0.05 * 0.5 * RATE)
-    np.testing.assert_array_equal(view.shown.qpos, view.run.latest().qpos)
+    np.testing.assert_array_equal(view.drawn.qpos, view.run.latest().qpos)
     view.key(32)
     view.step(0.05)
     assert view.run.frame == int(0.05 * 0.5 * RATE)
@@ -354,7 +356,7 @@ def test_the_window_s_loop_runs_shows_and_saves() -> None:
     windows: list[Window] = []
 
     def launch(model: mujoco.MjModel, data: mujoco.MjData, key_callback: Any) -> Window:
-        assert data is view.shown
+        assert data is view.drawn
         key_callback(ord("S"))
         windows.append(Window(model, data, 4))
         return windows[0]

@@ -22,8 +22,8 @@ class Curve(NamedTuple):
     """One line or set of marks."""
 
     name: str
-    x: NDArray[np.float32]
-    y: NDArray[np.float32]
+    x: NDArray[np.floating]
+    y: NDArray[np.floating]
     colour: str
     dash: Dash = "solid"
     marks: bool = False  #: Marks without a line.
@@ -42,6 +42,7 @@ class Panel(NamedTuple):
     x_range: tuple[float, float] | None = None
     x_log: bool = False
     height: float = 1.0  #: Relative.
+    from_zero: bool = False  #: Whether the y axis of a film has zero at its lower end.
 
 
 class Chart(NamedTuple):

@@ -17,7 +17,8 @@ from cmf_mj.pilot.fly import Ride, error_spectra
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception.error import CueingError
 from cmf_mj.pilot.transport import TransportDelay
-from cmf_mj.show.film.strip import Curve, Panel, Traces
+from cmf_mj.show.chart import Curve, Panel
+from cmf_mj.show.film.strip import Traces
 from cmf_mj.show.look import (
     BLUE,
     COLOURS,
@@ -60,16 +61,18 @@ def _motions(ride: Ride) -> list[tuple[PilotMotion, str, str, float]]:
 def flight_traces(ride: Ride) -> Traces:
     """Specific force and angular rate at the pilot's station as traces of a film."""
     lines = [(_six(m), label, colour, width) for m, label, colour, width in _motions(ride)]
+    time = ride.asked.time - ride.asked.time[0]
     panels = tuple(
         Panel(
             f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]",
             tuple(
-                Curve(label, six[:, index], colour, width) for six, label, colour, width in lines
+                Curve(label, time, six[:, index], colour, width=width)
+                for six, label, colour, width in lines
             ),
         )
         for index, name in enumerate(_NAMES)
     )
-    return Traces(ride.asked.time - ride.asked.time[0], panels, columns=2)
+    return Traces(panels, columns=2)
 
 
 def _six_panels(ride: Ride, title: str) -> tuple[Figure, NDArray[Any]]:

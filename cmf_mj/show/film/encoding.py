@@ -18,7 +18,7 @@ CODECS = ("libx264", "libopenh264", "mpeg4")
 GIF_FPS = 50
 """Pictures a second that programs show a GIF file at, at most."""
 
-_COLOURS, _RARE = 176, 64
+_COMMON, _RARE = 176, 64
 """Of a GIF file: those that cover much of it, and those that are unlike the others."""
 
 
@@ -65,22 +65,17 @@ def write_film(
     Raises:
         InputError: PyAV or its encoders are missing.
     """
-    counted = _counted(pictures, count, progress)
+
+    def counted() -> Iterator[NDArray[np.uint8]]:
+        for number, picture in enumerate(pictures, start=1):
+            yield picture
+            if progress is not None:
+                progress(number, count)
+
+    write = _write_gif if target.suffix == ".gif" else _write_mp4
     with whole_file(target) as partial:
-        if target.suffix == ".gif":
-            _write_gif(counted, partial, fps)
-        else:
-            _write_mp4(counted, partial, fps)
+        write(counted(), partial, fps)
     return target
-
-
-def _counted(
-    pictures: Iterator[NDArray[np.uint8]], count: int, progress: Callable[[int, int], None] | None
-) -> Iterator[NDArray[np.uint8]]:
-    for number, picture in enumerate(pictures, start=1):
-        yield picture
-        if progress is not None:
-            progress(number, count)
 
 
 def _write_mp4(pictures: Iterator[NDArray[np.uint8]], target: Path, fps: int) -> None:
@@ -121,31 +116,22 @@ def mp4_codec() -> str:
 
 
 def _write_gif(pictures: Iterator[NDArray[np.uint8]], target: Path, fps: int) -> None:
-    begun = next(pictures)
-    palette = _palette(Image.fromarray(begun))
+    """All pictures with the palette of the first, whose legend has the colours of all traces."""
+    begun = Image.fromarray(next(pictures))
+    methods = ((_COMMON, Image.Quantize.MEDIANCUT), (_RARE, Image.Quantize.MAXCOVERAGE))
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(
+        [
+            entry
+            for size, method in methods
+            for entry in (begun.quantize(size, method=method).getpalette() or [])[: 3 * size]
+        ]
+    )
     first, *others = (
-        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
-        for picture in chain([begun], pictures)
+        picture.quantize(palette=palette, dither=Image.Dither.NONE)
+        for picture in chain([begun], map(Image.fromarray, pictures))
     )
     # The file counts time in hundredths of a second.
     ends = 10 * np.round(100.0 / fps * np.arange(len(others) + 2)).astype(int)
-    first.save(
-        target,
-        format="GIF",
-        save_all=True,
-        append_images=others,
-        duration=np.diff(ends).tolist(),
-        loop=0,
-        optimize=True,
-    )
-
-
-def _palette(picture: Image.Image) -> Image.Image:
-    """One palette for all pictures of a film, from the first: its legend has all the traces'."""
-    methods = ((_COLOURS, Image.Quantize.MEDIANCUT), (_RARE, Image.Quantize.MAXCOVERAGE))
-    entries: list[int] = []
-    for count, method in methods:
-        entries += (picture.quantize(count, method=method).getpalette() or [])[: 3 * count]
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(entries)
-    return palette
+    pace = {"duration": np.diff(ends).tolist(), "loop": 0, "optimize": True}
+    first.save(target, format="GIF", save_all=True, append_images=others, **pace)

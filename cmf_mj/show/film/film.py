@@ -70,11 +70,9 @@ def film(
     if chosen.seconds is not None:
         end = min(end, chosen.start + chosen.seconds)
     count = int((end - chosen.start) / chosen.speed * chosen.fps) + 1
-    shown = [
-        every.between(chosen.start, end)
-        for every in traces or (traces_of(record, chosen.dof) for record in records)
-    ]
-    pictures = _pictures(records, named, shown, count, chosen)
+    every = traces or [traces_of(record, chosen.dof) for record in records]
+    parts = [one.between(chosen.start, end) for one in every]
+    pictures = _pictures(records, named, parts, count, chosen)
     return write_film(pictures, count, target, chosen.fps, progress=progress)
 
 

@@ -1,7 +1,7 @@
 """A live run in MuJoCo's viewer: what happens between two pictures, with or without a window.
 
 The mouse pulls a body as in any viewer; the force goes to the loop as a push, so that the run can
-be saved as a scenario and done again. Keys: space holds the time, + and - change the pace, S saves.
+be saved as a scenario and done again. Keys: space stops time, + and - change the pace, S saves.
 """
 
 import time
@@ -58,7 +58,7 @@ class LiveView:
         self.run, self.speed, self.paused = run, speed, False
         self.wants_saving = False
         self.model = run.plant.model
-        self.shown = mujoco.MjData(self.model)
+        self.drawn = mujoco.MjData(self.model)
         """A copy of the MuJoCo state for the viewer: what it does there does not act on the run."""
         self._owed = 0.0
         self._pulled = ""
@@ -77,16 +77,15 @@ class LiveView:
 
     def pull(self, perturb: mujoco.MjvPerturb) -> None:
         """Hand the mouse's force over to the run."""
-        self.shown.xfrc_applied[:] = 0.0
-        mujoco.mjv_applyPerturbForce(self.model, self.shown, perturb)
-        wrench = self.shown.xfrc_applied
+        self.drawn.xfrc_applied[:] = 0.0
+        mujoco.mjv_applyPerturbForce(self.model, self.drawn, perturb)
+        wrench = self.drawn.xfrc_applied
         pulled = int(np.abs(wrench).sum(axis=1).argmax())
         name = self.model.body(pulled).name if wrench[pulled].any() else ""
         if self._pulled and self._pulled != name:
             self.run.apply(Change(push=Push(body=self._pulled)))
         if name:
-            values = wrench[pulled].tolist()
-            x, y, z, a, b, c = values
+            x, y, z, a, b, c = wrench[pulled].tolist()
             self.run.apply(Change(push=Push(body=name, force=(x, y, z), torque=(a, b, c))))
         self._pulled = name
 
@@ -100,17 +99,17 @@ class LiveView:
         self._copy()
 
     def text(self) -> str:
-        """What stands beside the picture."""
+        """Law, time, pace and state for the corner of the picture."""
         live = self.run.latest()
-        held = " held" if self.paused else ""
+        paused = " paused" if self.paused else ""
         state = f"\n{live.state}" if live.state else ""
-        return f"{live.law}\n{live.time:.2f} s\n{self.speed:g} x{held}{state}"
+        return f"{live.law}\n{live.time:.2f} s\n{self.speed:g} x{paused}{state}"
 
     def _copy(self) -> None:
         source = self.run.plant.data
-        self.shown.time = self.run.frame / RATE
-        self.shown.qpos[:], self.shown.qvel[:] = source.qpos, source.qvel
-        mujoco.mj_forward(self.model, self.shown)
+        self.drawn.time = self.run.frame / RATE
+        self.drawn.qpos[:], self.drawn.qvel[:] = source.qpos, source.qvel
+        mujoco.mj_forward(self.model, self.drawn)
 
 
 def show(
@@ -138,7 +137,7 @@ def show(
 
         launch = mujoco.viewer.launch_passive
     try:
-        window = launch(view.model, view.shown, key_callback=view.key)
+        window = launch(view.model, view.drawn, key_callback=view.key)
     except RuntimeError as error:
         raise InputError(f"view: no window: {error}. {NO_DISPLAY}") from error
     with window:

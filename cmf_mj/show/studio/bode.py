@@ -10,18 +10,21 @@ from concurrent.futures import CancelledError
 from typing import NamedTuple
 
 import numpy as np
-import viser
-from numpy.typing import NDArray
-from viser import uplot
 
-from cmf_mj.analysis.frequency_response import Bandwidths, bandwidths, frequency_response
+from cmf_mj.analysis.frequency_response import (
+    Bandwidths,
+    FrequencyResponse,
+    bandwidths,
+    frequency_response,
+)
 from cmf_mj.core import units
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.facility.scenario.settings import Scenario, scenario_of
 from cmf_mj.machine.dof import dof_unit
+from cmf_mj.show.look import BLUE
 from cmf_mj.show.studio.choices import settled
 from cmf_mj.show.studio.desk import Desk
-from cmf_mj.show.studio.plots import axes
+from cmf_mj.show.studio.plots import DASHED, PALE, Line, add_plot
 from cmf_mj.studies.measurement import RECORD_EVERY, dof_amplitude
 
 PERIOD = 20.0
@@ -38,22 +41,31 @@ class Measured(NamedTuple):
     """A response and what it is of."""
 
     title: str
-    frequency: NDArray[np.float64]  #: [Hz], (K,).
-    gain: NDArray[np.float64]  #: [dB], (K,).
-    phase: NDArray[np.float64]  #: [deg], (K,).
-    bandwidths: Bandwidths
+    response: FrequencyResponse
+
+    @property
+    def text(self) -> str:
+        """Title and bandwidths."""
+        return f"{self.title}: {bandwidth_text(bandwidths(self.response))}"
 
 
 class Cancelled(Exception):
     """The page has gone while its measurement ran."""
 
 
-def sweep_scenario(scenario: Scenario, dof: str) -> Scenario:
-    """The measuring run of a session: same machine and law, from rest, with a multisine.
+def measure(
+    scenario: Scenario, dof: str, progress: Callable[[int, int], None] | None = None
+) -> Measured:
+    """Measure the response of a session's machine and law: from rest, with a multisine.
 
     Args:
         scenario: of the session so far.
         dof: degree of freedom.
+        progress: called with control frames done and in all.
+
+    Raises:
+        InputError: the scenario cannot be run.
+        OutOfBounds: the loop with this law left its physical bounds.
     """
     unit = dof_unit(dof)
     signal = {
@@ -65,49 +77,25 @@ def sweep_scenario(scenario: Scenario, dof: str) -> Scenario:
         "periods": PERIODS,
         "fade": FADE,
     }
-    sweep = scenario_of({"signal": [signal]}, "bode").signal
-    return settled(scenario).model_copy(
+    sweep = settled(scenario).model_copy(
         update={
-            "signal": sweep,
+            "signal": scenario_of({"signal": [signal]}, "bode").signal,
             "operation": None,
             "duration": PERIOD * PERIODS + FADE,
             "record_every": RECORD_EVERY,
         }
     )
-
-
-def measure(
-    scenario: Scenario, dof: str, progress: Callable[[int, int], None] | None = None
-) -> Measured:
-    """Measure the response of a session's machine and law.
-
-    Args:
-        scenario: of the session so far.
-        dof: degree of freedom.
-        progress: called with control frames done and in all.
-
-    Raises:
-        InputError: the scenario cannot be run.
-        OutOfBounds: the loop with this law left its physical bounds.
-    """
-    sweep = sweep_scenario(scenario, dof)
     response = frequency_response(run_scenario(sweep, progress=progress), dof)
-    own = ", gains changed" if sweep.gains else ""
-    return Measured(
-        f"{sweep.law}{own}, {dof}, {sweep.cab}, {sweep.hydraulics}",
-        response.frequency,
-        response.gain_db,
-        response.phase_deg,
-        bandwidths(response),
-    )
+    changed = ", gains changed" if sweep.gains else ""
+    return Measured(f"{sweep.law}{changed}, {dof}, {sweep.cab}, {sweep.hydraulics}", response)
 
 
-def told(found: Bandwidths) -> str:
+def bandwidth_text(widths: Bandwidths) -> str:
     """Bandwidths in a line; a dash where there is none within the lines."""
     phase, gain = (
-        "-" if np.isnan(value) else f"{value:.2f} Hz" for value in (found.phase_hz, found.gain_hz)
+        "-" if np.isnan(value) else f"{value:.2f} Hz" for value in (widths.phase_hz, widths.gain_hz)
     )
-    return f"-90 deg at {phase}, -3 dB at {gain}, peak {found.peak_db:.1f} dB"
+    return f"-90 deg at {phase}, -3 dB at {gain}, peak {widths.peak_db:.1f} dB"
 
 
 class BodePanel:
@@ -118,7 +106,7 @@ class BodePanel:
 
         Args:
             desk: the page.
-            dof: tells the degree of freedom chosen.
+            dof: gives the degree of freedom chosen.
         """
         gui = desk.client.gui
         self._desk, self._dof = desk, dof
@@ -131,40 +119,21 @@ class BodePanel:
             "From leg demand to leg feedback in the signal's degree of freedom, with the present "
             "law, gains, cab and plant set. Dashed: the measurement before."
         )
-        self._gain = self._plot("gain [dB]", (-6.0, 3.0))
-        self._phase = self._plot("phase [deg]", (-180.0, 0.0))
+        lines = (Line("before", PALE, DASHED), Line("now", BLUE))
+        self._gain, self._phase = (
+            add_plot(desk.client, f"{title} over frequency [Hz]", lines, soft, frequency=True)
+            for title, soft in (("gain [dB]", (-6.0, 3.0)), ("phase [deg]", (-180.0, 0.0)))
+        )
         self._button.on_click(lambda _: self._start())
 
     def close(self) -> None:
         """Let a running measurement go."""
         self._gone.set()
 
-    def _plot(self, title: str, soft: tuple[float, float]) -> viser.GuiUplotHandle:
-        empty = np.array([0.1, 10.0])
-        low, high = ({"pad": 0.05, "soft": limit, "mode": 1} for limit in soft)
-        return self._desk.client.gui.add_uplot(
-            (empty, np.full(2, np.nan), np.full(2, np.nan)),
-            (
-                uplot.Series(label="f [Hz]"),
-                uplot.Series(label="before", stroke="#8a9099", width=1.5, dash=(5, 4)),
-                uplot.Series(label="now", stroke="#1f77b4", width=2.0),
-            ),
-            title=f"{title} over frequency [Hz]",
-            scales={
-                "x": uplot.Scale(time=False, distr=3),
-                "y": uplot.Scale(range={"min": low, "max": high}),
-            },
-            axes=axes(),
-            legend=uplot.Legend(show=True, live=False),
-            height=230,
-            padding=(4, 12, 0, 0),
-        )
-
     def _start(self) -> None:
-        if self._thread is not None and self._thread.is_alive():
-            return
-        self._thread = threading.Thread(target=self._measure, name="studio bode", daemon=True)
-        self._thread.start()
+        if self._thread is None or not self._thread.is_alive():
+            self._thread = threading.Thread(target=self._measure, name="studio bode", daemon=True)
+            self._thread.start()
 
     def _measure(self) -> None:
         self._button.disabled, self._progress.visible = True, True
@@ -175,22 +144,23 @@ class BodePanel:
             self._progress.value = 100.0 * done / total
 
         try:
-            found = measure(self._desk.live.scenario().result(), self._dof(), progress)
+            measured = measure(self._desk.live.scenario().result(), self._dof(), progress)
         except (Cancelled, CancelledError):
             return
         except (ValueError, FloatingPointError) as error:
             self._desk.tell(error)
         else:
-            self._show(found)
+            self._show(measured)
         self._button.disabled, self._progress.visible = False, False
 
-    def _show(self, found: Measured) -> None:
-        before = self._before or found
-        self._before = found
-        grid = found.frequency
-        for plot, name in ((self._gain, "gain"), (self._phase, "phase")):
-            old = np.interp(grid, before.frequency, getattr(before, name))
-            plot.data = (grid, old, getattr(found, name))
-        self._text.content = f"**{found.title}**  \n{told(found.bandwidths)}"
-        if before is not found:
-            self._text.content += f"  \n*before: {before.title}: {told(before.bandwidths)}*"
+    def _show(self, measured: Measured) -> None:
+        before, self._before = self._before or measured, measured
+        now, old = measured.response, before.response
+        for plot, curve, dashed in (
+            (self._gain, now.gain_db, old.gain_db),
+            (self._phase, now.phase_deg, old.phase_deg),
+        ):
+            plot.data = (now.frequency, np.interp(now.frequency, old.frequency, dashed), curve)
+        self._text.content = f"**{measured.text}**"
+        if before is not measured:
+            self._text.content += f"  \n*before: {before.text}*"

@@ -1,12 +1,17 @@
-"""What the controls of a page act on."""
+"""What the controls of a page act on, and what they have in common."""
 
+import tempfile
 from collections.abc import Callable
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
 
 import viser
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.facility.scenario.settings import Change, Scenario
 from cmf_mj.show.studio.live import LiveSession
+
+Content = TypeVar("Content")
 
 
 class Desk(Protocol):
@@ -41,3 +46,24 @@ def picked(handle: viser.GuiDropdownHandle[str], value: str) -> None:
     if value not in handle.options:
         handle.options = (*handle.options, value)
     handle.value = value
+
+
+def read_upload(name: str, content: bytes, read: Callable[[Path], Content]) -> Content:
+    """Read a file of the browser.
+
+    Args:
+        name: its name there.
+        content: its bytes.
+        read: reads a file.
+
+    Raises:
+        InputError: `read` refuses it; the message begins with the name.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / (Path(name).name or "file")
+        path.write_bytes(content)
+        try:
+            return read(path)
+        except ValueError as error:
+            text = str(error).replace(f"{folder}/", "")
+            raise InputError(text if path.name in text else f"{path.name}: {text}") from None

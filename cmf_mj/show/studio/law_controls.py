@@ -1,14 +1,10 @@
 """Controls of the law: shipped ones, one from a file, and a slider for each of its gains."""
 
-import tempfile
-from pathlib import Path
-
 import viser
 
 from cmf_mj.control.law import Law, law_names, load_law
-from cmf_mj.core.errors import InputError
-from cmf_mj.facility.scenario.settings import Change, change_of
-from cmf_mj.show.studio.desk import Desk, by_hand, picked
+from cmf_mj.facility.scenario.settings import change_of
+from cmf_mj.show.studio.desk import Desk, by_hand, picked, read_upload
 from cmf_mj.show.studio.gains import Knob, knobs, law_as_gains
 
 _STEPS = 200
@@ -36,8 +32,9 @@ class LawControls:
 
         @upload.on_upload
         def _(event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
+            file = event.target.value
             try:
-                law = _uploaded(event.target.value)
+                law = read_upload(file.name, file.content, load_law)
             except ValueError as error:
                 desk.tell(error)
                 return
@@ -67,45 +64,19 @@ class LawControls:
             slider.remove()
         self._sliders.clear()
         with self._folder:
-            for knob in knobs(law):
-                self._sliders.append(self._slider(knob))
+            self._sliders += [self._slider(knob) for knob in knobs(law)]
 
     def _slider(self, knob: Knob) -> viser.GuiSliderHandle[float]:
+        step = (knob.high - knob.low) / _STEPS
         slider = self._desk.client.gui.add_slider(
-            knob.label,
-            knob.low,
-            knob.high,
-            (knob.high - knob.low) / _STEPS,
-            knob.value,
-            hint=knob.hint,
+            knob.label, knob.low, knob.high, step, knob.value, hint=knob.hint
         )
 
         @slider.on_update
         def _(event: viser.GuiEvent[viser.GuiSliderHandle[float]]) -> None:
             if by_hand(event):
-                value = event.target.value
-                self._desk.later(
-                    ".".join(knob.path),
-                    lambda: self._desk.apply(_gain_change(knob, value)),
-                )
+                change = {"gains": knob.table(event.target.value)}
+                key = ".".join(knob.path)
+                self._desk.later(key, lambda: self._desk.apply(change_of(change, "gains")))
 
         return slider
-
-
-def _gain_change(knob: Knob, value: float) -> Change:
-    return change_of({"gains": knob.table(value)}, "gains")
-
-
-def _uploaded(file: viser.UploadedFile) -> Law:
-    """The one law of a file from the browser.
-
-    Raises:
-        InputError: it is not TOML or not one law; the message names the field.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / (Path(file.name).name or "law.toml")
-        path.write_bytes(file.content)
-        try:
-            return load_law(path)
-        except ValueError as error:
-            raise InputError(str(error).replace(f"{folder}/", "")) from None

@@ -1,9 +1,7 @@
 """A recorded run on the page: load a record, scrub it, play it."""
 
-import tempfile
 import threading
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import viser
@@ -13,10 +11,13 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.machine import models
 from cmf_mj.record.record import Record
 from cmf_mj.show.studio import traces
-from cmf_mj.show.studio.desk import Desk, by_hand
+from cmf_mj.show.studio.desk import Desk, by_hand, read_upload
 
 _MOST = round(traces.LONGEST * traces.RATE)
 """Rows drawn at most."""
+
+_SPEEDS = {"1/10": 0.1, "1/2": 0.5, "1": 1.0, "2": 2.0, "5": 5.0}
+"""Recorded over wall time."""
 
 
 class Recording:
@@ -57,10 +58,10 @@ class Recording:
         stop = self._row(time) + 1
         first = int(np.searchsorted(self.record.time, time - seconds))
         rows = slice(first, stop, max(1, (stop - first) // _MOST))
-        found = {"time": self.record.time[rows]}
-        for name, width in traces.CHANNELS.items():
-            found[name] = self.record[name][rows].reshape(-1, width)
-        return found
+        return {"time": self.record.time[rows]} | {
+            name: self.record[name][rows].reshape(-1, width)
+            for name, width in traces.CHANNELS.items()
+        }
 
     def _row(self, time: float) -> int:
         row = int(np.searchsorted(self.record.time, time, side="right")) - 1
@@ -73,14 +74,7 @@ def read_recording(name: str, content: bytes, width: int) -> Recording:
     Raises:
         InputError: the file is no record of the hexapod; the message names file and field.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / (Path(name).name or "record.parquet")
-        path.write_bytes(content)
-        try:
-            return Recording(Record.load(path), width)
-        except ValueError as error:
-            text = str(error).replace(f"{folder}/", "")
-            raise InputError(text if path.name in text else f"{path.name}: {text}") from None
+    return read_upload(name, content, lambda path: Recording(Record.load(path), width))
 
 
 class ReplayPanel:
@@ -107,8 +101,7 @@ class ReplayPanel:
         with self._folder:
             self._slider = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
             self._play = gui.add_checkbox("play", True)
-            self._speed = gui.add_dropdown("replay speed", ("1/10", "1/2", "1", "2", "5"))
-            self._speed.value = "1"
+            self._speed = gui.add_dropdown("replay speed", tuple(_SPEEDS), initial_value="1")
             gui.add_button("back to the live run").on_click(lambda _: self._leave(leave))
         self._slider.on_update(self._scrubbed)
 
@@ -116,12 +109,12 @@ class ReplayPanel:
         def _(event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
             file = event.target.value
             try:
-                found = read_recording(file.name, file.content, width)
+                recording = read_recording(file.name, file.content, width)
             except ValueError as error:
                 desk.tell(error)
                 return
-            self._open(file.name, found)
-            enter(found)
+            self._open(file.name, recording)
+            enter(recording)
 
     @property
     def recording(self) -> Recording | None:
@@ -138,14 +131,12 @@ class ReplayPanel:
             Time to show [s].
         """
         with self._lock:
-            found = self._recording
-            if found is None:
+            if self._recording is None:
                 return 0.0
             if self._play.value:
-                numerator, _, denominator = self._speed.value.partition("/")
-                speed = float(numerator) / float(denominator or 1.0)
-                self._time = min(self._time + speed * elapsed, found.end)
-                if self._time >= found.end:
+                end = self._recording.end
+                self._time = min(self._time + _SPEEDS[self._speed.value] * elapsed, end)
+                if self._time >= end:
                     self._play.value = False
             return self._time
 
@@ -154,16 +145,18 @@ class ReplayPanel:
         if self._recording is not None and self._play.value:
             self._slider.value = round(self._time, 2)
 
-    def _open(self, name: str, found: Recording) -> None:
+    def _open(self, name: str, recording: Recording) -> None:
+        start, end = recording.start, recording.end
         with self._lock:
-            self._slider.min, self._slider.max = found.start, found.end
-            self._slider.value = self._time = found.start
+            self._slider.min, self._slider.max = start, end
+            self._slider.value = self._time = start
             self._play.value = True
-            self._recording = found
-        law = found.record.metadata.get("law") or "no law"
+            self._recording = recording
+        record = recording.record
         self._text.content = (
-            f"**{name}**: {found.end - found.start:.1f} s at {found.record.rate:g} Hz, {law}, "
-            f"{found.cab}, {found.record.metadata.get('hydraulics')}"
+            f"**{name}**: {end - start:.1f} s at {record.rate:g} Hz, "
+            f"{record.metadata.get('law') or 'no law'}, {recording.cab}, "
+            f"{record.metadata.get('hydraulics')}"
         )
         self._folder.visible = True
 

@@ -44,21 +44,14 @@ class Traces:
             values: one per channel, of its width.
         """
         row = self._rows[self._count % self._rows.shape[0]]
-        row[0] = time
-        base = 1
-        for name, width in CHANNELS.items():
-            row[base : base + width] = values[name]
-            base += width
+        np.concatenate([[time], *(np.atleast_1d(values[name]) for name in CHANNELS)], out=row)
         self._count += 1
 
     def last(self, seconds: float) -> dict[str, NDArray[np.float64]]:
         """The latest rows in order: `time` (N,) and each channel (N, width)."""
         size = self._rows.shape[0]
-        wanted = min(self._count, size, round(seconds * RATE))
-        rows = self._rows[np.arange(self._count - wanted, self._count) % size]
-        found = {"time": rows[:, 0]}
-        base = 1
-        for name, width in CHANNELS.items():
-            found[name] = rows[:, base : base + width]
-            base += width
-        return found
+        count = min(self._count, size, round(seconds * RATE))
+        rows = self._rows[np.arange(self._count - count, self._count) % size]
+        ends = np.cumsum(list(CHANNELS.values()))[:-1]
+        columns = np.split(rows[:, 1:], ends, axis=1)
+        return {"time": rows[:, 0], **dict(zip(CHANNELS, columns, strict=True))}
