@@ -4,11 +4,12 @@ The model goes from valve command to velocity (ARX structure, output error). Clo
 predicts the bandwidth, which the second run measures.
 """
 
+from cmf_mj.analysis.identification.loop import loop_errors
+
 import cmf_mj
 from cmf_mj import signals
 from cmf_mj.analysis.identification.continuous import in_field_units, to_continuous
 from cmf_mj.analysis.identification.data import experiment
-from cmf_mj.analysis.identification.loop import loop_errors
 from cmf_mj.analysis.identification.model import Orders
 from cmf_mj.analysis.identification.refinement import output_error
 from cmf_mj.analysis.identification.validation import simulation_fit

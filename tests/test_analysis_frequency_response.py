@@ -335,3 +335,11 @@ def test_a_period_that_is_no_whole_number_of_samples_is_refused() -> None:
     command = signals.multisine("heave", AMPLITUDE, period=1.0, start=1.0)
     with pytest.raises(ValueError, match="record_every: a period is not a whole number"):
         frequency_response(record_of(command, command.pose, 3))
+
+
+def test_python_control_plots_a_response() -> None:
+    """It has the name that python-control's plots need."""
+    omega = np.geomspace(0.1, 10.0, 30)
+    response = FrequencyResponse(1.0 / (1.0 + 1j * omega), omega, np.ones(30))
+    for plot in (control.bode_plot(response), response.plot()):
+        assert len(plot.axes.ravel()) == 2

@@ -1,24 +1,17 @@
-"""Frequency-domain fits, vector fitting and conversions against rational functions and SciPy."""
+"""Frequency-domain fits and conversions against rational functions and SciPy."""
 
 import control
 import numpy as np
 import pytest
 from identified_systems import RATE, SIXTH, lag, noisy, pair, series
-from scipy import signal
 
 from cmf_mj.analysis.identification.arx import arx
-from cmf_mj.analysis.identification.continuous import (
-    from_zero_order_hold,
-    in_field_units,
-    to_continuous,
-)
+from cmf_mj.analysis.identification.continuous import in_field_units, to_continuous
 from cmf_mj.analysis.identification.refinement import output_error
 from cmf_mj.analysis.identification.response_fit import (
     fit_response,
     response_deviation,
-    select_response_orders,
 )
-from cmf_mj.analysis.identification.vector_fit import vector_fit
 
 FREQUENCY = np.linspace(0.1, 16.0, 160)
 LEG = lag(3.0) * pair(11.0, 0.11) * control.tf([1.0 / 1.2, 1.0], [1.0 / 1.1, 1.0])
@@ -33,10 +26,10 @@ def by_size(values: np.ndarray) -> np.ndarray:
     return values[np.lexsort((values.imag, np.abs(values).round(6)))]
 
 
-def test_vector_fitting_finds_the_poles_without_a_guess() -> None:
-    found, reflected = vector_fit(FREQUENCY, true(SIXTH), 6)
-    np.testing.assert_allclose(by_size(found), by_size(SIXTH.poles()), rtol=1e-6)
-    assert reflected == 0
+def test_poles_are_found_without_a_guess() -> None:
+    fit = fit_response(FREQUENCY, true(SIXTH), 6, 0)
+    np.testing.assert_allclose(by_size(fit.poles), by_size(SIXTH.poles()), rtol=1e-6)
+    assert fit.reflected == 0
 
 
 def test_rational_function_with_delay_is_recovered_exactly() -> None:
@@ -99,8 +92,9 @@ def test_orders_are_found_by_bic() -> None:
     rng = np.random.default_rng(3)
     noise = rng.standard_normal((2, FREQUENCY.size)) * 0.005
     measured = true(lag(3.0) * pair(11.0, 0.11)) * (1.0 + noise[0] + 1j * noise[1])
-    best = select_response_orders(FREQUENCY, measured, poles=range(1, 6), zeros=range(3))[0]
-    assert (best.poles.size, best.zeros.size) == (3, 0)
+    orders = [(n, m) for n in range(1, 6) for m in range(3) if m <= n]
+    best = min(orders, key=lambda order: fit_response(FREQUENCY, measured, *order).bic)
+    assert best == (3, 0)
 
 
 def test_band_limited_model_becomes_the_continuous_one() -> None:
@@ -119,29 +113,6 @@ def test_band_limited_model_becomes_the_continuous_one() -> None:
     wanted = true(SIXTH)[inside]
     found = fit.response(FREQUENCY[inside])
     assert np.abs(found - wanted).max() < 1e-3 * np.abs(wanted).max()
-
-
-def test_zero_order_hold_is_inverted() -> None:
-    """Against SciPy's hold of the known system, there and back."""
-    system = control.ss(SIXTH)
-    held = signal.cont2discrete((system.A, system.B, system.C, system.D), 1.0 / RATE)
-    discrete = control.ss(*held[:4], 1.0 / RATE, inputs=["u"], outputs=["y"])
-    back = from_zero_order_hold(discrete)
-    np.testing.assert_allclose(back.poles(), system.poles(), rtol=1e-6)
-    np.testing.assert_allclose(
-        control.frequency_response(back, [1.0, 30.0]).frdata,
-        control.frequency_response(system, [1.0, 30.0]).frdata,
-        rtol=1e-6,
-    )
-    with pytest.raises(ValueError, match=r"model: pole -0.5000 has no continuous counterpart"):
-        from_zero_order_hold(control.ss([[-0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1))
-
-
-def test_identified_zero_order_hold_is_the_plant() -> None:
-    """ARX of exact samples behind a hold, converted: the poles in rad/s."""
-    model = arx(noisy(SIXTH, 0, noise=0.0), (6, 6, 1))
-    back = from_zero_order_hold(model.state_space())
-    np.testing.assert_allclose(by_size(back.poles()), by_size(SIXTH.poles()), rtol=1e-4)
 
 
 def test_field_units_are_inches_a_second_per_per_cent() -> None:

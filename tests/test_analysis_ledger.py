@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from cmf_mj import SingleLegs
-from cmf_mj.analysis import response as estimation
 from cmf_mj.analysis.ledger import LedgerEntry
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.catalogue import hardware_velocity, report_model
@@ -16,6 +15,7 @@ from cmf_mj.analysis.linear.reduction import leg_model
 from cmf_mj.analysis.linear.second_order import FeedbackLoop, characteristics
 from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import Published, published_results
+from cmf_mj.analysis.response.periodic import sine_response
 from cmf_mj.control.error import integrate, make_error_calculations
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
@@ -168,7 +168,7 @@ def test_128_hz_is_ample_for_10_hz(entry: LedgerEntry) -> None:
     time = np.arange(128) / 128.0
     gain = 1.0 / (1.0 + 10.0j / 3.0)
     turning = np.exp(20j * np.pi * time)
-    found = estimation.sine_response(turning.imag, (gain * turning).imag, 128.0, 10.0)
+    found = sine_response(turning.imag, (gain * turning).imag, 128.0, 10.0)
     assert abs(found.response[0] - gain) < entry.figure("largest error of a 10 Hz response")
 
 

@@ -6,12 +6,12 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from cmf_mj import Hexapod
-from cmf_mj.analysis import response as estimation
 from cmf_mj.analysis.ledger import LedgerEntry
 from cmf_mj.analysis.linear.catalogue import hardware_velocity, report_entry, report_model
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import published_results
+from cmf_mj.analysis.response.welch import report_response, welch_response
 from cmf_mj.core import units
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.gravity import axial_gravity, projected_gravity
@@ -186,7 +186,7 @@ def test_mean_of_h1_and_h2_is_biased(entry: LedgerEntry) -> None:
         y = x + np.sqrt(1.0 / coherence - 1.0) * noise
         gains = {}
         for kind in ("h1", "report"):
-            found = estimation.welch_response(x, y, 128.0, segment=2.0, estimator=kind)  # type: ignore[arg-type]
+            found = welch_response(x, y, 128.0, segment=2.0, estimator=kind)  # type: ignore[arg-type]
             gains[kind] = 20.0 * np.log10(found.response.real.mean())
         stated = entry.figure(f"bias at a coherence of {coherence:g}")
         assert gains["report"] - gains["h1"] == pytest.approx(stated, abs=0.02)
@@ -222,7 +222,7 @@ def test_segments_follow_the_options(entry: LedgerEntry) -> None:
     assert 4096 / 128.0 == entry.figure("segment, variables")
     random = np.random.default_rng(1)
     x = random.normal(size=samples)
-    found = estimation.report_response(x, x + random.normal(size=samples), 128.0)
+    found = report_response(x, x + random.normal(size=samples), 128.0)
     assert found.averages.max() < 8.0
 
 

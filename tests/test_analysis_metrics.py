@@ -4,6 +4,7 @@ import control
 import numpy as np
 import pytest
 
+from cmf_mj.analysis.delay import correlation_delay
 from cmf_mj.analysis.metrics import (
     acceleration_noise,
     crosstalk,
@@ -12,7 +13,6 @@ from cmf_mj.analysis.metrics import (
     fit_second_order,
     harmonics,
     hysteresis,
-    transport_delay,
 )
 
 RATE = 128.0
@@ -111,7 +111,7 @@ def test_dynamic_threshold_of_a_lag_is_its_time_constant() -> None:
 
 
 @pytest.mark.parametrize("samples", [0.0, 4.0, 4.4])
-def test_transport_delay_of_a_shifted_signal(samples: float) -> None:
+def test_delay_of_a_shifted_signal(samples: float) -> None:
     """Within a fiftieth of a sample: a parabola stands for the peak of a band-limited signal."""
     time = np.arange(2560) / RATE
     rest = np.random.default_rng(2)
@@ -120,7 +120,7 @@ def test_transport_delay_of_a_shifted_signal(samples: float) -> None:
     def motion(t: np.ndarray) -> np.ndarray:
         return np.asarray(sum(np.sin(2 * np.pi * f * t + p) for f, p in terms))
 
-    found = transport_delay(motion(time), motion(time - samples / RATE), RATE)
+    found = correlation_delay(motion(time), motion(time - samples / RATE), RATE)
     assert found == pytest.approx(samples / RATE, abs=0.02 / RATE)
 
 

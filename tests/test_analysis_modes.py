@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from cmf_mj import Hexapod
 from cmf_mj.analysis import modes
-from cmf_mj.analysis.modes import Range, modes_at, over_envelope, plane_map, sweep
+from cmf_mj.analysis.modes import Range, over_envelope, plane_map, sweep
 from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.machine.dof import dof_unit
@@ -34,7 +34,7 @@ def envelope(plant: Hexapod) -> Range:
 @pytest.mark.parametrize("pose", [np.zeros(6), RAISED])
 def test_a_mode_is_a_leg_on_its_spring(plant: Hexapod, pose: np.ndarray) -> None:
     """w^2 = s'Ks / s'Ms; with equal springs k that is k over the mass a leg feels."""
-    found = modes_at(plant, pose)
+    found = plant.hydraulic_modes(pose)
     legs = pose_to_legs(pose, plant.geometry)
     oil = plant.hydraulics.oil.bulk_modulus
     spring = cylinder.stiffness(plant.hydraulics.cylinder, oil, legs)
@@ -49,7 +49,7 @@ def test_a_mode_is_a_leg_on_its_spring(plant: Hexapod, pose: np.ndarray) -> None
 @pytest.mark.parametrize("pose", [np.zeros(6), RAISED])
 def test_shares_are_of_the_kinetic_energy(plant: Hexapod, pose: np.ndarray) -> None:
     """By the platform's inertia, they sum to 1; by the legs, it is half the unit mass."""
-    found = modes_at(plant, pose)
+    found = plant.hydraulic_modes(pose)
     assert found.share.sum(axis=0) == pytest.approx(np.ones(6), abs=1e-12)
     moved = pose_jacobian(pose, plant.geometry) @ found.pose_shape
     assert moved == pytest.approx(found.leg_shape, abs=1e-12)
@@ -57,7 +57,7 @@ def test_shares_are_of_the_kinetic_energy(plant: Hexapod, pose: np.ndarray) -> N
 
 def test_heave_at_neutral_is_all_legs_alike(plant: Hexapod) -> None:
     """Pure heave moves all legs alike: 1'M1 / 6. The mode has 2 % of pitch in it, within 1 %."""
-    found = modes_at(plant)
+    found = plant.hydraulic_modes()
     heave = int(np.argmax(found.share[2]))
     moving = float(found.reflected_mass.sum()) / 6.0
     assert found.leg_mass[heave] == pytest.approx(moving, rel=0.01)
@@ -66,7 +66,7 @@ def test_heave_at_neutral_is_all_legs_alike(plant: Hexapod) -> None:
 
 def test_mirrored_poses_ring_alike(plant: Hexapod) -> None:
     """The machine is its own image in the vertical plane through x."""
-    one, other = modes_at(plant, RAISED), modes_at(plant, RAISED * MIRROR)
+    one, other = plant.hydraulic_modes(RAISED), plant.hydraulic_modes(RAISED * MIRROR)
     assert one.frequency_hz == pytest.approx(other.frequency_hz, rel=1e-6)
     found = plane_map(plant, ("sway", "roll"), count=5)
     np.testing.assert_allclose(found.first[8:], -found.first[:9], atol=1e-9)
@@ -85,7 +85,7 @@ def test_map_and_sweep_meet(plant: Hexapod) -> None:
         assert ends == pytest.approx([along.excursion[0], along.excursion[-1]], abs=1e-9)
         frequencies = found.frequency_hz[[begin, end], -1]
         np.testing.assert_allclose(frequencies, along.frequency_hz[[0, -1]], rtol=1e-6)
-        np.testing.assert_array_equal(along.frequency_hz[3], modes_at(plant).frequency_hz)
+        np.testing.assert_array_equal(along.frequency_hz[3], plant.hydraulic_modes().frequency_hz)
         np.testing.assert_array_equal(found.frequency_hz[:, 0], 25 * [along.frequency_hz[3]])
     low, high = load_motion_limits().operational[[0, 2]].T
     ends_by_stroke = []
@@ -99,7 +99,7 @@ def test_map_and_sweep_meet(plant: Hexapod) -> None:
             assert min(left, inside) == pytest.approx(0.0, abs=1e-9)
             ends_by_stroke.append(left < inside)
         if ring and ray % 5 == 0:
-            expected = modes_at(plant, pose).frequency_hz
+            expected = plant.hydraulic_modes(pose).frequency_hz
             np.testing.assert_array_equal(found.frequency_hz[ray, ring], expected)
     assert any(ends_by_stroke)
 
@@ -111,7 +111,7 @@ def test_the_worst_pose_is_within_and_worst(plant: Hexapod, envelope: Range) -> 
     assert modes.reserve(worst.pose, plant) >= 0.0
     other = modes.envelope_poses(plant, 150, seed=5)
     assert (low <= other).all() and (other <= high).all()
-    lowest = [modes_at(plant, pose).frequency_hz[0] for pose in other]
+    lowest = [plant.hydraulic_modes(pose).frequency_hz[0] for pose in other]
     assert worst.frequency_hz[0] < min(lowest)
     assert worst.frequency_hz[0] < envelope.frequency_hz[:, 0].min()
 
@@ -177,7 +177,7 @@ def test_the_command_writes_what_it_says(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert len(rows) == 91
     pose = [units.to_si(dof_unit(dof), float(rows[7][f"{dof}_{dof_unit(dof)}"])) for dof in DOFS]
-    expected = modes_at(Hexapod("gfd"), pose).frequency_hz
+    expected = Hexapod("gfd").hydraulic_modes(pose).frequency_hz
     got = [float(rows[7][f"mode_{i}_hz"]) for i in range(1, 7)]
     assert got == pytest.approx(expected, rel=1e-4)
     for name in ("modes_sweep.png", "modes_map.png"):

@@ -9,7 +9,8 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
-from cmf_mj.analysis.metrics import harmonics, transport_delay
+from cmf_mj.analysis.delay import correlation_delay
+from cmf_mj.analysis.metrics import harmonics
 from cmf_mj.control import dcu
 from cmf_mj.core.settings import Settings
 
@@ -180,7 +181,7 @@ def test_the_measured_delay_is_the_configured_one(transmission: int) -> None:
     motion = of(pose, velocity, acceleration)
     demand = dcu.upsample(compiled, dcu.resting(compiled), arrivals(motion, 80.0, 12.0), 24000)
     host = pose(np.arange(24000) * FRAME)
-    found = transport_delay(host[2048:], demand[2048:, 0, 2], RATE)
+    found = correlation_delay(host[2048:], demand[2048:, 0, 2], RATE)
     assert found == pytest.approx(settings.delay.total, abs=FRAME)
     assert settings.delay.total - DELAY.total == pytest.approx((transmission - 6) * FRAME)
 

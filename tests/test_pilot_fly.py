@@ -12,6 +12,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from cmf_mj import signals
+from cmf_mj.analysis.delay import transient_delay
 from cmf_mj.cli.common import app
 from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.core.rates import RATE
@@ -22,7 +23,7 @@ from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot import host as pilot_host
 from cmf_mj.pilot.aircraft.flight import Flight, load_flight
 from cmf_mj.pilot.cueing.settings import load_washout
-from cmf_mj.pilot.fly import Ride, envelope_use, error_spectra, felt, fly, transient_delay
+from cmf_mj.pilot.fly import Ride, envelope_use, error_spectra, felt, fly
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.transport import transport_delay
 from cmf_mj.plant.parameters.loading import load_hydraulics

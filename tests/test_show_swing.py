@@ -12,7 +12,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from cmf_mj import Hexapod
-from cmf_mj.analysis.modes import modes_at, reserve, stroke_room, swinging, with_room
+from cmf_mj.analysis.modes import largest_stroke, reserve, swinging, within_stroke
 from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.machine.kinematics import WORKING_STROKE, pose_to_legs
@@ -42,8 +42,8 @@ def test_the_room_of_a_mode_ends_at_the_working_stroke(
     plant: Hexapod, pose: NDArray[np.float64], mode: int
 ) -> None:
     """With all its room one leg just reaches the working stroke; the largest moves that room."""
-    found = modes_at(plant, pose)
-    room = stroke_room(plant, found, mode)
+    found = plant.hydraulic_modes(pose)
+    room = largest_stroke(plant, found, mode)
     time = np.arange(8) / (8.0 * found.frequency_hz[mode])  # has the two ends of the motion in it
     legs = legs_of(plant, swinging(plant, found, mode, time, stroke=room))
     assert np.abs(legs).max() == pytest.approx(WORKING_STROKE, abs=1e-9)
@@ -57,9 +57,9 @@ def test_the_exaggerated_motion_keeps_every_gimbal_closed(
     plant: Hexapod, pose: NDArray[np.float64]
 ) -> None:
     """MuJoCo's own residual of the 18 closures, through the largest swing of each mode."""
-    found = modes_at(plant, pose)
+    found = plant.hydraulic_modes(pose)
     for mode in range(6):
-        room = stroke_room(plant, found, mode)
+        room = largest_stroke(plant, found, mode)
         time = np.arange(12) / (12.0 * found.frequency_hz[mode])
         for qpos in swinging(plant, found, mode, time, stroke=room):
             plant.data.qpos[:] = qpos
@@ -71,7 +71,7 @@ def test_the_exaggerated_motion_keeps_every_gimbal_closed(
 
 def test_the_legs_swing_as_the_equation_says(plant: Hexapod) -> None:
     """l = l0 + a s sin(2 pi f t), and for small a the platform follows the pose shape."""
-    found = modes_at(plant, LEANING)
+    found = plant.hydraulic_modes(LEANING)
     time, stroke = np.linspace(0.0, 0.3, 7), 1e-4
     for mode in range(6):
         scale = stroke / np.abs(found.leg_shape[:, mode]).max()
@@ -88,24 +88,24 @@ def test_the_legs_swing_as_the_equation_says(plant: Hexapod) -> None:
 def test_a_pose_at_the_end_of_a_leg_has_no_room(plant: Hexapod) -> None:
     pose = np.array([0.0, 0.0, -1.1, 0.0, 0.0, 0.0])
     assert reserve(pose, plant) < 0.0
-    found = modes_at(Hexapod("gfd"), np.zeros(6))._replace(pose=pose)
+    found = Hexapod("gfd").hydraulic_modes(np.zeros(6))._replace(pose=pose)
     with pytest.raises(ValueError, match=r"pose: leaves leg \d -0\.\d+ m of its working stroke"):
-        stroke_room(plant, found, 0)
+        largest_stroke(plant, found, 0)
 
 
 def test_a_pose_is_drawn_back_until_its_legs_have_room(plant: Hexapod) -> None:
     """On the line from neutral, exactly with the room asked for; as it is where it has that."""
-    found = modes_at(plant, LEANING)
+    found = plant.hydraulic_modes(LEANING)
     assert reserve(LEANING, plant) < 0.1
-    near = with_room(plant, found, 0.1)
+    near = within_stroke(plant, found, 0.1)
     assert reserve(near.pose, plant) == pytest.approx(0.1, abs=1e-9)
     share = near.pose / LEANING
     assert share == pytest.approx(np.full(6, share[0])) and 0.5 < share[0] < 1.0
-    np.testing.assert_array_equal(near.frequency_hz, modes_at(plant, near.pose).frequency_hz)
-    assert min(stroke_room(plant, near, mode) for mode in range(6)) >= 0.1 - 1e-9
-    assert with_room(plant, found, 0.01) is found
+    np.testing.assert_array_equal(near.frequency_hz, plant.hydraulic_modes(near.pose).frequency_hz)
+    assert min(largest_stroke(plant, near, mode) for mode in range(6)) >= 0.1 - 1e-9
+    assert within_stroke(plant, found, 0.01) is found
     with pytest.raises(ValueError, match=r"room: 1\.0 m must be at least 0 and less than 0\.9525"):
-        with_room(plant, found, 1.0)
+        within_stroke(plant, found, 1.0)
 
 
 class Watched(swing.Stage):
@@ -124,7 +124,7 @@ def test_the_film_shows_each_mode_with_its_own_period(
     """Frequency on the screen, by fitting a sine to what was drawn: the mode's times the speed."""
     monkeypatch.setattr(swing, "Stage", Watched)
     Watched.seen = []
-    found, chosen = modes_at(plant), SMALL._replace(fps=20, speed=0.2, periods=2.0)
+    found, chosen = plant.hydraulic_modes(), SMALL._replace(fps=20, speed=0.2, periods=2.0)
     told: list[tuple[int, int]] = []
     path = swing_film(
         plant, found, tmp_path / "m.gif", chosen, progress=lambda *done: told.append(done)
@@ -146,7 +146,7 @@ def test_the_film_shows_each_mode_with_its_own_period(
 
 
 def test_an_mp4_is_whole_and_says_what_it_shows(plant: Hexapod, tmp_path: Path) -> None:
-    found = modes_at(plant, LEANING)
+    found = plant.hydraulic_modes(LEANING)
     path = swing_film(plant, found, tmp_path / "m.mp4", SMALL._replace(speed=0.02, periods=0.1))
     with av.open(str(path)) as container:
         pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
@@ -160,7 +160,7 @@ def test_an_mp4_is_whole_and_says_what_it_shows(plant: Hexapod, tmp_path: Path) 
     assert [p.name for p in tmp_path.iterdir()] == ["m.mp4"]
 
     shown = swing.one_swing(plant, found, 5, np.zeros(1), 12.0 * units.INCH)
-    room = units.from_si("in", stroke_room(plant, found, 5))
+    room = units.from_si("in", largest_stroke(plant, found, 5))
     assert room < 12.0
     mass = units.from_si("lbm", found.leg_mass[5])
     leading = 100.0 * found.share[:, 5].max()
@@ -191,7 +191,7 @@ def test_what_a_film_of_modes_cannot_do_is_named(
     change: dict[str, Any], said: str, plant: Hexapod, tmp_path: Path
 ) -> None:
     with pytest.raises(ValueError) as refused:
-        swing_film(plant, modes_at(plant), tmp_path / "x.gif", SMALL._replace(**change))
+        swing_film(plant, plant.hydraulic_modes(), tmp_path / "x.gif", SMALL._replace(**change))
     assert said in str(refused.value)
     assert not list(tmp_path.iterdir())
 

@@ -51,8 +51,8 @@ def test_orders_found_on_the_grid_are_those_of_lag_mode_and_leakage(found: Ident
     assert found.loop is not None
     assert abs(found.loop.phase_error) < 0.03
     assert found.law == "velocity"
-    assert found.loop.step is not None
-    assert found.loop.damping_ratio == pytest.approx(found.loop.step.damping_ratio, abs=0.03)
+    mine, theirs = found.loop
+    assert mine.damping_ratio == pytest.approx(theirs.damping_ratio, abs=0.03)
     assert (found.continuous.input_unit, found.continuous.output_unit) == ("1", "m/s")
     lags = [np.log(r.value.real) * 64.0 for r in found.model.poles() if r.value.imag == 0.0]
     assert min(lags) == pytest.approx(-2.0 * np.pi * 3.0, rel=0.03)

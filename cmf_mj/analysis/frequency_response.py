@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import control
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
 from cmf_mj.analysis.response.estimate import SEGMENT, Estimate, Estimator
@@ -48,6 +48,7 @@ class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]
         **keywords: Any,
     ) -> None:
         """Wrap a SISO response at angular frequencies `omega` [rad/s], (K,)."""
+        keywords.setdefault("name", "response")  # python-control cannot plot a nameless one
         super().__init__(response, omega, **keywords)
         self.coherence = coherence
         """Coherence of each line, 0 to 1, (K,)."""
@@ -238,6 +239,7 @@ def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
         2.0 * np.pi * estimate.frequency,
         inputs=[f"{dof}_demand" for dof in DOFS],
         outputs=list(DOFS),
+        name="response",
     )
 
 
@@ -272,13 +274,18 @@ def bandwidths(response: control.FrequencyResponseData) -> Bandwidths:
     Crossings are interpolated linearly between lines; -3 dB counts from absolute 0 dB, so a law
     with a static error starts below it.
     """
-    values = np.asarray(response.frdata[0, 0])
     frequency = np.asarray(response.omega) / (2.0 * np.pi)
-    gain = 20.0 * np.log10(np.abs(values))
-    phase = np.degrees(np.unwrap(np.angle(values)))
+    return line_bandwidths(frequency, np.asarray(response.frdata[0, 0]))
+
+
+def line_bandwidths(frequency: ArrayLike, response: NDArray[np.complex128]) -> Bandwidths:
+    """`bandwidths` of a complex response (K,) at lines [Hz], (K,), ascending."""
+    lines = np.asarray(frequency, dtype=np.float64)
+    gain = 20.0 * np.log10(np.abs(response))
+    phase = np.degrees(np.unwrap(np.angle(response)))
     return Bandwidths(
-        _falls_through(frequency, phase, -90.0),
-        _falls_through(frequency, gain, -3.0),
+        _falls_through(lines, phase, -90.0),
+        _falls_through(lines, gain, -3.0),
         float(gain.max()),
     )
 

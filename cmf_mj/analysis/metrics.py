@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, signal
+from scipy import optimize
 
+from cmf_mj.analysis.sine import fit_sines
 from cmf_mj.core.errors import InputError
 
 Signal = NDArray[np.float64]
@@ -65,15 +66,12 @@ def harmonics(samples: Signal, rate: float, frequency: float, count: int) -> Har
         )
     angle = 2.0 * np.pi * frequency / rate * np.arange(samples.size)
     orders = np.arange(1, count + 1)
-    waves = np.outer(angle, orders)
-    design = np.column_stack([np.ones(samples.size), np.sin(waves), np.cos(waves)])
-    solution, *_ = np.linalg.lstsq(design, samples, rcond=None)
-    sine, cosine = solution[1 : count + 1], solution[count + 1 :]
+    fit = fit_sines(samples, np.outer(angle, orders))
     return Harmonics(
-        amplitude=np.hypot(sine, cosine),
-        phase=np.arctan2(cosine, sine),
-        offset=float(solution[0]),
-        remainder=samples - design @ solution,
+        amplitude=np.abs(fit.amplitude),
+        phase=np.arctan2(fit.amplitude.real, -fit.amplitude.imag),
+        offset=float(fit.offset),
+        remainder=fit.remainder,
     )
 
 
@@ -200,34 +198,6 @@ def dynamic_threshold(acceleration: Signal, rate: float, size: float, at: float)
         return 0.0
     level = (1.0 - np.exp(-1.0) - share[i - 1]) / (share[i] - share[i - 1])
     return float((i - 1 + level) / rate)
-
-
-def transport_delay(
-    demand: Signal, response: Signal, rate: float, *, longest: float = 2.0
-) -> float:
-    """Delay of the response [s]: lag of the largest cross-correlation, parabola through the peak.
-
-    Means are removed. For a system with dynamics this is its mean delay over the band excited.
-
-    Args:
-        demand: (N,).
-        response: (N,).
-        rate: sampling rate [Hz].
-        longest: largest delay looked for [s], less than the period of a periodic demand.
-    """
-    x, y = demand - demand.mean(), response - response.mean()
-    correlation = signal.correlate(y, x, method="fft")
-    lags = signal.correlation_lags(y.size, x.size)
-    near = np.abs(lags) <= min(round(longest * rate), x.size // 2)
-    # Over the samples that overlap: the sum alone would pull the peak towards no lag.
-    values = correlation[near] / (x.size - np.abs(lags[near]))
-    peak = int(values.argmax())
-    shift = 0.0
-    if 0 < peak < values.size - 1:
-        before, top, after = values[peak - 1 : peak + 2]
-        bend = before - 2.0 * top + after
-        shift = 0.5 * (before - after) / bend if bend != 0.0 else 0.0
-    return float((lags[near][peak] + shift) / rate)
 
 
 class SecondOrder(NamedTuple):

@@ -26,21 +26,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE, legs_to_pose, pose_to_legs
 from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
-from cmf_mj.plant.hexapod import Hexapod
-
-
-class ModeSet(NamedTuple):
-    """The six modes at one pose, lowest first."""
-
-    cab: str
-    pose: NDArray[np.float64]  #: (6,) [m, rad], z down.
-    reflected_mass: NDArray[np.float64]  #: M_leg [kg], (6, 6).
-    frequency_hz: NDArray[np.float64]  #: (6,) [Hz].
-    leg_mass: NDArray[np.float64]  #: Mass a leg feels in each mode [kg], (6,).
-    leg_shape: NDArray[np.float64]  #: A column a mode, unit reflected mass, (6, 6).
-    pose_shape: NDArray[np.float64]  #: The same as platform motion [m, rad], (6, 6).
-    share: NDArray[np.float64]
-    """Part of each degree of freedom (rows) in the kinetic energy of each mode (columns)."""
+from cmf_mj.plant.hexapod import Hexapod, HydraulicModes
 
 
 class Sweep(NamedTuple):
@@ -65,8 +51,8 @@ class PlaneMap(NamedTuple):
 class Range(NamedTuple):
     """Modes over the whole envelope."""
 
-    modes: tuple[ModeSet, ...]  #: At the poses looked at.
-    worst: ModeSet  #: Where the lowest mode is lowest.
+    modes: tuple[HydraulicModes, ...]  #: At the poses looked at.
+    worst: HydraulicModes  #: Where the lowest mode is lowest.
 
     @property
     def poses(self) -> NDArray[np.float64]:
@@ -77,25 +63,6 @@ class Range(NamedTuple):
     def frequency_hz(self) -> NDArray[np.float64]:
         """Frequencies there, (n, 6) [Hz]."""
         return np.array([modes.frequency_hz for modes in self.modes])
-
-
-def modes_at(plant: Hexapod, pose: ArrayLike | None = None) -> ModeSet:
-    """Modes at a pose, (6,) [m, rad], z down; default neutral."""
-    target = np.zeros(6) if pose is None else kinematics.one_pose(pose)
-    found = plant.hydraulic_modes(target)
-    mass = plant.reflected_mass(target)
-    jacobian = kinematics.pose_jacobian(target, plant.geometry)
-    momentum = jacobian.T @ mass @ found.leg_shape
-    return ModeSet(
-        plant.cab,
-        target,
-        mass,
-        found.frequency / (2.0 * np.pi),
-        1.0 / np.sum(found.leg_shape**2, axis=0),
-        found.leg_shape,
-        found.pose_shape,
-        found.pose_shape * momentum,
-    )
 
 
 def reserve(pose: ArrayLike, plant: Hexapod) -> NDArray[np.float64]:
@@ -109,10 +76,6 @@ def reserve(pose: ArrayLike, plant: Hexapod) -> NDArray[np.float64]:
         (...).
     """
     return WORKING_STROKE - np.abs(pose_to_legs(pose, plant.geometry)).max(axis=-1)
-
-
-def _frequencies(plant: Hexapod, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    return plant.hydraulic_modes(pose).frequency / (2.0 * np.pi)
 
 
 def _excursions(plant: Hexapod, dof: int, limits: MotionLimits, count: int) -> NDArray[np.float64]:
@@ -139,7 +102,9 @@ def sweep(
     excursions = _excursions(plant, index, limits or load_motion_limits(), count)
     poses = np.zeros((excursions.size, 6))
     poses[:, index] = excursions
-    return Sweep(dof, excursions, np.array([_frequencies(plant, pose) for pose in poses]))
+    return Sweep(
+        dof, excursions, np.array([plant.hydraulic_modes(pose).frequency_hz for pose in poses])
+    )
 
 
 def _reach(plant: Hexapod, direction: NDArray[np.float64], limits: MotionLimits) -> float:
@@ -190,9 +155,9 @@ def plane_map(
         poses[ray] = far[:, None] * direction
     poses[rays] = poses[0]
     frequencies = np.empty(poses.shape)
-    frequencies[:, 0] = _frequencies(plant, np.zeros(6))
+    frequencies[:, 0] = plant.hydraulic_modes().frequency_hz
     for ray, ring in np.ndindex(rays, rings - 1):
-        frequencies[ray, ring + 1] = _frequencies(plant, poses[ray, ring + 1])
+        frequencies[ray, ring + 1] = plant.hydraulic_modes(poses[ray, ring + 1]).frequency_hz
     frequencies[rays] = frequencies[0]
     return PlaneMap(dofs, poses[..., indices[0]], poses[..., indices[1]], frequencies)
 
@@ -246,7 +211,7 @@ def over_envelope(
         raise InputError(f"samples: {samples} must be at least 90")
     allowed = limits or load_motion_limits()
     poses = envelope_poses(plant, samples, seed=seed, limits=allowed)
-    looked_at = tuple(modes_at(plant, pose) for pose in poses)
+    looked_at = tuple(plant.hydraulic_modes(pose) for pose in poses)
     lowest_ones = np.array([modes.frequency_hz[0] for modes in looked_at])
     tell = progress or (lambda done, total: None)
     tell(1, rounds + 1)
@@ -261,7 +226,7 @@ def over_envelope(
         # Beyond the mechanical stroke there is no plant to ask.
         if (left := float(reserve(pose, plant))) < 0.0:
             return float(lowest_ones.max()) - left
-        return float(_frequencies(plant, pose)[0])
+        return float(plant.hydraulic_modes(pose).frequency_hz[0])
 
     found = optimize.differential_evolution(
         lowest,
@@ -274,10 +239,10 @@ def over_envelope(
         polish=False,
     )
     tell(rounds + 1, rounds + 1)
-    return Range(looked_at, modes_at(plant, found.x))
+    return Range(looked_at, plant.hydraulic_modes(found.x))
 
 
-def with_room(plant: Hexapod, modes: ModeSet, room: float) -> ModeSet:
+def within_stroke(plant: Hexapod, modes: HydraulicModes, room: float) -> HydraulicModes:
     """Modes at a pose, or as far on the way there from neutral as all legs keep some stroke.
 
     Args:
@@ -293,10 +258,10 @@ def with_room(plant: Hexapod, modes: ModeSet, room: float) -> ModeSet:
     if reserve(modes.pose, plant) >= room:
         return modes
     share = optimize.brentq(lambda part: reserve(part * modes.pose, plant) - room, 0.0, 1.0)
-    return modes_at(plant, share * modes.pose)
+    return plant.hydraulic_modes(share * modes.pose)
 
 
-def stroke_room(plant: Hexapod, modes: ModeSet, mode: int) -> float:
+def largest_stroke(plant: Hexapod, modes: HydraulicModes, mode: int) -> float:
     """Largest leg motion [m] of a mode about its pose that the working stroke allows.
 
     With extensions l and a leg shape s whose largest part is 1 it is min_j (L - |l_j|) / |s_j|,
@@ -322,7 +287,7 @@ def stroke_room(plant: Hexapod, modes: ModeSet, mode: int) -> float:
 
 
 def swinging(
-    plant: Hexapod, modes: ModeSet, mode: int, time: ArrayLike, *, stroke: float
+    plant: Hexapod, modes: HydraulicModes, mode: int, time: ArrayLike, *, stroke: float
 ) -> NDArray[np.float64]:
     """Configurations of a mode swinging from its pose, l(t) = l + stroke s sin(2 pi f t).
 
@@ -334,7 +299,7 @@ def swinging(
         modes: modes at the pose about which it swings.
         mode: index of the mode, 0 the lowest.
         time: (n,) [s].
-        stroke: largest leg motion [m], at most `stroke_room`.
+        stroke: largest leg motion [m], at most `largest_stroke`.
 
     Returns:
         MuJoCo's qpos, (n, nq).
@@ -342,7 +307,7 @@ def swinging(
     Raises:
         InputError: a leg would leave its working stroke.
     """
-    room = stroke_room(plant, modes, mode)
+    room = largest_stroke(plant, modes, mode)
     if not 0.0 < stroke <= room:
         raise InputError(
             f"stroke: {stroke:.4f} m must be greater than 0 and at most {room:.4f} m, where mode "

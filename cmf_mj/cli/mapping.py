@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from cmf_mj.analysis.modes import ModeSet, modes_at, over_envelope, plane_map, sweep, with_room
+from cmf_mj.analysis.modes import over_envelope, plane_map, sweep, within_stroke
 from cmf_mj.cli.common import (
     TEXT_WIDTH,
     Camera,
@@ -23,7 +23,7 @@ from cmf_mj.cli.common import (
 from cmf_mj.core import units
 from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.hexapod import Hexapod, HydraulicModes
 from cmf_mj.show import modes as modes_report
 from cmf_mj.show.film.swing import SwingSettings, swing_film
 
@@ -68,11 +68,11 @@ def modes_command(
     try:
         plants = [Hexapod(name, hydraulics) for name in names_of(cab, tuple(models.CABS))]
         here = pose_option(pose)
-        found = [modes_at(plant, here) for plant in plants]
+        found = [plant.hydraulic_modes(here) for plant in plants]
         looks = SwingSettings(fps, speed, camera, width, height, units.to_si("in", stroke), periods)
 
         def filmed(
-            name: Path, plant: Hexapod, modes: ModeSet, suffix: str = "", where: str = ""
+            name: Path, plant: Hexapod, modes: HydraulicModes, suffix: str = "", where: str = ""
         ) -> list[Path]:
             path = out / name.with_name(f"{name.stem}_{plant.cab}{suffix}{name.suffix}")
             title = modes_report.title_of(modes, where)
@@ -102,7 +102,7 @@ def modes_command(
         show(modes_report.range_table(ranges), width=TEXT_WIDTH)
         for plant, one in zip(plants, ranges, strict=True):
             if video is not None:
-                near = with_room(plant, one.worst, _ROOM * looks.stroke)
+                near = within_stroke(plant, one.worst, _ROOM * looks.stroke)
                 where = "worst pose" if near is one.worst else "near the worst pose"
                 paths += filmed(video, plant, near, "_worst", where)
         show(written(paths, out), width=TEXT_WIDTH)

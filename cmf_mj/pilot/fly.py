@@ -15,9 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
-from scipy.interpolate import make_interp_spline
-from scipy.optimize import minimize_scalar
 
+from cmf_mj.analysis.delay import transient_delay
 from cmf_mj.control.law import Law
 from cmf_mj.control.states import State
 from cmf_mj.core.errors import InputError
@@ -252,36 +251,3 @@ def _delays(sent: NDArray[np.float64], record: Record) -> tuple[float, float]:
         transient_delay(sent_rate, wanted_rate, record.rate),
         transient_delay(wanted_rate, true_rate, record.rate),
     )
-
-
-def transient_delay(
-    demand: NDArray[np.float64],
-    response: NDArray[np.float64],
-    rate: float,
-    *,
-    longest: float = 0.5,
-) -> float:
-    """Delay that brings a demand closest to its response, offset and gain left free [s].
-
-    The largest correlation coefficient of response and shifted demand over the same samples of the
-    response: a slow transient, unlike a stationary signal, pulls the peak of a cross-correlation
-    towards where more of it overlaps.
-
-    Args:
-        demand: (N,), at rest at the start.
-        response: (N,).
-        rate: samples a second [Hz].
-        longest: largest delay looked for [s].
-    """
-    time = np.arange(demand.size) / rate
-    spline = make_interp_spline(time, demand, k=3)
-
-    def unlike(delay: float) -> float:
-        shifted = spline(np.maximum(time - delay, 0.0))
-        return -float(np.corrcoef(shifted, response)[0, 1])
-
-    tried = np.linspace(0.0, longest, 26)
-    near = tried[int(np.argmin([unlike(delay) for delay in tried]))]
-    step = tried[1]
-    bounds = (max(near - step, 0.0), near + step)
-    return float(minimize_scalar(unlike, bounds=bounds, method="bounded").x)

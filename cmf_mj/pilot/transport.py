@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from cmf_mj import signals
 from cmf_mj.analysis import metrics
+from cmf_mj.analysis.delay import phase_delay
 from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.control.law import Law
 from cmf_mj.core.errors import InputError
@@ -105,7 +106,7 @@ def transport_delay(
         return fundamental(record[name] @ pattern)
 
     def late(before: complex, after: complex) -> float:
-        return float(-np.angle(after / before) / omega)
+        return phase_delay(before, after, frequency)
 
     sent = fundamental(kinematics.pose_to_legs(command.pose) @ pattern)
     reference, valve, opening = map(legs, ("leg_reference", "valve_command", "valve_opening"))

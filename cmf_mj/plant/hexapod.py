@@ -25,13 +25,50 @@ _LEGS = range(1, 7)
 
 
 class HydraulicModes(NamedTuple):
-    """Undamped modes of the reflected mass on the oil springs, lowest first."""
+    """Undamped modes of the reflected mass on the oil springs at one pose, lowest first.
 
+    M_leg(x) d2l/dt2 + K(x) l = 0 with the valves shut and no leakage. A mode of leg shape s,
+    s' M_leg s = 1, moves the platform by p = J^-1 s; single legs have one mode of the mass of
+    their payload.
+    """
+
+    cab: str
+    pose: NDArray[np.float64]  #: (6,) [m, rad], z down.
+    reflected_mass: NDArray[np.float64]  #: M_leg [kg], (6, 6).
     frequency: NDArray[np.float64]  #: Natural frequencies [rad/s], (6,).
     leg_shape: NDArray[np.float64]
     """Leg motion of each mode, (6, 6), a column a mode, unit reflected mass."""
     pose_shape: NDArray[np.float64]
     """Platform motion of each mode, (6, 6), a column a mode: m and rad per unit of the mode."""
+    share: NDArray[np.float64]
+    """Part p_d (J' M_leg J p)_d of each degree of freedom d (rows) in the kinetic energy of each
+    mode (columns)."""
+
+    @property
+    def frequency_hz(self) -> NDArray[np.float64]:
+        """Natural frequencies [Hz], (6,)."""
+        return self.frequency / (2.0 * np.pi)
+
+    @property
+    def leg_mass(self) -> NDArray[np.float64]:
+        """Mass a leg feels in each mode, 1 / s's [kg], (6,)."""
+        return 1.0 / np.sum(self.leg_shape**2, axis=0)
+
+
+def oil_modes(
+    mass: NDArray[np.float64], springs: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Modes of M d2l/dt2 + K l = 0, lowest first.
+
+    Args:
+        mass: M, reflected mass [kg], (n, n).
+        springs: diagonal of K, stiffness of the oil columns [N/m], (n,).
+
+    Returns:
+        Natural frequencies [rad/s], (n,), and shapes of unit mass, (n, n), a column a mode.
+    """
+    squares, shapes = linalg.eigh(np.diag(springs), mass)
+    return np.sqrt(squares), shapes
 
 
 class Hexapod(Plant):
@@ -137,15 +174,17 @@ class Hexapod(Plant):
         Args:
             pose: (6,) [m, rad], z down; default neutral.
         """
-        target = np.zeros(6) if pose is None else np.asarray(pose, dtype=float)
+        target = np.zeros(6) if pose is None else kinematics.one_pose(pose)
         mass = self.reflected_mass(target)
         legs = kinematics.pose_to_legs(target, self.geometry)
-        spring = np.diag(
-            cylinder.stiffness(self.hydraulics.cylinder, self.hydraulics.oil.bulk_modulus, legs)
+        springs = cylinder.stiffness(
+            self.hydraulics.cylinder, self.hydraulics.oil.bulk_modulus, legs
         )
-        squares, shapes = linalg.eigh(spring, mass)
-        to_pose = np.linalg.inv(kinematics.pose_jacobian(target, self.geometry))
-        return HydraulicModes(np.sqrt(squares), shapes, to_pose @ shapes)
+        frequency, shapes = oil_modes(mass, springs)
+        jacobian = kinematics.pose_jacobian(target, self.geometry)
+        moved = np.linalg.inv(jacobian) @ shapes
+        momentum = jacobian.T @ mass @ shapes
+        return HydraulicModes(self.cab, target, mass, frequency, shapes, moved, moved * momentum)
 
 
 def hexapod_spec(cab: str = "gfd") -> mujoco.MjSpec:

@@ -83,7 +83,7 @@ def model_table(found: Identified) -> Table:
     )
     if loop is not None:
         for label, kind in (("-90 deg", "phase"), ("-3 dB", "gain")):
-            mine, theirs = (getattr(widths, f"{kind}_hz") for widths in (loop.model, loop.measured))
+            mine, theirs = (getattr(side, f"{kind}_bandwidth_hz") for side in loop)
             off = getattr(loop, f"{kind}_error")
             table.add_row(
                 f"closed loop, {label}",
@@ -91,9 +91,9 @@ def model_table(found: Identified) -> Table:
                 "",
                 f"measured {theirs:.3f} Hz, error {100.0 * off:+.1f} %, law {found.law}",
             )
-        if loop.step is not None:
+        if not np.isnan(loop.measured.rise_time):
             for label, name in (("damping ratio", "damping_ratio"), ("rise time", "rise_time")):
-                mine, theirs = getattr(loop, name), getattr(loop.step, name)
+                mine, theirs = (getattr(side, name) for side in loop)
                 unit = " s" if name == "rise_time" else ""
                 note = f"measured {theirs:.3f}{unit}, of the step"
                 table.add_row(f"closed loop, {label}", f"{mine:.3f}{unit}", "", note)
@@ -304,9 +304,6 @@ def save_identification(found: Identified, folder: Path) -> list[Path]:
                     "measured": loop.measured._asdict(),
                     "phase_error": loop.phase_error,
                     "gain_error": loop.gain_error,
-                    "damping_ratio": loop.damping_ratio,
-                    "rise_time": loop.rise_time,
-                    "measured_step": None if loop.step is None else loop.step._asdict(),
                 },
             }
         ),

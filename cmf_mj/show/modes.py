@@ -10,11 +10,12 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.modes import ModeSet, PlaneMap, Range, Sweep
+from cmf_mj.analysis.modes import PlaneMap, Range, Sweep
 from cmf_mj.core import units
 from cmf_mj.core.files import write_csv
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.plant.hexapod import HydraulicModes
 from cmf_mj.show.look import COLOURS, DARK, grid, new_figure, pose_text, save_figures
 from cmf_mj.show.table import Table
 
@@ -26,13 +27,13 @@ _SIX = range(1, 7)
 _POSE_HEADER = ["cab", *(f"{dof}_{dof_unit(dof)}" for dof in DOFS)]
 
 
-def title_of(modes: ModeSet, name: str = "") -> str:
+def title_of(modes: HydraulicModes, name: str = "") -> str:
     """Cab, name of the pose if it has one, and the pose."""
     parts = (modes.cab.upper(), name, pose_text(modes.pose, ".1f"))
     return ", ".join(part for part in parts if part)
 
 
-def mode_table(modes: ModeSet, name: str = "") -> Table:
+def mode_table(modes: HydraulicModes, name: str = "") -> Table:
     """Frequency, mass a leg feels, and what moves in each mode; `name` is the pose's."""
     rows = []
     for i, shares in enumerate(modes.share.T):
@@ -44,7 +45,7 @@ def mode_table(modes: ModeSet, name: str = "") -> Table:
     return Table(title_of(modes, name), (*numbers, "share of the kinetic energy"), rows)
 
 
-def mass_table(modes: ModeSet) -> Table:
+def mass_table(modes: HydraulicModes) -> Table:
     """The reflected mass, leg by leg."""
     masses = units.from_si("lbm", modes.reflected_mass)
     columns = (("leg", ""), *((str(leg), ".0f") for leg in _SIX))
@@ -129,7 +130,7 @@ def _in_units(pose: NDArray[np.float64]) -> list[str]:
     return _numbers(units.from_si(dof_unit(d), v) for d, v in zip(DOFS, pose, strict=True))
 
 
-def _pose_cells(modes: ModeSet) -> list[str]:
+def _pose_cells(modes: HydraulicModes) -> list[str]:
     return [modes.cab, *_in_units(modes.pose)]
 
 
@@ -159,7 +160,7 @@ def save_envelope(
     ]
 
 
-def save_modes(modes: Iterable[ModeSet], folder: Path) -> list[Path]:
+def save_modes(modes: Iterable[HydraulicModes], folder: Path) -> list[Path]:
     """Write `reflected_mass.csv` and `mode_shapes.csv`, six lines a cab and pose.
 
     The first has a row of the (6, 6) reflected mass a line, in lbm. The second a mode a line:
@@ -181,7 +182,7 @@ def save_modes(modes: Iterable[ModeSet], folder: Path) -> list[Path]:
     return [first, write_csv(folder / "mode_shapes.csv", header, shapes)]
 
 
-def _mode_cells(modes: ModeSet, mode: int) -> list[str]:
+def _mode_cells(modes: HydraulicModes, mode: int) -> list[str]:
     legs = modes.leg_shape[:, mode]
     largest = legs[np.abs(legs).argmax()]
     # Per metre of the largest leg motion, hence per inch what 0.0254 m make.

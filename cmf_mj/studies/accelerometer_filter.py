@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj import signals
+from cmf_mj.analysis.sine import fit_sines
 from cmf_mj.control.feedback import filter_acceleration, make_feedback, noise_gain
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
@@ -91,9 +92,7 @@ def _readings(truth: Truth, settings: SensorSettings, law: Law, seed: int, skip:
 def _tone(values: NDArray[np.float64]) -> NDArray[np.complex128]:
     """Complex amplitudes (6,) at `FREQUENCY`, least squares with an offset."""
     angle = 2.0 * np.pi * FREQUENCY * FRAME * np.arange(values.shape[0])
-    basis = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(angle)])
-    fit = np.linalg.lstsq(basis, values, rcond=None)[0]
-    return fit[0] - 1j * fit[1]
+    return fit_sines(values, angle).amplitude[0]
 
 
 def truth_of(record: Record) -> Truth:

@@ -12,22 +12,27 @@ from typing import Literal, get_args
 import numpy as np
 
 from cmf_mj import signals
-from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths, frequency_response
-from cmf_mj.analysis.identification.arx import Selection, arx, select_orders
-from cmf_mj.analysis.identification.continuous import in_field_units, to_continuous
-from cmf_mj.analysis.identification.data import RATE, Experiment, experiment
-from cmf_mj.analysis.identification.loop import (
-    LoopErrors,
-    axis_bandwidths,
-    closed_loop_response,
-    loop_errors,
+from cmf_mj.analysis.frequency_response import (
+    FrequencyResponse,
+    bandwidths,
+    frequency_response,
+    line_bandwidths,
 )
+from cmf_mj.analysis.identification.arx import Selection, arx, select_orders
+from cmf_mj.analysis.identification.continuous import (
+    LoopErrors,
+    in_field_units,
+    loop_errors,
+    to_continuous,
+)
+from cmf_mj.analysis.identification.data import RATE, Experiment, experiment
 from cmf_mj.analysis.identification.model import Orders, PolynomialModel
 from cmf_mj.analysis.identification.multi_dof import DofComparison, compare_dofs
 from cmf_mj.analysis.identification.plant_response import plant_response
 from cmf_mj.analysis.identification.refinement import instrumental_variable, output_error
 from cmf_mj.analysis.identification.response_fit import ResponseFit
 from cmf_mj.analysis.identification.validation import Residuals, residual_analysis, simulation_fit
+from cmf_mj.analysis.linear.loop import closed_loop_response
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, law_names, load_law
 from cmf_mj.core.errors import InputError
@@ -276,7 +281,7 @@ def identify_matrix(
     common = comparison.own[DOFS.index(shared)].response(frequency)
     shares = np.eye(6) * common[:, None, None]
     alike = closed_loop_response(mounted, shares, frequency, legs_of_axes=legs)
-    everywhere = axis_bandwidths(alike, frequency, 0)
+    everywhere = line_bandwidths(frequency, alike[:, 0, 0])
     measured = []
     for dof in DOFS:
         command = signals.multisine(dof, dof_amplitude(dof, None), periods=2)
@@ -287,5 +292,5 @@ def identify_matrix(
         comparison,
         tuple(measured),
         (everywhere.phase_hz,) * len(DOFS),
-        tuple(axis_bandwidths(loop, frequency, i).phase_hz for i in range(len(DOFS))),
+        tuple(line_bandwidths(frequency, loop[:, i, i]).phase_hz for i in range(len(DOFS))),
     )

@@ -20,6 +20,7 @@ from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.reduction import pose_loop, reduced
 from cmf_mj.analysis.response.periodic import sine_response
+from cmf_mj.analysis.sine import fit_sines
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
@@ -172,23 +173,16 @@ def compare_with_simulation(
         found.append(sine_response(x[part], y[part], record.rate, dwell["frequency"]).response[0])
         whole = slice(first, first + dwell["frames"])
         omega = 2.0 * np.pi * dwell["frequency"]
-        turn = np.exp(-1j * omega * np.arange(dwell["frames"]) / record.rate)
-        moved = _fundamental(record["leg_extension"][whole], turn)
-        valves = _fundamental(at_valves[whole], turn) * np.exp(-0.5j * omega / record.rate)
+        angle = omega * np.arange(dwell["frames"]) / record.rate
+        moved, valves = (
+            fit_sines(values[whole], angle, drift=True).amplitude[0]
+            for values in (record["leg_extension"], at_valves)
+        )
+        valves = valves * np.exp(-0.5j * omega / record.rate)
         plants.append((along @ moved) / (along @ (positions(1j * omega) @ valves)))
     frequency = np.asarray(frequencies, dtype=float)
     linear = control.frequency_response(loop, 2.0 * np.pi * frequency).frdata[0, 0]
     return Comparison(signal, frequency, np.array(found), np.asarray(linear), np.array(plants))
-
-
-def _fundamental(
-    values: NDArray[np.float64], turn: NDArray[np.complex128]
-) -> NDArray[np.complex128]:
-    """Amplitudes of the sine in columns (N, n), beside a mean and a drift, (n,)."""
-    ramp = np.linspace(-1.0, 1.0, turn.size)
-    basis = np.column_stack([turn.real, turn.imag, np.ones_like(ramp), ramp])
-    cosine, sine = np.linalg.lstsq(basis, values)[0][:2]
-    return cosine + 1j * sine
 
 
 def _along(plant: Plant, pose: ArrayLike | None, signal: str) -> NDArray[np.float64]:

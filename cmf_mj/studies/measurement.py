@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cmf_mj import signals
 from cmf_mj.analysis import metrics
+from cmf_mj.analysis.delay import correlation_delay
 from cmf_mj.analysis.frequency_response import (
     Bandwidths,
     FrequencyResponse,
@@ -243,7 +244,7 @@ def measure(
 
     sweep = run(signals.chirp(dof, size))
     response = frequency_response(sweep)
-    delay = metrics.transport_delay(
+    delay = correlation_delay(
         dof_history(sweep, "leg_reference", dof),
         dof_history(sweep, "leg_position", dof),
         sweep.rate,

@@ -1,21 +1,26 @@
-"""From discrete models to continuous ones.
+"""Identified models in continuous time, closed with the law and held against the measured loop.
 
-What a discrete model means between the samples depends on its data. Series that were decimated are
-band-limited: there the model's response on the unit circle is the continuous one,
-G(j w) = G_d(e^(j w T)) within the excited band, and `to_continuous` finds the rational function of
-s that has this response. Where the input was held between the samples, as the valve command is
-between control frames at 2048 Hz, `from_zero_order_hold` inverts the hold exactly.
+Series that were decimated are band-limited: the response of a discrete model on the unit circle is
+the continuous one there, G(j w) = G_d(e^(j w T)) within the excited band, and `to_continuous` fits
+the rational function of s that has this response.
+
+A model of leg velocity per command is closed as in Figure 4-5, position by integration, pressures
+zero, and compared with the measured loop in the terms of Table 4-1.
 """
 
-import warnings
+from typing import NamedTuple
 
 import control
 import numpy as np
-from scipy import linalg
 
+from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.identification.model import PolynomialModel
 from cmf_mj.analysis.identification.response_fit import ResponseFit, fit_response
+from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.transfer import UnitTransferFunction
+from cmf_mj.analysis.measures import Measures, joined, measure_loop
+from cmf_mj.analysis.step_response import StepMetrics
+from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 
@@ -23,9 +28,6 @@ BAND = (0.1, 10.0)
 """Band in which a band-limited model is believed [Hz]: the report's of interest (section 4.2)."""
 
 _LINES = 200
-
-_LOST = 1e-8
-"""Relative error of a matrix logarithm from which on it is refused."""
 
 
 def to_continuous(
@@ -88,38 +90,43 @@ def in_field_units(velocity: control.TransferFunction) -> UnitTransferFunction:
     )
 
 
-def from_zero_order_hold(model: control.StateSpace) -> control.StateSpace:
-    """Continuous system whose zero-order hold at the model's step is the discrete model.
+class LoopErrors(NamedTuple):
+    """A model's closed loop beside the measured one, in the terms of Table 4-1."""
 
-    [A B; 0 I] = expm([Ac Bc; 0 0] T), by the matrix logarithm.
+    model: Measures
+    measured: Measures  #: Without a measured step its shape is NaN.
+
+    @property
+    def phase_error(self) -> float:
+        """Relative error of the -90 deg bandwidth, positive where the model is faster."""
+        return self.model.phase_bandwidth_hz / self.measured.phase_bandwidth_hz - 1.0
+
+    @property
+    def gain_error(self) -> float:
+        """Relative error of the -3 dB bandwidth."""
+        return self.model.gain_bandwidth_hz / self.measured.gain_bandwidth_hz - 1.0
+
+
+def loop_errors(
+    velocity: UnitTransferFunction,
+    law: str | Law,
+    measured: FrequencyResponse,
+    step: StepMetrics | None = None,
+    *,
+    command_delay: int = 1,
+) -> LoopErrors:
+    """Close a velocity model with the law and compare it with the measured closed loop.
+
+    Args:
+        velocity: leg velocity per command, continuous [in/s per %]; see `in_field_units`.
+        law: the law of the measurement.
+        measured: its response from reference to position, `frequency_response`.
+        step: its measured step.
+        command_delay: frames from the DCL to the valves.
 
     Raises:
-        InputError: the model is continuous, or has a pole on the negative real axis or at 0, for
-            which there is no such system of the same order.
+        InputError: a refused law or delay.
     """
-    step = model.dt
-    if not step or step is True:
-        raise InputError("model: has no sampling interval")
-    a, b = np.asarray(model.A), np.asarray(model.B)
-    poles = np.linalg.eigvals(a)
-    bad = poles[(np.abs(poles.imag) < 1e-12) & (poles.real <= 0.0)]
-    if bad.size:
-        raise InputError(f"model: pole {bad[0].real:.4f} has no continuous counterpart")
-    order, inputs = b.shape
-    whole = np.block([[a, b], [np.zeros((inputs, order)), np.eye(inputs)]])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # it judges by a bound; we check
-        log = np.real(linalg.logm(whole))
-    lost = float(np.abs(linalg.expm(log) - whole).max() / np.abs(whole).max())
-    if lost > _LOST:
-        raise InputError(f"model: its hold cannot be inverted; the logarithm is off by {lost:.1e}")
-    log = log / step
-    return control.ss(
-        log[:order, :order],
-        log[:order, order:],
-        model.C,
-        model.D,
-        inputs=model.input_labels,
-        outputs=model.output_labels,
-        name=model.name,
-    )
+    loop = closed_loop(law, velocity, command_delay=command_delay)
+    model = measure_loop(loop, frequencies=measured.frequency)
+    return LoopErrors(model, joined(bandwidths(measured), step))

@@ -14,17 +14,14 @@ what the error can be when they add up.
 from collections.abc import Mapping
 from typing import Any
 
-import control
 import numpy as np
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.identification.data import Real, experiment
 from cmf_mj.analysis.response.estimate import SEGMENT, Estimate
-from cmf_mj.analysis.response.matrix import matrix_response
 from cmf_mj.analysis.response.periodic import periodic_response
 from cmf_mj.analysis.response.welch import welch_response
 from cmf_mj.core.errors import InputError
-from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.record.record import Record
 
 RATE = 128.0
@@ -101,49 +98,3 @@ def _response(
         return periodic_response(x[whole], y[whole], rate, period, lines=lines)
     band = (max(low, 2.0 / segment), high)
     return welch_response(x, y, rate, segment=segment, band=band, pad=True)
-
-
-def plant_matrix(record: Record, *, output: str = "leg_velocity") -> control.FrequencyResponseData:
-    """Response from commands at the valves to a leg signal, 6 by 6 degrees of freedom, of one run.
-
-    Columns of reference to input and to output are measured on each reference's own lines and drawn
-    straight between them before the two are divided: look at it, but fit models to the series.
-
-    Args:
-        record: of `excitations.orthogonal_multisines` in all six degrees of freedom.
-        output: channel.
-
-    Raises:
-        InputError: another excitation.
-    """
-    command = record.metadata["command"]
-    if command.get("kind") != "orthogonal_multisines":
-        kind = command.get("kind")
-        raise InputError(f"record: its command is {kind!r}; orthogonal multisines are needed")
-    series = experiment(record, DOFS, outputs=output, rate=_rate(record))
-    whole = slice(round(command["period"] * series.rate) * command["periods"])
-    reference = series.reference
-    if reference is None or (np.ptp(reference, axis=0) < 1e-9).any():
-        raise InputError("record: a degree of freedom is at rest; all six are needed")
-    to_input, to_output = (
-        matrix_response(
-            reference[whole],
-            values[whole],
-            series.rate,
-            period=command["period"],
-            band=(command["start"], command["stop"]),
-            interpolate=True,
-        )
-        for values in (series.input, series.output)
-    )
-    known = np.isfinite(to_input.response).all(axis=(1, 2))
-    # G U = Y, line by line: U^T G^T = Y^T.
-    transposed = np.linalg.solve(
-        np.swapaxes(to_input.response[known], 1, 2), np.swapaxes(to_output.response[known], 1, 2)
-    )
-    return control.FrequencyResponseData(
-        np.moveaxis(np.swapaxes(transposed, 1, 2), 0, -1),
-        2.0 * np.pi * to_input.frequency[known],
-        inputs=list(series.input_names),
-        outputs=list(series.output_names),
-    )

@@ -2,9 +2,11 @@
 
     H(s) = g N(s) / D(s) e^(-s tau),   minimise sum_k |H(j w_k) - H_k|^2 / sigma_k^2
 
-Two steps. Relaxed vector fitting (`vector_fit`) finds poles without a
-starting guess. Then poles, zeros, gain and delay are refined together on the complex residuals by
-`scipy.optimize.least_squares` with the exact Jacobian. Poles are second-order sections
+Two steps. Poles are found without a starting guess by the linear least squares of D H = N,
+repeated with the weight 1 / |D| of the time before (Sanathanan and Koerner, IEEE Trans. Automatic
+Control 8 (1963) 56-58); those in the right half plane are reflected and counted. Then poles, zeros,
+gain and delay are refined together on the complex residuals by `scipy.optimize.least_squares` with
+the exact Jacobian. Poles are second-order sections
 s^2 + a1 s + a0 in the logarithms of a1 and a0 and so remain stable whether they are complex or
 real; zeros are free.
 
@@ -16,8 +18,6 @@ Piersol, Random Data)
 Without it the misfit counts relative to |H|.
 """
 
-from collections.abc import Iterable
-from itertools import product
 from typing import NamedTuple
 
 import control
@@ -27,8 +27,10 @@ from scipy import optimize
 
 from cmf_mj.analysis.identification.data import Real
 from cmf_mj.analysis.identification.model import Complex
-from cmf_mj.analysis.identification.vector_fit import checked_lines, vector_fit
 from cmf_mj.core.errors import InputError
+
+_SWEEPS = 30
+"""Largest number of repetitions of the linear fit."""
 
 _LARGEST = 60.0
 """Bound of the logarithms of a1 and a0, which are in units of the band's middle."""
@@ -46,7 +48,7 @@ class ResponseFit(NamedTuple):
     loss: float  #: Sum of the squared weighted residuals.
     aic: float
     bic: float
-    reflected: int  #: Poles of the vector fitting's last sweep that had to be reflected.
+    reflected: int  #: Poles of the linear fit that had to be reflected.
     input_unit: str = ""
     output_unit: str = ""
 
@@ -104,22 +106,24 @@ def fit_response(
     Raises:
         InputError: bad lines, orders out of range, too few lines.
     """
-    f, h, sigma = checked_lines(frequency, response, deviation)
+    f, h, sigma = _checked_lines(frequency, response, deviation)
     if not 0 <= zeros <= poles:
         raise InputError(f"zeros: {zeros}; allowed with {poles} poles: 0 to {poles}")
     unknowns = poles + zeros + 1 + int(fit_delay)
     if 2 * f.size <= unknowns:
         raise InputError(f"poles, zeros: {unknowns} unknowns; {f.size} lines are too few")
+    if not 1 <= poles < f.size:
+        raise InputError(f"poles: {poles}; allowed with {f.size} lines: 1 to {f.size - 1}")
     if not (np.isfinite(delay) and delay >= 0.0):
         raise InputError(f"delay: {delay} s must be a finite number, at least 0")
     scale = 2.0 * np.pi * float(np.sqrt(f[0] * f[-1]))
     s: Complex = np.asarray(2j * np.pi * f / scale, dtype=np.complex128)
     advanced = h * np.exp(s * delay * scale)
-    roots, reflected = vector_fit(f, advanced, poles, deviation=sigma)
+    roots, reflected = _linear_fit(s, advanced, sigma, poles)
     problem = _Refinement(s, h, sigma, poles, zeros, delay * scale, fit_delay)
     found = optimize.least_squares(
         problem.errors,
-        problem.start(roots / scale),
+        problem.start(roots),
         problem.jacobian,
         method="trf",
         x_scale="jac",
@@ -161,6 +165,43 @@ def fit_response(
     )
 
 
+def _checked_lines(
+    frequency: ArrayLike, response: ArrayLike, deviation: ArrayLike | None
+) -> tuple[Real, Complex, Real]:
+    """Lines [Hz], response and deviation as arrays (K,) that belong together."""
+    f, h = np.asarray(frequency, dtype=float), np.asarray(response, dtype=complex)
+    sigma = np.abs(h) if deviation is None else np.asarray(deviation, dtype=float)
+    if f.ndim != 1 or not f.shape == h.shape == sigma.shape:
+        raise InputError(f"frequency, response: {f.shape}, {h.shape}; must be one line of each")
+    if f.size < 2 or not (np.isfinite(f).all() and f[0] > 0.0 and (np.diff(f) > 0.0).all()):
+        raise InputError("frequency: must be finite, above 0 and rising")
+    if not np.isfinite(h).all():
+        raise InputError(f"response: is not finite at {f[~np.isfinite(h)][0]} Hz")
+    if not (np.isfinite(sigma).all() and (sigma > 0.0).all()):
+        raise InputError("deviation: must be finite and greater than 0 at every line")
+    return f, h, sigma
+
+
+def _linear_fit(s: Complex, h: Complex, sigma: Real, poles: int) -> tuple[Complex, int]:
+    """Poles in the left half plane, and how many had to be reflected into it."""
+    powers = s[:, None] ** np.arange(poles, -1, -1)
+    roots, weight = np.zeros(0, dtype=complex), 1.0 / sigma
+    for _ in range(_SWEEPS):
+        table = np.hstack([powers, -h[:, None] * powers[:, 1:]]) * weight[:, None]
+        right = h * powers[:, 0] * weight
+        system = np.vstack([table.real, table.imag])
+        size = np.linalg.norm(system, axis=0)
+        wanted = np.concatenate([right.real, right.imag])
+        solution = np.linalg.lstsq(system / size, wanted, rcond=None)[0] / size
+        below = np.concatenate([[1.0], solution[poles + 1 :]])
+        before, roots = roots, np.sort_complex(np.roots(below))
+        if before.size and np.abs(roots - before).max() < 1e-8 * np.abs(roots).max():
+            break
+        weight = 1.0 / (sigma * np.abs(powers @ below))
+    outside = roots.real > 0.0
+    return np.where(outside, -roots.conj(), roots), int(outside.sum())
+
+
 def _pole_errors(
     problem: "_Refinement", found: optimize.OptimizeResult, variance: float
 ) -> tuple[Complex, Real]:
@@ -196,7 +237,7 @@ class _Refinement:
         self.poles, self.zeros, self.delay, self.fit_delay = poles, zeros, delay, fit
 
     def start(self, roots: Complex) -> Real:
-        """From the poles of the vector fitting: the numerator by linear least squares."""
+        """From the poles of the linear fit: the numerator by linear least squares."""
         # The section of a pair is s^2 - 2 Re p s + |p|^2; real poles pair up by size.
         above = roots[roots.imag > 0.0]
         real = np.sort(-roots[roots.imag == 0.0].real)
@@ -282,27 +323,3 @@ class _Refinement:
             slope[:, -1] = -self.s * value
         slope /= self.sigma[:, None]
         return np.vstack([slope.real, slope.imag])
-
-
-def select_response_orders(
-    frequency: ArrayLike,
-    response: ArrayLike,
-    *,
-    poles: Iterable[int],
-    zeros: Iterable[int],
-    deviation: ArrayLike | None = None,
-    fit_delay: bool = False,
-) -> list[ResponseFit]:
-    """Fits of every allowed pair of orders, best BIC first; pairs with more zeros are left out.
-
-    Raises:
-        InputError: no pair is allowed, or bad lines.
-    """
-    pairs = [(n, m) for n, m in product(poles, zeros) if m <= n]
-    if not pairs:
-        raise InputError("poles, zeros: no pair with at most as many zeros as poles")
-    fits = [
-        fit_response(frequency, response, n, m, deviation=deviation, fit_delay=fit_delay)
-        for n, m in pairs
-    ]
-    return sorted(fits, key=lambda fit: fit.bic)

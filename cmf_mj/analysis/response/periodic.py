@@ -16,6 +16,7 @@ from cmf_mj.analysis.response.spectra import (
     _variance,
     _with_harmonics,
 )
+from cmf_mj.analysis.sine import fit_sines
 from cmf_mj.core.errors import InputError
 
 
@@ -129,15 +130,14 @@ def sine_response(
         )
     sines = _with_harmonics(wanted, harmonics, resolution, 0.5 * rate)
     angle = 2.0 * np.pi * np.outer(np.arange(size) / rate, sines)
-    design = np.hstack([np.cos(angle), np.sin(angle), np.ones((size, 1))])
     both = np.column_stack([xs, ys])[begin : begin + size]
-    parts = np.linalg.lstsq(design, both, rcond=None)[0]
-    found = parts[: wanted.size] - 1j * parts[sines.size : sines.size + wanted.size]
-    amplitude = np.abs(found[:, 0])
+    fit = fit_sines(both, angle)
+    tones = fit.amplitude[: wanted.size]
+    amplitude = np.abs(tones[:, 0])
     if np.any(amplitude <= 1e-12 * np.ptp(both[:, 0])):
         raise InputError(f"x: holds no sine at {wanted[amplitude.argmin()]} Hz")
-    response = found[:, 1] / found[:, 0]
-    residual = np.abs(np.fft.rfft(both[:, 1] - design @ parts[:, 1])) ** 2
+    response = tones[:, 1] / tones[:, 0]
+    residual = np.abs(np.fft.rfft(fit.remainder[:, 1])) ** 2
     power, count = _near(residual, wanted / resolution, sines / resolution)
     noise = power / (0.5 * size * amplitude) ** 2
     explained = np.abs(response) ** 2

@@ -18,19 +18,6 @@ from cmf_mj.analysis.response.estimate import (
 from cmf_mj.core.errors import InputError
 
 
-def effective_averages(window: ArrayLike, hop: int, segments: int) -> float:
-    """Independent averages that `segments` overlapping windows `hop` samples apart are worth.
-
-    S / (1 + 2 sum_m (1 - m/S) rho_m^2), rho_m = sum w(i) w(i + m hop) / sum w^2: Welch (1967);
-    Harris (1978). A Hann window's many segments at 50 % count 0.95 each, at 75 % 0.52.
-    """
-    taper = np.asarray(window, dtype=float)
-    if hop < 1 or segments < 1:
-        raise InputError(f"hop, segments: {hop}, {segments}; both must be at least 1")
-    correlation = _correlation(taper, hop, np.ones(taper.size + (segments - 1) * hop, dtype=bool))
-    return float(np.trace(correlation) ** 2 / np.sum(correlation**2))
-
-
 class _Windowing(NamedTuple):
     """Options of Welch's method, as `welch_response` names them."""
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from cmf_mj.analysis.modes import ModeSet, stroke_room, swinging
+from cmf_mj.analysis.modes import largest_stroke, swinging
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE
-from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.hexapod import Hexapod, HydraulicModes
 from cmf_mj.show.film.encoding import check_format, write_film
 from cmf_mj.show.film.stage import Stage
 
@@ -55,7 +55,7 @@ class Swing(NamedTuple):
 
 def swing_film(
     plant: Hexapod,
-    modes: ModeSet,
+    modes: HydraulicModes,
     path: str | Path,
     settings: SwingSettings | None = None,
     *,
@@ -84,7 +84,7 @@ def swing_film(
     return write_film(pictures, time.size, target, chosen.fps, progress=progress)
 
 
-def film_time(modes: ModeSet, chosen: SwingSettings) -> NDArray[np.float64]:
+def film_time(modes: HydraulicModes, chosen: SwingSettings) -> NDArray[np.float64]:
     """Time of the machine in each picture, (n,) [s], one for all modes.
 
     Raises:
@@ -104,14 +104,14 @@ def film_time(modes: ModeSet, chosen: SwingSettings) -> NDArray[np.float64]:
 
 
 def one_swing(
-    plant: Hexapod, modes: ModeSet, mode: int, time: NDArray[np.float64], stroke: float
+    plant: Hexapod, modes: HydraulicModes, mode: int, time: NDArray[np.float64], stroke: float
 ) -> Swing:
     """A panel: the mode with the leg motion asked for [m], or what the working stroke leaves."""
     if not 0.0 < stroke <= WORKING_STROKE:
         raise InputError(
             f"stroke: {stroke:.4f} m must be greater than 0 and at most {WORKING_STROKE:.4f} m"
         )
-    shown = min(stroke, stroke_room(plant, modes, mode))
+    shown = min(stroke, largest_stroke(plant, modes, mode))
     leading = int(modes.share[:, mode].argmax())
     caption = (
         f"mode {mode + 1}: {modes.frequency_hz[mode]:.2f} Hz, "
@@ -129,7 +129,7 @@ def pace_text(speed: float) -> str:
     return f"{1.0 / speed:.4g} times slower" if speed < 1.0 else f"{speed:.4g} times faster"
 
 
-def _framed(plant: Hexapod, modes: ModeSet) -> mujoco.MjModel:
+def _framed(plant: Hexapod, modes: HydraulicModes) -> mujoco.MjModel:
     """The model with cameras that keep a swinging machine in the picture."""
     model = copy.copy(plant.model)
     model.cam_fovy *= _WIDER

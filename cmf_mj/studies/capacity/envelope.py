@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.analysis.sine import fit_sines
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_csv
@@ -283,12 +284,9 @@ def _fundamental(
     time: NDArray[np.float64], history: NDArray[np.float64], frequency: float
 ) -> tuple[float, float]:
     """Amplitude of the fundamental, and rms of the remainder over that of the fundamental."""
-    phase = 2.0 * np.pi * frequency * time
-    basis = np.column_stack([np.sin(phase), np.cos(phase), np.ones(time.size)])
-    fit, *_ = np.linalg.lstsq(basis, history)
-    amplitude = float(np.hypot(fit[0], fit[1]))
-    rest = history - basis @ fit
-    return amplitude, float(np.sqrt(2.0 * np.mean(rest**2)) / amplitude)
+    fit = fit_sines(history, 2.0 * np.pi * frequency * time)
+    amplitude = float(np.abs(fit.amplitude[0]))
+    return amplitude, float(np.sqrt(2.0 * np.mean(fit.remainder**2)) / amplitude)
 
 
 def performance_envelope(

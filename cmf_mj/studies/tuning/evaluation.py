@@ -14,10 +14,10 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.frequency_response import bandwidths
-from cmf_mj.analysis.identification.loop import closed_loop_response
+from cmf_mj.analysis.frequency_response import line_bandwidths
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.law import FEEDBACK
+from cmf_mj.analysis.linear.loop import closed_loop_response
 from cmf_mj.control import dcl as blocks
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback
@@ -120,10 +120,7 @@ def _one(law: Law, cab: LinearCab, seed: int | None, scale: float) -> list[list[
         pressures=(cab.pressures[0] * gains, cab.pressures[1] * gains),
     )
     pose = np.linalg.inv(cab.jacobian) @ legs @ cab.jacobian
-    own = [
-        bandwidths(control.FrequencyResponseData(pose[:, dof, dof], 2.0 * np.pi * LINES))
-        for dof in range(len(DOFS))
-    ]
+    own = [line_bandwidths(LINES, pose[:, dof, dof]) for dof in range(len(DOFS))]
     steps = [step_response(mounted, cab, dofs, gains) for dofs in STEPPED]
     return [
         [LINES[-1] if np.isnan(found.phase_hz) else found.phase_hz for found in own],

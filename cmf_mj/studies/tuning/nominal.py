@@ -6,7 +6,7 @@ from cmf_mj.control.coordinates import MODES, Modes
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.plant.cylinder import stiffness
-from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.hexapod import Hexapod, oil_modes
 from cmf_mj.plant.parameters.hydraulics import ActuatorChanges, HydraulicParameters
 from cmf_mj.plant.plant import Plant
 
@@ -35,13 +35,13 @@ def nominal_modes(plant: Plant) -> Modes:
             f"hydraulics: springs of {plant.parameters.name} are {springs.min():.6g} to "
             f"{springs.max():.6g} N/m; they must be alike"
         )
-    mass, shapes = np.linalg.eigh(plant.reflected_mass())
-    mass, shapes = mass[::-1], shapes[:, ::-1]
+    frequency, shapes = oil_modes(plant.reflected_mass(), springs)
+    mass = 1.0 / np.sum(shapes**2, axis=0)
+    shapes = shapes * np.sqrt(mass)
     shapes = shapes * np.sign(shapes[np.abs(shapes).argmax(axis=0), range(MODES)])
-    frequency = np.sqrt(springs[0] / mass) / (2.0 * np.pi)
     return Modes(
         source=f"{plant.name} {plant.cab}".strip() + f", {plant.parameters.name} set, at neutral",
-        frequency=tuple(frequency.tolist()),
+        frequency=tuple((frequency / (2.0 * np.pi)).tolist()),
         mass=tuple((mass / units.POUND_MASS).tolist()),
         shape=tuple(tuple(row) for row in shapes.T.tolist()),
     )
