@@ -10,7 +10,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from cmf_mj.cli.common import refuse
-from cmf_mj.cli.comparing import run_comparison
+from cmf_mj.cli.simulate import run_comparison
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.facility.replay import replay
@@ -67,8 +67,8 @@ def main() -> None:
         run_comparison(
             options.laws,
             options.dofs,
-            ["hexapod"],
             options.out,
+            plants=["hexapod"],
             cab=options.cab,
             hydraulics=options.hydraulics,
             jobs=options.jobs,

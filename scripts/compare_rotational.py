@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 
 from cmf_mj.cli.common import refuse
-from cmf_mj.cli.comparing import run_comparison
+from cmf_mj.cli.simulate import run_comparison
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.build import PLANTS
 
@@ -29,8 +29,8 @@ def main() -> None:
         run_comparison(
             LAWS,
             ["roll", "pitch", "yaw"],
-            list(PLANTS),
             options.out,
+            plants=list(PLANTS),
             cab=options.cab,
             hydraulics=options.hydraulics,
             jobs=options.jobs,

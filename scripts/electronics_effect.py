@@ -7,7 +7,7 @@ hexapod, ideal and with the shipped noisy electronics, and the changes between.
 import argparse
 from pathlib import Path
 
-from cmf_mj.cli.common import names_of, refuse
+from cmf_mj.cli.common import refuse
 from cmf_mj.control.law import law_names
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.show.table import Table
@@ -58,11 +58,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/electronics"))
     options = parser.parse_args()
     try:
-        laws = names_of(options.laws, law_names())
+        laws = list(law_names()) if options.laws == "all" else options.laws.split(",")
         ideal, real = (
             compare(
                 laws,
-                names_of(options.dofs, ()),
+                options.dofs.split(","),
                 plants=["hexapod"],
                 quick=options.quick,
                 jobs=options.jobs,

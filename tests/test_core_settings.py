@@ -125,5 +125,5 @@ def test_a_loader_of_sets_takes_its_default_a_name_or_a_file(sets: Path, tmp_pat
     file.write_text('base = "light"\n[own]\ndepth = 7\n')
     assert (load(file).name, load(str(file)).depth) == ("own", 7)
     assert load(load(file)) == load(file)
-    with pytest.raises(ValueError, match="sets: 'odd' is neither light nor heavy nor a .toml"):
+    with pytest.raises(ValueError, match="sets: 'odd' is not one of light, heavy nor a .toml"):
         load("odd")

@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 from cmf_mj import Hexapod
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.files import load_system
-from cmf_mj.cli.common import app
-from cmf_mj.cli.linearizing import pose_option
+from cmf_mj.cli.common import app, pose_option
 from cmf_mj.core import units
 from cmf_mj.show.linearization import mode_table
 from cmf_mj.show.look import pose_text

@@ -1,54 +1,10 @@
-"""The command line, `cmf`: one module a family of commands."""
+"""The command line, `cmf`: one module a group of commands, in the order a user needs them.
 
-from cmf_mj.cli import (
-    analysing,
-    calibrating,
-    capacities,
-    comparing,
-    cueing,
-    driving,
-    failing,
-    flying,
-    hosting,
-    identifying,
-    linearizing,
-    listing,
-    mapping,
-    measuring,
-    operating,
-    reporting,
-    running,
-    studying,
-    tuning,
-    verifying,
-    watching,
-)
+A command imports what it needs when it runs, so that help and completion wait for nothing.
+"""
+
+from cmf_mj.cli import simulate, watch, analyse, facility, flight, studies, report  # noqa: F401, I001
 from cmf_mj.cli.common import app
-
-__all__ = [
-    "analysing",
-    "calibrating",
-    "capacities",
-    "comparing",
-    "cueing",
-    "driving",
-    "failing",
-    "flying",
-    "hosting",
-    "identifying",
-    "linearizing",
-    "listing",
-    "main",
-    "mapping",
-    "measuring",
-    "operating",
-    "reporting",
-    "running",
-    "studying",
-    "tuning",
-    "verifying",
-    "watching",
-]
 
 
 def main() -> None:

@@ -1,0 +1,280 @@
+"""Analyse: `cmf linearize`, `modes`, `measure`, `identify` and `verify`."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Option
+
+from cmf_mj.cli import options
+from cmf_mj.cli.common import (
+    app,
+    in_si,
+    names_or_files,
+    noise_choice,
+    plant_builder,
+    pose_option,
+    progress_bar,
+    show,
+    written,
+)
+from cmf_mj.cli.options import choice
+from cmf_mj.core.errors import InputError
+
+if TYPE_CHECKING:
+    from cmf_mj.plant.hexapod import Hexapod, HydraulicModes
+
+command = partial(app.command, rich_help_panel="Analyse")
+
+_NEUTRAL = "0,0,0,0,0,0"
+
+_ROOM = 0.25
+"""Part of the leg motion asked for that a film near the worst pose can show of every mode."""
+
+
+@command("linearize")
+def linearize_command(
+    plant: options.PlantName = "hexapod",
+    cab: options.Cab = "gfd",
+    hydraulics: options.Hydraulics = "hardware",
+    law: options.Law = "velocity",
+    pose: options.Pose = _NEUTRAL,
+    dofs: Annotated[
+        list[str],
+        choice(options.DOFS, "DOFS", "degrees of freedom or legs, or `all`", free=True),
+    ] = options.ALL,
+    measure: Annotated[
+        bool, Option("--measure", help="simulate each loop as well, about 5 s each")
+    ] = False,
+    out: options.Out = Path("out/linearize"),
+) -> None:
+    """Linearise a plant: modes, Bode diagrams, poles and zeros, a law around it."""
+    from cmf_mj.show import linearization as report
+    from cmf_mj.studies.linearization import linearization_study
+
+    build = plant_builder(plant, cab, hydraulics)
+    study = linearization_study(build(), law, pose_option(pose), dofs, measure=measure)
+    paths = report.save_study(study, out)
+    show(report.mode_table(study), report.loop_table(study), written(paths, out))
+
+
+@command("modes")
+def modes_command(
+    cabs: options.Cabs = options.ALL,
+    hydraulics: options.Hydraulics = "hardware",
+    pose: options.Pose = _NEUTRAL,
+    samples: Annotated[int, Option(help="poses of the envelope")] = 1000,
+    rounds: Annotated[int, Option(help="generations of the search, at most")] = 200,
+    seed: options.Seed = 0,
+    points: Annotated[int, Option(help="excursions along each axis of a map")] = 21,
+    out: options.Out = Path("out/modes"),
+    video: options.FilmFile = None,
+    fps: options.Fps = 15,
+    speed: options.Speed = 0.05,
+    camera: options.Camera = "overview",
+    width: options.Width = 320,
+    height: options.Height = 260,
+    stroke: Annotated[
+        float, Option(help="largest leg motion of a film [in]; less where a leg has less")
+    ] = 12.0,
+    periods: Annotated[float, Option(help="length of a film, in periods of the lowest mode")] = 1.0,
+) -> None:
+    """Reflected mass, hydraulic modes at a pose and over the envelope, and the worst pose."""
+    from cmf_mj.analysis.modes import over_envelope, plane_map, sweep, within_stroke
+    from cmf_mj.core import units
+    from cmf_mj.machine.kinematics import DOFS
+    from cmf_mj.plant.hexapod import Hexapod
+    from cmf_mj.show import modes as report
+    from cmf_mj.show.film.swing import SwingSettings, swing_film
+
+    plants = [Hexapod(name, hydraulics) for name in cabs]
+    here = pose_option(pose)
+    at_pose = [plant.hydraulic_modes(here) for plant in plants]
+    looks = SwingSettings(fps, speed, camera, width, height, units.to_si("in", stroke), periods)
+
+    def filmed(plant: Hexapod, modes: HydraulicModes, suffix: str = "", where: str = "") -> list[Path]:
+        if video is None:
+            return []
+        name = Path(video)
+        path = out / f"{name.stem}_{plant.cab}{suffix}{name.suffix}"
+        title = report.title_of(modes, where)
+        with progress_bar("drawing") as progress:
+            return [swing_film(plant, modes, path, looks, title=title, progress=progress)]
+
+    # The search takes longest: what the rest refuses is refused before it.
+    paths = []
+    for plant, modes in zip(plants, at_pose, strict=True):
+        paths += filmed(plant, modes)
+    sweeps = [[sweep(plant, dof, count=points) for dof in DOFS] for plant in plants]
+    maps = [[plane_map(p, pair, count=points) for pair in report.PLANES] for p in plants]
+    with progress_bar() as progress:
+        ranges = [
+            over_envelope(plant, samples=samples, rounds=rounds, seed=seed, progress=progress)
+            for plant in plants
+        ]
+    paths += report.save_envelope(ranges, sweeps, maps, out)
+    # The envelope has neutral in it.
+    asked = at_pose if here.any() else []
+    each = [*asked, *(modes for one in ranges for modes in (*one.modes, one.worst))]
+    paths += report.save_modes(each, out)
+    for modes in at_pose:
+        show(report.mass_table(modes), report.mode_table(modes))
+    for one in ranges:
+        show(report.mode_table(one.worst, "worst pose"))
+    show(report.range_table(ranges))
+    for plant, one in zip(plants, ranges, strict=True):
+        near = within_stroke(plant, one.worst, _ROOM * looks.stroke) if video else one.worst
+        where = "worst pose" if near is one.worst else "near the worst pose"
+        paths += filmed(plant, near, "_worst", where)
+    show(written(paths, out))
+
+
+@command("measure")
+def measure_command(
+    files: options.Recordings = None,
+    simulate: options.Simulate = False,
+    law: options.Law = "velocity",
+    dof: options.Dof = "heave",
+    plant: options.PlantName = "hexapod",
+    cab: options.Cab = "gfd",
+    hydraulics: options.Hydraulics = "hardware",
+    amplitude: options.Amplitude = None,
+    noise: options.Noise = False,
+    estimator: Annotated[
+        str,
+        choice(
+            "analysis.response.estimate:Estimator",
+            "ESTIMATOR",
+            "h1, h2, hv or report; of one recording",
+        ),
+    ] = "h1",
+    out: options.Out = Path("out/measure"),
+) -> None:
+    """Measure recordings (several are rounds of one), or a simulated session."""
+    from cmf_mj.show import measurement as report
+    from cmf_mj.studies.measurement import measure
+    from cmf_mj.studies.recordings import measure_recordings
+
+    names_or_files(files, simulate)
+    if simulate:
+        measured = measure(
+            plant_builder(plant, cab, hydraulics),
+            law,
+            dof,
+            amplitude=in_si(dof, amplitude),
+            electronics=noise_choice(noise),
+        )
+        paths = report.save_measurement(measured, out)
+        table = report.measurement_table(measured)
+    else:
+        measures = measure_recordings(files or [], dof, estimator)
+        paths = report.save_recordings(measures, out)
+        table = report.recordings_table(measures)
+    show(table, written(paths))
+
+
+def parse_orders(text: str | None) -> tuple[int, int, int] | None:
+    """Orders of the command line, `na,nb,nk`.
+
+    Raises:
+        InputError: not three whole numbers.
+    """
+    if text is None:
+        return None
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 3 or not all(part.isdigit() for part in parts):
+        raise InputError(f"orders: {text!r} is refused; allowed: na,nb,nk such as 4,3,1")
+    na, nb, nk = (int(part) for part in parts)
+    return na, nb, nk
+
+
+@command("identify")
+def identify_command(
+    files: options.Recordings = None,
+    simulate: options.Simulate = False,
+    law: Annotated[
+        str | None,
+        choice(options.LAWS, "LAW", "default velocity, or the file's", free=True),
+    ] = None,
+    dof: options.AnyDof = "heave",
+    matrix: Annotated[
+        bool, Option("--matrix", help="all degrees of freedom at once, 6 by 6")
+    ] = False,
+    plant: options.PlantName = "hexapod",
+    cab: options.Cab = "gfd",
+    hydraulics: options.Hydraulics = "hardware",
+    amplitude: options.Amplitude = None,
+    signal: Annotated[
+        str,
+        choice("studies.identification:Signal", "SIGNAL", "multisine, chirp, noise, pulse or sine"),
+    ] = "multisine",
+    method: Annotated[
+        str,
+        choice(
+            "studies.identification:Method",
+            "METHOD",
+            "arx (least squares), iv (instruments) or oe (output error)",
+        ),
+    ] = "oe",
+    orders: Annotated[
+        str | None,
+        Option(metavar="NA,NB,NK", help="default by validation fit on a grid"),
+    ] = None,
+    out: options.Out = Path("out/identify"),
+) -> None:
+    """Identify a linear model of leg velocity per valve command; the last file validates."""
+    from cmf_mj.record.reader import read_recording
+    from cmf_mj.show import identification as report
+    from cmf_mj.studies import identification as studies
+
+    names_or_files(files, simulate)
+    chosen = parse_orders(orders)
+    build = plant_builder(plant, cab, hydraulics)
+    name = law or "velocity"
+    if matrix:
+        if not simulate:
+            raise InputError("matrix: needs --simulate")
+        show(report.matrix_table(studies.identify_matrix(build, name)))
+        return
+    step = None
+    if simulate:
+        size, law = in_si(dof, amplitude), name
+        records = studies.simulated_records(build, name, dof, signal, size)  # type: ignore[arg-type]
+        step = studies.simulated_step(build, name, dof, size)
+    else:
+        records = [read_recording(path) for path in files or []]
+    model = studies.identify(
+        records,
+        dof,
+        method=method,  # type: ignore[arg-type]
+        orders=chosen,
+        law=law,
+        step=step,
+    )
+    paths = report.save_identification(model, out)
+    show(report.orders_table(model), report.model_table(model), written(paths))
+
+
+@command("verify")
+def verify_command(
+    cab: options.Cab = "gfd",
+    hydraulics: options.Hydraulics = "report",
+    seconds: Annotated[float, Option(help="simulated time [s]")] = 4.0,
+    finest: Annotated[
+        int, Option(help="mechanical steps to a control frame at the finest: 4, 8, 16, ...")
+    ] = 8,
+    out: options.Out = Path("out/verification"),
+) -> None:
+    """Compare the plant with Exudyn, from a checkout: error and CPU time over step sizes."""
+    from cmf_mj.show import verification as report
+    from cmf_mj.studies.verification import verify
+
+    if finest < 4 or finest & (finest - 1):
+        raise InputError(f"finest: {finest} must be a power of two, at least 4")
+    parts = [2**i for i in range(finest.bit_length())]
+    with progress_bar() as progress:
+        result = verify(cab, hydraulics, seconds=seconds, parts=parts, progress=progress)
+    paths = report.save_verification(result, out)
+    show(report.verification_table(result), written(paths, out))

@@ -1,0 +1,212 @@
+"""Facility: `cmf serve`, `operate`, `host`, `record` and `replay`."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import Argument, Option
+
+from cmf_mj.cli import options
+from cmf_mj.cli.common import app, in_si, noise_choice, plant_builder, progress_bar, show, written
+from cmf_mj.cli.options import choice
+
+if TYPE_CHECKING:
+    from cmf_mj.facility.host.stream import HostStream
+    from cmf_mj.facility.operation import Operation
+
+command = partial(app.command, rich_help_panel="Facility")
+
+BEGIN = {"engaged": "ENGAGED", "settled": "OFF"}
+"""Operating states in which a run may begin."""
+
+Begin = Annotated[
+    str,
+    choice(
+        "cli.facility:BEGIN",
+        "STATE",
+        "engaged, or settled: off on the stops, raised and engaged at once",
+    ),
+]
+StreamFile = Annotated[Path, Argument(help="CSV or Parquet with time and six poses, SI")]
+FrameRate = Annotated[float | None, Option(help="frames a second; default as stamped in the file")]
+Derivatives = Annotated[
+    str,
+    choice(
+        "facility.host.stream:DERIVATIVES", "KIND", "velocities of a file without: spline or zero"
+    ),
+]
+
+
+def _start(begin: str, noise: bool) -> dict[str, Any]:
+    """Options of a run that begins in a state and is engaged at once."""
+    from cmf_mj.control.states import Request, State
+    from cmf_mj.facility.operation import FacilitySettings
+
+    return {
+        "begin": State[BEGIN[begin]],
+        "requests": [(0.0, Request.ENGAGE)],
+        "facility": FacilitySettings(electronics=noise_choice(noise)),
+    }
+
+
+def _end(operation: Operation) -> str:
+    """End of the run in a sentence."""
+    from cmf_mj.control.states import State
+
+    record = operation.record
+    state = State(int(record["operating_state"][-1])).name.lower()
+    fault = record.metadata["fault"]
+    if fault is None:
+        return f"ended {state}, no fault"
+    where = "" if fault["leg"] is None else f" of leg {fault['leg']}"
+    return f"ended {state}: {fault['name']}{where} at {fault['time']:.3f} s"
+
+
+def _stream(file: Path, derivatives: str, rate: float | None) -> HostStream:
+    from cmf_mj.facility.host.files import read_stream
+    from cmf_mj.facility.host.stream import resample
+
+    stream = read_stream(file, derivatives=derivatives)
+    return stream if rate is None else resample(stream, rate)
+
+
+@command("serve")
+def serve_command(
+    port: Annotated[int, Option(help="UDP port; 0 takes a free one")] = 2048,
+    bind: Annotated[str, Option(help="IPv4 address to listen on")] = "127.0.0.1",
+    host: Annotated[str, Option(help="the only host whose datagrams are taken")] = ("127.0.0.1"),
+    seconds: Annotated[float, Option(help="length of the run [s]")] = 60.0,
+    law: options.Law = "velocity",
+    cab: options.Cab = "gfd",
+    hydraulics: options.Hydraulics = "hardware",
+    noise: options.Noise = True,
+    begin: Begin = "engaged",
+    out: options.Out = Path("out/serve"),
+) -> None:
+    """Run the facility in real time on host frames from the network."""
+    from cmf_mj.facility.host.udp import UdpReceiver
+    from cmf_mj.facility.operation import serve
+    from cmf_mj.plant.hexapod import Hexapod
+    from cmf_mj.show import operation as report
+
+    plant, options = Hexapod(cab, hydraulics), _start(begin, noise)
+    with UdpReceiver(port, host=host, bind=bind) as receiver:
+        where = "{}:{}".format(*receiver.address)
+        with progress_bar(f"serving {where}", seconds=True) as bar:
+
+            def progress(done: float) -> None:
+                if done == 0.0:
+                    print(f"listening on {where}", flush=True)
+                bar(done, seconds)
+
+            operation = serve(plant, law, receiver.ring, seconds, progress=progress, **options)
+    received, refused = receiver.received, receiver.refused
+    paths = report.save_operation(operation, out, received, refused)
+    tables = [report.account_table(operation, received, refused)]
+    if operation.timing is not None:
+        tables.append(report.timing_table(operation.timing))
+    show(*tables, _end(operation), written(paths))
+
+
+@command("operate")
+def operate_command(
+    file: StreamFile,
+    rate: FrameRate = None,
+    derivatives: Derivatives = "spline",
+    seconds: Annotated[
+        float | None, Option(help="length of the run [s]; default to the last frame")
+    ] = None,
+    law: options.Law = "velocity",
+    cab: options.Cab = "gfd",
+    hydraulics: options.Hydraulics = "hardware",
+    noise: options.Noise = True,
+    begin: Begin = "engaged",
+    out: options.Out = Path("out/operate"),
+) -> None:
+    """Run the facility on a file of host frames, as fast as it goes."""
+    from cmf_mj.facility.operation import operate
+    from cmf_mj.plant.hexapod import Hexapod
+    from cmf_mj.show import operation as report
+
+    stream = _stream(file, derivatives, rate)
+    plant = Hexapod(cab, hydraulics)
+    operation = operate(plant, law, stream, seconds=seconds, **_start(begin, noise))
+    paths = report.save_operation(operation, out)
+    show(report.account_table(operation), _end(operation), written(paths))
+
+
+@command("host")
+def host_command(
+    file: StreamFile,
+    to: Annotated[str, Option(metavar="ADDRESS:PORT", help="of the receiver")],
+    rate: FrameRate = None,
+    derivatives: Derivatives = "spline",
+) -> None:
+    """Send a file of host frames over UDP in real time."""
+    from cmf_mj.facility.host.udp import UdpSender, parse_target
+
+    address, port = parse_target(to)
+    stream = _stream(file, derivatives, rate)
+    with UdpSender(address, port) as sender:
+        sent = sender.play(stream)
+    show(
+        f"{sent.frames} frames in {sent.duration:.3f} s, late by "
+        f"{1e3 * sent.mean_lateness:.2f} ms on average, {1e3 * sent.worst_lateness:.2f} at most"
+    )
+
+
+@command("record")
+def record_command(
+    law: options.Law = "velocity",
+    dof: options.Dof = "heave",
+    plant: options.PlantName = "hexapod",
+    cab: options.Cab = "gfd",
+    hydraulics: options.Hydraulics = "hardware",
+    amplitude: options.Amplitude = None,
+    noise: options.Noise = False,
+    jobs: options.Jobs = None,
+    out: options.Out = Path("out/record"),
+) -> None:
+    """Run the facility's session, five rounds of seven sines, and write its five CSV files."""
+    from cmf_mj.core import units
+    from cmf_mj.machine.dof import dof_index, dof_unit
+    from cmf_mj.record.writer import write_facility_csv
+    from cmf_mj.signals.peaks import peaks
+    from cmf_mj.studies.measurement import facility_session, session_commands
+
+    build, size = plant_builder(plant, cab, hydraulics), in_si(dof, amplitude)
+    largest = [peaks(command) for command in session_commands(dof, size)]
+    index, unit = dof_index(dof), dof_unit(dof)
+    velocity, acceleration = (
+        units.from_si(unit, max(float(getattr(peak, kind)[index]) for peak in largest))
+        for kind in ("velocity", "acceleration")
+    )
+    show(f"peak demand: {velocity:.3g} {unit}/s, {acceleration:.3g} {unit}/s^2")
+    session = facility_session(
+        build, law, dof, amplitude=size, electronics=noise_choice(noise), jobs=jobs
+    )
+    for number, record in enumerate(session, start=1):
+        name = f"{record.metadata['law']}_{dof}_{number}of{len(session)}.csv"
+        print(write_facility_csv(record, out / name))
+
+
+@command("replay")
+def replay_command(
+    recording: Annotated[Path, Argument(help="Parquet, facility CSV or UFF 58")],
+    law: Annotated[
+        str | None,
+        choice(options.LAWS, "LAW", "default the recording's", free=True),
+    ] = None,
+    out: options.Out = Path("out/replay"),
+) -> None:
+    """Run the control law open loop on recorded feedback; compare the compensator's output."""
+    from cmf_mj.facility.replay import law_of, replay
+    from cmf_mj.record.reader import read_recording
+    from cmf_mj.show import sensor as report
+
+    record = read_recording(recording)
+    replayed = replay(record, law or law_of(record))
+    path = report.save_replay(replayed, out / f"{recording.stem}_{replayed.law}.png")
+    show(report.replay_summary(replayed), f"written: {path}")

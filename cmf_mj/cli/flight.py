@@ -1,0 +1,247 @@
+"""Flight: `cmf fly`, `flight`, `cue run`, `cue tune` and `omct`."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Argument, Option
+
+from cmf_mj.cli import options
+from cmf_mj.cli.common import app, noise_choice, progress_bar, show, unfolded, written
+from cmf_mj.cli.options import argument
+
+_PANEL = "Flight"
+command = partial(app.command, rich_help_panel=_PANEL)
+
+_QUICK = (0.631, 2.512, 10.0)
+"""Frequencies of a quick test [rad/s]."""
+
+
+@command("fly")
+def fly_command(
+    flight: Annotated[
+        str,
+        argument(
+            "pilot.aircraft.flight:flight_names",
+            "FLIGHT",
+            "shipped flight by name, or a CSV or Parquet file",
+            free=True,
+        ),
+    ],
+    laws: options.Laws = options.VELOCITY,
+    cab: options.Cab = "gfd",
+    washout: options.Washout = "simona",
+    hydraulics: options.Hydraulics = "hardware",
+    noise: options.Noise = True,
+    delay: Annotated[bool, Option(help="measure the delay from host to pilot too")] = True,
+    dof: options.Dof = "heave",
+    video: options.FilmFile = None,
+    start: options.Start = 0.0,
+    seconds: options.Seconds = None,
+    fps: options.Fps = 30,
+    speed: options.Speed = 1.0,
+    camera: options.Camera = "overview",
+    width: options.Width = 720,
+    height: options.Height = 450,
+    strip: options.StripHeight = 300,
+    out: options.Out = Path("out/fly"),
+) -> None:
+    """Fly an aircraft in the cab, once for each law, and compare what the pilot feels."""
+    from cmf_mj.control.law import load_law
+    from cmf_mj.facility.operation import FacilitySettings
+    from cmf_mj.pilot.aircraft.flight import load_flight
+    from cmf_mj.pilot.fly import fly
+    from cmf_mj.pilot.transport import transport_delay
+    from cmf_mj.plant.hexapod import hexapod_spec
+    from cmf_mj.show import flight as report
+    from cmf_mj.show.film.film import FilmSettings, check_film, film
+    from cmf_mj.show.operation import save_operation
+
+    loaded = [load_law(name) for name in laws]
+    flown = load_flight(flight)
+    look = FilmSettings(fps, speed, camera, width, height, strip, None, start, seconds)
+    if video is not None:
+        check_film(hexapod_spec(cab).compile(), out / video, look)
+    facility = FacilitySettings(electronics=noise_choice(noise))
+    length = float(flown.motion.time[-1])
+    rides, paths = [], []
+    for law in loaded:
+        with progress_bar(f"flying {law.name}", seconds=True) as bar:
+            ride = fly(
+                flown,
+                law,
+                cab=cab,
+                cueing=washout,
+                hydraulics=hydraulics,
+                facility=facility,
+                progress=lambda done, bar=bar: bar(done, length),  # type: ignore[misc]
+            )
+        rides.append(ride)
+        paths += save_operation(ride.operation, out / ride.law)
+        paths += report.save_ride(ride, out / ride.law)
+    paths += report.save_comparison(rides, out)
+    if video is not None:
+        with progress_bar("drawing") as update:
+            records = [ride.operation.record for ride in rides]
+            titles = [f"{ride.law}, {ride.cab}" for ride in rides]
+            traces = [report.flight_traces(ride) for ride in rides]
+            film(records, out / video, look, titles=titles, traces=traces, progress=update)
+        paths.append(out / video)
+    table = report.comparison_table(rides)
+    show(flown.origin.title, table, width=unfolded(table))
+    if delay:
+        measured = transport_delay(
+            loaded[0], cab=cab, dof=dof, hydraulics=hydraulics, facility=facility
+        )
+        show(report.delay_table(measured))
+    for ride in rides:
+        kept = "kept within" if ride.use.within else "LEFT"
+        show(
+            f"{ride.law}: {kept} the envelope, legs {ride.use.leg_position:.0%} of their "
+            f"stroke, {ride.use.leg_velocity:.0%} of their speed, {int(ride.held.sum())} "
+            f"host frames held back; host to legs "
+            f"{1e3 * (ride.host_delay + ride.loop_delay):.0f} ms"
+        )
+    show(f"written to {out}: {len(paths)} files")
+
+
+@command("flight")
+def flight_command(
+    name: Annotated[
+        str,
+        argument("pilot.aircraft.scripts:SCRIPTS", "SCRIPT", "what to fly"),
+    ],
+    file: Annotated[Path, Option(metavar="FILE", help="CSV or Parquet file")],
+    aircraft: Annotated[str, Option(help="of JSBSim")] = "737",
+    seed: options.Seed = 1,
+    single: Annotated[bool, Option("--single", help="round to single precision")] = False,
+) -> None:
+    """Fly a script with JSBSim and record what the pilot's station is subjected to."""
+    from cmf_mj.pilot.aircraft.recorder import ScriptedFlight
+
+    flight = ScriptedFlight(name, aircraft=aircraft, seed=seed).record()
+    path = flight.save(file, single=single)
+    x, y, z = flight.origin.lever_arm
+    show(
+        f"{flight.origin.title}: {flight.motion.time.size} samples at 80 Hz",
+        f"pilot's station from the centre of gravity: {x:.2f} m forward, {y:.2f} right, "
+        f"{z:.2f} down",
+        f"written: {path}",
+    )
+
+
+cues = typer.Typer(no_args_is_help=True, help="A flight in the simulator: washout and gains.")
+app.add_typer(cues, name="cue", rich_help_panel=_PANEL)
+
+Motion = Annotated[
+    Path,
+    Argument(
+        metavar="FLIGHT",
+        help="CSV or Parquet: time, specific_force_x.. [m/s^2], angular_rate_x.. [rad/s], "
+        "roll, pitch, yaw [rad] at the pilot's station",
+    ),
+]
+Rate = Annotated[float, Option(help="host frames a second")]
+LimitsFile = Annotated[
+    Path | None, Option(metavar="FILE", help="TOML changes to the machine's limits")
+]
+
+
+@cues.command("run")
+def run_command(
+    flight: Motion,
+    washout: options.Washout = "simona",
+    cab: options.Cab = "gfd",
+    rate: Rate = 80.0,
+    limits: LimitsFile = None,
+    senses: Annotated[
+        Path | None,
+        Option(metavar="FILE", help="TOML changes to canals, otoliths, thresholds"),
+    ] = None,
+    out: options.Out = Path("out/cue"),
+) -> None:
+    """Turn a flight into host frames and report what the pilot senses of it."""
+    from cmf_mj.machine.motion_limits import load_motion_limits
+    from cmf_mj.pilot.cueing.flight import cue
+    from cmf_mj.pilot.motion import PilotMotion
+    from cmf_mj.show import cueing as report
+
+    flown = cue(
+        PilotMotion.load(flight),
+        washout,
+        cab=cab,
+        limits=load_motion_limits(limits),
+        senses=None if senses is None else str(senses),
+        rate=rate,
+    )
+    paths = report.save_cue(flown, out)
+    excursion = report.excursion_table(flown.excursion, int(flown.held.sum()))
+    show(report.error_table(flown), excursion, written(paths))
+
+
+@cues.command("tune")
+def tune_command(
+    flight: Motion,
+    washout: options.Washout = "simona",
+    cab: options.Cab = "gfd",
+    dofs: options.Dofs = options.ALL,
+    share: Annotated[float, Option(help="of the machine's limits to use")] = 1.0,
+    largest_gain: Annotated[float, Option(help="no scaled gain goes above it")] = 1.0,
+    rate: Rate = 80.0,
+    limits: LimitsFile = None,
+    out: options.Out = Path("out/cue"),
+) -> None:
+    """Find the gains with which a flight just uses the machine."""
+    from cmf_mj.machine.motion_limits import load_motion_limits
+    from cmf_mj.pilot.cueing.flight import tune
+    from cmf_mj.pilot.cueing.settings import load_washout, save_washout
+    from cmf_mj.pilot.motion import PilotMotion
+    from cmf_mj.show import cueing as report
+
+    before = load_washout(washout)
+    tuned = tune(
+        PilotMotion.load(flight),
+        before,
+        cab=cab,
+        dofs=tuple(dofs),
+        share=share,
+        largest_gain=largest_gain,
+        limits=load_motion_limits(limits),
+        rate=rate,
+    )
+    path = save_washout(tuned.settings, out / "washout.toml")
+    gains = report.tuned_table(tuned, before.gains)
+    show(gains, report.excursion_table(tuned.excursion), f"written: {path}")
+
+
+@command("omct")
+def omct_command(
+    laws: options.Laws = options.VELOCITY,
+    washout: options.Washout = "simona",
+    cab: options.Cab = "gfd",
+    hydraulics: options.Hydraulics = "hardware",
+    dofs: options.Dofs = options.ALL,
+    jobs: options.Jobs = None,
+    quick: Annotated[bool, Option("--quick", help="only three frequencies")] = False,
+    out: options.Out = Path("out/omct"),
+) -> None:
+    """Objective motion cueing test; `--laws none` leaves law and machine out."""
+    from cmf_mj.pilot.omct import FREQUENCIES, omct
+    from cmf_mj.show import omct as report
+
+    with progress_bar() as update:
+        result = omct(
+            [] if laws == ["none"] else laws,
+            washout=washout,
+            cab=cab,
+            hydraulics=hydraulics,
+            frequencies=_QUICK if quick else FREQUENCIES,
+            dofs=dofs,
+            jobs=jobs,
+            progress=update,
+        )
+    paths = report.save_omct(result, out)
+    show(report.omct_table(result), written(paths))

@@ -1,0 +1,154 @@
+"""Options that several commands share: one spelling, one unit and one help text each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import Annotated, Any, get_args
+
+import typer
+from typer import Argument, Option
+
+from cmf_mj.core.errors import check_name
+
+
+def names_in(source: str) -> list[str]:
+    """Names that an option takes.
+
+    Args:
+        source: where they stand, as in `machine.models:CABS`: names, a literal or a function.
+    """
+    names = resolve_name(f"cmf_mj.{source}")
+    return list(get_args(names) or (names() if callable(names) else names))
+
+
+def shipped_laws() -> tuple[str, ...]:
+    """Names of all shipped laws."""
+    from cmf_mj.control.law import law_names
+
+    return law_names("all")
+
+
+def choice(
+    source: str,
+    metavar: str,
+    text: str,
+    *options: str,
+    free: bool = False,
+    every: str = "",
+    make: Callable[..., Any] = Option,
+) -> Any:
+    """An option that takes a name, or several with commas between; `all` stands for every one.
+
+    Args:
+        source: of the names, for `names_in`.
+        metavar: what stands for a value in the help.
+        text: of the help.
+        options: spellings; default the parameter's name.
+        free: whether it takes files and other names too, which the command then checks.
+        every: source of the names that `all` stands for; default `source`.
+        make: `typer.Option` or `typer.Argument`.
+    """
+
+    def complete(incomplete: str) -> list[str]:
+        before, comma, last = incomplete.rpartition(",")
+        return [before + comma + name for name in names_in(source) if name.startswith(last)]
+
+    def checked(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
+        if not value or ctx.resilient_parsing:
+            return value
+        several = not isinstance(value, str)
+        names = [part.strip() for text in value for part in text.split(",") if part.strip()]
+        names = names if several else [value]
+        if several and names == ["all"]:
+            return names_in(every or source)
+        for name in [] if free else names:
+            check_name(param.name or "", name, names_in(source))
+        return names if several else value
+
+    return make(*options, help=text, metavar=metavar, autocompletion=complete, callback=checked)
+
+
+argument = partial(choice, make=Argument)
+"""As `choice`, for an argument."""
+
+ALL, VELOCITY = ["all"], ["velocity"]
+"""Defaults of options that take several names."""
+
+DOFS, LAWS = "machine.kinematics:DOFS", "cli.options:shipped_laws"
+"""Where names stand, for `names_in`."""
+_CABS, _PLANTS = "machine.models:CABS", "plant.build:PLANTS"
+_OIL, _WASHOUTS = "plant.parameters.loading:HYDRAULICS", "pilot.cueing.settings:WASHOUTS"
+
+Dof = Annotated[str, choice(DOFS, "DOF", "surge, sway, heave, roll, pitch or yaw")]
+AnyDof = Annotated[str, choice(DOFS, "DOF", "degree of freedom, or leg_1 to leg_6", free=True)]
+Dofs = Annotated[list[str], choice(DOFS, "DOFS", "degrees of freedom, or `all`")]
+Law = Annotated[str, choice(LAWS, "LAW", "law by name or TOML file", free=True)]
+Laws = Annotated[
+    list[str],
+    choice(
+        LAWS,
+        "LAWS",
+        "laws by name or TOML file; `all` of the report",
+        free=True,
+        every="control.law:law_names",
+    ),
+]
+Cab = Annotated[str, choice(_CABS, "CAB", "gfd, rfd or ifd")]
+Cabs = Annotated[list[str], choice(_CABS, "CABS", "gfd, rfd, ifd, or `all`")]
+PlantName = Annotated[str, choice(_PLANTS, "PLANT", "hexapod or single_legs")]
+Plants = Annotated[list[str], choice(_PLANTS, "PLANTS", "hexapod, single_legs, or `all`")]
+Hydraulics = Annotated[str, choice(_OIL, "SET", "report, hardware, lossy or TOML file", free=True)]
+Washout = Annotated[
+    str,
+    choice(
+        "pilot.cueing.settings:WASHOUTS",
+        "WASHOUT",
+        "simona, reid_nahon, optimal or TOML file",
+        free=True,
+    ),
+]
+Scenario = Annotated[
+    str,
+    argument(
+        "facility.scenario.library:scenario_names",
+        "[SCENARIO]",
+        "shipped scenario by name, or TOML file",
+        free=True,
+    ),
+]
+Pose = Annotated[
+    str, Option(metavar="POSE", help="surge,sway,heave [in],roll,pitch,yaw [deg], z down")
+]
+Amplitude = Annotated[
+    str | None,
+    Option(metavar="SIZE", help="with its unit; default '0.33 in' or '0.2 deg'"),
+]
+Jobs = Annotated[int | None, Option(help="threads or processes; default one a core")]
+Noise = Annotated[
+    bool,
+    Option("--noise/--ideal", help="sensors, converters and servo electronics with noise"),
+]
+Quick = Annotated[bool, Option("--quick", help="shorter: sweeps of 30 s, not 100 s")]
+Seed = Annotated[int, Option(help="of all random numbers")]
+Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results")]
+Simulate = Annotated[bool, Option("--simulate", help="simulate the recordings")]
+Recordings = Annotated[list[Path] | None, Argument(help="facility CSV, UFF 58 or Parquet files")]
+FilmFile = Annotated[
+    str | None, Option("--video", metavar="NAME.mp4|NAME.gif", help="film in the folder")
+]
+Fps = Annotated[int, Option(help="frame rate of a film [1/s]")]
+Speed = Annotated[float, Option(help="times real speed; below 1 is slow motion")]
+Camera = Annotated[str, choice("cli.options:CAMERAS", "CAMERA", "overview, side or front")]
+Width = Annotated[int, Option(help="of the picture of one run or mode [pixels]")]
+Height = Annotated[int, Option(help="of the picture of one run or mode [pixels]")]
+StripHeight = Annotated[int, Option("--strip", help="height of the traces [pixels]; 0: none")]
+Start = Annotated[float, Option(help="time of the run at which a film begins [s]")]
+Seconds = Annotated[
+    float | None, Option(help="time of the run that a film shows [s]; default to the end")
+]
+
+CAMERAS = ("overview", "side", "front")
+"""Cameras of the machine."""

@@ -1,0 +1,139 @@
+"""The report and lists: `cmf report`, `ledger`, `linear`, `laws`, `parameters` and `sensors`."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Argument, Option
+
+from cmf_mj.cli import options
+from cmf_mj.cli.common import app, progress_bar, show, written
+from cmf_mj.cli.options import argument
+from cmf_mj.core.errors import require
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+command = partial(app.command, rich_help_panel="The report")
+listing = partial(app.command, rich_help_panel="Show")
+
+
+def _numbers(text: str) -> list[str] | None:
+    """Numbers of a comma-separated option; None for all."""
+    if text == "all":
+        return None
+    return [part.strip() for part in text.split(",") if part.strip() not in ("", "none")]
+
+
+@command("report")
+def report_command(
+    figures: Annotated[
+        str, Option(metavar="NUMBERS", help="figures by number, `all` or `none`")
+    ] = "all",
+    tables: Annotated[
+        str, Option(metavar="NUMBERS", help="result tables by number, `all` or `none`")
+    ] = "all",
+    jobs: options.Jobs = None,
+    seed: options.Seed = 0,
+    out: options.Out = Path("out/report"),
+    quick: options.Quick = False,
+) -> None:
+    """Reproduce the 2014 report on one HTML page, printed results beside ours."""
+    from rich.table import Table
+
+    for package in ("plotly", "jinja2"):
+        require(package, "report")
+    from cmf_mj.show.report_2014.page import make_content, save_page
+    from cmf_mj.show.report_2014.tables import result_rows
+
+    with progress_bar() as update:
+        content = make_content(
+            _numbers(figures), _numbers(tables), jobs=jobs, quick=quick, seed=seed, progress=update
+        )
+    path = save_page(content, out)
+    summary = Table("table", "within", "outside", "reported", title="rows by verdict")
+    for table in content.tables:
+        verdicts = [row.within for row in result_rows(content.runs, table)]
+        counts = (verdicts.count(True), verdicts.count(False), verdicts.count(None))
+        summary.add_row(table, *map(str, counts))
+    size = path.stat().st_size / 1e6
+    parts: list[Table | str] = [summary] if content.tables else []
+    show(*parts, f"written to {path}: {len(content.figures)} figures, {size:.1f} MB")
+
+
+@command("ledger")
+def ledger_command(
+    number: Annotated[int | None, Argument(help="number of an entry; default all")] = None,
+) -> None:
+    """Show the misprints and contradictions of the report and what is done about each."""
+    from cmf_mj.analysis.ledger import ledger_entry, load_ledger
+    from cmf_mj.show.listing import ledger_table
+
+    show(ledger_table(load_ledger() if number is None else (ledger_entry(number),)))
+
+
+@command("linear")
+def linear_command(
+    laws: options.Laws = options.VELOCITY, out: options.Out = Path("out/linear")
+) -> None:
+    """Show the report's linear models, Table 4-1 computed, and section 3.4's analysis."""
+    from cmf_mj.show import linear
+
+    show(*linear.linear_command(laws, out))
+
+
+@listing("laws")
+def laws_command() -> None:
+    """List the shipped control laws with their sources."""
+    from cmf_mj.control.law import law_names, load_law
+    from cmf_mj.show.listing import law_table
+
+    show(law_table([load_law(name) for name in law_names("all")]))
+
+
+@listing("parameters")
+def parameters_command(
+    hydraulics: Annotated[
+        str,
+        argument(
+            "plant.parameters.loading:HYDRAULICS",
+            "[SET]",
+            "report, hardware, lossy or TOML file",
+            free=True,
+        ),
+    ] = "hardware",
+) -> None:
+    """Show a hydraulic parameter set: value, unit, status and source of every number."""
+    from cmf_mj.plant.parameters.loading import load_hydraulics
+    from cmf_mj.show.listing import parameter_table
+
+    show(parameter_table(load_hydraulics(hydraulics)))
+
+
+@listing("sensors")
+def sensors_command(
+    sensors: Annotated[
+        str,
+        argument(
+            "electronics.sensors.settings:SENSOR_SETS",
+            "[SET]",
+            "ideal, noisy or TOML file",
+            free=True,
+        ),
+    ] = "noisy",
+    law: options.Law = "acceleration_opposing",
+    seed: options.Seed = 0,
+    out: options.Out = Path("out/sensors"),
+) -> None:
+    """Show a sensor set, and what the accelerometer filter does to it (Figures 3-15, 3-16)."""
+    from cmf_mj.electronics.sensors.settings import load_sensors
+    from cmf_mj.show import sensor as report
+    from cmf_mj.show.listing import sensor_table
+    from cmf_mj.studies.accelerometer_filter import filter_effect
+
+    settings = load_sensors(sensors)
+    effect = filter_effect(settings, law, seed=seed)
+    paths = report.save_sensor_figures(effect, out)
+    show(sensor_table(settings), report.effect_table(effect), written(paths))

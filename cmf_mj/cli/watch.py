@@ -1,0 +1,168 @@
+"""Watch a simulation: `cmf view`, `video` and `studio`."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import Option
+
+from cmf_mj.cli import options
+from cmf_mj.cli.common import app, progress_bar, quantity, show
+from cmf_mj.cli.options import argument, choice
+from cmf_mj.core.errors import InputError, require
+
+if TYPE_CHECKING:
+    from cmf_mj.facility.scenario.run import ScenarioRun
+
+command = partial(app.command, rich_help_panel="Simulate")
+
+
+_Law = Annotated[
+    str | None,
+    choice(options.LAWS, "LAW", "law in place of the scenario's", free=True),
+]
+_Cab = Annotated[str | None, choice("machine.models:CABS", "CAB", "in place of the scenario's")]
+
+
+def _with(scenario: Any, **fields: object) -> Any:
+    """A scenario with other fields, checked anew; None leaves a field."""
+    from cmf_mj.facility.scenario.settings import scenario_of
+
+    changes = {name: value for name, value in fields.items() if value is not None}
+    kept = scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
+    return scenario_of(kept | changes, "options")
+
+
+@command("view")
+def view_command(
+    scenario: options.Scenario = "heave_sine",
+    law: _Law = None,
+    cab: _Cab = None,
+    speed: options.Speed = 1.0,
+    dof: Annotated[
+        str | None,
+        choice(options.DOFS, "DOF", "an endless sine along it instead"),
+    ] = None,
+    amplitude: Annotated[str, Option(metavar="SIZE", help="of the sine, with its unit")] = "4 in",
+    frequency: Annotated[float, Option(help="of the sine [Hz]")] = 0.3,
+    seconds: Annotated[float | None, Option(help="close after this wall time [s]")] = None,
+    file: Annotated[Path, Option(metavar="FILE", help="that S saves the run to")] = Path(
+        "out/view/scenario.toml"
+    ),
+) -> None:
+    """Watch a live closed loop in MuJoCo's viewer and pull it about with the mouse."""
+    from cmf_mj.facility.scenario.library import load_scenario
+    from cmf_mj.facility.scenario.run import ScenarioRun
+    from cmf_mj.facility.scenario.settings import save_scenario
+    from cmf_mj.show.film import view
+
+    sine = None
+    if dof is not None:
+        size = list(quantity("amplitude", amplitude))
+        sine = [{"kind": "sine", "dof": dof, "amplitude": size, "frequency": frequency}]
+    chosen = _with(load_scenario(scenario), law=law, cab=cab, signal=sine)
+    if sine is not None:
+        chosen = _with(chosen, duration="open")
+
+    def save(run: ScenarioRun) -> None:
+        show(f"written: {save_scenario(run.scenario(), file)}")
+
+    view.show(view.LiveView(ScenarioRun(chosen), speed), seconds=seconds, save=save)
+
+
+@command("video")
+def video_command(
+    scenario: Annotated[
+        list[str] | None,
+        argument(
+            "facility.scenario.library:scenario_names",
+            "[SCENARIO]...",
+            "scenarios by name or TOML file, or Parquet records",
+            free=True,
+        ),
+    ] = None,
+    laws: Annotated[
+        list[str] | None,
+        choice(options.LAWS, "LAWS", "laws next to each other", free=True),
+    ] = None,
+    cab: _Cab = None,
+    file: Annotated[Path, Option(metavar="FILE", help="MP4 or GIF file")] = Path("out/video.mp4"),
+    fps: options.Fps = 30,
+    speed: options.Speed = 1.0,
+    camera: options.Camera = "overview",
+    width: options.Width = 720,
+    height: options.Height = 450,
+    strip: options.StripHeight = 190,
+    dof: Annotated[
+        str | None,
+        choice(options.DOFS, "DOF", "of the traces; default: moves most"),
+    ] = None,
+    start: options.Start = 0.0,
+    seconds: options.Seconds = None,
+) -> None:
+    """Render a run, or several side by side, to MP4 or GIF, with live traces; needs no display."""
+    from cmf_mj.facility.scenario.library import load_scenario
+    from cmf_mj.facility.scenario.run import run_scenario
+    from cmf_mj.record.record import Record
+    from cmf_mj.show.film.film import FilmSettings, film
+
+    sources = scenario or ["heave_sine"]
+    if len(sources) > 1 and laws:
+        raise InputError("laws: are for one scenario; give one, or no laws")
+    records, titles = [], []
+    with progress_bar() as progress:
+        for source in sources:
+            if source.endswith(".parquet"):
+                records.append(Record.load(source))
+                titles.append(f"{Path(source).stem}: {records[-1].metadata['law']}")
+                continue
+            base = load_scenario(source)
+            for law in laws or [base.law]:
+                one = _with(base, law=law, cab=cab)
+                records.append(run_scenario(one, progress=progress))
+                titles.append(one.law if laws else one.title or Path(source).stem)
+    settings = FilmSettings(fps, speed, camera, width, height, strip, dof, start, seconds)
+    with progress_bar("drawing") as progress:
+        path = film(records, file, settings, titles=titles, progress=progress)
+    show(f"written: {path}")
+
+
+@command("studio")
+def studio_command(
+    scenario: options.Scenario = "",
+    host: Annotated[str, Option(help="address to listen on")] = "127.0.0.1",
+    port: Annotated[int, Option(help="TCP port; the next free one if it is taken")] = 8048,
+    browse: Annotated[
+        bool, Option("--open/--no-open", help="whether to open the page in a browser")
+    ] = True,
+) -> None:
+    """Drive the machine in a web page, in real time."""
+    import signal
+    import time
+    import warnings
+    import webbrowser
+
+    from cmf_mj.facility.scenario.library import load_scenario
+
+    for package in ("viser", "mjviser"):
+        require(package, "studio")
+    from cmf_mj.show.studio.server import Studio
+
+    # A picture on its way to a tab that has just been closed is nothing to tell of.
+    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
+    studio = Studio(host, port, load_scenario(scenario) if scenario else None)
+    # A shell that starts it in the background would have it ignore Ctrl-C for good.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
+    print(f"studio: {studio.url} (end with Ctrl-C)", flush=True)
+    if browse:
+        webbrowser.open(studio.url)
+    try:
+        while True:
+            time.sleep(1.0)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        studio.stop()
