@@ -21,7 +21,7 @@ report: $(VENV)/ready-report
 	$(BIN)/cmf report
 
 video: $(VENV)/ready-video
-	$(BIN)/cmf video tour --fps 15 --out out/video.mp4
+	$(BIN)/cmf video tour --fps 15 --file out/video.mp4
 
 studio: $(VENV)/ready-studio
 	$(BIN)/cmf studio

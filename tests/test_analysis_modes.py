@@ -169,7 +169,7 @@ def check_mass_and_shapes(folder: Path, pose: list[float], frequency_hz: np.ndar
 
 
 def test_the_command_writes_what_it_says(tmp_path: Path) -> None:
-    arguments = ["modes", "--cab", "gfd", "--samples", "90", "--points", "3", "--rounds", "5"]
+    arguments = ["modes", "--cabs", "gfd", "--samples", "90", "--points", "3", "--rounds", "5"]
     done = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
     assert "39346" in done.output and "surge 92 %, pitch 8 %" in done.output
@@ -183,5 +183,5 @@ def test_the_command_writes_what_it_says(tmp_path: Path) -> None:
     for name in ("modes_sweep.png", "modes_map.png"):
         assert (tmp_path / name).stat().st_size > 10_000
     check_mass_and_shapes(tmp_path, pose, expected)
-    refused = CliRunner().invoke(app, ["modes", "--cab", "none", "--out", str(tmp_path)])
+    refused = CliRunner().invoke(app, ["modes", "--cabs", "none", "--out", str(tmp_path)])
     assert refused.exit_code == 2

@@ -68,7 +68,7 @@ def test_compare_writes_table_figures_and_records(tmp_path: Path) -> None:
         (("--cab", "bus"), "'bus'"),
         (("--plants", "boat"), "'boat'"),
         (("--hydraulics", "missing.toml"), "missing.toml"),
-        (("--amplitude", "0"), "amplitude"),
+        (("--amplitude", "0 in"), "amplitude"),
         (("--jobs", "0"), "jobs"),
     ],
 )

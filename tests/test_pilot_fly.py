@@ -214,7 +214,7 @@ def test_cmf_flight_records_and_cmf_fly_compares(failing: PilotMotion, tmp_path:
     short = Flight(cut(failing, 2.0, 5.0), flight.origin).save(tmp_path / "short.csv")
     out = tmp_path / "out"
     laws = "velocity,position_error_rate"
-    text = run("fly", str(short), "--law", laws, "--cueing", "optimal", "--out", str(out))
+    text = run("fly", str(short), "--laws", laws, "--washout", "optimal", "--out", str(out))
     assert "host to leg reference" in text and text.count("kept within the envelope") == 2
     with (out / "comparison.csv").open(newline="") as file:
         rows = list(csv.reader(file))
@@ -248,15 +248,15 @@ def test_cmf_fly_films_the_laws_side_by_side(failing: PilotMotion, tmp_path: Pat
     short = Flight(cut(failing, 2.0, 4.5), origin).save(tmp_path / "short.parquet")
     out, size = tmp_path / "out", ("--width", "160", "--height", "100", "--fps", "4")
     part = ("--start", "0.5", "--seconds", "1.5", "--strip", "120")
-    laws = ("--law", "velocity,modal_plan_flight", "--no-delay", "--ideal")
-    text = run("fly", str(short), *laws, "--video", *part, *size, "--out", str(out))
+    laws = ("--laws", "velocity,modal_plan_flight", "--no-delay", "--ideal")
+    text = run("fly", str(short), *laws, "--video", "film.mp4", *part, *size, "--out", str(out))
     assert text.count("kept within the envelope") == 2
-    with av.open(str(out / "video.mp4")) as container:
+    with av.open(str(out / "film.mp4")) as container:
         pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
     assert len(pictures) == 7 and pictures[0].shape == (220, 320, 3)
     again = tmp_path / "again.gif"
     record = out / "velocity" / "record.parquet"
-    run("video", str(record), *size, "--seconds", "1", "--out", str(again))
+    run("video", str(record), *size, "--seconds", "1", "--file", str(again))
     with Image.open(again) as picture:
         assert picture.n_frames == 5
 
@@ -266,14 +266,14 @@ def test_a_film_that_cannot_be_made_is_refused_before_the_flight(
 ) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
     out = tmp_path / "out"
-    result = CliRunner().invoke(app, ["fly", "gusts", "--video", "--out", str(out)])
+    result = CliRunner().invoke(app, ["fly", "gusts", "--video", "film.mp4", "--out", str(out)])
     assert result.exit_code == 2 and "pip install 'cmf-mj[video]'" in result.output
     assert not out.exists()
 
 
 def test_cmf_flight_flies_a_script(tmp_path: Path) -> None:
     path = tmp_path / "gusts.parquet"
-    assert "13.48 m forward" in run("flight", "gusts", "--out", str(path), "--single")
+    assert "13.48 m forward" in run("flight", "gusts", "--file", str(path), "--single")
     shipped = load_flight("gusts").motion
     np.testing.assert_allclose(
         Flight.load(path).motion.specific_force, shipped.specific_force, atol=2e-6
@@ -283,10 +283,10 @@ def test_cmf_flight_flies_a_script(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("fly", "loop"), "cmf: flight: 'loop' is neither"),
-        (("fly", "gusts", "--law", "none"), "law: 'none'"),
-        (("fly", "gusts", "--cueing", "none"), "'none'"),
-        (("flight", "loop", "--out", "x.csv"), "flight: 'loop' is not one of"),
+        (("fly", "loop"), "cmf: flight: 'loop' is not one of"),
+        (("fly", "gusts", "--laws", "none"), "law: 'none'"),
+        (("fly", "gusts", "--washout", "none"), "'none'"),
+        (("flight", "loop", "--file", "x.csv"), "name: 'loop' is not one of"),
     ],
 )
 def test_bad_names_are_refused_in_a_line(arguments: tuple[str, ...], message: str) -> None:

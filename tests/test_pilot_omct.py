@@ -170,7 +170,7 @@ def test_command_writes_table_and_figure(tmp_path):
     out = tmp_path / "out"
     result = CliRunner().invoke(
         app,
-        ["omct", "--laws", "none", "--quick", "--inputs", "yaw", "--jobs", "1"]
+        ["omct", "--laws", "none", "--quick", "--dofs", "yaw", "--jobs", "1"]
         + ["--washout", str(quiet), "--out", str(out)],
     )
     assert result.exit_code == 0, result.output

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cmf_mj.cli import calibrating
 from cmf_mj.cli.common import app
 from cmf_mj.show import calibration as calibration_report
+from cmf_mj.studies.calibration import examination, fit
 from cmf_mj.studies.calibration.definition import load_study
 from cmf_mj.studies.calibration.examination import Examination
 from cmf_mj.studies.calibration.fit import Calibration, Stage, residual_rows
@@ -85,9 +85,9 @@ def test_text_marks_what_is_outside_and_what_is_missing(found: Examination) -> N
 def test_command_writes_a_folder_a_study(
     found: Examination, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(calibrating, "calibrate", lambda *_, **__: found.calibration)
-    monkeypatch.setattr(calibrating, "examine", lambda *_, **__: found)
-    arguments = ["calibrate", "--study", "hardware", "--out", str(tmp_path / "out")]
+    monkeypatch.setattr(fit, "calibrate", lambda *_, **__: found.calibration)
+    monkeypatch.setattr(examination, "examine", lambda *_, **__: found)
+    arguments = ["calibrate", "hardware", "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     assert "residuals of the simulation" in result.output

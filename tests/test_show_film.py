@@ -208,7 +208,7 @@ def test_the_video_command_compares_laws(tmp_path: Path) -> None:
     out = tmp_path / "laws.gif"
     result = CliRunner().invoke(
         app,
-        ["video", str(path), "--laws", "velocity,original", "--out", str(out), "--fps", "5"]
+        ["video", str(path), "--laws", "velocity,original", "--file", str(out), "--fps", "5"]
         + ["--width", "160", "--height", "100", "--strip", "0"],
     )
     assert result.exit_code == 0, result.output

@@ -26,7 +26,7 @@ def run(*arguments: str) -> str:
 
 def test_linearize_prints_the_tables_and_writes_the_files(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    text = run("--dof", "surge,leg_2", "--pose", "0,0,-5,0,3,0", "--out", str(out))
+    text = run("--dofs", "surge,leg_2", "--pose", "0,0,-5,0,3,0", "--out", str(out))
     assert "heave -5 in, pitch 3 deg" in text and "not measured" in text
     pose = np.array([0.0, 0.0, -5 * 0.0254, 0.0, np.radians(3.0), 0.0])
     expected = linearize(Hexapod("gfd"), pose)
@@ -43,7 +43,7 @@ def test_linearize_prints_the_tables_and_writes_the_files(tmp_path: Path) -> Non
 
 def test_measured_loops_stand_beside_the_linear_ones(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    text = run("--plant", "single_legs", "--dof", "leg_1", "--measure", "--out", str(out))
+    text = run("--plant", "single_legs", "--dofs", "leg_1", "--measure", "--out", str(out))
     assert "not measured" not in text
     with (out / "comparison.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -71,8 +71,8 @@ def test_a_pose_reads_in_inches_and_degrees() -> None:
         (("--pose", "1,2"), "pose: '1,2' has 2 numbers"),
         (("--pose", "a,0,0,0,0,0"), "must be six numbers"),
         (("--hydraulics", "lossy"), "overlap: "),
-        (("--dof", "leg_9"), "leg: 9 is not one of 1 to 6"),
-        (("--dof", "twist"), "twist"),
+        (("--dofs", "leg_9"), "leg: 9 is not one of 1 to 6"),
+        (("--dofs", "twist"), "twist"),
         (("--pose", "0,0,-60,0,0,0"), "pose: puts leg"),
     ],
 )

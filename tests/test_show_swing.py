@@ -199,7 +199,7 @@ def test_what_a_film_of_modes_cannot_do_is_named(
 def test_the_command_films_the_pose_and_the_worst(tmp_path: Path) -> None:
     cheap = ["--samples", "90", "--points", "3", "--rounds", "2", "--out", str(tmp_path)]
     looks = ["--fps", "4", "--speed", "0.02", "--width", "64", "--height", "50"]
-    arguments = ["modes", "--cab", "ifd", "--pose", "0,0,-20,0,10,0", *cheap, *looks]
+    arguments = ["modes", "--cabs", "ifd", "--pose", "0,0,-20,0,10,0", *cheap, *looks]
     done = CliRunner().invoke(app, [*arguments, "--periods", "0.05", "--video", "film.gif"])
     assert done.exit_code == 0, done.output
     for name in ("film_ifd.gif", "film_ifd_worst.gif"):

@@ -375,7 +375,7 @@ def run(*arguments: str) -> tuple[int, str]:
 def test_command_writes_tables_and_figures(tmp_path: Path) -> None:
     out = tmp_path / "out"
     code, output = run(
-        *("--signal", "step", "--dof", "pitch", "--amplitude", "5", "--cab", "ifd", "--quick"),
+        *("--signal", "step", "--dof", "pitch", "--amplitude", "5 deg", "--cab", "ifd", "--quick"),
         *("--dofs", "pitch", "--jobs", "2", "--out", str(out)),
     )
     assert code == 0, output
@@ -416,7 +416,7 @@ def test_command_draws_a_constant_supply(tmp_path: Path) -> None:
     [
         (("--signal", "square"), "'square'"),
         (("--dof", "up"), "'up'"),
-        (("--amplitude", "60"), "heave"),
+        (("--amplitude", "60 in"), "heave"),
         (("--least-pressure", "1600"), "least_pressure"),
         (("--law", "fast"), "'fast'"),
         (("--hydraulics", "water"), "'water'"),

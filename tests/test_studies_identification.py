@@ -121,7 +121,7 @@ def test_command_line_identifies_recordings_and_simulations_alike(
         ((), "not both and not neither"),
         (("--simulate", "--dof", "up"), "'up'"),
         (("--simulate", "--orders", "4,3"), "orders: '4,3' is refused"),
-        (("none.parquet", "--dof", "all"), "dof: all needs --simulate"),
+        (("none.parquet", "--matrix"), "matrix: needs --simulate"),
         (("none.csv",), "none.csv"),
         (("--simulate", "--plant", "boat"), "'boat'"),
         (("--simulate", "--law", "fast"), "'fast'"),

@@ -136,7 +136,7 @@ def test_record_and_measure_from_the_command_line(tmp_path: Path) -> None:
         (["measure", "a.csv", "--estimator", "h3"], "estimator: 'h3' is not one of h1"),
         (["record", "--dof", "up"], "dof: 'up' is not one of surge"),
         (["record", "--law", "fast"], "law: 'fast'"),
-        (["record", "--amplitude", "60"], "heave"),
+        (["record", "--amplitude", "60 in"], "heave"),
     ],
 )
 def test_what_cannot_be_measured_is_refused(

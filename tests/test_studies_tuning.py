@@ -105,7 +105,7 @@ def test_bad_requests_are_named() -> None:
 
 def test_tune_command(tmp_path: Path) -> None:
     out = tmp_path / "law.toml"
-    arguments = ["tune", "--cabs", "gfd", "--evaluations", "1", "--out", str(out)]
+    arguments = ["tune", "--cabs", "gfd", "--evaluations", "1", "--file", str(out)]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     assert "--evaluations 1 --seed 1" in load_law(out).source

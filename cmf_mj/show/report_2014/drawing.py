@@ -2,8 +2,6 @@
 
 import io
 import math
-from importlib import import_module
-from types import ModuleType
 from typing import Any
 
 from matplotlib import rc_context
@@ -11,35 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import require
 from cmf_mj.show.chart import Chart, Curve, Panel, plot_curves
 
 _PANEL, _MARGIN = 230, 96
 """Height of a panel and of what surrounds all [px]."""
-
-
-def optional_module(name: str) -> ModuleType:
-    """A module that only the extra `report` installs.
-
-    Raises:
-        InputError: it is not installed.
-    """
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise InputError(
-            f"{error.name}: is not installed; the report needs `pip install cmf-mj[report]`"
-        ) from error
-
-
-def require_extra() -> None:
-    """Refuse before anything is run if the extra `report` is not installed.
-
-    Raises:
-        InputError: plotly or Jinja2 is missing.
-    """
-    for name in ("plotly.graph_objects", "jinja2"):
-        optional_module(name)
 
 
 def chart_height(chart: Chart) -> int:
@@ -99,7 +73,7 @@ def _trace(line: Curve, suffix: str, *, in_legend: bool) -> dict[str, Any]:
 
 def plotly_json(chart: Chart) -> str:
     """The chart as JSON of a plotly figure; the same bytes for the same chart."""
-    graph = optional_module("plotly.graph_objects")
+    graph = require("plotly.graph_objects", "report")
     total = sum(panel.height for panel in chart.panels)
     layout: dict[str, Any] = {
         "template": "none",

@@ -5,12 +5,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import cast
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, require
 from cmf_mj.core.files import write_text
 from cmf_mj.show.chart import Chart
 from cmf_mj.show.report_2014 import figures_of_laws, figures_of_models
 from cmf_mj.show.report_2014.contents import CONTENTS, Content, ReportFigure, specs
-from cmf_mj.show.report_2014.drawing import chart_height, optional_module, plotly_json, still
+from cmf_mj.show.report_2014.drawing import chart_height, plotly_json, still
 from cmf_mj.show.report_2014.force import FORCE_NEEDS
 from cmf_mj.show.report_2014.ledger_section import CALIBRATION_NEEDS
 from cmf_mj.show.report_2014.runs import perform
@@ -90,11 +90,11 @@ def render(content: Content) -> str:
     """The page as text: the same bytes for the same content.
 
     Raises:
-        InputError: plotly or Jinja2 is not installed.
+        MissingExtraError: plotly or Jinja2 is not installed.
     """
-    jinja = optional_module("jinja2")
-    library = optional_module("plotly.offline").get_plotlyjs()
-    markup = optional_module("markupsafe").Markup
+    jinja = require("jinja2", "report")
+    library = require("plotly.offline", "report").get_plotlyjs()
+    markup = require("markupsafe", "report").Markup
 
     def picture(chart: Chart) -> str:
         return base64.b64encode(still(chart).encode()).decode()
@@ -120,6 +120,6 @@ def save_page(content: Content, folder: Path) -> Path:
     """Write `report.html`; it appears only when it is complete.
 
     Raises:
-        InputError: plotly or Jinja2 is not installed.
+        MissingExtraError: plotly or Jinja2 is not installed.
     """
     return write_text(folder / "report.html", render(content))
