@@ -94,7 +94,9 @@ def modes_command(
     at_pose = [plant.hydraulic_modes(here) for plant in plants]
     looks = SwingSettings(fps, speed, camera, width, height, units.to_si("in", stroke), periods)
 
-    def filmed(plant: Hexapod, modes: HydraulicModes, suffix: str = "", where: str = "") -> list[Path]:
+    def filmed(
+        plant: Hexapod, modes: HydraulicModes, suffix: str = "", where: str = ""
+    ) -> list[Path]:
         if video is None:
             return []
         name = Path(video)
