@@ -82,11 +82,11 @@ def test_roots_are_listed_slowest_first_and_pairs_once() -> None:
 
 def test_tables_have_a_line_for_each_entry() -> None:
     models = report_models()
-    assert model_table().row_count == sum(len(entry.variants) for entry in models)
+    assert len(model_table().rows) == sum(len(entry.variants) for entry in models)
     remarks = sum(bool(entry.note) + (entry.corrected is not None) for entry in models)
-    assert misprint_table().row_count == remarks
+    assert len(misprint_table().rows) == remarks
     rows = table_4_1()
-    words = list(table_4_1_table(rows).columns[-1].cells)
+    words = [row[-1] for row in table_4_1_table(rows).cells]
     assert words == ["within" if row.within else "OUTSIDE" for row in rows]
 
 

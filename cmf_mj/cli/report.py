@@ -79,9 +79,13 @@ def linear_command(
     laws: options.Laws = options.VELOCITY, out: options.Out = Path("out/linear")
 ) -> None:
     """Show the report's linear models, Table 4-1 computed, and section 3.4's analysis."""
+    from cmf_mj.analysis.linear.table_4_1 import law_loops, table_4_1
     from cmf_mj.show import linear
 
-    show(*linear.linear_command(laws, out))
+    loops, rows = law_loops(laws), table_4_1()
+    paths = linear.save_linear(loops, rows, out)
+    tables = (linear.model_table(), linear.misprint_table(), linear.table_4_1_table(rows))
+    show(*tables, linear.loop_table(loops), written(paths, out))
 
 
 @listing("laws")

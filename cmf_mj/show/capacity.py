@@ -1,20 +1,35 @@
 """Tables and figures of capacity studies."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
+from numpy.typing import NDArray
 
 from cmf_mj.core import units
 from cmf_mj.core.files import write_text
-from cmf_mj.machine.dof import dof_unit
+from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.show.look import (
+    AMBER,
+    BLUE,
+    COLOURS,
+    DARK,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    grid,
+    legend,
+    new_figure,
+    save_figure,
+)
+from cmf_mj.show.table import Table, number
 from cmf_mj.studies.capacity.asymptotes import Asymptotes
 from cmf_mj.studies.capacity.envelope import Envelope, EnvelopePoint
 from cmf_mj.studies.capacity.verdict import CapacityResult, relief_flow
@@ -22,149 +37,107 @@ from cmf_mj.studies.capacity.verdict import CapacityResult, relief_flow
 _GALLON, _GPM, _PSI = units.GALLON, units.GALLON_PER_MINUTE, units.PSI
 
 _BINDING = {
-    "displacement": ("operational displacement", "s", "#0072b2"),
-    "leg_stroke": ("leg stroke", "D", "#56b4e9"),
-    "valve_command": ("valve command", "^", "#d55e00"),
-    "supply_pressure": ("supply pressure", "v", "#cc79a7"),
-    "pump_flow": ("pump flow", "o", "#009e73"),
+    "displacement": ("operational displacement", "s", BLUE),
+    "leg_stroke": ("leg stroke", "D", SKY),
+    "valve_command": ("valve command", "^", ORANGE),
+    "supply_pressure": ("supply pressure", "v", PURPLE),
+    "pump_flow": ("pump flow", "o", GREEN),
     "physical_bounds": ("model left its bounds", "x", "#000000"),
 }
 """Title, marker and colour of every limit."""
 
-_CLOSED: dict[str, tuple[str, Literal["-", ":", "--", "-."] | tuple[float, list[float]], str]] = {
-    "displacement": ("operational displacement", "-", "#0072b2"),
-    "leg_stroke": ("leg stroke", ":", "#56b4e9"),
-    "valve_command": ("leg speed behind the lags", "--", "#d55e00"),
-    "pump_flow": ("sustained pump flow", "-.", "#009e73"),
-    "stall_force": (
-        "stall force over reflected mass",
-        (0.0, [5.0, 1.0, 1.0, 1.0, 1.0, 1.0]),
-        "#999933",
-    ),
+_CLOSED: dict[str, tuple[str, Any, str]] = {
+    "displacement": ("operational displacement", "-", BLUE),
+    "leg_stroke": ("leg stroke", ":", SKY),
+    "valve_command": ("leg speed behind the lags", "--", ORANGE),
+    "pump_flow": ("sustained pump flow", "-.", GREEN),
+    "stall_force": ("stall force over reflected mass", (0.0, [5, 1, 1, 1, 1, 1]), "#999933"),
 }
 """Title, line and colour of every closed form."""
 
 
-def _number(value: float, digits: int = 3) -> str:
-    return "-" if np.isnan(value) else f"{value:.{digits}g}"
-
-
 def _psi(value: float) -> str:
-    return "-" if np.isnan(value) else f"{value / _PSI:.0f} psi"
+    return number(value / _PSI, ".0f psi")
 
 
 def _gpm(value: float) -> str:
-    return "-" if np.isnan(value) else f"{value / _GPM:.0f} gpm"
+    return number(value / _GPM, ".0f gpm")
 
 
 def _gallons(value: float) -> str:
-    return "-" if np.isnan(value) else f"{value / _GALLON:.1f} gal"
+    return number(value / _GALLON, ".1f gal")
 
 
-def capacity_rows(result: CapacityResult) -> list[tuple[str, str, str]]:
+def capacity_table(result: CapacityResult) -> Table:
     """Every measure of a manoeuvre: name, value with unit, definition."""
     worst = int(result.peak_command.argmax())
-    allowed = _psi(result.allowed_pressure)
-    return [
-        ("supply holds", "yes" if result.holds else "NO", f"manifold never below {allowed}"),
+    lowest, oil = f"at {result.least_pressure_time:.2f} s", _gallons(result.charged_oil)
+    margin = f"leg {result.least_margin_leg + 1} at {result.least_margin_time:.2f} s"
+    rows = [
         (
-            "least manifold pressure",
-            _psi(result.least_pressure),
-            f"at {result.least_pressure_time:.2f} s",
+            *("supply holds", "yes" if result.holds else "NO"),
+            f"manifold never below {_psi(result.allowed_pressure)}",
         ),
-        (
-            "least oil in accumulators",
-            _gallons(result.least_oil),
-            f"of {_gallons(result.charged_oil)} charged",
-        ),
+        ("least manifold pressure", _psi(result.least_pressure), lowest),
+        ("least oil in accumulators", _gallons(result.least_oil), f"of {oil} charged"),
         ("least gas pressure", _psi(result.least_gas_pressure), "of the accumulators"),
-        ("accumulators empty", f"{_number(result.empty_time)} s", "in all"),
+        ("accumulators empty", f"{number(result.empty_time, '.3g')} s", "in all"),
         (
-            "mean pump flow",
-            _gpm(result.mean_pump_flow),
+            *("mean pump flow", _gpm(result.mean_pump_flow)),
             f"over the run; limit {_gpm(result.pump_flow_limit)}",
         ),
         ("peak pump flow", _gpm(result.peak_pump_flow), ""),
         ("mean relief flow", _gpm(result.mean_relief_flow), "over the run"),
         ("peak relief flow", _gpm(result.peak_relief_flow), ""),
         (
-            "valve saturation",
-            f"{100.0 * result.saturation.max():.2f} %",
+            *("valve saturation", f"{100.0 * result.saturation.max():.2f} %"),
             "of the run, worst leg",
         ),
         (
-            "peak valve demand",
-            f"{100.0 * result.peak_command[worst]:.0f} %",
+            *("peak valve demand", f"{100.0 * result.peak_command[worst]:.0f} %"),
             f"leg {worst + 1}, before the clamp at 100 %",
         ),
-        (
-            "least pressure margin",
-            _psi(result.least_margin),
-            f"manifold over stall, leg {result.least_margin_leg + 1} "
-            f"at {result.least_margin_time:.2f} s",
-        ),
+        ("least pressure margin", _psi(result.least_margin), f"manifold over stall, {margin}"),
     ]
-
-
-def capacity_table(result: CapacityResult) -> Table:
-    """A manoeuvre as a terminal table."""
     about = result.record.metadata
     words = [about["law"], about["cab"], f"{about['hydraulics']} hydraulics"]
-    table = Table(
-        "measure", "value", "", title=f"capacity: {', '.join(filter(None, words))}", box=SIMPLE_HEAD
-    )
-    for row in capacity_rows(result):
-        table.add_row(*row)
-    return table
+    title = f"capacity: {', '.join(filter(None, words))}"
+    return Table(title, ("measure", "value", ""), rows)
 
 
 def envelope_table(envelope: Envelope) -> Table:
-    """The envelope, a line per point."""
-    table = Table(
-        title=f"largest sustained sine: {envelope.law}, {envelope.cab}, "
-        f"{envelope.hydraulics} hydraulics, manifold above {_psi(envelope.allowed_pressure)}",
-        caption="Displacement, velocity, acceleration: amplitudes of the response's fundamental; "
-        "in, in/s, g or deg, deg/s, deg/s^2. Closed form: smallest of the velocity limits.",
-        caption_justify="left",
-        box=SIMPLE_HEAD,
-    )
-    names = ("dof", "Hz", "demand", "displ.", "velocity", "accel.", "closed\nform")
-    for name in (*names, "manifold\npsi", "drawn\ngpm", "distort.\n%"):
-        table.add_column(name, justify="left" if name == "dof" else "right", no_wrap=True)
-    table.add_column("bound by", no_wrap=True)
-    beside = {own.dof: own for own in envelope.asymptotes}
-    dof = ""
+    """The envelope, a row per point."""
+    closed = {each.dof: each for each in envelope.asymptotes}
+    rows = []
     for point in envelope.points:
-        if dof and point.dof != dof:
-            table.add_section()
         length, turn = _scales(point.dof)
-        cells = (
-            point.frequency,
-            point.command / length,
-            point.displacement / length,
-            point.velocity / length,
-            point.acceleration / turn,
-            beside[point.dof].velocity(point.frequency) / length,
+        rows.append(
+            (
+                *(point.dof, point.frequency, point.command / length),
+                *(point.displacement / length, point.velocity / length, point.acceleration / turn),
+                closed[point.dof].velocity(point.frequency) / length,
+                *(point.least_pressure / _PSI, point.drawn_flow / _GPM, 100.0 * point.distortion),
+                _BINDING[point.binding][0],
+            )
         )
-        table.add_row(
-            "" if point.dof == dof else point.dof,
-            *(_number(value) for value in cells),
-            *(
-                "-" if np.isnan(value) else f"{value:.0f}"
-                for value in (point.least_pressure / _PSI, point.drawn_flow / _GPM)
-            ),
-            _number(100.0 * point.distortion, 2),
-            _BINDING[point.binding][0],
-        )
-        dof = point.dof
-    return table
+    names = ("Hz", "demand", "displ.", "velocity", "accel.", "closed\nform")
+    return Table(
+        f"largest sustained sine: {envelope.law}, {envelope.cab}, "
+        f"{envelope.hydraulics} hydraulics, manifold above {_psi(envelope.allowed_pressure)}",
+        (
+            *("dof", *((name, ".3g") for name in names)),
+            *(("manifold\npsi", ".0f"), ("drawn\ngpm", ".0f"), ("distort.\n%", ".2g"), "bound by"),
+        ),
+        rows,
+        "Displacement, velocity, acceleration: amplitudes of the response's fundamental; "
+        "in, in/s, g or deg, deg/s, deg/s^2. Closed form: smallest of the velocity limits.",
+        grouped=True,
+    )
 
 
 def _scales(dof: str) -> tuple[float, float]:
     """The field's unit of displacement, and of acceleration, in SI."""
-    if dof_unit(dof) == "in":
-        return units.INCH, units.STANDARD_GRAVITY
-    return units.DEGREE, units.DEGREE
+    return units.factor(dof_unit(dof)), by_kind(dof, units.STANDARD_GRAVITY, units.DEGREE)
 
 
 def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Figure:
@@ -173,7 +146,7 @@ def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Fi
     time = record.time
     network = parameters.supply == "network"
     count = 5 if network else 3
-    figure = Figure(figsize=(8.5, 1.9 * count), layout="constrained")
+    figure = new_figure(8.5, 1.9 * count)
     motion, pressure, *between, valve = figure.subplots(count, 1, sharex=True)
     verdict = "holds" if result.holds else "does NOT hold"
     motion.set_title(
@@ -181,25 +154,21 @@ def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Fi
         f"{_psi(result.allowed_pressure)} needed"
     )
     _motion(motion, result)
-    pressure.plot(time, record["supply_pressure"] / _PSI, color="#0072b2", label="supply manifold")
-    pressure.axhline(result.allowed_pressure / _PSI, color="#d55e00", label="least allowed")
+    pressure.plot(time, record["supply_pressure"] / _PSI, color=BLUE, label="supply manifold")
+    pressure.axhline(result.allowed_pressure / _PSI, color=ORANGE, label="least allowed")
     pressure.set_ylabel("pressure [psi]")
     largest = 100.0 * np.abs(record["valve_command"]).max(axis=1)
-    valve.plot(time, largest, color="0.2", label="largest valve command")
-    valve.axhline(100.0, color="0.6", linestyle=":")
+    valve.plot(time, largest, color=DARK, label="largest valve command")
+    valve.axhline(100.0, color=GREY, linestyle=":")
     valve.set(ylabel="valve command\nof the busiest leg [%]", ylim=(0.0, 110.0), xlabel="time [s]")
-    legends, others = [motion, pressure], [valve]
     if network:
         flow, oil = between
         _network(pressure, flow, oil, result, parameters)
-        legends.append(flow)
-        others.append(oil)
-    for axis in legends:
-        axis.legend(fontsize=8, loc="upper right", ncols=4, framealpha=0.9)
+    for axis in (motion, pressure, *between[:1]):
+        legend(axis, loc="upper right", ncols=4, framealpha=0.9)
         low, high = axis.get_ylim()
         axis.set_ylim(low, high + 0.3 * (high - low))
-    for axis in [*legends, *others]:
-        axis.grid(True, color="0.9", linewidth=0.6)
+    grid(motion, pressure, *between, valve)
     motion.set_xlim(time[0], time[-1])
     return figure
 
@@ -210,19 +179,19 @@ def _network(
     """Pump, accumulators and relief over time."""
     record, time = result.record, result.record.time
     gas = record["accumulator_pressure"] / _PSI
-    pressure.plot(time, gas, "--", color="#e69f00", label="accumulator gas")
+    pressure.plot(time, gas, "--", color=AMBER, label="accumulator gas")
     precharge = parameters.precharge_pressure.si / _PSI
-    pressure.axhline(precharge, color="0.6", linestyle=":", label="precharge")
-    flow.plot(time, record["pump_flow"] / _GPM, color="#009e73", label="pump")
+    pressure.axhline(precharge, color=GREY, linestyle=":", label="precharge")
+    flow.plot(time, record["pump_flow"] / _GPM, color=GREEN, label="pump")
     bank = parameters.accumulator_count.si * record["accumulator_oil"]
-    given = -np.gradient(bank, time) / _GPM
-    flow.plot(time, given, color="#e69f00", linewidth=0.9, label="accumulators")
-    flow.axhline(parameters.pump_flow.si / _GPM, color="0.6", linestyle=":", label="pump's limit")
+    drawn = -np.gradient(bank, time) / _GPM
+    flow.plot(time, drawn, color=AMBER, linewidth=0.9, label="accumulators")
+    flow.axhline(parameters.pump_flow.si / _GPM, color=GREY, linestyle=":", label="pump's limit")
     if result.peak_relief_flow > 0.0:
         relief = relief_flow(parameters, record) / _GPM
-        flow.plot(time, relief, color="#cc79a7", label="relief")
+        flow.plot(time, relief, color=PURPLE, label="relief")
     flow.set_ylabel("flow [gpm]")
-    oil.plot(time, bank / _GALLON, color="#e69f00")
+    oil.plot(time, bank / _GALLON, color=AMBER)
     oil.set(ylabel="oil in accumulators\n[gal]", ylim=(0.0, 1.1 * float(bank.max()) / _GALLON))
 
 
@@ -230,16 +199,15 @@ def _motion(axis: Axes, result: CapacityResult) -> None:
     """Demand and response of the degrees of freedom that are asked to move."""
     record = result.record
     demand = record["demand_pose"]
-    colours = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
     moved = [i for i in range(6) if np.ptp(demand[:, i]) > 0.0]
     names = [dof_unit(DOFS[i]) for i in moved]
     for i, unit in zip(moved, names, strict=True):
         dof = DOFS[i]
         asked = units.from_si(unit, demand[:, i])
-        axis.plot(record.time, asked, color="0.6", linewidth=0.9, label=f"{dof} demanded")
+        axis.plot(record.time, asked, color=GREY, linewidth=0.9, label=f"{dof} demanded")
         if "platform_pose" in record.channels:
             reached = units.from_si(unit, record["platform_pose"][:, i])
-            axis.plot(record.time, reached, color=colours[i], label=dof)
+            axis.plot(record.time, reached, color=COLOURS[i], label=dof)
     axis.set_ylabel(f"motion [{', '.join(dict.fromkeys(names)) or 'in'}]")
 
 
@@ -248,26 +216,22 @@ def envelope_figure(envelope: Envelope) -> Figure:
     count = len(envelope.asymptotes)
     columns = min(count, 3)
     rows = -(-count // columns)
-    figure = Figure(figsize=(4.6 * columns + 0.4, 4.4 * rows + 1.0), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
-    for axis, own in zip(axes, envelope.asymptotes, strict=False):
-        _envelope_panel(axis, envelope.of(own.dof), own)
-    for axis in axes[count:]:
-        axis.remove()
-    found = {point.binding for point in envelope.points}
+    figure = new_figure(4.6 * columns + 0.4, 4.4 * rows + 1.0)
+    for place, closed in enumerate(envelope.asymptotes, start=1):
+        axis = figure.add_subplot(rows, columns, place)
+        _envelope_panel(axis, envelope.of(closed.dof), closed)
+    bindings = {point.binding for point in envelope.points}
     handles = [Line2D([], [], color="0.15", linewidth=1.8, label="largest sine that holds")]
     handles += [
         Line2D([], [], color=colour, marker=marker, linestyle="", label=f"bound by {title}")
         for name, (title, marker, colour) in _BINDING.items()
-        if name in found
+        if name in bindings
     ]
-    closed = [
+    handles += [
         Line2D([], [], color=colour, linestyle=line, linewidth=1.0, label=f"closed form: {title}")
         for title, line, colour in _CLOSED.values()
     ]
-    figure.legend(
-        handles=[*handles, *closed], loc="outside lower center", ncols=columns, fontsize=8
-    )
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=8)
     figure.suptitle(
         f"{envelope.law}, {envelope.cab.upper()}, {envelope.hydraulics} hydraulics: "
         f"largest sustained sine with the manifold above {_psi(envelope.allowed_pressure)}"
@@ -275,16 +239,16 @@ def envelope_figure(envelope: Envelope) -> Figure:
     return figure
 
 
-def _envelope_panel(axis: Axes, points: list[EnvelopePoint], own: Asymptotes) -> None:
-    length, turn = _scales(own.dof)
-    unit = dof_unit(own.dof)
-    held = [point for point in points if np.isfinite(point.velocity)]
+def _envelope_panel(axis: Axes, points: list[EnvelopePoint], closed: Asymptotes) -> None:
+    length, turn = _scales(closed.dof)
+    unit = dof_unit(closed.dof)
+    reached = [point for point in points if np.isfinite(point.velocity)]
     lowest = min(point.frequency for point in points)
     highest = max(max(point.frequency for point in points), 2.0 * lowest)
     frequency = np.geomspace(lowest, highest, 200)
-    curves = [own.velocities(float(f)) for f in frequency]
-    least = np.array([own.velocity(float(f)) for f in frequency]) / length
-    speeds = [point.velocity / length for point in held] or list(least)
+    curves = [closed.velocities(float(f)) for f in frequency]
+    least = np.array([closed.velocity(float(f)) for f in frequency]) / length
+    speeds = [point.velocity / length for point in reached] or list(least)
     bottom = 0.4 * min(*speeds, least.min())
     top = 3.0 * max(*speeds, least.max())
     axis.set(xscale="log", yscale="log", xlim=(lowest / 1.1, highest * 1.1), ylim=(bottom, top))
@@ -293,13 +257,15 @@ def _envelope_panel(axis: Axes, points: list[EnvelopePoint], own: Asymptotes) ->
         values = np.array([curve[name] for curve in curves]) / length
         if np.isfinite(values).all():
             axis.plot(frequency, values, linestyle=line, color=colour, linewidth=1.0)
-    axis.plot([point.frequency for point in held], speeds[: len(held)], color="0.15", linewidth=1.8)
-    for point in held:
+    axis.plot(
+        [point.frequency for point in reached], speeds[: len(reached)], color="0.15", linewidth=1.8
+    )
+    for point in reached:
         _, marker, colour = _BINDING[point.binding]
         axis.plot(
             point.frequency, point.velocity / length, marker, color=colour, markersize=6, zorder=4
         )
-    axis.set(xlabel="frequency [Hz]", ylabel=f"velocity amplitude [{unit}/s]", title=own.dof)
+    axis.set(xlabel="frequency [Hz]", ylabel=f"velocity amplitude [{unit}/s]", title=closed.dof)
     axis.set_xticks(*_ticks(lowest / 1.1, 1.1 * highest))
     axis.set_yticks(*_ticks(bottom, top))
     axis.minorticks_off()
@@ -332,7 +298,7 @@ def _diagonals(axis: Axes, unit: str, length: float, turn: float) -> None:
             _label(axis, values, label, rising=above)
 
 
-def _label(axis: Axes, values: np.ndarray, label: str, *, rising: bool) -> None:
+def _label(axis: Axes, values: NDArray[np.float64], label: str, *, rising: bool) -> None:
     """Write along a diagonal near its upper end: right for a rising one, left for a falling."""
     left, right = np.log(axis.get_xlim())
     bottom, top = np.log(axis.get_ylim())
@@ -365,18 +331,19 @@ def save_capacity(
     result: CapacityResult, parameters: HydraulicParameters, folder: Path
 ) -> list[Path]:
     """Write `capacity.csv` (measures in the field's units), `supply.png` and `capacity.parquet`."""
-    folder.mkdir(parents=True, exist_ok=True)
-    table, picture = folder / "capacity.csv", folder / "supply.png"
-    lines = ["measure,value,definition\n"]
-    lines += [",".join(f'"{cell}"' for cell in row) + "\n" for row in capacity_rows(result)]
-    write_text(table, "".join(lines))
-    supply_figure(result, parameters).savefig(picture, dpi=110)
-    return [table, picture, result.record.save(folder / "capacity.parquet")]
+    lines = [",".join(f'"{cell}"' for cell in row) for row in capacity_table(result).cells]
+    text = "\n".join(["measure,value,definition", *lines, ""])
+    return [
+        write_text(folder / "capacity.csv", text),
+        save_figure(supply_figure(result, parameters), folder / "supply.png"),
+        result.record.save(folder / "capacity.parquet"),
+    ]
 
 
 def save_envelope(envelope: Envelope, folder: Path) -> list[Path]:
     """Write `envelope.csv` (SI) and `envelope.png`."""
     folder.mkdir(parents=True, exist_ok=True)
-    picture = folder / "envelope.png"
-    envelope_figure(envelope).savefig(picture, dpi=110)
-    return [envelope.save_csv(folder / "envelope.csv"), picture]
+    return [
+        envelope.save_csv(folder / "envelope.csv"),
+        save_figure(envelope_figure(envelope), folder / "envelope.png"),
+    ]

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import control
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -45,9 +46,18 @@ def pose_text(pose: NDArray[np.float64], form: str = ".4g") -> str:
     return ", ".join(parts) or "neutral"
 
 
+class _Figure(Figure):
+    """A figure whose axes draw in the palette."""
+
+    def add_subplot(self, *args: Any, **options: Any) -> Axes:
+        axes = super().add_subplot(*args, **options)
+        axes.set_prop_cycle(color=COLOURS)
+        return axes
+
+
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure [in] whose axes and labels leave room for one another."""
-    return Figure(figsize=(width, height), layout="constrained")
+    return _Figure(figsize=(width, height), layout="constrained")
 
 
 def grid(*axes: Axes, which: str = "major") -> None:
@@ -82,7 +92,7 @@ def bode_axes(title: str = "", *, limits: bool = False) -> tuple[Figure, Axes, A
     return figure, gain, phase
 
 
-def plot_bode(gain: Axes, phase: Axes, response: FrequencyResponse, **style: Any) -> str:
+def plot_bode(gain: Axes, phase: Axes, response: FrequencyResponse, **style: Any) -> Any:
     """Draw a response.
 
     Returns:
@@ -91,7 +101,18 @@ def plot_bode(gain: Axes, phase: Axes, response: FrequencyResponse, **style: Any
     (line,) = gain.semilogx(response.frequency, response.gain_db, **style)
     style["color"] = line.get_color()
     phase.semilogx(response.frequency, response.phase_deg, **style)
-    return str(line.get_color())
+    return style["color"]
+
+
+def plot_roots(axis: Axes, system: control.lti.LTI) -> None:
+    """Draw poles and zeros [rad/s], the real axis linear about the origin, logarithmic beyond."""
+    for roots, marker in ((system.poles(), "x"), (system.zeros(), "o")):
+        axis.plot(roots.real, roots.imag, marker, color=BLUE, fillstyle="none")
+    axis.axvline(0.0, color=GREY, linewidth=0.8)
+    axis.set_xscale("symlog", linthresh=1.0)
+    axis.set(xlabel="real [rad/s]", ylabel="imaginary [rad/s]")
+    axis.tick_params(labelsize=7)
+    grid(axis)
 
 
 def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:

@@ -8,6 +8,7 @@ missing is a dash.
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import rich.table
 from rich.box import HEAVY_HEAD, SIMPLE_HEAD
@@ -15,8 +16,8 @@ from rich.markup import escape
 
 from cmf_mj.core.files import write_csv, write_text
 
-Column = str | tuple[str, str]
-"""A title, for text; or a title and a format, for numbers and what stands at the right."""
+Column = Sequence[str]
+"""A title alone, for text; or a title and a format, for numbers and what stands at the right."""
 
 Cell = str | float | None
 
@@ -54,7 +55,7 @@ class Table:
 
     title: str
     columns: Sequence[Column]
-    rows: Collection[Sequence[Cell]]
+    rows: Collection[Sequence[Any]]  #: Each of cells: text, numbers, None for none.
     caption: str = ""
     grouped: bool = False
     """In the terminal, write a first cell that repeats only once, and rule the groups off."""
