@@ -14,7 +14,7 @@ from cmf_mj.control.dcu.state import HOLDING
 from cmf_mj.control.demand import make_demand
 from cmf_mj.control.states import Request, State
 from cmf_mj.facility import host
-from cmf_mj.facility.front import Chain, follow, make_chain
+from cmf_mj.facility.front import Blocks, Chain, follow, make_chain
 from cmf_mj.facility.host.datagram import MOST_SEQUENCE
 from cmf_mj.machine.kinematics import WORKING_STROKE
 
@@ -37,18 +37,13 @@ class Outcome(NamedTuple):
 def build(begin: State, requests: list[tuple[int, Request]]) -> Chain:
     legs = np.full(6, -WORKING_STROKE if begin in (State.OFF, State.SETTLED) else 0.0)
     return make_chain(
-        DCU,
+        Blocks(DCU, POSE, DEMAND, STATES, LEGS),
         host.make_log(4096),
         requests,
-        1,
-        begin=begin,
-        ring=host.make_ring(64),
-        live=True,
-        limits=(POSE, LEGS),
-        shown=STATES,
-        geometry=DEMAND,
+        begin,
         position=legs,
         pose=np.zeros(6),
+        ring=host.make_ring(64),
     )
 
 
@@ -58,7 +53,7 @@ def _advance(chain, first, last, position, tripped_at, out):
     table = np.zeros((1, 6))
     for frame in range(first, last):
         reference = out[0, frame]
-        follow(chain, frame, table, position, 0, frame >= tripped_at, -1, reference)
+        follow(chain, table, frame, position, 0, frame >= tripped_at, reference)
         for row in range(1, 3):
             out[row, frame] = chain.reference[row]
         position[:] = reference
@@ -118,7 +113,7 @@ def run(
 
 def logged_datagrams(chain: Chain) -> list[bytes]:
     """What reached the DCU, as datagrams: NaN compare like any octets."""
-    log = host.logged(chain.arrivals, int(chain.marks[1]))
+    log = host.logged(chain.arrivals, int(chain.progress[0].collected))
     return [
         host.encode(host.HostFrame(int(s), float(t), *v))
         for s, t, v in zip(log.sequence, log.time, log.values, strict=True)
@@ -141,7 +136,7 @@ def check_limits(out: NDArray[np.float64]) -> None:
 def check_account(outcome: Outcome, garbage: bool) -> None:
     """Every datagram sent is somewhere, and none but the good ones got through."""
     chain, state = outcome.chain, outcome.chain.dcu_state
-    filled, lost = int(chain.marks[1]), int(chain.ring.lost[0])
+    filled, lost = int(chain.progress[0].collected), int(chain.ring.lost[0])
     assert sum(outcome.refused.values()) == (len(outcome.sent) if garbage else 0)
     assert filled + lost == len(outcome.sent)
     waiting = int(state.whole[HOLDING])
@@ -166,7 +161,7 @@ def test_whatever_comes_in_the_leg_reference_keeps_its_limits_and_all_is_counted
     check_limits(outcome.out)
     check_account(outcome, bool(garbage))
     if tripped_at < 2**40:
-        assert outcome.chain.marks[3] in (State.FAULT, State.OFF)
+        assert outcome.chain.progress[0].state in (State.FAULT, State.OFF)
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)

@@ -4,16 +4,14 @@
     DCL's command -> DAC, limit switches, velocity clamp, rate limiter -> valves
 
 The protection always watches accelerations without gravity; whether the DCL reads them so is the
-law's choice. A run without electronics passes None: readings and commands go through to the bit, at
-no cost.
+law's choice. With idle electronics readings and commands go through to the bit; a bare run passes
+None instead, at no cost.
 """
 
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
-from numba.extending import overload
 from numpy.typing import NDArray
 
 from cmf_mj.control.feedback import (
@@ -71,6 +69,7 @@ class ElectronicsSettings(NamedTuple):
 class Electronics(NamedTuple):
     """Compiled parameters, states and workspace."""
 
+    active: bool  #: Whether they act; readings and commands pass as they are otherwise.
     sensors: Sensors
     sensor_state: SensorState
     converters: Converters
@@ -87,16 +86,18 @@ class Electronics(NamedTuple):
     volts: NDArray[np.float64]  #: At the DAC [V], (n,).
 
 
-def make_electronics(settings: ElectronicsSettings, at_rest: LegFeedback) -> Electronics:
+def make_electronics(settings: ElectronicsSettings | None, at_rest: LegFeedback) -> Electronics:
     """Electronics that have seen a machine at rest for a long time.
 
     Args:
-        settings: which.
+        settings: which; None for idle ones.
         at_rest: true motion and pressures at the start.
 
     Raises:
         InputError: a refused setting, or sensors that feel gravity on other than six legs.
     """
+    active = settings is not None
+    settings = settings or ElectronicsSettings(sensors="ideal", converters="off")
     legs = at_rest.position.shape[0]
     truth = Truth(*(np.array(values, dtype=float) for values in at_rest))
     sensors = make_sensors(load_sensors(settings.sensors), 1.0 / FRAME, settings.seed)
@@ -106,6 +107,7 @@ def make_electronics(settings: ElectronicsSettings, at_rest: LegFeedback) -> Ele
     reading = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
     sense(sensors, state, 0, truth, reading)
     return Electronics(
+        active,
         sensors,
         state,
         converters,
@@ -120,16 +122,6 @@ def make_electronics(settings: ElectronicsSettings, at_rest: LegFeedback) -> Ele
         np.zeros(legs),
         np.zeros(legs),
     )
-
-
-@inlined
-def _copy(faults, truth, feedback):  # type: ignore[no-untyped-def]
-    for leg in range(truth.position.shape[0]):
-        feedback.position[leg] = read_position(faults, leg, truth.position[leg])
-        feedback.velocity[leg] = truth.velocity[leg]
-        feedback.acceleration[leg] = truth.acceleration[leg]
-        feedback.cap_pressure[leg] = truth.cap_pressure[leg]
-        feedback.rod_pressure[leg] = truth.rod_pressure[leg]
 
 
 @compiled
@@ -152,6 +144,7 @@ def _measure(electronics, faults, frame, truth, compensated, feedback):  # type:
             feedback.acceleration[leg] = inertial
 
 
+@inlined
 def measure(electronics, faults, frame, truth, compensated, feedback):  # type: ignore[no-untyped-def]
     """What the DCL reads of the truth.
 
@@ -163,57 +156,34 @@ def measure(electronics, faults, frame, truth, compensated, feedback):  # type: 
         compensated: whether the law reads accelerations without gravity.
         feedback: `LegFeedback`, overwritten.
     """
-    if electronics is None:
-        _copy(faults, truth, feedback)
-    else:
-        _measure(electronics, faults, frame, truth, compensated, feedback)
+    if electronics is not None:
+        if electronics.active:
+            _measure(electronics, faults, frame, truth, compensated, feedback)
+            return
+    for leg in range(truth.position.shape[0]):
+        feedback.position[leg] = read_position(faults, leg, truth.position[leg])
+        feedback.velocity[leg] = truth.velocity[leg]
+        feedback.acceleration[leg] = truth.acceleration[leg]
+        feedback.cap_pressure[leg] = truth.cap_pressure[leg]
+        feedback.rod_pressure[leg] = truth.rod_pressure[leg]
 
 
-@overload(measure, jit_options={"forceinline": True})
-def _compiled_measure(electronics, faults, frame, truth, compensated, feedback):  # type: ignore[no-untyped-def]
-    if isinstance(electronics, types.NoneType):
-        return lambda electronics, faults, frame, truth, compensated, feedback: _copy(
-            faults, truth, feedback
-        )
-    return lambda electronics, faults, frame, truth, compensated, feedback: _measure(
-        electronics, faults, frame, truth, compensated, feedback
-    )
-
-
+@inlined
 def without_gravity(electronics, feedback):  # type: ignore[no-untyped-def]
     """View of the feedback with inertial accelerations, for the protection."""
-    if electronics is None:
-        return feedback
-    return feedback._replace(acceleration=electronics.inertial)
+    if electronics is not None:
+        if electronics.active:
+            return LegFeedback(
+                feedback.position,
+                feedback.velocity,
+                electronics.inertial,
+                feedback.cap_pressure,
+                feedback.rod_pressure,
+            )
+    return feedback
 
 
-@overload(without_gravity, jit_options={"forceinline": True})
-def _compiled_without_gravity(electronics, feedback):  # type: ignore[no-untyped-def]
-    if isinstance(electronics, types.NoneType):
-        return lambda electronics, feedback: feedback
-    return lambda electronics, feedback: LegFeedback(
-        feedback.position,
-        feedback.velocity,
-        electronics.inertial,
-        feedback.cap_pressure,
-        feedback.rod_pressure,
-    )
-
-
-@compiled
-def _deliver(electronics, raised, position, command):  # type: ignore[no-untyped-def]
-    return servo.step(
-        electronics.servo,
-        electronics.servo_state,
-        raised,
-        command,
-        position,
-        electronics.counts,
-        electronics.volts,
-        command,
-    )
-
-
+@inlined
 def deliver(electronics, raised, position, command):  # type: ignore[no-untyped-def]
     """Pass the DCL's commands on to the valves, in place.
 
@@ -226,31 +196,23 @@ def deliver(electronics, raised, position, command):  # type: ignore[no-untyped-
     Returns:
         Whether a limit switch has tripped.
     """
-    return False if electronics is None else _deliver(electronics, raised, position, command)
+    if electronics is not None:
+        if electronics.active:
+            return servo.step(
+                electronics.servo,
+                electronics.servo_state,
+                raised,
+                command,
+                position,
+                electronics.counts,
+                electronics.volts,
+                command,
+            )
+    return False
 
 
-@overload(deliver, jit_options={"forceinline": True})
-def _compiled_deliver(electronics, raised, position, command):  # type: ignore[no-untyped-def]
-    if isinstance(electronics, types.NoneType):
-        return lambda electronics, raised, position, command: False
-    return lambda electronics, raised, position, command: _deliver(
-        electronics, raised, position, command
-    )
-
-
-@compiled
-def _release(electronics):  # type: ignore[no-untyped-def]
-    servo.reset(electronics.servo_state)
-
-
+@inlined
 def release(electronics):  # type: ignore[no-untyped-def]
     """Release latched limit switches."""
     if electronics is not None:
-        _release(electronics)
-
-
-@overload(release, jit_options={"forceinline": True})
-def _compiled_release(electronics):  # type: ignore[no-untyped-def]
-    if isinstance(electronics, types.NoneType):
-        return lambda electronics: None
-    return lambda electronics: _release(electronics)
+        servo.reset(electronics.servo_state)

@@ -12,7 +12,7 @@ pressures, and a pressure sees the displacement MuJoCo's leapfrog really made. T
 frame reaches the valves a whole number of frames later, one by default: the time the DCL computes.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,8 @@ from cmf_mj.control.protection import FAULTS, NO_FAULT, Protection, ProtectionSt
 from cmf_mj.core.compiled import compiled
 from cmf_mj.electronics import sensors
 from cmf_mj.electronics.chain import Electronics, deliver, measure, release, without_gravity
-from cmf_mj.facility.front import Chain, cleared, follow, host_age, watched
+from cmf_mj.facility.front import Chain, cleared, follow, host_age, record_demand, watched
+from cmf_mj.facility.layout import Columns
 from cmf_mj.facility.pace import Pace, begin, end
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.events import Timeline, strike
@@ -33,23 +34,6 @@ from cmf_mj.plant.native import call
 from cmf_mj.plant.oil import ATMOSPHERE
 from cmf_mj.plant.plant import Mechanics
 from cmf_mj.plant.supply import SUPPLY_PRESSURE
-
-LEG_CHANNELS = {
-    "leg_reference": "m",
-    "leg_position": "m",
-    "leg_velocity": "m/s",
-    "leg_acceleration": "m/s^2",
-    "leg_extension": "m",
-    "compensator_output": "1",
-    "valve_command": "1",
-    "valve_opening": "1",
-    "cap_pressure": "Pa",
-    "rod_pressure": "Pa",
-    "leg_force": "N",
-}
-"""Channels with a leg axis, in the order of the record's columns."""
-
-_LEG_COLUMNS = len(LEG_CHANNELS)
 
 FINITE, VACUUM, PROOF, STROKE, SOLUTION = range(5)
 """Physical bounds a state may leave: finite numbers, absolute pressure above 0, proof pressure,
@@ -74,7 +58,11 @@ class Machine(NamedTuple):
 
 
 class Controller(NamedTuple):
-    """What commands the valves."""
+    """What commands the valves.
+
+    Electronics, chain and pace are None in a bare run, and all three there in any other, idle where
+    it has no use for them: the loop is compiled in these two variants.
+    """
 
     closed: bool  #: Whether the DCL does; the table does otherwise.
     dcl: control.Dcl  #: Compiled law.
@@ -82,25 +70,32 @@ class Controller(NamedTuple):
     table: NDArray[np.float64]
     """Leg demands [m], or valve commands as fractions, (N, n); read again from the start after its
     last row."""
+    poses: NDArray[np.float64]
+    """Platform demand of the table's rows [m, rad], (N, 6); (1, 0) where there is none."""
     delay: int  #: Frames from a DCL frame to its command at the valves.
     guarded: bool  #: Whether a detected fault makes an emergency stop.
     protection: Protection  #: Compiled thresholds.
     guard: ProtectionState  #: What has been detected.
-    electronics: Electronics | None
-    """Sensors, converters and servo electronics; None for ideal ones."""
-    chain: Chain | None  #: Where the reference comes from; None for the table.
-    pace: Pace | None  #: Real time; None for as fast as possible.
+    electronics: Electronics | None  #: Sensors, converters and servo electronics.
+    chain: Chain | None  #: Where the reference comes from, if not from the table.
+    pace: Pace | None  #: Real time.
 
 
-class Layout(NamedTuple):
+class Recorder(NamedTuple):
     """What the loop records, and how often."""
 
     sensors: NDArray[np.int64]  #: Indices into sensordata.
     gimbals: NDArray[np.int64]  #: First indices of the gimbal error vectors.
     steps: int  #: Mechanical steps in a frame.
     every: int  #: Frames from row to row.
+    columns: Columns  #: First column of each channel in a row.
     out: NDArray[np.float64]
     """Record, (rows, columns); overwritten from the start after its last row."""
+
+
+PROGRESS = np.dtype([("event", np.int64), ("tripped", np.int64), ("fault", np.int64, 3)])
+"""Next event on the time line; whether a limit switch has tripped; code, leg and frame of the last
+fault that was reset."""
 
 
 class Memory(NamedTuple):
@@ -117,9 +112,7 @@ class Memory(NamedTuple):
     command: NDArray[np.float64]
     """Commands on their way to the valves, newest first, (delay + 1, n)."""
     closure: NDArray[np.float64]  #: Largest gimbal error since the last row [m], (1,).
-    marks: NDArray[np.int64]
-    """Next event; whether a limit switch has tripped; code, leg and frame of the last fault that
-    was reset, (5,)."""
+    progress: np.recarray[Any, Any]  #: One row of `PROGRESS`.
 
 
 def make_memory(machine: Machine, delay: int) -> Memory:
@@ -144,7 +137,7 @@ def make_memory(machine: Machine, delay: int) -> Memory:
         extension.copy(),
         np.zeros((delay + 1, legs)),
         np.zeros(1),
-        np.zeros(5, dtype=np.int64),
+        np.zeros(1, dtype=PROGRESS).view(np.recarray),
     )
 
 
@@ -166,10 +159,10 @@ def _bounds(cylinders, proof_pressure, pressures, extension):  # type: ignore[no
 
 
 @compiled
-def _strike(timeline, faults, payload, bodies, marks, position):  # type: ignore[no-untyped-def]
+def _strike(timeline, faults, payload, bodies, progress, position):  # type: ignore[no-untyped-def]
     """Let the next event happen."""
-    strike(timeline, marks[0], faults, position)
-    marks[0] += 1
+    strike(timeline, progress.event, faults, position)
+    progress.event += 1
     for body in bodies:
         payload[body, 2] = -faults.plant[OVERLOAD] / bodies.shape[0]
 
@@ -182,58 +175,56 @@ def _stops(protection, guard, frame, reference, feedback, supply, age, closed): 
 
 
 @compiled
-def _reset(electronics, guard, marks, plant_faults, integral, position):  # type: ignore[no-untyped-def]
+def _reset(electronics, guard, progress, plant_faults, integral, position):  # type: ignore[no-untyped-def]
     """Forget a fault the operator has reset, after noting it; the supply is open again.
 
     The error integral starts anew: it has wound up while the valves could not answer.
     """
     if guard.fault[0] != NO_FAULT:
-        marks[2:] = guard.fault
+        for i in range(3):
+            progress.fault[i] = guard.fault[i]
     reset(guard, position)
     release(electronics)
     integral[:] = 0.0
-    marks[1] = 0
+    progress.tripped = 0
     plant_faults[STOPPED] = 0.0
 
 
 @compiled
-def _record(row, memory, work, feedback, state, qpos, sensordata, indices):  # type: ignore[no-untyped-def]
-    """Write a row."""
-    legs = memory.extension.shape[0]
-    for leg in range(legs):
-        row[leg] = work.limited[leg]
-        row[legs + leg] = feedback.position[leg]
-        row[2 * legs + leg] = feedback.velocity[leg]
-        row[3 * legs + leg] = feedback.acceleration[leg]
-        row[4 * legs + leg] = memory.extension[leg]
-        row[5 * legs + leg] = work.output[leg]
-        row[6 * legs + leg] = memory.command[0, leg]
-        row[7 * legs + leg] = 0.5 * (state.spool[leg, 0] + state.spool[leg, 1])
-        row[8 * legs + leg] = feedback.cap_pressure[leg]
-        row[9 * legs + leg] = feedback.rod_pressure[leg]
-        row[10 * legs + leg] = memory.load[leg]
-    base = _LEG_COLUMNS * legs
-    row[base] = memory.closure[0]
+def _record(row, at, memory, work, feedback, state, qpos, closed):  # type: ignore[no-untyped-def]
+    """Write a row, its first columns given by `at`, but for demand and sensors."""
+    for leg in range(memory.extension.shape[0]):
+        if closed:
+            row[at.leg_reference + leg] = work.limited[leg]
+            row[at.compensator_output + leg] = work.output[leg]
+        row[at.leg_position + leg] = feedback.position[leg]
+        row[at.leg_velocity + leg] = feedback.velocity[leg]
+        row[at.leg_acceleration + leg] = feedback.acceleration[leg]
+        row[at.leg_extension + leg] = memory.extension[leg]
+        row[at.valve_command + leg] = memory.command[0, leg]
+        row[at.valve_opening + leg] = 0.5 * (state.spool[leg, 0] + state.spool[leg, 1])
+        row[at.cap_pressure + leg] = feedback.cap_pressure[leg]
+        row[at.rod_pressure + leg] = feedback.rod_pressure[leg]
+        row[at.leg_force + leg] = memory.load[leg]
+    row[at.gimbal_error] = memory.closure[0]
     memory.closure[0] = 0.0
-    base += 1
-    for source in (state.supply, state.energy, qpos):
-        size = source.shape[0]
-        for i in range(size):
-            row[base + i] = source[i]
-        base += size
-    for i in range(indices.shape[0]):
-        row[base + i] = sensordata[indices[i]]
+    for i in range(state.supply.shape[0]):
+        row[at.supply_content + i] = state.supply[i]
+    for i in range(state.energy.shape[0]):
+        row[at.energy + i] = state.energy[i]
+    for i in range(qpos.shape[0]):
+        row[at.generalised_position + i] = qpos[i]
 
 
 @compiled
-def run(machine, controller, memory, layout, first, last):  # type: ignore[no-untyped-def]
+def run(machine, controller, memory, recorder, first, last):  # type: ignore[no-untyped-def]
     """Run the control frames from `first` to before `last`.
 
     Args:
         machine: plant, its state overwritten.
         controller: what commands the valves; its states are overwritten.
         memory: of `make_memory`, or as the frames before left it.
-        layout: what to record.
+        recorder: what to record.
         first: first frame.
         last: frame after the last.
 
@@ -250,7 +241,8 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
         mechanics.neutral,
         mechanics.ctrl,
     )
-    sensordata, qpos, bodies = mechanics.sensordata, mechanics.qpos, mechanics.payload_bodies
+    sensordata, qpos = mechanics.sensordata, mechanics.qpos
+    payload, bodies = mechanics.payload, mechanics.payload_bodies
     cylinders, step, delay = hydraulics.cylinder, hydraulics.step, controller.delay
     dcl, dcl_state, table = controller.dcl, controller.state, controller.table
     protection, guard, closed = controller.protection, controller.guard, controller.closed
@@ -258,7 +250,7 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
     extension, before, mean = memory.extension, memory.before, memory.mean
     mean_before, load, truth = memory.mean_before, memory.load, memory.truth
     feedback, reference, work = memory.feedback, memory.reference, dcl.workspace
-    command, marks, closure = memory.command, memory.marks, memory.closure
+    command, progress, closure = memory.command, memory.progress[0], memory.closure
     plant_faults, supply = faults.plant, state.supply
     newest, oldest = command[0], command[delay]
     limited, commanded = work.limited, work.command
@@ -266,11 +258,12 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
         dcl.feedback.gravity_compensation,
         without_gravity(electronics, feedback),
     )
-    legs, events, rows = extension.shape[0], timeline.frame, layout.out.shape[0]
+    legs, events, rows = extension.shape[0], timeline.frame, recorder.out.shape[0]
+    columns, indices = recorder.columns, recorder.sensors
     for frame in range(first, last):
         begin(pace, frame)
-        row = frame // layout.every % rows if frame % layout.every == 0 else -1
-        for inner in range(layout.steps):
+        row = frame // recorder.every % rows if frame % recorder.every == 0 else -1
+        for inner in range(recorder.steps):
             call(mechanics.position_stage, model, data)
             for leg in range(legs):
                 before[leg] = extension[leg]
@@ -282,8 +275,8 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
                     return frame, SOLUTION, 0
             loads(cylinders, state.pressure, state.friction, load)
             if inner == 0:
-                while marks[0] < events.shape[0] and events[marks[0]] <= frame:
-                    _strike(timeline, faults, mechanics.payload, bodies, marks, feedback.position)
+                while progress.event < events.shape[0] and events[progress.event] <= frame:
+                    _strike(timeline, faults, payload, bodies, progress, feedback.position)
                 for leg in range(legs):
                     truth.position[leg] = extension[leg]
                     truth.velocity[leg] = sensors.velocity(mean[leg], mean_before[leg])
@@ -296,19 +289,11 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
                     for leg in range(legs):
                         command[age, leg] = command[age - 1, leg]
                 measure(electronics, faults, frame, truth, compensated, feedback)
-                fault, tripped = guard.fault[0], marks[1] != 0
-                gain = follow(
-                    chain, frame, table, feedback.position, fault, tripped, row, reference
-                )
+                fault, tripped = guard.fault[0], progress.tripped != 0
+                gain = follow(chain, table, frame, feedback.position, fault, tripped, reference)
                 if cleared(chain):
-                    _reset(
-                        electronics,
-                        guard,
-                        marks,
-                        plant_faults,
-                        dcl_state.error.integral,
-                        feedback.position,
-                    )
+                    integral = dcl_state.error.integral
+                    _reset(electronics, guard, progress, plant_faults, integral, feedback.position)
                 if closed:
                     control.step(dcl, dcl_state, reference, feedback)
                     for leg in range(legs):
@@ -317,31 +302,26 @@ def run(machine, controller, memory, layout, first, last):  # type: ignore[no-un
                     for leg in range(legs):
                         newest[leg] = reference[leg]
                 if deliver(electronics, watched(chain), truth.position, newest):
-                    marks[1] = 1
+                    progress.tripped = 1
                 if controller.guarded and plant_faults[STOPPED] == 0.0:
-                    wanted = limited if closed else feedback.position
+                    target = limited if closed else feedback.position
                     pressure, age = supply[SUPPLY_PRESSURE], host_age(chain)
-                    if _stops(protection, guard, frame, wanted, inertial, pressure, age, closed):
+                    if _stops(protection, guard, frame, target, inertial, pressure, age, closed):
                         plant_faults[STOPPED] = 1.0
                 bound, leg = _bounds(
                     cylinders, hydraulics.proof_pressure, state.pressure, extension
                 )
                 if bound >= 0:
                     return frame, bound, leg
-            for i in layout.gimbals:
+            for i in recorder.gimbals:
                 x, y, z = sensordata[i], sensordata[i + 1], sensordata[i + 2]
                 closure[0] = max(closure[0], np.sqrt(x * x + y * y + z * z))
             if inner == 0 and row >= 0:
-                _record(
-                    layout.out[row],
-                    memory,
-                    work,
-                    feedback,
-                    state,
-                    qpos,
-                    sensordata,
-                    layout.sensors,
-                )
+                out = recorder.out[row]
+                record_demand(chain, controller.poses, frame, out, columns)
+                _record(out, columns, memory, work, feedback, state, qpos, closed)
+                for i in range(indices.shape[0]):
+                    out[columns.sensors + i] = sensordata[indices[i]]
             for leg in range(legs):
                 ctrl[motors[leg]] = load[leg]
             call(mechanics.force_stage, model, data)

@@ -23,12 +23,12 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
 from cmf_mj.control.state_settings import StateSettings, load_state_settings
 from cmf_mj.control.states import Request, State
-from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME, RATE
+from cmf_mj.core.units import INCH
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility import host as hosts
-from cmf_mj.facility.front import LOG, make_chain
+from cmf_mj.facility.front import Blocks, make_chain
 from cmf_mj.facility.pace import Pace, make_pace
 from cmf_mj.facility.session import Options, Session
 from cmf_mj.machine import kinematics
@@ -37,7 +37,7 @@ from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 
-_RESTING = -37.95 * units.INCH
+_RESTING = -37.95 * INCH
 """Leg position on the stops: a little above the mechanical end at -38 in [m]."""
 
 _LOG_CAPACITY = 200.0
@@ -264,24 +264,22 @@ def facility_session(
     """
     options.check()
     limits = load_motion_limits(settings.limits)
-    operating = states.make_states(load_state_settings(settings.states))
     down = start.state in (State.OFF, State.SETTLED)
     legs = np.full(6, _RESTING) if down else kinematics.pose_to_legs(start.pose)
-    kept = options.frames if options.window is None else options.window
-    assert kept is not None
     chain = make_chain(
-        make_dcu(load_dcu(settings.dcu)),
+        Blocks(
+            make_dcu(load_dcu(settings.dcu)),
+            governor.make_pose_governor(limits),
+            settings.demand or make_demand(),
+            states.make_states(load_state_settings(settings.states)),
+            governor.make_leg_governor(limits),
+        ),
         arrivals,
         sorted((round(at * RATE), code) for at, code in start.requests),
-        -(-kept // options.record_every),
-        begin=start.state,
-        ring=ring or hosts.make_ring(2),
-        live=ring is not None,
-        limits=(governor.make_pose_governor(limits), governor.make_leg_governor(limits)),
-        shown=operating,
-        geometry=settings.demand or make_demand(),
+        start.state,
         position=legs,
         pose=start.pose,
+        ring=ring,
     )
     protection = settings.protection
     run = options._replace(
@@ -295,16 +293,6 @@ def facility_session(
     return session
 
 
-def chain_channels(
-    log: NDArray[np.float64],
-) -> tuple[dict[str, NDArray[np.float64]], dict[str, str]]:
-    """Channels and units of rows of a chain's log, (N, 21)."""
-    shapes = ("m, rad", "m/s, rad/s", "m/s^2, rad/s^2")
-    channels = {name: log[:, 6 * i : 6 * i + 6] for i, name in enumerate(LOG[:3])}
-    channels |= {name: log[:, 18 + i] for i, name in enumerate(LOG[3:])}
-    return channels, dict(zip(LOG, (*shapes, "1", "1", "1"), strict=True))
-
-
 def _operation(
     session: Session,
     arrivals: Arrivals,
@@ -313,10 +301,8 @@ def _operation(
     unused: dict[str, int],
     timing: Timing | None,
 ) -> Operation:
-    time, channels, channel_units = session.history()
+    time, channels, units = session.history()
     chain, unit = session.chain, load_dcu(settings.dcu)
-    named, log_units = chain_channels(chain.log[: time.size])
-    channel_units |= log_units
     counts, rejections = chain.dcu_state.counts, chain.dcu_state.rejections
     context: dict[str, Any] = {
         "command": {"signal": "host frames", "frames": int(arrivals.frame.size)},
@@ -325,7 +311,7 @@ def _operation(
         "host_counts": counts,
         "host_rejections": rejections,
     }
-    record = Record(time, named | channels, channel_units, session.describe() | context)
+    record = Record(time, channels, units, session.describe() | context)
     played = hosts.HostSession(arrivals, session.frame, pose, unit)
     return Operation(record, played, counts, rejections, unused, timing)
 

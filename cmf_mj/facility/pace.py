@@ -1,8 +1,7 @@
 """Real time: each control frame begins when its time has come, and its computing time is logged.
 
 The compiled loop reads the system's monotonic clock and sleeps through the C library, called like
-MuJoCo by its address. A run that is not paced passes None, or the `idle_pace` where both kinds of
-run are to share one compilation.
+MuJoCo by its address. A run that is not paced has the `idle_pace`, a bare run None.
 """
 
 import ctypes
@@ -11,11 +10,9 @@ import time
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
-from numba.extending import overload
 from numpy.typing import NDArray
 
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.core.rates import FRAME
 from cmf_mj.plant.native import call
 
@@ -76,8 +73,6 @@ def _now(pace):  # type: ignore[no-untyped-def]
 
 @compiled
 def _begin(pace, frame):  # type: ignore[no-untyped-def]
-    if pace.busy.shape[0] == 0:
-        return
     now = _now(pace)
     if np.isnan(pace.origin[0]):
         pace.origin[0] = now - frame * FRAME
@@ -93,34 +88,17 @@ def _begin(pace, frame):  # type: ignore[no-untyped-def]
     pace.busy[frame] = -now
 
 
-@compiled
-def _end(pace, frame):  # type: ignore[no-untyped-def]
-    if pace.busy.shape[0] == 0:
-        return
-    pace.busy[frame] += _now(pace)
-
-
+@inlined
 def begin(pace, frame):  # type: ignore[no-untyped-def]
     """Wait for a frame's time; None and the idle pace do not wait."""
     if pace is not None:
-        _begin(pace, frame)
+        if pace.busy.shape[0] > 0:
+            _begin(pace, frame)
 
 
-@overload(begin, jit_options={"forceinline": True})
-def _compiled_begin(pace, frame):  # type: ignore[no-untyped-def]
-    if isinstance(pace, types.NoneType):
-        return lambda pace, frame: None
-    return lambda pace, frame: _begin(pace, frame)
-
-
+@inlined
 def end(pace, frame):  # type: ignore[no-untyped-def]
     """Log a frame's computing time; None and the idle pace do not."""
     if pace is not None:
-        _end(pace, frame)
-
-
-@overload(end, jit_options={"forceinline": True})
-def _compiled_end(pace, frame):  # type: ignore[no-untyped-def]
-    if isinstance(pace, types.NoneType):
-        return lambda pace, frame: None
-    return lambda pace, frame: _end(pace, frame)
+        if pace.busy.shape[0] > 0:
+            pace.busy[frame] += _now(pace)

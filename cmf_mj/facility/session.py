@@ -22,17 +22,17 @@ from cmf_mj.control.states import State
 from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.electronics.chain import ElectronicsSettings, make_electronics, measure
-from cmf_mj.facility.front import Chain
+from cmf_mj.facility.front import Chain, idle_chain
+from cmf_mj.facility.layout import CHAIN, LAW, make_layout
 from cmf_mj.facility.loop import (
     FINITE,
-    LEG_CHANNELS,
     PROOF,
     SOLUTION,
     STROKE,
     VACUUM,
     Controller,
-    Layout,
     Machine,
+    Recorder,
     make_memory,
     run,
 )
@@ -40,28 +40,10 @@ from cmf_mj.facility.pace import Pace, idle_pace
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.events import Event, make_timeline
 from cmf_mj.plant.faults import OVERLOAD, no_faults
-from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.supply import RETURN_PRESSURE, SUPPLY_PRESSURE
 
 _VERSIONS = {name: version(name) for name in ("cmf-mj", "mujoco", "numpy", "numba")}
-
-SUPPLY_CHANNELS = {
-    "supply_content": "m^3",
-    "return_content": "m^3",
-    "accumulator_oil": "m^3",
-    "pump_flow": "m^3/s",
-    "tank_content": "m^3",
-    "isolation": "1",
-    "supply_pressure": "Pa",
-    "return_pressure": "Pa",
-    "accumulator_pressure": "Pa",
-}
-"""State of the supply, in the order of `plant.supply`."""
-
-
-_SENSOR_UNITS = {"gyro": "rad/s", "force": "N"}
-"""Units of MuJoCo's sensors by the last word of their channel; m/s^2 for all others."""
-
 
 _NO_LAW = Law(name="none", title="Open loop: the table is the valve command", direct_gain=Gains())
 """All gains are zero. The DCL of an open loop never runs; compiled code needs one of its type."""
@@ -175,14 +157,12 @@ class Session:
         if steps < 1 or abs(steps * step - FRAME) > 1e-12:
             raise InputError(f"timestep: {step} s must divide the control frame of {FRAME} s")
         law = None if law is None else law.mounted(plant.mounting)
-        chain = source if isinstance(source, Chain) else None
-        table = source.reference[:1].copy() if isinstance(source, Chain) else source.rows
+        table = Table(source.reference[:1].copy()) if isinstance(source, Chain) else source
         self.plant = plant
         self._law = self._engaged = law
         self._options = options
         self._events = tuple(options.events)
-        self._poses = None if isinstance(source, Chain) else source.poses
-        self.frames = table.shape[0] if options.frames is None else options.frames
+        self.frames = table.rows.shape[0] if options.frames is None else options.frames
         self.frame = 0
         """Control frames run so far."""
         self.every = options.record_every
@@ -195,39 +175,39 @@ class Session:
         )
         self.memory = make_memory(self.machine, options.command_delay)
         at_rest, feedback = self.memory.truth, self.memory.feedback
-        electronics = options.electronics
-        parts = None if electronics is None else make_electronics(electronics, at_rest)
+        chain = source if isinstance(source, Chain) else None
+        bare = options.electronics is None and chain is None
+        parts = None if bare else make_electronics(options.electronics, at_rest)
         dcl = control.make_dcl(law or _NO_LAW, plant.legs)
         compensated = dcl.feedback.gravity_compensation
         measure(parts, self.machine.faults, 0, at_rest, compensated, feedback)
+        poses = table.poses
         self.controller = Controller(
             closed=law is not None,
             dcl=dcl,
-            state=engaged(dcl, feedback.position if law is None else table[0], feedback),
-            table=np.ascontiguousarray(table),
+            state=engaged(dcl, feedback.position if law is None else table.rows[0], feedback),
+            table=np.ascontiguousarray(table.rows),
+            poses=np.empty((1, 0)) if poses is None else np.ascontiguousarray(poses),
             delay=options.command_delay,
             guarded=options.protection is not None,
             protection=make_protection(options.protection or load_protection()),
             guard=protection_state(feedback.position),
             electronics=parts,
-            chain=chain,
-            # One compilation for runs of the chain in real time and without.
-            pace=pace if chain is None or pace is not None else idle_pace(),
+            chain=None if bare else chain or idle_chain(),
+            pace=None if bare else pace or idle_pace(),
         )
         self._begun: dict[str, list[float]] = {}
-        self._groups = plant.sensors
-        indices = np.concatenate([*self._groups.values(), np.empty(0, dtype=np.int64)])
-        widths = (
-            len(LEG_CHANNELS) * plant.legs,
-            1,
-            len(SUPPLY_CHANNELS),
-            len(ENERGIES),
-            plant.model.nq,
-            indices.size,
-        )
+        absent = set() if chain else set(CHAIN) - ({"demand_pose"} if poses is not None else set())
+        self.layout = make_layout(plant, absent if law else absent | set(LAW))
         kept = self.frames if options.window is None else options.window
-        out = np.empty((-(-kept // self.every), sum(widths)))
-        self.layout = Layout(indices, plant.gimbal_sensors, steps, self.every, out)
+        self._recorder = Recorder(
+            sensors=np.concatenate([*plant.sensors.values(), np.empty(0, dtype=np.int64)]),
+            gimbals=plant.gimbal_sensors,
+            steps=steps,
+            every=self.every,
+            columns=self.layout.columns,
+            out=np.empty((-(-kept // self.every), self.layout.width)),
+        )
 
     @property
     def chain(self) -> Chain:
@@ -237,7 +217,7 @@ class Session:
             TypeError: the run takes its reference from a table.
         """
         chain = self.controller.chain
-        if chain is None:
+        if chain is None or not chain.active:
             raise TypeError("session: runs on a table, not on a chain")
         return chain
 
@@ -246,8 +226,8 @@ class Session:
         """The fault detected, also one that was reset, if there is one."""
         guard = self.controller.guard
         present = latched(guard)
-        if present is None and self.memory.marks[2] != 0:
-            return latched(guard._replace(fault=self.memory.marks[2:]))
+        if present is None and self.memory.progress[0].fault[0] != 0:
+            return latched(guard._replace(fault=self.memory.progress[0].fault))
         return present
 
     def run(self, frames: int | None = None) -> None:
@@ -261,7 +241,7 @@ class Session:
             self._begun = {name: values.tolist() for name, values in state.items()}
         end = self.frames if frames is None else min(self.frame + frames, self.frames)
         frame, bound, leg = run(
-            self.machine, self.controller, self.memory, self.layout, self.frame, end
+            self.machine, self.controller, self.memory, self._recorder, self.frame, end
         )
         self.frame = end if frame < 0 else frame
         if frame >= 0:
@@ -308,12 +288,10 @@ class Session:
     def look(self) -> Live:
         """The present state."""
         memory, state, chain = self.memory, self.machine.state, self.controller.chain
-        demand, operating = np.zeros(6), ""
-        if chain is not None:
-            demand, operating = chain.motion[0], State(chain.marks[3]).name.lower()
-        elif self._poses is not None:
-            demand = self._poses[max(self.frame - 1, 0) % self._poses.shape[0]]
-        supply = dict(zip(SUPPLY_CHANNELS, state.supply.tolist(), strict=True))
+        poses, operating = self.controller.poses, ""
+        demand = poses[max(self.frame - 1, 0) % poses.shape[0]]
+        if chain is not None and chain.active:
+            demand, operating = chain.motion[0], State(chain.progress[0].state).name.lower()
         return Live(
             time=self.frame * FRAME,
             qpos=self.plant.data.qpos.copy(),
@@ -324,8 +302,8 @@ class Session:
             cap_pressure=state.pressure[:, CAP].copy(),
             rod_pressure=state.pressure[:, ROD].copy(),
             force=memory.load.copy(),
-            supply_pressure=supply["supply_pressure"],
-            return_pressure=supply["return_pressure"],
+            supply_pressure=float(state.supply[SUPPLY_PRESSURE]),
+            return_pressure=float(state.supply[RETURN_PRESSURE]),
             law=self._engaged.name if self._engaged else "",
             state=operating,
             fault=self.fault,
@@ -345,7 +323,7 @@ class Session:
             dcl,
             reference,
             memory.feedback,
-            None if parts is None else parts.gravity,
+            None if parts is None or not parts.active else parts.gravity,
         )
         self.controller = controller._replace(dcl=dcl, state=state)
 
@@ -398,7 +376,8 @@ class Session:
 
     def rows(self, first: int, last: int) -> NDArray[np.float64]:
         """Copy of the record's rows from `first` to before `last`, which must still be kept."""
-        return self.layout.out[np.arange(first, last) % self.layout.out.shape[0]]
+        out = self._recorder.out
+        return out[np.arange(first, last) % out.shape[0]]
 
     def history(
         self, out: NDArray[np.float64] | None = None, first: int = 0
@@ -409,30 +388,10 @@ class Session:
             out: rows, as of `rows`; default those of all frames run so far.
             first: number of their first one.
         """
-        legs = self.plant.legs
         if out is None:
-            out = self.layout.out[: -(-self.frame // self.every)]
-        channels: dict[str, NDArray[np.float64]] = {}
-        units: dict[str, str] = {}
-        base = 0
-
-        def take(name: str, unit: str, width: int | None = None) -> None:
-            nonlocal base
-            size = 1 if width is None else width
-            values = out[:, base : base + size]
-            channels[name] = values[:, 0] if width is None else values
-            units[name] = unit
-            base += size
-
-        for name, unit in LEG_CHANNELS.items():
-            take(name, unit, legs)
-        take("gimbal_error", "m")
-        for name, unit in SUPPLY_CHANNELS.items():
-            take(name, unit)
-        take("energy", "J", len(ENERGIES))
-        take("generalised_position", "m, rad, 1", self.plant.model.nq)
-        for name, indices in self._groups.items():
-            take(name, _SENSOR_UNITS.get(name.split("_")[-1], "m/s^2"), indices.size)
+            out = self._recorder.out[: -(-self.frame // self.every)]
+        channels = {channel.name: channel.of(out) for channel in self.layout.channels}
+        units = {channel.name: channel.unit for channel in self.layout.channels}
         for name, (values, unit) in self.plant.derived_channels(channels).items():
             channels[name], units[name] = values, unit
         time = np.arange(first, first + out.shape[0], dtype=np.float64) * (self.every * FRAME)

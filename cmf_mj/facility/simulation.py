@@ -87,9 +87,6 @@ def simulate(
     )
     session.run()
     time, channels, units = session.history()
-    if demanded is not None:
-        channels = {"demand_pose": demanded.pose[:: session.every], **channels}
-        units = {"demand_pose": "m, rad", **units}
     return Record(time, channels, units, session.describe() | context)
 
 
@@ -122,7 +119,5 @@ def drive(plant: Plant, valves: ArrayLike, **options: Unpack[RunOptions]) -> Rec
     session = Session(plant, None, Table(table), Options(**options))
     session.run()
     time, channels, units = session.history()
-    for name in ("leg_reference", "compensator_output"):
-        del channels[name], units[name]
     context = {"command": {"signal": "valve commands"}, "seed": None}
     return Record(time, channels, units, session.describe() | context)

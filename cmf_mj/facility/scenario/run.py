@@ -64,7 +64,7 @@ class ScenarioRun:
         self._done: list[Change] = []
         self._pushes: dict[int, tuple[float, ...]] = {}
         self._strikes = sorted(round(event.at / FRAME) + 1 for event in scenario.event)
-        self._parts: deque[tuple[NDArray[np.float64], NDArray[np.float64]]] = deque()
+        self._parts: deque[NDArray[np.float64]] = deque()
         self._first = self._next = 0
         self._most = FOREVER if scenario.frames else max(round(keep * RATE / BLOCK), 1)
 
@@ -130,10 +130,8 @@ class ScenarioRun:
         """All signals so far; of an `open` run those of the last `keep` seconds."""
         session = self._session
         last = -(-self.frame // session.every)
-        parts = [*self._parts, self._rows(self._next, last)]
-        loop, front = (np.concatenate(rows) for rows in zip(*parts, strict=True))
-        time, channels, units = session.history(loop, self._first)
-        demand, demand_units = self._source.channels(front)
+        rows = np.concatenate([*self._parts, session.rows(self._next, last)])
+        time, channels, units = session.history(rows, self._first)
         scenario = self.scenario()
         context: dict[str, Any] = {
             "command": _command(scenario),
@@ -141,7 +139,7 @@ class ScenarioRun:
             "scenario": scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True),
         }
         context |= session.describe() | self._source.described()
-        return Record(time, demand | channels, demand_units | units, context)
+        return Record(time, channels, units, context)
 
     def _checked(self, frame: int, change: Change) -> _Due:
         """The change with its motion, after a check that all of it is possible."""
@@ -186,16 +184,13 @@ class ScenarioRun:
         self._source.fill(first)
         self._filled = first
 
-    def _rows(self, first: int, last: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        return self._session.rows(first, last), self._source.rows(first, last)
-
     def _take(self) -> None:
         """Take the block just run out of the loop."""
         last = -(-self.frame // self._session.every)
-        self._parts.append(self._rows(self._next, last))
+        self._parts.append(self._session.rows(self._next, last))
         self._next = last
         while len(self._parts) > self._most:
-            self._first += self._parts.popleft()[0].shape[0]
+            self._first += self._parts.popleft().shape[0]
 
 
 def run_scenario(

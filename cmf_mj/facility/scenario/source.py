@@ -9,7 +9,6 @@ differences at 2048 Hz, exact to T^2/6 of the third and T^2/12 of the fourth der
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.control.demand import leg_demand
@@ -18,7 +17,7 @@ from cmf_mj.control.protection import load_protection
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.facility import host as hosts
-from cmf_mj.facility.operation import Start, chain_channels, facility_session, starting_pose
+from cmf_mj.facility.operation import Start, facility_session, starting_pose
 from cmf_mj.facility.scenario.demand import Demand
 from cmf_mj.facility.scenario.settings import Scenario, request_code
 from cmf_mj.facility.session import FOREVER, Options, Session, Table
@@ -28,8 +27,6 @@ from cmf_mj.plant.plant import Plant
 
 BLOCK = 1024
 """Control frames of a block."""
-
-Channels = tuple[dict[str, NDArray[np.float64]], dict[str, str]]
 
 
 class TableSource:
@@ -57,15 +54,6 @@ class TableSource:
         """Make the block of frames from `first` on."""
         self._poses[:] = self._demand.poses(first, BLOCK)
         self._table[:] = leg_demand(self._poses)
-
-    def rows(self, first: int, last: int) -> NDArray[np.float64]:
-        """Rows of the record from `first` to before `last`, of the present block."""
-        return self._poses[np.arange(first, last) * self.session.every % BLOCK]
-
-    @staticmethod
-    def channels(rows: NDArray[np.float64]) -> Channels:
-        """Channels and units of rows."""
-        return {"demand_pose": rows}, {"demand_pose": "m, rad"}
 
     def described(self) -> dict[str, Any]:
         """What a record keeps of it."""
@@ -137,16 +125,6 @@ class ChainSource:
             request_frame=np.append(chain.request_frame, frame),
             request=np.append(chain.request, code),
         )
-
-    def rows(self, first: int, last: int) -> NDArray[np.float64]:
-        """Rows of the record from `first` to before `last`, of the present block."""
-        log = self.session.chain.log
-        return log[np.arange(first, last) % log.shape[0]]
-
-    @staticmethod
-    def channels(rows: NDArray[np.float64]) -> Channels:
-        """Channels and units of rows."""
-        return chain_channels(rows)
 
     def described(self) -> dict[str, Any]:
         """What a record keeps of it."""
