@@ -104,5 +104,5 @@ def make_layout(plant: Plant, absent: set[str]) -> Layout:
         channels.append(Channel(name, unit, first, width))
         first += 1 if width is None else width
     starts = {channel.name: channel.first for channel in channels}
-    columns = Columns(*(starts.get(name, -1) for name in _CHANNELS), ends)
+    columns = Columns(*(starts.get(name, -1) for name in _CHANNELS), ends)  # type: ignore[call-arg]
     return Layout(tuple(channels), columns, first)
