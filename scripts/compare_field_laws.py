@@ -10,10 +10,10 @@ from pathlib import Path
 from cmf_mj import load_law
 from cmf_mj.control.law import Law
 from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.models import CABS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.show.table import Table
 from cmf_mj.studies.tuning.evaluation import LINES, LinearCab, evaluate, linear_cab
-from cmf_mj.studies.tuning.nominal import CABS
 from cmf_mj.studies.tuning.search import FASTER, Seeds
 
 
@@ -83,9 +83,9 @@ def table_of(laws: Mapping[str, Law], cabs: Sequence[LinearCab], seeds: Seeds) -
             f"> {LINES[-1]:g}" if hz == LINES[-1] else f"{hz:.2f}"
             for hz in nominal.phase_hz.min(axis=(0, 1))
         ]
-        shares = [f"{100.0 * part.max():.0f} %" for part in (nominal.overshoot, nominal.settled)]
+        shares = [f"{100.0 * part.max():.0f} %" for part in (nominal.overshoot, nominal.tail)]
         peaks = [
-            "-" if result.settled.max() > 1.0 else f"{result.peak_db.max():.1f}"
+            "-" if result.tail.max() > 1.0 else f"{result.peak_db.max():.1f}"
             for result in (nominal, faster)
         ]
         if peaks[0] == "-":

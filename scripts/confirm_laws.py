@@ -11,38 +11,101 @@ from typing import NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
+from numpy.typing import NDArray
 
-from cmf_mj import load_law
+from cmf_mj import load_hydraulics, load_law
+from cmf_mj.analysis import measures
+from cmf_mj.analysis.frequency_response import matrix_frequency_response
+from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.files import write_csv, write_text
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.models import CABS
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.show.table import Table
-from cmf_mj.studies.tuning.confirmation import Outcome, Trial, crosstalk, run_trial
-from cmf_mj.studies.tuning.nominal import CABS
+from cmf_mj.signals.composite import orthogonal_multisines
+from cmf_mj.studies.case import (
+    REPORT_AMPLITUDES,
+    Case,
+    CaseResult,
+    dof_amplitude,
+    make_case,
+    run_case,
+)
+from cmf_mj.studies.mismatch import with_valve_gains
 
 HEADER = (
     "law,cab,dof,seed,pose,scale,quick,noise,phase_hz,gain_hz,peak_db,damping_ratio,overshoot,"
     "stable,clamped"
 )
 
+CROSSTALK_BAND = (0.5, 6.0)
+"""Frequencies of the cross-talk [Hz]."""
+
+
+class Trial(NamedTuple):
+    """One case, and how it was drawn and scaled."""
+
+    case: Case
+    seed: int | None  #: Of the valve gains; None for the nominal ones.
+    scale: float  #: Of the report's amplitudes.
+
+
+class Outcome(NamedTuple):
+    """A trial and its result."""
+
+    trial: Trial
+    result: CaseResult
+
+
+def make_machine(seed: int | None) -> HydraulicParameters:
+    """The `hardware` set with valve gains that are not nominal."""
+    return with_valve_gains(load_hydraulics("hardware"), seed)
+
+
+def run_trial(trial: Trial) -> Outcome:
+    """Run chirp and step of a trial."""
+    return Outcome(trial, run_case(trial.case))
+
+
+def crosstalk(law: Law, cab: str, seed: int | None = None) -> NDArray[np.float64]:
+    """Largest cross-talk in 0.5 to 6 Hz, (6, 6), rows moved by columns; 0 on the diagonal.
+
+    From one run of orthogonal multisines in all degrees of freedom.
+    """
+    command = orthogonal_multisines(
+        (0.5 * REPORT_AMPLITUDES).tolist(),
+        stop=10.0,
+        period=30.0,
+        spectrum="acceleration",
+        periods=2,
+        seed=1,
+    )
+    case = make_case(law, cab=cab, hydraulics=make_machine(seed))
+    response = matrix_frequency_response(case.run(command))
+    frequency = np.asarray(response.omega) / (2.0 * np.pi)
+    band = (frequency >= CROSSTALK_BAND[0]) & (frequency <= CROSSTALK_BAND[1])
+    gains = measures.crosstalk(np.asarray(response.frdata)[..., band], REPORT_AMPLITUDES)
+    return np.nan_to_num(gains)
+
 
 def row(outcome: Outcome) -> list[object]:
     """One line of `trials.csv`."""
-    trial, widths, step = outcome.trial, outcome.bandwidths, outcome.step
-    numbers = (*widths, step.damping_ratio, step.overshoot)
-    pose = " ".join(f"{value:.4g}" for value in trial.pose)
-    told = (trial.seed, pose, trial.scale, trial.quick, trial.electronics is not None)
-    measures = [f"{value:.4f}" for value in numbers]
+    trial, result = outcome
+    case, values = trial.case, result.measures
+    numbers = (
+        *(values.phase_bandwidth_hz, values.gain_bandwidth_hz, values.peak_gain_db),
+        *(values.damping_ratio, values.overshoot),
+    )
+    pose = " ".join(f"{value:.4g}" for value in case.pose)
     return [
-        trial.law.name,
-        trial.cab,
-        trial.dof,
-        *told,
-        *measures,
-        step.stable,
-        f"{outcome.clamped:.4f}",
+        *(case.law.name, case.cab, case.dof, trial.seed, pose, trial.scale, case.quick),
+        case.electronics is not None,
+        *(f"{value:.4f}" for value in numbers),
+        values.stable,
+        f"{result.clamped:.4f}",
     ]
 
 
@@ -58,16 +121,19 @@ class Worst(NamedTuple):
 
 def worst_of(members: list[Outcome]) -> Worst:
     """Worst of each measure."""
-    phase, gain, peak = np.array([member.bandwidths for member in members]).T
-    over = max(member.step.overshoot for member in members)
-    zetas = [z for member in members if not np.isnan(z := member.step.damping_ratio)]
+    results = [member.result.measures for member in members]
+    phase, gain, peak, over = (
+        np.array([getattr(result, name) for result in results])
+        for name in ("phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db", "overshoot")
+    )
+    zetas = [result.damping_ratio for result in results if not np.isnan(result.damping_ratio)]
     damping = f"{min(zetas):.2f}" if zetas else "-"
     return Worst(
         "> 10" if np.isnan(phase).all() else f"{np.nanmin(phase):.2f}",
         "> 10" if np.isnan(gain).all() else f"{np.nanmin(gain):.2f}",
         f"{peak.max():.1f}",
-        f"{100.0 * over:.0f} %",
-        damping if all(member.step.stable for member in members) else "unstable",
+        f"{100.0 * over.max():.0f} %",
+        damping if all(result.stable for result in results) else "unstable",
     )
 
 
@@ -75,7 +141,8 @@ def grouped(outcomes: list[Outcome], *fields: str) -> dict[tuple[str, ...], list
     """Outcomes of trials alike in the law and some fields."""
     groups: dict[tuple[str, ...], list[Outcome]] = {}
     for one in outcomes:
-        key = (one.trial.law.name, *(getattr(one.trial, field) for field in fields))
+        case = one.trial.case
+        key = (case.law.name, *(getattr(case, field) for field in fields))
         groups.setdefault(key, []).append(one)
     return groups
 
@@ -91,11 +158,11 @@ def worst(outcomes: list[Outcome]) -> str:
 def summary(outcomes: list[Outcome]) -> str:
     """Worst of each law in each degree of freedom: -90 deg / -3 dB / peak / zeta."""
     groups = grouped(outcomes, "dof")
-    dofs = list(dict.fromkeys(one.trial.dof for one in outcomes))
+    dofs = list(dict.fromkeys(one.trial.case.dof for one in outcomes))
     lines = []
-    for law in dict.fromkeys(one.trial.law.name for one in outcomes):
-        found = [worst_of(groups[law, dof]) for dof in dofs]
-        lines.append([law, *(f"{w.phase} / {w.gain} / {w.peak} / {w.damping}" for w in found)])
+    for law in dict.fromkeys(one.trial.case.law.name for one in outcomes):
+        cells = [worst_of(groups[law, dof]) for dof in dofs]
+        lines.append([law, *(f"{w.phase} / {w.gain} / {w.peak} / {w.damping}" for w in cells)])
     return Table("", ("law", *dofs), lines).markdown()
 
 
@@ -129,7 +196,17 @@ def main() -> None:
     laws = [load_law(name) for name in options.laws.split(",")]
     cabs, electronics = options.cabs.split(","), ElectronicsSettings() if options.noise else None
     trials = [
-        Trial(law, cab, dof, seed, pose_of(options.pose), scale, options.quick, electronics)
+        Trial(
+            make_case(
+                *(law, dof, "hexapod", cab, make_machine(seed)),
+                amplitude=scale * dof_amplitude(dof),
+                quick=options.quick,
+                electronics=electronics,
+                pose=pose_of(options.pose),
+            ),
+            seed,
+            scale,
+        )
         for law in laws
         for dof in filter(None, options.dofs.split(","))
         for cab in cabs

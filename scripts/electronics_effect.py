@@ -11,7 +11,8 @@ from cmf_mj.cli.common import refuse
 from cmf_mj.control.law import law_names
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.show.table import Table
-from cmf_mj.studies.comparison import ComparisonRow, compare
+from cmf_mj.studies.case import CaseResult
+from cmf_mj.studies.comparison import compare
 
 HEADER = (
     "law",
@@ -35,9 +36,10 @@ def _cells(before: float, after: float) -> list[str]:
     return ["-" if "nan" in number else number for number in numbers]
 
 
-def line(ideal: ComparisonRow, real: ComparisonRow) -> list[str]:
+def line(without: CaseResult, with_electronics: CaseResult) -> list[str]:
     """A row of the table."""
-    cells = [ideal.law, ideal.dof]
+    ideal, real = without.measures, with_electronics.measures
+    cells = [without.case.law.name, without.case.dof]
     for before, after in (
         (ideal.phase_bandwidth_hz, real.phase_bandwidth_hz),
         (ideal.gain_bandwidth_hz, real.gain_bandwidth_hz),
@@ -67,7 +69,7 @@ def main() -> None:
                 quick=options.quick,
                 jobs=options.jobs,
                 electronics=electronics,
-            ).rows
+            ).results
             for electronics in (None, ElectronicsSettings())
         )
     except (ValueError, OSError, FloatingPointError) as error:

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 
 from cmf_mj import load_law
 from cmf_mj.core.files import write_csv
-from cmf_mj.studies.tuning.evaluation import Worth, evaluate
+from cmf_mj.machine.models import CABS
+from cmf_mj.studies.tuning.evaluation import Performance, evaluate
 from cmf_mj.studies.tuning.forms import make_template
-from cmf_mj.studies.tuning.nominal import CABS
 from cmf_mj.studies.tuning.search import Limits, search
 
 BESIDE = ("velocity", "model_following")
@@ -26,9 +26,13 @@ def numbers(text: str) -> list[tuple[float, float]]:
     return [(float(a), float(b)) for a, b in (part.split(":") for part in text.split(","))]
 
 
-def line(name: str, worth: Worth) -> list[object]:
+def line(name: str, performance: Performance) -> list[object]:
     """Name, -90 deg, peak and overshoot."""
-    found = worth.phase_hz.min(), worth.peak_db.max(), 100.0 * worth.overshoot.max()
+    found = (
+        performance.phase_hz.min(),
+        performance.peak_db.max(),
+        100.0 * performance.overshoot.max(),
+    )
     return [name, *(round(float(value), 3) for value in found)]
 
 
@@ -47,7 +51,7 @@ def main() -> None:
     for peak, overshoot in numbers(options.limits):
         limits = Limits(peak_db=peak, overshoot=overshoot / 100.0)
         found = search(template, limits, seeds=seeds, evaluations=options.evaluations)
-        rows.append(line(f"{peak:g} dB, {overshoot:g} %", found.worth))
+        rows.append(line(f"{peak:g} dB, {overshoot:g} %", found.performance))
         print(*rows[-1], flush=True)
     options.out.mkdir(parents=True, exist_ok=True)
     header = ["law", "phase_hz", "peak_db", "overshoot_percent"]

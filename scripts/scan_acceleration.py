@@ -13,10 +13,10 @@ import numpy as np
 from cmf_mj import load_law
 from cmf_mj.control.law import Law
 from cmf_mj.core.rates import FRAME
+from cmf_mj.machine.models import CABS
 from cmf_mj.show.table import Table
 from cmf_mj.studies.evaluation import StudyRow, evaluate
 from cmf_mj.studies.settings import load_study
-from cmf_mj.studies.tuning.nominal import CABS
 
 ROTATIONS = ("roll", "pitch", "yaw")
 
@@ -36,10 +36,12 @@ def law_of(gain: float, corner: float | None) -> Law:
 
 def worst(rows: list[StudyRow]) -> list[str]:
     """Worst bandwidth of each rotation and worst peak of them over the cabs; a dash if unstable."""
-    if not all(row.stable for row in rows):
+    if not all(row.measures.stable for row in rows):
         return ["-"] * (len(ROTATIONS) + 1)
-    by_dof = [[row.phase_bandwidth_hz for row in rows if row.dof == dof] for dof in ROTATIONS]
-    peak = max(row.peak_gain_db for row in rows if row.dof in ROTATIONS)
+    by_dof = [
+        [row.measures.phase_bandwidth_hz for row in rows if row.dof == dof] for dof in ROTATIONS
+    ]
+    peak = max(row.measures.peak_gain_db for row in rows if row.dof in ROTATIONS)
     return [*(f"{min(found):.2f}" for found in by_dof), f"{peak:.1f}"]
 
 
@@ -62,11 +64,11 @@ def main() -> None:
     )
     found: dict[str, list[StudyRow]] = {law.name: [] for law in laws}
     for case in study.cases:
-        found[case.law.name] += evaluate(case)
+        found[case.case.law.name] += evaluate(case)
     lines = []
     for name, rows in found.items():
         gain, corner = name.split(" at ")
-        damping = [f"{row.mode_damping_ratio:.3f}" for row in rows if row.dof == "roll"]
+        damping = [f"{row.measures.mode_damping_ratio:.3f}" for row in rows if row.dof == "roll"]
         lines.append(
             [gain, "2.5" if corner == "None" else f"{float(corner):g}", *damping, *worst(rows)]
         )

@@ -16,12 +16,13 @@ import numpy as np
 from cmf_mj import Hexapod, Law, load_hydraulics, load_law
 from cmf_mj.facility import host
 from cmf_mj.facility.operation import FacilitySettings, operate
+from cmf_mj.machine.models import CABS
 from cmf_mj.pilot import host as pilot_host
 from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
 from cmf_mj.pilot.cueing.envelope import confined
 from cmf_mj.pilot.fly import fly
 from cmf_mj.show.table import Table
-from cmf_mj.studies.tuning.nominal import CABS, mismatched
+from cmf_mj.studies.mismatch import with_valve_gains
 
 SIZES = np.array([1.2, 1.2, 0.9, 0.45, 0.4, 0.6])
 """Largest amplitude of a stream [m, rad]."""
@@ -66,7 +67,7 @@ def wild_stream(number: int) -> host.HostStream:
 
 def cycles(law: Law, number: int) -> bool:
     """Whether a wild stream leaves the machine in a limit cycle."""
-    hydraulics = mismatched(load_hydraulics("hardware"), number if number % 4 > 1 else None)
+    hydraulics = with_valve_gains(load_hydraulics("hardware"), number if number % 4 > 1 else None)
     facility = FacilitySettings(electronics=None, protection=None)
     plant = Hexapod(CABS[number % len(CABS)], hydraulics)
     run = operate(plant, law, wild_stream(number), facility=facility, record_every=8)

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from cmf_mj.cli.common import app
 from cmf_mj.record.record import Record
-from cmf_mj.studies.comparison import ComparisonRow
+from cmf_mj.studies.comparison import COLUMNS
 
 MY_LAW = """
 [soft]
@@ -38,7 +38,7 @@ def test_compare_writes_table_figures_and_records(tmp_path: Path) -> None:
     assert code == 0, output
     with (out / "comparison.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0]) == list(ComparisonRow._fields)
+    assert list(rows[0]) == list(COLUMNS)
     keys = [(row["plant"], row["law"], row["dof"]) for row in rows]
     assert keys == [
         (plant, name, dof)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cmf_mj import Hexapod, Law, SingleLegs, law_names, load_law, signals, simulate
+from cmf_mj import Hexapod, Law, SingleLegs, law_names, load_hydraulics, load_law, signals, simulate
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.law import dcl_state_space
 from cmf_mj.analysis.linear.loop import closed_loop
@@ -29,9 +29,10 @@ from cmf_mj.facility.replay import replay
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.plant import Plant
+from cmf_mj.studies.case import make_case, run_case
 from cmf_mj.studies.evaluation import evaluate as study_rows
+from cmf_mj.studies.mismatch import with_valve_gains
 from cmf_mj.studies.settings import load_study
-from cmf_mj.studies.tuning.confirmation import Trial, run_trial
 from cmf_mj.studies.tuning.evaluation import evaluate, linear_cab
 from cmf_mj.studies.tuning.search import Limits
 
@@ -148,14 +149,14 @@ def test_the_gain_of_acceleration_stabilises_every_cab() -> None:
 def test_limits_are_kept_on_linear_plants(name: str) -> None:
     """Rounded by hand: a tenth beyond is allowed in no limit but the tail's hundredth."""
     limits, cabs = Limits(), [linear_cab(Hexapod(cab)) for cab in ("gfd", "ifd")]
-    worth = evaluate(load_law(name), cabs, (None, 1))
+    performance = evaluate(load_law(name), cabs, (None, 1))
     faster = evaluate(load_law(name), cabs, (None,), scale=1.5)
-    assert worth.peak_db.max() <= limits.peak_db
-    assert worth.overshoot[..., :-1].max() <= limits.overshoot + 0.01
-    assert worth.overshoot[..., -1].max() <= limits.together
-    assert max(worth.settled.max(), faster.settled.max()) <= limits.tail + 0.01
+    assert performance.peak_db.max() <= limits.peak_db
+    assert performance.overshoot[..., :-1].max() <= limits.overshoot + 0.01
+    assert performance.overshoot[..., -1].max() <= limits.together
+    assert max(performance.tail.max(), faster.tail.max()) <= limits.tail + 0.01
     assert faster.peak_db.max() <= limits.margin_db
-    assert worth.phase_hz.min() > 1.7
+    assert performance.phase_hz.min() > 1.7
 
 
 @pytest.mark.parametrize("name", FIELD)
@@ -170,16 +171,18 @@ def test_studies_mount_laws_in_modes(name: str) -> None:
     study = load_study({"title": "modes", "method": "linear", "laws": [name], "cabs": ["ifd"]})
     rows = study_rows(study.cases[0])
     assert [row.dof for row in rows] == list(DOFS)
-    assert all(row.stable and not row.error_message for row in rows)
+    assert all(row.measures.stable and not row.error_message for row in rows)
 
 
 @pytest.mark.parametrize("name", FIELD)
 def test_the_heaviest_cab_flies_them(name: str) -> None:
-    found = run_trial(Trial(load_law(name), "ifd", "sway", seed=1, quick=True))
-    assert found.step.stable
+    hydraulics = with_valve_gains(load_hydraulics("hardware"), 1)
+    case = make_case(name, "sway", cab="ifd", hydraulics=hydraulics, quick=True)
+    measures = run_case(case).measures
+    assert measures.stable
     if name in SEARCHED:
-        assert found.bandwidths.peak_db < 3.0
-        assert found.step.overshoot < 0.25
+        assert measures.peak_gain_db < 3.0
+        assert measures.overshoot < 0.25
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,9 @@ from cmf_mj.control.plan import actuator_polynomial, response_polynomial
 from cmf_mj.core.rates import FRAME
 from cmf_mj.facility.replay import replay
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.studies.tuning.nominal import CABS, mismatched, nominal_modes, valve_gains
+from cmf_mj.machine.models import CABS
+from cmf_mj.studies.mismatch import valve_gains, with_valve_gains
+from cmf_mj.studies.tuning.nominal import nominal_modes
 
 INCH = 0.0254
 POUND_FORCE = 0.45359237 * 9.80665
@@ -298,8 +300,8 @@ def test_valve_gains_are_random_and_repeatable() -> None:
     assert 0.9 <= gains.min() < 0.92 and 1.08 < gains.max() <= 1.1
     np.testing.assert_array_equal(valve_gains(3), gains[3])
     usual = load_hydraulics("hardware")
-    changed = mismatched(usual, 3)
-    assert mismatched(usual, None) is usual
+    changed = with_valve_gains(usual, 3)
+    assert with_valve_gains(usual, None) is usual
     for leg in range(MODES):
         own = changed.actuator(f"leg_{leg + 1}")["leg_speed"].si / usual.leg_speed.si
         assert own == pytest.approx(gains[3, leg], rel=1e-12)

@@ -24,7 +24,7 @@ def found() -> Examination:
     study = load_study("hardware")
     values = starting_values(study)
     results = linear_results(study, values, study.laws)
-    results["velocity"] = results["velocity"]._replace(gain=float("nan"))
+    results["velocity"] = results["velocity"]._replace(gain_bandwidth_hz=float("nan"))
     stage = Stage(values, results, results, least_damping(study, values))
     later = stage._replace(values=values | {"leg_speed": 0.3512})
     errors = {"leg_speed": 0.011, "leak_rate": 2.5}

@@ -34,7 +34,7 @@ from cmf_mj.show.report_2014.page import (
 from cmf_mj.show.report_2014.runs import FORCE_READINGS, Runs, RunSpec, hydraulics_of, law_of
 from cmf_mj.show.report_2014.sections import sections_of
 from cmf_mj.studies.calibration.definition import load_studies
-from cmf_mj.studies.comparison import CaseResult
+from cmf_mj.studies.case import CaseResult
 
 SHOWN = ["2-4", "2-13", "3-14", "3-16", "3-21"]
 
@@ -133,8 +133,9 @@ def altered(runs: Runs, factor: float) -> Runs:
     found: dict[RunSpec, Any] = {}
     for key, result in runs.results.items():
         if isinstance(result, CaseResult):
-            widths = result.bandwidths
-            result = result._replace(bandwidths=widths._replace(phase_hz=factor * widths.phase_hz))
+            phase = factor * result.measures.phase_bandwidth_hz
+            measures = result.measures._replace(phase_bandwidth_hz=phase)
+            result = result._replace(measures=measures)
         found[key] = result
     return Runs(found, runs.sensors, runs.quick, runs.seed)
 
@@ -193,7 +194,7 @@ def test_ledger_and_calibration_are_shown_whole(studied: Content) -> None:
         fitted = [p for p in shown[f"calibration-{name}-parameters"].rows if "fitted" in p.cells]
         assert len(fitted) == len(study.free)
     original = [r for r in shown["calibration-report-residuals"].rows if "Original" in r.cells[0]]
-    phase = studied.runs.case("model", "original").bandwidths.phase_hz
+    phase = studied.runs.case("model", "original").measures.phase_bandwidth_hz
     assert {row.cells[4] for row in original if row.cells[1] == "-90 deg [Hz]"} == {f"{phase:.2f}"}
 
 
@@ -262,9 +263,9 @@ def test_the_leg_rings_between_crossover_and_poles_and_not_at_25_hz(content: Con
     assert frequency < 0.6 * force.REPORTED_HZ
     assert amplitude > 500.0
     assert acceleration > 1.0
-    bandwidths = content.runs.case("model", "force").bandwidths
-    assert bandwidths.phase_hz == pytest.approx(5.5, rel=0.1)
-    assert bandwidths.peak_db == pytest.approx(1.0, abs=0.5)
+    measures = content.runs.case("model", "force").measures
+    assert measures.phase_bandwidth_hz == pytest.approx(5.5, rel=0.1)
+    assert measures.peak_gain_db == pytest.approx(1.0, abs=0.5)
 
 
 def test_readings_of_the_force_gain_act_on_the_force_alone() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from cmf_mj import compare
 from cmf_mj.record.record import Record
-from cmf_mj.studies.comparison import ComparisonRow
+from cmf_mj.studies import comparison
 
 COLUMNS = (
     "plant,cab,hydraulics,law,dof,phase_bandwidth_hz,gain_bandwidth_hz,peak_gain_db,damping_ratio,"
@@ -17,7 +17,7 @@ COLUMNS = (
 
 
 def test_columns_are_the_promised_ones() -> None:
-    assert list(ComparisonRow._fields) == COLUMNS
+    assert list(comparison.COLUMNS) == COLUMNS
 
 
 def test_results_are_bit_identical_whatever_the_jobs(tmp_path: Path) -> None:
@@ -49,7 +49,7 @@ def test_results_are_bit_identical_whatever_the_jobs(tmp_path: Path) -> None:
 def test_quick_sweep_reads_the_same_bandwidths() -> None:
     """A sweep three times as fast: within 2 % on a damped response, as the docstring says."""
     quick, full = (
-        compare(["velocity"], ["heave"], plants=["single_legs"], quick=quick).rows[0]
+        compare(["velocity"], ["heave"], plants=["single_legs"], quick=quick).results[0].measures
         for quick in (True, False)
     )
     assert quick.phase_bandwidth_hz == pytest.approx(full.phase_bandwidth_hz, rel=0.02)

@@ -18,6 +18,7 @@ from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.show.failure import label
 from cmf_mj.signals.single import Command
+from cmf_mj.studies.case import make_case
 from cmf_mj.studies.failure.manoeuvre import manoeuvre
 from cmf_mj.studies.failure.measures import FALL_SPEED, STATES, FailureResult
 from cmf_mj.studies.failure.runs import run_failure, run_failures
@@ -49,7 +50,7 @@ def lossy() -> dict[str, FailureResult]:
     results = []
     for after, kinds in ((14.0, long), (6.0, [kind for kind in KINDS if kind not in long])):
         events = [default_event(kind, AT) for kind in kinds]
-        results += run_failures(events, after=after, hydraulics="lossy")
+        results += run_failures(events, make_case("velocity", hydraulics="lossy"), after=after)
     return {label(result): result for result in results}
 
 
@@ -120,8 +121,8 @@ def test_before_the_event_all_runs_are_the_same(hardware, unprotected) -> None:
     one = hardware["pump_lost"]
     for results in (hardware, unprotected):
         for result in results.values():
-            assert result.load_before == one.load_before
-            assert result.acceleration_before == one.acceleration_before
+            assert result.load.before == one.load.before
+            assert result.acceleration.before == one.acceleration.before
 
 
 # Emergency stop
@@ -263,7 +264,7 @@ def test_one_valve_hard_over_is_fought_by_the_other(unprotected) -> None:
     cap = brentq(lambda p: np.subtract(*speeds(p)), least, min(most, high))
     found = (record["leg_extension"][row + 8, 0] - record["leg_extension"][row - 8, 0]) * 16
     assert found == pytest.approx(speeds(cap)[0], rel=0.03)
-    assert 0.0 < result.load_free.value < CAP * SUPPLY
+    assert 0.0 < result.load.free.value < CAP * SUPPLY
 
 
 def test_hard_over_of_both_valves_is_found_at_leg_speed(hardware) -> None:
@@ -271,7 +272,7 @@ def test_hard_over_of_both_valves_is_found_at_leg_speed(hardware) -> None:
     result = hardware["valve_hard_over-leg_1"]
     slowest = 6.0 / 35.0 + 3.0 / (2 * np.pi * 75.0) + 20 * FRAME
     assert 6.0 / 60.0 < result.detection_time < slowest
-    assert abs(result.load_free.value) < CAP * SUPPLY
+    assert abs(result.load.free.value) < CAP * SUPPLY
 
 
 def test_a_dead_leg_is_a_water_hammer(unprotected) -> None:
@@ -281,8 +282,8 @@ def test_a_dead_leg_is_a_water_hammer(unprotected) -> None:
     plant = Hexapod()
     mass = plant.reflected_mass()[0, 0]
     stiffness = 1e5 * PSI * (CAP + ROD) / (38 * INCH)
-    rise = result.load_free.value - result.load_before.value
-    assert result.load_free.leg == 1 and result.load_free.time - AT < 0.1
+    rise = result.load.free.value - result.load.before.value
+    assert result.load.free.leg == 1 and result.load.free.time - AT < 0.1
     assert 0.3 < rise / (speed * np.sqrt(stiffness * mass)) < 1.0
 
 
@@ -306,12 +307,12 @@ def test_overload_is_carried_without_sag() -> None:
     """The integral takes the sag away; the legs share the weight over the cosine 0.832."""
     still = Command.from_pose(np.zeros((12 * 2048, 6)))
     event = default_event("overload", 1.0)
-    result = run_failure(event, law="velocity_integral", command=still)
+    result = run_failure(event, make_case("velocity_integral"), command=still)
     record = result.record
     assert np.abs(record["leg_extension"][-1]).max() < 20e-6
     rise = record["axial_load"][-1] - result.static_load
     assert rise.mean() == pytest.approx(10_000.0 * POUND / (6 * 0.832), rel=1e-3)
-    assert result.state == "running" and result.acceleration_before.value < 1e-3
+    assert result.state == "running" and result.acceleration.before.value < 1e-3
 
 
 # What the crew feels
@@ -322,7 +323,8 @@ def test_crew_acceleration_is_that_of_the_crew_point(dof: str) -> None:
     """Second difference of the point's path, rotation included; f = R'(a - g) at every row."""
     plant = Hexapod("ifd")
     command = manoeuvre(dof, 0.08, 0.5, at=1.0, after=5.0)
-    result = run_failure(default_event("accumulator_lost", 1.0), plant, dof=dof, command=command)
+    case = make_case("velocity", dof, cab="ifd")
+    result = run_failure(default_event("accumulator_lost", 1.0), case, command=command)
     record = result.record
     qpos = record["generalised_position"]
     turn = Rotation.from_quat(qpos[:, 3:7].copy(), scalar_first=True)
@@ -334,7 +336,7 @@ def test_crew_acceleration_is_that_of_the_crew_point(dof: str) -> None:
     assert largest > 0.3 and np.abs(difference).max() < 0.03 * largest
     felt = record["crew_accelerometer"]
     kept = np.linalg.norm(felt, axis=1).max()
-    peaks = (result.specific_force_before.value, result.specific_force_after.value)
+    peaks = (result.specific_force.before.value, result.specific_force.after.value)
     assert kept <= max(peaks) < 1.05 * kept
 
 
@@ -357,7 +359,7 @@ def test_results_do_not_depend_on_threads() -> None:
     one, two = (run_failures(events, after=4.0, jobs=jobs) for jobs in (1, 2))
     for a, b in zip(one, two, strict=True):
         np.testing.assert_array_equal(a.record["axial_load"], b.record["axial_load"])
-        assert a.load_after == b.load_after and a.state == b.state
+        assert a.load.after == b.load.after and a.state == b.state
 
 
 def test_a_state_beyond_its_bounds_is_told_not_lost(tmp_path: Path) -> None:
@@ -366,10 +368,10 @@ def test_a_state_beyond_its_bounds_is_told_not_lost(tmp_path: Path) -> None:
     file = tmp_path / "bare.toml"
     file.write_text(f'base = "hardware"\n[bare]\ncavitation_gas = {quantity}\n')
     event = default_event("sensor_open", 1.0)
-    result = run_failure(event, Hexapod("gfd", file), after=6.0)
+    result = run_failure(event, make_case("velocity", hydraulics=file), after=6.0)
     assert result.state == "out_of_bounds"
     assert "below vacuum" in result.message and "leg_" in result.message
-    assert np.isfinite(result.load_after.value)
+    assert np.isfinite(result.load.after.value)
     command = manoeuvre("heave", 6 * INCH, 0.5, at=1.0, after=6.0)
     with pytest.raises(OutOfBounds, match="below vacuum") as error:
         simulate(Hexapod("gfd", file), "velocity", command, events=[event], protection="default")
@@ -387,8 +389,9 @@ def test_a_state_beyond_its_bounds_is_told_not_lost(tmp_path: Path) -> None:
     ],
 )
 def test_refusals(arguments: dict, message: str) -> None:
+    options = {name: arguments.pop(name) for name in ("after", "command") if name in arguments}
     with pytest.raises(ValueError, match=message):
-        run_failure(default_event("overload", 1.0), **arguments)
+        run_failure(default_event("overload", 1.0), make_case("velocity", **arguments), **options)
 
 
 def test_command_writes_table_csv_and_figure(tmp_path: Path) -> None:

@@ -10,28 +10,29 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from cmf_mj import SingleLegs
 from cmf_mj.cli.common import app
 from cmf_mj.record.record import Record
 from cmf_mj.record.writer import write_facility_csv
 from cmf_mj.show.identification import model_table, orders_table, save_identification
+from cmf_mj.studies.case import make_case
 from cmf_mj.studies.identification import (
     Identified,
     excitation,
     identify,
     simulated_records,
-    simulated_step,
 )
+
+CASE = make_case("velocity", "heave", "single_legs")
 
 
 @pytest.fixture(scope="module")
 def records() -> list[Record]:
-    return simulated_records(SingleLegs, "velocity", "heave")
+    return simulated_records(CASE)
 
 
 @pytest.fixture(scope="module")
 def found(records: list[Record]) -> Identified:
-    step = simulated_step(SingleLegs, "velocity", "heave")
+    step = CASE.run(CASE.step())
     return identify(records, "heave", step=step)
 
 
@@ -93,7 +94,7 @@ def test_a_single_run_is_split_and_orders_may_be_given(records: list[Record]) ->
 
 
 def test_records_of_a_pulse_alone_have_no_measured_loop() -> None:
-    pulse = simulated_records(SingleLegs, "velocity", "heave", "pulse")[:1]
+    pulse = simulated_records(CASE, "pulse")[:1]
     lone = identify(pulse, "heave", method="arx", orders=(4, 3, 1))
     assert lone.loop is None
     assert lone.response is None

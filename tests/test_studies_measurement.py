@@ -15,12 +15,14 @@ from cmf_mj.core.rates import RATE
 from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.show.measurement import measurement_table, save_measurement
 from cmf_mj.signals.composite import acceleration_step
+from cmf_mj.studies.case import make_case
 from cmf_mj.studies.measurement import Measurement, dof_accelerations, measure
 
 
 @pytest.fixture(scope="module")
 def session() -> Measurement:
-    return measure(SingleLegs, "velocity", "heave", frequencies=(0.5, 2.0), shares=(0.25, 1.0))
+    case = make_case("velocity", "heave", "single_legs")
+    return measure(case, frequencies=(0.5, 2.0), shares=(0.25, 1.0))
 
 
 def test_describing_function_at_the_sweep_s_amplitude_is_its_response(
@@ -28,7 +30,7 @@ def test_describing_function_at_the_sweep_s_amplitude_is_its_response(
 ) -> None:
     """Single sines and the chirp measure the same thing: 0.1 dB and 1 deg."""
     for point in session.describing_function:
-        if point.amplitude == session.amplitude:
+        if point.amplitude == session.case.size:
             index = int(np.abs(session.response.frequency - point.frequency_hz).argmin())
             assert point.gain_db == pytest.approx(session.response.gain_db[index], abs=0.1)
             assert point.phase_deg == pytest.approx(session.response.phase_deg[index], abs=1.0)

@@ -10,7 +10,7 @@ from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.plant import Plant
-from cmf_mj.studies.comparison import AMPLITUDE, ROTATION_PER_TRANSLATION
+from cmf_mj.studies.case import AMPLITUDE, ROTATION_PER_TRANSLATION
 
 
 def measured(plant: Plant, law: str, dof: str) -> Bandwidths:

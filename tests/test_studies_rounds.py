@@ -14,13 +14,13 @@ from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.record.record import Record
 from cmf_mj.record.writer import write_facility_csv
 from cmf_mj.signals import composite as excitations
-from cmf_mj.studies.comparison import AMPLITUDE
-from cmf_mj.studies.measurement import RECORD_EVERY, facility_session
+from cmf_mj.studies.case import AMPLITUDE, RECORD_EVERY, make_case
+from cmf_mj.studies.measurement import facility_session
 
 
 @pytest.fixture(scope="module")
 def session() -> list[Record]:
-    return facility_session(SingleLegs, "velocity", "heave")
+    return facility_session(make_case("velocity", "heave", "single_legs"))
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def test_four_excitations_agree_on_the_phase_bandwidth_within_3_percent(
         return simulate(plant, "velocity", command, record_every=RECORD_EVERY)
 
     steps = np.arange(1.8, 3.7, 0.3)
-    rounds = facility_session(build, "velocity", "heave")
+    rounds = facility_session(make_case("velocity", "heave", plant.name))
     read = [
         read_facility_csv(write_facility_csv(record, tmp_path / f"{i}of5.csv"))
         for i, record in enumerate(rounds, start=1)

@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cmf_mj import load_law
+from cmf_mj import load_hydraulics, load_law
 from cmf_mj.cli.common import app
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.plant import Plant
-from cmf_mj.studies.tuning.confirmation import Trial, run_trial
+from cmf_mj.studies.case import AMPLITUDE, make_case, run_case
+from cmf_mj.studies.mismatch import with_valve_gains
 from cmf_mj.studies.tuning.evaluation import evaluate, linear_cab
 from cmf_mj.studies.tuning.files import law_text, save_law
 from cmf_mj.studies.tuning.forms import FORMS, Form, candidate, form_named, make_template
@@ -31,13 +32,14 @@ def test_the_shipped_law_keeps_the_targets_with_valves_off(
     cab: str, dof: str, electronics: ElectronicsSettings | None
 ) -> None:
     """-90 deg >= 5 Hz, peak <= 3 dB, damping ratio >= 0.4, valve gains within 10 % at random."""
-    law = load_law("modal_plan")
-    found = run_trial(Trial(law, cab, dof, seed=1, quick=True, electronics=electronics))
-    assert found.step.stable
-    assert found.bandwidths.phase_hz >= 5.0
-    assert found.bandwidths.peak_db <= 3.0
-    assert found.step.overshoot <= 0.25
-    assert not found.step.damping_ratio < 0.4  # NaN without an overshoot
+    hydraulics = with_valve_gains(load_hydraulics("hardware"), 1)
+    machine = {"cab": cab, "hydraulics": hydraulics, "electronics": electronics}
+    measures = run_case(make_case("modal_plan", dof, quick=True, **machine)).measures
+    assert measures.stable
+    assert measures.phase_bandwidth_hz >= 5.0
+    assert measures.peak_gain_db <= 3.0
+    assert measures.overshoot <= 0.25
+    assert not measures.damping_ratio < 0.4  # NaN without an overshoot
 
 
 def test_the_shipped_law_is_where_its_form_starts() -> None:
@@ -51,11 +53,13 @@ def test_the_linear_plants_say_what_the_simulation_does() -> None:
     """Sway with the heaviest cab at a tenth of the amplitude, where neither the rate limit acts nor
     the valves' mean opening damps: -90 deg within 5 %, peak within 0.5 dB."""
     law = load_law("modal_plan")
-    worth = evaluate(law, [linear_cab(Hexapod("ifd"))], (1,))
-    found = run_trial(Trial(law, "ifd", "sway", seed=1, scale=0.1, quick=True))
+    performance = evaluate(law, [linear_cab(Hexapod("ifd"))], (1,))
+    hydraulics = with_valve_gains(load_hydraulics("hardware"), 1)
+    machine = {"cab": "ifd", "hydraulics": hydraulics, "amplitude": 0.1 * AMPLITUDE}
+    measures = run_case(make_case(law, "sway", quick=True, **machine)).measures
     sway = DOFS.index("sway")
-    assert found.bandwidths.phase_hz == pytest.approx(worth.phase_hz[0, 0, sway], rel=0.05)
-    assert found.bandwidths.peak_db == pytest.approx(worth.peak_db[0, 0, sway], abs=0.5)
+    assert measures.phase_bandwidth_hz == pytest.approx(performance.phase_hz[0, 0, sway], rel=0.05)
+    assert measures.peak_gain_db == pytest.approx(performance.peak_db[0, 0, sway], abs=0.5)
 
 
 def test_a_search_repeats_and_its_file_is_the_law(tmp_path: Path) -> None:
@@ -64,7 +68,7 @@ def test_a_search_repeats_and_its_file_is_the_law(tmp_path: Path) -> None:
     assert first.law == second.law and first.evaluations == 12
     form = form_named("modal_plan")
     begun = evaluate(candidate(form, template, form.start), template.cabs, (None,))
-    assert first.worth.phase_hz.min() > 0.95 * begun.phase_hz.min()
+    assert first.performance.phase_hz.min() > 0.95 * begun.phase_hz.min()
     path = save_law(first.law, tmp_path / "laws" / "mine.toml", "By a test.")
     back = load_law(path)
     assert back.plan == first.law.plan and back.load_feedback == first.law.load_feedback
@@ -77,9 +81,9 @@ def test_every_form_starts_within_its_bounds_and_makes_a_law_that_is_stable(form
     for value, (low, high) in zip(form.start, form.free.values(), strict=True):
         assert low <= value <= high
     template = make_template("mine", "Mine", ("gfd",))
-    worth = evaluate(candidate(form, template, form.start), template.cabs, (None,))
-    assert worth.settled.max() < 0.2
-    assert worth.phase_hz.min() > 1.0
+    performance = evaluate(candidate(form, template, form.start), template.cabs, (None,))
+    assert performance.tail.max() < 0.2
+    assert performance.phase_hz.min() > 1.0
 
 
 def test_limits_cost() -> None:

@@ -131,8 +131,8 @@ def test_supply_and_friction_of_the_rungs() -> None:
     rubbing = rung_named("friction").hydraulics(HARDWARE)
     assert rubbing.coulomb_friction == lossy.coulomb_friction
     assert rubbing.hysteresis == HARDWARE.hysteresis
-    assert rung_named("electronics").between(3) is not None
-    assert rung_named("friction").between(3) is None
+    assert rung_named("electronics").electronics_settings(3) is not None
+    assert rung_named("friction").electronics_settings(3) is None
 
 
 def test_what_is_left_of_the_legs_keeps_pins_closed_and_the_step_fine_enough() -> None:

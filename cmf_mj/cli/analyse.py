@@ -14,7 +14,6 @@ from cmf_mj.cli.common import (
     in_si,
     names_or_files,
     noise_choice,
-    plant_builder,
     pose_option,
     progress_bar,
     show,
@@ -51,11 +50,12 @@ def linearize_command(
     out: options.Out = Path("out/linearize"),
 ) -> None:
     """Linearise a plant: modes, Bode diagrams, poles and zeros, a law around it."""
+    from cmf_mj.plant.build import make_plant
     from cmf_mj.show import linearization as report
     from cmf_mj.studies.linearization import linearization_study
 
-    build = plant_builder(plant, cab, hydraulics)
-    study = linearization_study(build(), law, pose_option(pose), dofs, measure=measure)
+    machine = make_plant(plant, cab, hydraulics)
+    study = linearization_study(machine, law, pose_option(pose), dofs, measure=measure)
     paths = report.save_study(study, out)
     show(report.mode_table(study), report.loop_table(study), written(paths, out))
 
@@ -156,18 +156,15 @@ def measure_command(
 ) -> None:
     """Measure recordings (several are rounds of one), or a simulated session."""
     from cmf_mj.show import measurement as report
+    from cmf_mj.studies.case import make_case
     from cmf_mj.studies.measurement import measure
     from cmf_mj.studies.recordings import measure_recordings
 
     names_or_files(files, simulate)
     if simulate:
-        measured = measure(
-            plant_builder(plant, cab, hydraulics),
-            law,
-            dof,
-            amplitude=in_si(dof, amplitude),
-            electronics=noise_choice(noise),
-        )
+        sensors, size = noise_choice(noise), in_si(dof, amplitude)
+        machine = (plant, cab, hydraulics)
+        measured = measure(make_case(law, dof, *machine, amplitude=size, electronics=sensors))
         paths = report.save_measurement(measured, out)
         table = report.measurement_table(measured)
     else:
@@ -230,21 +227,22 @@ def identify_command(
     from cmf_mj.record.reader import read_recording
     from cmf_mj.show import identification as report
     from cmf_mj.studies import identification as studies
+    from cmf_mj.studies.case import make_case
 
     names_or_files(files, simulate)
     chosen = parse_orders(orders)
-    build = plant_builder(plant, cab, hydraulics)
-    name = law or "velocity"
+    name, machine = law or "velocity", (plant, cab, hydraulics)
     if matrix:
         if not simulate:
             raise InputError("matrix: needs --simulate")
-        show(report.matrix_table(studies.identify_matrix(build, name)))
+        case = make_case(name, "heave", *machine)
+        show(report.matrix_table(studies.identify_matrix(case)))
         return
     step = None
     if simulate:
-        size, law = in_si(dof, amplitude), name
-        records = studies.simulated_records(build, name, dof, signal, size)  # type: ignore[arg-type]
-        step = studies.simulated_step(build, name, dof, size)
+        case, law = make_case(name, dof, *machine, amplitude=in_si(dof, amplitude)), name
+        records = studies.simulated_records(case, signal)  # type: ignore[arg-type]
+        step = case.run(case.step())
     else:
         records = [read_recording(path) for path in files or []]
     model = studies.identify(

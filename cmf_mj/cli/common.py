@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from cmf_mj.electronics.chain import ElectronicsSettings
-    from cmf_mj.plant.plant import Plant
 
 TEXT_WIDTH = 120
 """Width for tables that fold their text, where the terminal is narrower or there is none."""
@@ -159,14 +157,6 @@ def pose_option(text: str) -> NDArray[np.float64]:
     if len(values) != 6:
         raise InputError(f"pose: {text!r} has {len(values)} numbers; six are needed")
     return np.array([units.to_si(dof_unit(i), v) for i, v in enumerate(values)])
-
-
-def plant_builder(plant: str, cab: str, hydraulics: str) -> Callable[[], Plant]:
-    """Builder of a plant named on the command line; refuses bad hydraulics at once."""
-    from cmf_mj.plant.build import make_plant
-    from cmf_mj.plant.parameters.loading import load_hydraulics
-
-    return partial(make_plant, plant, cab, load_hydraulics(hydraulics))
 
 
 def noise_choice(noise: bool) -> ElectronicsSettings | None:

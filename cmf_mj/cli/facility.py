@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, in_si, noise_choice, plant_builder, progress_bar, show, written
+from cmf_mj.cli.common import app, in_si, noise_choice, progress_bar, show, written
 from cmf_mj.cli.options import choice
 
 if TYPE_CHECKING:
@@ -174,19 +174,19 @@ def record_command(
     from cmf_mj.machine.dof import dof_index, dof_unit
     from cmf_mj.record.writer import write_facility_csv
     from cmf_mj.signals.peaks import peaks
+    from cmf_mj.studies.case import make_case
     from cmf_mj.studies.measurement import facility_session, session_commands
 
-    build, size = plant_builder(plant, cab, hydraulics), in_si(dof, amplitude)
-    largest = [peaks(command) for command in session_commands(dof, size)]
+    sensors, size = noise_choice(noise), in_si(dof, amplitude)
+    case = make_case(law, dof, plant, cab, hydraulics, amplitude=size, electronics=sensors)
+    largest = [peaks(command) for command in session_commands(dof, case.size)]
     index, unit = dof_index(dof), dof_unit(dof)
     velocity, acceleration = (
         units.from_si(unit, max(float(getattr(peak, kind)[index]) for peak in largest))
         for kind in ("velocity", "acceleration")
     )
     show(f"peak demand: {velocity:.3g} {unit}/s, {acceleration:.3g} {unit}/s^2")
-    session = facility_session(
-        build, law, dof, amplitude=size, electronics=noise_choice(noise), jobs=jobs
-    )
+    session = facility_session(case, jobs)
     for number, record in enumerate(session, start=1):
         name = f"{record.metadata['law']}_{dof}_{number}of{len(session)}.csv"
         print(write_facility_csv(record, out / name))

@@ -80,7 +80,7 @@ def run_comparison(laws: list[str], dofs: list[str], out: Path, **options: Any) 
             laws, dofs, records=out / "records" if kept else None, progress=update, **options
         )
     paths = report.save_comparison(comparison, out)
-    table = report.comparison_table(comparison.rows)
+    table = report.comparison_table(comparison.results)
     gap = max(result.gimbal_error for result in comparison.results)
     show(
         table,
@@ -178,15 +178,12 @@ def failure_command(
     """Let something fail during a manoeuvre: leg loads, what the crew feels, how it ends."""
     from cmf_mj.core import units
     from cmf_mj.show import failure as failure_report
+    from cmf_mj.studies.case import make_case
     from cmf_mj.studies.failure.runs import run_failures
 
     results = run_failures(
         events_of(event, at, leg, valve, size),
-        cab=cab,
-        hydraulics=hydraulics,
-        law=law,
-        dof=dof,
-        amplitude=in_si(dof, amplitude),
+        make_case(law, dof, cab=cab, hydraulics=hydraulics, amplitude=in_si(dof, amplitude)),
         frequency=frequency,
         after=after,
         protection=thresholds if protection else None,
@@ -194,7 +191,7 @@ def failure_command(
     )
     paths = failure_report.save_failures(results, out)
     table = failure_report.failure_table(results)
-    load = max(results, key=lambda result: abs(result.load_after.value)).load_after
+    load = max(results, key=lambda result: abs(result.load.after.value)).load.after
     show(
         table,
         *[result.message for result in results if result.message],

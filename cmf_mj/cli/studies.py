@@ -151,11 +151,11 @@ def tune_command(
     )
     law = result.law.model_copy(update={"source": f"this project: {said}"})
     target = save_law(law, file, f"Written by `{said}`.")
-    worth = result.worth
+    reached = result.performance
     show(
         f"linear plants, worst of all cabs, degrees of freedom and valve gains: "
-        f"-90 deg {worth.phase_hz.min():.2f} Hz, peak {worth.peak_db.max():.2f} dB, "
-        f"overshoot {100.0 * worth.overshoot.max():.1f} %",
+        f"-90 deg {reached.phase_hz.min():.2f} Hz, peak {reached.peak_db.max():.2f} dB, "
+        f"overshoot {100.0 * reached.overshoot.max():.1f} %",
         f"{result.evaluations} laws tried; written to {target}",
     )
 

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from cmf_mj.analysis.frequency_response import dof_history
-from cmf_mj.analysis.published import published
 from cmf_mj.core import units
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.show.look import (
@@ -24,7 +23,8 @@ from cmf_mj.show.look import (
     save_figures,
 )
 from cmf_mj.show.table import Cell, Column, Table
-from cmf_mj.studies.comparison import CaseResult, Comparison, ComparisonRow
+from cmf_mj.studies.case import CaseResult
+from cmf_mj.studies.comparison import PUBLISHED, Comparison, published_result
 
 _LINES = {"hexapod": "-", "single_legs": "--"}
 _TITLES = {"hexapod": "hexapod", "single_legs": "single legs"}
@@ -38,29 +38,31 @@ LEGEND = (
 """What the columns of the table mean."""
 
 
-def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
+def comparison_table(results: Sequence[CaseResult]) -> Table:
     """The comparison: a row per law and degree of freedom, next to what is published."""
-    first, plants = rows[0], list(dict.fromkeys(row.plant for row in rows))
-    cab = next((row.cab for row in rows if row.cab), "")
+    first, plants = results[0].case, list(dict.fromkeys(r.case.plant for r in results))
+    cab = next((result.case.cab for result in results if result.case.cab), "")
     columns: list[Column] = ["law", "dof"]
     for name in [*(_TITLES[plant] for plant in plants), "published"]:
         columns += [(f"{name}\n-90", ".2f"), ("\n-3 dB", ".2f")]
         columns += [] if name == "published" else [("\npeak", ".1f")]
         columns += [("\nzeta", ".2f")]
+    groups: dict[tuple[str, str], dict[str, CaseResult]] = {}
+    for result in results:
+        key = (result.case.law.name, result.case.dof)
+        groups.setdefault(key, {})[result.case.plant] = result
     cells = []
-    for law, dof in dict.fromkeys((row.law, row.dof) for row in rows):
-        chosen = {row.plant: row for row in rows if (row.law, row.dof) == (law, dof)}
-        line: list[Cell] = [law, dof]
+    for key, by_plant in groups.items():
+        line: list[Cell] = [*key]
         for plant in plants:
-            row = chosen[plant]
-            line += [row.phase_bandwidth_hz, row.gain_bandwidth_hz, row.peak_gain_db]
-            line.append(row.damping_ratio if row.stable else "unstable")
-        row = next(iter(chosen.values()))
-        line += [row.published_phase_bandwidth_hz, row.published_gain_bandwidth_hz]
-        printed = published(row.law, row.dof, row.hydraulics)
+            measures = by_plant[plant].measures
+            line += measures[:3]
+            line.append(measures.damping_ratio if measures.stable else "unstable")
+        printed = published_result(next(iter(by_plant.values())))
+        line += [getattr(printed, name, None) for name in PUBLISHED]
         of = "" if printed is None else {"hardware": "h", "nonlinear": "m"}.get(printed.of, "")
-        cells.append([*line, row.published_damping_ratio, of])
-    title = f"hydraulics: {first.hydraulics}" + (f", cab: {cab}" if cab else "")
+        cells.append([*line, of])
+    title = f"hydraulics: {first.hydraulics.name}" + (f", cab: {cab}" if cab else "")
     return Table(title, [*columns, ("\nof", "")], cells, LEGEND, grouped=True)
 
 
@@ -94,12 +96,12 @@ def _title(dof: str, amplitude: float, results: Sequence[CaseResult]) -> str:
 def bode_figure(results: Sequence[CaseResult]) -> Figure:
     """Gain and phase of all cases of one degree of freedom, published bandwidths as circles."""
     first, colours, circles = results[0].case, _colours(results), False
-    figure, gain, phase = bode_axes(_title(first.dof, first.amplitude, results), limits=True)
+    figure, gain, phase = bode_axes(_title(first.dof, first.size, results), limits=True)
     for result in results:
         case, colour = result.case, colours[result.case.law.name]
         if result.response is not None:
             plot_bode(gain, phase, result.response, color=colour, linestyle=_LINES[case.plant])
-        printed = published(case.law.name, case.dof, case.hydraulics.name)
+        printed = published_result(result)
         for axis, value, level in (
             (phase, printed and printed.phase_bandwidth_hz, -90.0),
             (gain, printed and printed.gain_bandwidth_hz, -3.0),
@@ -148,7 +150,7 @@ def save_comparison(comparison: Comparison, folder: Path) -> list[Path]:
     for dof in dict.fromkeys(result.case.dof for result in comparison.results):
         chosen = [result for result in comparison.results if result.case.dof == dof]
         figures |= {f"bode_{dof}": bode_figure(chosen), f"step_{dof}": step_figure(chosen)}
-    table = comparison_table(comparison.rows)
+    table = comparison_table(comparison.results)
     comparison.save_csv(folder / "comparison.csv")
     return [
         folder / "comparison.csv",

@@ -46,8 +46,8 @@ def failure_table(results: Sequence[FailureResult]) -> Table:
     about = results[0].record.metadata
     rows = []
     for result in results:
-        loads = (result.load_before, result.load_free, result.load_after)
-        crew = (result.acceleration_before, result.acceleration_free, result.acceleration_after)
+        loads = (result.load.before, result.load.free, result.load.after)
+        crew = (result.acceleration.before, result.acceleration.free, result.acceleration.after)
         pressures = (result.supply_least, result.pressure_least, result.pressure_peak)
         speeds = (result.contact_speed, result.impact_speed)
         rows.append(
@@ -83,16 +83,16 @@ def _columns(result: FailureResult) -> dict[str, object]:
         "protected": result.protected,
     }
     for name in ("before", "free", "after"):
-        load = getattr(result, f"load_{name}")
+        load = getattr(result.load, name)
         row[f"load_{name}_n"] = load.value
         row[f"load_{name}_multiple"] = result.multiple(load)
         row[f"load_{name}_leg"] = load.leg
     for name, peak in (
-        ("crew_acceleration_before_m_s2", result.acceleration_before),
-        ("crew_acceleration_free_m_s2", result.acceleration_free),
-        ("crew_acceleration_after_m_s2", result.acceleration_after),
-        ("crew_specific_force_before_m_s2", result.specific_force_before),
-        ("crew_specific_force_after_m_s2", result.specific_force_after),
+        ("crew_acceleration_before_m_s2", result.acceleration.before),
+        ("crew_acceleration_free_m_s2", result.acceleration.free),
+        ("crew_acceleration_after_m_s2", result.acceleration.after),
+        ("crew_specific_force_before_m_s2", result.specific_force.before),
+        ("crew_specific_force_after_m_s2", result.specific_force.after),
         ("chamber_pressure_most_pa", result.pressure_peak),
         ("chamber_pressure_least_pa", result.pressure_least),
         ("supply_pressure_least_pa", result.supply_least),

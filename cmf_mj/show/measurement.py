@@ -44,7 +44,7 @@ def recordings_table(measures: RecordingMeasures) -> Table:
 
 def measurement_table(measured: Measurement) -> Table:
     """Every measure of a session with its definition."""
-    dof, step = measured.dof, measured.step
+    dof, step = measured.case.dof, measured.step
     unit, turn = dof_unit(dof), by_kind(dof, "m/s^2", "deg/s^2")
     rows = [
         *_response_rows(measured.response, measured.second_order),
@@ -75,8 +75,9 @@ def measurement_table(measured: Measurement) -> Table:
             same = dof_unit(other) == unit
             text = _share(value) if same else f"{value:.4f} SI"
             rows.append((f"crosstalk into {other}", text, "acceleration at 1 Hz, rms over rms"))
-    machine = " ".join(part for part in (measured.plant, measured.cab, measured.hydraulics) if part)
-    return Table(f"{measured.law} in {dof}, {machine}", _COLUMNS, rows)
+    case = measured.case
+    machine = " ".join(part for part in (case.plant, case.cab, case.hydraulics.name) if part)
+    return Table(f"{case.law.name} in {dof}, {machine}", _COLUMNS, rows)
 
 
 def response_figure(title: str, name: str, response: FrequencyResponse) -> Figure:
@@ -104,7 +105,7 @@ def measures_figure(measured: Measurement) -> Figure:
     """Describing function, half-hertz noise, dynamic threshold and crosstalk of a session."""
     figure = new_figure(10.0, 7.0)
     (gain, noise), (threshold, cross) = figure.subplots(2, 2)
-    unit, turn = dof_unit(measured.dof), by_kind(measured.dof, "m/s^2", "deg/s^2")
+    unit, turn = dof_unit(measured.case.dof), by_kind(measured.case.dof, "m/s^2", "deg/s^2")
     for frequency in dict.fromkeys(point.frequency_hz for point in measured.describing_function):
         points = [p for p in measured.describing_function if p.frequency_hz == frequency]
         sizes = [units.from_si(unit, p.amplitude) for p in points]
@@ -115,7 +116,7 @@ def measures_figure(measured: Measurement) -> Figure:
         shares = [100.0 * getattr(item, field) for _, item in measured.half_hertz_noise]
         noise.loglog(sizes, shares, "o-", label=field.replace("_", " "))
     noise.set(title="half-hertz noise", xlabel=f"amplitude [{unit}]", ylabel="of A1 [%]")
-    scale = by_kind(measured.dof, 1.0, units.DEGREE)
+    scale = by_kind(measured.case.dof, 1.0, units.DEGREE)
     steps = [point.acceleration / scale for point in measured.threshold]
     times = [1e3 * point.time for point in measured.threshold]
     threshold.semilogx(steps, times, "o-")
@@ -154,8 +155,8 @@ def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
 
 def save_measurement(measured: Measurement, folder: Path) -> list[Path]:
     """Write `response.csv`, `response.png`, `measures.png` and `summary.json`."""
-    title = f"{measured.law}, {measured.dof}"
-    figure = response_figure(title, measured.plant, measured.response)
+    title = f"{measured.case.law.name}, {measured.case.dof}"
+    figure = response_figure(title, measured.case.plant, measured.response)
     return [
         write_response(measured.response, folder / "response.csv"),
         save_figure(figure, folder / "response.png"),

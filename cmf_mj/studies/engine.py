@@ -131,7 +131,7 @@ def _results(
 def _machine(case: StudyCase) -> object:
     if case.method != "linear":
         return case.number
-    return case.rung, case.cab, case.pose, case.draw
+    return case.rung, case.case.cab, case.case.pose, case.draw
 
 
 def _deaths() -> tuple[type[BaseException], ...]:

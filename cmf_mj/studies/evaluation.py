@@ -13,7 +13,8 @@ lines at the poles.
 """
 
 import threading
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import control
 import numpy as np
@@ -21,7 +22,6 @@ from numpy.typing import NDArray
 
 from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import (
-    Bandwidths,
     bandwidths,
     dof_history,
     matrix_frequency_response,
@@ -30,23 +30,22 @@ from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.law import labels
 from cmf_mj.analysis.linear.loop import STEP_DURATION, closed_loop
 from cmf_mj.analysis.linear.reduction import jacobian_of, pose_loop
-from cmf_mj.analysis.measures import crosstalk as largest_gains
-from cmf_mj.analysis.measures import least_damped_mode, oscillations
+from cmf_mj.analysis.measures import (
+    Measures,
+    crosstalk,
+    joined,
+    least_damped_mode,
+    measure_records,
+    oscillations,
+)
 from cmf_mj.analysis.response.welch import welch_response
 from cmf_mj.analysis.step_response import measure_step, step_metrics
-from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME
-from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite as excitations
-from cmf_mj.studies.comparison import (
-    STEP_PER_AMPLITUDE,
-    chirp_and_step,
-    dof_amplitude,
-    sweep_measures,
-)
+from cmf_mj.studies.case import REPORT_AMPLITUDES, STEP_PER_AMPLITUDE, Case
 from cmf_mj.studies.mismatch import with_gain_errors
 from cmf_mj.studies.settings import NOMINAL, StudyCase
 from cmf_mj.studies.variants import rung_named
@@ -63,140 +62,113 @@ MULTISINE_SHARE = 0.25
 MULTISINE_PERIOD = 30.0
 """Of the orthogonal multisines [s]: a line every 0.4 Hz a degree of freedom."""
 
+MEASURED = (
+    "stable",
+    "phase_bandwidth_hz",
+    "gain_bandwidth_hz",
+    "peak_gain_db",
+    "overshoot",
+    "damping_ratio",
+    "steady_state_error",
+    "mode_damping_ratio",
+    "mode_frequency_hz",
+)
+ROW_COLUMNS = (
+    "dof",
+    *MEASURED,
+    *(f"crosstalk_{dof}" for dof in DOFS),
+    "error_type",
+    "error_message",
+)
+"""What the table of results holds of a row."""
+
 _BLOCK = 64
 """Frames between the states that a step response goes through."""
 
-_NAN = float("nan")
-_NOTHING = Bandwidths(_NAN, _NAN, _NAN)
-_UNIT = np.array([dof_amplitude(dof) for dof in DOFS])
+Gains = NDArray[np.float64]
+
+_NONE: Gains = np.full(len(DOFS), np.nan)
 
 
 class StudyRow(NamedTuple):
-    """Measures of one degree of freedom; NaN where a method has none, empty where all failed."""
+    """Measures of one degree of freedom; NaN where a method has none, empty where all failed.
+
+    `linear` is stable with all poles within the unit circle, and its mode is the least damped
+    below 50 Hz; the other methods judge the step and have no mode.
+    """
 
     dof: str
-    stable: bool  #: `linear`: all poles within the unit circle. Otherwise the verdict on the step.
-    phase_bandwidth_hz: float
-    gain_bandwidth_hz: float
-    peak_gain_db: float
-    overshoot: float
-    damping_ratio: float  #: From the overshoot; NaN below an overshoot of 0.001.
-    steady_state_error: float
-    mode_damping_ratio: float
-    """`linear`: least damping ratio of all oscillating poles below 50 Hz; negative if unstable."""
-    mode_frequency_hz: float  #: Its frequency.
-    crosstalk_surge: float  #: Into surge from this degree of freedom, and so on; NaN into itself.
-    crosstalk_sway: float
-    crosstalk_heave: float
-    crosstalk_roll: float
-    crosstalk_pitch: float
-    crosstalk_yaw: float
+    measures: Measures
+    crosstalk: Gains  #: Into all degrees of freedom from this one, (6,); NaN into itself.
     error_type: str = ""  #: Class of the error that ended the case.
     error_message: str = ""
 
+    @property
+    def columns(self) -> dict[str, Any]:
+        """The row in `ROW_COLUMNS`."""
+        measures = (getattr(self.measures, name) for name in MEASURED)
+        gains = map(float, self.crosstalk)
+        row = (self.dof, *measures, *gains, self.error_type, self.error_message)
+        return dict(zip(ROW_COLUMNS, row, strict=True))
 
-def evaluate(case: StudyCase) -> list[StudyRow]:
+
+def evaluate(study_case: StudyCase) -> list[StudyRow]:
     """Run a case.
 
     Raises:
         InputError: the rung, the pose or the law does not go with the method.
         FloatingPointError: a run left its physical bounds.
     """
-    rung = rung_named(case.rung)
+    rung, case, study = rung_named(study_case.rung), study_case.case, study_case.study
     plant = rung.build(case.cab, case.hydraulics)
-    errors: dict[str, NDArray[np.float64]] = {}
-    if case.draw != NOMINAL:
-        own = case.study
-        drawn = own.mismatch.draw_hydraulics(case.hydraulics, plant.actuators, own.seed, case.draw)
+    errors: dict[str, Gains] = {}
+    if study_case.draw != NOMINAL:
+        mismatch, key = study.mismatch, (study.seed, study_case.draw)
+        drawn = mismatch.draw_hydraulics(case.hydraulics, plant.actuators, *key)
         plant = rung.build(case.cab, drawn)
-        errors = own.mismatch.draw_gain_errors(plant.legs, own.seed, case.draw)
-    method = {"sweep": _sweep, "linear": _linear, "matrix": _matrix}[case.method]
-    return method(case, plant, errors)
+        errors = mismatch.draw_gain_errors(plant.legs, *key)
+    if study_case.method == "linear":
+        return _linear(study_case, plant, errors)
+    case = replace(
+        case,
+        electronics=with_gain_errors(errors) or rung.electronics_settings(study.seed),
+        command_delay=rung.command_delay,
+    )
+    if study_case.method == "matrix":
+        return _matrix(case, plant, study_case.sizes, study.seed)
+    sweep, step = case.sweep_and_step(plant)
+    measures = measure_records(sweep, step, segment=case.segment)
+    return [StudyRow(case.dof, measures, _sweep_crosstalk(sweep, case))]
 
 
 def failed(error: BaseException) -> StudyRow:
     """The row of a case that could not be run."""
-    nothing = _row(
-        "",
-        stable=False,
-        widths=_NOTHING,
-        step=(_NAN, _NAN, _NAN),
-        crosstalk=np.full(len(DOFS), _NAN),
-    )
-    return nothing._replace(error_type=type(error).__name__, error_message=str(error))
+    return StudyRow("", Measures(), _NONE, type(error).__name__, str(error))
 
 
-def _sizes(case: StudyCase) -> NDArray[np.float64]:
-    whole = case.study.amplitude * units.INCH
-    return np.array([dof_amplitude(dof, whole) for dof in DOFS])
-
-
-def _row(
-    dof: str,
-    *,
-    stable: bool,
-    widths: Bandwidths,
-    step: tuple[float, float, float],
-    crosstalk: NDArray[np.float64],
-    mode: tuple[float, float] = (_NAN, _NAN),
-) -> StudyRow:
-    surge, sway, heave, roll, pitch, yaw = (
-        _NAN if moved == dof else float(value) for moved, value in zip(DOFS, crosstalk, strict=True)
-    )
-    return StudyRow(dof, bool(stable), *widths, *step, *mode, surge, sway, heave, roll, pitch, yaw)
-
-
-def _step_measures(record: Record) -> tuple[bool, tuple[float, float, float]]:
-    found = step_metrics(record)
-    return found.stable, (found.overshoot, found.damping_ratio, found.steady_state_error)
-
-
-def _sweep(case: StudyCase, plant: Plant, errors: dict[str, NDArray[np.float64]]) -> list[StudyRow]:
-    rung, quick = rung_named(case.rung), case.study.quick
-    sweep, step = chirp_and_step(
-        plant,
-        case.law,
-        case.dof,
-        float(_sizes(case)[DOFS.index(case.dof)]),
-        quick=quick,
-        electronics=with_gain_errors(errors) or rung.between(case.study.seed),
-        command_delay=rung.command_delay,
-        about=case.pose,
-    )
-    _, widths = sweep_measures(sweep, quick=quick)
-    stable, shape = _step_measures(step)
-    return [
-        _row(
-            case.dof,
-            stable=stable,
-            widths=widths,
-            step=shape,
-            crosstalk=_sweep_crosstalk(sweep, case.dof, quick=quick),
-        )
-    ]
-
-
-def _sweep_crosstalk(sweep: Record, dof: str, *, quick: bool) -> NDArray[np.float64]:
+def _sweep_crosstalk(sweep: Record, case: Case) -> Gains:
     """Largest gains (6,) from the demand of a chirp to the true motion."""
     begin = round(float(sweep.metadata["command"]["settle"]) * sweep.rate) - 1
-    demand = dof_history(sweep, "leg_reference", dof)[begin:]
-    unit = _UNIT[DOFS.index(dof)]
-    gains = np.full(len(DOFS), _NAN)
-    for i, other in enumerate(DOFS):
+    demand = dof_history(sweep, "leg_reference", case.dof)[begin:]
+    responses = []
+    for other in DOFS:
         try:
             moved = dof_history(sweep, "leg_extension", other)[begin:]
         except ValueError:
-            return gains
+            return _NONE
         response = welch_response(
             demand - demand[0],
             moved - moved[0],
             sweep.rate,
-            segment=10.0 if quick else 20.0,
+            segment=case.segment,
             band=(0.2, BAND[1]),
             pad=True,
-        ).response
-        gains[i] = float(np.abs(response).max()) * unit / _UNIT[i]
-    return gains
+        )
+        responses.append(response.response)
+    index = DOFS.index(case.dof)
+    gains = np.abs(responses).max(axis=1) * REPORT_AMPLITUDES[index] / REPORT_AMPLITUDES
+    gains[index] = np.nan
+    return np.asarray(gains)
 
 
 class _Machine(threading.local):
@@ -209,56 +181,43 @@ class _Machine(threading.local):
 _LAST = _Machine()
 
 
-def _linearised(case: StudyCase, plant: Plant) -> control.StateSpace:
-    key = (case.rung, case.cab, case.pose, case.draw, case.study, case.hydraulics)
+def _linearised(study_case: StudyCase, plant: Plant) -> control.StateSpace:
+    case = study_case.case
+    key = (
+        *(study_case.rung, study_case.draw, study_case.study),
+        *(case.cab, case.pose, case.hydraulics),
+    )
     if key != _LAST.key:
         _LAST.system, _LAST.key = linearize(plant, case.pose), key
     return _LAST.system.copy()
 
 
-def _linear(
-    case: StudyCase, plant: Plant, errors: dict[str, NDArray[np.float64]]
-) -> list[StudyRow]:
-    system = _linearised(case, plant)
+def _linear(study_case: StudyCase, plant: Plant, errors: dict[str, Gains]) -> list[StudyRow]:
+    case, system = study_case.case, _linearised(study_case, plant)
     for channel, error in errors.items():
-        for name, own in zip(labels((channel,), plant.legs), error, strict=True):
-            system.C[system.output_labels.index(name)] *= 1.0 + own
-    delay = rung_named(case.rung).command_delay
+        for name, part in zip(labels((channel,), plant.legs), error, strict=True):
+            system.C[system.output_labels.index(name)] *= 1.0 + part
+    delay = rung_named(study_case.rung).command_delay
     law = case.law.mounted(plant.mounting)
     loop = pose_loop(closed_loop(law, system, command_delay=delay), plant, case.pose)
     poles = np.linalg.eigvals(np.asarray(loop.A))
-    stable = bool(np.abs(poles).max() < 1.0)
     mode = least_damped_mode(poles)
-    if not stable:  # there is no response to measure
-        blank, nowhere = (_NAN, _NAN, _NAN), np.full(len(DOFS), _NAN)
-        return [
-            _row(dof, stable=False, widths=_NOTHING, step=blank, crosstalk=nowhere, mode=mode)
-            for dof in DOFS
-        ]
+    if not np.abs(poles).max() < 1.0:  # there is no response to measure
+        return [StudyRow(dof, joined(mode=mode), _NONE) for dof in DOFS]
     omega = 2.0 * np.pi * _lines(poles)
     response = np.asarray(control.frequency_response(loop, omega).frdata)
     # What the legs do is what their sensors read over its gain.
     jacobian = jacobian_of(plant, case.pose)
     gains = 1.0 + errors.get("leg_position", np.zeros(plant.legs))
     true = np.linalg.solve(jacobian, jacobian / gains[:, None])
-    moved = np.einsum("ij,jkf->ikf", true, response)
-    crosstalk = largest_gains(moved, _UNIT)
+    shares = crosstalk(np.einsum("ij,jkf->ikf", true, response), REPORT_AMPLITUDES)
     steps = _steps(loop)
-    reached = np.real(np.asarray(control.dcgain(loop)))
+    final = np.real(np.asarray(control.dcgain(loop)))
     rows = []
     for i, dof in enumerate(DOFS):
-        final = float(reached[i, i])
-        shape = measure_step(steps[:, i, i], 1.0 / FRAME, final=final)
-        rows.append(
-            _row(
-                dof,
-                stable=True,
-                widths=bandwidths(control.FrequencyResponseData(response[i, i], omega)),
-                step=(shape.overshoot, shape.damping_ratio, shape.steady_state_error),
-                crosstalk=crosstalk[:, i],
-                mode=mode,
-            )
-        )
+        widths = bandwidths(control.FrequencyResponseData(response[i, i], omega))
+        step = measure_step(steps[:, i, i], 1.0 / FRAME, final=float(final[i, i]))
+        rows.append(StudyRow(dof, joined(widths, step, mode), shares[:, i]))
     return rows
 
 
@@ -286,55 +245,34 @@ def _steps(loop: control.StateSpace) -> NDArray[np.float64]:
 
 def _lines(poles: NDArray[np.complex128]) -> NDArray[np.float64]:
     """Frequencies [Hz] of a response, among them those of all poles in the band."""
-    own = np.abs(oscillations(poles)) / (2.0 * np.pi)
-    return np.union1d(FREQUENCIES, own[(own > BAND[0]) & (own < BAND[1])])
+    modes = np.abs(oscillations(poles)) / (2.0 * np.pi)
+    return np.union1d(FREQUENCIES, modes[(modes > BAND[0]) & (modes < BAND[1])])
 
 
-def _matrix(
-    case: StudyCase, plant: Plant, errors: dict[str, NDArray[np.float64]]
-) -> list[StudyRow]:
-    rung = rung_named(case.rung)
-    electronics = with_gain_errors(errors) or rung.between(case.study.seed)
-    sizes = _sizes(case)
-
-    def run(command: signals.Command, every: int) -> Record:
-        moved = signals.Command(
-            command.pose + np.array(case.pose), command.description, command.seed
-        )
-        return simulate(
-            plant,
-            case.law,
-            moved,
-            electronics=electronics,
-            record_every=every,
-            command_delay=rung.command_delay,
-        )
-
-    sweep = run(
-        excitations.orthogonal_multisines(
-            dict(zip(DOFS, (MULTISINE_SHARE * sizes).tolist(), strict=True)),
-            start=BAND[0],
-            stop=BAND[1],
-            period=MULTISINE_PERIOD,
-            periods=2,
-            seed=case.study.seed,
-        ),
-        16,
+def _matrix(case: Case, plant: Plant, sizes: Gains, seed: int) -> list[StudyRow]:
+    sines = excitations.orthogonal_multisines(
+        dict(zip(DOFS, (MULTISINE_SHARE * sizes).tolist(), strict=True)),
+        start=BAND[0],
+        stop=BAND[1],
+        period=MULTISINE_PERIOD,
+        periods=2,
+        seed=seed,
     )
+    sweep = case.run(sines, plant)
     try:
         measured = matrix_frequency_response(sweep)
     except ValueError:  # the legs went where no platform joins them
         measured = None
     rows = []
     for i, dof in enumerate(DOFS):
-        step = run(signals.step(dof, float(sizes[i]) * STEP_PER_AMPLITUDE), 8)
-        stable, shape = _step_measures(step)
-        widths, crosstalk = _NOTHING, np.full(len(DOFS), _NAN)
+        command = signals.step(dof, float(sizes[i]) * STEP_PER_AMPLITUDE)
+        step = step_metrics(case.run(command, plant, every=8))
+        widths, gains = None, _NONE
         if measured is not None:
-            column = np.asarray(measured.frdata)[:, i]
-            known = ~np.isnan(column[i])
+            response = np.asarray(measured.frdata)
+            known = ~np.isnan(response[i, i])
             lines = np.asarray(measured.omega)[known]
-            widths = bandwidths(control.FrequencyResponseData(column[i, known], lines))
-            crosstalk = np.abs(column[:, known]).max(axis=1) * _UNIT[i] / _UNIT
-        rows.append(_row(dof, stable=stable, widths=widths, step=shape, crosstalk=crosstalk))
+            widths = bandwidths(control.FrequencyResponseData(response[i, i, known], lines))
+            gains = crosstalk(response, REPORT_AMPLITUDES)[:, i]
+        rows.append(StudyRow(dof, joined(widths, step), gains))
     return rows

@@ -5,7 +5,7 @@ the model closed with the law and compared with the measured loop as in Table 4-
 on a grid of ARX models by their fit to the validation run; the model is then refined.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -34,15 +34,13 @@ from cmf_mj.analysis.identification.response_fit import ResponseFit
 from cmf_mj.analysis.identification.validation import Residuals, residual_analysis, simulation_fit
 from cmf_mj.analysis.linear.loop import closed_loop_response
 from cmf_mj.analysis.step_response import step_metrics
-from cmf_mj.control.law import Law, law_names, load_law
+from cmf_mj.control.law import Law, law_names
 from cmf_mj.core.errors import InputError
-from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.kinematics import DOFS, pose_jacobian
-from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite as excitations
-from cmf_mj.studies.comparison import STEP_PER_AMPLITUDE
-from cmf_mj.studies.measurement import dof_amplitude
+from cmf_mj.signals.single import Command
+from cmf_mj.studies.case import REPORT_AMPLITUDES, Case, dof_amplitude
 
 Method = Literal["arx", "iv", "oe"]
 Signal = Literal["multisine", "chirp", "noise", "pulse", "sine"]
@@ -55,9 +53,6 @@ HIGHEST = 16.0
 
 MATRIX_ORDERS = Orders(6, 5, 1)
 """Orders of the models of all degrees of freedom: two lags and a pair of coupled modes."""
-
-RECORD_EVERY = 16
-"""Frames between samples of a simulated run: 128 Hz, the facility's recorder."""
 
 _GRID = {"na": range(2, 8), "nb": range(1, 7), "nk": range(0, 3)}
 _BROAD = ("multisine", "chirp", "noise")
@@ -164,9 +159,7 @@ def _named_law(record: Record) -> str | None:
     return str(name) if name in law_names() else None
 
 
-def excitation(
-    kind: Signal, dof: str, amplitude: float | None = None, *, seed: int = 0
-) -> signals.Command:
+def excitation(kind: Signal, dof: str, amplitude: float | None = None, *, seed: int = 0) -> Command:
     """A command to identify from, along one degree of freedom.
 
     Args:
@@ -178,7 +171,7 @@ def excitation(
     Raises:
         InputError: another kind, or an argument out of range.
     """
-    size = dof_amplitude(dof, amplitude)
+    size = dof_amplitude(dof) if amplitude is None else amplitude
     if kind == "multisine":
         return signals.multisine(
             dof, size, stop=HIGHEST, spectrum="acceleration", fade=1.0, seed=seed
@@ -194,35 +187,17 @@ def excitation(
     raise InputError(f"signal: {kind!r} is not one of {', '.join(get_args(Signal))}")
 
 
-def simulated_records(
-    build: Callable[[], Plant],
-    law: str | Law,
-    dof: str,
-    kind: Signal = "multisine",
-    amplitude: float | None = None,
-) -> list[Record]:
+def simulated_records(case: Case, kind: Signal = "multisine") -> list[Record]:
     """A run to fit and one of another multisine to validate.
 
     Raises:
-        InputError: an argument out of range, named.
+        InputError: another kind of signal.
     """
     commands = (
-        excitation(kind, dof, amplitude),
-        excitation("multisine", dof, amplitude, seed=1),
+        excitation(kind, case.dof, case.size),
+        excitation("multisine", case.dof, case.size, seed=1),
     )
-    return [simulate(build(), law, command, record_every=RECORD_EVERY) for command in commands]
-
-
-def simulated_step(
-    build: Callable[[], Plant], law: str | Law, dof: str, amplitude: float | None = None
-) -> Record:
-    """The step beside `simulated_records`: 1 in or 0.6 deg by default, the report's.
-
-    Raises:
-        InputError: an argument out of range, named.
-    """
-    size = dof_amplitude(dof, amplitude) * STEP_PER_AMPLITUDE
-    return simulate(build(), law, signals.step(dof, size), record_every=RECORD_EVERY)
+    return [case.run(command) for command in commands]
 
 
 @dataclass(frozen=True)
@@ -238,32 +213,24 @@ class MatrixStudy:
 
 
 def identify_matrix(
-    build: Callable[[], Plant],
-    law: str | Law,
-    *,
-    orders: Orders | tuple[int, int, int] = MATRIX_ORDERS,
-    shared: str = "heave",
+    case: Case, *, orders: Orders | tuple[int, int, int] = MATRIX_ORDERS, shared: str = "heave"
 ) -> MatrixStudy:
     """Identify all degrees of freedom at once on orthogonal multisines and score the models.
 
     Args:
-        build: makes a plant with six degrees of freedom.
-        law: that drives it.
+        case: law and machine.
         orders: of all models.
         shared: degree of freedom whose model is tried everywhere.
 
     Raises:
         InputError: an argument out of range, named.
     """
-    sizes = [dof_amplitude(dof, None) for dof in DOFS]
+    sizes = REPORT_AMPLITUDES.tolist()
     first, second = (
-        simulate(
-            build(),
-            law,
+        case.run(
             excitations.orthogonal_multisines(
                 sizes, stop=HIGHEST, spectrum="acceleration", periods=2, seed=seed
-            ),
-            record_every=RECORD_EVERY,
+            )
         )
         for seed in (1, 2)
     )
@@ -273,7 +240,7 @@ def identify_matrix(
     whole = arx(experiment(first, DOFS, outputs=_CHANNELS), orders)
     frequency = np.arange(0.1, 10.0, 0.02)
     response = whole.response(frequency)
-    mounted, legs = load_law(law).mounted(build().mounting), pose_jacobian(np.zeros(6))
+    mounted, legs = case.law.mounted(case.build().mounting), pose_jacobian(np.zeros(6))
     pressures = (response[:, 6:12], response[:, 12:])
     loop = closed_loop_response(
         mounted, response[:, :6], frequency, pressures=pressures, legs_of_axes=legs
@@ -283,10 +250,9 @@ def identify_matrix(
     alike = closed_loop_response(mounted, shares, frequency, legs_of_axes=legs)
     everywhere = line_bandwidths(frequency, alike[:, 0, 0])
     measured = []
-    for dof in DOFS:
-        command = signals.multisine(dof, dof_amplitude(dof, None), periods=2)
-        run = simulate(build(), law, command, record_every=RECORD_EVERY)
-        measured.append(bandwidths(frequency_response(run)).phase_hz)
+    for dof, size in zip(DOFS, sizes, strict=True):
+        record = case.run(signals.multisine(dof, size, periods=2))
+        measured.append(bandwidths(frequency_response(record)).phase_hz)
     return MatrixStudy(
         first.metadata["law"],
         comparison,

@@ -12,33 +12,28 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file, write_text
-from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.studies.evaluation import StudyRow
-from cmf_mj.studies.settings import Study, StudyCase
+from cmf_mj.studies.evaluation import ROW_COLUMNS, StudyRow
+from cmf_mj.studies.settings import CASE_COLUMNS, Study, StudyCase
 
 SPECIFICATION, JOURNAL, RESULTS = "study.json", "journal.jsonl", "results.parquet"
 
-_ARROW = {str: pa.string(), bool: pa.bool_(), float: pa.float64(), int: pa.int64()}
-_CASE: dict[str, type] = {
-    "case": int,
-    "method": str,
-    "rung": str,
-    "cab": str,
-    **{f"pose_{dof}": float for dof in DOFS},
-    "draw": int,
-    "law": str,
-}
-_COLUMNS = _CASE | get_type_hints(StudyRow)
+_TEXT = ("method", "rung", "cab", "law", "dof", "error_type", "error_message")
+_OTHERS = {"case": pa.int64(), "draw": pa.int64(), "stable": pa.bool_()}
 
-SCHEMA = pa.schema([(name, _ARROW[kind]) for name, kind in _COLUMNS.items()])
-"""Columns of the results: the case's, then those of `StudyRow`."""
+SCHEMA = pa.schema(
+    [
+        (name, pa.string() if name in _TEXT else _OTHERS.get(name, pa.float64()))
+        for name in (*CASE_COLUMNS, *ROW_COLUMNS)
+    ]
+)
+"""Columns of the results: the case's, then those of its rows."""
 
 
 class Journal:
@@ -80,7 +75,7 @@ class Journal:
 
     def add(self, number: int, rows: Sequence[StudyRow]) -> None:
         """Keep what a case gave."""
-        entry = {"case": number, "rows": [row._asdict() for row in rows]}
+        entry = {"case": number, "rows": [row.columns for row in rows]}
         text = json.dumps(entry) + "\n"
         path = self.folder / JOURNAL
         torn = path.exists() and path.stat().st_size > 0 and not _ends_a_line(path)

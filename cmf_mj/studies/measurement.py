@@ -5,9 +5,10 @@ taken from DCL leg demand to leg sensors, mapped to the degree of freedom; host 
 Accelerations are those of the platform centroid, from the leg sensors through the Jacobian.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from itertools import product
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,21 +24,16 @@ from cmf_mj.analysis.frequency_response import (
     frequency_response,
 )
 from cmf_mj.analysis.step_response import StepMetrics, step_metrics
-from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
-from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.simulation import simulate
-from cmf_mj.machine.dof import by_kind, dof_unit
+from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.kinematics import DOFS, leg_motion_to_pose, legs_to_pose
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite as excitations
-from cmf_mj.signals import peaks as limits
-
-RECORD_EVERY = 16
-"""Frames between samples of a measuring run: 128 Hz, the facility's recorder."""
+from cmf_mj.signals.peaks import check_limits
+from cmf_mj.signals.single import Command
+from cmf_mj.studies.case import Case, dof_amplitude
 
 HALF_HERTZ = 0.5
 """Frequency of the half-hertz noise [Hz]."""
@@ -69,12 +65,7 @@ class Threshold(NamedTuple):
 class Measurement:
     """All measures of one law on one plant in one degree of freedom."""
 
-    plant: str
-    cab: str
-    hydraulics: str
-    law: str
-    dof: str
-    amplitude: float  #: Of the sweep [m or rad].
+    case: Case
     response: FrequencyResponse
     bandwidths: Bandwidths
     second_order: metrics.SecondOrder
@@ -91,30 +82,30 @@ class Measurement:
 
     def summary(self) -> dict[str, Any]:
         """Everything but the response curve as JSON values; NaN becomes None."""
-        return plain(
-            {
-                "plant": self.plant,
-                "cab": self.cab,
-                "hydraulics": self.hydraulics,
-                "law": self.law,
-                "dof": self.dof,
-                "amplitude": self.amplitude,
-                "bandwidths": self.bandwidths._asdict(),
-                "second_order": self.second_order._asdict(),
-                "step": self.step._asdict(),
-                "transport_delay": self.transport_delay,
-                "describing_function": [point._asdict() for point in self.describing_function],
-                "half_hertz_noise": [
-                    {"amplitude": size, **noise._asdict()} for size, noise in self.half_hertz_noise
-                ],
-                "hysteresis": self.hysteresis,
-                "dynamic_threshold": [point._asdict() for point in self.threshold],
-                "crosstalk": {
-                    driven: dict(zip(DOFS, row, strict=True))
-                    for driven, row in zip(DOFS, self.crosstalk, strict=True)
-                },
-            }
-        )
+        case = self.case
+        results = {
+            "plant": case.plant,
+            "cab": case.cab,
+            "hydraulics": case.hydraulics.name,
+            "law": case.law.name,
+            "dof": case.dof,
+            "amplitude": case.size,
+            "bandwidths": self.bandwidths._asdict(),
+            "second_order": self.second_order._asdict(),
+            "step": self.step._asdict(),
+            "transport_delay": self.transport_delay,
+            "describing_function": [point._asdict() for point in self.describing_function],
+            "half_hertz_noise": [
+                {"amplitude": size, **noise._asdict()} for size, noise in self.half_hertz_noise
+            ],
+            "hysteresis": self.hysteresis,
+            "dynamic_threshold": [point._asdict() for point in self.threshold],
+            "crosstalk": {
+                driven: dict(zip(DOFS, row, strict=True))
+                for driven, row in zip(DOFS, self.crosstalk, strict=True)
+            },
+        }
+        return cast("dict[str, Any]", plain(results))
 
 
 def plain(value: Any) -> Any:
@@ -139,7 +130,7 @@ def dof_accelerations(record: Record) -> NDArray[np.float64]:
     return leg_motion_to_pose(pose, *legs).acceleration
 
 
-def session_commands(dof: str, amplitude: float | None = None) -> list[signals.Command]:
+def session_commands(dof: str, amplitude: float | None = None) -> list[Command]:
     """The five rounds of seven sines of Table 2-3, checked against the operational limits.
 
     Args:
@@ -149,59 +140,25 @@ def session_commands(dof: str, amplitude: float | None = None) -> list[signals.C
     Raises:
         InputError: an argument out of range, or a demand beyond the limits; each is named.
     """
-    size = dof_amplitude(dof, amplitude)
+    size = dof_amplitude(dof) if amplitude is None else amplitude
     numbers = range(1, len(excitations.ROUNDS) + 1)
     commands = [excitations.seven_sines(dof, size, number) for number in numbers]
     for command in commands:
-        limits.check_limits(command)
+        check_limits(command)
     return commands
 
 
-def facility_session(
-    build: Callable[[], Plant],
-    law: str | Law,
-    dof: str,
-    *,
-    amplitude: float | None = None,
-    electronics: ElectronicsSettings | None = None,
-    jobs: int | None = None,
-) -> list[Record]:
+def facility_session(case: Case, jobs: int | None = None) -> list[Record]:
     """The facility's frequency-response session: five rounds of seven sines, at 128 Hz.
 
     Args:
-        build: makes a plant, e.g. `lambda: Hexapod("ifd")`; called once a round.
-        law: name, TOML file or loaded law.
-        dof: degree of freedom.
-        amplitude: of each sine [m or rad]; default the report's 0.33 in or 0.2 deg.
-        electronics: sensors, converters and servo electronics; default ideal.
+        case: law, machine, degree of freedom and amplitude of each sine.
         jobs: threads; default one per core. Records do not depend on it.
 
     Raises:
-        InputError: an argument out of range, named, or a demand beyond the operational limits.
+        InputError: a demand beyond the operational limits.
     """
-    loaded = load_law(law)
-    commands = session_commands(dof, amplitude)
-
-    def run(command: signals.Command) -> Record:
-        return simulate(
-            build(), loaded, command, electronics=electronics, record_every=RECORD_EVERY
-        )
-
-    return on_threads(run, commands, jobs)
-
-
-def dof_amplitude(dof: str, amplitude: float | None) -> float:
-    """The given amplitude [m or rad], or the report's: 0.33 in or 0.2 deg.
-
-    Raises:
-        InputError: an amplitude that is not a finite number above 0.
-    """
-    size = amplitude
-    if size is None:
-        size = units.to_si(dof_unit(dof), by_kind(dof, 0.33, 0.2))
-    if not (np.isfinite(size) and size > 0.0):
-        raise InputError(f"amplitude: {size} must be a finite number greater than 0")
-    return size
+    return on_threads(case.run, session_commands(case.dof, case.size), jobs)
 
 
 def _whole_cycles(record: Record, frequency: float, cycles: int) -> slice:
@@ -212,109 +169,84 @@ def _whole_cycles(record: Record, frequency: float, cycles: int) -> slice:
     return slice(end - count, end)
 
 
+def _demand_and_position(
+    record: Record, dof: str, part: slice = slice(None)
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    demand, position = (
+        dof_history(record, name, dof) for name in ("leg_reference", "leg_position")
+    )
+    return demand[part], position[part]
+
+
 def measure(
-    build: Callable[[], Plant],
-    law: str | Law,
-    dof: str,
+    case: Case,
     *,
-    amplitude: float | None = None,
     frequencies: Sequence[float] = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0),
     shares: Sequence[float] = (0.25, 1.0, 4.0),
-    electronics: ElectronicsSettings | None = None,
 ) -> Measurement:
     """Run a whole measuring session.
 
     Args:
-        build: makes the plant, e.g. `lambda: Hexapod("ifd")`.
-        law: name, TOML file or loaded law.
-        dof: degree of freedom.
-        amplitude: of the sweep [m or rad]; default the report's 0.33 in or 0.2 deg.
+        case: law, machine, degree of freedom and amplitude of the sweep.
         frequencies: of the describing function [Hz].
-        shares: amplitudes of describing function and half-hertz noise, in `amplitude`.
-        electronics: sensors, converters and servo electronics; default ideal.
-
-    Raises:
-        InputError: an argument out of range, named.
+        shares: amplitudes of describing function and half-hertz noise, in that of the sweep.
     """
-    size = dof_amplitude(dof, amplitude)
-    plant = build()
-
-    def run(command: signals.Command, every: int = RECORD_EVERY) -> Record:
-        return simulate(plant, law, command, electronics=electronics, record_every=every)
-
-    sweep = run(signals.chirp(dof, size))
+    plant = case.build()
+    sizes = [share * case.size for share in shares]
+    sweep, step = case.sweep_and_step(plant)
     response = frequency_response(sweep)
-    delay = correlation_delay(
-        dof_history(sweep, "leg_reference", dof),
-        dof_history(sweep, "leg_position", dof),
-        sweep.rate,
-    )
-
-    described, noise = [], []
-    for frequency in frequencies:
-        for share in shares:
-            record = run(signals.sine(dof, share * size, frequency, cycles=4.0 + 4.0 * frequency))
-            cut = _whole_cycles(record, frequency, max(1, int(2.0 * frequency)))
-            histories = [
-                dof_history(record, name, dof)[cut] for name in ("leg_reference", "leg_position")
-            ]
-            value = metrics.describing_function(
-                [histories[0]], [histories[1]], record.rate, [frequency]
-            )[0]
-            described.append(
-                Described(
-                    frequency,
-                    share * size,
-                    float(20.0 * np.log10(abs(value))),
-                    float(np.degrees(np.angle(value))),
-                )
-            )
-    for share in shares:
-        record = run(signals.sine(dof, share * size, HALF_HERTZ, cycles=8.0))
-        moved = dof_accelerations(record)[_whole_cycles(record, HALF_HERTZ, 4), DOFS.index(dof)]
-        noise.append((share * size, metrics.acceleration_noise(moved, record.rate, HALF_HERTZ)))
-
-    slow = run(signals.sine(dof, size, SLOW, cycles=2.0))
-    cut = _whole_cycles(slow, SLOW, 1)
-    loop = metrics.hysteresis(
-        dof_history(slow, "leg_reference", dof)[cut],
-        dof_history(slow, "leg_position", dof)[cut],
-        slow.rate,
-        SLOW,
-    )
-
-    unit = by_kind(dof, 1.0, units.DEGREE * 5.0)
-    threshold = []
-    for step in (0.05 * unit, 0.1 * unit, 0.5 * unit):
-        record = run(excitations.acceleration_step(dof, step, hold=0.5), every=4)
-        reached = dof_accelerations(record)[:, DOFS.index(dof)]
-        threshold.append(
-            Threshold(step, metrics.dynamic_threshold(reached, record.rate, step, 1.0))
-        )
-
-    share = size / dof_amplitude(dof, None)
-    crosstalk = []
-    for index, driven in enumerate(DOFS):
-        crossed = run(
-            signals.sine(driven, share * dof_amplitude(driven, None), CROSSTALK, cycles=10.0)
-        )
-        moved = dof_accelerations(crossed)[_whole_cycles(crossed, CROSSTALK, 6)]
-        crosstalk.append(metrics.crosstalk(moved, index))
+    points = product(frequencies, sizes)
     return Measurement(
-        plant=plant.name,
-        cab=plant.cab,
-        hydraulics=plant.parameters.name,
-        law=str(sweep.metadata["law"]),
-        dof=dof,
-        amplitude=size,
+        case=case,
         response=response,
         bandwidths=bandwidths(response),
         second_order=metrics.fit_second_order(response.frequency, response.response),
-        step=step_metrics(run(signals.step(dof, size / units.to_si("in", 0.33) * units.INCH), 8)),
-        transport_delay=delay,
-        describing_function=tuple(described),
-        half_hertz_noise=tuple(noise),
-        hysteresis=loop,
-        threshold=tuple(threshold),
-        crosstalk=np.array(crosstalk),
+        step=step_metrics(step),
+        transport_delay=correlation_delay(*_demand_and_position(sweep, case.dof), sweep.rate),
+        describing_function=tuple(_describe(case, plant, *point) for point in points),
+        half_hertz_noise=tuple((size, _half_hertz_noise(case, plant, size)) for size in sizes),
+        hysteresis=_hysteresis(case, plant),
+        threshold=tuple(_thresholds(case, plant)),
+        crosstalk=np.array([_crosstalk(case, plant, driven) for driven in DOFS]),
     )
+
+
+def _describe(case: Case, plant: Plant, frequency: float, size: float) -> Described:
+    """A point of the describing function, from a sine."""
+    command = signals.sine(case.dof, size, frequency, cycles=4.0 + 4.0 * frequency)
+    record = case.run(command, plant)
+    part = _whole_cycles(record, frequency, max(1, int(2.0 * frequency)))
+    demand, position = _demand_and_position(record, case.dof, part)
+    value = metrics.describing_function([demand], [position], record.rate, [frequency])[0]
+    gain, phase = 20.0 * np.log10(abs(value)), np.degrees(np.angle(value))
+    return Described(frequency, size, float(gain), float(phase))
+
+
+def _half_hertz_noise(case: Case, plant: Plant, size: float) -> metrics.Noise:
+    record = case.run(signals.sine(case.dof, size, HALF_HERTZ, cycles=8.0), plant)
+    part = _whole_cycles(record, HALF_HERTZ, 4)
+    moved = dof_accelerations(record)[part, DOFS.index(case.dof)]
+    return metrics.acceleration_noise(moved, record.rate, HALF_HERTZ)
+
+
+def _hysteresis(case: Case, plant: Plant) -> float:
+    record = case.run(signals.sine(case.dof, case.size, SLOW, cycles=2.0), plant)
+    part = _whole_cycles(record, SLOW, 1)
+    return metrics.hysteresis(*_demand_and_position(record, case.dof, part), record.rate, SLOW)
+
+
+def _thresholds(case: Case, plant: Plant) -> Iterator[Threshold]:
+    unit = by_kind(case.dof, 1.0, units.DEGREE * 5.0)
+    for size in (0.05 * unit, 0.1 * unit, 0.5 * unit):
+        command = excitations.acceleration_step(case.dof, size, hold=0.5)
+        record = case.run(command, plant, every=4)
+        reached = dof_accelerations(record)[:, DOFS.index(case.dof)]
+        yield Threshold(size, metrics.dynamic_threshold(reached, record.rate, size, 1.0))
+
+
+def _crosstalk(case: Case, plant: Plant, driven: str) -> NDArray[np.float64]:
+    """Accelerations in all degrees of freedom while one is driven, (6,)."""
+    size = case.size / dof_amplitude(case.dof) * dof_amplitude(driven)
+    record = case.run(signals.sine(driven, size, CROSSTALK, cycles=10.0), plant)
+    moved = dof_accelerations(record)[_whole_cycles(record, CROSSTALK, 6)]
+    return metrics.crosstalk(moved, DOFS.index(driven))

@@ -25,15 +25,20 @@ from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Settings, validated
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.electronics.sensors.settings import CHANNELS, SensorSettings, load_sensors
+from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.parameters.hydraulics import (
     ACTUATOR_FIELDS,
     VALVE_FIELDS,
     VALVES,
+    ActuatorChanges,
     HydraulicParameters,
 )
 
 LIMIT = 2.0
 """Deviations at which a normal distribution is cut off: parts beyond tolerance are sent back."""
+
+VALVE_GAINS = 0.1
+"""Half width of the distribution of `valve_gains`, by which laws are tuned and confirmed."""
 
 LEG_CHANNELS = tuple(n for n, u in CHANNELS.items() if not n.startswith("platform_"))
 """Sensors whose gain may scatter."""
@@ -107,8 +112,8 @@ class Mismatch(Settings):
         changes: dict[str, dict[str, object]] = {name: {} for name in actuators}
         for field, spread in self.hydraulics.items():
             valves = VALVES if spread.per == "valve" else ("",)
-            found = spread.sample(_stream(seed, draw, field), (len(actuators), len(valves)))
-            for name, row in zip(actuators, found, strict=True):
+            sample = spread.sample(_stream(seed, draw, field), (len(actuators), len(valves)))
+            for name, row in zip(actuators, sample, strict=True):
                 for valve, x in zip(valves, row, strict=True):
                     table = changes[name].setdefault(valve, {}) if valve else changes[name]
                     table[field] = _changed(nominal[field], spread, float(x), draw)  # type: ignore[index]
@@ -121,6 +126,33 @@ class Mismatch(Settings):
             name: spread.sample(_stream(seed, draw, name), (legs,))
             for name, spread in self.sensor_gains.items()
         }
+
+
+def valve_gains(seed: int | None, actuators: int = len(DOFS)) -> NDArray[np.float64]:
+    """Valve gain of each actuator over the nominal, uniform within `VALVE_GAINS`; ones for None."""
+    if seed is None:
+        return np.ones(actuators)
+    return 1.0 + VALVE_GAINS * np.random.default_rng(seed).uniform(-1.0, 1.0, actuators)
+
+
+def with_valve_gains(parameters: HydraulicParameters, seed: int | None) -> HydraulicParameters:
+    """A hydraulic set whose legs 1 to 6 have the speeds of `valve_gains`.
+
+    Args:
+        parameters: the nominal set, all actuators alike.
+        seed: of the random gains; None for the nominal set.
+    """
+    if seed is None:
+        return parameters
+    speed = parameters.leg_speed
+    changes = {
+        f"leg_{leg}": ActuatorChanges.model_validate(
+            {"leg_speed": speed.model_copy(update={"value": speed.value * float(gain)})}
+        )
+        for leg, gain in enumerate(valve_gains(seed), start=1)
+    }
+    name = f"{parameters.name}, gains {seed}"
+    return parameters.model_copy(update={"name": name, "actuators": changes})
 
 
 def with_gain_errors(errors: dict[str, NDArray[np.float64]]) -> ElectronicsSettings | None:

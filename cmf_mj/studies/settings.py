@@ -20,13 +20,16 @@ this order.
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from cmf_mj.control.law import Law, load_law
@@ -38,6 +41,7 @@ from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.studies.case import Case, dof_amplitude
 from cmf_mj.studies.mismatch import Mismatch
 from cmf_mj.studies.variants import rung_named
 
@@ -46,6 +50,13 @@ Method = Literal["sweep", "linear", "matrix"]
 
 NOMINAL = -1
 """Draw of the machine without mismatch."""
+
+CASE_COLUMNS = (
+    *("case", "method", "rung", "cab"),
+    *(f"pose_{dof}" for dof in DOFS),
+    *("draw", "law"),
+)
+"""What the table of results holds of a case."""
 
 _READY = Path(__file__).parent / "ready"
 _ROOT = Path(__file__).resolve().parents[1]
@@ -83,27 +94,21 @@ class StudyCase:
     number: int
     method: Method
     rung: str
-    cab: str
-    pose: tuple[float, ...]  #: [m, rad], (6,).
     draw: int
-    law: Law
-    dof: str  #: Empty for all.
+    case: Case  #: On the shipped plant; its degree of freedom is empty for all.
     study: StudySettings
-    hydraulics: HydraulicParameters
+
+    @property
+    def sizes(self) -> NDArray[np.float64]:
+        """Amplitudes of sweeps by degree of freedom [m, rad], (6,)."""
+        return np.array([dof_amplitude(dof, self.study.amplitude * units.INCH) for dof in DOFS])
 
     @property
     def columns(self) -> dict[str, int | str | float]:
-        """What the table of results holds of the case."""
-        pose = {f"pose_{dof}": value for dof, value in zip(DOFS, self.pose, strict=True)}
-        return {
-            "case": self.number,
-            "method": self.method,
-            "rung": self.rung,
-            "cab": self.cab,
-            **pose,
-            "draw": self.draw,
-            "law": self.law.name,
-        }
+        """The case in `CASE_COLUMNS`."""
+        case = self.case
+        machine = (self.number, self.method, self.rung, case.cab, *case.pose)
+        return dict(zip(CASE_COLUMNS, (*machine, self.draw, case.law.name), strict=True))
 
 
 @dataclass(frozen=True)
@@ -117,29 +122,25 @@ class Study:
     @property
     def cases(self) -> list[StudyCase]:
         """All cases, numbered from 0."""
-        own = self.settings
-        found: list[StudyCase] = []
+        return [StudyCase(number, *case) for number, case in enumerate(self._cases())]
 
-        def add(method: Method, rung: str, cab: str, pose: list[float], draw: int) -> None:
-            for law in self.laws:
-                for dof in own.dofs if method == "sweep" else [""]:
-                    at = tuple(units.to_si(dof_unit(i), v) for i, v in enumerate(pose))
-                    found.append(
-                        StudyCase(
-                            len(found), method, rung, cab, at, draw, law, dof, own, self.hydraulics
-                        )
+    def _cases(self) -> Iterator[tuple[Method, str, int, Case, StudySettings]]:
+        study = self.settings
+        machines = product(study.rungs, study.cabs, study.poses, range(NOMINAL, study.draws))
+        for rung, cab, pose, draw in machines:
+            at = tuple(units.to_si(dof_unit(i), value) for i, value in enumerate(pose))
+            methods: list[Method] = [study.method]
+            if study.simulate_every and (draw == NOMINAL or draw % study.simulate_every == 0):
+                methods.append("matrix")
+            for method, law in product(methods, self.laws):
+                for dof in study.dofs if method == "sweep" else [""]:
+                    size = dof_amplitude(dof, study.amplitude * units.INCH) if dof else None
+                    case = Case(
+                        *("hexapod", cab, self.hydraulics, law, dof, size),
+                        quick=study.quick,
+                        pose=at,
                     )
-
-        for rung in own.rungs:
-            for cab in own.cabs:
-                for pose in own.poses:
-                    for draw in range(NOMINAL, own.draws):
-                        add(own.method, rung, cab, pose, draw)
-                        if own.simulate_every and (
-                            draw == NOMINAL or draw % own.simulate_every == 0
-                        ):
-                            add("matrix", rung, cab, pose, draw)
-        return found
+                    yield method, rung, draw, case, study
 
     def identity(self) -> dict[str, Any]:
         """What two runs must share for their results to stand in one table, as JSON values."""

@@ -150,7 +150,7 @@ class Rung:
         )
         return Hexapod(cab, parameters, spec=spec)
 
-    def between(self, seed: int = 0) -> ElectronicsSettings | None:
+    def electronics_settings(self, seed: int = 0) -> ElectronicsSettings | None:
         """Sensors and electronics of the rung."""
         return ElectronicsSettings(seed=seed) if self.electronics else None
 

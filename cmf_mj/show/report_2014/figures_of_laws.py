@@ -86,7 +86,7 @@ def both_steps(runs: Runs, figure: ReportFigure) -> Drawing:
     demand, model = law_steps(runs, [law], "heave")
     _, machine = law_steps(runs, [law], "heave", "machine")
     both = (model._replace(name=_NON_LINEAR), machine._replace(name=_HARDWARE, colour=COLOURS[1]))
-    metrics = (runs.case("model", law).metrics, runs.case("machine", law).metrics)
+    metrics = (runs.case("model", law).measures, runs.case("machine", law).measures)
     numbers = "; ".join(
         f"{line.name}: overshoot {100 * m.overshoot:.0f} %, damping ratio {m.damping_ratio:.2f}, "
         f"steady-state error {100 * m.steady_state_error:.1f} %"
@@ -97,7 +97,7 @@ def both_steps(runs: Runs, figure: ReportFigure) -> Drawing:
 
 def steps(runs: Runs, figure: ReportFigure) -> Drawing:
     """Laws' steps on the single legs."""
-    metrics = {law_title(law): runs.case("model", law).metrics for law in figure.laws}
+    metrics = {law_title(law): runs.case("model", law).measures for law in figure.laws}
     ringing = ", ".join(title for title, m in metrics.items() if not m.stable)
     errors = (f"{title} {100 * m.steady_state_error:.2f} %" for title, m in metrics.items())
     panel = motion(law_steps(runs, figure.laws, LEG), "retraction of leg 1 [in]", _STEP)
@@ -132,7 +132,7 @@ def sines(runs: Runs, figure: ReportFigure) -> Drawing:
 
 def integral_step(runs: Runs, figure: ReportFigure) -> Drawing:
     """The step with and without the integral on the machine."""
-    metrics = runs.case("machine", figure.laws[0]).metrics
+    metrics = runs.case("machine", figure.laws[0]).measures
     histories = law_steps(runs, figure.laws, "heave", "machine")
     return [motion(histories, "heave [in]", _STEP)], {
         "overshoot": 100 * metrics.overshoot,
@@ -245,7 +245,7 @@ def both_plants(runs: Runs, figure: ReportFigure) -> Drawing:
             result = runs.case(on, law, dof)
             dash: Dash = "solid" if on == "machine" else "dash"
             lines.append(Response(f"{law_title(law)}, {plant}", result.response, colour, dash))
-            ringing += [lines[-1].name] * (not result.metrics.stable)
+            ringing += [lines[-1].name] * (not result.measures.stable)
         marks.append(printed(law, dof, "nonlinear", colour))
         if dof == "heave":
             marks.append(printed(law, dof, "hardware", colour, "printed, hardware"))

@@ -14,11 +14,11 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.frequency_response import Bandwidths
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.reduction import leg_model
+from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
@@ -103,7 +103,7 @@ class Reading(NamedTuple):
     """Of the pressure difference in the last seconds of the step; NaN where it has died down."""
     pressure: float  #: Its amplitude [psi].
     acceleration: float  #: Largest leg acceleration in these seconds [g].
-    bandwidths: Bandwidths
+    measures: Measures  #: Of chirp and step.
 
 
 def cycle(record: Record) -> tuple[float, float, float]:
@@ -137,7 +137,7 @@ def readings(runs: Runs) -> list[Reading]:
         name = force_law(title)
         result = runs.case("model", name)
         linear = oscillation(law_of(name), parameters)
-        rows.append(Reading(title, gain, linear, *cycle(result.step), result.bandwidths))
+        rows.append(Reading(title, gain, linear, *cycle(result.step), result.measures))
     return rows
 
 
@@ -206,9 +206,9 @@ def _readings_table(rows: list[Reading]) -> PageTable:
             number(r.cycle_hz),
             f"{r.pressure:.0f}",
             f"{r.acceleration:.1f}",
-            number(r.bandwidths.phase_hz),
-            number(r.bandwidths.gain_hz),
-            f"{r.bandwidths.peak_db:.1f}",
+            number(r.measures.phase_bandwidth_hz),
+            number(r.measures.gain_bandwidth_hz),
+            f"{r.measures.peak_gain_db:.1f}",
         )
         for r in rows
     ]

@@ -1,13 +1,14 @@
 """Blocks on what the print has wrong and on what was fitted to it."""
 
 from cmf_mj.analysis.ledger import load_ledger
+from cmf_mj.analysis.measures import Measures
 from cmf_mj.show.listing import figures_text
 from cmf_mj.show.report_2014.contents import VERDICTS, Block, PageTable, TableRow, table
 from cmf_mj.show.report_2014.curves import law_title
 from cmf_mj.show.report_2014.runs import HYDRAULICS, On, Runs, RunSpec
 from cmf_mj.studies.calibration.definition import Study, load_studies
 from cmf_mj.studies.calibration.fit import residual_rows
-from cmf_mj.studies.calibration.trial import Measured, starting_values
+from cmf_mj.studies.calibration.trial import starting_values
 
 _PLANTS: dict[str, On] = {name: on for on, name in HYDRAULICS.items()}
 _STUDIES = tuple(study for study in load_studies().values() if study.hydraulics in _PLANTS)
@@ -31,15 +32,8 @@ def ledger_table() -> PageTable:
     return table("ledger-table", rows)
 
 
-def _measured(runs: Runs, study: Study) -> dict[str, Measured]:
-    results = {law: runs.case(_PLANTS[study.hydraulics], law) for law in study.laws}
-    return {
-        law: Measured(
-            *(r.bandwidths.phase_hz, r.bandwidths.gain_hz),
-            *(r.metrics.damping_ratio, r.metrics.stable),
-        )
-        for law, r in results.items()
-    }
+def _measured(runs: Runs, study: Study) -> dict[str, Measures]:
+    return {law: runs.case(_PLANTS[study.hydraulics], law).measures for law in study.laws}
 
 
 def _parameters(study: Study) -> PageTable:

@@ -11,7 +11,7 @@ from cmf_mj.electronics.sensors.settings import CHANNELS, load_sensors
 from cmf_mj.record.record import Record
 from cmf_mj.show.report_2014.contents import PageTable, table, texts
 from cmf_mj.show.report_2014.runs import CAB, HYDRAULICS, PLANTS, Runs, hydraulics_of, plant_of
-from cmf_mj.studies.comparison import CaseResult
+from cmf_mj.studies.case import CaseResult
 
 _STATUS = texts("status")[0].text
 

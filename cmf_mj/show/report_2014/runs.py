@@ -28,7 +28,7 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite as excitations
 from cmf_mj.studies.accelerometer_filter import FilterEffect, filter_effect
-from cmf_mj.studies.comparison import Case, CaseResult, dof_amplitude, run_case
+from cmf_mj.studies.case import Case, CaseResult, dof_amplitude, run_case
 from cmf_mj.studies.identification import Identified, identify
 
 On = Literal["model", "machine"]

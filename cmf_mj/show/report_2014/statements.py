@@ -69,7 +69,7 @@ def rest_rows(runs: Runs) -> list[RestRow]:
         law = load_law(name)
         formula = f"{law.direct_gain.of_legs('reference'):g}/{-_net_gain(name):.2f}"
         model, machine = (
-            1.0 - runs.case(on, name).metrics.steady_state_error for on in ("model", "machine")
+            1.0 - runs.case(on, name).measures.steady_state_error for on in ("model", "machine")
         )
         shown = "" if law.uses_integral else formula
         rows.append(RestRow(law.title, shown, dc_gain(name), model, machine))
@@ -80,20 +80,20 @@ def _values(runs: Runs) -> dict[str, float]:
     """What runs and formulas give, by the names that `contents.toml` has for it."""
     gravity = units.STANDARD_GRAVITY
     model, machine = runs.case("model", "original"), runs.case("machine", "original")
-    with_integral = runs.case("machine", "velocity_integral").metrics
+    with_integral = runs.case("machine", "velocity_integral").measures
     ringing, force = runs.case("model", "velocity_integral").step, runs.case("model", "force")
     late = ringing.time > ringing.metadata["command"]["at"] + 1.0
     example = bandwidth_example()
     reference = leg_motion(runs.record("machine", "velocity", "rise"), "leg_reference", "in")
     values = {
-        "machine_overshoot": 100.0 * machine.metrics.overshoot,
-        "model_overshoot": 100.0 * model.metrics.overshoot,
+        "machine_overshoot": 100.0 * machine.measures.overshoot,
+        "model_overshoot": 100.0 * model.measures.overshoot,
         "integral_overshoot": 100.0 * with_integral.overshoot,
         "integral_error": 100.0 * abs(with_integral.steady_state_error),
         "late_acceleration": float(np.abs(ringing["leg_acceleration"][late]).max()) / gravity,
         "rate_bandwidth": characteristics(example["rate"]).gain_bandwidth_hz,
         "acceleration_bandwidth": characteristics(example["acceleration"]).gain_bandwidth_hz,
-        "force_peak": force.bandwidths.peak_db,
+        "force_peak": force.measures.peak_gain_db,
         "force_acceleration": float(np.abs(force.step["leg_acceleration"]).max()) / gravity,
         "leg_extension": float(reference[-1]),
     }

@@ -67,11 +67,7 @@ def _remark(law: str, table: str, quantity: str) -> str:
 
 
 def _value(runs: Runs, on: On, row: Published, field: str) -> float:
-    result = runs.case(on, row.law, row.dof)
-    if field == "damping_ratio":
-        return result.metrics.damping_ratio
-    widths = result.bandwidths
-    return widths.phase_hz if field == "phase_bandwidth_hz" else widths.gain_hz
+    return float(getattr(runs.case(on, row.law, row.dof).measures, field))
 
 
 def _tolerance(of: str, field: str) -> float:
@@ -98,10 +94,10 @@ def _judged(runs: Runs, row: Published) -> list[ResultRow]:
         # Round-off of the subtraction is no deviation.
         within = bool(abs(deviation) <= tolerance + 1e-9) if judged else None
         note = "" if within else _remark(row.law, row.table, quantity)
-        if damping and not note and not runs.case(_ON[row.of], row.law, row.dof).metrics.stable:
+        if damping and not note and not runs.case(_ON[row.of], row.law, row.dof).measures.stable:
             note = "of the first overshoot; the legs then ring on undiminished"
         hexapod = _NAN
-        if appendix and (not damping or runs.case("machine", row.law, row.dof).metrics.stable):
+        if appendix and (not damping or runs.case("machine", row.law, row.dof).measures.stable):
             hexapod = _value(runs, "machine", row, field)
         rows.append(
             ResultRow(

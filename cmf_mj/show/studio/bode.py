@@ -25,7 +25,7 @@ from cmf_mj.show.look import BLUE
 from cmf_mj.show.studio.choices import settled
 from cmf_mj.show.studio.desk import Desk
 from cmf_mj.show.studio.plots import DASHED, PALE, Line, add_plot
-from cmf_mj.studies.measurement import RECORD_EVERY, dof_amplitude
+from cmf_mj.studies.case import RECORD_EVERY, dof_amplitude
 
 PERIOD = 20.0
 """Period of the multisine [s]: lines 0.1 Hz apart from 0.05 to 10 Hz."""
@@ -71,7 +71,7 @@ def measure(
     signal = {
         "kind": "multisine",
         "dof": dof,
-        "amplitude": (units.from_si(unit, dof_amplitude(dof, None)), unit),
+        "amplitude": (units.from_si(unit, dof_amplitude(dof)), unit),
         "start": 1.0 / PERIOD,
         "period": PERIOD,
         "periods": PERIODS,

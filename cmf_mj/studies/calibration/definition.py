@@ -6,6 +6,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
+from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import Published, published_results
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings, read_toml, validated
@@ -16,6 +17,12 @@ Measure = Literal["phase", "gain", "damping"]
 """Frequency of -90 deg, of -3 dB from absolute 0 dB, damping ratio from a step's overshoot."""
 
 MEASURES: tuple[Measure, ...] = get_args(Measure)
+
+_FIELDS: dict[Measure, str] = {
+    "phase": "phase_bandwidth_hz",
+    "gain": "gain_bandwidth_hz",
+    "damping": "damping_ratio",
+}
 
 ParameterName = Literal[
     "leg_speed",
@@ -29,6 +36,11 @@ ParameterName = Literal[
 ]
 
 _Measures = Annotated[tuple[Measure, ...], Field(strict=False)]
+
+
+def computed(measures: Measures, measure: Measure) -> float:
+    """One of the `MEASURES`."""
+    return float(getattr(measures, _FIELDS[measure]))
 
 
 class Parameter(Settings):
@@ -74,13 +86,8 @@ class Row(Settings):
 
     def printed(self, measure: Measure) -> float:
         """A printed number, NaN where there is none."""
-        row = self.published
-        value = {
-            "phase": row.phase_bandwidth_hz,
-            "gain": row.gain_bandwidth_hz,
-            "damping": row.damping_ratio,
-        }[measure]
-        return float("nan") if value is None else value
+        value = getattr(self.published, _FIELDS[measure])
+        return float("nan") if value is None else float(value)
 
 
 class Tolerance(Settings):

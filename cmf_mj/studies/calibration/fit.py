@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
+from cmf_mj.analysis.measures import Measures
 from cmf_mj.core.errors import InputError
-from cmf_mj.studies.calibration.definition import MEASURES, Measure, Row, Study
+from cmf_mj.studies.calibration.definition import MEASURES, Measure, Row, Study, computed
 from cmf_mj.studies.calibration.trial import (
-    Measured,
     Values,
     least_damping,
     linear_results,
@@ -30,7 +30,8 @@ from cmf_mj.studies.calibration.trial import (
     starting_values,
 )
 
-Results = Mapping[str, Measured]
+Results = Mapping[str, Measures]
+Shift = Mapping[str, Mapping[Measure, float]]
 
 _SOFT = 0.01
 """Shortfall of the least damping ratio that weighs as much as one tolerance."""
@@ -55,8 +56,8 @@ class Stage(NamedTuple):
     """Parameters with their linear and simulated results."""
 
     values: dict[str, float]
-    linear: dict[str, Measured]
-    simulated: dict[str, Measured]
+    linear: dict[str, Measures]
+    simulated: dict[str, Measures]
     least_damping: dict[str, float]  #: Of the velocity law's linear loop, by cab.
 
 
@@ -82,32 +83,32 @@ class Calibration(NamedTuple):
 
 def residual_rows(study: Study, results: Results) -> list[Residual]:
     """Every printed number of a study beside the results."""
-    found = []
-    for row in study.rows:
-        for measure in MEASURES:
-            if measure in (*row.fitted, *row.predicted):
-                found.append(_residual(study, row, measure, results[row.law]))
-    return found
+    return [
+        _residual(study, row, measure, results[row.law])
+        for row in study.rows
+        for measure in MEASURES
+        if measure in (*row.fitted, *row.predicted)
+    ]
 
 
-def _residual(study: Study, row: Row, measure: Measure, result: Measured) -> Residual:
-    printed, computed = row.printed(measure), result.value(measure)
-    off = computed - printed if measure == "damping" else computed / printed - 1.0
+def _residual(study: Study, row: Row, measure: Measure, result: Measures) -> Residual:
+    printed, value = row.printed(measure), computed(result, measure)
+    off = value - printed if measure == "damping" else value / printed - 1.0
     tolerance = float(getattr(study.tolerance, measure))
     role = "fitted" if measure in row.fitted else "predicted"
     within = abs(off) <= tolerance
     return Residual(
-        row.table, row.law, row.of, measure, role, printed, computed, off, tolerance, within
+        row.table, row.law, row.of, measure, role, printed, value, off, tolerance, within
     )
 
 
-def _cost_vector(study: Study, values: Values, shift: Results) -> NDArray[np.float64]:
+def _cost_vector(study: Study, values: Values, shift: Shift) -> NDArray[np.float64]:
     stepped = any("damping" in row.fitted for row in study.rows)
     linear = linear_results(study, values, study.fitted_laws, damping=stepped)
     found = []
     for row in study.rows:
         for measure in row.fitted:
-            value = linear[row.law].value(measure) + shift[row.law].value(measure)
+            value = computed(linear[row.law], measure) + shift[row.law][measure]
             printed = row.printed(measure)
             off = value - printed if measure == "damping" else np.log(value / printed)
             found.append(off / getattr(study.tolerance, measure))
@@ -116,14 +117,12 @@ def _cost_vector(study: Study, values: Values, shift: Results) -> NDArray[np.flo
     return np.asarray(found, dtype=float)
 
 
-def _shift(stage: Stage) -> dict[str, Measured]:
-    """What linearisation misses at the parameters of a stage."""
-    found = {}
-    for law, simulated in stage.simulated.items():
-        linear = stage.linear[law]
-        missed = {m: simulated.value(m) - linear.value(m) for m in MEASURES}
-        found[law] = Measured(**missed, stable=simulated.stable)
-    return found
+def _shift(stage: Stage) -> Shift:
+    """What linearisation misses at the parameters of a stage, by law and measure."""
+    return {
+        law: {m: computed(simulated, m) - computed(stage.linear[law], m) for m in MEASURES}
+        for law, simulated in stage.simulated.items()
+    }
 
 
 def calibrate(
@@ -171,7 +170,7 @@ def calibrate(
         def cost(
             share: NDArray[np.float64],
             last: Stage = last,
-            shift: Results = shift,
+            shift: Shift = shift,
             scale: NDArray[np.float64] = scale,
         ) -> NDArray[np.float64]:
             chosen = low + share * scale

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.studies.calibration.definition import MEASURES, Measure, Study
+from cmf_mj.studies.calibration.definition import MEASURES, Measure, Study, computed
 from cmf_mj.studies.calibration.trial import Values, linear_results
 
 STEP = 0.02
@@ -58,7 +58,7 @@ def sensitivity(study: Study, values: Values, laws: tuple[str, ...] = ()) -> Sen
         for sign in (-1.0, 1.0):
             moved = dict(values) | {name: values[name] * (1.0 + sign * STEP)}
             results = linear_results(study, moved, chosen)
-            ends.append([[results[law].value(m) for m in MEASURES] for law in chosen])
+            ends.append([[computed(results[law], m) for m in MEASURES] for law in chosen])
         lower, upper = (np.log(np.array(end)) for end in ends)
         found[:, :, k] = (upper - lower) / np.log((1.0 + STEP) / (1.0 - STEP))
     return Sensitivity(chosen, MEASURES, names, found)
@@ -98,13 +98,13 @@ def spread(
     for law in laws:
         unstable = 1.0 - float(np.mean([run[law].stable for run in runs]))
         for measure in MEASURES:
-            drawn_values = np.array([run[law].value(measure) for run in runs])
+            drawn_values = np.array([computed(run[law], measure) for run in runs])
             ends = np.nanquantile(drawn_values, [0.05, 0.95])
             found.append(
                 Spread(
                     law,
                     measure,
-                    nominal[law].value(measure),
+                    computed(nominal[law], measure),
                     float(ends[0]),
                     float(ends[1]),
                     unstable,

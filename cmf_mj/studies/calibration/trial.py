@@ -13,11 +13,11 @@ import control
 import mujoco
 import numpy as np
 
-from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import bandwidths
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response, loop_step
 from cmf_mj.analysis.linear.reduction import leg_model
+from cmf_mj.analysis.measures import Measures, joined, least_damped_mode
 from cmf_mj.analysis.step_response import measure_step, step_metrics
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
@@ -25,16 +25,14 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import validated
 from cmf_mj.core.threads import on_threads
-from cmf_mj.facility.simulation import simulate
-from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import EFFECTIVE_MASS, STATIC_LOAD, SingleLegs
-from cmf_mj.studies.calibration.definition import Measure, Study
-from cmf_mj.studies.comparison import ROTATION_PER_TRANSLATION, compare
+from cmf_mj.studies.calibration.definition import Study
+from cmf_mj.studies.case import make_case, run_case
 from cmf_mj.studies.linear_agreement import loop_between
 
 Values = Mapping[str, float]
@@ -44,38 +42,20 @@ _LINES = np.geomspace(0.4, 15.0, 400)
 """Lines the bandwidths are read between [Hz], 1 % apart."""
 _STEP = 1.5
 """Length of the linear steps [s]: the overshoot comes within the first half second."""
-_FASTEST = 30.0 * units.HERTZ
-"""Modes above it are of valves and sensors, not of the machine [rad/s]."""
-_SWEPT = units.to_si("in", 1.0)
-"""Step of the stability runs [m]."""
-
-
-class Measured(NamedTuple):
-    """Measures of one law; NaN where the response has no such thing."""
-
-    phase: float  #: -90 deg [Hz].
-    gain: float  #: -3 dB from absolute 0 dB [Hz].
-    damping: float  #: Damping ratio from the overshoot of a step.
-    stable: bool
-
-    def value(self, measure: Measure) -> float:
-        """One of the three numbers."""
-        return float(getattr(self, measure))
+_FASTEST_HZ = 30.0
+"""Modes above it are of valves and sensors, not of the machine [Hz]."""
 
 
 def starting_values(study: Study) -> dict[str, float]:
     """Values of all parameters as the set and the laws ship, in the units of the study."""
     quantities = load_hydraulics(study.hydraulics).quantities()
-    found: dict[str, float] = {}
-    for parameter in study.parameters:
-        if parameter.name == "derivative_pole":
-            found[parameter.name] = load_law("position_error_rate").derivative_pole
-        elif parameter.name == "payload":
-            found[parameter.name] = 1.0
-        else:
-            quantity = quantities[parameter.name]
-            found[parameter.name] = units.from_si(parameter.unit, quantity.si)
-    return found
+    shipped = {"derivative_pole": load_law("position_error_rate").derivative_pole, "payload": 1.0}
+    return {
+        p.name: shipped[p.name]
+        if p.name in shipped
+        else float(units.from_si(p.unit, quantities[p.name].si))
+        for p in study.parameters
+    }
 
 
 def hydraulics_of(study: Study, values: Values) -> HydraulicParameters:
@@ -119,7 +99,7 @@ def plant_of(study: Study, values: Values, cab: str = "") -> Plant:
 
 def linear_results(
     study: Study, values: Values, laws: Sequence[str], *, damping: bool = True
-) -> dict[str, Measured]:
+) -> dict[str, Measures]:
     """Measures of laws around the linearised plant, in heave.
 
     Args:
@@ -139,27 +119,24 @@ def linear_results(
     }
 
 
-def _measure(loop: control.StateSpace, step: bool) -> Measured:
+def _measure(loop: control.StateSpace, step: bool) -> Measures:
     widths = bandwidths(loop_response(loop, _LINES))
     stable = bool(np.all(np.abs(loop.poles()) < 1.0 + 1e-9))
-    damping = float("nan")
-    if stable and step:
-        _, reached = loop_step(loop, _STEP)
-        static = float(np.real(np.squeeze(loop.dcgain())))
-        damping = measure_step(reached, 1.0 / FRAME, final=static).damping_ratio
-    return Measured(widths.phase_hz, widths.gain_hz, damping, stable)
+    if not (stable and step):
+        return joined(widths)._replace(stable=stable)
+    _, reached = loop_step(loop, _STEP)
+    static = float(np.real(np.squeeze(loop.dcgain())))
+    return joined(widths, measure_step(reached, 1.0 / FRAME, final=static))
 
 
 def least_damping(study: Study, values: Values) -> dict[str, float]:
     """Smallest damping ratio of the velocity law's loop, all degrees of freedom, for each cab."""
-    found = {}
-    for cab in study.stable_cabs:
-        system = linearize(plant_of(study, values, cab))
-        poles = closed_loop(law_of("velocity", values), system).poles()
-        modes = np.log(poles[np.abs(poles) > 0.1].astype(complex)) / FRAME
-        modes = modes[(modes.imag > 0.0) & (np.abs(modes) < _FASTEST)]
-        found[cab] = float((-modes.real / np.abs(modes)).min())
-    return found
+    law = law_of("velocity", values)
+    systems = {cab: linearize(plant_of(study, values, cab)) for cab in study.stable_cabs}
+    return {
+        cab: least_damped_mode(closed_loop(law, system).poles(), _FASTEST_HZ)[0]
+        for cab, system in systems.items()
+    }
 
 
 def simulated_results(
@@ -169,7 +146,7 @@ def simulated_results(
     *,
     quick: bool = False,
     jobs: int | None = None,
-) -> dict[str, Measured]:
+) -> dict[str, Measures]:
     """Measures of laws in the simulation, in heave.
 
     Args:
@@ -184,21 +161,14 @@ def simulated_results(
     """
     if values.get("payload", 1.0) != 1.0:
         raise InputError(f"payload: {values['payload']} must be 1 in a simulation")
-    found = compare(
-        [law_of(name, values) for name in laws],
-        ["heave"],
-        plants=[study.plant],
-        cab=study.cab or "gfd",
-        hydraulics=hydraulics_of(study, values),
-        quick=quick,
-        jobs=jobs,
-    )
-    return {
-        row.law: Measured(
-            row.phase_bandwidth_hz, row.gain_bandwidth_hz, row.damping_ratio, row.stable
+    parameters = hydraulics_of(study, values)
+    cases = [
+        make_case(
+            law_of(name, values), "heave", study.plant, study.cab or "gfd", parameters, quick=quick
         )
-        for row in found.rows
-    }
+        for name in laws
+    ]
+    return {result.case.law.name: result.measures for result in on_threads(run_case, cases, jobs)}
 
 
 class Verdict(NamedTuple):
@@ -216,11 +186,10 @@ def simulated_stability(
     """Steps of 1 in or 0.6 deg of the velocity law with every cab of the study."""
     hydraulics, law = hydraulics_of(study, values), law_of("velocity", values)
 
-    def run(case: tuple[str, str]) -> Verdict:
-        cab, dof = case
-        size = _SWEPT * by_kind(dof, 1.0, ROTATION_PER_TRANSLATION)
-        record = simulate(Hexapod(cab, hydraulics), law, signals.step(dof, size), record_every=8)
-        metrics = step_metrics(record)
+    def run(cab_and_dof: tuple[str, str]) -> Verdict:
+        cab, dof = cab_and_dof
+        case = make_case(law, dof, cab=cab, hydraulics=hydraulics)
+        metrics = step_metrics(case.run(case.step(), every=8))
         return Verdict(cab, dof, metrics.stable, metrics.residual)
 
     return on_threads(run, list(product(study.stable_cabs, dofs)), jobs)

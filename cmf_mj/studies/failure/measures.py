@@ -67,6 +67,14 @@ class Peak(NamedTuple):
     leg: int | None = None  #: Leg it belongs to, from 1.
 
 
+class Phases(NamedTuple):
+    """A quantity before and after the event."""
+
+    before: Peak
+    after: Peak  #: From the event on.
+    free: Peak  #: From the event until the first leg meets a stop.
+
+
 class FailureResult(NamedTuple):
     """What an event did."""
 
@@ -74,15 +82,9 @@ class FailureResult(NamedTuple):
     dof: str  #: Degree of freedom of the manoeuvre.
     protected: bool  #: Whether a detected fault made an emergency stop.
     static_load: NDArray[np.float64]  #: Axial loads at the start [N], (6,).
-    load_before: Peak  #: Largest axial leg load [N] before the event, by size.
-    load_after: Peak  #: The same from the event on; negative pulls.
-    load_free: Peak  #: The same from the event until the first leg meets a stop.
-    acceleration_before: Peak  #: Largest crew acceleration before the event [m/s^2].
-    acceleration_after: Peak  #: The same from the event on.
-    acceleration_free: Peak  #: The same from the event until the first leg meets a stop.
-    specific_force_before: Peak
-    """Largest specific force on the crew before the event [m/s^2]; 1 g at rest."""
-    specific_force_after: Peak  #: The same from the event on.
+    load: Phases  #: Largest axial leg load [N], by size; negative pulls.
+    acceleration: Phases  #: Largest crew acceleration [m/s^2].
+    specific_force: Phases  #: Largest specific force on the crew [m/s^2]; 1 g at rest.
     detected_by: str | None  #: Fault that was found first; none if nothing was.
     detection_time: float | None
     """Time from the event to the fault [s]; negative for a false alarm."""
@@ -125,31 +127,26 @@ def measure(
     force = record["crew_accelerometer"][1:]
     acceleration = _without_gravity(plant, record["generalised_position"][:-1], force)
     time = record.time[:-1]
-    before, after = time < event.at, time >= event.at
-    size = np.abs(load)
-    felt, whole = np.linalg.norm(acceleration, axis=1), np.linalg.norm(force, axis=1)
+    after = time >= event.at
     chambers = np.stack([record["cap_pressure"][:-1], record["rod_pressure"][:-1]], axis=2)
     fault = record.metadata["fault"]
     contact, impact = _contacts(time, extension, half)
     free = after & (time < contact.time) if contact is not None else after
+
+    def phases(values: NDArray[np.float64]) -> Phases:
+        return Phases(*(_largest(time, values, where) for where in (~after, after, free)))
+
     state = "out_of_bounds" if message else _final_state(record, event.at, half, contact)
-    load_peaks = [
-        peak._replace(value=_signed(peak, time, load))
-        for peak in (_largest(time, size, where) for where in (before, after, free))
-    ]
     return FailureResult(
         event=event,
         dof=dof,
         protected=protected,
         static_load=record["leg_force"][0].copy(),
-        load_before=load_peaks[0],
-        load_after=load_peaks[1],
-        load_free=load_peaks[2],
-        acceleration_before=_largest(time, felt, before),
-        acceleration_after=_largest(time, felt, after),
-        acceleration_free=_largest(time, felt, free),
-        specific_force_before=_largest(time, whole, before),
-        specific_force_after=_largest(time, whole, after),
+        load=Phases(
+            *(peak._replace(value=_signed(peak, time, load)) for peak in phases(np.abs(load)))
+        ),
+        acceleration=phases(np.linalg.norm(acceleration, axis=1)),
+        specific_force=phases(np.linalg.norm(force, axis=1)),
         detected_by=fault and fault["name"],
         detection_time=fault and fault["time"] - event.at,
         state=state,

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
-from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
@@ -11,21 +11,17 @@ from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.simulation import OutOfBounds, simulate
 from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.signals.single import Command
+from cmf_mj.studies.case import Case, make_case
 from cmf_mj.studies.failure.manoeuvre import AFTER, FREQUENCY, manoeuvre, size_of
 from cmf_mj.studies.failure.measures import FailureResult, measure
 
 
 def run_failure(
     event: Event,
-    plant: Hexapod | None = None,
-    law: str | Path | Law = "velocity",
-    dof: str = "heave",
-    amplitude: float | None = None,
-    frequency: float = FREQUENCY,
+    case: Case | None = None,
     *,
+    frequency: float = FREQUENCY,
     after: float = AFTER,
     command: Command | None = None,
     protection: str | Path | ProtectionSettings | None = "default",
@@ -34,10 +30,8 @@ def run_failure(
 
     Args:
         event: what fails, where, when and how much.
-        plant: default the hexapod with the GFD and the `hardware` set.
-        law: name, TOML file or loaded law.
-        dof: degree of freedom of the manoeuvre.
-        amplitude: of its sine [m or rad]; default 6 in or 4 deg.
+        case: law, hexapod, and degree of freedom and amplitude of the manoeuvre's sine, by default
+            6 in or 4 deg; default velocity feedback in heave with the GFD and the `hardware` set.
         frequency: of its sine [Hz].
         after: length of the run after the event [s].
         command: another manoeuvre in place of the sine; it must be longer than `event.at`.
@@ -46,34 +40,32 @@ def run_failure(
     Raises:
         InputError: an argument out of range, named.
     """
-    machine = Hexapod() if plant is None else plant
-    loaded = load_law(law)
-    size = size_of(dof, amplitude)
-    run = manoeuvre(dof, size, frequency, at=event.at, after=after) if command is None else command
-    frames = run.pose.shape[0]
+    chosen = make_case("velocity") if case is None else case
+    machine = Hexapod(chosen.cab, chosen.hydraulics)
+    size = size_of(chosen.dof, chosen.amplitude)
+    if command is None:
+        command = manoeuvre(chosen.dof, size, frequency, at=event.at, after=after)
+    frames = command.pose.shape[0]
     if not event.at < (frames - 1) * FRAME:
         raise InputError(
             f"at: {event.at} s must be less than the run of {(frames - 1) * FRAME:g} s"
         )
     message = ""
+    options: dict[str, Any] = {"events": [event], "protection": protection}
     try:
-        record = simulate(machine, loaded, run, events=[event], protection=protection)
+        record = simulate(machine, chosen.law, command, **options)
     except OutOfBounds as left:
         # The same run again, up to the frame before.
         message = str(left)
-        shorter = Command(run.pose[: max(left.frame, 2)], run.description, run.seed)
-        record = simulate(machine, loaded, shorter, events=[event], protection=protection)
-    return measure(machine, event, dof, protection is not None, record, message)
+        shorter = Command(command.pose[: max(left.frame, 2)], command.description, command.seed)
+        record = simulate(machine, chosen.law, shorter, **options)
+    return measure(machine, event, chosen.dof, protection is not None, record, message)
 
 
 def run_failures(
     events: Sequence[Event],
+    case: Case | None = None,
     *,
-    cab: str = "gfd",
-    hydraulics: str | Path | HydraulicParameters = "hardware",
-    law: str | Path | Law = "velocity",
-    dof: str = "heave",
-    amplitude: float | None = None,
     frequency: float = FREQUENCY,
     after: float = AFTER,
     protection: str | Path | ProtectionSettings | None = "default",
@@ -84,11 +76,7 @@ def run_failures(
 
     Args:
         events: one run each.
-        cab: `gfd`, `rfd` or `ifd`.
-        hydraulics: a set's name, a TOML file or a loaded set.
-        law: as for `run_failure`.
-        dof: as for `run_failure`.
-        amplitude: as for `run_failure`.
+        case: as for `run_failure`.
         frequency: as for `run_failure`.
         after: as for `run_failure`.
         protection: as for `run_failure`.
@@ -98,14 +86,9 @@ def run_failures(
     Raises:
         InputError: an argument out of range, named.
     """
-    loaded, parameters = load_law(law), load_hydraulics(hydraulics)
     guard = None if protection is None else load_protection(protection)
-    size = size_of(dof, amplitude)
 
     def one(event: Event) -> FailureResult:
-        plant = Hexapod(cab, parameters)
-        return run_failure(
-            event, plant, loaded, dof, size, frequency, after=after, protection=guard
-        )
+        return run_failure(event, case, frequency=frequency, after=after, protection=guard)
 
     return on_threads(one, events, jobs, progress)

@@ -1,4 +1,4 @@
-"""What a law is worth, on linear plants: bandwidths, peaks and overshoots of all cabs at once.
+"""What a law does on linear plants: bandwidths, peaks and overshoots of all cabs at once.
 
 Frequency responses come from the linearised plant and the linear law. Steps run the compiled law
 with its clamps, and the servo electronics with theirs, against the linearised plant, frame by
@@ -27,9 +27,9 @@ from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics import servo_electronics as servo
 from cmf_mj.machine.kinematics import DOFS, pose_jacobian
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.studies.comparison import AMPLITUDE, ROTATION_PER_TRANSLATION, STEP_PER_AMPLITUDE
+from cmf_mj.studies.case import REPORT_AMPLITUDES, STEP_PER_AMPLITUDE
+from cmf_mj.studies.mismatch import valve_gains
 from cmf_mj.studies.tuning.frames import run
-from cmf_mj.studies.tuning.nominal import valve_gains
 
 LINES = np.concatenate([np.arange(0.5, 3.0, 0.5), np.arange(3.0, 10.01, 0.25)])
 """Frequencies of the responses [Hz]; the report's chirp ends at 10 Hz."""
@@ -40,9 +40,6 @@ STEP_TIME = 0.7
 STEPPED = ((1,), (3,), (4,), (0, 1, 2, 3, 4, 5))
 """Degrees of freedom that are stepped: sway, roll, pitch, and all at once. Surge is much like sway,
 heave and yaw are easier."""
-
-CHIRP = AMPLITUDE * np.where(np.arange(6) < 3, 1.0, ROTATION_PER_TRANSLATION)
-"""Amplitude of the chirp by degree of freedom [m, rad]."""
 
 
 class LinearCab(NamedTuple):
@@ -74,14 +71,14 @@ def linear_cab(plant: Hexapod) -> LinearCab:
     )
 
 
-class Worth(NamedTuple):
+class Performance(NamedTuple):
     """Measures by cab, set of valve gains and degree of freedom."""
 
     phase_hz: NDArray[np.float64]
     """-90 deg bandwidth, (cabs, seeds, 6); the last line where it is beyond."""
     peak_db: NDArray[np.float64]  #: Peak gain to 10 Hz, (cabs, seeds, 6).
     overshoot: NDArray[np.float64]  #: Of the step, fraction, (cabs, seeds, 4).
-    settled: NDArray[np.float64]
+    tail: NDArray[np.float64]
     """Largest distance from the demand in the last tenth of the step, fraction, (.., 4)."""
 
 
@@ -98,7 +95,7 @@ def step_response(
     """
     a, b, c = cab.sampled
     chosen = list(dofs)
-    size = CHIRP[chosen] * STEP_PER_AMPLITUDE
+    size = REPORT_AMPLITUDES[chosen] * STEP_PER_AMPLITUDE
     legs = cab.jacobian.shape[0]
     dcl = blocks.make_dcl(law, legs)
     still = LegFeedback(*(np.zeros(legs) for _ in FEEDBACK))
@@ -132,7 +129,7 @@ def _one(law: Law, cab: LinearCab, seed: int | None, scale: float) -> list[list[
 
 def evaluate(
     law: Law, cabs: Sequence[LinearCab], seeds: Sequence[int | None], *, scale: float = 1.0
-) -> Worth:
+) -> Performance:
     """Measure a law on linear plants of all cabs.
 
     Args:
@@ -144,4 +141,4 @@ def evaluate(
     cases = list(product(cabs, seeds))
     found = on_threads(lambda case: _one(law, *case, scale), cases, jobs=len(cases))
     shape = (len(cabs), len(seeds), -1)
-    return Worth(*(np.array(part).reshape(shape) for part in zip(*found, strict=True)))
+    return Performance(*(np.array(part).reshape(shape) for part in zip(*found, strict=True)))

@@ -26,11 +26,13 @@ from cmf_mj.control.plan import Plan
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
+from cmf_mj.machine.models import CABS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.single_legs import SingleLegs
-from cmf_mj.studies.tuning.evaluation import CHIRP, LinearCab, linear_cab
-from cmf_mj.studies.tuning.nominal import CABS, nominal_modes
+from cmf_mj.studies.case import REPORT_AMPLITUDES
+from cmf_mj.studies.tuning.evaluation import LinearCab, linear_cab
+from cmf_mj.studies.tuning.nominal import nominal_modes
 
 HEAVY = 2
 """Modes of the pair of surge and sway, which have gains of their own."""
@@ -87,7 +89,8 @@ def make_template(name: str, title: str, cabs: Sequence[str] = CABS) -> Template
     legs = SingleLegs()
     linear = tuple(linear_cab(plant) for plant in plants)
     moved = [
-        np.abs(np.array(modes[cab.cab].shape) @ cab.jacobian * CHIRP).max(axis=1) for cab in linear
+        np.abs(np.array(modes[cab.cab].shape) @ cab.jacobian * REPORT_AMPLITUDES).max(axis=1)
+        for cab in linear
     ]
     known = modes | {legs.mounting: nominal_modes(legs)}
     return Template(name, title, known, np.max(moved, axis=0) / units.INCH, linear)
@@ -105,12 +108,12 @@ def named(form: Form, values: Sequence[float]) -> Values:
 
 def _six(at: Values, name: str, sign: float = 1.0) -> tuple[float, ...]:
     heavy, light = sign * at[f"{name}_heavy"], sign * at[f"{name}_light"]
-    return (heavy,) * HEAVY + (light,) * (len(CHIRP) - HEAVY)
+    return (heavy,) * HEAVY + (light,) * (len(REPORT_AMPLITUDES) - HEAVY)
 
 
 def _bounds(at: Values, name: str) -> NDArray[np.float64]:
     """Frequencies that bound the plan's reference, by mode, (6,) [Hz]."""
-    bounds = np.full(len(CHIRP), at[f"{name}_light"])
+    bounds = np.full(len(REPORT_AMPLITUDES), at[f"{name}_light"])
     bounds[:HEAVY] = at[f"{name}_heavy"]
     bounds[HEAVY : HEAVY + EASY] = EASY_REACH
     return bounds

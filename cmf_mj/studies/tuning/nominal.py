@@ -1,4 +1,4 @@
-"""What a law is tuned on: nominal modes of each cab, and valves that are not nominal."""
+"""Nominal hydraulic modes of each cab, which laws in modes are written in."""
 
 import numpy as np
 
@@ -6,15 +6,8 @@ from cmf_mj.control.coordinates import MODES, Modes
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.plant.cylinder import stiffness
-from cmf_mj.plant.hexapod import Hexapod, oil_modes
-from cmf_mj.plant.parameters.hydraulics import ActuatorChanges, HydraulicParameters
+from cmf_mj.plant.hexapod import oil_modes
 from cmf_mj.plant.plant import Plant
-
-CABS = ("gfd", "rfd", "ifd")
-"""The cabs of the facility, lightest first."""
-
-MISMATCH = 0.1
-"""Half width of the uniform distribution of each actuator's valve gain about the nominal."""
 
 
 def nominal_modes(plant: Plant) -> Modes:
@@ -45,36 +38,3 @@ def nominal_modes(plant: Plant) -> Modes:
         mass=tuple((mass / units.POUND_MASS).tolist()),
         shape=tuple(tuple(row) for row in shapes.T.tolist()),
     )
-
-
-def valve_gains(seed: int | None, actuators: int = MODES) -> np.ndarray:
-    """Valve gain of each actuator over the nominal; ones for no seed."""
-    if seed is None:
-        return np.ones(actuators)
-    return 1.0 + MISMATCH * np.random.default_rng(seed).uniform(-1.0, 1.0, actuators)
-
-
-def mismatched(parameters: HydraulicParameters, seed: int | None) -> HydraulicParameters:
-    """A hydraulic set whose legs 1 to 6 have the speeds of `valve_gains`.
-
-    Args:
-        parameters: the nominal set, all actuators alike.
-        seed: of the random gains; None for the nominal set.
-    """
-    if seed is None:
-        return parameters
-    speed = parameters.leg_speed
-    changed = {
-        f"leg_{leg + 1}": ActuatorChanges.model_validate(
-            {"leg_speed": speed.model_copy(update={"value": speed.value * float(gain)})}
-        )
-        for leg, gain in enumerate(valve_gains(seed))
-    }
-    return parameters.model_copy(
-        update={"name": f"{parameters.name}, gains {seed}", "actuators": changed}
-    )
-
-
-def nominal_plants() -> dict[str, Hexapod]:
-    """The hexapod with each cab, hardware set."""
-    return {cab: Hexapod(cab) for cab in CABS}

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.control.law import Law
 from cmf_mj.core.errors import InputError, require
-from cmf_mj.studies.tuning.evaluation import Worth, evaluate
+from cmf_mj.studies.tuning.evaluation import Performance, evaluate
 from cmf_mj.studies.tuning.forms import Form, Template, candidate, form_named, named
 
 FASTER = 1.5
@@ -46,11 +46,11 @@ class Limits(NamedTuple):
 _WEIGHTS = Limits(0.3, 0.03, 0.06, 0.05, 1.0)
 
 
-class Found(NamedTuple):
-    """What a search found."""
+class SearchResult(NamedTuple):
+    """The best law of a search."""
 
     law: Law
-    worth: Worth
+    performance: Performance
     cost: float
     evaluations: int
 
@@ -60,19 +60,19 @@ def cost(
 ) -> float:
     """What is minimised."""
     law = candidate(form, template, values)
-    worth = evaluate(law, template.cabs, seeds)
+    performance = evaluate(law, template.cabs, seeds)
     faster = evaluate(law, template.cabs, (None,), scale=FASTER)
     worst = (
-        (worth.peak_db.max(), limits.peak_db, _WEIGHTS.peak_db),
-        (worth.overshoot[..., :-1].max(), limits.overshoot, _WEIGHTS.overshoot),
-        (worth.overshoot[..., -1].max(), limits.together, _WEIGHTS.together),
-        (max(worth.settled.max(), faster.settled.max()), limits.tail, _WEIGHTS.tail),
+        (performance.peak_db.max(), limits.peak_db, _WEIGHTS.peak_db),
+        (performance.overshoot[..., :-1].max(), limits.overshoot, _WEIGHTS.overshoot),
+        (performance.overshoot[..., -1].max(), limits.together, _WEIGHTS.together),
+        (max(performance.tail.max(), faster.tail.max()), limits.tail, _WEIGHTS.tail),
         (faster.peak_db.max(), limits.margin_db, _WEIGHTS.margin_db),
     )
     excess = sum(max(0.0, (value - limit) / weight) for value, limit, weight in worst)
-    slowest = min(float(worth.phase_hz.min()), form.reach(named(form, values)))
-    found = -slowest - MEAN * float(worth.phase_hz.mean()) + excess
-    return float(found) if np.isfinite(found) else 1e3
+    slowest = min(float(performance.phase_hz.min()), form.reach(named(form, values)))
+    total = -slowest - MEAN * float(performance.phase_hz.mean()) + excess
+    return float(total) if np.isfinite(total) else 1e3
 
 
 def search(
@@ -85,7 +85,7 @@ def search(
     seed: int = 1,
     start: Sequence[float] | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> Found:
+) -> SearchResult:
     """Search the gains of a law by CMA-ES.
 
     Args:
@@ -128,4 +128,4 @@ def search(
         if progress is not None:
             progress(min(tried, evaluations), evaluations)
     law = candidate(chosen, template, best[1])
-    return Found(law, evaluate(law, template.cabs, seeds), best[0], tried)
+    return SearchResult(law, evaluate(law, template.cabs, seeds), best[0], tried)

@@ -1,0 +1,207 @@
+"""A case: one law on one machine in one degree of freedom, and the runs that measure it.
+
+The report sweeps 0.33 in or 0.2 deg (Appendix D) from 0 to 10 Hz and steps 1 in; `run_case` does
+both on a machine built for the case, so that cases share nothing and may run anywhere.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj import signals
+from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
+from cmf_mj.analysis.measures import Measures, joined, sweep_response
+from cmf_mj.analysis.step_response import step_metrics
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.facility.simulation import simulate
+from cmf_mj.machine import models
+from cmf_mj.machine.dof import by_kind, dof_index
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.plant.build import PLANTS, make_plant
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.plant import Plant
+from cmf_mj.record.record import Record
+from cmf_mj.signals.single import Command
+
+AMPLITUDE = 0.33 * units.INCH
+"""Translational amplitude of the report's frequency responses [m]."""
+
+ROTATION_PER_TRANSLATION = 0.2 * units.DEGREE / AMPLITUDE
+"""The report takes 0.2 deg in rotation to 0.33 in in translation (Appendix D) [rad/m]."""
+
+STEP_PER_AMPLITUDE = 1.0 * units.INCH / AMPLITUDE
+"""The report steps 1 in and sweeps 0.33 in."""
+
+FULL_SWEEP, QUICK_SWEEP = 100.0, 30.0
+"""Durations of the chirp [s]."""
+
+RECORD_EVERY = 16
+"""Frames between samples of a run: 128 Hz, the facility's recorder."""
+
+
+def dof_amplitude(dof: str, amplitude: float = AMPLITUDE) -> float:
+    """Amplitude in a degree of freedom [m or rad] that goes with one in translation [m].
+
+    Raises:
+        InputError: unknown degree of freedom.
+    """
+    return amplitude * by_kind(dof, 1.0, ROTATION_PER_TRANSLATION)
+
+
+REPORT_AMPLITUDES: NDArray[np.float64] = np.array([dof_amplitude(dof) for dof in DOFS])
+"""The report's amplitudes by degree of freedom [m, rad], (6,): what counts alike."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One law on one machine; everything needed to run it anywhere. See `make_case`."""
+
+    plant: str
+    cab: str  #: Of the hexapod; empty for single legs.
+    hydraulics: HydraulicParameters
+    law: Law
+    dof: str
+    amplitude: float | None = None  #: Of the chirp [m or rad]; None for the report's.
+    quick: bool = False  #: Sweep in 30 s instead of 100 s.
+    electronics: ElectronicsSettings | None = None
+    """Sensors, converters, servo electronics; None for ideal ones."""
+    pose: tuple[float, ...] = (0.0,) * 6  #: About which it moves [m, rad], z down.
+    command_delay: int = 1  #: Frames from the control law to the valves.
+
+    @property
+    def size(self) -> float:
+        """Amplitude of the chirp [m or rad]."""
+        return dof_amplitude(self.dof) if self.amplitude is None else self.amplitude
+
+    @property
+    def segment(self) -> float:
+        """Length of the segments the sweep is estimated from [s]."""
+        return 10.0 if self.quick else 20.0
+
+    @property
+    def label(self) -> str:
+        """Name for files."""
+        parts = (self.plant, self.cab, self.hydraulics.name, self.law.name, self.dof)
+        return "-".join(part for part in parts if part)
+
+    def build(self) -> Plant:
+        """A new plant."""
+        return make_plant(self.plant, self.cab, self.hydraulics)
+
+    def run(
+        self, command: Command, plant: Plant | None = None, *, every: int = RECORD_EVERY
+    ) -> Record:
+        """Simulate a command.
+
+        Args:
+            command: added to the pose of the case.
+            plant: to run on; default a new one.
+            every: control frames from sample to sample of the record.
+        """
+        pose = command.pose + np.asarray(self.pose)
+        return simulate(
+            self.build() if plant is None else plant,
+            self.law,
+            Command(pose, command.description, command.seed),
+            electronics=self.electronics,
+            record_every=every,
+            command_delay=self.command_delay,
+        )
+
+    def sweep_and_step(self, plant: Plant | None = None) -> tuple[Record, Record]:
+        """Run the report's chirp and its step, at 128 and 256 Hz."""
+        machine = self.build() if plant is None else plant
+        duration = QUICK_SWEEP if self.quick else FULL_SWEEP
+        sweep = self.run(signals.chirp(self.dof, self.size, duration=duration), machine)
+        return sweep, self.run(self.step(), machine, every=RECORD_EVERY // 2)
+
+    def step(self) -> Command:
+        """The report's step, in proportion to the chirp."""
+        return signals.step(self.dof, self.size * STEP_PER_AMPLITUDE)
+
+
+def make_case(
+    law: str | Path | Law,
+    dof: str = "heave",
+    plant: str = "hexapod",
+    cab: str = "gfd",
+    hydraulics: str | Path | HydraulicParameters = "hardware",
+    *,
+    amplitude: float | None = None,
+    **options: Any,
+) -> Case:
+    """A case from names; what is refused is named before anything runs.
+
+    Args:
+        law: name, TOML file or loaded law.
+        dof: degree of freedom.
+        plant: `hexapod` or `single_legs`.
+        cab: `gfd`, `rfd` or `ifd`.
+        hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
+        amplitude: of the chirp [m or rad]; default the report's 0.33 in or 0.2 deg.
+        options: further fields of `Case`.
+
+    Raises:
+        InputError: an argument out of range.
+    """
+    dof_index(dof)
+    if plant not in PLANTS:
+        raise InputError(f"plant: {plant!r} is not one of {', '.join(PLANTS)}")
+    models.cab_path(cab)
+    if amplitude is not None and not (np.isfinite(amplitude) and amplitude > 0.0):
+        raise InputError(f"amplitude: {amplitude} must be a finite number greater than 0")
+    return Case(
+        plant,
+        cab if plant == "hexapod" else "",
+        load_hydraulics(hydraulics),
+        load_law(law),
+        dof,
+        amplitude,
+        **options,
+    )
+
+
+class CaseResult(NamedTuple):
+    """Chirp and step of a case."""
+
+    case: Case
+    response: FrequencyResponse | None  #: None where the legs left what a platform pose can have.
+    measures: Measures
+    step: Record  #: The step run at 256 Hz.
+    gimbal_error: float  #: Largest gap of a closed gimbal over both runs [m].
+    clamped: float
+    """Part of the sweep's frames, up to the -90 deg bandwidth, in which a leg's command is
+    clamped."""
+
+
+def run_case(case: Case, records: Path | None = None) -> CaseResult:
+    """Run chirp and step of a case; keep both records in the folder `records` if one is given.
+
+    `quick` sweeps in 30 s instead of 100 s: the same band at three times the rate, bandwidths
+    within about 2 %.
+    """
+    sweep, step = case.sweep_and_step()
+    if records is not None:
+        sweep.save(records / f"{case.label}-chirp.parquet")
+        step.save(records / f"{case.label}-step.parquet")
+    response = sweep_response(sweep, segment=case.segment)
+    measures = joined(bandwidths(response) if response else None, step_metrics(step))
+    gap = max(float(run["gimbal_error"].max()) for run in (sweep, step))
+    clamped = clamped_part(sweep, measures.phase_bandwidth_hz)
+    return CaseResult(case, response, measures, step, gap, clamped)
+
+
+def clamped_part(sweep: Record, highest_hz: float) -> float:
+    """Part of the frames of a chirp, up to a frequency or 10 Hz, in which a command is clamped."""
+    command = sweep.metadata["command"]
+    rate = command["stop"] / command["duration"]
+    until = command["settle"] + np.nan_to_num(highest_hz, nan=10.0) / rate
+    full = np.any(np.abs(sweep["valve_command"]) >= 1.0, axis=1)[sweep.time < until]
+    return float(full.mean())
