@@ -122,7 +122,7 @@ def direct() -> Ride:
 def test_direct_mode_has_no_aircraft(direct: Ride) -> None:
     assert direct.aircraft is None and direct.cueing is None
     assert direct.use.within and not direct.held.any()
-    figure = flight_report.perceived_figure(direct)
+    figure = flight_report.sensed_figure(direct)
     assert figure.axes[0].get_legend_handles_labels()[1][1] == "if followed at once"
 
 

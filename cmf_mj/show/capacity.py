@@ -7,17 +7,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator
 from numpy.typing import NDArray
 
 from cmf_mj.core import units
 from cmf_mj.core.files import write_text
 from cmf_mj.machine.dof import by_kind, dof_unit
-from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.show.look import (
     AMBER,
     BLUE,
-    COLOURS,
     DARK,
     GREEN,
     GREY,
@@ -29,6 +28,7 @@ from cmf_mj.show.look import (
     new_figure,
     save_figure,
 )
+from cmf_mj.show.overview import plot_motion
 from cmf_mj.show.table import Table, number
 from cmf_mj.studies.capacity.asymptotes import Asymptotes
 from cmf_mj.studies.capacity.envelope import Envelope, EnvelopePoint
@@ -153,7 +153,7 @@ def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Fi
         f"the supply {verdict}: least manifold pressure {_psi(result.least_pressure)}, "
         f"{_psi(result.allowed_pressure)} needed"
     )
-    _motion(motion, result)
+    plot_motion(motion, record)
     pressure.plot(time, record["supply_pressure"] / _PSI, color=BLUE, label="supply manifold")
     pressure.axhline(result.allowed_pressure / _PSI, color=ORANGE, label="least allowed")
     pressure.set_ylabel("pressure [psi]")
@@ -193,22 +193,6 @@ def _network(
     flow.set_ylabel("flow [gpm]")
     oil.plot(time, bank / _GALLON, color=AMBER)
     oil.set(ylabel="oil in accumulators\n[gal]", ylim=(0.0, 1.1 * float(bank.max()) / _GALLON))
-
-
-def _motion(axis: Axes, result: CapacityResult) -> None:
-    """Demand and response of the degrees of freedom that are asked to move."""
-    record = result.record
-    demand = record["demand_pose"]
-    moved = [i for i in range(6) if np.ptp(demand[:, i]) > 0.0]
-    names = [dof_unit(DOFS[i]) for i in moved]
-    for i, unit in zip(moved, names, strict=True):
-        dof = DOFS[i]
-        asked = units.from_si(unit, demand[:, i])
-        axis.plot(record.time, asked, color=GREY, linewidth=0.9, label=f"{dof} demanded")
-        if "platform_pose" in record.channels:
-            reached = units.from_si(unit, record["platform_pose"][:, i])
-            axis.plot(record.time, reached, color=COLOURS[i], label=dof)
-    axis.set_ylabel(f"motion [{', '.join(dict.fromkeys(names)) or 'in'}]")
 
 
 def envelope_figure(envelope: Envelope) -> Figure:
@@ -266,16 +250,10 @@ def _envelope_panel(axis: Axes, points: list[EnvelopePoint], closed: Asymptotes)
             point.frequency, point.velocity / length, marker, color=colour, markersize=6, zorder=4
         )
     axis.set(xlabel="frequency [Hz]", ylabel=f"velocity amplitude [{unit}/s]", title=closed.dof)
-    axis.set_xticks(*_ticks(lowest / 1.1, 1.1 * highest))
-    axis.set_yticks(*_ticks(bottom, top))
+    for ticks in (axis.xaxis, axis.yaxis):
+        ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ticks.set_major_formatter("{x:g}")
     axis.minorticks_off()
-
-
-def _ticks(low: float, high: float) -> tuple[list[float], list[str]]:
-    """Numbers 1, 2, 5 of every decade between two bounds, and how they are written."""
-    every = [digit * 10.0**decade for decade in range(-6, 7) for digit in (1, 2, 5)]
-    chosen = [value for value in every if low <= value <= high]
-    return chosen, [f"{value:g}" for value in chosen]
 
 
 def _diagonals(axis: Axes, unit: str, length: float, turn: float) -> None:

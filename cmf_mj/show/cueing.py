@@ -1,10 +1,8 @@
 """Tables, figures and files of a flight in the simulator."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -16,7 +14,8 @@ from cmf_mj.machine.kinematics import DOFS, pose_to_legs
 from cmf_mj.pilot.cueing.envelope import LIMITS, Excursion
 from cmf_mj.pilot.cueing.flight import Cue, Tuned
 from cmf_mj.pilot.perception.error import QUANTITIES
-from cmf_mj.show.look import BLUE, GREY, ORANGE, grid, legend, new_figure, save_figures
+from cmf_mj.show.look import BLUE, GREY, ORANGE, legend, save_figures
+from cmf_mj.show.station import SCALE, Motion, motion_axes, perceived_figure
 from cmf_mj.show.table import Table
 
 ERROR_LEGEND = (
@@ -25,16 +24,6 @@ ERROR_LEGEND = (
 )
 """What the table of errors holds."""
 
-_LABELS = (
-    *(f"specific force {axis} [m/s^2]" for axis in "xyz"),
-    *(f"{name} rate [deg/s]" for name in ("roll", "pitch", "yaw")),
-)
-_SCALE = np.array([1.0] * 3 + [DEGREE] * 3)
-"""Plotted units in SI."""
-
-_LEAST_SPAN = 0.1
-"""Of an axis, in its unit, so that round-off shows as the nothing it is."""
-
 
 def error_table(flown: Cue) -> Table:
     """Cueing errors and their thresholds."""
@@ -42,7 +31,7 @@ def error_table(flown: Cue) -> Table:
     rows = [
         (
             *(name, by_kind(i, "m/s^2", "deg/s")),
-            *(values[i] / _SCALE[i] for values in (error.threshold, error.peak, error.rms)),
+            *(values[i] / SCALE[i] for values in (error.threshold, error.peak, error.rms)),
             100.0 * error.share_above[i],
         )
         for i, name in enumerate(QUANTITIES)
@@ -75,70 +64,30 @@ def tuned_table(tuned: Tuned, before: NDArray[np.float64]) -> Table:
     )
 
 
-def _six(motion: Any) -> NDArray[np.float64]:
-    """Specific force and angular rate of a motion or of what is sensed, in plotted units."""
-    return np.hstack([motion.specific_force, motion.angular_rate]) / _SCALE
-
-
-def _finish(figure: Figure, axes: NDArray[Any]) -> Figure:
-    for axis in axes.flat:
-        low, high = axis.get_ylim()
-        if high - low < _LEAST_SPAN:
-            middle = 0.5 * (low + high)
-            axis.set_ylim(middle - 0.5 * _LEAST_SPAN, middle + 0.5 * _LEAST_SPAN)
-        axis.tick_params(labelsize=8)
-    grid(*axes.flat)
-    for axis in axes[-1]:
-        axis.set_xlabel("time [s]", fontsize=9)
-    return figure
-
-
 def motion_figure(flown: Cue) -> Figure:
     """Specific forces and rates of both pilots; pose and legs of the platform."""
-    figure = new_figure(11.0, 12.0)
-    axes = figure.subplots(5, 2, sharex=True)
-    time = flown.aircraft.time
-    for i, label in enumerate(_LABELS):
-        axis: Axes = axes[i % 3, i // 3]
-        axis.plot(time, _six(flown.aircraft)[:, i], color=GREY, lw=1.2, label="aircraft")
-        axis.plot(time, _six(flown.simulator)[:, i], color=BLUE, lw=1.2, label="simulator")
-        axis.set_ylabel(label, fontsize=9)
-    legs, pose = pose_to_legs(flown.stream.pose) / INCH, flown.stream.pose
+    figure, axes = motion_axes(
+        Motion(flown.aircraft, "aircraft", GREY, 1.2),
+        Motion(flown.simulator, "simulator", BLUE, 1.2),
+        rows=5,
+    )
+    time, pose = flown.aircraft.time, flown.stream.pose
+    legs = pose_to_legs(pose) / INCH
     for column, (unit, scale) in enumerate((("m", 1.0), ("deg", DEGREE))):
         platform, leg = axes[3:, column]
         for i in range(3 * column, 3 * column + 3):
             platform.plot(time, pose[:, i] / scale, lw=1.2, label=DOFS[i])
             leg.plot(time, legs[:, i], lw=1.2, label=f"leg {i + 1}")
-        platform.set_ylabel(f"platform [{unit}]", fontsize=9)
-        leg.set_ylabel("extension [in]", fontsize=9)
-    legend(axes[0, 0], *axes[3:].flat, ncols=3)
+        platform.set_ylabel(f"platform [{unit}]")
+        leg.set_ylabel("extension [in]")
+    legend(*axes[3:].flat, ncols=3)
     if flown.held.any():
         for axis in axes[3:].flat:
             low, high = axis.get_ylim()
             axis.fill_between(time, low, high, where=flown.held.tolist(), color=ORANGE, alpha=0.15)
             axis.set_ylim(low, high)
         axes[3, 0].set_title("shaded: held back by the limits", fontsize=9)
-    return _finish(figure, axes)
-
-
-def senses_figure(flown: Cue) -> Figure:
-    """What canals and otoliths tell in flight and in the simulator, and the difference."""
-    figure = new_figure(11.0, 13.0)
-    axes = figure.subplots(6, 2, sharex=True)
-    error, time = flown.error, flown.error.aircraft.time
-    flight, simulator = (_six(part) for part in error[:2])
-    for i, label in enumerate(_LABELS):
-        sensed, apart = axes[2 * (i % 3) : 2 * (i % 3) + 2, i // 3]
-        sensed.plot(time, flight[:, i], color=GREY, lw=1.2, label="in flight")
-        sensed.plot(time, simulator[:, i], color=BLUE, lw=1.2, label="in simulator")
-        sensed.set_ylabel(f"sensed\n{label}", fontsize=8)
-        apart.plot(time, error.error[:, i] / _SCALE[i], color=ORANGE, lw=1.2, label="error")
-        limit = error.threshold[i] / _SCALE[i]
-        for side, name in ((-limit, None), (limit, "threshold")):
-            apart.axhline(side, color="0.4", linestyle=":", lw=1.0, label=name)
-        apart.set_ylabel("error", fontsize=8)
-    legend(axes[0, 0], axes[1, 0])
-    return _finish(figure, axes)
+    return figure
 
 
 def save_cue(flown: Cue, folder: Path) -> list[Path]:
@@ -150,7 +99,10 @@ def save_cue(flown: Cue, folder: Path) -> list[Path]:
     error = flown.error
     columns = (QUANTITIES, error.threshold, error.peak, error.rms, error.share_above)
     header = ("sensed", "threshold_si", "peak_si", "rms_si", "share_above")
-    figures = {"motion": motion_figure(flown), "senses": senses_figure(flown)}
+    figures = {
+        "motion": motion_figure(flown),
+        "senses": perceived_figure(error, "sensed in flight", "in the simulator"),
+    }
     return [
         write_stream(flown.stream, folder / "host.csv"),
         flown.simulator.save(folder / "simulator.csv"),

@@ -2,12 +2,10 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from cmf_mj.core import units
 from cmf_mj.machine.dof import by_kind
@@ -31,43 +29,29 @@ from cmf_mj.show.look import (
     save_figure,
     save_figures,
 )
+from cmf_mj.show.station import SCALE, Motion, motion_axes, perceived_figure, six
 from cmf_mj.show.table import Cell, Column, Table
 
 _NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")
-_TITLES = (
-    *(f"specific force {axis} [m/s²]" for axis in "xyz"),
-    *("roll rate p [deg/s]", "pitch rate q [deg/s]", "yaw rate r [deg/s]"),
-)
-_SCALE = np.array([1.0, 1.0, 1.0, units.DEGREE, units.DEGREE, units.DEGREE])
-"""Plotted units in SI."""
 
 
-def _six(motion: Any) -> NDArray[np.float64]:
-    """Specific force and angular rate of a motion or of what is sensed, in plotted units."""
-    return np.hstack([motion.specific_force, motion.angular_rate]) / _SCALE
-
-
-def _motions(ride: Ride) -> list[tuple[PilotMotion, str, str, float]]:
-    """Motions at the pilot's station with label, colour and width: aircraft, asked, cab."""
-    motions = [
-        (ride.asked, "asked of the platform", DARK, 0.9),
-        (ride.simulator, "cab", ORANGE, 0.9),
-    ]
-    if ride.aircraft is not None:
-        motions.insert(0, (ride.aircraft, "aircraft", BLUE, 1.2))
-    return motions
+def _motions(ride: Ride) -> list[Motion]:
+    """Motions at the pilot's station: aircraft, asked, cab."""
+    aircraft = [] if ride.aircraft is None else [Motion(ride.aircraft, "aircraft", BLUE, 1.2)]
+    asked = Motion(ride.asked, "asked of the platform", DARK, 0.9)
+    return [*aircraft, asked, Motion(ride.simulator, "cab", ORANGE, 0.9)]
 
 
 def flight_traces(ride: Ride) -> Traces:
     """Specific force and angular rate at the pilot's station as traces of a film."""
-    lines = [(_six(m), label, colour, width) for m, label, colour, width in _motions(ride)]
+    lines = [(six(m), label, colour, width) for m, label, colour, width in _motions(ride)]
     time = ride.asked.time - ride.asked.time[0]
     panels = tuple(
         Panel(
             f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]",
             tuple(
-                Curve(label, time, six[:, index], colour, width=width)
-                for six, label, colour, width in lines
+                Curve(label, time, values[:, index], colour, width=width)
+                for values, label, colour, width in lines
             ),
         )
         for index, name in enumerate(_NAMES)
@@ -75,49 +59,20 @@ def flight_traces(ride: Ride) -> Traces:
     return Traces(panels, columns=2)
 
 
-def _six_panels(ride: Ride, title: str) -> tuple[Figure, NDArray[Any]]:
-    """A figure with forces at the left and rates at the right."""
-    figure = new_figure(11.0, 8.0)
-    panels = figure.subplots(3, 2, sharex=True).T.ravel()
-    for axes, label in zip(panels, _TITLES, strict=True):
-        axes.set_ylabel(label)
-    for axes in panels[2::3]:
-        axes.set_xlabel("time [s]")
-    grid(*panels)
-    figure.suptitle(f"{title}: {ride.law}, cab {ride.cab}")
-    return figure, panels
-
-
 def motion_figure(ride: Ride) -> Figure:
     """Specific force and angular rate at the pilot's station: aircraft, asked, cab."""
-    figure, panels = _six_panels(ride, "at the pilot's station")
-    for motion, label, colour, width in _motions(ride):
-        for axes, values in zip(panels, _six(motion).T, strict=True):
-            axes.plot(motion.time, values, color=colour, linewidth=width, label=label)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure, _ = motion_axes(*_motions(ride))
+    figure.suptitle(f"at the pilot's station: {ride.law}, cab {ride.cab}")
     return figure
 
 
-def perceived_figure(ride: Ride) -> Figure:
+def sensed_figure(ride: Ride) -> Figure:
     """What is sensed in aircraft and cab, and the error within its threshold."""
-    figure, panels = _six_panels(ride, "sensed by otoliths and canals")
-    error = ride.machine if ride.cueing is None else ride.cueing
-    before = "if followed at once" if ride.cueing is None else "sensed in the aircraft"
-    sensed = (
-        (_six(error[0]), before, COLOURS[0]),
-        (_six(error[1]), "sensed in the cab", COLOURS[1]),
-    )
-    time, limits, apart = error.aircraft.time, error.threshold / _SCALE, error.error / _SCALE
-    for index, axes in enumerate(panels):
-        axes.axhspan(-limits[index], limits[index], color="0.92", label="threshold of the error")
-        resting = index == 2
-        for values, label, colour in sensed:
-            start = values[0, index] if resting else 0.0
-            axes.plot(time, values[:, index] - start, color=colour, linewidth=1.0, label=label)
-        axes.plot(time, apart[:, index], color=DARK, linewidth=0.8, label="error")
-        if resting:
-            axes.set_ylabel(_TITLES[index] + "\nless the start")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    if ride.cueing is None:
+        figure = perceived_figure(ride.machine, "if followed at once", "sensed in the cab")
+    else:
+        figure = perceived_figure(ride.cueing, "sensed in the aircraft", "sensed in the cab")
+    figure.suptitle(f"sensed by otoliths and canals: {ride.law}, cab {ride.cab}")
     return figure
 
 
@@ -157,7 +112,7 @@ def comparison_figure(rides: Sequence[Ride]) -> Figure:
         curves.append((ride.asked, ride.simulator, ride.law, colour, 1.2))
     for reference, motion, label, colour, width in curves:
         frequency, density = error_spectra(reference, motion)
-        for axes, size in zip(panels, np.sqrt(density[1:].T) / _SCALE[:, None], strict=True):
+        for axes, size in zip(panels, np.sqrt(density[1:].T) / SCALE[:, None], strict=True):
             axes.loglog(frequency[1:], size, color=colour, linewidth=width, label=label)
     for index, axes in enumerate(panels):
         unit = by_kind(index, "m/s²/√Hz", "deg/s/√Hz")
@@ -205,7 +160,7 @@ def comparison_table(rides: Sequence[Ride]) -> Table:
     def rms(error: CueingError | None) -> list[Cell]:
         if error is None:
             return [None] * 6
-        return list(error.rms / _SCALE * np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0]))
+        return list(error.rms / SCALE * np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0]))
 
     rows: list[list[Cell]] = []
     ideal = rides[0].washout_error
@@ -236,7 +191,7 @@ def save_ride(ride: Ride, folder: Path) -> list[Path]:
     """Write `motion.png`, `perceived.png` and `envelope.png`."""
     figures = {
         "motion": motion_figure(ride),
-        "perceived": perceived_figure(ride),
+        "perceived": sensed_figure(ride),
         "envelope": envelope_figure(ride),
     }
     return save_figures(figures, folder)

@@ -36,7 +36,7 @@ def overview_figure(
     if state:
         _operating(axes[0], record)
     motion, error, valve, pressure, supply = axes[-5:]
-    _motion(motion, record)
+    plot_motion(motion, record)
     missing = (record["leg_reference"] - record["leg_extension"]) / units.INCH
     for leg in range(missing.shape[1]):
         style = {"color": COLOURS[leg % 6], "lw": 0.8, "label": f"leg {leg + 1}"}
@@ -85,7 +85,7 @@ def _operating(axis: Axes, record: Record) -> None:
         axis.set_title("operating state; shaded: no stream from the host", fontsize=9)
 
 
-def _motion(axis: Axes, record: Record) -> None:
+def plot_motion(axis: Axes, record: Record) -> None:
     """Demand, grey, and response of what is moved; lengths in in, angles in deg."""
     demand, time = record["demand_pose"], record.time
     moved = np.flatnonzero(np.ptp(demand, axis=0) > _LEAST)
