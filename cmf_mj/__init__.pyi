@@ -26,5 +26,5 @@ from .plant.parameters.loading import load_hydraulics as load_hydraulics
 from .plant.plant import Plant as Plant
 from .plant.single_legs import SingleLegs as SingleLegs
 from .record.record import Record as Record
-from .signals.single import Command as Command
+from .signals.signal import Command as Command
 from .studies.comparison import compare as compare

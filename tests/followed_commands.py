@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.record.record import Record
-from cmf_mj.signals.single import Command
+from cmf_mj.signals.signal import Command
 
 
 def record_of(command: Command, feedback: NDArray[np.float64], every: int = 1) -> Record:

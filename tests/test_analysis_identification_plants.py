@@ -33,7 +33,7 @@ from cmf_mj.analysis.linear.catalogue import hardware_velocity
 from cmf_mj.analysis.linear.loop import closed_loop, closed_loop_response
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.signals.composite import orthogonal_multisines
-from cmf_mj.signals.single import Command
+from cmf_mj.signals.signal import Command
 
 LAW = "velocity"
 INCHES = 0.33 * 0.0254

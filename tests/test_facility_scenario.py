@@ -25,8 +25,9 @@ from cmf_mj.facility.scenario.settings import (
     save_scenario,
     scenario_of,
 )
-from cmf_mj.facility.scenario.signal import added, tabulated
+from cmf_mj.facility.scenario.signal import added
 from cmf_mj.record.record import Record
+from cmf_mj.signals.signal import tabulated
 
 SINE = {"kind": "sine", "dof": "heave", "amplitude": [1.0, "in"], "frequency": 2.0, "fade": 0.2}
 ROLL = {"kind": "sine", "dof": "roll", "amplitude": [0.5, "deg"], "frequency": 1.0, "fade": 0.1}

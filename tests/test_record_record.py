@@ -10,6 +10,7 @@ import pytest
 
 from cmf_mj import Hexapod, Record, SingleLegs, load_law, signals, simulate
 from cmf_mj.record import record
+from cmf_mj.signals.single import Multisine, Step
 
 
 @pytest.fixture(scope="module")
@@ -185,6 +186,10 @@ def test_metadata_say_how_to_repeat_the_run(run):
 
 
 def test_metadata_repeat_the_run(run):
+    assert run.signal_as(Multisine).described() == run.metadata["command"]
+    with pytest.raises(ValueError, match="its command is a multisine; a step is needed"):
+        run.signal_as(Step)
+    assert "multisine, heave" in repr(run)
     described = dict(run.metadata["command"])
     kind = described.pop("kind")
     command = getattr(signals, kind)(**described, seed=run.metadata["seed"])

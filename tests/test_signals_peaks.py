@@ -10,9 +10,9 @@ import pytest
 
 from cmf_mj import signals
 from cmf_mj.machine.kinematics import DOFS, excursion_envelope, pose_jacobian
-from cmf_mj.signals import composite as excitations
+from cmf_mj.signals import composite
 from cmf_mj.signals.peaks import Limits, check_limits, peaks
-from cmf_mj.signals.single import Command
+from cmf_mj.signals.signal import Command
 
 INCH = 0.0254
 DEGREE = math.pi / 180.0
@@ -93,7 +93,7 @@ def test_operational_limits_lie_within_the_leg_travel():
 def test_command_within_the_limits_passes_and_gives_its_peaks(dof):
     """0.33 in or 0.2 deg, the facility's own."""
     size = AMPLITUDE if dof in DOFS[:3] else 0.2 * DEGREE
-    command = excitations.seven_sines(dof, size, 5)
+    command = composite.seven_sines(dof, size, 5)
     np.testing.assert_array_equal(np.array(check_limits(command)), np.array(peaks(command)))
 
 
@@ -141,6 +141,6 @@ def test_each_excess_is_named_with_its_value_and_its_limit(command, limit, messa
 
 
 def test_axes_each_within_their_limits_can_exceed_the_leg_travel_together():
-    command = excitations.combine(signals.step("heave", 1.0), signals.step("surge", 1.2))
+    command = Command(signals.step("heave", 1.0).pose + signals.step("surge", 1.2).pose)
     with pytest.raises(ValueError, match=r"^leg \d displacement: .* m; allowed: at most 0\.9525 m"):
         check_limits(command)

@@ -17,7 +17,7 @@ from cmf_mj.facility.simulation import OutOfBounds
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.show.failure import label
-from cmf_mj.signals.single import Command
+from cmf_mj.signals.signal import Command
 from cmf_mj.studies.case import make_case
 from cmf_mj.studies.failure.manoeuvre import manoeuvre
 from cmf_mj.studies.failure.measures import FALL_SPEED, STATES, FailureResult

@@ -13,7 +13,7 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.record.record import Record
 from cmf_mj.record.writer import write_facility_csv
-from cmf_mj.signals import composite as excitations
+from cmf_mj.signals import composite
 from cmf_mj.studies.case import AMPLITUDE, RECORD_EVERY, make_case
 from cmf_mj.studies.measurement import facility_session
 
@@ -49,7 +49,7 @@ def test_four_excitations_agree_on_the_phase_bandwidth_within_3_percent(
         "multisine": frequency_response(run(signals.multisine("heave", AMPLITUDE))),
         "chirp": frequency_response(run(signals.chirp("heave", AMPLITUDE))),
         "stepped sines": rounds_response(
-            [run(excitations.stepped_sines("heave", steps, [AMPLITUDE]))]
+            [run(composite.stepped_sines("heave", steps, [AMPLITUDE]))]
         ),
         "five files": rounds_response(read, "heave"),
     }
@@ -61,7 +61,7 @@ def test_four_excitations_agree_on_the_phase_bandwidth_within_3_percent(
 
 def test_rounds_read_the_35_frequencies_of_table_2_3(files: list[Path]) -> None:
     response = rounds_response([read_facility_csv(path) for path in files], "heave")
-    expected = sorted(f for row in excitations.ROUNDS for f in row)
+    expected = sorted(f for row in composite.ROUNDS for f in row)
     np.testing.assert_allclose(response.frequency, expected, rtol=1e-12)
     assert response.coherence.min() > 0.99
 
@@ -84,7 +84,7 @@ def test_the_matrix_of_one_run_has_the_single_axis_responses_on_its_diagonal() -
     the small-signal response between 0.5 and 5 Hz, and heave is driven by heave alone."""
     plant = SingleLegs()
     sizes = np.array([1.0, 1.0, 1.0, 0.4, 0.4, 0.4]) * 0.1 * AMPLITUDE
-    command = excitations.orthogonal_multisines(sizes, period=40.0)
+    command = composite.orthogonal_multisines(sizes, period=40.0)
     matrix = matrix_frequency_response(simulate(plant, "velocity", command, record_every=16))
     frequency = np.asarray(matrix.omega) / (2.0 * np.pi)
     inside = (frequency > 0.5) & (frequency < 5.0)

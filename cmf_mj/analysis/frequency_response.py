@@ -28,6 +28,8 @@ from cmf_mj.core.rates import RATE
 from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import DOFS, legs_to_pose
 from cmf_mj.record.record import Record
+from cmf_mj.signals.composite import OrthogonalMultisines
+from cmf_mj.signals.single import Multisine
 
 DRIVEN_SHARE = 1e-2
 """Demand power over its largest line from which on a line of single sines counts as driven."""
@@ -127,22 +129,22 @@ def frequency_response(
         InputError: no excitation in this degree of freedom, a record shorter than a segment, or
             legs that no pose has.
     """
-    chosen = dof if dof is not None else str(record.metadata["command"].get("dof"))
+    command = record.signal
+    chosen = dof if dof is not None else command.axis
     demand = dof_history(record, "leg_reference", chosen)
     feedback = dof_history(record, "leg_position", chosen)
-    command = record.metadata["command"]
     if np.ptp(demand) < NO_DEMAND:
         raise InputError(
-            f"dof: the record holds no demand in {chosen}; it moved {command.get('dof', 'another')}"
+            f"dof: the record holds no demand in {chosen}; it moved {command.axis or 'another'}"
         )
-    if command.get("kind") == "multisine":
-        return _wrapped(from_h1(_periodic(record, demand, feedback), estimator))
+    if isinstance(command, Multisine):
+        return _wrapped(from_h1(_periodic(record, command, demand, feedback), estimator))
     # The rest before the excitation is the base line; it also lets the start-up settle.
-    begin = max(round(float(command.get("settle", 0.0)) * record.rate) - 1, 0)
+    begin = max(round(command.lead * record.rate) - 1, 0)
     x = demand[begin:] - demand[begin]
     y = feedback[begin:] - feedback[begin]
-    low = max(float(command.get("start", 0.0)), 2.0 / segment)
-    band = (low, float(command.get("stop", record.rate / 4.0)))
+    low, high = command.band or (0.0, record.rate / 4.0)
+    band = (max(low, 2.0 / segment), high)
     if estimator == "report":
         return _wrapped(report_response(x, y, record.rate, band=band))
     return _wrapped(
@@ -172,23 +174,23 @@ def rounds_response(
     rates = sorted({record.rate for record in records})
     if len(rates) > 1:
         raise InputError(f"records: rates are {', '.join(map(str, rates))} Hz; must be one")
-    chosen = dof if dof is not None else str(records[0].metadata["command"].get("dof"))
+    chosen = dof if dof is not None else records[0].signal.axis
     pairs = [
         tuple(dof_history(record, name, chosen) for name in ("leg_reference", "leg_position"))
         for record in records
     ]
     if max(np.ptp(x) for x, _ in pairs) < NO_DEMAND:
         raise InputError(f"dof: the records hold no demand in {chosen}")
-    if all("dwells" in record.metadata["command"] for record in records):
+    if all(record.signal.dwells for record in records):
         found = []
         for record, (x, y) in zip(records, pairs, strict=True):
             per_frame = record.rate / RATE
-            for dwell in record.metadata["command"]["dwells"]:
+            for dwell in record.signal.dwells:
                 # Inwards to whole samples; the fit takes the whole cycles that are left.
-                first = int(np.ceil(dwell["start"] * per_frame))
-                last = int((dwell["start"] + dwell["frames"]) * per_frame) + 1
+                first = int(np.ceil(dwell.start * per_frame))
+                last = int((dwell.start + dwell.frames) * per_frame) + 1
                 found.append(
-                    sine_response(x[first:last], y[first:last], record.rate, dwell["frequency"])
+                    sine_response(x[first:last], y[first:last], record.rate, dwell.frequency)
                 )
         return _wrapped(stitch(found))
     x, y = (
@@ -213,16 +215,13 @@ def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
     own; m and rad per m and rad, outputs in rows.
 
     Args:
-        record: of `excitations.orthogonal_multisines` in all six degrees of freedom.
+        record: of `signals.orthogonal_multisines` in all six degrees of freedom.
 
     Raises:
         InputError: another excitation, or a degree of freedom at rest.
     """
-    command = record.metadata["command"]
-    if command.get("kind") != "orthogonal_multisines":
-        kind = command.get("kind")
-        raise InputError(f"record: its command is {kind!r}; orthogonal multisines are needed")
-    whole = slice(round(command["period"] * record.rate) * command["periods"])
+    command = record.signal_as(OrthogonalMultisines)
+    whole = slice(round(command.period * record.rate) * command.periods)
     demand, feedback = (
         legs_to_pose(record[name][whole]) for name in ("leg_reference", "leg_position")
     )
@@ -230,8 +229,8 @@ def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
         demand,
         feedback,
         record.rate,
-        period=command["period"],
-        band=(command["start"], command["stop"]),
+        period=command.period,
+        band=command.band,
         interpolate=True,
     )
     return control.FrequencyResponseData(
@@ -250,21 +249,23 @@ def _wrapped(estimate: Estimate) -> FrequencyResponse:
 
 
 def _periodic(
-    record: Record, demand: NDArray[np.float64], feedback: NDArray[np.float64]
+    record: Record,
+    command: Multisine,
+    demand: NDArray[np.float64],
+    feedback: NDArray[np.float64],
 ) -> Estimate:
-    command = record.metadata["command"]
-    samples = round(command["period"] * record.rate)
-    if abs(samples - command["period"] * record.rate) > 1e-9:
+    samples = round(command.period * record.rate)
+    if abs(samples - command.period * record.rate) > 1e-9:
         raise InputError(
             f"record_every: a period is not a whole number of samples at {record.rate}"
         )
     frequency = np.fft.rfftfreq(samples, 1.0 / record.rate)
     orders = np.arange(frequency.size)
-    lines = (orders % 2 == 1) & (frequency >= command["start"] - 1e-9)
-    lines &= frequency <= command["stop"] + 1e-9
-    whole = slice(command["periods"] * samples)
+    lines = (orders % 2 == 1) & (frequency >= command.start - 1e-9)
+    lines &= frequency <= command.stop + 1e-9
+    whole = slice(command.periods * samples)
     return periodic_response(
-        demand[whole], feedback[whole], record.rate, command["period"], lines=orders[lines]
+        demand[whole], feedback[whole], record.rate, command.period, lines=orders[lines]
     )
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from cmf_mj.analysis.frequency_response import NO_DEMAND, dof_history
 from cmf_mj.core.errors import InputError
 from cmf_mj.record.record import Record
+from cmf_mj.signals.single import Step
 
 TAIL = 1.0
 """Length of the window that gives the final value and the verdict [s]."""
@@ -107,27 +108,25 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
     Raises:
         InputError: the record is not of a step, or too short.
     """
-    command = record.metadata["command"]
-    if command.get("kind") != "step":
-        raise InputError(f"record: its command is a {command.get('kind')}; a step is needed")
-    if command["duration"] - command["at"] < DECAY_TIME + 2.0 * TAIL:
+    command = record.signal_as(Step)
+    if command.length - command.at < DECAY_TIME + 2.0 * TAIL:
         raise InputError(f"record: must go on for {DECAY_TIME + 2.0 * TAIL} s after the step")
     residual, stable = _verdict(record)
-    chosen = dof if dof is not None else str(command["dof"])
+    chosen = dof if dof is not None else command.dof
     demand = dof_history(record, "leg_reference", chosen)
     try:
         feedback = dof_history(record, "leg_position", chosen)
     except ValueError:
         nan = float("nan")
         return StepMetrics(nan, nan, nan, nan, nan, residual, False)
-    at = int(np.searchsorted(record.time, command["at"] - 1e-9))
+    at = int(np.searchsorted(record.time, command.at - 1e-9))
     tail = round(TAIL * record.rate)
     rest = float(feedback[at - 1])
     final = float(feedback[-tail:].mean())
     size = final - rest
     demanded = float(demand[-1] - demand[at - 1])
     if abs(demanded) < NO_DEMAND:
-        raise InputError(f"dof: the record holds no step in {chosen}; it moved {command['dof']}")
+        raise InputError(f"dof: the record holds no step in {chosen}; it moved {command.dof}")
     measured = measure_step(feedback[at:] - rest, record.rate, final=size, demanded=demanded)
     return measured._replace(residual=residual, stable=stable)
 

@@ -198,6 +198,8 @@ def _explain(model: type[BaseModel], error: Any, where: str) -> str:
         return f"{where}: {field}: is not a known field; allowed: {', '.join(names)}"
     if error["type"] == "missing":
         return f"{where}: {field}: is missing"
+    if error["type"] == "value_error" and isinstance(error["input"], Mapping):
+        return f"{where}: {field}: {message}"
     return f"{where}: {field}: {error['input']!r} is refused: {allowed}"
 
 

@@ -18,7 +18,7 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.session import Options, OutOfBounds, RunOptions, Session, Table
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
-from cmf_mj.signals.single import Command
+from cmf_mj.signals.signal import Command
 
 __all__ = ["OutOfBounds", "drive", "simulate"]
 
@@ -78,7 +78,7 @@ def simulate(
         if options.get("start") is None:
             options["start"] = demanded.pose[0]
     context: dict[str, Any] = {
-        "command": dict(demanded.description) if demanded else {"signal": "leg extensions"},
+        "command": demanded.description if demanded else {"signal": "leg extensions"},
         "seed": demanded.seed if demanded else None,
     }
     guard = None if protection is None else load_protection(protection)

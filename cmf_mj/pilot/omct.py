@@ -45,7 +45,7 @@ from cmf_mj.pilot.motion import PilotMotion, gravity_in_body, pilot_station
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
-from cmf_mj.signals.single import check_positive
+from cmf_mj.signals.signal import check_positive
 
 TESTS = (
     ("pitch", "pitch"),

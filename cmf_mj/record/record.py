@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -19,11 +19,15 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file
+from cmf_mj.signals.composite import signal_of
+from cmf_mj.signals.signal import Signal
 
 _SCHEMA_KEY = b"cmf_mj"
 
+AnySignal = TypeVar("AnySignal", bound=Signal)
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Record:
     """Labelled time histories of one run."""
 
@@ -60,6 +64,31 @@ class Record:
         if name not in self.channels:
             raise InputError(f"channel: {name!r} is not one of {', '.join(self.channels)}")
         return self.channels[name]
+
+    def __repr__(self) -> str:
+        """What was run, for how long, and the channels."""
+        about = [str(self.metadata[name]) for name in ("plant", "law") if self.metadata.get(name)]
+        about += [name for name in (self.signal.kind, self.signal.axis) if name]
+        size = f"{self.time.size} samples at {self.metadata.get('sample_rate', '?')} Hz"
+        return f"<Record: {', '.join([*about, size])}; {', '.join(self.channels)}>"
+
+    @property
+    def signal(self) -> Signal:
+        """The signal that was demanded, of the metadata's `command`."""
+        return signal_of(self.metadata.get("command", {}))
+
+    def signal_as(self, kind: type[AnySignal]) -> AnySignal:
+        """The signal, if it is of one kind.
+
+        Raises:
+            InputError: it is of another.
+        """
+        signal = self.signal
+        if not isinstance(signal, kind):
+            needed = kind.model_fields["kind"].annotation
+            name = str(get_args(needed)[0]).replace("_", " ")
+            raise InputError(f"record: its command is a {signal.kind}; a {name} is needed")
+        return signal
 
     @property
     def rate(self) -> float:

@@ -23,6 +23,7 @@ from cmf_mj.show.look import (
     save_figures,
 )
 from cmf_mj.show.table import Cell, Column, Table
+from cmf_mj.signals.single import Step
 from cmf_mj.studies.case import CaseResult
 from cmf_mj.studies.comparison import PUBLISHED, Comparison, published_result
 
@@ -123,7 +124,7 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
     response, command = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     reference = results[0].step
     demanded = units.from_si(unit, dof_history(reference, "leg_reference", dof))
-    begin, step = (reference.metadata["command"][key] for key in ("at", "amplitude"))
+    begin, step = reference.signal_as(Step).at, reference.signal_as(Step).size
     response.plot(reference.time - begin, demanded, color=GREY, linewidth=1.0)
     for result in results:
         case, record = result.case, result.step

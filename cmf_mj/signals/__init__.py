@@ -1,37 +1,28 @@
-"""Excitations: demands of one degree of freedom or of several."""
+"""Signals: demands of one degree of freedom or of several, as commands at 2048 Hz."""
 
-from cmf_mj.signals.single import (
-    Command,
-    check_bounded,
-    check_not_negative,
-    check_positive,
-    chirp,
-    line_weights,
-    multisine,
-    noise,
-    odd_orders,
-    pulse,
-    raised_cosine,
-    random_phase_sum,
-    repeat,
-    sine,
-    step,
+from cmf_mj.signals.composite import (
+    acceleration_step,
+    orthogonal_multisines,
+    seven_sines,
+    stepped_sines,
+    waypoints,
 )
+from cmf_mj.signals.signal import Command, check_not_negative, check_positive
+from cmf_mj.signals.single import chirp, multisine, noise, pulse, sine, step
 
 __all__ = [
     "Command",
-    "check_bounded",
+    "acceleration_step",
     "check_not_negative",
     "check_positive",
     "chirp",
-    "line_weights",
     "multisine",
     "noise",
-    "odd_orders",
+    "orthogonal_multisines",
     "pulse",
-    "raised_cosine",
-    "random_phase_sum",
-    "repeat",
+    "seven_sines",
     "sine",
     "step",
+    "stepped_sines",
+    "waypoints",
 ]

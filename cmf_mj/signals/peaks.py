@@ -22,7 +22,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.signals.single import Command
+from cmf_mj.signals.signal import Command
 
 _ALONE = 4.0
 """A difference this many times both neighbours together is a jump."""

@@ -1,85 +1,30 @@
-"""Excitations: commands of platform pose at 2048 Hz that know how they were made.
+"""Excitations of one degree of freedom, at 2048 Hz.
 
 Steps, pulses, sines, noise and chirps start at rest; a multisine repeats without a gap, and its
 first period is the transient. Where a history would start or end in motion, a `fade` [s] takes
 it in and out by a raised cosine. Amplitudes are in m or rad along one degree of freedom of the
-report's axes (z down: a positive heave step lowers the platform). A description holds the arguments
-that make the command again; the seed stands beside it.
+report's axes (z down: a positive heave step lowers the platform).
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from types import MappingProxyType
+from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+from pydantic import Field
 from scipy import signal
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.dof import dof_index
-
-SPECTRA = ("flat", "acceleration")
-"""Amplitude spectra of a multisine."""
-
-
-@dataclass(frozen=True)
-class Command:
-    """A platform demand with its description."""
-
-    pose: NDArray[np.float64]  #: Poses [m, rad], (N, 6), one a control frame.
-    description: Mapping[str, object] = field(default_factory=dict)
-    """Kind, degree of freedom, amplitude, timing; plain JSON values, kept in the record."""
-    seed: int | None = None  #: Seed of the random phases, where there are any.
-
-    def __post_init__(self) -> None:
-        """Check the shape and freeze."""
-        if self.pose.ndim != 2 or self.pose.shape[1] != 6 or self.pose.shape[0] < 1:
-            raise InputError(f"command: shape is {self.pose.shape}; allowed: (N, 6) with N >= 1")
-        object.__setattr__(self, "pose", np.array(self.pose, dtype=float))
-        self.pose.setflags(write=False)
-        object.__setattr__(self, "description", MappingProxyType(dict(self.description)))
-
-    @staticmethod
-    def from_pose(pose: ArrayLike) -> "Command":
-        """A command from an array (N, 6) of poses at 2048 Hz."""
-        return Command(np.asarray(pose, dtype=float), {"kind": "array"})
-
-    @property
-    def duration(self) -> float:
-        """Length [s]."""
-        return self.pose.shape[0] / RATE
-
-
-def check_positive(**values: float) -> None:
-    """Refuse what is not a finite number above 0, by its name."""
-    for name, value in values.items():
-        if not (np.isfinite(value) and value > 0.0):
-            raise InputError(f"{name}: {value} must be a finite number greater than 0")
-
-
-def check_not_negative(**values: float) -> None:
-    """Refuse what is not a finite number of at least 0, by its name."""
-    for name, value in values.items():
-        if not (np.isfinite(value) and value >= 0.0):
-            raise InputError(f"{name}: {value} must be a finite number, at least 0")
-
-
-def check_bounded(amplitude: float, **frequencies: float) -> None:
-    """Refuse an amplitude that is not finite and frequencies beyond half the frame rate."""
-    if not np.isfinite(amplitude):
-        raise InputError(f"amplitude: {amplitude} must be a finite number")
-    for name, value in frequencies.items():
-        if value > RATE / 2:
-            raise InputError(f"{name}: {value} Hz must be at most {RATE / 2} Hz")
-
-
-def _command(
-    dof: str, history: NDArray[np.float64], description: dict[str, object], seed: int | None = None
-) -> Command:
-    pose = np.zeros((history.shape[0], 6))
-    pose[:, dof_index(dof)] = history
-    return Command(pose, {"dof": dof, **description}, seed)
+from cmf_mj.signals.signal import (
+    Frequency,
+    Motion,
+    NotNegative,
+    Positive,
+    Signal,
+    SingleSignal,
+    command_of,
+)
 
 
 def raised_cosine(samples: int, fade: float, *, fade_out: bool = True) -> NDArray[np.float64]:
@@ -94,290 +39,242 @@ def _time(duration: float) -> NDArray[np.float64]:
     return np.arange(round(duration * RATE)) / RATE
 
 
-def step(dof: str, amplitude: float, *, at: float = 1.0, duration: float = 13.0) -> Command:
+def _rested(history: NDArray[np.float64], settle: float) -> NDArray[np.float64]:
+    rest = np.zeros(round(settle * RATE))
+    return np.concatenate([rest, history, rest])
+
+
+class Step(SingleSignal):
     """A step of `amplitude` at the time `at` [s]; the run lasts `duration` [s]."""
-    check_bounded(amplitude)
-    check_positive(duration=duration, at=at)
-    if at >= duration:
-        raise InputError(f"at: {at} s must be less than the duration of {duration} s")
-    history = np.where(_time(duration) >= at, amplitude, 0.0)
-    return _command(
-        dof, history, {"kind": "step", "amplitude": amplitude, "at": at, "duration": duration}
-    )
+
+    kind: Literal["step"]
+    at: Positive = 1.0  #: Time of the step [s].
+    duration: Positive | None = 13.0  #: Length of the run [s]; None for two frames after the step.
+
+    @property
+    def length(self) -> float:
+        """Length of the table [s]."""
+        return self.at + 2.0 / RATE if self.duration is None else self.duration
+
+    def _check(self) -> None:
+        if self.at >= self.length:
+            raise InputError(f"at: {self.at} s must be less than the duration of {self.length} s")
+
+    def _history(self, seed: int) -> NDArray[np.float64]:
+        return np.where(_time(self.length) >= self.at, self.size, 0.0)
 
 
-def pulse(
-    dof: str, amplitude: float, *, width: float = 1.0, at: float = 1.0, duration: float = 13.0
-) -> Command:
-    """A rectangular pulse: out at the time `at` [s], back `width` [s] later.
+class Pulse(SingleSignal):
+    """A rectangular pulse: out at the time `at` [s], back `width` [s] later."""
 
-    Args:
-        dof: degree of freedom.
-        amplitude: height [m or rad].
-        width: time at the height [s], at least two frames.
-        at: start [s].
-        duration: length of the run [s].
-    """
-    check_bounded(amplitude)
-    check_positive(width=width, at=at, duration=duration)
-    begin, frames = max(round(at * RATE), 1), round(width * RATE)
-    if frames < 2:
-        raise InputError(f"width: {width} s must be at least two frames, {2 / RATE} s")
-    history = np.zeros(round(duration * RATE))
-    if begin + frames >= history.size:
-        raise InputError(
-            f"width: {width} s after {at} s must be within the {duration} s of the run"
-        )
-    history[begin : begin + frames] = amplitude
-    return _command(
-        dof,
-        history,
-        {"kind": "pulse", "amplitude": amplitude, "width": width, "at": at, "duration": duration},
-    )
+    kind: Literal["pulse"]
+    width: Positive = 1.0  #: Time at the height [s], at least two frames.
+    at: Positive = 1.0  #: Start [s].
+    duration: Positive | None = 13.0  #: Length of the run [s]; None for three frames more.
+
+    @property
+    def length(self) -> float:
+        """Length of the table [s]."""
+        return self.at + self.width + 3.0 / RATE if self.duration is None else self.duration
+
+    def _check(self) -> None:
+        begin, frames = self._frames()
+        if frames < 2:
+            raise InputError(f"width: {self.width} s must be at least two frames, {2 / RATE} s")
+        if begin + frames >= round(self.length * RATE):
+            raise InputError(
+                f"width: {self.width} s after {self.at} s must be within the {self.length} s of "
+                "the run"
+            )
+
+    def _frames(self) -> tuple[int, int]:
+        return max(round(self.at * RATE), 1), round(self.width * RATE)
+
+    def _history(self, seed: int) -> NDArray[np.float64]:
+        begin, frames = self._frames()
+        history = np.zeros(round(self.length * RATE))
+        history[begin : begin + frames] = self.size
+        return history
 
 
-def sine(
-    dof: str, amplitude: float, frequency: float, *, cycles: float = 10.0, fade: float = 1.0
-) -> Command:
+class Sine(SingleSignal):
     """A sine of whole or part `cycles`, faded in and out by raised cosines of `fade` [s]."""
-    check_positive(frequency=frequency, cycles=cycles, fade=fade)
-    check_bounded(amplitude, frequency=frequency)
-    duration = cycles / frequency
-    fade = min(fade, 0.5 * duration)
-    time = _time(duration)
-    edge = np.clip(np.minimum(time, duration - time) / fade, 0.0, 1.0)
-    history = amplitude * np.sin(2 * np.pi * frequency * time) * 0.5 * (1 - np.cos(np.pi * edge))
-    return _command(
-        dof,
-        history,
-        {
-            "kind": "sine",
-            "amplitude": amplitude,
-            "frequency": frequency,
-            "cycles": cycles,
-            "fade": fade,
-        },
-    )
+
+    kind: Literal["sine"]
+    frequency: Frequency  #: Frequency [Hz], at most half the frame rate.
+    cycles: Positive | None = 10.0  #: Length; None goes on for ever, as a motion only.
+    fade: Positive = 1.0  #: Of the ends [s]; at most half the sine.
+    rest: NotNegative = 0.0  #: At the pose zero afterwards [s].
+
+    def _history(self, seed: int) -> NDArray[np.float64]:
+        if self.cycles is None:
+            raise InputError("cycles: a sine without an end has no table")
+        duration = self.cycles / self.frequency
+        fade = min(self.fade, 0.5 * duration)
+        time = _time(duration)
+        edge = np.clip(np.minimum(time, duration - time) / fade, 0.0, 1.0)
+        sine = self.size * np.sin(2 * np.pi * self.frequency * time)
+        history = sine * 0.5 * (1 - np.cos(np.pi * edge))
+        return np.concatenate([history, np.zeros(round(self.rest * RATE))])
+
+    def motion(self, seed: int = 0) -> Motion:
+        """The sine, endless without `cycles`."""
+        if self.cycles is not None:
+            return super().motion(seed)
+        index, size = dof_index(self.dof), self.size
+
+        def endless(frames: NDArray[np.int64]) -> NDArray[np.float64]:
+            time = np.maximum(frames, 0) / RATE
+            grown = 0.5 * (1.0 - np.cos(np.pi * np.minimum(time / self.fade, 1.0)))
+            poses = np.zeros((frames.size, 6))
+            poses[:, index] = size * grown * np.sin(2.0 * np.pi * self.frequency * time)
+            return poses
+
+        return endless
 
 
-def chirp(
-    dof: str,
-    amplitude: float,
-    *,
-    start: float = 0.01,
-    stop: float = 10.0,
-    duration: float = 100.0,
-    settle: float = 2.0,
-    fade: float = 0.0,
-) -> Command:
+class Chirp(SingleSignal):
     """The report's chirp: frequency rising linearly, 0.01 to 10 Hz in 100 s (section 2.5).
 
-    Args:
-        dof: degree of freedom.
-        amplitude: of the sine [m or rad]; the report takes 0.33 in and 0.2 deg.
-        start: first frequency [Hz].
-        stop: last frequency [Hz], at most half the frame rate; moved by at most 0.5 / duration so
-            that the sweep ends on a zero crossing, as the report's does.
-        duration: length of the sweep [s].
-        settle: rest before and after, so that the record starts and ends still [s].
-        fade: of the two ends of the sweep [s]; the report's has none and stops at full speed.
+    The report sweeps 0.33 in and 0.2 deg. `stop` is moved by at most 0.5 / duration so that the
+    sweep ends on a zero crossing, as the report's does; it has no `fade` and stops at full speed.
     """
-    check_positive(start=start, stop=stop, duration=duration, settle=settle)
-    check_not_negative(fade=fade)
-    check_bounded(amplitude, stop=stop)
-    if stop <= start:
-        raise InputError(f"stop: {stop} Hz must be above start, {start} Hz")
-    stop = max(round((start + stop) * duration), 1) / duration - start
-    time = _time(duration)
-    sweep = amplitude * signal.chirp(time, start, duration, stop, method="linear", phi=-90.0)
-    sweep *= raised_cosine(sweep.size, fade)
-    rest = np.zeros(round(settle * RATE))
-    return _command(
-        dof,
-        np.concatenate([rest, sweep, rest]),
-        {
-            "kind": "chirp",
-            "amplitude": amplitude,
-            "start": start,
-            "stop": stop,
-            "duration": duration,
-            "settle": settle,
-            "fade": fade,
-        },
-    )
+
+    kind: Literal["chirp"]
+    start: Frequency = 0.01  #: First frequency [Hz].
+    stop: Frequency = 10.0  #: Last frequency [Hz], at most half the frame rate.
+    duration: Positive = 100.0  #: Length of the sweep [s].
+    settle: Positive = 2.0  #: Rest before and after, so that the record starts and ends still [s].
+    fade: NotNegative = 0.0  #: Of the two ends of the sweep [s].
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """First and last frequency of the sweep [Hz]."""
+        half_cycles = max(round((self.start + self.stop) * self.duration), 1)
+        return self.start, half_cycles / self.duration - self.start
+
+    def _check(self) -> None:
+        if self.stop <= self.start:
+            raise InputError(f"stop: {self.stop} Hz must be above start, {self.start} Hz")
+
+    def _history(self, seed: int) -> NDArray[np.float64]:
+        start, stop = self.band
+        sweep = self.size * signal.chirp(
+            _time(self.duration), start, self.duration, stop, method="linear", phi=-90.0
+        )
+        return _rested(sweep * raised_cosine(sweep.size, self.fade), self.settle)
 
 
-def noise(
-    dof: str,
-    amplitude: float,
-    *,
-    start: float = 0.1,
-    stop: float = 10.0,
-    duration: float = 100.0,
-    settle: float = 2.0,
-    fade: float = 2.0,
-    scale: str = "peak",
-    seed: int = 0,
-) -> Command:
-    """Gaussian noise, white in displacement from `start` to `stop` and nothing outside.
+class Noise(SingleSignal):
+    """Gaussian noise, white in displacement from `start` to `stop` and nothing outside."""
 
-    Args:
-        dof: degree of freedom.
-        amplitude: of the displacement, as `scale` says [m or rad].
-        start: lower edge of the band [Hz].
-        stop: upper edge of the band [Hz].
-        duration: length of the noise with its fades [s].
-        settle: rest before and after [s].
-        fade: of both ends of the noise [s]; it widens the band by about 1 / fade.
-        scale: `peak` for the largest displacement, `rms` for its root mean square over `duration`.
-        seed: of the noise.
-    """
-    check_positive(start=start, stop=stop, duration=duration, settle=settle, fade=fade)
-    check_bounded(amplitude, stop=stop)
-    if scale not in ("peak", "rms"):
-        raise InputError(f"scale: {scale!r} is not one of peak, rms")
-    if 2.0 * fade > duration:
-        raise InputError(f"fade: {fade} s must be at most half the duration of {duration} s")
-    samples = round(duration * RATE)
-    frequency = np.fft.rfftfreq(samples, 1.0 / RATE)
-    band = (frequency >= start) & (frequency <= stop)
-    if not band.any():
-        raise InputError(f"stop: no multiple of {1 / duration} Hz lies in {start} to {stop} Hz")
-    draw = np.random.default_rng(seed).standard_normal((2, np.count_nonzero(band)))
-    spectrum = np.zeros(frequency.size, dtype=complex)
-    spectrum[band] = draw[0] + 1j * draw[1]
-    history = np.fft.irfft(spectrum, samples) * raised_cosine(samples, fade)
-    size = np.abs(history).max() if scale == "peak" else np.sqrt(np.mean(history**2))
-    rest = np.zeros(round(settle * RATE))
-    return _command(
-        dof,
-        np.concatenate([rest, history * (amplitude / size), rest]),
-        {
-            "kind": "noise",
-            "amplitude": amplitude,
-            "start": start,
-            "stop": stop,
-            "duration": duration,
-            "settle": settle,
-            "fade": fade,
-            "scale": scale,
-        },
-        seed,
-    )
+    kind: Literal["noise"]
+    start: Frequency = 0.1  #: Lower edge of the band [Hz].
+    stop: Frequency = 10.0  #: Upper edge of the band [Hz].
+    duration: Positive = 100.0  #: Length of the noise with its fades [s].
+    settle: Positive = 2.0  #: Rest before and after [s].
+    fade: Positive = 2.0  #: Of both ends of the noise [s]; it widens the band by about 1 / fade.
+    scale: Literal["peak", "rms"] = "peak"
+    """What the amplitude is: `peak`, the largest displacement, or `rms`, its root mean square."""
+    seed: int | None = None  #: Of the noise; None for that of the scenario, else 0.
+
+    def _check(self) -> None:
+        if 2.0 * self.fade > self.duration:
+            raise InputError(
+                f"fade: {self.fade} s must be at most half the duration of {self.duration} s"
+            )
+        if not self._inside().any():
+            raise InputError(
+                f"stop: no multiple of {1 / self.duration} Hz lies in {self.start} to {self.stop} "
+                "Hz"
+            )
+
+    def _inside(self) -> NDArray[np.bool_]:
+        frequency = np.fft.rfftfreq(round(self.duration * RATE), 1.0 / RATE)
+        return (frequency >= self.start) & (frequency <= self.stop)
+
+    def _history(self, seed: int) -> NDArray[np.float64]:
+        samples, band = round(self.duration * RATE), self._inside()
+        draw = np.random.default_rng(seed).standard_normal((2, np.count_nonzero(band)))
+        spectrum = np.zeros(band.size, dtype=complex)
+        spectrum[band] = draw[0] + 1j * draw[1]
+        history = np.fft.irfft(spectrum, samples) * raised_cosine(samples, self.fade)
+        size = np.abs(history).max() if self.scale == "peak" else np.sqrt(np.mean(history**2))
+        return _rested(history * (self.size / size), self.settle)
 
 
-def odd_orders(start: float, stop: float, period: float, periods: int) -> NDArray[np.int64]:
-    """Odd multiples of 1/period within `start` to `stop` [Hz]; there must be one."""
-    check_positive(start=start, stop=stop, period=period)
-    check_bounded(0.0, stop=stop)
-    if periods < 2:
-        raise InputError(f"periods: {periods} must be at least 2: one transient, one measured")
-    samples = round(period * RATE)
-    if abs(samples / RATE - period) > 1e-9:
-        raise InputError(f"period: {period} s must be a whole number of frames of 1/{RATE} s")
-    orders = np.arange(1, samples // 2, 2)
-    orders = orders[(orders >= start * period) & (orders <= stop * period)]
-    if orders.size == 0:
-        raise InputError(f"stop: no odd multiple of {1 / period} Hz lies in {start} to {stop} Hz")
-    return orders
+class Lines(Signal):
+    """Odd lines with random phases, repeated whole periods; the first period is the transient."""
+
+    start: Frequency = 0.1  #: Lowest line [Hz].
+    stop: Frequency = 10.0  #: Highest line [Hz].
+    period: Positive = 20.0  #: Length of one period [s]; a whole number of frames.
+    periods: Annotated[int, Field(ge=2)] = 3  #: Periods in all.
+    spectrum: Literal["flat", "acceleration"] = "flat"
+    """`flat` for lines of equal displacement; `acceleration` for lines of equal acceleration above
+    the `corner`, which spares the machine at high frequencies."""
+    corner: Positive = 1.0  #: Frequency above which displacement falls as 1/f^2 [Hz].
+    fade: NotNegative = 0.0
+    """In within the first period, out in a tail after the last [s]; 0 starts in motion."""
+    seed: int | None = None  #: Of the phases; None for that of the scenario, else 0.
+
+    def _check(self) -> None:
+        if abs(round(self.period * RATE) / RATE - self.period) > 1e-9:
+            raise InputError(
+                f"period: {self.period} s must be a whole number of frames of 1/{RATE} s"
+            )
+        if self.orders.size == 0:
+            raise InputError(
+                f"stop: no odd multiple of {1 / self.period} Hz lies in {self.start} to "
+                f"{self.stop} Hz"
+            )
+        if self.fade > self.period:
+            raise InputError(f"fade: {self.fade} s must be at most the period of {self.period} s")
+
+    @property
+    def orders(self) -> NDArray[np.int64]:
+        """Numbers of the lines: odd multiples of 1/period."""
+        orders = np.arange(1, round(self.period * RATE) // 2, 2)
+        inside = (orders >= self.start * self.period) & (orders <= self.stop * self.period)
+        return orders[inside]
+
+    def _sum(
+        self, amplitude: float, orders: NDArray[np.int64], generator: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """The periods and the tail: of this peak, from the sample nearest to zero."""
+        samples, weights = round(self.period * RATE), np.ones(orders.size)
+        if self.spectrum == "acceleration":
+            weights = np.minimum(1.0, (self.corner / (orders / self.period)) ** 2)
+        phases = generator.uniform(0.0, 2.0 * np.pi, orders.size)
+        spectrum = np.zeros(samples // 2 + 1, dtype=complex)
+        spectrum[orders] = weights * np.exp(1j * phases)
+        once = np.fft.irfft(spectrum, samples)
+        once *= amplitude / np.abs(once).max()
+        once = np.roll(once, -int(np.abs(once).argmin()))
+        tail = round(self.fade * RATE)
+        history = np.concatenate([np.tile(once, self.periods), once[:tail]])
+        history[:tail] *= raised_cosine(tail, self.fade, fade_out=False)
+        history[history.size - tail :] *= raised_cosine(tail, self.fade, fade_out=False)[::-1]
+        return history
 
 
-def line_weights(
-    frequency: NDArray[np.float64], spectrum: str, corner: float
-) -> NDArray[np.float64]:
-    """Relative displacements at `frequency` [Hz]: 1, or (corner / f)^2 above the corner."""
-    check_positive(corner=corner)
-    if spectrum not in SPECTRA:
-        raise InputError(f"spectrum: {spectrum!r} is not one of {', '.join(SPECTRA)}")
-    if spectrum == "flat":
-        return np.ones(frequency.size)
-    return np.minimum(1.0, (corner / frequency) ** 2)
-
-
-def random_phase_sum(
-    amplitude: float,
-    orders: NDArray[np.int64],
-    weights: NDArray[np.float64],
-    samples: int,
-    generator: np.random.Generator,
-) -> NDArray[np.float64]:
-    """One period (samples,) with random phases and this peak, from its sample nearest to zero."""
-    phases = generator.uniform(0.0, 2.0 * np.pi, orders.size)
-    spectrum = np.zeros(samples // 2 + 1, dtype=complex)
-    spectrum[orders] = weights * np.exp(1j * phases)
-    once = np.fft.irfft(spectrum, samples)
-    once *= amplitude / np.abs(once).max()
-    return np.roll(once, -int(np.abs(once).argmin()))
-
-
-def repeat(once: NDArray[np.float64], periods: int, fade: float) -> NDArray[np.float64]:
-    """Whole periods: the start of the first faded in, a tail of `fade` [s] after the last."""
-    period = once.size / RATE
-    check_not_negative(fade=fade)
-    if fade > period:
-        raise InputError(f"fade: {fade} s must be at most the period of {period} s")
-    tail = round(fade * RATE)
-    history = np.concatenate([np.tile(once, periods), once[:tail]])
-    history[:tail] *= raised_cosine(tail, fade, fade_out=False)
-    history[history.size - tail :] *= raised_cosine(tail, fade, fade_out=False)[::-1]
-    return history
-
-
-def multisine(
-    dof: str,
-    amplitude: float,
-    *,
-    start: float = 0.1,
-    stop: float = 10.0,
-    period: float = 20.0,
-    periods: int = 3,
-    spectrum: str = "flat",
-    corner: float = 1.0,
-    fade: float = 0.0,
-    seed: int = 0,
-) -> Command:
+class Multisine(Lines, SingleSignal):
     """Odd random-phase multisine, repeated whole periods.
 
     Lines are the odd multiples of 1/period between `start` and `stop`; even non-linear distortion
     then falls between them. The peak is scaled to `amplitude`. The first of the periods is the
     transient, dropped by the analysis.
-
-    Args:
-        dof: degree of freedom.
-        amplitude: peak of the sum [m or rad].
-        start: lowest line [Hz].
-        stop: highest line [Hz].
-        period: length of one period [s]; a whole number of frames.
-        periods: periods in all, at least 2.
-        spectrum: `flat` for lines of equal displacement; `acceleration` for lines of equal
-            acceleration above the `corner`, which spares the machine at high frequencies.
-        corner: frequency above which displacement falls as 1/f^2 [Hz].
-        fade: fades in within the first period and out in a tail after the last one [s]; 0 starts
-            and stops in motion.
-        seed: of the phases.
     """
-    check_bounded(amplitude)
-    orders = odd_orders(start, stop, period, periods)
-    once = random_phase_sum(
-        amplitude,
-        orders,
-        line_weights(orders / period, spectrum, corner),
-        round(period * RATE),
-        np.random.default_rng(seed),
-    )
-    return _command(
-        dof,
-        repeat(once, periods, fade),
-        {
-            "kind": "multisine",
-            "amplitude": amplitude,
-            "start": start,
-            "stop": stop,
-            "period": period,
-            "periods": periods,
-            "spectrum": spectrum,
-            "corner": corner,
-            "fade": fade,
-        },
-        seed,
-    )
+
+    kind: Literal["multisine"]
+
+    def _history(self, seed: int) -> NDArray[np.float64]:
+        return self._sum(self.size, self.orders, np.random.default_rng(seed))
+
+
+step = command_of(Step)
+pulse = command_of(Pulse)
+sine = command_of(Sine)
+chirp = command_of(Chirp)
+noise = command_of(Noise)
+multisine = command_of(Multisine)

@@ -28,7 +28,8 @@ from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
-from cmf_mj.signals.single import Command
+from cmf_mj.signals.signal import Command
+from cmf_mj.signals.single import Chirp
 
 AMPLITUDE = 0.33 * units.INCH
 """Translational amplitude of the report's frequency responses [m]."""
@@ -109,7 +110,7 @@ class Case:
         return simulate(
             self.build() if plant is None else plant,
             self.law,
-            Command(pose, command.description, command.seed),
+            Command(pose, command.signal, command.seed),
             electronics=self.electronics,
             record_every=every,
             command_delay=self.command_delay,
@@ -200,8 +201,8 @@ def run_case(case: Case, records: Path | None = None) -> CaseResult:
 
 def clamped_part(sweep: Record, highest_hz: float) -> float:
     """Part of the frames of a chirp, up to a frequency or 10 Hz, in which a command is clamped."""
-    command = sweep.metadata["command"]
-    rate = command["stop"] / command["duration"]
-    until = command["settle"] + np.nan_to_num(highest_hz, nan=10.0) / rate
+    command = sweep.signal_as(Chirp)
+    rate = command.band[1] / command.duration
+    until = command.settle + np.nan_to_num(highest_hz, nan=10.0) / rate
     full = np.any(np.abs(sweep["valve_command"]) >= 1.0, axis=1)[sweep.time < until]
     return float(full.mean())

@@ -44,7 +44,7 @@ from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
-from cmf_mj.signals import composite as excitations
+from cmf_mj.signals import composite
 from cmf_mj.studies.case import REPORT_AMPLITUDES, STEP_PER_AMPLITUDE, Case
 from cmf_mj.studies.mismatch import with_gain_errors
 from cmf_mj.studies.settings import NOMINAL, StudyCase
@@ -148,7 +148,7 @@ def failed(error: BaseException) -> StudyRow:
 
 def _sweep_crosstalk(sweep: Record, case: Case) -> Gains:
     """Largest gains (6,) from the demand of a chirp to the true motion."""
-    begin = round(float(sweep.metadata["command"]["settle"]) * sweep.rate) - 1
+    begin = round(sweep.signal.lead * sweep.rate) - 1
     demand = dof_history(sweep, "leg_reference", case.dof)[begin:]
     responses = []
     for other in DOFS:
@@ -250,7 +250,7 @@ def _lines(poles: NDArray[np.complex128]) -> NDArray[np.float64]:
 
 
 def _matrix(case: Case, plant: Plant, sizes: Gains, seed: int) -> list[StudyRow]:
-    sines = excitations.orthogonal_multisines(
+    sines = composite.orthogonal_multisines(
         dict(zip(DOFS, (MULTISINE_SHARE * sizes).tolist(), strict=True)),
         start=BAND[0],
         stop=BAND[1],

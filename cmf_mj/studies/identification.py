@@ -38,8 +38,8 @@ from cmf_mj.control.law import Law, law_names
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine.kinematics import DOFS, pose_jacobian
 from cmf_mj.record.record import Record
-from cmf_mj.signals import composite as excitations
-from cmf_mj.signals.single import Command
+from cmf_mj.signals import composite
+from cmf_mj.signals.signal import Command
 from cmf_mj.studies.case import REPORT_AMPLITUDES, Case, dof_amplitude
 
 Method = Literal["arx", "iv", "oe"]
@@ -118,7 +118,7 @@ def identify(
     chosen = Orders(*orders) if orders is not None else _best(selection)
     model = _fitted(estimation, chosen, method)
     continuous = to_continuous(model)
-    broad = [r for r in records if r.metadata["command"].get("kind") in _BROAD]
+    broad = [r for r in records if r.signal.kind in _BROAD]
     name = law if law is not None else _named_law(records[-1])
     loop = None
     if broad and name is not None:
@@ -228,7 +228,7 @@ def identify_matrix(
     sizes = REPORT_AMPLITUDES.tolist()
     first, second = (
         case.run(
-            excitations.orthogonal_multisines(
+            composite.orthogonal_multisines(
                 sizes, stop=HIGHEST, spectrum="acceleration", periods=2, seed=seed
             )
         )

@@ -29,8 +29,8 @@ from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import DOFS, pose_jacobian
 from cmf_mj.plant.plant import Plant
-from cmf_mj.signals import composite as excitations
-from cmf_mj.signals.single import Command
+from cmf_mj.signals import composite
+from cmf_mj.signals.signal import Command
 
 FREQUENCIES = (0.5, 1.0, 1.7, 2.4, 3.0, 3.7, 4.5, 5.5, 6.5, 8.0)
 """Sines of a comparison [Hz]."""
@@ -143,7 +143,7 @@ def compare_with_simulation(
     fastest = float(np.abs(closed_loop(mounted, system).poles()).max())
     if fastest > 1.0 + 1e-9:
         raise InputError(f"law: its loop is unstable there, with a pole at {fastest:.6f}")
-    command = excitations.stepped_sines(
+    command = composite.stepped_sines(
         "heave" if leg else signal,
         frequencies,
         [size],
@@ -167,13 +167,13 @@ def compare_with_simulation(
     # The command of a row reaches the valves one frame later and is held over that frame.
     at_valves = np.roll(record["valve_command"], record.metadata["command_delay"], axis=0)
     found, plants = [], []
-    for dwell in command.description["dwells"]:  # type: ignore[attr-defined]
-        first = rest + dwell["start"]
-        part = slice(first, first + dwell["frames"] + 1)
-        found.append(sine_response(x[part], y[part], record.rate, dwell["frequency"]).response[0])
-        whole = slice(first, first + dwell["frames"])
-        omega = 2.0 * np.pi * dwell["frequency"]
-        angle = omega * np.arange(dwell["frames"]) / record.rate
+    for dwell in command.signal.dwells:
+        first = rest + dwell.start
+        part = slice(first, first + dwell.frames + 1)
+        found.append(sine_response(x[part], y[part], record.rate, dwell.frequency).response[0])
+        whole = slice(first, first + dwell.frames)
+        omega = 2.0 * np.pi * dwell.frequency
+        angle = omega * np.arange(dwell.frames) / record.rate
         moved, valves = (
             fit_sines(values[whole], angle, drift=True).amplitude[0]
             for values in (record["leg_extension"], at_valves)

@@ -30,9 +30,9 @@ from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.kinematics import DOFS, leg_motion_to_pose, legs_to_pose
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
-from cmf_mj.signals import composite as excitations
+from cmf_mj.signals import composite
 from cmf_mj.signals.peaks import check_limits
-from cmf_mj.signals.single import Command
+from cmf_mj.signals.signal import Command
 from cmf_mj.studies.case import Case, dof_amplitude
 
 HALF_HERTZ = 0.5
@@ -141,8 +141,8 @@ def session_commands(dof: str, amplitude: float | None = None) -> list[Command]:
         InputError: an argument out of range, or a demand beyond the limits; each is named.
     """
     size = dof_amplitude(dof) if amplitude is None else amplitude
-    numbers = range(1, len(excitations.ROUNDS) + 1)
-    commands = [excitations.seven_sines(dof, size, number) for number in numbers]
+    numbers = range(1, len(composite.ROUNDS) + 1)
+    commands = [composite.seven_sines(dof, size, number) for number in numbers]
     for command in commands:
         check_limits(command)
     return commands
@@ -238,7 +238,7 @@ def _hysteresis(case: Case, plant: Plant) -> float:
 def _thresholds(case: Case, plant: Plant) -> Iterator[Threshold]:
     unit = by_kind(case.dof, 1.0, units.DEGREE * 5.0)
     for size in (0.05 * unit, 0.1 * unit, 0.5 * unit):
-        command = excitations.acceleration_step(case.dof, size, hold=0.5)
+        command = composite.acceleration_step(case.dof, size, hold=0.5)
         record = case.run(command, plant, every=4)
         reached = dof_accelerations(record)[:, DOFS.index(case.dof)]
         yield Threshold(size, metrics.dynamic_threshold(reached, record.rate, size, 1.0))

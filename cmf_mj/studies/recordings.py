@@ -47,7 +47,7 @@ def measure_recordings(files: Sequence[Path], dof: str, estimator: str) -> Recor
         names = ", ".join(get_args(Estimator))
         raise InputError(f"estimator: {estimator!r} is not one of {names}")
     records = [read_recording(path) for path in files]
-    if len(records) > 1 or "dwells" in records[0].metadata["command"]:
+    if len(records) > 1 or records[0].signal.dwells:
         response = rounds_response(records, dof)
     else:
         response = frequency_response(records[0], dof, estimator=cast("Estimator", estimator))

@@ -267,7 +267,7 @@ def experiment(
             _unit(axis, record.units[channel]) for channel in channels for axis in names
         ),
         reference=along["leg_reference"],
-        name=str(record.metadata["command"].get("kind", "")),
+        name=record.signal.kind,
     )
     kept = measured.between(start)
     return kept if detrend == "none" else kept.detrended(detrend)

@@ -11,9 +11,6 @@ the kind `frequency_response` measures. The 95 % radius is the sum of the two re
 what the error can be when they add up.
 """
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
@@ -23,6 +20,8 @@ from cmf_mj.analysis.response.periodic import periodic_response
 from cmf_mj.analysis.response.welch import welch_response
 from cmf_mj.core.errors import InputError
 from cmf_mj.record.record import Record
+from cmf_mj.signals.signal import Signal
+from cmf_mj.signals.single import Multisine
 
 RATE = 128.0
 """Sampling rate of the analysis [Hz], the facility recorder's."""
@@ -57,9 +56,8 @@ def plant_response(
     )
     if series.reference is None or np.ptp(series.reference[:, 0]) < 1e-9:
         raise InputError(f"axis: the record holds no demand in {axis}")
-    command = record.metadata["command"]
     to_input, to_output = (
-        _response(series.reference[:, 0], values[:, 0], series.rate, command, segment)
+        _response(series.reference[:, 0], values[:, 0], series.rate, record.signal, segment)
         for values in (series.input, series.output)
     )
     response = to_output.response / to_input.response
@@ -82,13 +80,11 @@ def _rate(record: Record) -> float:
     return RATE if factor >= 1.0 and abs(factor - round(factor)) < 1e-9 else record.rate
 
 
-def _response(
-    x: Real, y: Real, rate: float, command: Mapping[str, Any], segment: float
-) -> Estimate:
+def _response(x: Real, y: Real, rate: float, command: Signal, segment: float) -> Estimate:
     """Response from x to y over whole periods of a multisine, by Welch's method otherwise."""
-    low, high = float(command.get("start", 0.0)), float(command.get("stop", 10.0))
-    if command.get("kind") == "multisine":
-        period, periods = command["period"], command["periods"]
+    low, high = command.band or (0.0, 10.0)
+    if isinstance(command, Multisine):
+        period, periods = command.period, command.periods
         samples = round(period * rate)
         if abs(samples - period * rate) > 1e-9:
             raise InputError(f"rate: a period of {period} s has no whole samples at {rate}")

@@ -16,7 +16,7 @@ from cmf_mj.control.dcu.arrivals import Arrivals
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.signals.single import Command, check_positive
+from cmf_mj.signals.signal import Command, check_positive
 
 DERIVATIVES = ("spline", "zero")
 """How velocity and acceleration are made: of the quintic spline, or none."""

@@ -16,7 +16,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.datagram import DATAGRAM_REASONS, SIZE, DatagramError, decode, encode
 from cmf_mj.facility.host.handover import Ring, make_ring, put
 from cmf_mj.facility.host.stream import HostFrame, HostStream
-from cmf_mj.signals.single import check_positive
+from cmf_mj.signals.signal import check_positive
 
 LOOPBACK = "127.0.0.1"
 

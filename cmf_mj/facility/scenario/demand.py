@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.facility.scenario.signal import Motion
+from cmf_mj.signals.composite import quintic
+from cmf_mj.signals.signal import Motion
 
 
 class _Layer(NamedTuple):
@@ -51,7 +52,7 @@ class Demand:
             since = frames - layer.start
             new = layer.motion(since)
             s = np.clip(since / max(layer.fade, 1), 0.0, 1.0)
-            weight = (s**3 * (10.0 - s * (15.0 - 6.0 * s)))[:, None]
+            weight = quintic(s)[:, None]
             blend = poses + weight * (new - poses)
             begun, over = (since >= 0)[:, None], (since >= layer.fade)[:, None]
             poses = np.where(over, new, np.where(begun, blend, poses))

@@ -23,11 +23,12 @@ from cmf_mj.facility.scenario.settings import (
     overlaid_law,
     request_code,
 )
-from cmf_mj.facility.scenario.signal import Motion, added
+from cmf_mj.facility.scenario.signal import added
 from cmf_mj.facility.scenario.source import BLOCK, ChainSource, TableSource
 from cmf_mj.facility.session import FOREVER, Live
 from cmf_mj.plant.build import make_plant
 from cmf_mj.record.record import Record
+from cmf_mj.signals.signal import Motion
 
 
 class _Due(NamedTuple):
@@ -223,4 +224,4 @@ def _command(scenario: Scenario) -> dict[str, Any]:
     changed = any(change.signal is not None for change in scenario.change)
     if changed or len(scenario.signal) != 1:
         return {"kind": "scenario"}
-    return scenario.signal[0].description(scenario.seed)
+    return scenario.signal[0].described()

@@ -95,7 +95,7 @@ def bode(
 
 def after_step(record: Record) -> NDArray[np.float64]:
     """Time from the step on [s]."""
-    return np.asarray(record.time - record.metadata["command"]["at"])
+    return np.asarray(record.time - getattr(record.signal, "at", 0.0))
 
 
 def step_history(record: Record, channel: str, along: str) -> NDArray[np.float64]:

@@ -26,7 +26,7 @@ from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
-from cmf_mj.signals import composite as excitations
+from cmf_mj.signals import composite
 from cmf_mj.studies.accelerometer_filter import FilterEffect, filter_effect
 from cmf_mj.studies.case import Case, CaseResult, dof_amplitude, run_case
 from cmf_mj.studies.identification import Identified, identify
@@ -169,8 +169,8 @@ def _perform(spec: RunSpec, quick: bool, seed: int) -> CaseResult | Record | tup
         return simulate(plant, law, _command(spec, seed), record_every=every)
     shorter: dict[str, Any] = {"cycles": 3, "settle": 1.0} if quick else {}
     sines = (
-        excitations.seven_sines(spec.dof, size, number, **shorter)
-        for number in range(1, len(excitations.ROUNDS) + 1)
+        composite.seven_sines(spec.dof, size, number, **shorter)
+        for number in range(1, len(composite.ROUNDS) + 1)
     )
     return tuple(simulate(plant, law, command, record_every=every) for command in sines)
 

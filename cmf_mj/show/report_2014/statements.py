@@ -11,6 +11,7 @@ from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.show.report_2014.contents import CONTENTS, specs
 from cmf_mj.show.report_2014.runs import Runs, leg_motion
+from cmf_mj.signals.single import Step
 
 INTEGRAL_LAWS = ("original", "velocity", "velocity_integral", "position_error_rate")
 """Laws whose error at rest the page states, without and with the integral."""
@@ -82,7 +83,7 @@ def _values(runs: Runs) -> dict[str, float]:
     model, machine = runs.case("model", "original"), runs.case("machine", "original")
     with_integral = runs.case("machine", "velocity_integral").measures
     ringing, force = runs.case("model", "velocity_integral").step, runs.case("model", "force")
-    late = ringing.time > ringing.metadata["command"]["at"] + 1.0
+    late = ringing.time > ringing.signal_as(Step).at + 1.0
     example = bandwidth_example()
     reference = leg_motion(runs.record("machine", "velocity", "rise"), "leg_reference", "in")
     values = {

@@ -40,7 +40,7 @@ from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import stepped_sines
 from cmf_mj.signals.peaks import Limits
-from cmf_mj.signals.single import Command, check_positive
+from cmf_mj.signals.signal import Command, check_positive
 from cmf_mj.studies.capacity.asymptotes import Asymptotes, asymptotes
 from cmf_mj.studies.capacity.verdict import least_allowed, relief_flow
 
@@ -217,7 +217,7 @@ def _sine(dof: str, frequency: float, amplitude: float) -> tuple[Command, slice]
     whole = stepped_sines(dof, [frequency], [amplitude], cycles=cycles, **before)
     start = sum(round(part * RATE) for part in before.values())
     end = start + round(cycles / frequency * RATE)
-    return Command(whole.pose[:end], whole.description), slice(start, end)
+    return Command(whole.pose[:end], whole.signal), slice(start, end)
 
 
 def _run(

@@ -19,7 +19,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.dof import dof_index, dof_unit
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.signals.single import Command
+from cmf_mj.signals.signal import Command, Other
 
 SIGNALS = ("sine", "step", "chirp", "noise", "multisine")
 """Manoeuvres with a name."""
@@ -116,4 +116,4 @@ def read_poses(path: str | Path) -> Command:
     for name in moved:
         history = units.to_si(dof_unit(name), columns[name])
         pose[:, dof_index(name)] = PchipInterpolator(time, history)(np.minimum(frames, time[-1]))
-    return Command(pose, {"kind": "file", "file": source.name, "dof": moved})
+    return Command(pose, Other(kind="file", file=source.name, moved=moved))

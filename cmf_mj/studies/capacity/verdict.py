@@ -26,7 +26,7 @@ from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.peaks import check_limits
-from cmf_mj.signals.single import Command
+from cmf_mj.signals.signal import Command
 
 LEAST_PRESSURE = 0.8
 """Least manifold pressure, as a share of the set pressure."""

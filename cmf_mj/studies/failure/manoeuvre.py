@@ -1,13 +1,11 @@
 """What a failure run flies: a sine in one degree of freedom from rest to rest."""
 
-import numpy as np
-
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.dof import by_kind, dof_index
 from cmf_mj.signals.peaks import check_limits
-from cmf_mj.signals.single import Command, check_not_negative, check_positive, sine
+from cmf_mj.signals.signal import Command, check_not_negative, check_positive
+from cmf_mj.signals.single import sine
 
 AMPLITUDES = (6.0 * units.INCH, 4.0 * units.DEGREE)
 """Default amplitude of the manoeuvre in translation [m] and rotation [rad]."""
@@ -48,9 +46,7 @@ def manoeuvre(
     if not after >= 2.0 * REST:
         raise InputError(f"after: {after} s must be at least {2.0 * REST:g} s")
     cycles = (at + after - REST) * frequency
-    moving = sine(dof, amplitude, frequency, cycles=cycles, fade=FADE)
-    rest = np.zeros((round(REST / FRAME), 6))
-    command = Command(np.vstack([moving.pose, rest]), {**moving.description, "rest": REST}, None)
+    command = sine(dof, amplitude, frequency, cycles=cycles, fade=FADE, rest=REST)
     check_limits(command)
     return command
 

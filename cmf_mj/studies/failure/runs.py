@@ -11,7 +11,7 @@ from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.simulation import OutOfBounds, simulate
 from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.signals.single import Command
+from cmf_mj.signals.signal import Command
 from cmf_mj.studies.case import Case, make_case
 from cmf_mj.studies.failure.manoeuvre import AFTER, FREQUENCY, manoeuvre, size_of
 from cmf_mj.studies.failure.measures import FailureResult, measure
@@ -57,7 +57,7 @@ def run_failure(
     except OutOfBounds as left:
         # The same run again, up to the frame before.
         message = str(left)
-        shorter = Command(command.pose[: max(left.frame, 2)], command.description, command.seed)
+        shorter = Command(command.pose[: max(left.frame, 2)], command.signal, command.seed)
         record = simulate(machine, chosen.law, shorter, **options)
     return measure(machine, event, chosen.dof, protection is not None, record, message)
 

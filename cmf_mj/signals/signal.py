@@ -1,0 +1,282 @@
+"""What a signal is: settings along degrees of freedom, and the command they make.
+
+A signal of a settings file is a table with a `kind`. Its amplitude is a number in m or rad, or a
+number and its unit, `[0.33, "in"]`.
+"""
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from inspect import Parameter, Signature
+from typing import Annotated, Any, Literal, NamedTuple, Self, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, model_validator
+
+from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.rates import RATE
+from cmf_mj.core.settings import Settings, validated
+from cmf_mj.machine.dof import by_kind, dof_index
+
+Motion = Callable[[NDArray[np.int64]], NDArray[np.float64]]
+"""Control frames since the beginning (N,) to poses (N, 6) [m, rad], z down."""
+
+Dof = Literal["surge", "sway", "heave", "roll", "pitch", "yaw"]
+"""Name of a degree of freedom."""
+
+Positive = Annotated[float, Field(gt=0.0)]
+"""Greater than 0."""
+
+NotNegative = Annotated[float, Field(ge=0.0)]
+"""At least 0."""
+
+Frequency = Annotated[float, Field(gt=0.0, le=RATE / 2)]
+"""At most half the frame rate [Hz]."""
+
+_LENGTHS, _ANGLES = ("in", "m", "mm"), ("deg", "rad")
+
+
+def check_positive(**values: float) -> None:
+    """Refuse what is not a finite number above 0, by its name."""
+    for name, value in values.items():
+        if not (np.isfinite(value) and value > 0.0):
+            raise InputError(f"{name}: {value} must be a finite number greater than 0")
+
+
+def check_not_negative(**values: float) -> None:
+    """Refuse what is not a finite number of at least 0, by its name."""
+    for name, value in values.items():
+        if not (np.isfinite(value) and value >= 0.0):
+            raise InputError(f"{name}: {value} must be a finite number, at least 0")
+
+
+def _number_with_unit(value: object) -> float | tuple[float, str]:
+    match value:
+        case bool():
+            pass
+        case int() | float() if np.isfinite(value):
+            return float(value)
+        case (int() | float() as number, str() as unit) if np.isfinite(number):
+            if unit not in _LENGTHS + _ANGLES:
+                raise InputError(f"unit {unit!r} is not one of {', '.join(_LENGTHS + _ANGLES)}")
+            return float(number), unit
+    raise InputError('must be a number in m or rad, or a number and its unit, such as [2.0, "in"]')
+
+
+Amplitude = Annotated[
+    float | tuple[float, str], PlainValidator(_number_with_unit), PlainSerializer(lambda size: size)
+]
+"""A number in m or rad, or a number and its unit: in, m or mm along, deg or rad about an axis."""
+
+
+def amplitude_in_si(dof: str, amplitude: float | tuple[float, str]) -> float:
+    """An amplitude in m or rad.
+
+    Raises:
+        InputError: a length for an angle, or an angle for a length.
+    """
+    if not isinstance(amplitude, tuple):
+        return amplitude
+    value, unit = amplitude
+    allowed = by_kind(dof, _LENGTHS, _ANGLES)
+    if unit not in allowed:
+        allowed_text = ", ".join(allowed)
+        raise InputError(f"amplitude: unit {unit!r} is refused for {dof}; allowed: {allowed_text}")
+    return units.to_si(unit, value)
+
+
+class Dwell(NamedTuple):
+    """Whole cycles of one frequency at full amplitude; the phase is zero at the start."""
+
+    start: int  #: Index of the first control frame.
+    frames: int  #: Cycles / frequency, to the nearest frame.
+    frequency: float  #: Frequency [Hz].
+    amplitude: float  #: Amplitude [m or rad].
+    cycles: int  #: Whole cycles.
+
+
+class Signal(Settings):
+    """A demand of platform pose, as its settings."""
+
+    kind: str  #: Name of the kind of signal.
+
+    @model_validator(mode="after")
+    def _checked(self) -> Self:
+        self._check()
+        return self
+
+    def _check(self) -> None:
+        """Refuse settings that do not go together, by name."""
+
+    @abstractmethod
+    def command(self, seed: int = 0) -> "Command":
+        """The signal as a table of poses at 2048 Hz.
+
+        Args:
+            seed: of random phases, where the signal has no seed of its own.
+        """
+
+    def motion(self, seed: int = 0) -> Motion:
+        """The signal as a function of the control frames since it began; holds its last pose."""
+        return tabulated(self.command(seed).pose)
+
+    def described(self) -> dict[str, Any]:
+        """The settings in SI as plain JSON values, without the seed."""
+        table = self.model_dump(mode="json", exclude={"seed"}, exclude_none=True)
+        return table | self._sizes_in_si()
+
+    def _sizes_in_si(self) -> dict[str, Any]:
+        return {}
+
+    @property
+    def axis(self) -> str:
+        """Degree of freedom that is moved; empty where it is not one."""
+        return str(getattr(self, "dof", ""))
+
+    @property
+    def band(self) -> tuple[float, float] | None:
+        """Lowest and highest frequency excited [Hz]; None where the signal has no band."""
+        if not (hasattr(self, "start") and hasattr(self, "stop")):
+            return None
+        return float(self.start), float(self.stop)
+
+    @property
+    def lead(self) -> float:
+        """Rest before the excitation [s]."""
+        return float(getattr(self, "settle", 0.0))
+
+    @property
+    def dwells(self) -> tuple[Dwell, ...]:
+        """Stretches of whole cycles at one frequency, in order."""
+        return ()
+
+
+class Other(Signal):
+    """A demand that is known only as a table of poses, with whatever is said of it."""
+
+    model_config = ConfigDict(extra="allow")
+
+    kind: str = "array"
+
+    def command(self, seed: int = 0) -> "Command":
+        """Refused: the table is not part of the description."""
+        raise InputError(f"signal: {self.kind!r} cannot be made again from its description")
+
+
+class SingleSignal(Signal):
+    """A signal along one degree of freedom."""
+
+    dof: Dof  #: Degree of freedom.
+    amplitude: Amplitude  #: Size [m or rad], or size and unit, such as `[2.0, "in"]`.
+
+    @model_validator(mode="after")
+    def _checked(self) -> Self:
+        amplitude_in_si(self.dof, self.amplitude)
+        self._check()
+        return self
+
+    @property
+    def size(self) -> float:
+        """Amplitude [m or rad]."""
+        return amplitude_in_si(self.dof, self.amplitude)
+
+    def _sizes_in_si(self) -> dict[str, Any]:
+        return {"amplitude": self.size}
+
+    @abstractmethod
+    def _history(self, seed: int) -> NDArray[np.float64]:
+        """Displacement at 2048 Hz [m or rad], (N,)."""
+
+    def command(self, seed: int = 0) -> "Command":
+        """The signal as a table of poses at 2048 Hz."""
+        own = getattr(self, "seed", None)
+        seed = seed if own is None else own
+        poses = along({self.dof: self._history(seed)})
+        return Command(poses, self, seed if hasattr(self, "seed") else None)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A platform demand, and the signal that made it."""
+
+    pose: NDArray[np.float64]  #: Poses [m, rad], (N, 6), one a control frame.
+    signal: Signal = Other()  #: What it is; kept in the record.
+    seed: int | None = None  #: Seed of the random phases, where there are any.
+
+    def __post_init__(self) -> None:
+        """Check the shape and freeze."""
+        if self.pose.ndim != 2 or self.pose.shape[1] != 6 or self.pose.shape[0] < 1:
+            raise InputError(f"command: shape is {self.pose.shape}; allowed: (N, 6) with N >= 1")
+        object.__setattr__(self, "pose", np.array(self.pose, dtype=float))
+        self.pose.setflags(write=False)
+
+    @staticmethod
+    def from_pose(pose: ArrayLike) -> "Command":
+        """A command from an array (N, 6) of poses at 2048 Hz."""
+        return Command(np.asarray(pose, dtype=float))
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """The signal's settings in SI as plain JSON values; with the seed they make it again."""
+        return self.signal.described()
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return self.pose.shape[0] / RATE
+
+
+def tabulated(poses: NDArray[np.float64]) -> Motion:
+    """A table (N, 6) that holds its first pose before and its last one after."""
+    last = poses.shape[0] - 1
+    return lambda frames: poses[np.clip(frames, 0, last)]
+
+
+def along(histories: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Histories (N,) by degree of freedom as poses (N, 6)."""
+    pose = np.zeros((next(iter(histories.values())).size, 6))
+    for name, history in histories.items():
+        pose[:, dof_index(name)] = history
+    return pose
+
+
+def command_of(signal: type[Signal]) -> Callable[..., Command]:
+    """The function that makes the command of a signal from its settings.
+
+    Settings without a default go by position or by name, those with one by name only.
+    """
+    fields = {name: field for name, field in signal.model_fields.items() if name != "kind"}
+    (kind,) = get_args(signal.model_fields["kind"].annotation)
+    required = [
+        Parameter(name, Parameter.POSITIONAL_OR_KEYWORD)
+        for name, field in fields.items()
+        if field.is_required()
+    ]
+    optional = [
+        Parameter(name, Parameter.KEYWORD_ONLY, default=field.default)
+        for name, field in fields.items()
+        if not field.is_required()
+    ]
+    signature = Signature([*required, *optional], return_annotation=Command)
+
+    def make(*args: object, **options: object) -> Command:
+        settings = signature.bind(*args, **options).arguments
+        return validated(signal, {"kind": kind} | plain(settings), kind).command()
+
+    make.__name__ = make.__qualname__ = kind
+    make.__doc__ = signal.__doc__
+    make.__signature__ = signature  # type: ignore[attr-defined]
+    return make
+
+
+def plain(value: Any) -> Any:
+    """A value with arrays and lists as tuples, and numbers of NumPy as those of Python."""
+    if isinstance(value, Mapping):
+        return {str(name): plain(one) for name, one in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return tuple(plain(one) for one in value)
+    return value
