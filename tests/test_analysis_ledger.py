@@ -273,9 +273,9 @@ def test_eq_3_4_lowers_frequency_and_damping(entry: LedgerEntry) -> None:
     before, after = (
         characteristics(FeedbackLoop(5.0, 0.2, 1.5, 0.1, gain / 25.0)) for gain in (0.0, 1.0)
     )
-    frequency = after.natural_frequency_hz / before.natural_frequency_hz
+    frequency = after.mode_frequency_hz / before.mode_frequency_hz
     assert frequency == pytest.approx(entry.figure("frequency for K_a w^2 = 1"), abs=5e-4)
-    damping = after.damping_ratio / before.damping_ratio
+    damping = after.mode_damping_ratio / before.mode_damping_ratio
     assert damping == pytest.approx(entry.figure("damping for K_a w^2 = 1"), abs=5e-4)
 
 

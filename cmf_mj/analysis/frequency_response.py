@@ -29,6 +29,7 @@ from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import DOFS, legs_to_pose
 from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import OrthogonalMultisines
+from cmf_mj.signals.signal import Signal
 from cmf_mj.signals.single import Multisine
 
 DRIVEN_SHARE = 1e-2
@@ -138,18 +139,56 @@ def frequency_response(
             f"dof: the record holds no demand in {chosen}; it moved {command.axis or 'another'}"
         )
     if isinstance(command, Multisine):
-        return _wrapped(from_h1(_periodic(record, command, demand, feedback), estimator))
+        periodic = excited_response(demand, feedback, record.rate, command)
+        return _wrapped(from_h1(periodic, estimator))
     # The rest before the excitation is the base line; it also lets the start-up settle.
     begin = max(round(command.lead * record.rate) - 1, 0)
     x = demand[begin:] - demand[begin]
     y = feedback[begin:] - feedback[begin]
-    low, high = command.band or (0.0, record.rate / 4.0)
-    band = (max(low, 2.0 / segment), high)
     if estimator == "report":
+        band = _band(command, record.rate, segment)
         return _wrapped(report_response(x, y, record.rate, band=band))
-    return _wrapped(
-        welch_response(x, y, record.rate, estimator=estimator, segment=segment, band=band, pad=True)
-    )
+    return _wrapped(from_h1(excited_response(x, y, record.rate, command, segment), estimator))
+
+
+def excited_response(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    rate: float,
+    command: Signal,
+    segment: float = SEGMENT,
+) -> Estimate:
+    """Response from x to y by H1, over whole periods of a multisine, by Welch's method otherwise.
+
+    Args:
+        x: input, (N,).
+        y: output, (N,).
+        rate: samples a second [Hz].
+        command: the excitation, `Record.signal`.
+        segment: length of Welch's segments [s].
+
+    Raises:
+        InputError: a period that is not a whole number of samples, or a record shorter than a
+            segment.
+    """
+    if not isinstance(command, Multisine):
+        band = _band(command, rate, segment)
+        return welch_response(x, y, rate, segment=segment, band=band, pad=True)
+    samples = round(command.period * rate)
+    if abs(samples - command.period * rate) > 1e-9:
+        raise InputError(f"record_every: a period is not a whole number of samples at {rate}")
+    frequency = np.fft.rfftfreq(samples, 1.0 / rate)
+    orders = np.arange(frequency.size)
+    lines = (orders % 2 == 1) & (frequency >= command.start - 1e-9)
+    lines &= frequency <= command.stop + 1e-9
+    whole = slice(command.periods * samples)
+    return periodic_response(x[whole], y[whole], rate, command.period, lines=orders[lines])
+
+
+def _band(command: Signal, rate: float, segment: float) -> tuple[float, float]:
+    """Lines that an excitation drives and segments resolve [Hz]."""
+    low, high = command.band or (0.0, rate / 4.0)
+    return max(low, 2.0 / segment), high
 
 
 def rounds_response(
@@ -182,17 +221,17 @@ def rounds_response(
     if max(np.ptp(x) for x, _ in pairs) < NO_DEMAND:
         raise InputError(f"dof: the records hold no demand in {chosen}")
     if all(record.signal.dwells for record in records):
-        found = []
+        fits = []
         for record, (x, y) in zip(records, pairs, strict=True):
             per_frame = record.rate / RATE
             for dwell in record.signal.dwells:
                 # Inwards to whole samples; the fit takes the whole cycles that are left.
                 first = int(np.ceil(dwell.start * per_frame))
                 last = int((dwell.start + dwell.frames) * per_frame) + 1
-                found.append(
+                fits.append(
                     sine_response(x[first:last], y[first:last], record.rate, dwell.frequency)
                 )
-        return _wrapped(stitch(found))
+        return _wrapped(stitch(fits))
     x, y = (
         np.concatenate([part - part[0] for part in parts]) for parts in zip(*pairs, strict=True)
     )
@@ -245,27 +284,6 @@ def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
 def _wrapped(estimate: Estimate) -> FrequencyResponse:
     return FrequencyResponse(
         estimate.response, 2.0 * np.pi * estimate.frequency, estimate.coherence, estimate.radius
-    )
-
-
-def _periodic(
-    record: Record,
-    command: Multisine,
-    demand: NDArray[np.float64],
-    feedback: NDArray[np.float64],
-) -> Estimate:
-    samples = round(command.period * record.rate)
-    if abs(samples - command.period * record.rate) > 1e-9:
-        raise InputError(
-            f"record_every: a period is not a whole number of samples at {record.rate}"
-        )
-    frequency = np.fft.rfftfreq(samples, 1.0 / record.rate)
-    orders = np.arange(frequency.size)
-    lines = (orders % 2 == 1) & (frequency >= command.start - 1e-9)
-    lines &= frequency <= command.stop + 1e-9
-    whole = slice(command.periods * samples)
-    return periodic_response(
-        demand[whole], feedback[whole], record.rate, command.period, lines=orders[lines]
     )
 
 

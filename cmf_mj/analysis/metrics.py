@@ -131,12 +131,12 @@ def describing_function(
         rate: sampling rate [Hz].
         frequency: of each run [Hz].
     """
-    found = []
+    points = []
     for x, y, f in zip(demand, response, frequency, strict=True):
         into, out = (harmonics(s, rate, f, 1) for s in (x, y))
         turn = np.exp(1j * (out.phase[0] - into.phase[0]))
-        found.append(out.amplitude[0] / into.amplitude[0] * turn)
-    return np.array(found)
+        points.append(out.amplitude[0] / into.amplitude[0] * turn)
+    return np.array(points)
 
 
 def crosstalk(accelerations: NDArray[np.float64], driven: int) -> Signal:
@@ -236,9 +236,9 @@ def fit_second_order(
         return np.concatenate([error.real, error.imag])
 
     start = [abs(measured[0]), np.log(turn), 0.5, 0.0]
-    found = optimize.least_squares(misfit, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    size = np.sqrt(2.0 * found.cost / measured.size) / np.sqrt(np.mean(np.abs(measured) ** 2))
-    gain, logarithm, damping, delay = found.x
+    fit = optimize.least_squares(misfit, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    size = np.sqrt(2.0 * fit.cost / measured.size) / np.sqrt(np.mean(np.abs(measured) ** 2))
+    gain, logarithm, damping, delay = fit.x
     return SecondOrder(
         float(gain), float(np.exp(logarithm)), float(damping), float(delay), float(size)
     )

@@ -175,11 +175,11 @@ def envelope_poses(
     """
     low, high = (limits or load_motion_limits()).operational.T
     source = qmc.Sobol(6, seed=seed)
-    found = [np.zeros(6)]
-    while len(found) < count:
+    poses = [np.zeros(6)]
+    while len(poses) < count:
         drawn = low + (high - low) * source.random(256)
-        found += list(drawn[reserve(drawn, plant) >= 0.0])
-    return np.array(found[:count])
+        poses += list(drawn[reserve(drawn, plant) >= 0.0])
+    return np.array(poses[:count])
 
 
 def over_envelope(
@@ -228,7 +228,7 @@ def over_envelope(
             return float(lowest_ones.max()) - left
         return float(plant.hydraulic_modes(pose).frequency_hz[0])
 
-    found = optimize.differential_evolution(
+    search = optimize.differential_evolution(
         lowest,
         list(zip(*allowed.operational.T, strict=True)),
         init=poses[np.argsort(lowest_ones)[:90]],
@@ -239,7 +239,7 @@ def over_envelope(
         polish=False,
     )
     tell(rounds + 1, rounds + 1)
-    return Range(looked_at, plant.hydraulic_modes(found.x))
+    return Range(looked_at, plant.hydraulic_modes(search.x))
 
 
 def within_stroke(plant: Hexapod, modes: HydraulicModes, room: float) -> HydraulicModes:
@@ -307,18 +307,18 @@ def swinging(
     Raises:
         InputError: a leg would leave its working stroke.
     """
-    room = largest_stroke(plant, modes, mode)
-    if not 0.0 < stroke <= room:
+    largest = largest_stroke(plant, modes, mode)
+    if not 0.0 < stroke <= largest:
         raise InputError(
-            f"stroke: {stroke:.4f} m must be greater than 0 and at most {room:.4f} m, where mode "
-            f"{mode + 1} takes a leg to the end of its working stroke"
+            f"stroke: {stroke:.4f} m must be greater than 0 and at most {largest:.4f} m, where "
+            f"mode {mode + 1} takes a leg to the end of its working stroke"
         )
     shape = modes.leg_shape[:, mode] / np.abs(modes.leg_shape[:, mode]).max()
     phase = 2.0 * np.pi * modes.frequency_hz[mode] * np.asarray(time, dtype=float)
     rest = pose_to_legs(modes.pose, plant.geometry)
     poses = legs_to_pose(rest + stroke * np.sin(phase)[:, None] * shape, plant.geometry)
-    found = np.empty((poses.shape[0], plant.model.nq))
+    configurations = np.empty((poses.shape[0], plant.model.nq))
     for row, pose in enumerate(poses):
         plant.place(pose)
-        found[row] = plant.data.qpos
-    return found
+        configurations[row] = plant.data.qpos
+    return configurations

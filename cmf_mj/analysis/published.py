@@ -81,8 +81,8 @@ def published(law: str, dof: str, hydraulics: str) -> Published | None:
     """
     name = _READ_AS.get(law, law)
     rows = {row.of: row for row in published_results() if row.law == name and row.dof == dof}
-    wanted = ("nonlinear",) if hydraulics == "report" else ("hardware", "nonlinear")
-    for of in wanted:
+    kinds = ("nonlinear",) if hydraulics == "report" else ("hardware", "nonlinear")
+    for of in kinds:
         if of in rows and rows[of].phase_bandwidth_hz is not None:
             return rows[of]
     return None

@@ -19,7 +19,6 @@ from cmf_mj.analysis.linear.second_order import (
     GAINS,
     FeedbackLoop,
     GainEffect,
-    LoopCharacteristics,
     bandwidth_example,
     feedback_model,
     gain_effects,
@@ -46,6 +45,15 @@ _LOOP_COLUMNS = (
     *("overshoot", "damping_ratio", "demand_damping_ratio", "peak_damping_ratio"),
     *("mode_damping_ratio", "mode_frequency_hz", "rise_time", "settling_time"),
 )
+_EFFECT_COLUMNS = {
+    "natural_frequency_hz": "mode_frequency_hz",
+    "damping_ratio": "mode_damping_ratio",
+    "static_gain": "static_gain",
+    "phase_bandwidth_hz": "phase_bandwidth_hz",
+    "gain_bandwidth_hz": "gain_bandwidth_hz",
+    "peak_db": "peak_gain_db",
+    "overshoot": "overshoot",
+}
 _READINGS = {"damping_ratio": "step_damping_ratio"}
 _GAIN_TITLES = {
     "position_gain": ("position gain", "$K_p$"),
@@ -233,7 +241,7 @@ def gain_figure(effects: Sequence[GainEffect]) -> Figure:
         width.plot(values, [r.gain_bandwidth_hz for r in results], label="-3 dB from static gain")
         width.set(xlabel=symbol, ylabel="bandwidth [Hz]", ylim=(0.0, None))
         damping = width.twinx()
-        damping.plot(values, [r.damping_ratio for r in results], "k--")
+        damping.plot(values, [r.mode_damping_ratio for r in results], "k--")
         damping.set(ylabel="damping ratio (dashed)", ylim=(0.0, None))
         grid(width)
         legend(gain, width, fontsize=7, loc="lower left")
@@ -259,9 +267,12 @@ def save_linear(loops: Sequence[LawLoop], rows: Sequence[TableRow], folder: Path
     ]
     effect_header = (
         *("gain", "value", "plant_natural_frequency", "plant_damping_ratio"),
-        *(*GAINS, *LoopCharacteristics._fields),
+        *(*GAINS, *_EFFECT_COLUMNS),
     )
-    values = [(e.gain, e.value, *e.loop, *e.result) for e in effects]
+    values = [
+        (e.gain, e.value, *e.loop, *(getattr(e.result, n) for n in _EFFECT_COLUMNS.values()))
+        for e in effects
+    ]
     return [
         write_csv(folder / "table_4_1.csv", TableRow._fields, rows),
         write_csv(folder / "loops.csv", loop_header, measures),

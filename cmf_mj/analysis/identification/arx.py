@@ -29,7 +29,7 @@ import numpy as np
 from scipy import linalg
 
 from cmf_mj.analysis.identification.data import Experiment, Real
-from cmf_mj.analysis.identification.model import Orders, PolynomialModel, from_parameters
+from cmf_mj.analysis.identification.model import FittedRow, Orders, PolynomialModel, from_rows
 from cmf_mj.analysis.identification.validation import simulation_fit
 from cmf_mj.core.errors import InputError
 
@@ -104,23 +104,11 @@ def arx(
     runs = as_experiments(experiments)
     chosen = Orders(*orders).check()
     factors = [_factor(runs, row, chosen, chosen.lag) for row in range(runs[0].output.shape[1])]
-    solved = [_solve(factor, np.arange(factor.triangle.shape[1] - 1)) for factor in factors]
-    return handled(_assembled(solved, chosen, runs, factors[0].samples), unstable)
-
-
-def _assembled(
-    rows: list["_Solved"], orders: Orders, runs: list[Experiment], samples: int
-) -> PolynomialModel:
-    return from_parameters(
-        orders,
-        np.stack([row.parameters for row in rows]),
-        runs[0],
-        covariances=np.stack([row.covariance for row in rows]),
-        noise_variance=np.array([row.variance for row in rows]),
-        noise="equation",
-        method="arx",
-        samples=samples,
+    solved = [_solve(factor, np.arange(factor.triangle.shape[1] - 1))[0] for factor in factors]
+    model = from_rows(
+        chosen, solved, runs[0], noise="equation", method="arx", samples=factors[0].samples
     )
+    return handled(model, unstable)
 
 
 class _Factor(NamedTuple):
@@ -129,13 +117,6 @@ class _Factor(NamedTuple):
     triangle: Real
     scale: Real
     samples: int
-
-
-class _Solved(NamedTuple):
-    parameters: Real
-    covariance: Real
-    variance: float
-    loss: float  #: Mean square of e.
 
 
 def _factor(runs: list[Experiment], row: int, orders: Orders, lag: int) -> _Factor:
@@ -157,8 +138,8 @@ def _factor(runs: list[Experiment], row: int, orders: Orders, lag: int) -> _Fact
     return _Factor(triangle[: table.shape[1]], scale, y.size)
 
 
-def _solve(factor: _Factor, columns: Real) -> _Solved:
-    """Least squares with some of the regressors."""
+def _solve(factor: _Factor, columns: Real) -> tuple[FittedRow, float]:
+    """Least squares with some of the regressors, and the mean square of e."""
     count = columns.size
     keep = np.concatenate([columns, [factor.triangle.shape[1] - 1]])
     triangle = linalg.qr(factor.triangle[:, keep], mode="r")[0][: count + 1]
@@ -171,12 +152,9 @@ def _solve(factor: _Factor, columns: Real) -> _Solved:
     square = float((triangle[count, count] * scale[-1]) ** 2)
     variance = square / (factor.samples - count)
     shrink = 1.0 / scale[:-1]
-    return _Solved(
-        theta * scale[-1] * shrink,
-        variance * (inverse @ inverse.T) * np.outer(shrink, shrink),
-        variance,
-        square / factor.samples,
-    )
+    covariance = variance * (inverse @ inverse.T) * np.outer(shrink, shrink)
+    row = FittedRow(theta * scale[-1] * shrink, covariance, variance)
+    return row, square / factor.samples
 
 
 class Candidate(NamedTuple):
@@ -245,28 +223,32 @@ def select_orders(
     power = [
         np.mean(np.concatenate([r.output[:, i] for r in runs]) ** 2) for i in range(len(factors))
     ]
-    found = []
+    candidates = []
     for orders in grid:
         places = [np.arange(orders.na)]
         places += [
             widest.na + span * j + orders.nk - first + np.arange(orders.nb) for j in range(inputs)
         ]
-        solved = [_solve(factor, np.concatenate(places)) for factor in factors]
-        model = _assembled(solved, orders, runs, factors[0].samples)
+        solved, losses = zip(
+            *(_solve(factor, np.concatenate(places)) for factor in factors), strict=True
+        )
+        model = from_rows(
+            orders, solved, runs[0], noise="equation", method="arx", samples=factors[0].samples
+        )
         count = orders.parameters(inputs)
-        misfit = sum(f.samples * np.log(s.loss) for f, s in zip(factors, solved, strict=True))
+        misfit = sum(f.samples * np.log(e) for f, e in zip(factors, losses, strict=True))
         penalty = sum(np.log(f.samples) for f in factors)
         stable = not model.unstable_poles
         fit = min(float(simulation_fit(model, run).min()) for run in others) if stable else -np.inf
-        found.append(
+        candidates.append(
             Candidate(
                 orders,
                 count * len(factors),
-                float(np.mean([s.loss / p for s, p in zip(solved, power, strict=True)])),
+                float(np.mean([e / p for e, p in zip(losses, power, strict=True)])),
                 float(misfit + 2.0 * count * len(factors)),
                 float(misfit + count * penalty),
                 fit,
                 stable,
             )
         )
-    return Selection(tuple(found))
+    return Selection(tuple(candidates))

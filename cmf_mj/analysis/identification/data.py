@@ -33,7 +33,7 @@ Real = NDArray[np.float64]
 
 RATE = 64.0
 """Default sampling rate [Hz], half the facility recorder's: the legs' modes lie below 15 Hz, and a
-model at a rate far above what is excited is told little and distorted much by noise."""
+model at a rate far above what is excited learns little and suffers much from noise."""
 
 POSITIONS = ("leg_position", "leg_reference")
 """Leg channels that are mapped to a pose; all others by the Jacobian."""
@@ -65,10 +65,10 @@ class Experiment:
         if not (np.isfinite(self.step) and self.step > 0.0):
             raise InputError(f"step: {self.step} s must be a finite number greater than 0")
         for field in ("input", "output", "reference"):
-            given = getattr(self, field)
-            if given is None and field == "reference":
+            entry = getattr(self, field)
+            if entry is None and field == "reference":
                 continue
-            values = np.array(given, dtype=float)
+            values = np.array(entry, dtype=float)
             values = values[:, None] if values.ndim == 1 else values
             if values.ndim != 2 or values.shape[0] < 2:
                 raise InputError(f"{field}: shape is {values.shape}; allowed: (N, k) with N >= 2")
@@ -84,9 +84,9 @@ class Experiment:
         for field in ("input", "output"):
             count = getattr(self, field).shape[1]
             for kind in ("names", "units"):
-                given = len(getattr(self, f"{field}_{kind}"))
-                if given != count:
-                    raise InputError(f"{field}_{kind}: has {given} entries; {field} has {count}")
+                entry = len(getattr(self, f"{field}_{kind}"))
+                if entry != count:
+                    raise InputError(f"{field}_{kind}: has {entry} entries; {field} has {count}")
 
     @property
     def samples(self) -> int:
@@ -188,13 +188,13 @@ def decimated(values: Real, factor: int) -> Real:
     return values
 
 
-def _indices(field: str, have: tuple[str, ...], wanted: Sequence[str] | None) -> list[int]:
-    if wanted is None:
+def _indices(field: str, have: tuple[str, ...], names: Sequence[str] | None) -> list[int]:
+    if names is None:
         return list(range(len(have)))
-    for name in wanted:
+    for name in names:
         if name not in have:
             raise InputError(f"{field}: {name!r} is not one of {', '.join(have)}")
-    return [have.index(name) for name in wanted]
+    return [have.index(name) for name in names]
 
 
 def _along(legs: Mapping[str, Real], channel: str, axes: Sequence[str]) -> Real:

@@ -11,6 +11,7 @@ The noise enters as white e[k] on the right (`equation`: ARX, Eqs 4.8, 4.9) or a
 the first input, of the second and so on; `covariances` holds one matrix a row in that order.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -136,8 +137,8 @@ class PolynomialModel:
         |B/A| on the unit circle does not change; the phase does. The poles as found are kept in
         `reflected`; covariances become NaN. A stable model is returned as it is.
         """
-        found = self.unstable_poles
-        if not found:
+        unstable = self.unstable_poles
+        if not unstable:
             return self
         a, b = self.denominators.copy(), self.numerators.copy()
         for row in range(self.outputs):
@@ -147,7 +148,7 @@ class PolynomialModel:
             roots[outside] = 1.0 / np.conj(roots[outside])
             a[row] = np.poly(roots).real
         unknown = np.full_like(self.covariances, np.nan)
-        return replace(self, denominators=a, numerators=b, covariances=unknown, reflected=found)
+        return replace(self, denominators=a, numerators=b, covariances=unknown, reflected=unstable)
 
     def labelled_like(self, experiment: Experiment) -> "PolynomialModel":
         """The same model taken for the signals of an experiment.
@@ -302,40 +303,46 @@ def _roots(polynomial: Real, covariance: Real) -> tuple[Root, ...]:
     """
     degree = polynomial.size - 1
     slope = np.polyder(polynomial)
-    found = []
+    roots = []
     for p in np.roots(polynomial):
         steep = np.polyval(slope, p)
         if steep == 0.0:
-            found.append(Root(complex(p), np.full((2, 2), np.nan)))
+            roots.append(Root(complex(p), np.full((2, 2), np.nan)))
             continue
         change = -(p ** np.arange(degree - 1, -1, -1)) / steep
         parts = np.stack([change.real, change.imag])
-        found.append(Root(complex(p), np.asarray(parts @ covariance @ parts.T)))
-    return tuple(found)
+        roots.append(Root(complex(p), np.asarray(parts @ covariance @ parts.T)))
+    return tuple(roots)
 
 
-def from_parameters(
+class FittedRow(NamedTuple):
+    """What a fit says of one row of a model."""
+
+    parameters: Real  #: a, then b of each input, (p,).
+    covariance: Real  #: (p, p).
+    variance: float  #: Of e or v.
+    converged: bool = True
+
+
+def from_rows(
     orders: Orders,
-    rows: ArrayLike,
+    rows: Sequence[FittedRow],
     like: Experiment,
     *,
-    covariances: Real,
-    noise_variance: Real,
     noise: Literal["equation", "output"],
     method: str,
     samples: int,
 ) -> PolynomialModel:
-    """Build a model from the parameters of its rows, (ny, p), and an experiment's labels."""
-    theta = np.atleast_2d(np.asarray(rows, dtype=float))
-    count = like.input.shape[1]
-    b = theta[:, orders.na :].reshape(theta.shape[0], count, orders.nb)
+    """Build a model from its fitted rows and an experiment's labels."""
+    theta = np.stack([row.parameters for row in rows])
+    b = theta[:, orders.na :].reshape(theta.shape[0], like.input.shape[1], orders.nb)
     return PolynomialModel(
         orders=orders,
         denominators=np.hstack([np.ones((theta.shape[0], 1)), theta[:, : orders.na]]),
         numerators=np.concatenate([np.zeros((*b.shape[:2], orders.nk)), b], axis=2),
         step=like.step,
-        covariances=covariances,
-        noise_variance=noise_variance,
+        covariances=np.stack([row.covariance for row in rows]),
+        noise_variance=np.array([row.variance for row in rows]),
         noise=noise,
         method=method,
         samples=samples,
@@ -343,4 +350,5 @@ def from_parameters(
         output_names=like.output_names,
         input_units=like.input_units,
         output_units=like.output_units,
+        converged=all(row.converged for row in rows),
     )

@@ -13,15 +13,11 @@ what the error can be when they add up.
 
 import numpy as np
 
-from cmf_mj.analysis.frequency_response import FrequencyResponse
-from cmf_mj.analysis.identification.data import Real, experiment
-from cmf_mj.analysis.response.estimate import SEGMENT, Estimate
-from cmf_mj.analysis.response.periodic import periodic_response
-from cmf_mj.analysis.response.welch import welch_response
+from cmf_mj.analysis.frequency_response import FrequencyResponse, excited_response
+from cmf_mj.analysis.identification.data import experiment
+from cmf_mj.analysis.response.estimate import SEGMENT
 from cmf_mj.core.errors import InputError
 from cmf_mj.record.record import Record
-from cmf_mj.signals.signal import Signal
-from cmf_mj.signals.single import Multisine
 
 RATE = 128.0
 """Sampling rate of the analysis [Hz], the facility recorder's."""
@@ -57,7 +53,7 @@ def plant_response(
     if series.reference is None or np.ptp(series.reference[:, 0]) < 1e-9:
         raise InputError(f"axis: the record holds no demand in {axis}")
     to_input, to_output = (
-        _response(series.reference[:, 0], values[:, 0], series.rate, record.signal, segment)
+        excited_response(series.reference[:, 0], values[:, 0], series.rate, record.signal, segment)
         for values in (series.input, series.output)
     )
     response = to_output.response / to_input.response
@@ -78,19 +74,3 @@ def _rate(record: Record) -> float:
     """The analysis rate, or the record's own where it is lower or no multiple."""
     factor = record.rate / RATE
     return RATE if factor >= 1.0 and abs(factor - round(factor)) < 1e-9 else record.rate
-
-
-def _response(x: Real, y: Real, rate: float, command: Signal, segment: float) -> Estimate:
-    """Response from x to y over whole periods of a multisine, by Welch's method otherwise."""
-    low, high = command.band or (0.0, 10.0)
-    if isinstance(command, Multisine):
-        period, periods = command.period, command.periods
-        samples = round(period * rate)
-        if abs(samples - period * rate) > 1e-9:
-            raise InputError(f"rate: a period of {period} s has no whole samples at {rate}")
-        orders = np.arange(1, samples // 2, 2)
-        lines = orders[(orders >= low * period - 1e-9) & (orders <= high * period + 1e-9)]
-        whole = slice(periods * samples)
-        return periodic_response(x[whole], y[whole], rate, period, lines=lines)
-    band = (max(low, 2.0 / segment), high)
-    return welch_response(x, y, rate, segment=segment, band=band, pad=True)

@@ -26,7 +26,7 @@ hold both.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,13 @@ from scipy import linalg, optimize, signal
 
 from cmf_mj.analysis.identification.arx import Unstable, arx, as_experiments, handled, regressors
 from cmf_mj.analysis.identification.data import Experiment, Real
-from cmf_mj.analysis.identification.model import STABILITY, Orders, PolynomialModel, from_parameters
+from cmf_mj.analysis.identification.model import (
+    STABILITY,
+    FittedRow,
+    Orders,
+    PolynomialModel,
+    from_rows,
+)
 from cmf_mj.core.errors import InputError
 
 Instrument = Literal["input", "reference"]
@@ -46,29 +52,11 @@ _SINGULAR = 1e12
 """Condition from which on parameters count as not told apart."""
 
 
-class _Row(NamedTuple):
-    """One row of a model."""
-
-    parameters: Real
-    covariance: Real
-    variance: float
-    converged: bool
-
-
 def _assembled(
-    rows: list[_Row], orders: Orders, runs: list[Experiment], method: str
+    rows: list[FittedRow], orders: Orders, runs: list[Experiment], method: str
 ) -> PolynomialModel:
-    model = from_parameters(
-        orders,
-        np.stack([row.parameters for row in rows]),
-        runs[0],
-        covariances=np.stack([row.covariance for row in rows]),
-        noise_variance=np.array([row.variance for row in rows]),
-        noise="output",
-        method=method,
-        samples=sum(run.samples for run in runs),
-    )
-    return replace(model, converged=all(row.converged for row in rows))
+    samples = sum(run.samples for run in runs)
+    return from_rows(orders, rows, runs[0], noise="output", method=method, samples=samples)
 
 
 def instrumental_variable(
@@ -138,7 +126,7 @@ def _refined(
     row: int,
     iterations: int,
     tolerance: float,
-) -> "_Row":
+) -> FittedRow:
     theta = start.parameters(row)
     for sweep in range(iterations):
         model = _single(start, row, theta).stabilised()
@@ -151,8 +139,8 @@ def _refined(
         # Where distortion is taken for noise the iteration may swing about its end: halve it.
         theta = new if sweep < iterations // 3 else 0.5 * (theta + new)
         if change < tolerance:
-            return _Row(new, covariance, variance, True)
-    return _Row(theta, covariance, variance, False)
+            return FittedRow(new, covariance, variance, True)
+    return FittedRow(theta, covariance, variance, False)
 
 
 def _single(like: PolynomialModel, row: int, theta: Real) -> PolynomialModel:
@@ -292,8 +280,8 @@ class _OutputError:
         slope = np.column_stack(columns)
         return np.asarray((free @ (free.T @ slope) - slope) / self.size)
 
-    def solve(self, evaluations: int) -> _Row:
-        found = optimize.least_squares(
+    def solve(self, evaluations: int) -> FittedRow:
+        fit = optimize.least_squares(
             self.errors,
             self.first,
             self.jacobian,
@@ -305,13 +293,13 @@ class _OutputError:
             max_nfev=evaluations,
         )
         states = self.like.orders.na * len(self.runs)
-        freedom = found.fun.size - found.x.size - states
-        variance = 2.0 * float(found.cost) / freedom
-        scale = np.linalg.norm(found.jac, axis=0)
-        r = np.linalg.qr(found.jac / scale, mode="r")
+        freedom = fit.fun.size - fit.x.size - states
+        variance = 2.0 * float(fit.cost) / freedom
+        scale = np.linalg.norm(fit.jac, axis=0)
+        r = np.linalg.qr(fit.jac / scale, mode="r")
         half = linalg.solve_triangular(r, np.eye(scale.size)) / scale[:, None]
-        return _Row(
-            found.x, variance * (half @ half.T), variance * self.size**2, bool(found.success)
+        return FittedRow(
+            fit.x, variance * (half @ half.T), variance * self.size**2, bool(fit.success)
         )
 
 

@@ -121,7 +121,7 @@ def fit_response(
     advanced = h * np.exp(s * delay * scale)
     roots, reflected = _linear_fit(s, advanced, sigma, poles)
     problem = _Refinement(s, h, sigma, poles, zeros, delay * scale, fit_delay)
-    found = optimize.least_squares(
+    fitted = optimize.least_squares(
         problem.errors,
         problem.start(roots),
         problem.jacobian,
@@ -133,8 +133,8 @@ def fit_response(
         gtol=1e-12,
         max_nfev=2000,
     )
-    gain, numerator, denominator, late = problem.parts(found.x)
-    loss = 2.0 * float(found.cost)
+    gain, numerator, denominator, late = problem.parts(fitted.x)
+    loss = 2.0 * float(fitted.cost)
     count = 2 * f.size
     variance = loss / max(count - unknowns, 1)
     order = np.arange(poles, -1, -1)
@@ -145,10 +145,10 @@ def fit_response(
         outputs=[output_name],
         name="response_fit",
     )
-    values, errors = _pole_errors(problem, found, variance)
+    values, errors = _pole_errors(problem, fitted, variance)
     by_size = np.argsort(np.abs(values), kind="stable")
     nought = np.roots(numerator)
-    modelled = problem.model(found.x)
+    modelled = problem.model(fitted.x)
     return ResponseFit(
         rational,
         late / scale,
@@ -191,8 +191,8 @@ def _linear_fit(s: Complex, h: Complex, sigma: Real, poles: int) -> tuple[Comple
         right = h * powers[:, 0] * weight
         system = np.vstack([table.real, table.imag])
         size = np.linalg.norm(system, axis=0)
-        wanted = np.concatenate([right.real, right.imag])
-        solution = np.linalg.lstsq(system / size, wanted, rcond=None)[0] / size
+        target = np.concatenate([right.real, right.imag])
+        solution = np.linalg.lstsq(system / size, target, rcond=None)[0] / size
         below = np.concatenate([[1.0], solution[poles + 1 :]])
         before, roots = roots, np.sort_complex(np.roots(below))
         if before.size and np.abs(roots - before).max() < 1e-8 * np.abs(roots).max():
@@ -203,14 +203,14 @@ def _linear_fit(s: Complex, h: Complex, sigma: Real, poles: int) -> tuple[Comple
 
 
 def _pole_errors(
-    problem: "_Refinement", found: optimize.OptimizeResult, variance: float
+    problem: "_Refinement", fitted: optimize.OptimizeResult, variance: float
 ) -> tuple[Complex, Real]:
     """Standard deviations of the poles from the Jacobian of the residuals, by sections."""
-    size = np.linalg.norm(found.jac, axis=0)
+    size = np.linalg.norm(fitted.jac, axis=0)
     size[size == 0.0] = 1.0
-    covariance = np.linalg.pinv((found.jac / size).T @ (found.jac / size)) / np.outer(size, size)
+    covariance = np.linalg.pinv((fitted.jac / size).T @ (fitted.jac / size)) / np.outer(size, size)
     values, errors = [], []
-    for section, columns in problem.sections(found.x):
+    for section, columns in problem.sections(fitted.x):
         degree = section.size - 1
         for p in np.roots(section):
             steep = np.polyval(np.polyder(section), p)

@@ -129,8 +129,8 @@ def linearize(
 
 
 def _corners(plant: Plant, actuator: str, valve: int) -> tuple[float, float]:
-    own = plant.parameters.actuator(actuator, valve)
-    return own["drive_lag"].si, own["valve_lag"].si
+    values = plant.parameters.actuator(actuator, valve)
+    return values["drive_lag"].si, values["valve_lag"].si
 
 
 def _valve_states(plant: Plant, actuator: str) -> list[str]:

@@ -75,12 +75,12 @@ def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
         unit[i] = 1.0
         asked = unit[:count].reshape(-1, legs), unit[count:].reshape(-1, legs)
         rows.append(np.concatenate(_answers(dcl, legs, *asked)))
-    found = np.array(rows).T
+    answers = np.array(rows).T
     c, d, a, b = (
-        found[:legs, :count],
-        found[:legs, count:],
-        found[legs:, :count],
-        found[legs:, count:],
+        answers[:legs, :count],
+        answers[:legs, count:],
+        answers[legs:, :count],
+        answers[legs:, count:],
     )
     kept = _acting(a, c, legs)
     return control.ss(

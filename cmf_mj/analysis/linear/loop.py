@@ -83,11 +83,11 @@ def closed_loop(
     if pressures not in ("modelled", "zero"):
         raise InputError(f"pressures: {pressures!r} is not one of modelled, zero")
     loaded = load_law(law)
-    held = _at_frames(plant)
-    legs = _legs(held)
+    sampled = _at_frames(plant)
+    legs = _legs(sampled)
     law_system = dcl_state_space(loaded, legs)
-    c, d = _feedback_rows(held, legs, law_system, outputs)
-    a, b = np.asarray(held.A), np.asarray(held.B)[:, _commands(held, legs)]
+    c, d = _feedback_rows(sampled, legs, law_system, outputs)
+    a, b = np.asarray(sampled.A), np.asarray(sampled.B)[:, _commands(sampled, legs)]
     a, b, c, d = _delayed((a, b, c, d), command_delay)
     # With reference r, feedback y and command u: y = C x, since the delay takes the direct term.
     ak, bk, ck, dk = (
@@ -135,8 +135,8 @@ def _at_frames(plant: UnitTransferFunction | control.StateSpace) -> control.Stat
 
 def _legs(plant: control.StateSpace) -> int:
     legs = int(plant.ninputs)
-    wanted = set(labels(("command",), legs))
-    if legs > 1 and set(plant.input_labels) != wanted:
+    expected = set(labels(("command",), legs))
+    if legs > 1 and set(plant.input_labels) != expected:
         raise InputError(
             f"plant: its inputs {', '.join(plant.input_labels)} must be command_1 to command_{legs}"
         )
@@ -256,14 +256,14 @@ def closed_loop_response(
     s = 2j * np.pi * f[:, None, None]
     turn = np.eye(v.shape[1]) if legs_of_axes is None else np.asarray(legs_of_axes, dtype=float)
     gain = _law_gains(load_law(law), f, turn)
-    held = (1.0 - np.exp(-s * FRAME)) / (s * FRAME) * np.exp(-s * FRAME * command_delay)
+    hold = (1.0 - np.exp(-s * FRAME)) / (s * FRAME) * np.exp(-s * FRAME * command_delay)
     late = s * np.exp(-s * FRAME)
     back = (gain["leg_position"] / s + gain["leg_velocity"] + gain["leg_acceleration"] * late) @ v
     if pressures is not None:
         for name, values in zip(("cap_pressure", "rod_pressure"), pressures, strict=True):
             back = back + gain[name] @ _square(name, values, f.size)
-    command = np.linalg.solve(np.eye(v.shape[1]) - held * back, gain["reference"])
-    return np.asarray(held / s * v @ command)
+    command = np.linalg.solve(np.eye(v.shape[1]) - hold * back, gain["reference"])
+    return np.asarray(hold / s * v @ command)
 
 
 def _law_gains(law: Law, frequency: Matrix, legs_of_axes: Matrix) -> dict[str, Complex]:

@@ -71,9 +71,9 @@ def operating_point(
     supply, name = hydraulics.supply, plant.parameters.name
     high, low = supply.pressure, supply.return_pressure
     for _ in range(_ROUNDS):
-        held = [_hold(plant, leg, mechanics, high, low) for leg in range(plant.legs)]
-        command = np.array([rest.command for rest in held])
-        pressure = np.array([rest.pressure for rest in held])
+        rests = [_hold(plant, leg, mechanics, high, low) for leg in range(plant.legs)]
+        command = np.array([rest.command for rest in rests])
+        pressure = np.array([rest.pressure for rest in rests])
         spool = command[:, None] + hydraulics.valve.null_bias
         ends = np.array([high, low])
         flows = [
@@ -99,7 +99,7 @@ def operating_point(
             break
     _check_supply(plant, supply, high, low)
     oil = _accumulator_oil(supply, high)
-    outward = np.array([outward_share(rest.ratio, excitation) for rest in held])
+    outward = np.array([outward_share(rest.ratio, excitation) for rest in rests])
     return OperatingPoint(mechanics, command, spool, pressure, high, low, drawn, oil, outward)
 
 
@@ -134,10 +134,10 @@ def _hold(plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float)
         return np.array([(load + areas[1] * rod) / areas[0], rod, high, low])
 
     def flows(command: float, rod: float) -> NDArray[np.float64]:
-        found = port_slopes(
+        ports = port_slopes(
             hydraulics, leg, command + bias, pressures(rod), mechanics.extension[leg]
-        ).flow
-        return found[[CAP, ROD]] / areas
+        )
+        return ports.flow[[CAP, ROD]] / areas
 
     def command_at(rod: float) -> float:
         """The command that moves the leg nowhere: both chambers fill alike."""
@@ -154,16 +154,16 @@ def _hold(plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float)
     scan = np.linspace(least + margin, most - margin, _SCAN)
     balance = np.array([gathering(rod) for rod in scan])
     # Falling through 0: a pressure too high loses oil, so that the balance keeps itself.
-    found = [
+    balanced = [
         optimize.brentq(gathering, scan[i], scan[i + 1], xtol=1e-6)
         for i in np.flatnonzero((balance[:-1] > 0.0) & (balance[1:] <= 0.0))
     ]
-    if not found:
+    if not balanced:
         raise InputError(
             f"{plant.actuators[leg]}: set {plant.parameters.name!r} has no opening of the valves "
             f"that holds {load:.0f} N still"
         )
-    rod = min(found, key=lambda p: abs(command_at(p) + float(bias.mean())))
+    rod = min(balanced, key=lambda p: abs(command_at(p) + float(bias.mean())))
     return _Rest(command_at(rod), pressures(rod)[:2])
 
 

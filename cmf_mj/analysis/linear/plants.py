@@ -50,8 +50,8 @@ def leg_plant(*models: UnitTransferFunction) -> control.StateSpace:
     system = _integrated(system, _ACCELERATION, _VELOCITY, unless=_POSITION)
     system = _integrated(system, _VELOCITY, _POSITION)
     if _POSITION not in system.rows:
-        given = ", ".join(system.rows) or "none"
-        raise InputError(f"models: {given}; one of {', '.join(FEEDBACK[:3])} is needed")
+        names = ", ".join(system.rows) or "none"
+        raise InputError(f"models: {names}; one of {', '.join(FEEDBACK[:3])} is needed")
     system = _derived(system, _POSITION, _VELOCITY)
     system = _derived(system, _VELOCITY, _ACCELERATION)
     order = system.a.shape[0]

@@ -82,7 +82,7 @@ def modes(
     legs = int(system.ninputs)
     rows = [system.state_labels.index(name) for name in labels(("leg_position",), legs)]
     jacobian = None if plant is None else jacobian_of(plant, pose)
-    found = []
+    result = []
     for i in np.argsort(np.abs(poles), kind="stable"):
         if poles[i].imag < 0.0:
             continue
@@ -91,14 +91,16 @@ def modes(
         most = shape[np.argmax(np.abs(shape))]
         moves = np.abs(most) > 1e-12 * np.abs(right[:, i]).max()
         shape = shape / most if moves else np.zeros(legs, dtype=complex)
-        found.append(
+        result.append(
             Mode(
                 complex(poles[i]),
                 size,
                 float(-poles[i].real / size) if size > _STILL else float("nan"),
                 {
                     name: float(
-                        sum(f for f, own in zip(factors[:, i], family, strict=True) if own == name)
+                        sum(
+                            f for f, kind in zip(factors[:, i], family, strict=True) if kind == name
+                        )
                     )
                     for name in FAMILIES
                 },
@@ -106,7 +108,7 @@ def modes(
                 _dof_shares(shape, jacobian),
             )
         )
-    return tuple(found)
+    return tuple(result)
 
 
 def _family(state: str) -> str:

@@ -134,16 +134,16 @@ def minimal(system: control.StateSpace, tolerance: float = 1e-4) -> control.Stat
         u, size, v = np.linalg.svd(residue.real if real else residue, full_matrices=False)
         rank = int((size > _RANK * size[0]).sum())
         root = np.sqrt(size[:rank])
-        shown, reached, eye = u[:, :rank] * root, root[:, None] * v[:rank], np.eye(rank)
+        seen, reached, eye = u[:, :rank] * root, root[:, None] * v[:rank], np.eye(rank)
         if real:
-            blocks.append((pole.real * eye, reached, shown))
+            blocks.append((pole.real * eye, reached, seen))
             continue
         turn = np.array([[pole.real, -pole.imag], [pole.imag, pole.real]])
         blocks.append(
             (
                 np.kron(turn, eye),
                 np.vstack([reached.real, reached.imag]),
-                2.0 * np.hstack([shown.real, -shown.imag]),
+                2.0 * np.hstack([seen.real, -seen.imag]),
             )
         )
     return control.ss(
@@ -177,9 +177,9 @@ def leg_model(system: control.StateSpace, leg: int) -> control.StateSpace:
     if leg not in range(1, legs + 1):
         raise InputError(f"leg: {leg} is not one of 1 to {legs}")
     end = f"_{leg}" if legs > 1 else ""
-    found = reduced(system, [f"command{end}"], [f"{name}{end}" for name in FEEDBACK])
+    one = reduced(system, [f"command{end}"], [f"{name}{end}" for name in FEEDBACK])
     return control.ss(
-        found, inputs=["command"], outputs=list(FEEDBACK), name=f"{system.name}_leg_{leg}"
+        one, inputs=["command"], outputs=list(FEEDBACK), name=f"{system.name}_leg_{leg}"
     )
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from scipy import optimize
 
 from cmf_mj.analysis.linear.transfer import UnitTransferFunction
+from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 
@@ -47,18 +48,6 @@ class FeedbackLoop(NamedTuple):
     position_gain: float = 0.0  #: K_p.
     rate_gain: float = 0.0  #: K_r [s].
     acceleration_gain: float = 0.0  #: K_a [s^2].
-
-
-class LoopCharacteristics(NamedTuple):
-    """What a `FeedbackLoop` does, in closed form; NaN where a response has no such thing."""
-
-    natural_frequency_hz: float  #: Of the closed loop [Hz].
-    damping_ratio: float  #: Of the closed loop; negative where it is unstable.
-    static_gain: float  #: Gain at rest, 1 / (1 + K_p).
-    phase_bandwidth_hz: float  #: Where the phase falls through -90 deg [Hz]; NaN without damping.
-    gain_bandwidth_hz: float  #: Where the gain falls 3 dB below the static gain [Hz].
-    peak_db: float  #: Largest gain over the static gain [dB].
-    overshoot: float  #: Of a step, over its final value.
 
 
 def _checked(loop: FeedbackLoop) -> tuple[float, float]:
@@ -108,12 +97,13 @@ def feedback_model(
     )
 
 
-def characteristics(loop: FeedbackLoop) -> LoopCharacteristics:
+def characteristics(loop: FeedbackLoop) -> Measures:
     """Natural frequency, damping and bandwidths of the loop of Eq 3.4.
 
-    Bandwidths count from the static gain, which K_p lowers. With damping ratio z, natural frequency
-    w, c = 1 - 2 z^2 and h = 10^(-3/20) the phase is -90 deg at w, the gain is down by 3 dB at
-    w sqrt(c + sqrt(c^2 + h^-2 - 1)), and it peaks by 1 / (2 z sqrt(1 - z^2)) below z = 0.707.
+    Bandwidths and peak count from the static gain, which K_p lowers; the mode is the loop's. With
+    damping ratio z, natural frequency w, c = 1 - 2 z^2 and h = 10^(-3/20) the phase is -90 deg at
+    w, the gain is down by 3 dB at w sqrt(c + sqrt(c^2 + h^-2 - 1)), and it peaks by
+    1 / (2 z sqrt(1 - z^2)) below z = 0.707.
 
     Raises:
         InputError: a loop that is not of second order, or whose static gain is not positive.
@@ -128,14 +118,15 @@ def characteristics(loop: FeedbackLoop) -> LoopCharacteristics:
     peak = 1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2)) if stable and c > 0.0 else 1.0
     over = np.exp(-np.pi * damping / np.sqrt(1.0 - damping**2)) if damping < 1.0 else 0.0
     nan = float("nan")
-    return LoopCharacteristics(
-        natural_frequency_hz=float(frequency),
-        damping_ratio=float(damping),
-        static_gain=1.0 / b,
+    return Measures(
         phase_bandwidth_hz=float(frequency) if stable else nan,
         gain_bandwidth_hz=float(frequency * np.sqrt(c + np.sqrt(c**2 + _HALF_POWER**-2 - 1.0))),
-        peak_db=float(20.0 * np.log10(peak)) if stable else nan,
+        peak_gain_db=float(20.0 * np.log10(peak)) if stable else nan,
         overshoot=float(over) if stable else nan,
+        steady_state_error=1.0 - 1.0 / b,
+        stable=bool(stable),
+        mode_damping_ratio=float(damping),
+        mode_frequency_hz=float(frequency),
     )
 
 
@@ -145,7 +136,7 @@ class GainEffect(NamedTuple):
     gain: Gain  #: Which gain.
     value: float  #: Its value [1, s or s^2].
     loop: FeedbackLoop  #: The loop with it.
-    result: LoopCharacteristics  #: What the loop does.
+    result: Measures  #: What the loop does.
 
 
 def gain_effect(loop: FeedbackLoop, gain: Gain, values: Sequence[float]) -> tuple[GainEffect, ...]:
@@ -191,9 +182,9 @@ def bandwidth_example(
     """
     bare = characteristics(FeedbackLoop(units.HERTZ, plant_damping, position_gain))
     highest = 0.5 / _HALF_POWER
-    if not bare.damping_ratio <= loop_damping < highest:
+    if not bare.mode_damping_ratio <= loop_damping < highest:
         raise InputError(
-            f"loop_damping: {loop_damping} must be at least {bare.damping_ratio:.3g}, that of "
+            f"loop_damping: {loop_damping} must be at least {bare.mode_damping_ratio:.3g}, that of "
             f"position feedback alone, and below {highest:.3g}"
         )
     # At a plant frequency of 1 Hz first; all frequencies scale with it.
@@ -220,7 +211,7 @@ def bandwidth_example(
 def gain_effects(steps: int = 41) -> tuple[GainEffect, ...]:
     """Each gain of section 3.4 varied from nothing to twice its size in `bandwidth_example`."""
     loop = bandwidth_example()["acceleration"]
-    found: list[GainEffect] = []
+    effects: list[GainEffect] = []
     for gain in GAINS:
-        found += gain_effect(loop, gain, list(np.linspace(0.0, 2.0 * getattr(loop, gain), steps)))
-    return tuple(found)
+        effects += gain_effect(loop, gain, list(np.linspace(0.0, 2.0 * getattr(loop, gain), steps)))
+    return tuple(effects)

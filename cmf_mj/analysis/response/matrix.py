@@ -99,9 +99,9 @@ def matrix_response(
         coherence[rows], averages[rows] = fit.coherence, fit.averages
     if interpolate:
         for i, j in np.ndindex(shape[1:]):
-            own = driven[:, j]
-            response[:, i, j] = _between(frequency, frequency[own], response[own, i, j])
-            radius[:, i, j] = _between(frequency, frequency[own], radius[own, i, j]).real
+            known = driven[:, j]
+            response[:, i, j] = _between(frequency, frequency[known], response[known, i, j])
+            radius[:, i, j] = _between(frequency, frequency[known], radius[known, i, j]).real
     return _frozen(Estimate(frequency, response, coherence, radius, averages))
 
 

@@ -115,35 +115,35 @@ def sine_response(
         InputError: frequencies out of range or too close, no whole cycle, no input at one of them.
     """
     xs, ys = _pair(x, y)
-    wanted = np.sort(np.atleast_1d(np.asarray(frequency, dtype=float)))
-    if wanted.size == 0 or not (wanted[0] > 0.0 and wanted[-1] < 0.5 * rate):
-        raise InputError(f"frequency: {wanted} Hz; allowed: above 0 and below {0.5 * rate} Hz")
+    chosen = np.sort(np.atleast_1d(np.asarray(frequency, dtype=float)))
+    if chosen.size == 0 or not (chosen[0] > 0.0 and chosen[-1] < 0.5 * rate):
+        raise InputError(f"frequency: {chosen} Hz; allowed: above 0 and below {0.5 * rate} Hz")
     begin = round(settle * rate)
-    cycles = int((xs.size - begin) * wanted[0] / rate + 1e-9)
+    cycles = int((xs.size - begin) * chosen[0] / rate + 1e-9)
     if cycles < 1:
-        raise InputError(f"frequency: no whole cycle of {wanted[0]} Hz after settle, {settle} s")
-    size = round(cycles * rate / wanted[0])
+        raise InputError(f"frequency: no whole cycle of {chosen[0]} Hz after settle, {settle} s")
+    size = round(cycles * rate / chosen[0])
     resolution = rate / size
-    if wanted.size > 1 and np.diff(wanted).min() < 0.9 * resolution:
+    if chosen.size > 1 and np.diff(chosen).min() < 0.9 * resolution:
         raise InputError(
-            f"frequency: {wanted} Hz are closer than the {resolution:.3g} Hz the record resolves"
+            f"frequency: {chosen} Hz are closer than the {resolution:.3g} Hz the record resolves"
         )
-    sines = _with_harmonics(wanted, harmonics, resolution, 0.5 * rate)
+    sines = _with_harmonics(chosen, harmonics, resolution, 0.5 * rate)
     angle = 2.0 * np.pi * np.outer(np.arange(size) / rate, sines)
     both = np.column_stack([xs, ys])[begin : begin + size]
     fit = fit_sines(both, angle)
-    tones = fit.amplitude[: wanted.size]
+    tones = fit.amplitude[: chosen.size]
     amplitude = np.abs(tones[:, 0])
     if np.any(amplitude <= 1e-12 * np.ptp(both[:, 0])):
-        raise InputError(f"x: holds no sine at {wanted[amplitude.argmin()]} Hz")
+        raise InputError(f"x: holds no sine at {chosen[amplitude.argmin()]} Hz")
     response = tones[:, 1] / tones[:, 0]
     residual = np.abs(np.fft.rfft(fit.remainder[:, 1])) ** 2
-    power, count = _near(residual, wanted / resolution, sines / resolution)
+    power, count = _near(residual, chosen / resolution, sines / resolution)
     noise = power / (0.5 * size * amplitude) ** 2
     explained = np.abs(response) ** 2
     return _frozen(
         Estimate(
-            wanted,
+            chosen,
             response,
             _share(explained, explained + np.nan_to_num(noise)),
             _radius(noise, count),

@@ -162,23 +162,23 @@ def _variance(squares: Real, count: int) -> Real:
     return squares / (count * (count - 1)) if count > 1 else np.full_like(squares, np.nan)
 
 
-def _near(power: Real, wanted: Real, fitted: Real) -> tuple[Real, Real]:
+def _near(power: Real, chosen: Real, fitted: Real) -> tuple[Real, Real]:
     """Mean of `power` over the lines next to each wanted one that no sine lies on, and how many."""
     order = np.arange(power.size)
     free = order[(np.abs(order[:, None] - fitted) > 0.75).all(axis=1) & (order > 0)]
-    near = [free[np.argsort(np.abs(free - line), kind="stable")[:NEIGHBOURS]] for line in wanted]
+    near = [free[np.argsort(np.abs(free - line), kind="stable")[:NEIGHBOURS]] for line in chosen]
     means = [float(power[lines].mean()) if lines.size else np.nan for lines in near]
     return np.array(means), np.array([float(lines.size) for lines in near])
 
 
-def _with_harmonics(wanted: Real, harmonics: int, resolution: float, top: float) -> Real:
+def _with_harmonics(chosen: Real, harmonics: int, resolution: float, top: float) -> Real:
     """The wanted frequencies, then those of their harmonics that can be told from all others."""
-    found = list(wanted)
-    for frequency in np.outer(np.arange(2, harmonics + 1), wanted).ravel():
-        clear = min(abs(frequency - other) for other in found) > 0.5 * resolution
+    sines = list(chosen)
+    for frequency in np.outer(np.arange(2, harmonics + 1), chosen).ravel():
+        clear = min(abs(frequency - other) for other in sines) > 0.5 * resolution
         if clear and frequency < top - 0.5 * resolution:
-            found.append(frequency)
-    return np.array(found)
+            sines.append(frequency)
+    return np.array(sines)
 
 
 def _pair(x: ArrayLike, y: ArrayLike) -> tuple[Real, Real]:
@@ -238,13 +238,13 @@ def _scaled(variance: Real | None, factor: Real) -> Real | None:
     return None if variance is None else variance * factor**2
 
 
-def _between(frequency: Real, own: Real, values: ArrayLike) -> Complex:
+def _between(frequency: Real, known: Real, values: ArrayLike) -> Complex:
     parts = np.asarray(values)
-    if own.size == 0:
+    if known.size == 0:
         return np.full(frequency.size, np.nan + 0j)
     options = {"left": np.nan, "right": np.nan}
-    real = np.interp(frequency, own, parts.real, **options)
-    return real + 1j * np.interp(frequency, own, parts.imag, **options)
+    real = np.interp(frequency, known, parts.real, **options)
+    return real + 1j * np.interp(frequency, known, parts.imag, **options)
 
 
 def _frozen(estimate: Estimate) -> Estimate:
