@@ -92,16 +92,16 @@ def plot_motion(axis: Axes, record: Record) -> None:
     pose = record.channels.get("platform_pose")
     if pose is None:
         for leg in range(record["leg_reference"].shape[1]):
-            asked, reached = (
+            demanded, reached = (
                 record[f"leg_{n}"][:, leg] / units.INCH for n in ("reference", "extension")
             )
-            axis.plot(time, asked, color="0.7", lw=2.0)
+            axis.plot(time, demanded, color="0.7", lw=2.0)
             axis.plot(time, reached, color=COLOURS[leg % 6], lw=0.9, label=f"leg {leg + 1}")
         axis.set_ylabel("legs [in]", fontsize=9)
         return
     for index in moved if moved.size else range(6):
         unit = dof_unit(int(index))
-        asked, reached = (units.from_si(unit, values[:, index]) for values in (demand, pose))
-        axis.plot(time, asked, color="0.7", lw=2.0)
+        demanded, reached = (units.from_si(unit, values[:, index]) for values in (demand, pose))
+        axis.plot(time, demanded, color="0.7", lw=2.0)
         axis.plot(time, reached, color=COLOURS[index], lw=0.9, label=f"{DOFS[index]} [{unit}]")
     axis.set_ylabel("demand (grey), response", fontsize=9)
