@@ -19,7 +19,7 @@ from cmf_mj.facility.operation import FacilitySettings, operate
 from cmf_mj.machine.models import CABS
 from cmf_mj.pilot import host as pilot_host
 from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
-from cmf_mj.pilot.cueing.envelope import confined
+from cmf_mj.pilot.cueing.envelope import within_limits
 from cmf_mj.pilot.fly import fly
 from cmf_mj.show.table import Table
 from cmf_mj.studies.mismatch import with_valve_gains
@@ -62,7 +62,7 @@ def wild_stream(number: int) -> host.HostStream:
     pose *= np.clip(np.minimum(time, (MOVING - time) / 0.05), 0.0, 1.0)[:, None]
     if number % 2:
         pose[ends:] = pose[ends - 6]
-    return confined(host.make_stream(time, pose))[0]
+    return within_limits(host.make_stream(time, pose))[0]
 
 
 def cycles(law: Law, number: int) -> bool:

@@ -9,7 +9,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.facility.host.files import read_stream
 from cmf_mj.machine.kinematics import WORKING_STROKE, pose_motion_to_legs, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.cueing.envelope import confined, excursion
+from cmf_mj.pilot.cueing.envelope import excursion, within_limits
 from cmf_mj.pilot.cueing.flight import cue, tune
 from cmf_mj.pilot.cueing.settings import WASHOUTS, load_washout, save_washout
 from cmf_mj.pilot.cueing.washout import Washout
@@ -75,7 +75,7 @@ def test_unknown_set_is_refused():
 def test_a_motion_within_the_limits_passes_to_the_bit():
     stream = Washout().run(turn_entry())
     assert excursion(stream).largest < 1.0
-    kept = confined(stream)
+    kept = within_limits(stream)
     assert not kept.held.any()
     for name in ("pose", "velocity", "acceleration"):
         np.testing.assert_array_equal(getattr(kept.stream, name), getattr(stream, name))
@@ -85,7 +85,7 @@ def test_a_motion_beyond_them_is_held_within_travel_and_leg_rates():
     stream = Washout().run(PUSH)
     assert excursion(stream).largest > 1.2
     assert "leg_displacement" in excursion(stream).binding
-    kept = confined(stream)
+    kept = within_limits(stream)
     assert kept.held.any() and not kept.held.all()
     legs = pose_to_legs(kept.stream.pose)
     assert np.abs(legs).max() <= WORKING_STROKE * (1 + 1e-12)

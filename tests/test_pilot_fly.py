@@ -23,7 +23,7 @@ from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot import host as pilot_host
 from cmf_mj.pilot.aircraft.flight import Flight, load_flight
 from cmf_mj.pilot.cueing.settings import load_washout
-from cmf_mj.pilot.fly import Ride, envelope_use, error_spectra, felt, fly
+from cmf_mj.pilot.fly import FlightResult, crew_motion, envelope_use, error_spectra, fly
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.transport import transport_delay
 from cmf_mj.plant.parameters.loading import load_hydraulics
@@ -45,18 +45,18 @@ def failing() -> PilotMotion:
 
 
 @pytest.fixture(scope="module")
-def ride(failing: PilotMotion) -> Ride:
+def ride(failing: PilotMotion) -> FlightResult:
     return fly(failing, "velocity")
 
 
-def test_the_envelope_is_kept_and_nothing_fails(ride: Ride) -> None:
+def test_the_envelope_is_kept_and_nothing_fails(ride: FlightResult) -> None:
     assert ride.fault is None and ride.use.within
     assert 0.1 < ride.use.leg_position < 1.0 and ride.use.stops == 0.0
     assert not ride.held.any()
     assert all(np.isfinite(values).all() for values in ride.operation.record.channels.values())
 
 
-def test_delays_are_the_dcus_and_the_loops(ride: Ride) -> None:
+def test_delays_are_the_dcus_and_the_loops(ride: FlightResult) -> None:
     assert ride.host_delay == pytest.approx(load_dcu().delay.total, abs=1.0 / RATE)
     assert 0.02 < ride.loop_delay < 0.15
 
@@ -72,7 +72,9 @@ def test_the_delay_of_a_slow_transient_is_found_whatever_its_gain() -> None:
     assert found == pytest.approx(0.037, abs=1e-4)
 
 
-def test_the_machines_error_is_that_of_the_flight_less_that_of_the_washout(ride: Ride) -> None:
+def test_the_machines_error_is_that_of_the_flight_less_that_of_the_washout(
+    ride: FlightResult,
+) -> None:
     """Senses are linear: aircraft - cab = (aircraft - asked) + (asked - cab)."""
     baseline = ride.washout_error
     assert ride.cueing is not None and baseline is not None
@@ -113,20 +115,22 @@ def test_a_live_host_is_flown_like_its_recording(failing: PilotMotion) -> None:
 
 
 @pytest.fixture(scope="module")
-def direct() -> Ride:
+def direct() -> FlightResult:
     """A slow sine in surge, in direct mode with ideal electronics."""
     command = signals.sine("surge", 0.1, 0.4, cycles=3.0, fade=2.0)
     return fly(host.from_command(command, 80.0), "velocity", facility=IDEAL)
 
 
-def test_direct_mode_has_no_aircraft(direct: Ride) -> None:
+def test_direct_mode_has_no_aircraft(direct: FlightResult) -> None:
     assert direct.aircraft is None and direct.cueing is None
     assert direct.use.within and not direct.held.any()
     figure = flight_report.sensed_figure(direct)
     assert figure.axes[0].get_legend_handles_labels()[1][1] == "if followed at once"
 
 
-def test_the_cab_feels_what_was_asked_when_delay_and_gain_are_taken_out(direct: Ride) -> None:
+def test_the_cab_feels_what_was_asked_when_delay_and_gain_are_taken_out(
+    direct: FlightResult,
+) -> None:
     """Fundamental of the specific force along x: gain within 10 %, phase that of the delays."""
     asked, cab = direct.asked.specific_force[:, 0], direct.simulator.specific_force[:, 0]
     best = np.fft.rfft(asked * np.hanning(asked.size)), np.fft.rfft(cab * np.hanning(cab.size))
@@ -138,12 +142,12 @@ def test_the_cab_feels_what_was_asked_when_delay_and_gain_are_taken_out(direct: 
     assert late == pytest.approx(direct.host_delay + direct.loop_delay, abs=0.01)
 
 
-def test_taking_80_hz_samples_leaves_slow_motion_as_it_is(direct: Ride) -> None:
+def test_taking_80_hz_samples_leaves_slow_motion_as_it_is(direct: FlightResult) -> None:
     record = direct.operation.record
     time = direct.asked.time[80:-80]
     raw = PilotMotion.from_record(record)
-    # `felt` counts from its first time.
-    shifted = felt(record, direct.asked.time).specific_force[80:-80, 0]
+    # `crew_motion` counts from its first time.
+    shifted = crew_motion(record, direct.asked.time).specific_force[80:-80, 0]
     at = np.interp(time, raw.time, raw.specific_force[:, 0])
     assert np.sqrt(np.mean((shifted - at) ** 2)) < 0.02 * np.std(at)
 
@@ -225,7 +229,7 @@ def test_cmf_flight_records_and_cmf_fly_compares(failing: PilotMotion, tmp_path:
     assert (out / "comparison.png").stat().st_size > 10_000
 
 
-def test_traces_of_a_ride_are_what_the_pilots_are_subjected_to(ride: Ride) -> None:
+def test_traces_of_a_ride_are_what_the_pilots_are_subjected_to(ride: FlightResult) -> None:
     traces = flight_report.flight_traces(ride)
     assert [panel.y_title for panel in traces.panels][::3] == ["f_x [m/s²]", "p [deg/s]"]
     assert traces.time[0] == 0.0 and traces.time[-1] == pytest.approx(12.0, abs=0.02)
@@ -237,7 +241,7 @@ def test_traces_of_a_ride_are_what_the_pilots_are_subjected_to(ride: Ride) -> No
     np.testing.assert_allclose(rate[2].y, yaw, rtol=1e-14)
 
 
-def test_a_ride_without_aircraft_has_traces_of_what_was_asked(direct: Ride) -> None:
+def test_a_ride_without_aircraft_has_traces_of_what_was_asked(direct: FlightResult) -> None:
     labels = [curve.name for curve in flight_report.flight_traces(direct).panels[0].curves]
     assert labels == ["asked of the platform", "cab"]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from flights import G, held, level, pushed, turned
 
-from cmf_mj.pilot.perception.error import cueing_error, oscillation, tilt_thresholds
+from cmf_mj.pilot.perception.error import cueing_error, oscillation
 from cmf_mj.pilot.perception.models import canal_response, otolith_response, sense, state_space
 from cmf_mj.pilot.perception.settings import load_senses
 
@@ -63,12 +63,6 @@ def test_a_tenth_of_g_beside_the_thresholds():
     assert found.sensed[at] == pytest.approx(0.980665 * gain, rel=1e-12)
     np.testing.assert_allclose(found.over_threshold[at], found.sensed[at] / [0.17, 0.17, 0.28])
     np.testing.assert_allclose(found.input_over_threshold, 0.980665 / np.array([0.17, 0.17, 0.28]))
-
-
-def test_tilt_thresholds_in_shares_of_gravity():
-    table = tilt_thresholds()
-    assert [round(row[0], 9) for row in table] == [0.15, 0.2, 0.5, 1.0]
-    assert table[-1][2] == pytest.approx(G * np.sin(np.radians(0.51)))
 
 
 def test_own_file_and_refusals(tmp_path):

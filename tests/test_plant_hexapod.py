@@ -430,3 +430,7 @@ def test_single_legs_carry_any_load(load):
 def test_effective_mass_must_be_positive(mass):
     with pytest.raises(ValueError, match="effective_mass: .* must be greater than 0"):
         SingleLegs(effective_mass=mass)
+
+
+def test_repr_names_cab_hydraulics_and_legs():
+    assert repr(Hexapod("rfd", "lossy")) == "<Hexapod: hexapod rfd, lossy hydraulics, 6 legs>"

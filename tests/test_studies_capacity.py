@@ -352,7 +352,7 @@ def test_poses_of_a_file_pass_through_its_rows_in_either_format(tmp_path):
     [
         ("time,up\n0,1\n1,1\n", "needed: time and at least one of surge"),
         ("time,heave\n0,1\n0,1\n", "row 2 does not exceed"),
-        ("time,heave\n0,1\n1,nan\n", "heave: row 2 is not a finite number"),
+        ("time,heave\n0,1\n1,nan\n", "heave: row 2 is empty or not a number"),
         ("time,heave\n0,a\n1,b\n", "heave: is not a column of numbers"),
         ("time,heave\n0,1\n", "at least 2 are needed"),
     ],

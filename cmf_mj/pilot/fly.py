@@ -25,7 +25,7 @@ from cmf_mj.facility.operation import FacilitySettings, Operation, operate
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot import host as pilot_host
-from cmf_mj.pilot.cueing.envelope import confined
+from cmf_mj.pilot.cueing.envelope import within_limits
 from cmf_mj.pilot.cueing.flight import cue
 from cmf_mj.pilot.cueing.settings import WashoutSettings
 from cmf_mj.pilot.cueing.washout import HOST_RATE
@@ -44,7 +44,7 @@ _CORNER = 30.0
 record hold vibration beyond half the host's rate."""
 
 
-class Use(NamedTuple):
+class EnvelopeUse(NamedTuple):
     """Largest share of each limit in a run; 1 is the limit."""
 
     leg_position: float  #: Of the legs' working stroke, 37.5 in.
@@ -58,7 +58,7 @@ class Use(NamedTuple):
         return max(self.leg_position, float(self.pose.max())) <= 1.0 and self.stops == 0.0
 
 
-class Ride(NamedTuple):
+class FlightResult(NamedTuple):
     """A flight in the cab."""
 
     law: str
@@ -71,7 +71,7 @@ class Ride(NamedTuple):
     simulator: PilotMotion  #: At the pilot's station of the cab, in truth.
     cueing: CueingError | None  #: Sensed in the aircraft less sensed in the cab.
     machine: CueingError  #: Sensed if the machine followed at once less sensed in the cab.
-    use: Use  #: Of the envelope.
+    use: EnvelopeUse  #: Of the envelope.
     host_delay: float
     """From the host's frames to the leg reference, by `transient_delay` of leg velocities [s]."""
     loop_delay: float  #: From there to the legs, likewise [s]: a mean over the flight's band.
@@ -99,7 +99,7 @@ def fly(
     facility: FacilitySettings | None = None,
     senses: Senses | str | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Ride:
+) -> FlightResult:
     """Fly a host in the cab.
 
     Args:
@@ -124,7 +124,7 @@ def fly(
         cued = cue(flown, cueing, cab=cab, limits=limits, senses=senses)
         aircraft, stream, held, asked = cued.aircraft, cued.stream, cued.held, cued.simulator
     else:
-        stream, held = confined(_even(pilot_host.host_stream(host)), limits)
+        stream, held = within_limits(_even(pilot_host.host_stream(host)), limits)
         motion = (stream.time, stream.pose, stream.velocity, stream.acceleration)
         asked = PilotMotion.from_platform(*motion, pilot_station(cab))
     operation = operate(
@@ -136,10 +136,10 @@ def fly(
         progress=progress,
     )
     record = operation.record
-    simulator = felt(record, asked.time)
+    simulator = crew_motion(record, asked.time)
     legs = kinematics.pose_to_legs(hosts.resample(stream, record.rate).pose)
     host_delay, loop_delay = _delays(legs, record)
-    return Ride(
+    return FlightResult(
         str(record.metadata["law"]),
         cab,
         aircraft,
@@ -156,7 +156,7 @@ def fly(
     )
 
 
-def felt(record: Record, time: NDArray[np.float64]) -> PilotMotion:
+def crew_motion(record: Record, time: NDArray[np.float64]) -> PilotMotion:
     """The crew's motion of a record at given times [s], without what lies beyond 30 Hz.
 
     Raises:
@@ -180,7 +180,7 @@ def felt(record: Record, time: NDArray[np.float64]) -> PilotMotion:
     return PilotMotion(time, *taken)
 
 
-def envelope_use(record: Record, facility: FacilitySettings | None = None) -> Use:
+def envelope_use(record: Record, facility: FacilitySettings | None = None) -> EnvelopeUse:
     """Largest shares of the limits in a run while engaged.
 
     Args:
@@ -193,7 +193,7 @@ def envelope_use(record: Record, facility: FacilitySettings | None = None) -> Us
     pose = record["platform_pose"][engaged]
     legs = record["leg_extension"][engaged]
     speed = np.abs(np.diff(legs, axis=0)).max() * record.rate
-    return Use(
+    return EnvelopeUse(
         float(np.abs(legs).max() / limits.leg.position.si),
         float(speed / limits.leg.velocity.si),
         np.maximum(pose / low, pose / high).max(axis=0),

@@ -111,6 +111,13 @@ class Plant:
                 f"neutral: {neutral!r} must be {self.legs} finite lengths, one a motor"
             )
 
+    def __repr__(self) -> str:
+        """Name, cab, hydraulic set and number of legs."""
+        name = f"{self.name} {self.cab}".strip()
+        return (
+            f"<{type(self).__name__}: {name}, {self.parameters.name} hydraulics, {self.legs} legs>"
+        )
+
     @property
     def legs(self) -> int:
         """Number of actuators n."""

@@ -87,7 +87,8 @@ class Record:
         if not isinstance(signal, kind):
             needed = kind.model_fields["kind"].annotation
             name = str(get_args(needed)[0]).replace("_", " ")
-            raise InputError(f"record: its command is a {signal.kind}; a {name} is needed")
+            wanted = f"{name} are" if name.endswith("s") else f"a {name} is"
+            raise InputError(f"record: its command is a {signal.kind}; {wanted} needed")
         return signal
 
     @property

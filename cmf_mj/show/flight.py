@@ -11,7 +11,7 @@ from cmf_mj.core import units
 from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.fly import Ride, error_spectra
+from cmf_mj.pilot.fly import FlightResult, error_spectra
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception.error import CueingError
 from cmf_mj.pilot.transport import TransportDelay
@@ -35,14 +35,14 @@ from cmf_mj.show.table import Cell, Column, Table
 _NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")
 
 
-def _motions(ride: Ride) -> list[Motion]:
+def _motions(ride: FlightResult) -> list[Motion]:
     """Motions at the pilot's station: aircraft, asked, cab."""
     aircraft = [] if ride.aircraft is None else [Motion(ride.aircraft, "aircraft", BLUE, 1.2)]
     asked = Motion(ride.asked, "asked of the platform", DARK, 0.9)
     return [*aircraft, asked, Motion(ride.simulator, "cab", ORANGE, 0.9)]
 
 
-def flight_traces(ride: Ride) -> Traces:
+def flight_traces(ride: FlightResult) -> Traces:
     """Specific force and angular rate at the pilot's station as traces of a film."""
     lines = [(six(m), label, colour, width) for m, label, colour, width in _motions(ride)]
     time = ride.asked.time - ride.asked.time[0]
@@ -59,14 +59,14 @@ def flight_traces(ride: Ride) -> Traces:
     return Traces(panels, columns=2)
 
 
-def motion_figure(ride: Ride) -> Figure:
+def motion_figure(ride: FlightResult) -> Figure:
     """Specific force and angular rate at the pilot's station: aircraft, asked, cab."""
     figure, _ = motion_axes(*_motions(ride))
     figure.suptitle(f"at the pilot's station: {ride.law}, cab {ride.cab}")
     return figure
 
 
-def sensed_figure(ride: Ride) -> Figure:
+def sensed_figure(ride: FlightResult) -> Figure:
     """What is sensed in aircraft and cab, and the error within its threshold."""
     if ride.cueing is None:
         figure = perceived_figure(ride.machine, "if followed at once", "sensed in the cab")
@@ -76,7 +76,7 @@ def sensed_figure(ride: Ride) -> Figure:
     return figure
 
 
-def envelope_figure(ride: Ride) -> Figure:
+def envelope_figure(ride: FlightResult) -> Figure:
     """Legs and degrees of freedom over their limits."""
     record, limits = ride.operation.record, load_motion_limits()
     figure = new_figure(9.0, 6.5)
@@ -99,7 +99,7 @@ def envelope_figure(ride: Ride) -> Figure:
     return figure
 
 
-def comparison_figure(rides: Sequence[Ride]) -> Figure:
+def comparison_figure(rides: Sequence[FlightResult]) -> Figure:
     """Spectra of the machine's error at the pilot's station and its perceived size, law by law."""
     figure = new_figure(12.0, 10.5)
     rows = figure.add_gridspec(2, 1, height_ratios=(2.1, 1.0))
@@ -149,7 +149,7 @@ def _bars(axes: Axes, title: str, bars: Sequence[tuple[str, str, CueingError]]) 
         legend(axes, fontsize=7, loc="upper right")
 
 
-def comparison_table(rides: Sequence[Ride]) -> Table:
+def comparison_table(rides: Sequence[FlightResult]) -> Table:
     """Perceived rms errors of the machine, of the whole flight, delay and envelope, law by law."""
     columns: list[Column] = [
         (f"{name} [{by_kind(i, 'mm/s²', 'deg/s')}]", by_kind(i, ".1f", ".3f"))
@@ -187,7 +187,7 @@ def delay_table(delay: TransportDelay) -> Table:
     return Table(title, ("stage", ("delay [ms]", ".2f"), ""), rows)
 
 
-def save_ride(ride: Ride, folder: Path) -> list[Path]:
+def save_ride(ride: FlightResult, folder: Path) -> list[Path]:
     """Write `motion.png`, `perceived.png` and `envelope.png`."""
     figures = {
         "motion": motion_figure(ride),
@@ -197,7 +197,7 @@ def save_ride(ride: Ride, folder: Path) -> list[Path]:
     return save_figures(figures, folder)
 
 
-def save_comparison(rides: Sequence[Ride], folder: Path) -> list[Path]:
+def save_comparison(rides: Sequence[FlightResult], folder: Path) -> list[Path]:
     """Write `comparison.csv`, `comparison.md` and `comparison.png`."""
     table = comparison_table(rides)
     paths = [table.save(folder / f"comparison.{kind}") for kind in ("csv", "md")]

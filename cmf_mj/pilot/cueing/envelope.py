@@ -1,10 +1,10 @@
 """How much of the machine a motion takes, and a motion kept within it.
 
-`excursion` sets the peaks of pose and legs, their velocities and accelerations, beside the limits
-of `motion_limits`. `confined` lets the DCL's own governors, at the host's rate, hold a motion back:
-first the degrees of freedom, then the legs, which share one scale so that the platform stays on its
-way. The legs have the last word: while they are held back, a degree of freedom may pass its own
-limit by a little. What keeps the limits passes to the bit.
+`excursion` compares the peaks of pose and legs, their velocities and accelerations, with the limits
+of `motion_limits`. `within_limits` lets the DCL's own rate limiters, at the host's rate, hold a
+motion back: first the degrees of freedom, then the legs, which share one scale so that the platform
+stays on its way. The legs have the last word: while they are held back, a degree of freedom may
+pass its own limit by a little. What keeps the limits passes to the bit.
 """
 
 from typing import NamedTuple
@@ -56,7 +56,7 @@ class Excursion(NamedTuple):
         return f"{LIMITS[row]} of {(DOFS if row < 3 else _LEGS)[column]}"
 
 
-class Confined(NamedTuple):
+class LimitedMotion(NamedTuple):
     """A motion within the limits."""
 
     stream: HostStream
@@ -88,7 +88,7 @@ def excursion(stream: HostStream, limits: MotionLimits | None = None) -> Excursi
     return Excursion(used.max(axis=1), stream.time[used.argmax(axis=1)])
 
 
-def confined(stream: HostStream, limits: MotionLimits | None = None) -> Confined:
+def within_limits(stream: HostStream, limits: MotionLimits | None = None) -> LimitedMotion:
     """A motion held back where it would leave the limits of platform or legs.
 
     Args:
@@ -96,7 +96,7 @@ def confined(stream: HostStream, limits: MotionLimits | None = None) -> Confined
         limits: default Table 2-1 and the rates assumed with it.
     """
     if stream.time.size < 2:
-        return Confined(stream, np.zeros(stream.time.size, dtype=bool))
+        return LimitedMotion(stream, np.zeros(stream.time.size, dtype=bool))
     given = limits or load_motion_limits()
     frame = float(stream.time[-1] - stream.time[0]) / (stream.time.size - 1)
     platform = govern(
@@ -116,4 +116,6 @@ def confined(stream: HostStream, limits: MotionLimits | None = None) -> Confined
             pose[moved], governed.velocity[moved], governed.acceleration[moved]
         )
     held = (pose != stream.pose).any(axis=1)
-    return Confined(stream._replace(pose=pose, velocity=velocity, acceleration=acceleration), held)
+    return LimitedMotion(
+        stream._replace(pose=pose, velocity=velocity, acceleration=acceleration), held
+    )

@@ -9,7 +9,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
-from cmf_mj.pilot.cueing.envelope import Excursion, confined, excursion
+from cmf_mj.pilot.cueing.envelope import Excursion, excursion, within_limits
 from cmf_mj.pilot.cueing.settings import WashoutSettings, load_washout
 from cmf_mj.pilot.cueing.washout import HOST_RATE, Washout
 from cmf_mj.pilot.motion import PilotMotion, pilot_station
@@ -57,7 +57,7 @@ def cue(
     algorithm = Washout(washout, station=pilot_station(cab), rate=rate)
     flown = algorithm.flown(motion)
     demanded = algorithm.run(flown)
-    stream, held = confined(demanded, limits)
+    stream, held = within_limits(demanded, limits)
     simulator = PilotMotion.from_platform(
         stream.time, stream.pose, stream.velocity, stream.acceleration, algorithm.station
     )

@@ -187,7 +187,7 @@ class Washout:
     def run(self, motion: PilotMotion) -> HostStream:
         """The host's frames of a flight, one a sample; `motion` is resampled to the rate.
 
-        The algorithm's own frames: `envelope.confined` brings them within the machine's limits.
+        The algorithm's frames: `envelope.within_limits` brings them within the machine's limits.
         """
         flown = self.flown(motion)
         self.start(flown.specific_force[0], flown.angular_rate[0])

@@ -4,7 +4,6 @@ Canals and otoliths of both motions are computed alike, and their difference is 
 thresholds. A threshold is a setting, not a verdict: whether an error matters depends on the task.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import control
@@ -107,14 +106,6 @@ def oscillation(
     return Oscillation(
         hertz, amplitude, amplitude * gain, amplitude * gain[:, None] / limits, amplitude / limits
     )
-
-
-def tilt_thresholds(senses: Senses | str | None = None) -> list[tuple[float, float, float]]:
-    """Frequency [Hz], smallest pitch tilt noticed [rad] and its share of gravity [m/s^2]."""
-    found: Sequence[tuple[float, float]] = [
-        (row.frequency.si / (2.0 * np.pi), row.angle.si) for row in load_senses(senses).tilt
-    ]
-    return [(hertz, angle, STANDARD_GRAVITY * np.sin(angle)) for hertz, angle in found]
 
 
 def _at(response: control.TransferFunction, hertz: NDArray[np.float64]) -> NDArray[np.complex128]:

@@ -8,14 +8,12 @@ which neither overshoots nor jumps in velocity, and sampled at 2048 Hz.
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv as pa_csv
-import pyarrow.parquet as pq
 from scipy.interpolate import PchipInterpolator
 
 from cmf_mj import signals
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.files import read_column, read_table
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.dof import dof_index, dof_unit
 from cmf_mj.machine.kinematics import DOFS
@@ -80,28 +78,20 @@ def read_poses(path: str | Path) -> Command:
             or times that do not rise; each is named.
     """
     source = Path(path)
-    readers = {".csv": pa_csv.read_csv, ".parquet": pq.read_table}
-    if source.suffix not in readers:
+    if source.suffix not in (".csv", ".parquet"):
         raise InputError(
             f"signal: {str(path)!r} is not one of {', '.join(SIGNALS)} nor a .csv or .parquet file"
         )
-    try:
-        table = readers[source.suffix](source)
-    except pa.ArrowInvalid as error:
-        raise InputError(f"{source}: is not a readable table: {error}") from error
+    table = read_table(source)
     moved = [name for name in DOFS if name in table.column_names]
     if "time" not in table.column_names or not moved:
         raise InputError(
             f"{source}: has the columns {', '.join(table.column_names)}; needed: time and at "
             f"least one of {', '.join(DOFS)}"
         )
-    columns = {}
-    for name in ("time", *moved):
-        try:
-            columns[name] = np.asarray(table[name].to_numpy(), dtype=float)
-        except ValueError as error:
-            raise InputError(f"{source}: {name}: is not a column of numbers") from error
-        for row in np.flatnonzero(~np.isfinite(columns[name])):
+    columns = {name: read_column(source, table, name) for name in ("time", *moved)}
+    for name, values in columns.items():
+        for row in np.flatnonzero(~np.isfinite(values)):
             raise InputError(f"{source}: {name}: row {row + 1} is not a finite number")
     time = columns["time"]
     if time.size < 2:
