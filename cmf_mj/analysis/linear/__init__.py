@@ -1,6 +1,11 @@
-"""Linear models: the report's by equation number, the DCL as a linear system, both in a loop.
+"""Linear models of leg and plant, the DCL as a linear system, and the loop of both.
 
-`report_model` gives any transfer function of the report, `leg_plant` joins some into the plant of a
-leg, `closed_loop` puts any law around a plant (Figure 4-5), `measure_loop` and `table_4_1` read
-bandwidths and damping off it, `feedback_model` and `gain_effect` are the analysis of section 3.4.
+The report's models: `catalogue` has them by equation number, `plants` joins some into the plant of
+a leg, `second_order` is the analysis of section 3.4, `table_4_1` computes that table.
+
+Our plants: `assembly.linearize` gives the state space from valve commands to what the sensors of
+the legs read, about the rest of `operating_point`; `reduction` makes smaller systems of it, `poles`
+says what its modes are, `files` keeps it.
+
+`law` is the DCL without its clamps, `loop` closes it around any of them.
 """

@@ -1,0 +1,54 @@
+"""What a law achieves: records of a known loop beside the loop itself, and cross-talk."""
+
+import control
+import numpy as np
+import pytest
+from followed_commands import record_of
+from scipy import signal
+
+from cmf_mj import signals
+from cmf_mj.analysis.measures import (
+    Measures,
+    crosstalk,
+    least_damped_mode,
+    measure_loop,
+    measure_records,
+)
+from cmf_mj.core.rates import FRAME
+
+
+def test_records_and_loop_agree_in_every_measure() -> None:
+    """A second-order loop with a static gain of 0.9: the sweep, the step and the poles."""
+    omega, damping = 2.0 * np.pi * 2.0, 0.4
+    system = control.tf([0.9 * omega**2], [1.0, 2.0 * damping * omega, omega**2])
+    loop = control.sample_system(control.ss(system), FRAME, method="zoh")
+    held = control.sample_system(system, FRAME, method="zoh")
+    sweep, step = (
+        record_of(command, signal.lfilter(held.num[0][0], held.den[0][0], command.pose, axis=0), 8)
+        for command in (signals.chirp("heave", 0.01), signals.step("heave", 0.0254))
+    )
+    measured, computed = measure_records(sweep, step), measure_loop(loop)
+    assert measured.stable and computed.stable
+    for name in ("phase_bandwidth_hz", "gain_bandwidth_hz", "overshoot", "damping_ratio"):
+        assert getattr(measured, name) == pytest.approx(getattr(computed, name), rel=0.01), name
+    assert measured.peak_gain_db == pytest.approx(computed.peak_gain_db, abs=0.05)
+    assert measured.static_gain == pytest.approx(0.9, abs=1e-4)
+    assert computed.static_gain == pytest.approx(0.9)
+    assert np.isnan(measured.mode_damping_ratio)
+    assert computed.mode_damping_ratio == pytest.approx(damping)
+    assert least_damped_mode(loop.poles()) == pytest.approx((damping, 2.0))
+
+
+def test_measures_of_nothing_are_nan() -> None:
+    nothing = Measures()
+    assert not nothing.stable
+    assert np.isnan([nothing.overshoot, nothing.static_gain, nothing.peak_damping_ratio]).all()
+
+
+def test_crosstalk_counts_in_units_of_each_axis() -> None:
+    """0.2 from the second to the first axis is 0.1 where the first counts twice as much."""
+    response = np.array([[[1.0, 1.0], [0.1, 0.2]], [[np.nan, 0.4], [1.0, 1.0]]])
+    gains = crosstalk(response.astype(complex), [2.0, 1.0])
+    assert gains[0, 1] == pytest.approx(0.1)
+    assert gains[1, 0] == pytest.approx(0.8)
+    assert np.isnan(np.diag(gains)).all()
