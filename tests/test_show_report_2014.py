@@ -15,9 +15,11 @@ from cmf_mj import load_law
 from cmf_mj.analysis.ledger import load_ledger
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.oscillation import limit_cycle, oscillation
 from cmf_mj.analysis.linear.reduction import leg_model
 from cmf_mj.analysis.published import published_gains, published_results
 from cmf_mj.cli.common import app
+from cmf_mj.core import errors
 from cmf_mj.core.rates import FRAME
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.show.chart import Chart, curve, thinned
@@ -238,7 +240,7 @@ def test_steady_state_of_a_law_follows_from_its_gains() -> None:
 def test_the_loop_at_its_crossover_and_unit_gain_has_poles_on_the_circle() -> None:
     """Scaled by one over its gain there, the law keeps an undamped oscillation."""
     law, parameters = law_of("force"), hydraulics_of("model")
-    found = force.oscillation(law, parameters)
+    found = oscillation(law, parameters)
     assert found.crossover_gain > 1.0 > 0.0 > found.pole_damping
     gains = law.direct_gain.model_dump()
     scaled = law.model_copy(
@@ -257,8 +259,8 @@ def test_the_loop_at_its_crossover_and_unit_gain_has_poles_on_the_circle() -> No
 
 
 def test_the_leg_rings_between_crossover_and_poles_and_not_at_25_hz(content: Content) -> None:
-    found = force.oscillation(law_of("force"), hydraulics_of("model"))
-    frequency, amplitude, acceleration = force.cycle(content.runs.case("model", "force").step)
+    found = oscillation(law_of("force"), hydraulics_of("model"))
+    frequency, amplitude, acceleration = limit_cycle(content.runs.case("model", "force").step)
     assert found.crossover_hz < frequency < 1.01 * found.pole_hz + 0.25
     assert frequency < 0.6 * force.REPORTED_HZ
     assert amplitude > 500.0
@@ -274,8 +276,8 @@ def test_readings_of_the_force_gain_act_on_the_force_alone() -> None:
         law = law_of(force.force_law(reading))
         assert law.direct_gain.force == pytest.approx(gain, rel=1e-12)
         assert law.direct_gain.model_copy(update={"force": -0.01}) == printed.direct_gain
-    aiding = force.oscillation(law_of("force:aiding"), hydraulics_of("model"))
-    opposing = force.oscillation(printed, hydraulics_of("model"))
+    aiding = oscillation(law_of("force:aiding"), hydraulics_of("model"))
+    opposing = oscillation(printed, hydraulics_of("model"))
     assert aiding.pole_damping < opposing.pole_damping
 
 
@@ -321,7 +323,7 @@ def test_report_without_plotly_says_what_to_install(
             raise ImportError(f"No module named {name!r}", name=name)
         return real(name, package)
 
-    monkeypatch.setattr(drawing, "import_module", without)
+    monkeypatch.setattr(errors, "import_module", without)
     result = CliRunner().invoke(app, ["report", "--out", str(tmp_path / "out")])
     assert result.exit_code == 2
     assert "cmf-mj[report]" in result.output

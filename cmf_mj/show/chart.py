@@ -31,7 +31,7 @@ class Curve(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """One pair of axes. Panels without `x_title` share the x axis of the next that has one."""
+    """One pair of axes; all panels of a chart have the x axis of the last."""
 
     y_title: str
     curves: tuple[Curve, ...]

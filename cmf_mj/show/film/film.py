@@ -46,7 +46,7 @@ def film(
     """Render runs to an MP4 or GIF file, by the name's end; it appears only when it is complete.
 
     A film of t seconds of a run has t / speed x fps pictures, each of the last row before its time;
-    a shorter run rests at its end beside a longer one.
+    a shorter run rests at its end next to a longer one.
 
     Args:
         records: one run, or several side by side.
@@ -80,7 +80,7 @@ def check_film(model: mujoco.MjModel, path: str | Path, settings: FilmSettings) 
     """Make sure that a film can be made, before a long run for it.
 
     Args:
-        model: what will be shown.
+        model: what the film has in it.
         path: of the film.
         settings: how it will look.
 

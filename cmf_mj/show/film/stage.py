@@ -1,7 +1,7 @@
 """Pictures of a model without a display.
 
 OpenGL comes from MUJOCO_GL if it is set. Otherwise, on Linux without a display, EGL and then OSMesa
-are tried, each in a process of its own: in one process the first try would settle the platform.
+are tried, each in a new process: in one process the first try would settle the platform.
 """
 
 import copy
@@ -40,8 +40,8 @@ _TRY = "import importlib, sys; importlib.import_module('mujoco.' + sys.argv[1]).
 
 def has_display(environment: Mapping[str, str] | None = None) -> bool:
     """Whether a window can be opened, as far as the environment tells."""
-    given = os.environ if environment is None else environment
-    return sys.platform != "linux" or bool(given.get("DISPLAY") or given.get("WAYLAND_DISPLAY"))
+    variables = os.environ if environment is None else environment
+    return sys.platform != "linux" or any(map(variables.get, ("DISPLAY", "WAYLAND_DISPLAY")))
 
 
 def choose_backend(environment: Mapping[str, str] | None = None) -> str:
@@ -53,13 +53,13 @@ def choose_backend(environment: Mapping[str, str] | None = None) -> str:
     Raises:
         InputError: no OpenGL works; the message names the packages that bring one.
     """
-    given = os.environ if environment is None else environment
-    named = given.get("MUJOCO_GL", "").lower().strip()
+    variables = os.environ if environment is None else environment
+    named = variables.get("MUJOCO_GL", "").lower().strip()
     if named in ("egl", "osmesa", "glfw", "cgl"):
         return named
     if named:
         raise InputError(f"MUJOCO_GL: {named!r} is not one of egl, osmesa, glfw, cgl")
-    if has_display(given):
+    if has_display(variables):
         return "cgl" if sys.platform == "darwin" else "glfw"
     for backend in BACKENDS:
         if _works(backend):
@@ -71,8 +71,7 @@ def choose_backend(environment: Mapping[str, str] | None = None) -> str:
 def _works(backend: str) -> bool:
     environment = {k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"}
     command = [sys.executable, "-c", _TRY, backend]
-    found = subprocess.run(command, env=environment, capture_output=True, check=False)
-    return found.returncode == 0
+    return subprocess.run(command, env=environment, capture_output=True).returncode == 0
 
 
 class Stage:

@@ -30,7 +30,7 @@ LEAST_PICTURES = 4
 _INK = (34, 34, 34)
 
 _WIDER = 1.15
-"""Angle of view beside that of the model's cameras."""
+"""Angle of view over that of the model's cameras."""
 
 
 class SwingSettings(NamedTuple):
@@ -49,7 +49,7 @@ class SwingSettings(NamedTuple):
 class Swing(NamedTuple):
     """One panel."""
 
-    caption: str  #: Two lines: mode, frequency, mass a leg feels; leading share, leg motion shown.
+    caption: str  #: Two lines: mode, frequency, mass a leg feels; leading share, leg motion.
     qpos: NDArray[np.float64]  #: MuJoCo's configuration in each picture, (n, nq).
 
 
@@ -111,15 +111,15 @@ def one_swing(
         raise InputError(
             f"stroke: {stroke:.4f} m must be greater than 0 and at most {WORKING_STROKE:.4f} m"
         )
-    shown = min(stroke, largest_stroke(plant, modes, mode))
+    motion = min(stroke, largest_stroke(plant, modes, mode))
     leading = int(modes.share[:, mode].argmax())
     caption = (
         f"mode {mode + 1}: {modes.frequency_hz[mode]:.2f} Hz, "
         f"{units.from_si('lbm', modes.leg_mass[mode]):.0f} lbm a leg\n"
         f"{DOFS[leading]} {100.0 * modes.share[leading, mode]:.0f} %, "
-        f"legs ±{units.from_si('in', shown):.1f} in"
+        f"legs ±{units.from_si('in', motion):.1f} in"
     )
-    return Swing(caption, swinging(plant, modes, mode, time, stroke=shown))
+    return Swing(caption, swinging(plant, modes, mode, time, stroke=motion))
 
 
 def pace_text(speed: float) -> str:

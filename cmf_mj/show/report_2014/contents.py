@@ -110,7 +110,7 @@ def table(
     title: str = "",
     note: str = "",
 ) -> PageTable:
-    """A table with the head of this name; its name, title and note may be given here instead."""
+    """A table with the head of this name; `anchor`, `title` and `note` take the place of its."""
     head = CONTENTS["table"][name]
     lines = tuple(row if isinstance(row, TableRow) else TableRow(row) for row in rows)
     return PageTable(

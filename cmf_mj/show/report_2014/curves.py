@@ -125,20 +125,6 @@ def motion(
     return Panel(y_title, lines, y_range, x_title=x_title, x_range=x_range, height=height)
 
 
-def stacked(
-    rows: Sequence[tuple[str, Sequence[History]]],
-    x_range: tuple[float, float],
-    x_title: str,
-    height: float,
-) -> list[Panel]:
-    """Panels of (title, histories) over one time axis."""
-    last = len(rows) - 1
-    return [
-        motion(histories, title, x_range, x_title=x_title if i == last else "", height=height)
-        for i, (title, histories) in enumerate(rows)
-    ]
-
-
 def law_steps(runs: Runs, laws: Sequence[str], along: str, on: On = "model") -> list[History]:
     """The demand and the steps under several laws on one plant."""
     first = runs.case(on, laws[0]).step

@@ -24,7 +24,6 @@ from cmf_mj.show.report_2014.curves import (
     law_title,
     motion,
     printed,
-    stacked,
     step_history,
 )
 from cmf_mj.show.report_2014.runs import LEG, SLOW, On, Runs, leg_motion, plant_of
@@ -62,7 +61,7 @@ def coordinates(runs: Runs, figure: ReportFigure) -> Drawing:
     heave = panel("degree of freedom", "heave", 1.0, "heave, down [in]", COLOURS[0])
     leg = panel("leg", LEG, -1.0, "extension of leg 1 [in]", COLOURS[1])
     reached = -step_history(record, "leg_reference", LEG)[-1]
-    return (heave._replace(x_title=""), leg), {"reached": reached}
+    return (heave, leg), {"reached": reached}
 
 
 def both_responses(runs: Runs, figure: ReportFigure) -> Drawing:
@@ -125,9 +124,11 @@ def sines(runs: Runs, figure: ReportFigure) -> Drawing:
         histories.append(leg)
         error = step_history(record, "leg_reference", LEG) - leg.values
         errors.append(leg._replace(values=error))
-    rows = [("retraction of leg 1 [in]", histories), ("demand less leg [in]", errors)]
-    motions, rest = stacked(rows, (3.0, 7.0), "time [s]", 1.0)
-    return [motions._replace(height=1.3), rest], {"frequency": SLOW}
+    rows = (("retraction of leg 1 [in]", histories, 1.3), ("demand less leg [in]", errors, 1.0))
+    return [
+        motion(lines, title, (3.0, 7.0), x_title="time [s]", height=height)
+        for title, lines, height in rows
+    ], {"frequency": SLOW}
 
 
 def integral_step(runs: Runs, figure: ReportFigure) -> Drawing:
@@ -221,7 +222,7 @@ def feedback_signals(runs: Runs, figure: ReportFigure) -> Drawing:
         History("(force - static load) / mass", time, computed, COLOURS[1], "dash")
     )
     apart = float(np.abs(np.interp(time - FRAME, time, computed) - acceleration).max())
-    return stacked(list(histories.items()), span, "time after the step [s]", 0.8), {
+    return [motion(lines, title, span, height=0.8) for title, lines in histories.items()], {
         "law": law_title(law),
         "mass": mass / units.POUND_MASS,
         "apart": 1e3 * apart,

@@ -1,6 +1,6 @@
 """Figures of chapter 4: linear models and the hardware they were made from.
 
-The report's models stand with our own, made the same way from the stand-in: leg velocity from the
+The report's models stand with ours, made the same way from the stand-in: leg velocity from the
 valve command on a pulse, a sine and the sweep of Table 2-3, by least squares (ARX).
 """
 
@@ -27,7 +27,6 @@ from cmf_mj.show.report_2014.curves import (
     bode,
     motion,
     printed,
-    stacked,
 )
 from cmf_mj.show.report_2014.runs import IDENTIFIED_ON, Runs, RunSpec, Signal, leg_motion
 
@@ -93,11 +92,16 @@ def pulse_data(runs: Runs, figure: ReportFigure) -> Drawing:
     """What linear model 1 was fitted to."""
     time, *values = _measured(runs, "pulse")
     titles = ("command [%]", "position [in]", "velocity [in/s]", "acceleration [g]")
-    rows = [
-        (title, [History(_HARDWARE, time, history, COLOURS[1])])
+    return [
+        motion(
+            [History(_HARDWARE, time, history, COLOURS[1])],
+            title,
+            (0.5, 4.0),
+            x_title="time [s]",
+            height=0.7,
+        )
         for title, history in zip(titles, values, strict=True)
-    ]
-    return stacked(rows, (0.5, 4.0), "time [s]", 0.7), {}
+    ], {}
 
 
 def _fit(measured: NDArray[np.float64], modelled: NDArray[np.float64]) -> str:
@@ -119,7 +123,7 @@ def open_loop(runs: Runs, figure: ReportFigure) -> Drawing:
     slope = control.tf([1.0 / units.from_si("in", units.STANDARD_GRAVITY), 0.0], [1.0])
     plain = control.tf(velocity.num_array[0, 0], velocity.den_array[0, 0])
     ours = (plain * control.tf([1.0], [1.0, 0.0]), plain, plain * slope)
-    rows, ranges, fits = [], [], []
+    panels, fits = [], []
     for title, history, equation, model in zip(
         ("position [in]", "velocity [in/s]", "acceleration [g]"),
         *(measured, _EQUATIONS[number], ours),
@@ -134,15 +138,16 @@ def open_loop(runs: Runs, figure: ReportFigure) -> Drawing:
             History(_REPORT, time, printed_model, COLOURS[1]),
             History(_OURS, time, our_model, COLOURS[0], "dash"),
         ]
-        rows.append((title, histories))
         margin = 0.3 * float(np.ptp(values))
-        ranges.append((float(values.min()) - margin, float(values.max()) + margin))
+        limits = (float(values.min()) - margin, float(values.max()) + margin)
+        panels.append(
+            motion(histories, title, span, x_title="time [s]", y_range=limits, height=0.9)
+        )
         fits.append(
             f"{title.split()[0]} {_fit(values, printed_model)} (Eq {equation}) and "
             f"{_fit(values, our_model)} (ours)"
         )
-    panels = stacked(rows, tuple(span), "time [s]", 0.9)
-    return [panel._replace(y_range=r) for panel, r in zip(panels, ranges, strict=True)], {
+    return panels, {
         **{"number": number, "begin": begin, "signal": _SIGNAL_TITLES[number]},
         "fits": "; ".join(fits),
     }

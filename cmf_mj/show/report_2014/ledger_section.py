@@ -73,5 +73,5 @@ def _residuals(runs: Runs, study: Study) -> PageTable:
 
 
 def calibration(runs: Runs) -> list[Block]:
-    """What was fitted to which printed numbers, and what was held back."""
+    """What was fitted to which printed numbers, and what was only predicted."""
     return [block for study in _STUDIES for block in (_parameters(study), _residuals(runs, study))]

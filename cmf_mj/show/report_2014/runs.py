@@ -53,7 +53,7 @@ IDENTIFIED_ON: Mapping[int, Signal] = {1: "pulse", 2: "sine_1_hz", 3: "rounds"}
 """Signals of the report's linear models 1 to 3 (section 4.3)."""
 
 ORDERS = Orders(4, 3, 1)
-"""Of our own models of a leg: two lags and the oil mode."""
+"""Of our models of a leg: two lags and the oil mode."""
 
 LEG = "leg_1"
 """The leg whose motion figures show."""
@@ -104,7 +104,7 @@ def hydraulics_of(on: On) -> HydraulicParameters:
 
 
 def plant_of(on: On) -> Plant:
-    """A plant of its own."""
+    """A new plant."""
     return make_plant(PLANTS[on], CAB, HYDRAULICS[on])
 
 
@@ -131,7 +131,7 @@ class Runs:
 
     @cached_property
     def identified(self) -> dict[int, Identified]:
-        """Our own linear models 1 to 3 of the machine's leg, made as the report made its own."""
+        """Our linear models 1 to 3 of the machine's leg, made as the report made its models."""
         validation = self.record("machine", "velocity", "multisine")
         models = {}
         for number, signal in IDENTIFIED_ON.items():

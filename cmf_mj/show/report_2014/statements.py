@@ -68,12 +68,13 @@ def rest_rows(runs: Runs) -> list[RestRow]:
     rows = []
     for name in INTEGRAL_LAWS:
         law = load_law(name)
-        formula = f"{law.direct_gain.of_legs('reference'):g}/{-_net_gain(name):.2f}"
+        formula = ""
+        if not law.uses_integral:
+            formula = f"{law.direct_gain.of_legs('reference'):g}/{-_net_gain(name):.2f}"
         model, machine = (
             1.0 - runs.case(on, name).measures.steady_state_error for on in ("model", "machine")
         )
-        shown = "" if law.uses_integral else formula
-        rows.append(RestRow(law.title, shown, dc_gain(name), model, machine))
+        rows.append(RestRow(law.title, formula, dc_gain(name), model, machine))
     return rows
 
 

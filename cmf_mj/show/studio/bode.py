@@ -1,4 +1,4 @@
-"""Frequency response of the law in force, measured on demand in a thread of its own.
+"""Frequency response of the law in force, measured on demand in a separate thread.
 
 The run is `cmf run`'s of a scenario with the machine and the law of the session and the facility's
 sweep amplitude as a multisine; the response is `frequency_response`'s.

@@ -35,7 +35,7 @@ _TURNS = {"frequency": ("sine",), "stop": ("chirp", "noise", "multisine")}
 
 
 def largest_amplitude(dof: str) -> float:
-    """Operational excursion of a degree of freedom that both ends have, in its shown unit."""
+    """Operational excursion of a degree of freedom that both ends have, in in or deg."""
     low, high = load_motion_limits().operational[DOFS.index(dof)]
     return round(units.from_si(dof_unit(dof), float(min(-low, high))), 1)
 

@@ -2,7 +2,7 @@
 
 A tab's thread asks at every turn which frames are due by the wall clock, runs them and reports how
 long it was busy. It never runs more than `LARGEST` at once: a machine that cannot keep up falls
-behind, and the time given up so is counted and shown, not dropped in silence.
+behind, and the time given up so is counted and stated, not dropped in silence.
 """
 
 from collections import deque
@@ -14,13 +14,13 @@ LARGEST = 0.25
 """Wall time made up for at most in one turn [s]."""
 
 _WINDOW = 2.0
-"""Wall time the shown ratios are taken over [s]."""
+"""Wall time the ratios are taken over [s]."""
 
 
 class Pace(NamedTuple):
     """How a session keeps up, over the last two seconds."""
 
-    factor: float  #: Simulated time over wall time while running; wanted is the speed.
+    factor: float  #: Simulated time over wall time while running; the speed is what it should be.
     capacity: float
     """Simulated time over the time the thread was busy with it, drawing included: the real-time
     factor it would reach without waiting."""
@@ -47,7 +47,7 @@ class Clock:
         self._given_up = 0.0
         self._turns: deque[_Turn] = deque()
         self.speed = 1.0
-        """Simulated seconds wanted in a second."""
+        """Simulated seconds in a second of wall time, as chosen."""
         self.paused = False
         """Whether time stands still."""
 

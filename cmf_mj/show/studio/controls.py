@@ -163,7 +163,7 @@ class DisturbanceControls:
         gui = desk.client.gui
         self._direction = gui.add_dropdown("push", tuple(choices.DIRECTIONS))
         self._size = gui.add_slider("force [kN]", 1.0, choices.LARGEST_PUSH, 1.0, 20.0)
-        self._on = gui.add_checkbox("push now", False, hint="held until it is let go")
+        self._on = gui.add_checkbox("push now", False, hint="lasts until it is switched off")
         self._kind = gui.add_dropdown("failure", KINDS, initial_value="pump_lost")
         self._leg = gui.add_dropdown("leg", tuple("123456"), hint="of a valve or sensor")
         self._desk = desk

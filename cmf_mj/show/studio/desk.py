@@ -42,7 +42,7 @@ def by_hand(event: viser.GuiEvent[Any]) -> bool:
 
 
 def picked(handle: viser.GuiDropdownHandle[str], value: str) -> None:
-    """Set a dropdown, with an option of its own if it has no such one."""
+    """Set a dropdown, with a new option if it has no such one."""
     if value not in handle.options:
         handle.options = (*handle.options, value)
     handle.value = value

@@ -69,9 +69,9 @@ def law_as_gains(law: Law) -> dict[str, Any]:
     Returns:
         Keys `law` and `gains` of a change.
     """
-    own = law.model_dump(exclude={"name", "title", "source"}, exclude_none=True)
+    gains = law.model_dump(exclude={"name", "title", "source"}, exclude_none=True)
     assert load_law(_BASE).reference_model is None
-    return {"law": _BASE, "gains": own}
+    return {"law": _BASE, "gains": gains}
 
 
 def _numbers(data: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[Any, float]]:

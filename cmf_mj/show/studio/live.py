@@ -119,7 +119,7 @@ class LiveSession:
         self._ask(lambda: setattr(self._clock, "paused", paused))
 
     def set_speed(self, speed: float) -> None:
-        """Simulated seconds wanted in a second of wall time."""
+        """Choose the simulated seconds in a second of wall time."""
         self._ask(lambda: setattr(self._clock, "speed", speed))
 
     def scenario(self) -> "Future[Scenario]":

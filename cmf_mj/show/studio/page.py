@@ -43,7 +43,7 @@ _PANEL_WIDTH = 430
 
 
 class Page:
-    """A tab with a session of its own: what the controls see as their desk."""
+    """A tab with its session: what the controls see as their desk."""
 
     def __init__(self, client: viser.ClientHandle, scenario: Scenario) -> None:
         """Build the page and set its session going.

@@ -46,12 +46,12 @@ class MachineScene:
                 than a picture a second.
         """
         self.cab = cab
-        """The cab shown."""
+        """The cab in the scene."""
         self._client = client
         client.scene.reset()
         self._light()
         self.cast_shadows(shadows)
-        # A model of its own: the scene scales the looks of the model it is given.
+        # A new model: the scene scales the looks of its model.
         self._model = hexapod_spec(cab).compile()
         self._data = mujoco.MjData(self._model)
         with client.atomic():
