@@ -4,13 +4,14 @@ Each function takes the table of results and gives named tuples, one a line of a
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import check_name
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.studies.intervals import Interval, mean, share
 from cmf_mj.studies.settings import NOMINAL
@@ -21,6 +22,7 @@ ENOUGH_DAMPING = 0.3
 _MOST_OVERSHOOT = float(np.exp(-np.pi * ENOUGH_DAMPING / np.sqrt(1.0 - ENOUGH_DAMPING**2)))
 
 Row = dict[str, Any]
+Pair = tuple[Row, Row]
 
 
 class Rate(NamedTuple):
@@ -51,7 +53,7 @@ class Effect(NamedTuple):
 
 
 class Agreement(NamedTuple):
-    """Linear cases beside the same ones simulated."""
+    """Linear cases compared with the same ones simulated."""
 
     law: str
     machines: int  #: How many are compared.
@@ -103,22 +105,22 @@ def _drawn(table: pa.Table) -> list[Row]:
 def rates(table: pa.Table) -> list[Rate]:
     """How often each law stays stable and damped, by cab, over the machines drawn."""
     rows = _drawn(table)
-    found = []
-    for cab in in_order(rows, "cab"):
-        for law in in_order(rows, "law"):
-            own = [row for row in rows if row["cab"] == cab and row["law"] == law]
-            by_dof = {dof: [row for row in own if row["dof"] == dof] for dof in DOFS}
-            one = by_dof[DOFS[0]]
-            found.append(
-                Rate(
-                    cab,
-                    law,
-                    share([row["stable"] for row in one]),
-                    {dof: share([damped(row) for row in part]) for dof, part in by_dof.items()},
-                    mean(_values(one, "mode_damping_ratio")),
-                )
-            )
-    return found
+    return [
+        _rate(cab, law, [row for row in rows if (row["cab"], row["law"]) == (cab, law)])
+        for cab, law in product(in_order(rows, "cab"), in_order(rows, "law"))
+    ]
+
+
+def _rate(cab: str, law: str, rows: Sequence[Row]) -> Rate:
+    by_dof = {dof: [row for row in rows if row["dof"] == dof] for dof in DOFS}
+    machines = by_dof[DOFS[0]]
+    return Rate(
+        cab,
+        law,
+        share([row["stable"] for row in machines]),
+        {dof: share([damped(row) for row in part]) for dof, part in by_dof.items()},
+        mean(_values(machines, "mode_damping_ratio")),
+    )
 
 
 def law_effects(
@@ -134,37 +136,35 @@ def law_effects(
         InputError: a law is not in the table.
     """
     rows = _drawn(table)
-    there = in_order(rows, "law")
     for law in (against, *laws):
-        if law not in there:
-            raise InputError(f"laws: {law!r} is not one of {', '.join(there)}")
+        check_name("laws", law, in_order(rows, "law"))
     by_case = {(r["cab"], r["law"], r["dof"], r["draw"]): r for r in rows}
-    found = []
-    for cab in in_order(rows, "cab"):
-        for law in laws:
-            for dof in dofs:
-                draws = [d for c, name, f, d in by_case if (c, name, f) == (cab, law, dof)]
-                pairs = [
-                    (by_case[cab, law, dof, d], by_case[cab, against, dof, d])
-                    for d in draws
-                    if (cab, against, dof, d) in by_case
-                ]
-                both = [pair for pair in pairs if pair[0]["stable"] and pair[1]["stable"]]
-                found.append(
-                    Effect(
-                        cab,
-                        law,
-                        dof,
-                        mean(_differences(both, "phase_bandwidth_hz")),
-                        mean(_differences(both, "damping_ratio")),
-                        mean(_differences(pairs, "mode_damping_ratio")),
-                        share([own["stable"] for own, _ in pairs]),
-                    )
-                )
-    return found
+    effects = []
+    for cab, law, dof in product(in_order(rows, "cab"), laws, dofs):
+        pairs = [
+            (row, by_case[cab, against, dof, draw])
+            for (*case, draw), row in by_case.items()
+            if case == [cab, law, dof] and (cab, against, dof, draw) in by_case
+        ]
+        stable = _stable(pairs)
+        effects.append(
+            Effect(
+                *(cab, law, dof),
+                mean(_differences(stable, "phase_bandwidth_hz")),
+                mean(_differences(stable, "damping_ratio")),
+                mean(_differences(pairs, "mode_damping_ratio")),
+                share([row["stable"] for row, _ in pairs]),
+            )
+        )
+    return effects
 
 
-def _differences(pairs: Iterable[tuple[Row, Row]], name: str) -> NDArray[np.float64]:
+def _stable(pairs: Iterable[Pair]) -> list[Pair]:
+    """Pairs of which both are stable."""
+    return [pair for pair in pairs if pair[0]["stable"] and pair[1]["stable"]]
+
+
+def _differences(pairs: Iterable[Pair], name: str) -> NDArray[np.float64]:
     return np.array([one[name] - other[name] for one, other in pairs], dtype=float)
 
 
@@ -176,27 +176,23 @@ def agreement(table: pa.Table) -> list[Agreement]:
     linear = {_where(row): row for row in rows_of(table, method="linear")}
     simulated = {_where(row): row for row in rows_of(table, method="matrix")}
     keys = [key for key in simulated if key in linear]
-    found = []
+    rows = []
     for law in dict.fromkeys(key[0] for key in keys):
-        own = [key for key in keys if key[0] == law]
-        machines = dict.fromkeys(key[:-1] for key in own)
-        same = 0
-        for machine in machines:
-            parts = [key for key in own if key[:-1] == machine]
-            same += all(simulated[k]["stable"] for k in parts) == linear[parts[0]]["stable"]
-        pairs = [
-            (simulated[k], linear[k]) for k in own if simulated[k]["stable"] and linear[k]["stable"]
-        ]
-        found.append(
-            Agreement(
-                law,
-                len(machines),
-                same,
-                _median(np.abs(_differences(pairs, "phase_bandwidth_hz"))),
-                _median(np.abs(_differences(pairs, "damping_ratio"))),
-            )
+        machines: dict[tuple[Any, ...], list[Pair]] = {}
+        for key in keys:
+            if key[0] == law:
+                machines.setdefault(key[:-1], []).append((simulated[key], linear[key]))
+        same = sum(
+            all(one["stable"] for one, _ in pairs) == pairs[0][1]["stable"]
+            for pairs in machines.values()
         )
-    return found
+        both = _stable(pair for pairs in machines.values() for pair in pairs)
+        phase, damping = (
+            _median(np.abs(_differences(both, name)))
+            for name in ("phase_bandwidth_hz", "damping_ratio")
+        )
+        rows.append(Agreement(law, len(machines), same, phase, damping))
+    return rows
 
 
 def _where(row: Row) -> tuple[Any, ...]:
@@ -211,34 +207,21 @@ def _median(values: NDArray[np.float64]) -> float:
 def climb(table: pa.Table) -> list[Climb]:
     """What each rung changes against the one before, by degree of freedom."""
     rows = rows_of(table)
-    rungs = in_order(rows, "rung")
     by_case = {(row["rung"], row["law"], row["dof"], row["cab"]): row for row in rows}
-    found = []
-    for before, rung in zip(rungs, rungs[1:], strict=False):
-        for dof in in_order(rows, "dof"):
-            pairs = [
-                (row, by_case[before, law, dof, cab])
-                for (name, law, own, cab), row in by_case.items()
-                if name == rung and own == dof and (before, law, dof, cab) in by_case
-            ]
-            both = [(one, other) for one, other in pairs if one["stable"] and other["stable"]]
-
-            def change(name: str, pairs: list[tuple[Row, Row]] = both) -> float:
-                return _median(_differences(pairs, name))
-
-            worst = np.array([largest_crosstalk(a) - largest_crosstalk(b) for a, b in both])
-            found.append(
-                Climb(
-                    rung,
-                    dof,
-                    change("phase_bandwidth_hz"),
-                    change("peak_gain_db"),
-                    change("damping_ratio"),
-                    _median(worst),
-                    len(both),
-                )
-            )
-    return found
+    steps = []
+    for (before, rung), dof in product(pairwise(in_order(rows, "rung")), in_order(rows, "dof")):
+        both = _stable(
+            (row, by_case[before, law, dof, cab])
+            for (name, law, moved, cab), row in by_case.items()
+            if (name, moved) == (rung, dof) and (before, law, dof, cab) in by_case
+        )
+        phase, peak, damping = (
+            _median(_differences(both, name))
+            for name in ("phase_bandwidth_hz", "peak_gain_db", "damping_ratio")
+        )
+        worst = np.array([largest_crosstalk(a) - largest_crosstalk(b) for a, b in both])
+        steps.append(Climb(rung, dof, phase, peak, damping, _median(worst), len(both)))
+    return steps
 
 
 def largest_crosstalk(row: Row) -> float:
@@ -253,9 +236,9 @@ def crosstalk_matrix(
     """Crosstalk (6, 6), moved in rows and driven in columns, reduced over the machines."""
     matrix = np.full((len(DOFS), len(DOFS)), np.nan)
     for column, driven in enumerate(DOFS):
-        own = [row for row in rows if row["dof"] == driven and row["stable"]]
+        part = [row for row in rows if row["dof"] == driven and row["stable"]]
         for line, moved in enumerate(DOFS):
-            values = _values(own, f"crosstalk_{moved}")
+            values = _values(part, f"crosstalk_{moved}")
             if moved != driven and values.size:
                 matrix[line, column] = reduce(values)
     return matrix

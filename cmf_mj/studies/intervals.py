@@ -30,21 +30,21 @@ def share(outcomes: ArrayLike, method: Literal["wilson", "exact"] = "wilson") ->
     flags = np.asarray(outcomes, dtype=bool)
     if flags.size == 0:
         return Interval(float("nan"), 0.0, 1.0, 0)
-    found = stats.binomtest(int(flags.sum()), flags.size)
-    bounds = found.proportion_ci(LEVEL, method=method)
+    bounds = stats.binomtest(int(flags.sum()), flags.size).proportion_ci(LEVEL, method=method)
     return Interval(float(flags.mean()), float(bounds.low), float(bounds.high), flags.size)
 
 
 def mean(values: ArrayLike) -> Interval:
     """Mean of values (n,), those that are NaN left out; no interval from fewer than two."""
-    found = np.asarray(values, dtype=float)
-    found = found[~np.isnan(found)]
-    if found.size == 0:
-        return Interval(float("nan"), float("nan"), float("nan"), 0)
-    middle = float(found.mean())
-    if found.size < 2:
-        return Interval(middle, float("nan"), float("nan"), found.size)
-    if np.ptp(found) == 0.0:
-        return Interval(middle, middle, middle, found.size)
-    low, high = stats.t.interval(LEVEL, found.size - 1, loc=middle, scale=float(stats.sem(found)))
-    return Interval(middle, float(low), float(high), found.size)
+    known = np.asarray(values, dtype=float)
+    known = known[~np.isnan(known)]
+    nan, size = float("nan"), known.size
+    if size == 0:
+        return Interval(nan, nan, nan, 0)
+    middle = float(known.mean())
+    if size < 2:
+        return Interval(middle, nan, nan, size)
+    if np.ptp(known) == 0.0:
+        return Interval(middle, middle, middle, size)
+    low, high = stats.t.interval(LEVEL, size - 1, loc=middle, scale=float(stats.sem(known)))
+    return Interval(middle, float(low), float(high), size)
