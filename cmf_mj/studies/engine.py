@@ -37,15 +37,15 @@ def attempt(cases: Sequence[StudyCase]) -> list[tuple[int, list[StudyRow]]]:
 
     With one thread of linear algebra, since sums in another order have other bits.
     """
-    found = []
+    results = []
     for case in cases:
         try:
             with threadpool_limits(limits=1):
                 rows = evaluate(case)
         except Exception as error:  # whatever it is, the study goes on
             rows = [failed(error)]
-        found.append((case.number, rows))
-    return found
+        results.append((case.number, rows))
+    return results
 
 
 def run_study(
@@ -86,10 +86,10 @@ def run_study(
     def keep(number: int, rows: Sequence[StudyRow]) -> None:
         journal.add(number, rows)
         if progress is not None:
-            progress(len(journal.found), total)
+            progress(len(journal.results), total)
 
     if progress is not None:
-        progress(len(journal.found), total)
+        progress(len(journal.results), total)
     if journal.pending:
         with _workers(backend, jobs, scheduler) as count:
             _run_all(journal, count, keep)
@@ -99,7 +99,7 @@ def run_study(
 def _run_all(journal: Journal, jobs: int, keep: Callable[[int, Sequence[StudyRow]], None]) -> None:
     alone = False
     while journal.pending:
-        before = len(journal.found)
+        before = len(journal.results)
         cases = journal.pending[:1] if alone else journal.pending
         try:
             for number, rows in _results(cases, jobs):
@@ -107,10 +107,10 @@ def _run_all(journal: Journal, jobs: int, keep: Callable[[int, Sequence[StudyRow
             alone = False
         except _deaths() as error:
             if alone:
-                told = f"its worker died again, running nothing else: {type(error).__name__}"
-                keep(cases[0].number, [failed(WorkerDied(told))])
+                text = f"its worker died again, running nothing else: {type(error).__name__}"
+                keep(cases[0].number, [failed(WorkerDied(text))])
             # A death that let nothing finish: find the case that brings it.
-            alone = not alone and len(journal.found) == before
+            alone = not alone and len(journal.results) == before
 
 
 def _results(
@@ -138,13 +138,13 @@ def _deaths() -> tuple[type[BaseException], ...]:
     """What joblib raises where a worker dies."""
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    found: tuple[type[BaseException], ...] = (TerminatedWorkerError,)
+    deaths: tuple[type[BaseException], ...] = (TerminatedWorkerError,)
     try:
         from distributed.client import FutureCancelledError
         from distributed.scheduler import KilledWorker
     except ModuleNotFoundError:
-        return found
-    return (*found, KilledWorker, FutureCancelledError)
+        return deaths
+    return (*deaths, KilledWorker, FutureCancelledError)
 
 
 @contextmanager

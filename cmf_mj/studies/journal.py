@@ -1,4 +1,4 @@
-"""The folder of a study: what it is, what has been found, the finished table.
+"""The folder of a study: what it is, the results so far, the finished table.
 
     study.json        what the study runs, with versions and a digest of the sources
     journal.jsonl     a line a finished case, written in one piece and flushed to the disk
@@ -49,7 +49,7 @@ class Journal:
         self.study = study
         folder.mkdir(parents=True, exist_ok=True)
         self._identify()
-        self.found = _lines(folder / JOURNAL)
+        self.results = _lines(folder / JOURNAL)
         """Rows of the finished cases, by number."""
 
     def _identify(self) -> None:
@@ -71,7 +71,7 @@ class Journal:
     @property
     def pending(self) -> list[StudyCase]:
         """Cases without a result."""
-        return [case for case in self.study.cases if case.number not in self.found]
+        return [case for case in self.study.cases if case.number not in self.results]
 
     def add(self, number: int, rows: Sequence[StudyRow]) -> None:
         """Keep what a case gave."""
@@ -85,13 +85,13 @@ class Journal:
             os.fsync(handle)
         finally:
             os.close(handle)
-        self.found[number] = json.loads(text)["rows"]
+        self.results[number] = json.loads(text)["rows"]
 
     def table(self) -> pa.Table:
-        """All rows found so far, in the order of the cases."""
+        """All rows so far, in the order of the cases."""
         columns: dict[str, list[Any]] = {name: [] for name in SCHEMA.names}
         for case in self.study.cases:
-            for row in self.found.get(case.number, []):
+            for row in self.results.get(case.number, []):
                 for name, value in (case.columns | row).items():
                     columns[name].append(value)
         identity = json.dumps(self.study.identity(), sort_keys=True)
@@ -109,7 +109,7 @@ def read_results(folder: str | Path) -> pa.Table:
     """The results of a finished study.
 
     Raises:
-        InputError: there are none; an unfinished study is told from none.
+        InputError: there are none, or the study is unfinished.
     """
     place = Path(folder)
     if (place / RESULTS).is_file():
@@ -121,16 +121,16 @@ def read_results(folder: str | Path) -> pa.Table:
 
 
 def _lines(path: Path) -> dict[int, list[dict[str, Any]]]:
-    found: dict[int, list[dict[str, Any]]] = {}
+    results: dict[int, list[dict[str, Any]]] = {}
     if not path.exists():
-        return found
+        return results
     for line in path.read_bytes().split(b"\n"):
         try:
             entry = json.loads(line)
         except ValueError:  # torn, or no text at all
             continue
-        found[entry["case"]] = entry["rows"]
-    return found
+        results[entry["case"]] = entry["rows"]
+    return results
 
 
 def _ends_a_line(path: Path) -> bool:
@@ -141,13 +141,13 @@ def _ends_a_line(path: Path) -> bool:
 
 def _differences(there: Mapping[str, Any], here: Mapping[str, Any], before: str = "") -> list[str]:
     """Paths of the entries that differ, at most two levels deep."""
-    found = []
+    names = []
     for name in sorted(set(there) | set(here)):
         one, other = there.get(name), here.get(name)
         if one == other:
             continue
         if not before and isinstance(one, dict) and isinstance(other, dict):
-            found += _differences(one, other, f"{name}.")
+            names += _differences(one, other, f"{name}.")
         else:
-            found.append(f"{before}{name}")
-    return found
+            names.append(f"{before}{name}")
+    return names

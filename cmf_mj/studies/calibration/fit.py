@@ -105,16 +105,16 @@ def _residual(study: Study, row: Row, measure: Measure, result: Measures) -> Res
 def _cost_vector(study: Study, values: Values, shift: Shift) -> NDArray[np.float64]:
     stepped = any("damping" in row.fitted for row in study.rows)
     linear = linear_results(study, values, study.fitted_laws, damping=stepped)
-    found = []
+    cost = []
     for row in study.rows:
         for measure in row.fitted:
             value = computed(linear[row.law], measure) + shift[row.law][measure]
             printed = row.printed(measure)
             off = value - printed if measure == "damping" else np.log(value / printed)
-            found.append(off / getattr(study.tolerance, measure))
+            cost.append(off / getattr(study.tolerance, measure))
     for damping in least_damping(study, values).values():
-        found.append(max(0.0, study.least_damping - damping) / _SOFT)
-    return np.asarray(found, dtype=float)
+        cost.append(max(0.0, study.least_damping - damping) / _SOFT)
+    return np.asarray(cost, dtype=float)
 
 
 def _shift(stage: Stage) -> Shift:

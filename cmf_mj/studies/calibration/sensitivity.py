@@ -7,6 +7,7 @@ half a per cent more of the result. The ranges are propagated by a Latin hypercu
 parameters at once, uniform and independent between `low` and `high`.
 """
 
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,9 @@ from cmf_mj.studies.calibration.trial import Values, linear_results
 
 STEP = 0.02
 """Relative half width of the central difference."""
+
+ENDS = (0.05, 0.95)
+"""Quantiles that bound a spread."""
 
 
 class Sensitivity(NamedTuple):
@@ -52,7 +56,7 @@ def sensitivity(study: Study, values: Values, laws: tuple[str, ...] = ()) -> Sen
     """
     chosen = laws or study.laws
     names = tuple(parameter.name for parameter in study.parameters)
-    found = np.full((len(chosen), len(MEASURES), len(names)), np.nan)
+    slopes = np.full((len(chosen), len(MEASURES), len(names)), np.nan)
     for k, name in enumerate(names):
         ends = []
         for sign in (-1.0, 1.0):
@@ -60,8 +64,8 @@ def sensitivity(study: Study, values: Values, laws: tuple[str, ...] = ()) -> Sen
             results = linear_results(study, moved, chosen)
             ends.append([[computed(results[law], m) for m in MEASURES] for law in chosen])
         lower, upper = (np.log(np.array(end)) for end in ends)
-        found[:, :, k] = (upper - lower) / np.log((1.0 + STEP) / (1.0 - STEP))
-    return Sensitivity(chosen, MEASURES, names, found)
+        slopes[:, :, k] = (upper - lower) / np.log((1.0 + STEP) / (1.0 - STEP))
+    return Sensitivity(chosen, MEASURES, names, slopes)
 
 
 def spread(
@@ -94,20 +98,10 @@ def spread(
         drawn = dict(zip((p.name for p in parameters), row.tolist(), strict=True))
         runs.append(linear_results(study, drawn, laws))
     nominal = linear_results(study, values, laws)
-    found = []
-    for law in laws:
+    spreads = []
+    for law, measure in product(laws, MEASURES):
+        low_end, high_end = np.nanquantile([computed(run[law], measure) for run in runs], ENDS)
         unstable = 1.0 - float(np.mean([run[law].stable for run in runs]))
-        for measure in MEASURES:
-            drawn_values = np.array([computed(run[law], measure) for run in runs])
-            ends = np.nanquantile(drawn_values, [0.05, 0.95])
-            found.append(
-                Spread(
-                    law,
-                    measure,
-                    computed(nominal[law], measure),
-                    float(ends[0]),
-                    float(ends[1]),
-                    unstable,
-                )
-            )
-    return found
+        value = computed(nominal[law], measure)
+        spreads.append(Spread(law, measure, value, float(low_end), float(high_end), unstable))
+    return spreads

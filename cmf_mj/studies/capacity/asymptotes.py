@@ -98,8 +98,8 @@ def full_speed(
     Returns:
         Speeds, 0 where the load stalls the leg.
     """
-    own = hydraulics.cylinder
-    cap, rod = own.cap_area, own.rod_area
+    cylinder = hydraulics.cylinder
+    cap, rod = cylinder.cap_area, cylinder.rod_area
     # Valves count content; a leg speed is what it fills at mid pressure.
     middle = 0.5 * (hydraulics.supply.pressure + hydraulics.supply.return_pressure)
     gain = hydraulics.valve.cap_gain.sum(axis=1) / cap / density(hydraulics.oil, middle)[0]
@@ -110,7 +110,7 @@ def full_speed(
     ):
         square = (cap + rod) / gain**2
         linear = (cap + rod) * hydraulics.laminar / gain
-        linear = linear + own.supply_hose * into**2 + own.return_hose * out**2
+        linear = linear + cylinder.supply_hose * into**2 + cylinder.return_hose * out**2
         root = np.sqrt(linear**2 + 4.0 * square * np.maximum(drive, 0.0))
         speeds.append(2.0 * np.maximum(drive, 0.0) / (linear + root))
     return np.column_stack(speeds)
@@ -123,19 +123,20 @@ def asymptotes(plant: Hexapod, dof: str) -> Asymptotes:
         InputError: unknown degree of freedom.
     """
     index = dof_index(dof)
-    hydraulics, supply, own = plant.hydraulics, plant.hydraulics.supply, plant.hydraulics.cylinder
+    hydraulics = plant.hydraulics
+    supply, cylinder = hydraulics.supply, hydraulics.cylinder
     jacobian = pose_jacobian(np.zeros(6), plant.geometry)
     column = jacobian[:, index]
     mass = plant.reflected_mass()
     load = plant.static_load()
     speed = full_speed(hydraulics, load, supply.pressure, supply.return_pressure).min(axis=1)
-    drawn = float(np.sum((own.cap_area + own.rod_area) * np.abs(column))) / np.pi
-    high = own.cap_area * supply.pressure - own.rod_area * supply.return_pressure
-    low = own.cap_area * supply.return_pressure - own.rod_area * supply.pressure
+    drawn = float(np.sum((cylinder.cap_area + cylinder.rod_area) * np.abs(column))) / np.pi
+    high = cylinder.cap_area * supply.pressure - cylinder.rod_area * supply.return_pressure
+    low = cylinder.cap_area * supply.return_pressure - cylinder.rod_area * supply.pressure
     force = np.abs(mass @ column)
     used = np.abs(column) > 1e-9
-    spring = stiffness(own, hydraulics.oil.bulk_modulus, np.zeros(plant.legs))
-    both = own.half_stroke * (own.cap_area + own.rod_area)
+    spring = stiffness(cylinder, hydraulics.oil.bulk_modulus, np.zeros(plant.legs))
+    both = cylinder.half_stroke * (cylinder.cap_area + cylinder.rod_area)
     return Asymptotes(
         dof=dof,
         displacement=float(np.abs(Limits().displacement[index]).min()),
@@ -148,5 +149,5 @@ def asymptotes(plant: Hexapod, dof: str) -> Asymptotes:
         row=np.linalg.inv(jacobian)[index],
         mass=mass,
         stiffness=spring,
-        leak_rate=4.0 * hydraulics.oil.bulk_modulus * own.leakage / both,
+        leak_rate=4.0 * hydraulics.oil.bulk_modulus * cylinder.leakage / both,
     )

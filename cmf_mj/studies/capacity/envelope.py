@@ -112,10 +112,10 @@ class Envelope:
 
     def save_csv(self, path: str | Path) -> Path:
         """Write the points in SI, the closed-form velocity amplitudes beside them."""
-        beside = {own.dof: own for own in self.asymptotes}
+        limits = {limit.dof: limit for limit in self.asymptotes}
         names = [f"closed_form_{name}" for name in self.asymptotes[0].velocities(1.0)]
         rows = (
-            [*point, *beside[point.dof].velocities(point.frequency).values()]
+            [*point, *limits[point.dof].velocities(point.frequency).values()]
             for point in self.points
         )
         return write_csv(Path(path), [*EnvelopePoint._fields, *names], rows, digits=6)

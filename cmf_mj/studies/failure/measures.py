@@ -85,7 +85,7 @@ class FailureResult(NamedTuple):
     load: Phases  #: Largest axial leg load [N], by size; negative pulls.
     acceleration: Phases  #: Largest crew acceleration [m/s^2].
     specific_force: Phases  #: Largest specific force on the crew [m/s^2]; 1 g at rest.
-    detected_by: str | None  #: Fault that was found first; none if nothing was.
+    detected_by: str | None  #: First fault detected; None if there was none.
     detection_time: float | None
     """Time from the event to the fault [s]; negative for a false alarm."""
     state: str  #: One of `STATES`.

@@ -88,7 +88,7 @@ def step_response(
     """Step of the report's size in some degrees of freedom at once, as fractions of it, (N, m).
 
     Args:
-        law: mounted.
+        law: bound to the cab.
         cab: linear plant.
         dofs: indices of the m degrees of freedom.
         gains: valve gains over the nominal, (6,).
@@ -100,12 +100,12 @@ def step_response(
     dcl = blocks.make_dcl(law, legs)
     still = LegFeedback(*(np.zeros(legs) for _ in FEEDBACK))
     state = engaged(dcl, np.zeros(legs), still)
-    found = np.empty((round(STEP_TIME / FRAME), legs))
+    moved = np.empty((round(STEP_TIME / FRAME), legs))
     demand = cab.jacobian[:, chosen] @ size
     drive, driven = servo.make_servo_electronics(), servo.start(legs)
     plant = a, np.ascontiguousarray(b * gains), c
-    run(dcl, state, drive, driven, *plant, demand, still, found)
-    return found @ np.linalg.inv(cab.jacobian)[chosen].T / size
+    run(dcl, state, drive, driven, plant, demand, still, moved)
+    return moved @ np.linalg.inv(cab.jacobian)[chosen].T / size
 
 
 def _one(law: Law, cab: LinearCab, seed: int | None, scale: float) -> list[list[float]]:
@@ -117,11 +117,11 @@ def _one(law: Law, cab: LinearCab, seed: int | None, scale: float) -> list[list[
         pressures=(cab.pressures[0] * gains, cab.pressures[1] * gains),
     )
     pose = np.linalg.inv(cab.jacobian) @ legs @ cab.jacobian
-    own = [line_bandwidths(LINES, pose[:, dof, dof]) for dof in range(len(DOFS))]
+    widths = [line_bandwidths(LINES, pose[:, dof, dof]) for dof in range(len(DOFS))]
     steps = [step_response(mounted, cab, dofs, gains) for dofs in STEPPED]
     return [
-        [LINES[-1] if np.isnan(found.phase_hz) else found.phase_hz for found in own],
-        [found.peak_db for found in own],
+        [LINES[-1] if np.isnan(width.phase_hz) else width.phase_hz for width in widths],
+        [width.peak_db for width in widths],
         [float(step.max() - 1.0) for step in steps],
         [float(np.abs(step[-len(step) // 10 :] - 1.0).max()) for step in steps],
     ]
@@ -133,12 +133,12 @@ def evaluate(
     """Measure a law on linear plants of all cabs.
 
     Args:
-        law: not yet mounted.
+        law: not yet bound to a cab.
         cabs: linear plants.
         seeds: of the valve gains; None for the nominal ones.
         scale: of all valve gains besides.
     """
     cases = list(product(cabs, seeds))
-    found = on_threads(lambda case: _one(law, *case, scale), cases, jobs=len(cases))
+    results = on_threads(lambda case: _one(law, *case, scale), cases, jobs=len(cases))
     shape = (len(cabs), len(seeds), -1)
-    return Performance(*(np.array(part).reshape(shape) for part in zip(*found, strict=True)))
+    return Performance(*(np.array(part).reshape(shape) for part in zip(*results, strict=True)))

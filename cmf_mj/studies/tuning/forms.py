@@ -145,14 +145,14 @@ def _modal(template: Template, **fields: object) -> Law:
 
 
 def _modal_plan(template: Template, at: Values) -> Law:
-    given = load_hydraulics("hardware")
+    actuator = load_hydraulics("hardware")
     rate = 2.0 * np.pi * _bounds(at, "rate") * template.rate
     acceleration = 2.0 * np.pi * _bounds(at, "acceleration") * rate
     plan = Plan(
-        speed=given.leg_speed.value,
-        drive_lag=given.drive_lag.value,
-        valve_lag=given.valve_lag.value,
-        leak_rate=given.leak_rate.value,
+        speed=actuator.leg_speed.value,
+        drive_lag=actuator.drive_lag.value,
+        valve_lag=actuator.valve_lag.value,
+        leak_rate=actuator.leak_rate.value,
         pairs=(
             (at["first_pair"], at["first_damping"]),
             (at["second_pair"], at["second_damping"]),
@@ -197,8 +197,8 @@ def _on_velocity(template: Template, at: Values, **fields: object) -> Law:
             "acceleration": -at.get("acceleration", 0.0),
         }
     )
-    own = {"name": template.name, "title": template.title, "source": "", "direct_gain": gains}
-    return flown.model_copy(update=own | fields)
+    changes = {"name": template.name, "title": template.title, "source": "", "direct_gain": gains}
+    return flown.model_copy(update=changes | fields)
 
 
 def _pressure(template: Template, at: Values) -> Law:
@@ -218,8 +218,8 @@ def _feed_forward(template: Template, at: Values) -> Law:
 
 def _acceleration(template: Template, at: Values) -> Law:
     pole = float(f"{np.exp(-2.0 * np.pi * at['filter'] * FRAME):.4g}")
-    own = {"accelerometer_pole": pole, "accelerometer_gain": float(f"{1.0 - pole:.4g}")}
-    return _on_velocity(template, at, **own)
+    filtered = {"accelerometer_pole": pole, "accelerometer_gain": float(f"{1.0 - pole:.4g}")}
+    return _on_velocity(template, at, **filtered)
 
 
 _OUTER = {"position": (10.0, 80.0), "velocity": (0.0, 6.0)}

@@ -8,8 +8,9 @@ from cmf_mj.electronics import servo_electronics as servo
 
 
 @compiled
-def run(dcl, state, drive, driven, a, b, c, demand, feedback, legs_out):  # type: ignore[no-untyped-def]
-    """Run the law against a sampled linear plant, one frame of delay."""
+def run(dcl, state, drive, driven, plant, demand, feedback, legs_out):  # type: ignore[no-untyped-def]
+    """Run the law against a sampled linear plant (A, B, C), one frame of delay."""
+    a, b, c = plant
     legs, command = demand.shape[0], dcl.workspace.command
     x, counts, volts = np.zeros(a.shape[0]), np.zeros(legs), np.zeros(legs)
     for frame in range(legs_out.shape[0]):
