@@ -40,7 +40,12 @@ NO_DEMAND = 1e-9
 
 
 class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]
-    """A python-control frequency response that also carries its coherence and its bound."""
+    """A python-control frequency response that also carries its coherence and its bound.
+
+    >>> response = cmf_mj.FrequencyResponse([1.0, -1.0j], [1.0, 2.0], [1.0, 0.9], [0.0, 0.1])
+    >>> response.coherence
+    [1.0, 0.9]
+    """
 
     def __init__(
         self,
@@ -50,7 +55,7 @@ class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]
         bound: NDArray[np.float64] | None = None,
         **keywords: Any,
     ) -> None:
-        """Wrap a SISO response at angular frequencies `omega` [rad/s], (K,)."""
+        """Wrap a SISO response at `omega` [rad/s], (K,); `keywords` as of python-control."""
         keywords.setdefault("name", "response")  # python-control cannot plot a nameless one
         super().__init__(response, omega, **keywords)
         self.coherence = coherence
@@ -129,6 +134,12 @@ def frequency_response(
     Raises:
         InputError: no excitation in this degree of freedom, a record shorter than a segment, or
             legs that no pose has.
+
+    >>> command = cmf_mj.signals.multisine("heave", 0.005, period=4.0, periods=2)
+    >>> record = cmf_mj.simulate(cmf_mj.SingleLegs(), "velocity", command)
+    >>> response = cmf_mj.frequency_response(record)
+    >>> bool(response.coherence.min() > 0.9)
+    True
     """
     command = record.signal
     chosen = dof if dof is not None else command.axis
@@ -292,6 +303,10 @@ def bandwidths(response: control.FrequencyResponseData) -> Bandwidths:
 
     Crossings are interpolated linearly between lines; -3 dB counts from absolute 0 dB, so a law
     with a static error starts below it.
+
+    >>> lag = control.frequency_response(control.tf([1], [0.01, 0.2, 1]), [1, 5, 9, 11, 20])
+    >>> round(cmf_mj.bandwidths(lag).phase_hz, 1)
+    1.6
     """
     frequency = np.asarray(response.omega) / (2.0 * np.pi)
     return line_bandwidths(frequency, np.asarray(response.frdata[0, 0]))

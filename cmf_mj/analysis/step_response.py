@@ -39,7 +39,11 @@ DECAY_TIME = 3.0
 
 
 class StepMetrics(NamedTuple):
-    """Measures of one step; fractions of the step unless a unit is given."""
+    """Measures of one step; fractions of the step unless a unit is given.
+
+    >>> cmf_mj.StepMetrics._fields[:3]
+    ('overshoot', 'damping_ratio', 'steady_state_error')
+    """
 
     overshoot: float  #: Largest excess over the final value.
     damping_ratio: float  #: From the overshoot; NaN below an overshoot of 0.001.
@@ -107,6 +111,11 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
 
     Raises:
         InputError: the record is not of a step, or too short.
+
+    >>> command = cmf_mj.signals.step("heave", 0.0254, duration=6.5)
+    >>> record = cmf_mj.simulate(cmf_mj.SingleLegs(), "velocity", command)
+    >>> round(cmf_mj.step_metrics(record).overshoot, 2)
+    0.22
     """
     command = record.signal_as(Step)
     if command.length - command.at < DECAY_TIME + 2.0 * TAIL:

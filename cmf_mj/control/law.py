@@ -143,6 +143,10 @@ class Law(Settings):
     """One control law: compensator gains and the filters of its signals.
 
     Gains are as published, per cent of valve command per inch, pascal, in/s, in s, in/s^2, lbf.
+
+    >>> law = cmf_mj.load_law("velocity")
+    >>> law.title, law.state_gain
+    ('Velocity FB', 0.914)
     """
 
     name: str  #: Name of the table.
@@ -288,6 +292,9 @@ def law_names(family: Literal["report", "beyond", "all"] = "report") -> tuple[st
     Args:
         family: `report`, its own in its order and then what this project added to its block;
             `beyond`, the field's and the modal plan; or `all` of them.
+
+    >>> cmf_mj.law_names()[:3]
+    ('original', 'original_as_printed', 'velocity')
     """
     if family == "all":
         return law_names() + law_names("beyond")
@@ -303,6 +310,9 @@ def load_law(source: str | Path | Law) -> Law:
 
     Raises:
         InputError: no such law, unreadable file, or a refused field with its valid range.
+
+    >>> cmf_mj.load_law("acceleration").source
+    'Table 3-3, sign as printed, with the integral of section 3.2'
     """
     if isinstance(source, Law):
         return source

@@ -10,25 +10,47 @@ from typing import Any
 
 
 class CmfError(Exception):
-    """Any error that this project raises on purpose."""
+    """Any error that this project raises on purpose.
+
+    >>> try:
+    ...     cmf_mj.load_law("fast.toml")
+    ... except cmf_mj.CmfError as error:
+    ...     print(error)
+    fast.toml: cannot be read: No such file or directory
+    """
 
     __module__ = "cmf_mj"
 
 
 class InputError(CmfError, ValueError):
-    """Refused input; the message names the field, its value and what is allowed."""
+    """Refused input; the message names the field, its value and what is allowed.
+
+    >>> try:
+    ...     cmf_mj.Hexapod("gdf")
+    ... except cmf_mj.InputError as error:
+    ...     print(error)
+    cab: 'gdf' is not one of gfd, rfd, ifd; did you mean gfd?
+    """
 
     __module__ = "cmf_mj"
 
 
 class RunError(CmfError, FloatingPointError):
-    """The state of a run left its physical bounds."""
+    """The state of a run left its physical bounds.
+
+    >>> issubclass(cmf_mj.RunError, cmf_mj.CmfError)
+    True
+    """
 
     __module__ = "cmf_mj"
 
 
 class MissingExtraError(CmfError, ModuleNotFoundError):
-    """A package of an optional extra is not installed; the message names the extra."""
+    """A package of an optional extra is not installed; the message names the extra.
+
+    >>> issubclass(cmf_mj.MissingExtraError, ModuleNotFoundError)
+    True
+    """
 
     __module__ = "cmf_mj"
 

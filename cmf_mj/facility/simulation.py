@@ -63,6 +63,11 @@ def simulate(
     Raises:
         InputError: an argument out of range, named.
         OutOfBounds: the state left its physical bounds; leg, time and value are named.
+
+    >>> command = cmf_mj.signals.sine("surge", 0.01, frequency=2.0, cycles=1)
+    >>> record = cmf_mj.simulate(cmf_mj.Hexapod(), "velocity", command)
+    >>> bool(record["gimbal_error"].max() < 1e-5)
+    True
     """
     loaded = load_law(law)
     if legs:
@@ -106,6 +111,10 @@ def drive(plant: Plant, valves: ArrayLike, **options: Unpack[RunOptions]) -> Rec
     Raises:
         InputError: an argument out of range, named.
         OutOfBounds: the state left its physical bounds; leg, time and value are named.
+
+    >>> record = cmf_mj.drive(cmf_mj.SingleLegs(), np.full((200, 6), 0.1))
+    >>> bool((record["leg_extension"][-1] > 0.0).all())
+    True
     """
     table = np.atleast_2d(np.asarray(valves, dtype=float))
     if table.ndim != 2 or table.shape[1] != plant.legs:

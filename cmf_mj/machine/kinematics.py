@@ -41,7 +41,11 @@ _CLOSE = 0.02
 
 
 class Geometry(NamedTuple):
-    """Gimbal positions of a Stewart platform, report axes."""
+    """Gimbal positions of a Stewart platform, report axes.
+
+    >>> cmf_mj.read_geometry().neutral.round(2).tolist()
+    [4.06, 4.06, 4.06, 4.06, 4.06, 4.06]
+    """
 
     upper: NDArray[np.float64]  #: Upper gimbals A in the platform frame [m], (6, 3).
     lower: NDArray[np.float64]  #: Lower gimbals B in the inertial frame [m], (6, 3).
@@ -59,10 +63,13 @@ def make_geometry(upper: ArrayLike, lower: ArrayLike) -> Geometry:
 
 @lru_cache
 def read_geometry(path: Path | None = None) -> Geometry:
-    """Read the gimbal positions from an MJCF (default: the CMF hexapod).
+    """Read the gimbal positions from the MJCF at `path` (default: the CMF hexapod).
 
     Upper gimbals are the sites `upper_1`..`upper_6`, lower gimbals the bodies
     `cylinder_1`..`cylinder_6`.
+
+    >>> cmf_mj.read_geometry().upper.shape
+    (6, 3)
     """
     root = ElementTree.parse(path or models.hexapod_path()).getroot()
 
@@ -219,6 +226,9 @@ def pose_to_legs(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[n
 
     Returns:
         (..., 6) extensions [m]; zero at the pose zero.
+
+    >>> cmf_mj.pose_to_legs([0, 0, -0.1, 0, 0, 0]).round(3).tolist()
+    [0.084, 0.084, 0.084, 0.084, 0.084, 0.084]
     """
     poses = _rows("pose", pose)
     legs = np.empty(poses.shape)
@@ -241,6 +251,10 @@ def legs_to_pose(legs: ArrayLike, geometry: Geometry | None = None) -> NDArray[n
 
     Raises:
         InputError: no pose has these legs; the message names the row and its legs.
+
+    >>> legs = cmf_mj.pose_to_legs([0, 0, -0.1, 0, 0, 0])
+    >>> cmf_mj.legs_to_pose(legs).round(6)[2].item()
+    -0.1
     """
     rows = _rows("legs", legs)
     poses = np.empty(rows.shape)

@@ -62,6 +62,13 @@ def attach_hydraulics(
             joint that does not slide; a joint or tendon with an actuator already; neither range nor
             retracted length; a range or a start beyond the stroke; an integrator or a step the loop
             cannot run; an unreadable model or refused hydraulics.
+
+    >>> press = mujoco.MjSpec()
+    >>> load = press.worldbody.add_body(name="load", mass=2e3, inertia=[1, 1, 1])
+    >>> load.explicitinertial = True
+    >>> _ = load.add_joint(name="lift", type=mujoco.mjtJoint.mjJNT_SLIDE, range=[-0.5, 0.5])
+    >>> cmf_mj.attach_hydraulics(press, ["lift"]).legs
+    1
     """
     spec = _read(model)
     parameters = load_hydraulics(hydraulics)

@@ -72,7 +72,12 @@ def oil_modes(
 
 
 class Hexapod(Plant):
-    """Plant A: the Cockpit Motion Facility with one of its cabs."""
+    """Plant A: the Cockpit Motion Facility with one of its cabs.
+
+    >>> plant = cmf_mj.Hexapod("ifd", hydraulics="report")
+    >>> plant.legs, plant.cab
+    (6, 'ifd')
+    """
 
     name = "hexapod"
 
@@ -122,7 +127,7 @@ class Hexapod(Plant):
     def derived_channels(
         self, channels: Mapping[str, NDArray[np.float64]]
     ) -> dict[str, tuple[NDArray[np.float64], str]]:
-        """The platform's true pose."""
+        """The platform's true pose, of the recorded `channels`."""
         return {"platform_pose": (self.pose_of(channels["generalised_position"]), "m, rad")}
 
     def place(self, pose: ArrayLike) -> None:
@@ -160,7 +165,7 @@ class Hexapod(Plant):
         mujoco.mj_forward(self.model, self.data)
 
     def pose_of(self, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Platform pose (..., 6), report axes, of generalised positions (..., nq)."""
+        """Platform pose (..., 6), report axes, of generalised positions `qpos`, (..., nq)."""
         free = self.model.joint("platform").qposadr[0]
         where = qpos[..., free : free + 3] * kinematics.FLIP
         quaternion = qpos[..., free + 3 : free + 7] * np.array([1.0, 1.0, -1.0, -1.0])

@@ -52,7 +52,11 @@ class Mechanics(NamedTuple):
 
 
 class Plant:
-    """Hydraulic actuators driving a MuJoCo model."""
+    """Hydraulic actuators driving a MuJoCo model.
+
+    >>> isinstance(cmf_mj.SingleLegs(), cmf_mj.Plant)
+    True
+    """
 
     name = "plant"
     """How records and tables call the plant."""
@@ -141,11 +145,11 @@ class Plant:
     def derived_channels(
         self, channels: Mapping[str, NDArray[np.float64]]
     ) -> dict[str, tuple[NDArray[np.float64], str]]:
-        """Channels computed from recorded ones: name to (values, unit)."""
+        """Channels computed from recorded `channels`: name to (values, unit)."""
         return {}
 
     def sensor_indices(self, names: list[str], component: int | None = None) -> NDArray[np.int64]:
-        """Indices into MjData.sensordata of named sensors, or of one component of each."""
+        """Indices into MjData.sensordata of sensors by `names`, or of one `component` of each."""
         indices: list[int] = []
         for name in names:
             sensor = self.model.sensor(name)

@@ -26,7 +26,11 @@ STATIC_LOAD = 7200.0 * units.POUND_FORCE
 
 
 class SingleLegs(Plant):
-    """Plant B: six uncoupled legs behind the same contract as the hexapod."""
+    """Plant B: six uncoupled legs behind the same contract as the hexapod.
+
+    >>> cmf_mj.SingleLegs().legs
+    6
+    """
 
     name = "single_legs"
 

@@ -29,7 +29,12 @@ AnySignal = TypeVar("AnySignal", bound=Signal)
 
 @dataclass(frozen=True, repr=False)
 class Record:
-    """Labelled time histories of one run."""
+    """Labelled time histories of one run.
+
+    >>> record = cmf_mj.simulate(cmf_mj.SingleLegs(), "velocity", np.zeros((4, 6)))
+    >>> record["leg_position"].shape, record.units["leg_position"]
+    ((4, 6), 'm')
+    """
 
     time: NDArray[np.float64]  #: Sample times [s], (N,).
     channels: Mapping[str, NDArray[np.float64]]
@@ -97,7 +102,7 @@ class Record:
         return float(self.metadata["sample_rate"])
 
     def save(self, path: str | Path) -> Path:
-        """Write the record as Parquet; the file appears only when it is complete."""
+        """Write the record to `path` as Parquet; the file appears only when it is complete."""
         target = Path(path)
         columns = {"time": self.time}
         for name, values in self.channels.items():
@@ -129,7 +134,7 @@ class Record:
 
     @staticmethod
     def load(path: str | Path) -> "Record":
-        """Read a record written by `save`; values come back bit for bit.
+        """Read a record that `save` wrote to `path`; values come back bit for bit.
 
         Raises:
             InputError: the file is not a record of this project.

@@ -109,6 +109,10 @@ def compare(
 
     Raises:
         InputError: an argument out of range, named; nothing has been run or written then.
+
+    >>> comparison = cmf_mj.compare(["velocity"], ["heave"], plants=["single_legs"], quick=True)
+    >>> round(comparison.results[0].measures.overshoot, 2)
+    0.22
     """
     loaded = [load_law(law) for law in laws]
     for field, chosen, known in (("dofs", dofs, DOFS), ("plants", plants, PLANTS)):

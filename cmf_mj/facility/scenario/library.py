@@ -22,6 +22,10 @@ def load_scenario(source: str | Path) -> Scenario:
     Raises:
         InputError: an unknown name, an unreadable file, or one line a refused key with what is
             allowed.
+
+    >>> scenario = cmf_mj.load_scenario("heave_sine")
+    >>> scenario.law, scenario.duration
+    ('velocity', 8.0)
     """
     path = Path(source)
     if path.suffix != ".toml":

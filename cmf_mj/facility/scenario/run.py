@@ -207,6 +207,10 @@ def run_scenario(
     Raises:
         InputError: an argument out of range, named; an `open` duration.
         OutOfBounds: the state left its physical bounds; leg, time and value are named.
+
+    >>> scenario = cmf_mj.load_scenario("heave_sine").model_copy(update={"duration": 0.1})
+    >>> cmf_mj.run_scenario(scenario).time.size
+    205
     """
     frames = scenario.frames
     if frames is None:

@@ -1,4 +1,8 @@
-"""Loads the shipped hydraulic sets and a user's own."""
+"""Loads the shipped hydraulic sets and a user's own.
+
+>>> cmf_mj.load_hydraulics("report").name
+'report'
+"""
 
 from pathlib import Path
 
