@@ -199,7 +199,12 @@ class SingleSignal(Signal):
 
 @dataclass(frozen=True)
 class Command:
-    """A platform demand, and the signal that made it."""
+    """A platform demand, and the signal that made it.
+
+    >>> command = cmf_mj.signals.sine("heave", 0.1, frequency=0.5, cycles=1)
+    >>> command.pose.shape, command.duration
+    ((4096, 6), 2.0)
+    """
 
     pose: NDArray[np.float64]  #: Poses [m, rad], (N, 6), one a control frame.
     signal: Signal = Other()  #: What it is; kept in the record.
@@ -214,7 +219,7 @@ class Command:
 
     @staticmethod
     def from_pose(pose: ArrayLike) -> "Command":
-        """A command from an array (N, 6) of poses at 2048 Hz."""
+        """A command from an array `pose` (N, 6) at 2048 Hz."""
         return Command(np.asarray(pose, dtype=float))
 
     @property
