@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cmf_mj.cli.common import refuse
-from cmf_mj.control.governor import Governor, govern, make_leg_governor
+from cmf_mj.control.limiter import Limiter, limit_history, make_leg_limiter
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.motion_limits import load_motion_limits
@@ -32,14 +32,14 @@ def demands(seconds: float = 6.0) -> dict[str, NDArray[np.float64]]:
     return {"step beyond the stroke": step, "sine beyond the stroke": sine}
 
 
-def draw(governor: Governor) -> Figure:
+def draw(limiter: Limiter) -> Figure:
     """The figure: three rows of derivatives, a column per demand."""
     figure = Figure(figsize=(9.0, 7.0), layout="constrained")
     axes = figure.subplots(3, 2, sharex=True, sharey="row")
-    end = governor.high[0]
-    bounds = (end, governor.velocity[0], governor.acceleration[0])
+    end = limiter.high[0]
+    bounds = (end, limiter.velocity[0], limiter.acceleration[0])
     for column, (title, demand) in enumerate(demands().items()):
-        found = govern(governor, demand[:, None])
+        found = limit_history(limiter, demand[:, None])
         motions = {
             "demand": (demand, "0.6", 1.2),
             "clamped": (np.clip(demand, -end, end), "#e69f00", 1.2),
@@ -73,7 +73,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/limits.png"))
     options = parser.parse_args()
     try:
-        figure = draw(make_leg_governor(load_motion_limits(options.limits), legs=1))
+        figure = draw(make_leg_limiter(load_motion_limits(options.limits), legs=1))
         options.out.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(options.out, dpi=110)
     except (ValueError, OSError) as error:

@@ -9,13 +9,13 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cmf_mj.control import demand, governor, states
+from cmf_mj.control import demand, limiter, states
 from cmf_mj.control.states import Request, State
 from cmf_mj.machine.kinematics import WORKING_STROKE, pose_motion_to_legs, pose_to_legs
 
 T = 1.0 / 2048.0
-POSE = governor.make_pose_governor()
-LEGS = governor.make_leg_governor()
+POSE = limiter.make_pose_limiter()
+LEGS = limiter.make_leg_limiter()
 DEMAND = demand.make_demand()
 STATES = states.make_states()
 
@@ -28,7 +28,7 @@ def _run(pose_limits, pose_state, parameters, machine, machine_state, leg_limits
     limited = np.zeros(6)
     base, wish = np.zeros(6), np.zeros(6)
     for k in range(requests.size):
-        governor.step(pose_limits, pose_state, pose[k], limited, velocity[k], acceleration[k])
+        limiter.step(pose_limits, pose_state, pose[k], limited, velocity[k], acceleration[k])
         demand.step(
             parameters, limited, velocity[k], acceleration[k], host[0], host[1], host[2]
         )  # fmt: skip
@@ -37,14 +37,12 @@ def _run(pose_limits, pose_state, parameters, machine, machine_state, leg_limits
             reference[0], reference[1], reference[2],
         )  # fmt: skip
         if together:
-            governor.step_together(
+            limiter.step_together(
                 leg_limits, leg_state, reference[0], out[0, k], reference[1], reference[2],
                 base, wish,
             )  # fmt: skip
         else:
-            governor.step(
-                leg_limits, leg_state, reference[0], out[0, k], reference[1], reference[2]
-            )
+            limiter.step(leg_limits, leg_state, reference[0], out[0, k], reference[1], reference[2])
         out[1, k], out[2, k] = reference[1], reference[2]
         measured[:] = out[0, k]
 
@@ -56,14 +54,14 @@ def run(code, requests, pose, velocity=None, acceleration=None, together=False):
         np.full((frames, 6), np.nan) if given is None else given.copy()
         for given in (velocity, acceleration)
     ]
-    pose_state = governor.start(POSE, pose[0])
+    pose_state = limiter.start(POSE, pose[0])
     legs = pose_to_legs(pose_state.position)
     if code in (State.OFF, State.SETTLED):
         legs = np.full(6, -WORKING_STROKE)
     out, codes = np.zeros((3, frames, 6)), np.zeros(frames, int)
     _run(
         POSE, pose_state, DEMAND, STATES, states.start(STATES, code, legs), LEGS,
-        governor.start(LEGS, legs), together, np.asarray(requests, int), pose, *rates, out, codes,
+        limiter.start(LEGS, legs), together, np.asarray(requests, int), pose, *rates, out, codes,
     )  # fmt: skip
     return out, codes
 
@@ -90,7 +88,7 @@ def violence(seed, frames):
     st.booleans(),
 )
 def test_leg_references_stay_within_limits(seed, sequence, first, together):
-    """Differences of the reference from rest; slack as in the governor's own tests."""
+    """Differences of the reference from rest; slack as in the limiter's own tests."""
     requests = np.repeat(*np.array([*sequence, (Request.NONE, 2048)]).T)
     out, _ = run(first, requests, violence(seed, requests.size), together=together)
     position = out[0]

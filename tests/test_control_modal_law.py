@@ -236,7 +236,7 @@ def test_load_feedback_passes_what_swings() -> None:
 
 def test_planned_inertia_is_not_damped() -> None:
     """With F = m a of the plan, the block is silent: the output is that without it."""
-    law = MODAL.mounted("gfd")
+    law = MODAL.bound_to("gfd")
     assert law.plan is not None
     open_plan = law.plan.model_copy(update={"position": 0.0, "velocity": 0.0})
     bare = law.model_copy(update={"plan": open_plan, "direct_gain": type(law.direct_gain)()})
@@ -259,7 +259,7 @@ def test_planned_inertia_is_not_damped() -> None:
 
 def test_linear_law_is_the_compiled_one() -> None:
     demand, feedback = histories(200, 1e-6)
-    law = MODAL.mounted("rfd")
+    law = MODAL.bound_to("rfd")
     expected, _ = outputs(law, demand, feedback)
     system = dcl_state_space(law, MODES)
     inputs = dict(zip(DCL_INPUTS, (demand, *feedback), strict=True))
@@ -271,7 +271,7 @@ def test_linear_law_is_the_compiled_one() -> None:
 def test_all_degrees_of_freedom_answer_alike_on_the_linear_plant() -> None:
     """Same response on the diagonal, and little beside it: gravity and the supply aside."""
     plant = Hexapod("ifd")
-    loop = pose_loop(closed_loop(MODAL.mounted("ifd"), linearize(plant)), plant)
+    loop = pose_loop(closed_loop(MODAL.bound_to("ifd"), linearize(plant)), plant)
     assert np.abs(loop.poles()).max() < 1.0 + 1e-9
     omega = 2.0 * np.pi * np.linspace(1.0, 6.0, 11)
     found = control.frequency_response(loop, omega).frdata
@@ -284,7 +284,7 @@ def test_all_degrees_of_freedom_answer_alike_on_the_linear_plant() -> None:
     assert shares.max() < 0.15
 
 
-def test_a_run_is_replayed_and_says_how_it_was_mounted() -> None:
+def test_a_run_is_replayed_and_says_what_it_was_bound_to() -> None:
     run = simulate(Hexapod("rfd"), "modal_plan", signals.step("roll", 0.01, at=0.1, duration=0.5))
     assert list(run.metadata["law_parameters"]["modes"]) == ["rfd"]
     assert replay(run, "modal_plan").identical
@@ -325,10 +325,10 @@ def test_bad_modal_laws_are_named() -> None:
         with pytest.raises(ValueError, match=message):
             Law.model_validate(law)
     with pytest.raises(ValueError, match="has none of 'excavator'; it has gfd, rfd, ifd"):
-        MODAL.mounted("excavator")
-    with pytest.raises(ValueError, match=r"choose one with mounted\('gfd'\)"):
+        MODAL.bound_to("excavator")
+    with pytest.raises(ValueError, match=r"choose one with bound_to\('gfd'\)"):
         make_dcl(MODAL, MODES)
     with pytest.raises(ValueError, match="hydraulic modes of 6 legs; there are 3"):
-        make_dcl(MODAL.mounted("gfd"), 3)
+        make_dcl(MODAL.bound_to("gfd"), 3)
     assert "modal_plan" in law_names("beyond")
     assert DOFS[0] == "surge"

@@ -326,5 +326,5 @@ def test_settings_of_ones_own_and_refusals(tmp_path: Path) -> None:
         file.write_text(text)
         with pytest.raises(ValueError, match=message):
             load_protection(file)
-    with pytest.raises(ValueError, match="neither default nor"):
+    with pytest.raises(ValueError, match="not one of default nor"):
         load_protection("strict")

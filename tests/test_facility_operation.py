@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from cmf_mj import Hexapod, Record, load_law, signals, simulate
-from cmf_mj.control import governor
+from cmf_mj.control import limiter
 from cmf_mj.control.dcu.arrivals import Arrivals
 from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.control.protection import load_protection
@@ -19,7 +19,7 @@ from cmf_mj.machine import kinematics
 from cmf_mj.plant.events import Event
 
 RATE, INCH, GRAVITY = 2048, 0.0254, 9.80665
-LEGS = governor.make_leg_governor()
+LEGS = limiter.make_leg_limiter()
 
 
 def sine(seconds: float, amplitude: float = 0.05) -> host.HostStream:

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from test_control_dcu_streams import KINDS, stream
 
-from cmf_mj.control import dcu, governor, states
-from cmf_mj.control.dcu.state import HOLDING
+from cmf_mj.control import dcu, limiter, states
 from cmf_mj.control.demand import make_demand
 from cmf_mj.control.states import Request, State
 from cmf_mj.facility import host
@@ -20,7 +19,7 @@ from cmf_mj.machine.kinematics import WORKING_STROKE
 
 T = 1.0 / 2048.0
 DCU = dcu.make_dcu()
-POSE, LEGS = governor.make_pose_governor(), governor.make_leg_governor()
+POSE, LEGS = limiter.make_pose_limiter(), limiter.make_leg_limiter()
 DEMAND, STATES = make_demand(), states.make_states()
 GARBAGE = ("bit", "cut", "long", "noise", "empty")
 
@@ -139,7 +138,7 @@ def check_account(outcome: Outcome, garbage: bool) -> None:
     filled, lost = int(chain.progress[0].collected), int(chain.ring.lost[0])
     assert sum(outcome.refused.values()) == (len(outcome.sent) if garbage else 0)
     assert filled + lost == len(outcome.sent)
-    waiting = int(state.whole[HOLDING])
+    waiting = int(state.clocks[0].holding)
     assert state.counts["accepted"] + sum(state.rejections.values()) + waiting == filled
     reached = logged_datagrams(chain)
     assert reached == outcome.sent if not lost else set(reached) <= set(outcome.sent)

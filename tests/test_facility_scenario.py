@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tomlkit
 from typer.testing import CliRunner
 
 from cmf_mj import Hexapod, load_law, signals, simulate
 from cmf_mj.cli.common import app
-from cmf_mj.control import dcl as control
-from cmf_mj.control.engage import engaged, handed_over
-from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME, RATE
 from cmf_mj.facility.scenario.demand import Demand
@@ -170,31 +168,6 @@ def test_an_endless_sine_is_the_sine_after_its_fade() -> None:
     assert np.abs(heave[~late]).max() < units.INCH
 
 
-# Hand-over
-
-
-@pytest.mark.parametrize("law", ["position_error_rate", "velocity", "acceleration", "force"])
-def test_a_law_takes_over_at_the_output_of_the_one_before(law: str) -> None:
-    """Where the new law has a compensator with output or an integral, the output does not jump."""
-    rng = np.random.default_rng(3)
-    before, after = (control.make_dcl(load_law(name), 6) for name in ("velocity", law))
-    reference = rng.uniform(-0.1, 0.1, 6)
-    feedback = LegFeedback(
-        reference + rng.uniform(-0.003, 0.003, 6), *(rng.uniform(-0.02, 0.02, (2, 6))),
-        *rng.uniform(2e6, 4e6, (2, 6)),
-    )  # fmt: skip
-    state = engaged(before, reference, feedback)
-    begun = handed_over(before, state, after, reference, feedback)
-    outputs = []
-    for compiled, own in ((before, state), (after, begun)):
-        control.step(compiled, own, reference, feedback)
-        outputs.append(compiled.workspace.output)
-    assert np.abs(outputs[0]).max() > 0.005
-    has_state = after.compensator.output_gain[0] != 0.0 or load_law(law).uses_integral
-    gap = np.abs(outputs[1] - outputs[0]).max()
-    assert gap < 1e-12 if has_state else gap > 0.0
-
-
 # Runs
 
 
@@ -287,6 +260,53 @@ def test_an_open_run_keeps_only_the_last_seconds() -> None:
     whole = run_scenario(run.scenario())
     for name in record.channels:
         np.testing.assert_array_equal(record[name], whole[name][-record.time.size :])
+
+
+@pytest.mark.parametrize("law", ["velocity", "modal_plan"])
+def test_gains_of_any_law_change_live_and_again_from_the_file(law: str) -> None:
+    """A list of six too; what a file holds is read back."""
+    run = ScenarioRun(scenario(law=law, duration="open", record_every=3))
+    changes = [{"law": "modal_plan"}, {"gains": {"plan": {"position": [30.0] * 6}}}, {"law": law}]
+    for change in changes:
+        run.advance(300)
+        run.apply(change_of(change))
+    run.advance(100)
+    done = run.scenario()
+    assert [change.law for change in done.change] == ["modal_plan", None, law]
+    same(run.record(), run_scenario(done))
+
+
+def test_a_law_that_the_machine_cannot_run_is_refused_before_it_does(tmp_path: Path) -> None:
+    modes = load_law("modal_plan").modes
+    table = load_law("modal_feedback").model_dump(mode="json", exclude={"name"})
+    table["modes"] = {"ifd": modes["ifd"].model_dump(mode="json")}
+    path = tmp_path / "odd.toml"
+    path.write_text(tomlkit.dumps({"odd": table}))
+    change = {"frame": 300, "law": str(path)}
+    assert scenario(cab="ifd", change=[change]).change
+    for fields in ({"change": [change]}, {"law": str(path)}):
+        with pytest.raises(ValueError, match="law odd has none of 'gfd'; it has ifd"):
+            scenario(**fields)
+    run = ScenarioRun(scenario())
+    with pytest.raises(ValueError, match="none of 'gfd'"):
+        run.apply(change_of({"law": str(path)}))
+    run.advance(10)
+
+
+def test_a_live_change_leaves_the_coming_ones_possible(tmp_path: Path) -> None:
+    """Gains of a plan are for a law with a plan; a law file may go once it is read."""
+    path = tmp_path / "mine.toml"
+    path.write_text(tomlkit.dumps({"mine": {"title": "Mine", "direct_gain": {"reference": 40.0}}}))
+    gains = {"frame": 300, "gains": {"plan": {"position": 20.0}}}
+    later = [gains, {"frame": 400, "law": str(path)}]
+    run = ScenarioRun(scenario(law="modal_plan", duration=0.25, change=later))
+    path.unlink()
+    run.advance(100)
+    with pytest.raises(ValueError, match="plan.speed: is missing"):
+        run.apply(change_of({"law": "velocity"}))
+    run.apply(change_of({"law": "modal_plan_flight"}))
+    run.advance(1000)
+    assert run.finished and run.latest().law == "mine"
 
 
 def test_a_change_with_a_time_is_not_for_now() -> None:

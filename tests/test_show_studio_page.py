@@ -292,7 +292,7 @@ def test_recording_is_scrubbed_and_played(tab: Tab, tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("fewer_pictures")
 def test_page_offers_every_law_and_failure(tab: Tab) -> None:
-    for label, options in (("law", law_names()), ("failure", KINDS)):
+    for label, options in (("law", law_names("all")), ("failure", KINDS)):
         tab.page.get_by_label(label, exact=True).first.click()
         for option in options:
             assert tab.page.get_by_role("option", name=option, exact=True).count() == 1, option

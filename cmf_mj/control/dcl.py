@@ -50,11 +50,15 @@ from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 
+OFFSET_STAYS = float(np.exp(-FRAME / 0.5))
+"""What is left of the offset of a hand-over after a frame."""
+
 
 class Workspace(NamedTuple):
     """Where a frame is computed, (n,): its results stay until the next frame."""
 
     limited: NDArray[np.float64]  #: Leg demands within limits [m].
+    moved: NDArray[np.float64]  #: Their change since the frame before [m].
     signals: np.recarray[Any, Any]
     """Inputs of the compensator with the fields `SIGNALS`, by leg or mode."""
     inputs: NDArray[np.float64]  #: The same memory as an array, (n, 10).
@@ -89,7 +93,7 @@ class Dcl(NamedTuple):
 
 
 class DclState(NamedTuple):
-    """State of the DCL, every array (n,): by leg, or by mode but for the error integral."""
+    """State of the DCL, every array (n,): by leg or mode, error integral and offset by leg."""
 
     compensator: NDArray[np.float64]  #: x of the compensator.
     error: ErrorState
@@ -97,6 +101,8 @@ class DclState(NamedTuple):
     model: ModelState
     plan: PlanState
     load_filter: NDArray[np.float64]  #: Low-passed load force [N].
+    offset: NDArray[np.float64]
+    """What is left of the output of the law before, by leg, fraction; it fades."""
 
     @classmethod
     def zeros(cls, legs: int) -> "DclState":
@@ -112,6 +118,7 @@ class DclState(NamedTuple):
             model=ModelState(np.zeros(legs), np.zeros(legs), block(AdaptationState)),
             plan=block(PlanState),
             load_filter=np.zeros(legs),
+            offset=np.zeros(legs),
         )
 
     @classmethod
@@ -146,7 +153,7 @@ def make_dcl(law: Law, legs: int) -> Dcl:
     Raises:
         InputError: a law in hydraulic modes for other than six legs, or not bound to a cab.
     """
-    modes = law.mounted_modes
+    modes = law.bound_modes
     if modes is not None and legs != len(modes.mass):
         raise InputError(
             f"coordinates: law {law.name} runs in hydraulic modes of {len(modes.mass)} legs; "
@@ -177,6 +184,7 @@ def _workspace(legs: int) -> Workspace:
     fields = np.dtype([(name, np.float64) for name in SIGNALS])
     return Workspace(
         limited=zeros(),
+        moved=zeros(),
         signals=inputs.view(fields)[:, 0].view(np.recarray),
         inputs=inputs,
         output=zeros(),
@@ -261,7 +269,9 @@ def step(dcl, state, demand, feedback):  # type: ignore[no-untyped-def]
     # In one piece: handing all arrays to a function with branches costs more than its work.
     work, modal = dcl.workspace, dcl.modal
     for leg in range(demand.shape[0]):
-        work.limited[leg] = limit(demand[leg])
+        limited = limit(demand[leg])
+        work.moved[leg] = limited - work.limited[leg]
+        work.limited[leg] = limited
     if modal:
         _into_modes(dcl.shape, work, state.error.integral, feedback)
     references = work.reference if modal else work.limited
@@ -301,4 +311,7 @@ def step(dcl, state, demand, feedback):  # type: ignore[no-untyped-def]
         state.error.integral[leg] = integrate(
             dcl.error, state.error.integral[leg], work.target[leg], feedback.position[leg]
         )
+        if state.offset[leg] != 0.0:
+            work.output[leg] += state.offset[leg]
+            state.offset[leg] *= OFFSET_STAYS
         work.command[leg] = clamp(work.output[leg])

@@ -1,19 +1,34 @@
 """How a control law begins: engaged at rest, or taking over from another in the middle of a run.
 
-At the change both laws read what the DCL read last, and the new one starts so that its output
-is that of the old one, as far as it has a state to do so with:
+**Taking over.** Both laws read what the DCL read last; w is what the one in force would put out
+now, by leg. The other begins in a state whose output is w too, so that the valve command goes on
+where it was. Demand and position are taken a frame on, at their present rates, unless both laws
+read them alike: those of the report lead the position by 380 %/in, which a compensator that has
+just been set does not yet balance; models and plans go on with the demand.
+Legs or modes, all is done in the coordinates of the law that begins, V_2:
 
-    filters            of error, reference and acceleration are taken over: they mean the same, but
-                       for gravity, which one law may read and the other not
-    reference model    is taken over, or starts at the leg's present position and velocity
-    compensator        starts where its inputs, held, would have brought it: B u / (1 - A)
-    error integral     moves until the outputs agree, within its saturation; the offset it takes
-                       up stays
-    compensator        makes up what is left and forgets it with its pole A
+    coordinates      states x of the law before become V_2^T V_1 x; only the error integral is kept
+                     by leg. What an adaptation has learned belongs to its coordinates and is lost.
+    filters          are taken over: they mean the same, but for gravity, which one law may read and
+                     the other not. Where one law follows a model or plan and the other the demand,
+                     they are set as if the target had always moved as the leg does now.
+    load feedback    is taken over, or starts with the present force as its low-passed one
+    reference model  is taken over, or starts at the leg's velocity where its output is w
+    plan             is taken over, or starts at the leg's position and velocity, with w on its way;
+                     its reference then moves until it asks for w. It goes to the demand from there
+                     as from any jump, within its bounds on rate and acceleration.
+    compensator      starts where its inputs, held, would have brought it: B u / (1 - A)
+    error integral   moves until the outputs agree, within its saturation; the offset it takes up
+                     stays. For a model or plan that starts it only keeps its share of the output.
+    compensator      makes up what is left, where C is not 0, and forgets it with its pole A
+    offset           is what still is left. It is added to the output and fades as e^(-t / 0.5 s):
+                     a law without integral whose steady command for the same error is another,
+                     comes to that by itself, within seconds.
 
-Without integral and output gain there is nothing to move, and the command jumps by the
-difference of the two laws; the lag of the servo drive rounds it.
+The output of the frame after differs from w by what a frame changes of reference and feedback.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +38,19 @@ from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import SIGNALS
 from cmf_mj.control.load_feedback import load
 from cmf_mj.control.plan import correct
+from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.kinematics import WORKING_STROKE
 
-_INTEGRAL = SIGNALS.index("error_integral")
+_INTEGRAL, _POSITION = SIGNALS.index("error_integral"), SIGNALS.index("position")
+
+_ROUND_OFF = 1e-12
+"""Difference of outputs that is none, command fraction."""
+
+_FASTEST = 1.0
+"""Rate of the demand above which it jumps rather than moves [m/s]."""
+
+_PROBE = 2.0**-10
+"""Step with which the slope of a linear relation is measured [m]."""
 
 
 def engaged(
@@ -56,7 +81,7 @@ def engaged(
         values[:] = limited
     passed = dcl.feedback.accelerometer_gain / (1.0 - dcl.feedback.accelerometer_pole)
     state.acceleration[:] = passed * feedback.acceleration
-    gains, integral = dcl.compensator, state.error.integral
+    gains, integral, gain = dcl.compensator, state.error.integral, _integral_gain(dcl)
     for leg in range(legs):
         state.load_filter[leg] = load(dcl.load_feedback, leg, feedback, 0.0)
         fill(dcl, state, leg, limited[leg], limited[leg], 0.0, feedback, work.signals)
@@ -67,11 +92,9 @@ def engaged(
         output -= dcl.model.rate_gain * feedback.velocity[leg]
         if dcl.planned:
             output += correct(dcl.plan, state.plan, leg, feedback)
-        through = gains.output_gain[leg] * gains.input_gain[leg, _INTEGRAL]
-        gain = gains.direct_gain[leg, _INTEGRAL] + through / (1.0 - gains.state_gain[leg])
-        if gain != 0.0:
+        if gain[leg] != 0.0:
             bound = dcl.error.integrator_limit
-            integral[leg] = np.clip(-output / gain, -bound, bound)
+            integral[leg] = np.clip(-output / gain[leg], -bound, bound)
             signals[_INTEGRAL] = integral[leg]
             still = (gains.input_gain[leg] @ signals) / (1.0 - gains.state_gain[leg])
         state.compensator[leg] = still
@@ -99,35 +122,124 @@ def handed_over(
         gravity: what the accelerometers felt of it, (n,) [m/s^2]; default none.
     """
     begun = DclState.of(state.arrays())
+    begun.offset[:] = 0.0
+    if not np.array_equal(before.shape, after.shape):
+        _turn(begun, after.shape @ before.shape.T)
+    now = np.clip(reference, -WORKING_STROKE, WORKING_STROKE)
+    moved = np.clip(before.workspace.moved, -_FASTEST * FRAME, _FASTEST * FRAME)
+    leads = [dcl.compensator.direct_gain[:, _POSITION] for dcl in (before, after)]
+    if _follows(before) or _follows(after) or not np.array_equal(leads[0], leads[1]):
+        ahead = feedback.position + FRAME * feedback.velocity
+        reference, feedback = now + moved, feedback._replace(position=ahead)
     seen = feedback
     if gravity is not None:
-        begun.acceleration[:] += _felt(after, gravity) - _felt(before, gravity)
+        turned = after.shape @ before.shape.T @ _felt(before, gravity)
+        begun.acceleration[:] += _felt(after, gravity) - turned
         shift = int(before.feedback.gravity_compensation) - int(after.feedback.gravity_compensation)
         seen = feedback._replace(acceleration=feedback.acceleration + shift * gravity)
-    if after.model.active and not before.model.active:
-        begun.model.position[:] = feedback.position
-        begun.model.velocity[:] = feedback.velocity
-    gains, bound = after.compensator, after.error.integrator_limit
+    bound = after.error.integrator_limit
     np.clip(begun.error.integral, -bound, bound, out=begun.error.integral)
-    wanted, _ = _output(before, state, reference, feedback)
-    lasting = 1.0 - gains.state_gain
+    wanted = _output(before, state, reference, feedback)
 
-    def settled() -> NDArray[np.float64]:
-        """Settle the compensator; what is missing of the output."""
-        _, signals = _output(after, begun, reference, seen)
-        begun.compensator[:] = np.einsum("ij,ij->i", gains.input_gain, signals) / lasting
-        return wanted - _output(after, begun, reference, seen)[0]
+    def missing() -> NDArray[np.float64]:
+        """Settle the compensator; what is missing of the output, in coordinates of the law."""
+        _output(after, begun, reference, seen)
+        gains = after.compensator
+        entering = np.einsum("ij,ij->i", gains.input_gain, after.workspace.inputs)
+        begun.compensator[:] = entering / (1.0 - gains.state_gain)
+        return after.shape @ (wanted - _output(after, begun, reference, seen))
 
-    missing = settled()
-    gain = gains.direct_gain[:, _INTEGRAL]
-    gain = gain + gains.output_gain * gains.input_gain[:, _INTEGRAL] / lasting
-    for leg in np.flatnonzero(gain):
-        moved = begun.error.integral[leg] + missing[leg] / gain[leg]
-        begun.error.integral[leg] = np.clip(moved, -bound, bound)
-    missing = settled()
-    for leg in np.flatnonzero(gains.output_gain):
-        begun.compensator[leg] += missing[leg] / gains.output_gain[leg]
+    _begin(before, begun, after, (now, moved), seen, wanted)
+    if after.model.active and not before.model.active:
+        _move(begun.model.position, missing)
+    if after.planned:
+        for _ in range(3):  # the reference's own motion within the frame hardly depends on it
+            begun.plan.reference[:] += missing() / after.plan.forward
+    gain = _integral_gain(after)
+    left = missing()
+    share = np.divide(left, gain, out=np.zeros_like(left), where=gain != 0.0)
+    begun.error.integral[:] = np.clip(begun.error.integral + after.shape.T @ share, -bound, bound)
+    left, gain = missing(), after.compensator.output_gain
+    begun.compensator[:] += np.divide(left, gain, out=np.zeros_like(left), where=gain != 0.0)
+    left = wanted - _output(after, begun, reference, seen)
+    begun.offset[:] = np.where(np.abs(left) > _ROUND_OFF, left, 0.0)
+    after.workspace.limited[:], after.workspace.moved[:] = now, moved
     return begun
+
+
+def _begin(
+    before: Dcl,
+    begun: DclState,
+    after: Dcl,
+    demands: tuple[NDArray[np.float64], NDArray[np.float64]],
+    feedback: LegFeedback,
+    command: NDArray[np.float64],
+) -> None:
+    """Start the blocks of `after` that `before` does not have; demands are (demand, change)."""
+    shape = after.shape
+    modes = LegFeedback(*(shape @ channel for channel in feedback))
+    demand, moved = (shape @ legs for legs in demands)
+    plan, model = begun.plan, begun.model
+    if not after.model.adapting:
+        model.adaptation.factor[:] = 0.0
+    starts = after.planned and not before.planned
+    if starts:
+        for values in plan:
+            values[:] = 0.0
+        plan.position[:], plan.velocity[:] = modes.position, modes.velocity
+        plan.command[:] = shape @ np.clip(command, -after.plan.authority, after.plan.authority)
+        plan.demand[:] = demand
+        plan.demand_rate[:] = np.clip(moved, -after.plan.rate, after.plan.rate)
+        plan.reference_rate[:] = plan.demand_rate
+        ahead = np.einsum("ijk,ik->ij", after.plan.transition, np.array(plan[:5]).T)
+        ahead += after.plan.input * plan.command[:, None]
+        asked = plan.command + np.einsum("ij,ij->i", after.plan.feedback, ahead)
+        plan.reference[:] = asked / after.plan.forward - plan.reference_rate
+    if after.model.active and not before.model.active:
+        model.position[:], model.velocity[:] = modes.position, modes.velocity
+        starts = True
+    if starts:
+        legs = before.shape.T @ (_integral_gain(before) * (before.shape @ begun.error.integral))
+        share, gain = shape @ legs, _integral_gain(after)
+        share = np.divide(share, gain, out=np.zeros_like(share), where=gain != 0.0)
+        begun.error.integral[:] = shape.T @ share
+    if after.damped and not before.damped:
+        for leg in range(demand.size):
+            begun.load_filter[leg] = load(after.load_feedback, leg, modes, plan.acceleration[leg])
+    if _follows(after) != _follows(before):
+        target = model.position if after.model.active else demand
+        target = plan.position if after.planned else target
+        begun.error.position_filter[:] = target - modes.position
+        begun.error.reference_filter[:] = target - modes.velocity / after.error.derivative_pole
+
+
+def _follows(dcl: Dcl) -> bool:
+    """Whether a law follows a model or a plan."""
+    return dcl.planned or dcl.model.active
+
+
+def _turn(state: DclState, turn: NDArray[np.float64]) -> None:
+    """Turn a state into other coordinates."""
+    for name, values in state.arrays().items():
+        if name.startswith("model.adaptation."):
+            values[:] = 0.0
+        elif name != "error.integral":
+            values[:] = turn @ values
+
+
+def _move(states: NDArray[np.float64], missing: Callable[[], NDArray[np.float64]]) -> None:
+    """Move states, each of which the output depends on linearly, until nothing is missing [m]."""
+    left = missing()
+    states += _PROBE
+    slope = (left - missing()) / _PROBE
+    states += np.divide(left, slope, out=np.zeros_like(left), where=slope != 0.0) - _PROBE
+
+
+def _integral_gain(dcl: Dcl) -> NDArray[np.float64]:
+    """Output per error integral, with the compensator settled, (n,) [1/(m s)]."""
+    gains = dcl.compensator
+    through = gains.output_gain * gains.input_gain[:, _INTEGRAL] / (1.0 - gains.state_gain)
+    return gains.direct_gain[:, _INTEGRAL] + through
 
 
 def _felt(dcl: Dcl, gravity: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -139,12 +251,8 @@ def _felt(dcl: Dcl, gravity: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _output(
-    dcl: Dcl,
-    state: DclState,
-    reference: NDArray[np.float64],
-    feedback: LegFeedback,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Outputs (n,) and inputs (n, 10) of a law's compensator, its state left as it is."""
-    scratch = DclState.of(state.arrays())
-    step(dcl, scratch, reference, feedback)
-    return dcl.workspace.output.copy(), dcl.workspace.inputs.copy()
+    dcl: Dcl, state: DclState, reference: NDArray[np.float64], feedback: LegFeedback
+) -> NDArray[np.float64]:
+    """Output of a law (n,), its state left as it is."""
+    step(dcl, DclState.of(state.arrays()), reference, feedback)
+    return dcl.workspace.output.copy()

@@ -151,10 +151,10 @@ class Law(Settings):
 
     name: str  #: Name of the table.
     coordinates: CoordinateName = "legs"
-    """What gains act on: legs, or the hydraulic modes of the mounted cab."""
+    """What gains act on: legs, or the hydraulic modes of the cab."""
     modes: Mapping[str, Modes] = {}
-    """Hydraulic modes by cab, or by plant where there is none; of a law that is `mounted`, one. A
-    table of a law file without them has the shipped ones, `modes.toml`."""
+    """Hydraulic modes by cab, or by plant where there is none; a law that is bound to a cab has
+    those alone. A table of a law file without modes has the shipped ones, `modes.toml`."""
     title: str = Field(min_length=1)  #: Name for figures and tables.
     source: str = ""  #: Where the gains come from.
     state_gain: Annotated[float, Field(gt=-1.0, lt=1.0)] = 0.0
@@ -204,8 +204,8 @@ class Law(Settings):
             raise InputError(f"{lists[0]}: a list needs coordinates hydraulic_modes; one number")
         return self
 
-    def mounted(self, cab: str) -> "Law":
-        """The law with the modes of one cab, as the DCL, which knows its cab, runs it.
+    def bound_to(self, cab: str) -> "Law":
+        """The law with the modes of one cab alone, as the DCL, which knows its cab, runs it.
 
         Args:
             cab: `gfd`, `rfd` or `ifd`, or the name of a plant without cabs.
@@ -222,7 +222,7 @@ class Law(Settings):
         return self.model_copy(update={"modes": {cab: self.modes[cab]}})
 
     @property
-    def mounted_modes(self) -> Modes | None:
+    def bound_modes(self) -> Modes | None:
         """Modes the law runs in; None for one in leg coordinates.
 
         Raises:
@@ -233,7 +233,7 @@ class Law(Settings):
         if len(self.modes) > 1:
             raise InputError(
                 f"modes: law {self.name} has those of {', '.join(self.modes)}; choose one with "
-                f"mounted({next(iter(self.modes))!r})"
+                f"bound_to({next(iter(self.modes))!r})"
             )
         return next(iter(self.modes.values()))
 

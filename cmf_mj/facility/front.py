@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control import dcu, demand, governor, states
-from cmf_mj.control.dcu.state import SILENCE, STALE, TAKEN
+from cmf_mj.control import dcu, demand, limiter, states
 from cmf_mj.control.protection import NO_FAULT
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.compiled import compiled, inlined
@@ -24,10 +23,10 @@ class Blocks(NamedTuple):
     """Compiled parameters of the chain's blocks, in signal order."""
 
     dcu: dcu.Dcu
-    pose_limits: governor.Governor
+    pose_limits: limiter.Limiter
     demand: demand.Demand
     states: states.States
-    leg_limits: governor.Governor
+    leg_limits: limiter.Limiter
 
 
 PROGRESS = np.dtype(
@@ -43,9 +42,9 @@ class Chain(NamedTuple):
     active: bool  #: Whether the reference comes from it; from the table otherwise.
     blocks: Blocks
     dcu_state: dcu.DcuState
-    pose_state: governor.GovernorState
+    pose_state: limiter.LimiterState
     operating: states.OperatingState
-    leg_state: governor.GovernorState
+    leg_state: limiter.LimiterState
     arrivals: dcu.Arrivals  #: Host frames, known before the run or collected while it goes.
     live: bool  #: Whether they are collected from the ring.
     ring: Ring  #: Hand-over from the receiving thread.
@@ -88,9 +87,9 @@ def make_chain(
         active=True,
         blocks=blocks,
         dcu_state=dcu.resting(blocks.dcu, pose),
-        pose_state=governor.start(blocks.pose_limits, pose),
+        pose_state=limiter.start(blocks.pose_limits, pose),
         operating=operating,
-        leg_state=governor.start(blocks.leg_limits, reference[0]),
+        leg_state=limiter.start(blocks.leg_limits, reference[0]),
         arrivals=arrivals,
         live=ring is not None,
         ring=ring or make_ring(2),
@@ -108,10 +107,10 @@ def idle_chain() -> Chain:
     """A chain that nothing comes from or goes into."""
     blocks = Blocks(
         dcu.make_dcu(),
-        governor.make_pose_governor(),
+        limiter.make_pose_limiter(),
         demand.make_demand(),
         states.make_states(),
-        governor.make_leg_governor(),
+        limiter.make_leg_limiter(),
     )
     rest = np.zeros(6)
     chain = make_chain(blocks, make_log(1), (), State.HOLD, position=rest, pose=rest)
@@ -135,7 +134,7 @@ def _follow(chain, frame, position, fault, tripped, reference):  # type: ignore[
     )
     motion, legs, out = chain.motion, chain.legs, chain.reference
     dcu.step(blocks.dcu, chain.dcu_state, motion)
-    governor.step(blocks.pose_limits, chain.pose_state, motion[0], motion[0], motion[1], motion[2])
+    limiter.step(blocks.pose_limits, chain.pose_state, motion[0], motion[0], motion[1], motion[2])
     demand.step(blocks.demand, motion[0], motion[1], motion[2], legs[0], legs[1], legs[2])
     progress.state = states.step(
         blocks.states,
@@ -151,7 +150,7 @@ def _follow(chain, frame, position, fault, tripped, reference):  # type: ignore[
     )
     if before == State.FAULT.value and progress.state == State.OFF.value:
         progress.cleared = 1
-    governor.step(blocks.leg_limits, chain.leg_state, out[0], out[0], out[1], out[2])
+    limiter.step(blocks.leg_limits, chain.leg_state, out[0], out[0], out[1], out[2])
     for leg in range(6):
         reference[leg] = out[0, leg]
     return chain.operating.valve[1]
@@ -189,7 +188,7 @@ def _record(chain, row, at):  # type: ignore[no-untyped-def]
         row[at.demand_velocity + i] = chain.motion[1, i]
         row[at.demand_acceleration + i] = chain.motion[2, i]
     row[at.operating_state] = chain.progress[0].state
-    row[at.host_stale] = chain.dcu_state.whole[STALE]
+    row[at.host_stale] = chain.dcu_state.clocks[0].stale
     row[at.valve_gain] = chain.operating.valve[1]
 
 
@@ -222,8 +221,8 @@ def host_age(chain):  # type: ignore[no-untyped-def]
     """
     if chain is not None:
         if chain.active and chain.progress[0].state == State.ENGAGED.value:
-            if chain.dcu_state.events[TAKEN] > 0:
-                return chain.dcu_state.real[SILENCE]
+            if chain.dcu_state.events[0].accepted > 0:
+                return chain.dcu_state.clocks[0].silence
     return 0.0
 
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control import governor, states
+from cmf_mj.control import limiter, states
 from cmf_mj.control.dcu.arrivals import Arrivals
 from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.demand import Demand, make_demand
@@ -269,10 +269,10 @@ def facility_session(
     chain = make_chain(
         Blocks(
             make_dcu(load_dcu(settings.dcu)),
-            governor.make_pose_governor(limits),
+            limiter.make_pose_limiter(limits),
             settings.demand or make_demand(),
             states.make_states(load_state_settings(settings.states)),
-            governor.make_leg_governor(limits),
+            limiter.make_leg_limiter(limits),
         ),
         arrivals,
         sorted((round(at * RATE), code) for at, code in start.requests),

@@ -112,7 +112,7 @@ def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = 
             not divide the control rate.
     """
     told = record.metadata
-    loaded = load_law(law).mounted(told.get("cab") or str(told.get("plant", "")))
+    loaded = load_law(law).bound_to(told.get("cab") or str(told.get("plant", "")))
     every = _every(record)
     histories = _feedback(record, loaded, feedback or {})
     reference = _legs(record, "leg_reference")

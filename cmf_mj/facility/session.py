@@ -156,7 +156,7 @@ class Session:
         steps = round(FRAME / step)
         if steps < 1 or abs(steps * step - FRAME) > 1e-12:
             raise InputError(f"timestep: {step} s must divide the control frame of {FRAME} s")
-        law = None if law is None else law.mounted(plant.mounting)
+        law = None if law is None else law.bound_to(plant.law_key)
         table = Table(source.reference[:1].copy()) if isinstance(source, Chain) else source
         self.plant = plant
         self._law = self._engaged = law
@@ -311,7 +311,7 @@ class Session:
 
     def engage(self, law: Law) -> None:
         """Hand over to another law, from the next frame on, as `control.engage` says."""
-        self._engaged = law.mounted(self.plant.mounting)
+        self._engaged = law.bound_to(self.plant.law_key)
         controller, memory = self.controller, self.memory
         dcl = control.make_dcl(self._engaged, self.plant.legs)
         limited = controller.dcl.workspace.limited

@@ -230,7 +230,7 @@ def error_spectra(
 
 
 def _even(stream: hosts.HostStream) -> hosts.HostStream:
-    """Frames that the governors can take: evenly spaced, at most 80 Hz."""
+    """Frames that the limiters can take: evenly spaced, at most 80 Hz."""
     step = np.diff(stream.time)
     if step.size and np.ptp(step) > 1e-6 * step.mean():
         return hosts.resample(stream, HOST_RATE)

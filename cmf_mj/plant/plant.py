@@ -128,8 +128,8 @@ class Plant:
         return len(self.actuators)
 
     @property
-    def mounting(self) -> str:
-        """What a law is `mounted` for: the cab, or the plant where there is none."""
+    def law_key(self) -> str:
+        """Key of its hydraulic modes in a law: the cab, or the name of a plant that has none."""
         return self.cab or self.name
 
     @property

@@ -198,7 +198,7 @@ def _linear(study_case: StudyCase, plant: Plant, errors: dict[str, Gains]) -> li
         for name, part in zip(labels((channel,), plant.legs), error, strict=True):
             system.C[system.output_labels.index(name)] *= 1.0 + part
     delay = rung_named(study_case.rung).command_delay
-    law = case.law.mounted(plant.mounting)
+    law = case.law.bound_to(plant.law_key)
     loop = pose_loop(closed_loop(law, system, command_delay=delay), plant, case.pose)
     poles = np.linalg.eigvals(np.asarray(loop.A))
     mode = least_damped_mode(poles)

@@ -240,14 +240,14 @@ def identify_matrix(
     whole = arx(experiment(first, DOFS, outputs=_CHANNELS), orders)
     frequency = np.arange(0.1, 10.0, 0.02)
     response = whole.response(frequency)
-    mounted, legs = case.law.mounted(case.build().mounting), pose_jacobian(np.zeros(6))
+    bound, legs = case.law.bound_to(case.build().law_key), pose_jacobian(np.zeros(6))
     pressures = (response[:, 6:12], response[:, 12:])
     loop = closed_loop_response(
-        mounted, response[:, :6], frequency, pressures=pressures, legs_of_axes=legs
+        bound, response[:, :6], frequency, pressures=pressures, legs_of_axes=legs
     )
     common = comparison.own[DOFS.index(shared)].response(frequency)
     shares = np.eye(6) * common[:, None, None]
-    alike = closed_loop_response(mounted, shares, frequency, legs_of_axes=legs)
+    alike = closed_loop_response(bound, shares, frequency, legs_of_axes=legs)
     everywhere = line_bandwidths(frequency, alike[:, 0, 0])
     measured = []
     for dof, size in zip(DOFS, sizes, strict=True):

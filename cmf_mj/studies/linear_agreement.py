@@ -93,7 +93,7 @@ def loop_between(
     Raises:
         InputError: another signal, or a law that is refused.
     """
-    loop = closed_loop(load_law(law).mounted(plant.mounting), system)
+    loop = closed_loop(load_law(law).bound_to(plant.law_key), system)
     legs = [f"leg_{leg + 1}" for leg in range(plant.legs)]
     if not signal.startswith("leg_"):
         index = dof_index(signal)
@@ -139,8 +139,8 @@ def compare_with_simulation(
     size = amplitude if amplitude is not None else SMALL["rad" if turns else "m"]
     system = linearize(plant, pose, excitation="sine")
     loop = loop_between(plant, system, law, pose, signal)
-    mounted = load_law(law).mounted(plant.mounting)
-    fastest = float(np.abs(closed_loop(mounted, system).poles()).max())
+    bound = load_law(law).bound_to(plant.law_key)
+    fastest = float(np.abs(closed_loop(bound, system).poles()).max())
     if fastest > 1.0 + 1e-9:
         raise InputError(f"law: its loop is unstable there, with a pole at {fastest:.6f}")
     command = composite.stepped_sines(

@@ -23,7 +23,7 @@ DCL_INPUTS = ("reference", *FEEDBACK)
 
 Matrix = NDArray[np.float64]
 
-_STATES = tuple(DclState.zeros(1).arrays())
+_STATES = tuple(name for name in DclState.zeros(1).arrays() if name != "offset")
 
 _SIZE = 2.0**-30
 """Size of states and inputs that the law is asked with: no clamp acts, and no digit is lost."""
@@ -40,10 +40,11 @@ def _answers(
     dcl: Dcl, legs: int, states: Matrix, inputs: Matrix
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Output and next state of one frame, per unit; states (m, n) and inputs (6, n)."""
-    state = DclState.of(dict(zip(_STATES, _SIZE * states, strict=True)))
+    still = {"offset": np.zeros(legs)}
+    state = DclState.of(still | dict(zip(_STATES, _SIZE * states, strict=True)))
     reference, *feedback = _SIZE * inputs
     step(dcl, state, reference, LegFeedback(*feedback))
-    following = np.concatenate(list(state.arrays().values()))
+    following = np.concatenate([state.arrays()[name] for name in _STATES])
     return dcl.workspace.output / _SIZE, following / _SIZE
 
 
@@ -55,7 +56,7 @@ def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
     still: this is the law with the factor at 1.
 
     Args:
-        law: name, TOML file or loaded law; one in hydraulic modes must be `mounted`.
+        law: name, TOML file or loaded law; one in hydraulic modes must be `bound_to` a cab.
         legs: number of legs.
 
     Returns:

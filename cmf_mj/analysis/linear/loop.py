@@ -237,7 +237,7 @@ def closed_loop_response(
     """Response (K, n, n) from leg or axis references to positions with a law around a plant.
 
     Args:
-        law: name, TOML file or loaded law; one in hydraulic modes must be `mounted`.
+        law: name, TOML file or loaded law; one in hydraulic modes must be `bound_to` a cab.
         velocity: plant response from commands at the valves to velocities, (K, n, n) or (K,)
             [m/s per full command]: with neither computing delay nor hold, as `experiment` gives it.
         frequency: lines [Hz], (K,), above 0.

@@ -18,19 +18,14 @@ from cmf_mj.control.dcu.settings import (
     make_dcu,
 )
 from cmf_mj.control.dcu.state import (
-    ACCEPTED,
-    EVENTS,
-    HELD,
     REASONS,
     DcuState,
+    Verdict,
     output_bounds,
     resting,
 )
 
 __all__ = [
-    "ACCEPTED",
-    "EVENTS",
-    "HELD",
     "REASONS",
     "Arrivals",
     "Dcu",
@@ -38,6 +33,7 @@ __all__ = [
     "DcuSettings",
     "DcuState",
     "DelayBreakdown",
+    "Verdict",
     "feed",
     "load_dcu",
     "make_dcu",

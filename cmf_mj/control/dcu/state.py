@@ -1,6 +1,7 @@
-"""State of the DCU: a few small arrays, indexed by the names below."""
+"""State of the DCU: a few small arrays, and records with named fields."""
 
-from typing import NamedTuple
+from enum import IntEnum
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,96 +17,82 @@ from cmf_mj.control.dcu.motion import (
 from cmf_mj.control.dcu.settings import Dcu
 from cmf_mj.core.errors import InputError
 
-REASONS = (
-    "not_finite",
-    "pose_range",
-    "velocity_range",
-    "acceleration_range",
-    "sequence_jump",
-    "repeated",
-    "out_of_order",
-    "time_reversed",
-    "too_soon",
-    "time_jump",
-    "too_early",
-    "unconfirmed",
-)
-"""Why a frame is refused, in the order of the tests; index of `DcuState.rejected`."""
 
-(
-    NOT_FINITE,
-    POSE_RANGE,
-    VELOCITY_RANGE,
-    ACCELERATION_RANGE,
-    SEQUENCE_JUMP,
-    REPEATED,
-    OUT_OF_ORDER,
-    TIME_REVERSED,
-    TOO_SOON,
-    TIME_JUMP,
-    TOO_EARLY,
-    UNCONFIRMED,
-) = range(len(REASONS))
+class Verdict(IntEnum):
+    """What `receive` makes of a frame: taken, kept, or refused, in the order of the tests."""
 
-ACCEPTED, HELD = -1, -2
-"""Verdicts of `receive` beside the reasons: taken, or kept until a second frame confirms it."""
+    HELD = -2
+    """Kept until a second frame confirms it."""
+    ACCEPTED = -1
+    NOT_FINITE = 0
+    POSE_RANGE = 1
+    VELOCITY_RANGE = 2
+    ACCELERATION_RANGE = 3
+    SEQUENCE_JUMP = 4
+    REPEATED = 5
+    OUT_OF_ORDER = 6
+    TIME_REVERSED = 7
+    TOO_SOON = 8
+    TIME_JUMP = 9
+    TOO_EARLY = 10
+    UNCONFIRMED = 11
 
-EVENTS = ("accepted", "late", "missing", "resynchronised", "silent")
-"""What else is counted; index of `DcuState.events`.
 
-accepted: frames taken. late: accepted frames whose turn had begun. missing: sequence numbers that
-never came. resynchronised: starts of a stream, jumps followed and clocks set anew. silent: streams
-lost by timeout.
-"""
+REASONS = tuple(verdict.name.lower() for verdict in sorted(Verdict) if verdict >= 0)
+"""Why a frame is refused; index of `DcuState.rejected`."""
 
-TAKEN, LATE, MISSING, RESYNCHRONISED, SILENT = range(len(EVENTS))
 
-# Real numbers
-(
-    PLAY,  # play clock, host time since the anchor [s]
-    SLEW,  # how much it runs fast
-    SLEW_RATE,  # derivative of that [1/s]
-    LATENESS,  # mean lateness of the host [s]
-    INTERVAL,  # mean interval of the host [s]
-    ANCHOR,  # host time at which the play clock reads 0 [s]
-    NEWEST,  # host time of the newest accepted frame since the anchor [s]
-    SILENCE,  # time since a frame was accepted [s]
-    LOCAL,  # time since the present segment began [s]
-    DURATION,  # length of the present quintic [s]
-    SINCE_GAP,  # time since the gap was found [s]
-    CLOSING,  # time in which the gap of position closes [s]
-    HELD_TIME,  # host time of the frame held [s]
-    HELD_AGE,  # time since it came [s]
-    LATE_AGE,  # time since the first of the late frames in a row [s]
-    REALS,
-) = range(16)
+class Events(NamedTuple):
+    """What else is counted, besides refused frames."""
 
-# Whole numbers
-(
-    SYNCHRONISED,  # 1 while a stream is being played
-    STALE,  # 1 from the timeout, and from the start, until a stream is taken up
-    FIRST,  # place of the oldest buffered frame
-    COUNT,  # buffered frames
-    MOVING,  # 1 on a quintic, 0 on a stop
-    USED,  # 1 if the stop comes from the oldest buffered frame
-    SEQUENCE,  # number of the newest accepted frame
-    REFUSED,  # frames refused since
-    HOLDING,  # 1 while a frame waits for confirmation
-    HELD_SEQUENCE,  # its number
-    LATE_RUN,  # 1 while one frame after the other is late
-    SLOT,  # place in the transport line
-    WHOLES,
-) = range(13)
+    accepted: int = 0  #: Frames taken.
+    late: int = 0  #: Accepted frames whose turn had begun.
+    missing: int = 0  #: Sequence numbers that never came.
+    resynchronised: int = 0  #: Starts of a stream, jumps followed and clocks set anew.
+    silent: int = 0  #: Streams lost by timeout.
+
+
+class Clocks(NamedTuple):
+    """Clocks, flags and places."""
+
+    play: float = 0.0  #: Play clock, host time since the anchor [s].
+    slew: float = 0.0  #: How much it runs fast.
+    slew_rate: float = 0.0  #: Derivative of that [1/s].
+    lateness: float = 0.0  #: Mean lateness of the host [s].
+    interval: float = 0.0  #: Mean interval of the host [s].
+    anchor: float = 0.0  #: Host time at which the play clock reads 0 [s].
+    newest: float = 0.0  #: Host time of the newest accepted frame since the anchor [s].
+    silence: float = 0.0  #: Time since a frame was accepted [s].
+    local: float = 0.0  #: Time since the present segment began [s].
+    duration: float = 0.0  #: Length of the present quintic [s].
+    since_gap: float = 0.0  #: Time since the gap was found [s].
+    closing: float = 0.0  #: Time in which the gap of position closes [s].
+    held_time: float = 0.0  #: Host time of the frame held [s].
+    held_age: float = 0.0  #: Time since it came [s].
+    late_age: float = 0.0  #: Time since the first of the late frames in a row [s].
+    synchronised: int = 0  #: 1 while a stream is being played.
+    stale: int = 1  #: 1 from the timeout, and from the start, until a stream is taken up.
+    first: int = 0  #: Place of the oldest buffered frame.
+    buffered: int = 0  #: Number of buffered frames.
+    moving: int = 0  #: 1 on a quintic, 0 on a stop.
+    used: int = 0  #: 1 if the stop comes from the oldest buffered frame.
+    sequence: int = 0  #: Number of the newest accepted frame.
+    refused: int = 0  #: Frames refused since.
+    holding: int = 0  #: 1 while a frame waits for confirmation.
+    held_sequence: int = 0  #: Its number.
+    late_run: int = 0  #: 1 while one frame after the other is late.
+    slot: int = 0  #: Place in the transport line.
+
 
 CAPACITY = 64
 """Frames the buffer holds."""
 
 
 class DcuState(NamedTuple):
-    """State of a DCU; `real` and `whole` are indexed by the names of this module."""
+    """State of a DCU."""
 
-    real: NDArray[np.float64]  #: Clocks and times, (15,).
-    whole: NDArray[np.int64]  #: Flags and places, (12,).
+    clocks: np.recarray[Any, Any]  #: `Clocks`, (1,).
+    events: np.recarray[Any, Any]  #: Counts of `Events`, (1,).
     time: NDArray[np.float64]  #: Host times of buffered frames since the anchor [s], (64,).
     frame: NDArray[np.float64]  #: Buffered frames, (64, 3, 6): pose, velocity, acceleration.
     apart: NDArray[np.int64]
@@ -118,22 +105,21 @@ class DcuState(NamedTuple):
     motion: NDArray[np.float64]  #: Motion before limit and transport, (3, 6), workspace.
     line: NDArray[np.float64]  #: Transport line, (frames + 1, 3, 6).
     rejected: NDArray[np.int64]  #: Refused frames by `REASONS`.
-    events: NDArray[np.int64]  #: Counts by `EVENTS`.
 
     @property
     def stale(self) -> bool:
         """Whether there is no stream: none yet, or silence beyond the timeout."""
-        return bool(self.whole[STALE])
+        return bool(self.clocks.stale[0])
 
     @property
     def interval(self) -> float:
         """Mean interval of the host's frames [s]; beyond `host_interval` it adds to the delay."""
-        return float(self.real[INTERVAL])
+        return float(self.clocks.interval[0])
 
     @property
     def lateness(self) -> float:
         """Mean time by which frames come later than the play clock expects [s]."""
-        return float(self.real[LATENESS])
+        return float(self.clocks.lateness[0])
 
     @property
     def rejections(self) -> dict[str, int]:
@@ -142,8 +128,14 @@ class DcuState(NamedTuple):
 
     @property
     def counts(self) -> dict[str, int]:
-        """What `EVENTS` lists."""
-        return dict(zip(EVENTS, self.events.tolist(), strict=True))
+        """Counts of `Events` by name."""
+        return dict(zip(Events._fields, self.events[0].item(), strict=True))
+
+
+def _record(values: NamedTuple) -> np.recarray[Any, Any]:
+    """One record with the fields, their types and values of a named tuple, (1,)."""
+    fields = [(name, type(value)) for name, value in values._asdict().items()]
+    return np.array([tuple(values)], dtype=fields).view(np.recarray)
 
 
 def resting(dcu: Dcu, pose: ArrayLike | None = None) -> DcuState:
@@ -160,8 +152,8 @@ def resting(dcu: Dcu, pose: ArrayLike | None = None) -> DcuState:
     if at.shape != (6,) or not (np.abs(at) <= dcu.pose).all():
         raise InputError(f"pose: {at} is refused; allowed: (6,) within +-{dcu.pose} m, rad")
     state = DcuState(
-        real=np.zeros(REALS),
-        whole=np.zeros(WHOLES, dtype=np.int64),
+        clocks=_record(Clocks(closing=dcu.rejoin_time, interval=dcu.host_interval)),
+        events=_record(Events()),
         time=np.zeros(CAPACITY),
         frame=np.zeros((CAPACITY, 3, 6)),
         apart=np.zeros(CAPACITY, dtype=np.int64),
@@ -173,13 +165,9 @@ def resting(dcu: Dcu, pose: ArrayLike | None = None) -> DcuState:
         motion=np.zeros((3, 6)),
         line=np.zeros((dcu.line + 1, 3, 6)),
         rejected=np.zeros(len(REASONS), dtype=np.int64),
-        events=np.zeros(len(EVENTS), dtype=np.int64),
     )
     state.origin[POSE] = at
     state.line[:, POSE] = at
-    state.real[CLOSING] = dcu.rejoin_time
-    state.real[INTERVAL] = dcu.host_interval
-    state.whole[STALE] = 1
     return state
 
 

@@ -6,13 +6,13 @@ and the scenario it leaves behind compute the same numbers in the same arrays: t
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control.law import load_law
+from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME, RATE
 from cmf_mj.facility.scenario.demand import Demand
@@ -20,7 +20,6 @@ from cmf_mj.facility.scenario.settings import (
     Change,
     Scenario,
     changed_law,
-    overlaid_law,
     request_code,
 )
 from cmf_mj.facility.scenario.signal import added
@@ -35,6 +34,7 @@ class _Due(NamedTuple):
     frame: int
     change: Change
     motion: Motion | None
+    law: Law | None  #: That the change names, read when it was applied.
 
 
 class ScenarioRun:
@@ -53,7 +53,7 @@ class ScenarioRun:
         self._begun = scenario
         self.plant = make_plant(scenario.plant, scenario.cab, scenario.hydraulics)
         """The machine; its MuJoCo data is that of the run."""
-        self._law = overlaid_law(load_law(scenario.law), scenario.gains)
+        self._law = scenario.begun_law()
         self._demand = Demand(added(scenario.signal, scenario.seed))
         source = TableSource if scenario.operation is None else ChainSource
         self._source: TableSource | ChainSource = source(
@@ -62,6 +62,7 @@ class ScenarioRun:
         self._session = self._source.session
         self._filled = 0
         self._due = deque(self._checked(change.when(), change) for change in scenario.change)
+        self._laws(self._due)
         self._done: list[Change] = []
         self._pushes: dict[int, tuple[float, ...]] = {}
         self._strikes = sorted(round(event.at / FRAME) + 1 for event in scenario.event)
@@ -103,7 +104,7 @@ class ScenarioRun:
     def apply(self, change: Change) -> None:
         """Change something from the next frame on.
 
-        A law takes over as `handover` says, signals as `demand` says.
+        A law takes over as `control.engage` says, signals as `demand` says.
 
         Raises:
             InputError: the change has a time of its own, or something in it is refused.
@@ -115,7 +116,10 @@ class ScenarioRun:
                     "in the next frame"
                 )
         at = sum(due.frame <= self.frame for due in self._due)
-        self._due.insert(at, self._checked(self.frame, change))
+        coming = list(self._due)
+        coming.insert(at, self._checked(self.frame, change))
+        self._laws(coming)
+        self._due = deque(coming)
 
     def latest(self) -> Live:
         """The present state."""
@@ -154,19 +158,27 @@ class ScenarioRun:
             self._session.body(change.push.body)
         if change.request is not None and not isinstance(self._source, ChainSource):
             raise InputError(f"request: {change.request!r} needs [operation]")
-        law = self._law
-        for due in getattr(self, "_due", ()):
-            law = changed_law(law, due.change)
-        changed_law(law, change)
         signal = change.signal
         motion = None if signal is None else added(signal, self._begun.seed)
-        return _Due(frame, change, motion)
+        return _Due(frame, change, motion, None if change.law is None else load_law(change.law))
+
+    def _laws(self, coming: Sequence[_Due]) -> list[Law]:
+        """The law after each of the coming changes, bound to the plant.
+
+        Raises:
+            InputError: one of them is refused; also where the change before made it impossible.
+        """
+        laws = [self._law]
+        for due in coming:
+            law = changed_law(laws[-1], due.change, due.law)
+            laws.append(law.bound_to(self.plant.law_key))
+        return laws[1:]
 
     def _happen(self, due: _Due) -> None:
         change, session = due.change, self._session
         self._done.append(change.model_copy(update={"at": None, "frame": self.frame}))
         if change.law is not None or change.gains:
-            self._law = changed_law(self._law, change)
+            (self._law,) = self._laws([due])
             session.engage(self._law)
         if due.motion is not None:
             self._demand.change(self.frame, due.motion, round(change.fade * RATE))

@@ -21,7 +21,7 @@ from cmf_mj.machine import models
 from cmf_mj.plant.events import Event, Kind
 from cmf_mj.plant.parameters.loading import load_hydraulics
 
-Gains = dict[str, float | dict[str, float | dict[str, float]]]
+Gains = dict[str, Any]
 """Fields of a law to replace, as `laws.toml` names them: `{direct_gain = {velocity = -2.0}}`."""
 
 Vector = tuple[float, float, float]
@@ -200,7 +200,7 @@ class Scenario(Settings):
         models.cab_path(self.cab)
         if self.protection is not None:
             load_protection(self.protection)
-        law, last = overlaid_law(load_law(self.law), self.gains), 0
+        law, last = self.begun_law(), 0
         for number, change in enumerate(self.change):
             if change.at is None and change.frame is None:
                 raise InputError(f"change.{number}: needs `at` in s or `frame`")
@@ -208,10 +208,23 @@ class Scenario(Settings):
             if frame < last:
                 raise InputError(f"change: frame {frame} comes after frame {last}; sort by time")
             last = frame
-            law = changed_law(law, change)
+            law = changed_law(law, change).bound_to(self.law_key)
             if change.request is not None and self.operation is None:
                 raise InputError(f"change: request {change.request!r} needs [operation]")
         return self
+
+    @property
+    def law_key(self) -> str:
+        """Key of the machine's hydraulic modes in a law, as of its plant."""
+        return self.cab if self.plant == "hexapod" else self.plant
+
+    def begun_law(self) -> Law:
+        """The law at the start, bound to the machine.
+
+        Raises:
+            InputError: the law is refused, or is not one for this machine.
+        """
+        return overlaid_law(load_law(self.law), self.gains).bound_to(self.law_key)
 
     @property
     def frames(self) -> int | None:
@@ -232,9 +245,11 @@ def overlaid_law(law: Law, gains: Mapping[str, Any]) -> Law:
     return validated(Law, merged(law.model_dump(), gains), "gains") if gains else law
 
 
-def changed_law(law: Law, change: Change) -> Law:
-    """The law after a change."""
-    return overlaid_law(law if change.law is None else load_law(change.law), change.gains)
+def changed_law(law: Law, change: Change, loaded: Law | None = None) -> Law:
+    """The law after a change; `loaded` is the law that it names, if that is at hand."""
+    if change.law is not None:
+        law = loaded or load_law(change.law)
+    return overlaid_law(law, change.gains)
 
 
 def request_code(name: RequestName) -> Request:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control.governor import govern, make_leg_governor, make_pose_governor
+from cmf_mj.control.limiter import limit_history, make_leg_limiter, make_pose_limiter
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine.kinematics import (
     DOFS,
@@ -99,8 +99,8 @@ def within_limits(stream: HostStream, limits: MotionLimits | None = None) -> Lim
         return LimitedMotion(stream, np.zeros(stream.time.size, dtype=bool))
     given = limits or load_motion_limits()
     frame = float(stream.time[-1] - stream.time[0]) / (stream.time.size - 1)
-    platform = govern(
-        make_pose_governor(given)._replace(frame=frame),
+    platform = limit_history(
+        make_pose_limiter(given)._replace(frame=frame),
         stream.pose,
         stream.velocity,
         stream.acceleration,
@@ -108,12 +108,14 @@ def within_limits(stream: HostStream, limits: MotionLimits | None = None) -> Lim
     pose, velocity, acceleration = (values.copy() for values in platform[:3])
     legs = pose_to_legs(pose)
     rates = pose_motion_to_legs(pose, velocity, acceleration)
-    governed = govern(make_leg_governor(given)._replace(frame=frame), legs, *rates, together=True)
-    moved = (governed.position != legs).any(axis=1)
+    limited = limit_history(
+        make_leg_limiter(given)._replace(frame=frame), legs, *rates, together=True
+    )
+    moved = (limited.position != legs).any(axis=1)
     if moved.any():
-        pose[moved] = legs_to_pose(governed.position[moved])
+        pose[moved] = legs_to_pose(limited.position[moved])
         velocity[moved], acceleration[moved] = leg_motion_to_pose(
-            pose[moved], governed.velocity[moved], governed.acceleration[moved]
+            pose[moved], limited.velocity[moved], limited.acceleration[moved]
         )
     held = (pose != stream.pose).any(axis=1)
     return LimitedMotion(

@@ -19,7 +19,7 @@ class LawControls:
         self._desk = desk
         self._files: dict[str, Law] = {}
         gui = desk.client.gui
-        self._law = gui.add_dropdown("law", law_names(), initial_value="velocity")
+        self._law = gui.add_dropdown("law", law_names("all"), initial_value="velocity")
         upload = gui.add_upload_button("law from a file", mime_type=".toml", icon="upload")
         self._folder = gui.add_folder("gains", expand_by_default=False)
         self._sliders: list[viser.GuiSliderHandle[float]] = []

@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import CmfError, InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility.scenario.run import ScenarioRun
 from cmf_mj.facility.scenario.settings import Change, Scenario
@@ -182,7 +182,7 @@ class LiveSession:
         due = 0 if self._ended else self._clock.due(now)
         try:
             self._advance(due)
-        except FloatingPointError as error:
+        except CmfError as error:
             self._ended = True
             self._display.tell(error)
         plant = self._run.plant

@@ -109,16 +109,16 @@ def step_response(
 
 
 def _one(law: Law, cab: LinearCab, seed: int | None, scale: float) -> list[list[float]]:
-    mounted, gains = law.mounted(cab.cab), scale * valve_gains(seed)
+    bound, gains = law.bound_to(cab.cab), scale * valve_gains(seed)
     legs = closed_loop_response(
-        mounted,
+        bound,
         cab.velocity * gains,
         LINES,
         pressures=(cab.pressures[0] * gains, cab.pressures[1] * gains),
     )
     pose = np.linalg.inv(cab.jacobian) @ legs @ cab.jacobian
     widths = [line_bandwidths(LINES, pose[:, dof, dof]) for dof in range(len(DOFS))]
-    steps = [step_response(mounted, cab, dofs, gains) for dofs in STEPPED]
+    steps = [step_response(bound, cab, dofs, gains) for dofs in STEPPED]
     return [
         [LINES[-1] if np.isnan(width.phase_hz) else width.phase_hz for width in widths],
         [width.peak_db for width in widths],

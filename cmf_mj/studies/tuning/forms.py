@@ -92,7 +92,7 @@ def make_template(name: str, title: str, cabs: Sequence[str] = CABS) -> Template
         np.abs(np.array(modes[cab.cab].shape) @ cab.jacobian * REPORT_AMPLITUDES).max(axis=1)
         for cab in linear
     ]
-    known = modes | {legs.mounting: nominal_modes(legs)}
+    known = modes | {legs.law_key: nominal_modes(legs)}
     return Template(name, title, known, np.max(moved, axis=0) / units.INCH, linear)
 
 

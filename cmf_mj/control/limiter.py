@@ -53,7 +53,7 @@ _HALVINGS = 40
 """Bisections for the shared scale, resolving it to 1e-12."""
 
 
-class Governor(NamedTuple):
+class Limiter(NamedTuple):
     """Compiled limits, every array (n,), SI."""
 
     low: NDArray[np.float64]  #: Lowest position [m or rad].
@@ -64,23 +64,23 @@ class Governor(NamedTuple):
     frame: float  #: T [s].
 
 
-class GovernorState(NamedTuple):
-    """State of the governor, every array (n,)."""
+class LimiterState(NamedTuple):
+    """State of the limiter, every array (n,)."""
 
     position: NDArray[np.float64]  #: p, the position put out last.
     velocity: NDArray[np.float64]  #: v, the change of the last two positions over T.
     lag: NDArray[np.float64]  #: e, the last demand less p; exactly 0 while the demand is followed.
 
 
-def make_governor(
+def make_limiter(
     low: ArrayLike,
     high: ArrayLike,
     velocity: ArrayLike,
     acceleration: ArrayLike,
     rejoin: float = 0.5,
     frame: float = FRAME,
-) -> Governor:
-    """Governor of any channels.
+) -> Limiter:
+    """Limiter of any channels.
 
     Args:
         low: lowest positions (n,).
@@ -109,14 +109,14 @@ def make_governor(
         raise InputError(f"rejoin: {rejoin} must be greater than 0 and at most 1")
     if not (np.isfinite(frame) and frame > 0.0):
         raise InputError(f"frame: {frame} s must be greater than 0")
-    return Governor(**arrays, rejoin=rejoin, frame=frame)
+    return Limiter(**arrays, rejoin=rejoin, frame=frame)
 
 
-def make_leg_governor(limits: MotionLimits | None = None, legs: int = 6) -> Governor:
-    """Governor of leg demands: working stroke, leg speed and acceleration; default the shipped."""
+def make_leg_limiter(limits: MotionLimits | None = None, legs: int = 6) -> Limiter:
+    """Limiter of leg demands: working stroke, leg speed and acceleration; default the shipped."""
     leg = (limits or load_motion_limits()).leg
     travel = np.full(legs, leg.position.si)
-    return make_governor(
+    return make_limiter(
         -travel,
         travel,
         np.full(legs, leg.velocity.si),
@@ -125,17 +125,17 @@ def make_leg_governor(limits: MotionLimits | None = None, legs: int = 6) -> Gove
     )
 
 
-def make_pose_governor(limits: MotionLimits | None = None) -> Governor:
-    """Governor of pose demands: operational limits of Table 2-1 and the rates assumed with them."""
+def make_pose_limiter(limits: MotionLimits | None = None) -> Limiter:
+    """Limiter of pose demands: operational limits of Table 2-1 and the rates assumed with them."""
     given = limits or load_motion_limits()
     low, high = given.operational.T
-    return make_governor(low, high, given.velocity, given.acceleration, given.leg.rejoin.si)
+    return make_limiter(low, high, given.velocity, given.acceleration, given.leg.rejoin.si)
 
 
-def start(governor: Governor, position: ArrayLike) -> GovernorState:
-    """State of a governor at rest at `position` (n,), moved into the range."""
-    at = np.clip(np.array(position, dtype=float), governor.low, governor.high)
-    return GovernorState(at, np.zeros(at.size), np.zeros(at.size))
+def start(limiter: Limiter, position: ArrayLike) -> LimiterState:
+    """State of a limiter at rest at `position` (n,), moved into the range."""
+    at = np.clip(np.array(position, dtype=float), limiter.low, limiter.high)
+    return LimiterState(at, np.zeros(at.size), np.zeros(at.size))
 
 
 @compiled
@@ -149,12 +149,12 @@ def stopping_velocity(room, acceleration, frame):  # type: ignore[no-untyped-def
 
 
 @compiled
-def _screened(governor, i, lag, position, demand):  # type: ignore[no-untyped-def]
+def _screened(limiter, i, lag, position, demand):  # type: ignore[no-untyped-def]
     """The demand, at most one range beyond the limits; the last one for one that is no number."""
     if np.isnan(demand):
         return position + lag
-    reach = governor.high[i] - governor.low[i]
-    return min(max(demand, governor.low[i] - reach), governor.high[i] + reach)
+    reach = limiter.high[i] - limiter.low[i]
+    return min(max(demand, limiter.low[i] - reach), limiter.high[i] + reach)
 
 
 @compiled
@@ -168,9 +168,9 @@ def _remaining(lag, closing, frame):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _accept(governor, state, i, wanted, position, out, rates, accelerations):  # type: ignore[no-untyped-def]
+def _accept(limiter, state, i, wanted, position, out, rates, accelerations):  # type: ignore[no-untyped-def]
     """Put a position out and renew the state; demanded rates pass only with their position."""
-    frame, speed, limit = governor.frame, governor.velocity[i], governor.acceleration[i]
+    frame, speed, limit = limiter.frame, limiter.velocity[i], limiter.acceleration[i]
     before = state.velocity[i]
     now = (position - state.position[i]) / frame
     change = (now - before) / frame
@@ -186,11 +186,11 @@ def _accept(governor, state, i, wanted, position, out, rates, accelerations):  #
 
 
 @compiled
-def step(governor, state, demand, out, rates, accelerations):  # type: ignore[no-untyped-def]
+def step(limiter, state, demand, out, rates, accelerations):  # type: ignore[no-untyped-def]
     """One frame, each channel alone.
 
     Args:
-        governor: limits.
+        limiter: limits.
         state: overwritten by the state of the next frame.
         demand: (n,) demanded positions. NaN repeats the last demand.
         out: (n,) receives the positions; may be `demand` itself.
@@ -198,21 +198,21 @@ def step(governor, state, demand, out, rates, accelerations):  # type: ignore[no
             followed, else overwritten by those of `out`.
         accelerations: (n,) demanded accelerations, treated alike.
     """
-    frame = governor.frame
+    frame = limiter.frame
     for i in range(demand.shape[0]):
-        limit, speed = governor.acceleration[i], governor.velocity[i]
+        limit, speed = limiter.acceleration[i], limiter.velocity[i]
         at, before = state.position[i], state.velocity[i]
-        wanted = _screened(governor, i, state.lag[i], at, demand[i])
-        position = wanted - _remaining(state.lag[i], governor.rejoin * limit, frame)
+        wanted = _screened(limiter, i, state.lag[i], at, demand[i])
+        position = wanted - _remaining(state.lag[i], limiter.rejoin * limit, frame)
         wish = (position - at) / frame
         velocity = min(max(wish, before - limit * frame, -speed), before + limit * frame, speed)
         # Ranges go last: where round-off parts the bounds, it does not add up to leave a range.
-        velocity = min(velocity, stopping_velocity(governor.high[i] - at, limit, frame))
-        velocity = max(velocity, -stopping_velocity(at - governor.low[i], limit, frame))
+        velocity = min(velocity, stopping_velocity(limiter.high[i] - at, limit, frame))
+        velocity = max(velocity, -stopping_velocity(at - limiter.low[i], limit, frame))
         if velocity != wish:
             position = at + frame * velocity
-        position = min(max(position, governor.low[i]), governor.high[i])
-        _accept(governor, state, i, wanted, position, out, rates, accelerations)
+        position = min(max(position, limiter.low[i]), limiter.high[i])
+        _accept(limiter, state, i, wanted, position, out, rates, accelerations)
 
 
 @compiled
@@ -228,14 +228,14 @@ def _reach(ratio, frame):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _fits(governor, state, base, wish, share):  # type: ignore[no-untyped-def]
+def _fits(limiter, state, base, wish, share):  # type: ignore[no-untyped-def]
     """Whether all channels may move `share` of the way from `base` to `wish`."""
-    frame = governor.frame
+    frame = limiter.frame
     ratio = 0.0
     for i in range(base.shape[0]):
         velocity = base[i] + share * (wish[i] - base[i])
-        limit = governor.acceleration[i]
-        if abs(velocity) > governor.velocity[i]:
+        limit = limiter.acceleration[i]
+        if abs(velocity) > limiter.velocity[i]:
             return False
         if abs(velocity - state.velocity[i]) > limit * frame * (1.0 + 1e-12):
             return False
@@ -244,18 +244,18 @@ def _fits(governor, state, base, wish, share):  # type: ignore[no-untyped-def]
     for i in range(base.shape[0]):
         velocity = base[i] + share * (wish[i] - base[i])
         at = state.position[i]
-        room = governor.high[i] - at if velocity > 0.0 else at - governor.low[i]
+        room = limiter.high[i] - at if velocity > 0.0 else at - limiter.low[i]
         if reach * abs(velocity) > room:
             return False
     return True
 
 
 @compiled
-def step_together(governor, state, demand, out, rates, accelerations, base, wish):  # type: ignore[no-untyped-def]
+def step_together(limiter, state, demand, out, rates, accelerations, base, wish):  # type: ignore[no-untyped-def]
     """One frame, all channels on one scale.
 
     Args:
-        governor: limits.
+        limiter: limits.
         state: overwritten by the state of the next frame.
         demand: (n,) demanded positions. NaN repeats the last demand.
         out: as for `step`.
@@ -267,31 +267,31 @@ def step_together(governor, state, demand, out, rates, accelerations, base, wish
     Returns:
         The share of the way from braking to the wish, 0 to 1; 1 while the demand is followed.
     """
-    frame = governor.frame
+    frame = limiter.frame
     channels = demand.shape[0]
     ratio, far = 0.0, 0.0
     for i in range(channels):
-        ratio = max(ratio, abs(state.velocity[i]) / governor.acceleration[i])
-        far = max(far, abs(state.lag[i]) / governor.acceleration[i])
+        ratio = max(ratio, abs(state.velocity[i]) / limiter.acceleration[i])
+        far = max(far, abs(state.lag[i]) / limiter.acceleration[i])
     brake = 1.0 - frame / ratio if ratio > frame else 0.0
     reach = _reach(max(ratio - frame, 0.0), frame)
     # The lag closes in proportion too, in units of each channel's acceleration.
-    closing = _remaining(far, governor.rejoin, frame) / far if far > 0.0 else 0.0
+    closing = _remaining(far, limiter.rejoin, frame) / far if far > 0.0 else 0.0
     for i in range(channels):
         at = state.position[i]
-        wanted = _screened(governor, i, state.lag[i], at, demand[i])
+        wanted = _screened(limiter, i, state.lag[i], at, demand[i])
         out[i] = wanted
         wish[i] = (wanted - closing * state.lag[i] - at) / frame
         base[i] = brake * state.velocity[i]
         # By induction within the range; the bound keeps round-off from adding up.
-        room = governor.high[i] - at if base[i] > 0.0 else at - governor.low[i]
+        room = limiter.high[i] - at if base[i] > 0.0 else at - limiter.low[i]
         base[i] = min(max(base[i], -room / reach), room / reach)
     share = 1.0
-    if not _fits(governor, state, base, wish, 1.0):
+    if not _fits(limiter, state, base, wish, 1.0):
         share, beyond = 0.0, 1.0
         for _ in range(_HALVINGS):
             middle = 0.5 * (share + beyond)
-            if _fits(governor, state, base, wish, middle):
+            if _fits(limiter, state, base, wish, middle):
                 share = middle
             else:
                 beyond = middle
@@ -301,12 +301,12 @@ def step_together(governor, state, demand, out, rates, accelerations, base, wish
             position = wanted - closing * state.lag[i]
         else:
             position = at + frame * (base[i] + share * (wish[i] - base[i]))
-        position = min(max(position, governor.low[i]), governor.high[i])
-        _accept(governor, state, i, wanted, position, out, rates, accelerations)
+        position = min(max(position, limiter.low[i]), limiter.high[i])
+        _accept(limiter, state, i, wanted, position, out, rates, accelerations)
     return share
 
 
-class Governed(NamedTuple):
+class LimitedMotion(NamedTuple):
     """A limited motion, every array (N, n) but the share."""
 
     position: NDArray[np.float64]  #: p [m or rad].
@@ -317,28 +317,28 @@ class Governed(NamedTuple):
 
 
 @compiled
-def _govern(governor, state, position, velocity, acceleration, share, together):  # type: ignore[no-untyped-def]
+def _limit_history(limiter, state, position, velocity, acceleration, share, together):  # type: ignore[no-untyped-def]
     base, wish = np.zeros(position.shape[1]), np.zeros(position.shape[1])
     for k in range(position.shape[0]):
         row, rates, accelerations = position[k], velocity[k], acceleration[k]
         if together:
-            share[k] = step_together(governor, state, row, row, rates, accelerations, base, wish)
+            share[k] = step_together(limiter, state, row, row, rates, accelerations, base, wish)
         else:
-            step(governor, state, row, row, rates, accelerations)
+            step(limiter, state, row, row, rates, accelerations)
 
 
-def govern(
-    governor: Governor,
+def limit_history(
+    limiter: Limiter,
     demand: ArrayLike,
     velocity: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
     *,
     together: bool = False,
-) -> Governed:
+) -> LimitedMotion:
     """Limit a whole history, starting at rest at its first row.
 
     Args:
-        governor: limits of n channels.
+        limiter: limits of n channels.
         demand: demanded positions (N, n).
         velocity: demanded velocities (N, n); default the changes of the output.
         acceleration: demanded accelerations (N, n); default the changes of the output.
@@ -348,9 +348,9 @@ def govern(
         InputError: another shape, named.
     """
     position = np.array(demand, dtype=float, order="C")
-    if position.ndim != 2 or position.shape[1] != governor.low.size:
+    if position.ndim != 2 or position.shape[1] != limiter.low.size:
         raise InputError(
-            f"demand: shape is {position.shape}; it must be (frames, {governor.low.size})"
+            f"demand: shape is {position.shape}; it must be (frames, {limiter.low.size})"
         )
     rates = []
     for name, given in (("velocity", velocity), ("acceleration", acceleration)):
@@ -358,7 +358,7 @@ def govern(
         if values.shape != position.shape:
             raise InputError(f"{name}: shape is {values.shape}; demand has {position.shape}")
         rates.append(np.ascontiguousarray(values))
-    found = Governed(position, rates[0], rates[1], np.ones(position.shape[0]))
+    found = LimitedMotion(position, rates[0], rates[1], np.ones(position.shape[0]))
     if position.shape[0]:
-        _govern(governor, start(governor, position[0]), *found, together)
+        _limit_history(limiter, start(limiter, position[0]), *found, together)
     return found

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cmf_mj.control import governor as block
-from cmf_mj.control.governor import govern, make_governor, make_leg_governor, make_pose_governor
+from cmf_mj.control import limiter as block
+from cmf_mj.control.limiter import limit_history, make_leg_limiter, make_limiter, make_pose_limiter
 from cmf_mj.machine.kinematics import WORKING_STROKE
 
 T = 1.0 / 2048.0
@@ -19,35 +19,35 @@ ULP = np.finfo(float).eps
 
 
 def channel(low=-0.9525, high=0.9525, velocity=0.6, acceleration=8.0, rejoin=0.5):
-    return make_governor([low], [high], [velocity], [acceleration], rejoin)
+    return make_limiter([low], [high], [velocity], [acceleration], rejoin)
 
 
 def column(values):
     return np.asarray(values, dtype=float)[:, None]
 
 
-def assert_within(governor, found, start):
+def assert_within(limiter, found, start):
     """Positions to the bit; velocity and acceleration to round-off, from rest at `start`."""
-    position, low, high = found.position, governor.low, governor.high
+    position, low, high = found.position, limiter.low, limiter.high
     assert (position - low).min() >= 0.0 and (high - position).min() >= 0.0
     slack = 8.0 * ULP * np.maximum(np.abs(low), np.abs(high)) / T
     velocity = np.diff(position, axis=0, prepend=start[None]) / T
-    assert (np.abs(velocity) - governor.velocity * (1 + 1e-12) - slack).max() <= 0.0
+    assert (np.abs(velocity) - limiter.velocity * (1 + 1e-12) - slack).max() <= 0.0
     acceleration = np.diff(velocity, axis=0, prepend=0.0 * velocity[:1]) / T
-    assert (np.abs(acceleration) - governor.acceleration * (1 + 1e-12) - slack / T).max() <= 0.0
-    assert (np.abs(found.velocity) - governor.velocity).max() <= 0.0
-    assert (np.abs(found.acceleration) - governor.acceleration).max() <= 0.0
+    assert (np.abs(acceleration) - limiter.acceleration * (1 + 1e-12) - slack / T).max() <= 0.0
+    assert (np.abs(found.velocity) - limiter.velocity).max() <= 0.0
+    assert (np.abs(found.acceleration) - limiter.acceleration).max() <= 0.0
 
 
 @st.composite
-def governors(draw, channels):
+def limiters(draw, channels):
     """Limits over three decades, ranges off centre."""
     number = st.floats(0.05, 2.0)
     high = np.array([draw(number) for _ in range(channels)])
     low = -np.array([draw(number) for _ in range(channels)])
     velocity = np.array([draw(st.floats(0.02, 20.0)) for _ in range(channels)])
     acceleration = np.array([draw(st.floats(0.5, 500.0)) for _ in range(channels)])
-    return make_governor(low, high, velocity, acceleration, draw(st.floats(0.05, 1.0)))
+    return make_limiter(low, high, velocity, acceleration, draw(st.floats(0.05, 1.0)))
 
 
 @st.composite
@@ -92,7 +92,9 @@ def test_stopping_velocity_tends_to_the_parabola():
 
 def test_demand_beyond_the_range_is_met_on_the_limit_at_rest():
     """Speed out of reach: full acceleration to the middle, then braking: 2 sqrt(L / A) seconds."""
-    found = govern(channel(velocity=50.0), column(np.r_[0.0, np.full(4000, 5.0)])).position[:, 0]
+    found = limit_history(channel(velocity=50.0), column(np.r_[0.0, np.full(4000, 5.0)])).position[
+        :, 0
+    ]
     arrived = np.flatnonzero(found == 0.9525)[0]
     assert arrived * T == pytest.approx(2.0 * np.sqrt(0.9525 / 8.0), abs=3 * T)
     assert (found[arrived:] == 0.9525).all() and (np.diff(found) >= 0.0).all()
@@ -102,41 +104,41 @@ def test_demand_beyond_the_range_is_met_on_the_limit_at_rest():
 
 
 @settings(max_examples=150, deadline=None)
-@given(governors(1), violence())
-def test_every_limit_holds_for_any_demand(governor, demand):
-    found = govern(governor, column(demand))
-    assert_within(governor, found, np.clip(demand[:1], governor.low, governor.high))
+@given(limiters(1), violence())
+def test_every_limit_holds_for_any_demand(limiter, demand):
+    found = limit_history(limiter, column(demand))
+    assert_within(limiter, found, np.clip(demand[:1], limiter.low, limiter.high))
 
 
 @settings(max_examples=100, deadline=None)
-@given(governors(3), st.lists(violence(600), min_size=3, max_size=3))
-def test_every_limit_holds_on_one_scale(governor, demands):
+@given(limiters(3), st.lists(violence(600), min_size=3, max_size=3))
+def test_every_limit_holds_on_one_scale(limiter, demands):
     demand = np.array(demands).T
-    found = govern(governor, demand, together=True)
-    assert_within(governor, found, np.clip(demand[0], governor.low, governor.high))
+    found = limit_history(limiter, demand, together=True)
+    assert_within(limiter, found, np.clip(demand[0], limiter.low, limiter.high))
     assert (found.share >= 0.0).all() and (found.share <= 1.0).all()
 
 
 @pytest.mark.parametrize("together", [False, True])
 def test_infinities_and_nan_move_no_limit(together):
     """NaN repeats the last demand, infinities are the range's far side."""
-    governor = make_leg_governor(legs=2)
+    limiter = make_leg_limiter(legs=2)
     demand = np.zeros((6000, 2))
     demand[100:3000] = [np.inf, -1e308]
     demand[3000:] = np.nan
     finite = np.where(np.isinf(demand), 1e9, demand)
     finite[3000:] = finite[2999]
-    found, other = (govern(governor, d, together=together) for d in (demand, finite))
-    assert_within(governor, found, np.zeros(2))
+    found, other = (limit_history(limiter, d, together=together) for d in (demand, finite))
+    assert_within(limiter, found, np.zeros(2))
     np.testing.assert_array_equal(found.position, other.position)
     np.testing.assert_array_equal(found.position[-1], [WORKING_STROKE, -WORKING_STROKE])
 
 
 def test_demanded_rates_out_of_range_are_clamped_beside_an_admissible_position():
-    governor = make_leg_governor(legs=3)
+    limiter = make_leg_limiter(legs=3)
     rates = np.array([[9.0, -0.1, np.nan]])
-    found = govern(governor, np.full((1, 3), 0.2), rates, np.array([[-50.0, 1.0, 1.0]]))
-    speed, limit = governor.velocity[0], governor.acceleration[0]
+    found = limit_history(limiter, np.full((1, 3), 0.2), rates, np.array([[-50.0, 1.0, 1.0]]))
+    speed, limit = limiter.velocity[0], limiter.acceleration[0]
     np.testing.assert_array_equal(found.velocity, [[speed, -0.1, 0.0]])
     np.testing.assert_array_equal(found.acceleration, [[-limit, 1.0, 0.0]])
 
@@ -146,11 +148,11 @@ def test_demanded_rates_out_of_range_are_clamped_beside_an_admissible_position()
 
 @settings(max_examples=100, deadline=None)
 @given(
-    governors(2),
+    limiters(2),
     st.lists(st.tuples(st.floats(0.05, 60.0), st.floats(0.0, 6.3)), min_size=1, max_size=5),
     st.booleans(),
 )
-def test_admissible_demands_pass_to_the_bit(governor, tones, together):
+def test_admissible_demands_pass_to_the_bit(limiter, tones, together):
     """Sums of tones scaled to 0.7 of the range, 0.9 of the speed and acceleration, faded in over
     0.3 s from rest at zero: nothing is changed, nothing late."""
     time = T * np.arange(2048)
@@ -161,39 +163,39 @@ def test_admissible_demands_pass_to_the_bit(governor, tones, together):
     second = np.diff(first, prepend=0.0) / T
     demand = np.empty((time.size, 2))
     for i in range(2):
-        least = min(governor.high[i], -governor.low[i])
+        least = min(limiter.high[i], -limiter.low[i])
         scale = min(
             0.7 * least / np.abs(wave).max(),
-            0.9 * governor.velocity[i] / np.abs(first).max(),
-            0.9 * governor.acceleration[i] / np.abs(second).max(),
+            0.9 * limiter.velocity[i] / np.abs(first).max(),
+            0.9 * limiter.acceleration[i] / np.abs(second).max(),
         )
         # Braking in proportion to the other channel needs its room as well.
-        scale = min(scale, 0.1 * least * governor.acceleration.min() / governor.velocity.max() ** 2)
+        scale = min(scale, 0.1 * least * limiter.acceleration.min() / limiter.velocity.max() ** 2)
         demand[:, i] = scale * wave
     rates = np.gradient(demand, T, axis=0)
-    found = govern(governor, demand, rates, 0.5 * rates, together=together)
+    found = limit_history(limiter, demand, rates, 0.5 * rates, together=together)
     np.testing.assert_array_equal(found.position, demand)
     np.testing.assert_array_equal(
-        found.velocity, np.clip(rates, -governor.velocity, governor.velocity)
+        found.velocity, np.clip(rates, -limiter.velocity, limiter.velocity)
     )
     assert (found.share == 1.0).all()
 
 
 def test_a_demand_on_the_limits_passes():
     """Full acceleration, full speed, full braking on to the limit: d - p below 1e-12 m."""
-    governor = channel()
-    profile = govern(governor, column(np.r_[0.0, np.full(6000, 0.9525)])).position
-    again = govern(governor, profile).position
+    limiter = channel()
+    profile = limit_history(limiter, column(np.r_[0.0, np.full(6000, 0.9525)])).position
+    again = limit_history(limiter, profile).position
     np.testing.assert_allclose(again, profile, rtol=0, atol=1e-12)
 
 
 # Back to the demand
 
 
-def longest_return(governor, speed):
+def longest_return(limiter, speed):
     """Frames: brake, cross the range with the speed left over, brake."""
-    span = (governor.high - governor.low).max()
-    slow, weak = governor.velocity.min(), governor.acceleration.min() * governor.rejoin
+    span = (limiter.high - limiter.low).max()
+    slow, weak = limiter.velocity.min(), limiter.acceleration.min() * limiter.rejoin
     return int((3.0 * slow / weak + 2.0 * span / (slow - speed)) / T) + 50
 
 
@@ -202,15 +204,15 @@ def longest_return(governor, speed):
 def test_a_held_demand_is_rejoined_in_finite_time(demand, hold, rejoin, together):
     """Whatever came before: no wind-up, equal to the bit at the end, and no chatter: from there no
     frame moves. Coming in, the acceleration changes sign at most thrice."""
-    governor = channel(rejoin=rejoin)
-    frames = longest_return(governor, 0.0)
+    limiter = channel(rejoin=rejoin)
+    frames = longest_return(limiter, 0.0)
     whole = np.r_[demand, np.full(frames, hold)]
-    found = govern(governor, column(whole), together=together)
+    found = limit_history(limiter, column(whole), together=together)
     tail = found.position[demand.size :, 0]
     arrived = np.flatnonzero(tail == hold)
     assert arrived.size and (tail[arrived[0] + 3 :] == hold).all()
     acceleration = np.diff(tail, 2) / T**2
-    signs = np.sign(acceleration[np.abs(acceleration) > 1e-3 * governor.acceleration])
+    signs = np.sign(acceleration[np.abs(acceleration) > 1e-3 * limiter.acceleration])
     assert np.count_nonzero(np.diff(signs)) <= 3
 
 
@@ -218,19 +220,19 @@ def test_a_held_demand_is_rejoined_in_finite_time(demand, hold, rejoin, together
 @given(violence(), st.floats(0.1, 2.0), st.floats(0.0, 6.3))
 def test_a_moving_demand_is_rejoined_in_finite_time(demand, frequency, phase):
     """Half the speed and 0.45 of the acceleration, where the other half closes in."""
-    governor = channel(rejoin=0.5)
+    limiter = channel(rejoin=0.5)
     omega = 2.0 * np.pi * frequency
     size = min(0.3 / omega, 0.45 * 8.0 / omega**2, 0.9)
-    frames = longest_return(governor, 0.3)
+    frames = longest_return(limiter, 0.3)
     sine = size * np.sin(omega * T * np.arange(frames + 1000) + phase)
-    found = govern(governor, column(np.r_[demand, sine])).position[demand.size :, 0]
+    found = limit_history(limiter, column(np.r_[demand, sine])).position[demand.size :, 0]
     np.testing.assert_array_equal(found[frames:], sine[frames:])
 
 
 def test_a_step_is_a_trapezoid_of_speed():
     """1 m: A up to V, V, rejoin A down: V / 2A + V / 2rA + D / V seconds, without overshoot."""
-    governor = make_governor([-2.0], [2.0], [0.6], [8.0], 0.25)
-    found = govern(governor, column(np.r_[0.0, np.full(8000, 1.0)])).position[:, 0]
+    limiter = make_limiter([-2.0], [2.0], [0.6], [8.0], 0.25)
+    found = limit_history(limiter, column(np.r_[0.0, np.full(8000, 1.0)])).position[:, 0]
     arrived = np.flatnonzero(found == 1.0)[0] * T
     wanted = 0.6 / (2 * 8.0) + 0.6 / (2 * 2.0) + 1.0 / 0.6
     assert arrived == pytest.approx(wanted, abs=4 * T)
@@ -245,7 +247,7 @@ def test_no_wind_up():
     away = [
         np.r_[0.0, np.full(n, size), np.full(4000, 0.1)] for n, size in ((40960, 1e3), (10240, 1.5))
     ]
-    back = [govern(channel(), column(demand)).position[-4001:] for demand in away]
+    back = [limit_history(channel(), column(demand)).position[-4001:] for demand in away]
     assert back[0][0] == back[1][0] == 0.9525
     np.testing.assert_array_equal(back[0], back[1])
 
@@ -255,7 +257,7 @@ def test_a_demand_back_from_beyond_is_met_at_its_own_speed():
     lone clamp would start from rest: 0.36 m/s at 4 m/s^2 take 90 ms, 184 frames."""
     time = T * np.arange(4 * 8192)
     demand = 0.6 + 0.6 * np.sin(2 * np.pi * 0.06 * time) ** 2
-    found = govern(channel(), column(demand)).position[:, 0]
+    found = limit_history(channel(), column(demand)).position[:, 0]
     assert found.max() == 0.9525
     crossing = np.flatnonzero((demand[:-1] > 0.9525) & (demand[1:] <= 0.9525))[0] + 1
     assert found[crossing] < 0.9525
@@ -267,14 +269,14 @@ def test_a_demand_back_from_beyond_is_met_at_its_own_speed():
 
 def test_on_one_scale_a_step_is_a_straight_line():
     """From rest to rest: p - p0 stays parallel to the demand; alone the short way ends early."""
-    governor = make_leg_governor()
+    limiter = make_leg_limiter()
     target = np.array([0.8, -0.4, 0.1, 0.0, -0.7, 0.33])
     demand = np.vstack([np.zeros(6), np.tile(target, (6000, 1))])
-    found = govern(governor, demand, together=True).position
+    found = limit_history(limiter, demand, together=True).position
     progress = found @ target / (target @ target)
     np.testing.assert_allclose(found, np.outer(progress, target), rtol=0, atol=1e-12)
     np.testing.assert_array_equal(found[-1], target)
-    alone = govern(governor, demand).position
+    alone = limit_history(limiter, demand).position
     assert np.abs(alone - np.outer(alone @ target / (target @ target), target)).max() > 0.05
     assert np.flatnonzero(np.abs(found - target).max(axis=1) == 0.0)[0] * T == pytest.approx(
         0.8 / 0.6096 + 0.6096 / (2 * 0.8 * G) * 3.0, abs=4 * T
@@ -282,11 +284,11 @@ def test_on_one_scale_a_step_is_a_straight_line():
 
 
 def test_on_one_scale_all_wait_for_the_leg_that_can_go_no_further():
-    governor = make_leg_governor(legs=2)
+    limiter = make_leg_limiter(legs=2)
     time = T * np.arange(12288)
     demand = np.column_stack([0.3 * time, 0.1 * np.sin(time)])
     demand[8192:] = demand[8192] * [0.5, 1.0]
-    found = govern(governor, demand, together=True)
+    found = limit_history(limiter, demand, together=True)
     assert found.position[8191, 0] == pytest.approx(WORKING_STROKE, abs=1e-9)
     assert np.ptp(found.position[7900:8192], axis=0).max() == pytest.approx(0.0, abs=1e-9)
     assert found.share[8191] == pytest.approx(0.0, abs=1e-6)
@@ -296,8 +298,8 @@ def test_on_one_scale_all_wait_for_the_leg_that_can_go_no_further():
 # Parameters
 
 
-def test_leg_and_pose_governors_take_the_shipped_limits():
-    legs, pose = make_leg_governor(), make_pose_governor()
+def test_leg_and_pose_limiters_take_the_shipped_limits():
+    legs, pose = make_leg_limiter(), make_pose_limiter()
     np.testing.assert_array_equal(legs.high, WORKING_STROKE)
     np.testing.assert_allclose(legs.velocity, 24 * 0.0254)
     np.testing.assert_allclose(legs.acceleration, 0.8 * G)
@@ -319,7 +321,7 @@ def test_leg_and_pose_governors_take_the_shipped_limits():
 def test_refused_limits_are_named(change, message):
     given = {"low": [-1.0], "high": [1.0], "velocity": [1.0], "acceleration": [1.0]} | change
     with pytest.raises(ValueError, match=message):
-        make_governor(**given)
+        make_limiter(**given)
 
 
 @pytest.mark.parametrize(
@@ -331,4 +333,4 @@ def test_refused_limits_are_named(change, message):
 )
 def test_refused_histories_are_named(demand, velocity, message):
     with pytest.raises(ValueError, match=message):
-        govern(channel(), demand, velocity)
+        limit_history(channel(), demand, velocity)

@@ -1,0 +1,137 @@
+"""Hand-over between all shipped laws: the valve command goes on where it was."""
+
+import numpy as np
+import pytest
+
+from cmf_mj import law_names, load_law
+from cmf_mj.control import dcl as blocks
+from cmf_mj.control.dcl import Dcl, DclState
+from cmf_mj.control.engage import engaged, handed_over
+from cmf_mj.control.feedback import LegFeedback
+from cmf_mj.control.law import Law
+from cmf_mj.core.rates import FRAME
+from cmf_mj.facility.scenario.run import ScenarioRun
+from cmf_mj.facility.scenario.settings import change_of, scenario_of
+
+INCH = 0.0254
+LAWS = law_names("all")
+MOVES = (("heave", [0.25, "in"], 1.0), ("sway", [0.25, "in"], 0.6), ("pitch", [0.25, "deg"], 0.7))
+MOVING = [
+    {"kind": "sine", "dof": dof, "amplitude": size, "frequency": hertz, "fade": 0.2}
+    for dof, size, hertz in MOVES
+]
+
+
+def compiled(law: str | Law) -> Dcl:
+    return blocks.make_dcl(load_law(law).bound_to("gfd"), 6)
+
+
+def moving(seed: int) -> tuple[np.ndarray, np.ndarray, LegFeedback]:
+    """Demand, its change in a frame, and feedback of legs that follow it with some error."""
+    rng = np.random.default_rng(seed)
+    reference, velocity = rng.uniform(-0.1, 0.1, 6), rng.uniform(-0.1, 0.1, 6)
+    position = reference + rng.uniform(-0.003, 0.003, 6)
+    return (
+        reference,
+        FRAME * velocity,
+        LegFeedback(position, velocity, rng.uniform(-0.5, 0.5, 6), *rng.uniform(2e6, 4e6, (2, 6))),
+    )
+
+
+def taken_over(before: Dcl, after: Dcl) -> tuple[np.ndarray, np.ndarray, DclState, DclState]:
+    """First outputs of both laws a frame after the change; states of both before it."""
+    reference, change, feedback = moving(3)
+    state = engaged(before, reference, feedback)
+    for k in range(-200, 1):
+        now = feedback._replace(position=feedback.position + k * FRAME * feedback.velocity)
+        blocks.step(before, state, reference + k * change, now)
+    begun = handed_over(before, state, after, reference, feedback)
+    following = feedback._replace(position=feedback.position + FRAME * feedback.velocity)
+    outputs = []
+    for dcl, own in ((before, DclState.of(state.arrays())), (after, DclState.of(begun.arrays()))):
+        blocks.step(dcl, own, reference + change, following)
+        outputs.append(dcl.workspace.output.copy())
+    return outputs[0], outputs[1], state, begun
+
+
+@pytest.mark.parametrize("first", LAWS)
+def test_every_law_takes_over_where_the_other_was(first: str) -> None:
+    """Random motion of six legs; 1 % of full command is what a frame of it may change."""
+    for second in LAWS:
+        expected, found, *_ = taken_over(compiled(first), compiled(second))
+        np.testing.assert_allclose(found, expected, rtol=0, atol=0.01, err_msg=f"to {second}")
+
+
+def test_modes_and_legs_are_the_same_machine() -> None:
+    """States go over from legs to modes and back; six equal gains on modes are those on legs."""
+    legs = load_law("velocity_integral")
+    table = legs.model_dump() | {
+        "coordinates": "hydraulic_modes", "modes": load_law("modal_plan").modes,
+    }  # fmt: skip
+    modes = Law.model_validate(table)
+    *_, plain = taken_over(compiled(legs), compiled(legs))
+    shape = compiled(modes).shape
+    for pair, turn in (((legs, modes), shape), ((modes, legs), np.eye(6))):
+        expected, found, _, begun = taken_over(*map(compiled, pair))
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(begun.error.integral, plain.error.integral, atol=1e-12)
+        for name in ("compensator", "acceleration", "error.position_filter"):
+            one, other = plain.arrays()[name], begun.arrays()[name]
+            np.testing.assert_allclose(other, turn @ one, rtol=0, atol=1e-9, err_msg=name)
+
+
+def test_a_law_takes_over_from_itself_as_if_nothing_were() -> None:
+    for name in ("velocity", "model_reference_adaptive", "modal_feedback", "modal_plan"):
+        expected, found, state, begun = taken_over(compiled(name), compiled(name))
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+        for key, values in state.arrays().items():
+            np.testing.assert_allclose(begun.arrays()[key], values, atol=1e-9, err_msg=key)
+
+
+def test_what_no_state_can_take_up_fades() -> None:
+    """`modal_feedback` has neither integral nor output gain: e^(-t / 0.5 s)."""
+    before, after = compiled("velocity"), compiled("modal_feedback")
+    reference, _, feedback = moving(4)
+    begun = handed_over(before, engaged(before, reference, feedback), after, reference, feedback)
+    first = begun.offset.copy()
+    assert np.abs(first).max() > 0.02
+    for _ in range(1024):
+        blocks.step(after, begun, reference, feedback)
+    np.testing.assert_allclose(begun.offset, first * np.exp(-1.0), rtol=1e-9)
+
+
+def circuit(names: tuple[str, ...]) -> list[str]:
+    """A way that goes from each name to each other once, back to its beginning (Hierholzer)."""
+    left = {name: [other for other in names if other != name] for name in names}
+    way, stack = [], [names[0]]
+    while stack:
+        if left[stack[-1]]:
+            stack.append(left[stack[-1]].pop())
+        else:
+            way.append(stack.pop())
+    return way[::-1]
+
+
+def test_the_valve_command_is_continuous_between_all_laws_in_a_moving_run() -> None:
+    """Every ordered pair once; 2 % of full command, and no fault.
+
+    Laws last 0.08 s, but for one in between that lets the legs come back to their demand. Left out
+    is `original_as_printed`: it does not track, the legs run away at full command.
+    """
+    way = circuit(tuple(name for name in LAWS if name != "original_as_printed"))
+    assert len(way) == (len(LAWS) - 1) * (len(LAWS) - 2) + 1
+    run = ScenarioRun(
+        scenario_of(
+            {"law": way[0], "signal": MOVING, "duration": "open", "protection": "default"}, "test"
+        )
+    )
+    run.advance(1024)
+    for name in way[1:]:
+        before = run.latest().valve_command
+        run.apply(change_of({"law": name}))
+        run.advance(1)
+        jump = np.abs(run.latest().valve_command - before).max()
+        assert jump < 0.02, (name, run.frame)
+        run.advance(1024 if name == "modal_plan" else 163)
+    assert run.latest().fault is None
+    assert np.abs(run.latest().reference - run.latest().extension).max() < 0.03
