@@ -19,7 +19,8 @@ Legs or modes, all is done in the coordinates of the law that begins, V_2:
                      as from any jump, within its bounds on rate and acceleration.
     compensator      starts where its inputs, held, would have brought it: B u / (1 - A)
     error integral   moves until the outputs agree, within its saturation; the offset it takes up
-                     stays. For a model or plan that starts it only keeps its share of the output.
+                     stays. With a model or plan that starts, it starts at 0: it held what was
+                     static in the law before, such as its part of pressures, which those have not.
     compensator      makes up what is left, where C is not 0, and forgets it with its pole A
     offset           is what still is left. It is added to the output and fades as e^(-t / 0.5 s):
                      a law without integral whose steady command for the same error is another,
@@ -199,10 +200,7 @@ def _begin(
         model.position[:], model.velocity[:] = modes.position, modes.velocity
         starts = True
     if starts:
-        legs = before.shape.T @ (_integral_gain(before) * (before.shape @ begun.error.integral))
-        share, gain = shape @ legs, _integral_gain(after)
-        share = np.divide(share, gain, out=np.zeros_like(share), where=gain != 0.0)
-        begun.error.integral[:] = shape.T @ share
+        begun.error.integral[:] = 0.0
     if after.damped and not before.damped:
         for leg in range(demand.size):
             begun.load_filter[leg] = load(after.load_feedback, leg, modes, plan.acceleration[leg])
