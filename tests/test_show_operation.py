@@ -93,7 +93,7 @@ def test_cmf_operate(tmp_path: Path) -> None:
     assert record.metadata["electronics"]["sensors"]["name"] == "noisy"
     wrong = CliRunner().invoke(app, ["operate", str(path), "--begin", "flying", "--out", str(out)])
     assert wrong.exit_code == 2
-    assert "begin: 'flying' is not one of settled, engaged" in wrong.output
+    assert "begin: 'flying' is not one of engaged, settled" in wrong.output
 
 
 def test_cmf_serve_refuses_bad_arguments() -> None:
