@@ -374,3 +374,22 @@ def test_a_base_that_is_none_is_refused(table: str, said: str, tmp_path: Path) -
     path.write_text(f"[a]\n{table}\n", encoding="utf-8")
     with pytest.raises(ValueError, match=said):
         load_law(path)
+
+
+def test_a_law_is_loaded_from_a_dictionary_as_from_a_file() -> None:
+    law = load_law({"title": "Mine", "direct_gain": {"reference": 40.0, "position": -40.0}})
+    assert (law.name, law.direct_gain.position) == ("custom", -40.0)
+    based = load_law({"name": "soft", "title": "Soft", "based_on": "velocity", "output_gain": 0.0})
+    expected = load_law("velocity").model_copy(
+        update={"name": "soft", "title": "Soft", "source": "", "output_gain": 0.0}
+    )
+    assert based == expected
+    modal = load_law({"title": "Modal", "based_on": "modal_plan"})
+    assert modal.modes == load_law("modal_plan").modes
+    for table, message in (
+        ({"title": "Mine", "direct_gain": {"speed": 1.0}}, "direct_gain.speed: is not a known"),
+        ({"direct_gain": {}}, "law custom: title: is missing"),
+        ({"name": "a", "title": "A", "based_on": "b", "direct_gain": {}}, "law a: based_on: 'b'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            load_law(table)

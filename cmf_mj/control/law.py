@@ -250,16 +250,21 @@ class Law(Settings):
         return any(bool(np.any(gain)) for gain in gains)
 
 
+def _law_of(name: str, table: object, tables: dict[str, Any], where: str) -> Law:
+    """One law from its table, which may be based on another of the tables."""
+    if not isinstance(table, dict):
+        raise InputError(f"{where}: {table!r} is refused: a law is a table [name]")
+    whole = _derived(table, tables, where) | {"name": name}
+    if whole.get("coordinates") == "hydraulic_modes":
+        whole = {"modes": read_toml(_MODES)} | whole
+    return validated(Law, whole, where)
+
+
 def _laws_of(path: Path) -> dict[str, Law]:
     tables = read_toml(path)
-    laws = {}
-    for name, table in tables.items():
-        if not isinstance(table, dict):
-            raise InputError(f"{path.name}: {name}: {table!r} is refused: a law is a table [name]")
-        whole = _derived(table, tables, f"{path.name}: {name}") | {"name": name}
-        if whole.get("coordinates") == "hydraulic_modes":
-            whole = {"modes": read_toml(_MODES)} | whole
-        laws[name] = validated(Law, whole, f"{path.name}: {name}")
+    laws = {
+        name: _law_of(name, table, tables, f"{path.name}: {name}") for name, table in tables.items()
+    }
     if not laws:
         raise InputError(f"{path.name}: holds no law; a law is a table [name]")
     return laws
@@ -301,12 +306,13 @@ def law_names(family: Literal["report", "beyond", "all"] = "report") -> tuple[st
     return tuple(read_toml(_FILES[family]))
 
 
-def load_law(source: str | Path | Law) -> Law:
+def load_law(source: str | Path | Mapping[str, Any] | Law) -> Law:
     """Load a control law.
 
     Args:
         source: name of a shipped law, path of a TOML file holding one law, `file.toml:name` for
-            one of several, or a law already loaded.
+            one of several, the keys of such a table as a dictionary (and `name`, by default
+            `custom`), or a law already loaded.
 
     Raises:
         InputError: no such law, unreadable file, or a refused field with its valid range.
@@ -316,6 +322,9 @@ def load_law(source: str | Path | Law) -> Law:
     """
     if isinstance(source, Law):
         return source
+    if isinstance(source, Mapping):
+        name = source.get("name", "custom")
+        return _law_of(name, dict(source), {}, f"law {name}")
     text = str(source)
     for file in _FILES.values():
         if text in read_toml(file):
