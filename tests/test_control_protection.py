@@ -19,7 +19,7 @@ from cmf_mj.control.protection import (
     reset,
 )
 from cmf_mj.electronics.sensors.settings import load_sensors
-from cmf_mj.electronics.sensors.suite import Truth, make_sensors, sense_history
+from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
 from cmf_mj.facility.replay import FEEDBACK, replay_protection
 
 FRAME = 1.0 / 2048.0
@@ -254,7 +254,7 @@ def test_conditions_can_be_switched_off(name: str) -> None:
 
 def noisy(record: Record) -> Record:
     """The record with readings of noisy sensors, gravity and all, for the feedback."""
-    truth = Truth(*(record[channel] for channel in FEEDBACK.values()))
+    truth = LegFeedback(*(record[channel] for channel in FEEDBACK.values()))
     reading, _ = sense_history(make_sensors(load_sensors("noisy"), 2048.0, 6), truth)
     channels = dict(record.channels) | dict(zip(FEEDBACK.values(), reading, strict=True))
     return Record(record.time, channels, record.units, record.metadata)

@@ -15,7 +15,7 @@ from cmf_mj.electronics.sensors.settings import (
     SensorSettings,
     load_sensors,
 )
-from cmf_mj.electronics.sensors.suite import Truth, make_sensors, sense, sense_history, sensor_state
+from cmf_mj.electronics.sensors.suite import make_sensors, sense, sense_history, sensor_state
 
 RATE = 2048.0
 GRAVITY = 9.80665
@@ -32,9 +32,9 @@ def only(channel: str, **numbers: dict[str, object]) -> SensorSettings:
     return SensorSettings.model_validate(table)
 
 
-def still(frames: int, legs: int = 6, **values: float) -> Truth:
-    zero = {field: 0.0 for field in Truth._fields} | values
-    return Truth(*(np.full((frames, legs), zero[field]) for field in Truth._fields))
+def still(frames: int, legs: int = 6, **values: float) -> LegFeedback:
+    zero = {field: 0.0 for field in LegFeedback._fields} | values
+    return LegFeedback(*(np.full((frames, legs), zero[field]) for field in LegFeedback._fields))
 
 
 def test_blocks_are_numpys_philox() -> None:
@@ -68,7 +68,7 @@ def test_normals_are_standard_white_and_independent_between_channels() -> None:
 
 def test_ideal_readings_are_the_truth_bit_for_bit() -> None:
     rng = np.random.default_rng(1)
-    truth = Truth(*(rng.normal(size=(50, 4)) for _ in Truth._fields))
+    truth = LegFeedback(*(rng.normal(size=(50, 4)) for _ in LegFeedback._fields))
     truth.position[3, 0] = -0.0
     reading, platform = sense_history(make_sensors(load_sensors("ideal"), RATE, 9), truth)
     for mine, true in zip(reading, truth, strict=True):
@@ -80,13 +80,13 @@ def test_same_seed_same_bits_and_channels_do_not_touch_one_another() -> None:
     truth = still(64)
     noisy = load_sensors("noisy")
 
-    def readings(settings: SensorSettings, seed: int) -> Truth:
+    def readings(settings: SensorSettings, seed: int) -> LegFeedback:
         return sense_history(make_sensors(settings, RATE, seed), truth)[0]
 
     first, again, other = readings(noisy, 4), readings(noisy, 4), readings(noisy, 5)
     quiet = noisy.model_copy(update={"leg_position": ChannelSettings()})
     without = readings(quiet, 4)
-    for field in Truth._fields:
+    for field in LegFeedback._fields:
         same, new = getattr(again, field), getattr(other, field)
         assert getattr(first, field).tobytes() == same.tobytes()
         if field.endswith("pressure"):
@@ -160,7 +160,7 @@ def test_leg_accelerometers_read_what_mujocos_sensors_on_the_rods_read() -> None
     command = signals.sine("surge", 0.1, 1.0, cycles=2.0)
     record = simulate(Hexapod(), "velocity", command)
     names = ("leg_position", "leg_velocity", "leg_acceleration", "cap_pressure", "rod_pressure")
-    truth = Truth(*(record[name] for name in names))
+    truth = LegFeedback(*(record[name] for name in names))
     feeling = load_sensors("ideal").model_copy(update={"gravity": True})
     reading = sense_history(make_sensors(feeling, RATE), truth)[0].acceleration
     rods = record["rod_accelerometer"]
@@ -182,7 +182,7 @@ def test_sense_takes_the_dcls_feedback_and_leaves_the_truth_alone() -> None:
     sensors = make_sensors(load_sensors("noisy"), RATE, 1)
     truth = LegFeedback(*(np.full(6, value) for value in (0.1, 0.2, 0.3, 4e6, 4e6)))
     reading = LegFeedback(*(np.zeros(6) for _ in range(5)))
-    state = sensor_state(sensors, Truth(*truth))
+    state = sensor_state(sensors, LegFeedback(*truth))
     before = [array.copy() for array in truth]
     sense(sensors, state, 0, truth, reading)
     assert all(np.array_equal(a, b) for a, b in zip(before, truth, strict=True))

@@ -6,9 +6,10 @@ import pytest
 from scipy import stats
 
 from cmf_mj import Hexapod, load_hydraulics
+from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core.rates import FRAME
 from cmf_mj.electronics.sensors.settings import load_sensors
-from cmf_mj.electronics.sensors.suite import Truth, make_sensors, sense_history
+from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.studies import effects, evaluation, intervals
@@ -98,7 +99,7 @@ def test_a_sensor_with_a_gain_error_reads_in_proportion() -> None:
     electronics = with_gain_errors({"leg_velocity": errors})
     assert electronics is not None
     sensors = make_sensors(load_sensors(electronics.sensors), 1.0 / FRAME)
-    truth = Truth(*np.random.default_rng(0).normal(size=(5, 3, 6)))
+    truth = LegFeedback(*np.random.default_rng(0).normal(size=(5, 3, 6)))
     read, _ = sense_history(sensors, truth)
     assert read.velocity == pytest.approx(truth.velocity * (1.0 + errors), rel=1e-12)
     assert read.position.tobytes() == truth.position.tobytes()
@@ -110,7 +111,7 @@ def test_gains_that_are_not_one_a_leg_are_refused() -> None:
     assert electronics is not None
     sensors = make_sensors(load_sensors(electronics.sensors), 1.0 / FRAME)
     with pytest.raises(ValueError, match=r"leg_velocity.gain_errors: 5 are given; allowed: 6"):
-        sense_history(sensors, Truth(*np.zeros((5, 3, 6))))
+        sense_history(sensors, LegFeedback(*np.zeros((5, 3, 6))))
     with pytest.raises(ValueError, match=r"gain_errors: 1 1 must be between -1 and 1"):
         with_gain_errors({"leg_velocity": np.ones(6)})
 

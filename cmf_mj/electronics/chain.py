@@ -27,7 +27,6 @@ from cmf_mj.electronics import servo_electronics as servo
 from cmf_mj.electronics.converter import (
     Converters,
     ConverterSettings,
-    ConverterState,
     converter_state,
     digitise,
     load_converters,
@@ -37,7 +36,6 @@ from cmf_mj.electronics.sensors.settings import SensorSettings, load_sensors
 from cmf_mj.electronics.sensors.suite import (
     Sensors,
     SensorState,
-    Truth,
     make_sensors,
     sense,
     sensor_state,
@@ -73,7 +71,7 @@ class Electronics(NamedTuple):
     sensors: Sensors
     sensor_state: SensorState
     converters: Converters
-    converter_state: ConverterState
+    converter_state: LegFeedback  #: Filter states (n, s, 2).
     compensation: GravityCompensation
     compensation_state: LegAxesState
     gravity: NDArray[np.float64]
@@ -99,7 +97,7 @@ def make_electronics(settings: ElectronicsSettings | None, at_rest: LegFeedback)
     active = settings is not None
     settings = settings or ElectronicsSettings(sensors="ideal", converters="off")
     legs = at_rest.position.shape[0]
-    truth = Truth(*(np.array(values, dtype=float) for values in at_rest))
+    truth = LegFeedback(*(np.array(values, dtype=float) for values in at_rest))
     sensors = make_sensors(load_sensors(settings.sensors), 1.0 / FRAME, settings.seed)
     converters = make_converters(load_converters(settings.converters))
     compensation = make_gravity_compensation(enabled=sensors.gravity)

@@ -22,12 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core import filters
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Loader, Settings
+from cmf_mj.electronics.stages import low_pass, steps
 
 CONVERTER_SETS = ("off", "sixteen_bit")
 """Names of the shipped sets."""
@@ -108,16 +110,6 @@ class Converters(NamedTuple):
     rod_pressure: Converter
 
 
-class ConverterState(NamedTuple):
-    """Filter states of the five channels, (n, s, 2) each."""
-
-    position: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    acceleration: NDArray[np.float64]
-    cap_pressure: NDArray[np.float64]
-    rod_pressure: NDArray[np.float64]
-
-
 class Alias(NamedTuple):
     """What sampling makes of a tone."""
 
@@ -140,27 +132,27 @@ load_converters = Loader(
 def make_converters(settings: ConverterSettings) -> Converters:
     """Derive the converters of all channels."""
     corner = settings.filter_corner.si / (2.0 * np.pi)
-    low_pass = filters.low_pass(settings.filter_order, corner, 1.0 / FRAME)
+    sections = filters.low_pass(settings.filter_order, corner, 1.0 / FRAME)
     codes = 2.0 ** (settings.bits - 1)
 
     def channel(name: str) -> Converter:
         full = getattr(settings.full_scale, name).si
-        return Converter(low_pass, settings.quantise, full / codes, codes)
+        return Converter(sections, settings.quantise, full / codes, codes)
 
     return Converters(*(channel(name) for name in Converters._fields))
 
 
-def converter_state(converters: Converters, feedback: NamedTuple) -> ConverterState:
-    """State of converters that have seen the feedback for a long time.
+def converter_state(converters: Converters, feedback: LegFeedback) -> LegFeedback:
+    """Filter states (n, s, 2) of converters that have seen the feedback for a long time.
 
     Args:
         converters: of `make_converters`.
-        feedback: `LegFeedback`, or another named tuple with its fields.
+        feedback: readings of the sensors.
     """
-    return ConverterState(
+    return LegFeedback(
         *(
-            filters.settled(getattr(converters, name).low_pass, getattr(feedback, name))
-            for name in Converters._fields
+            filters.settled(converter.low_pass, values)
+            for converter, values in zip(converters, feedback, strict=True)
         )
     )
 
@@ -175,15 +167,10 @@ def convert(converter, state, analogue, digital):  # type: ignore[no-untyped-def
         analogue: (n,) readings of the sensors.
         digital: (n,) overwritten; may be `analogue` itself.
     """
-    count = analogue.shape[0]
-    for leg in range(count):
-        digital[leg] = analogue[leg]
-    if converter.low_pass.shape[0] > 0:
-        for leg in range(count):
-            digital[leg] = filters.filtered(converter.low_pass, state[leg], digital[leg])
+    low_pass(converter.low_pass, state, analogue, digital)
     if converter.quantise:
-        for leg in range(count):
-            code = np.floor(digital[leg] / converter.step + 0.5)
+        for leg in range(analogue.shape[0]):
+            code = steps(digital[leg], converter.step)
             code = min(max(code, -converter.codes), converter.codes - 1.0)
             digital[leg] = code * converter.step
 

@@ -9,11 +9,11 @@ With full-scale voltage R, n bits and F volts for full command u = 1:
 
 The DAC rounds halves to even and saturates one count below +R. A **limit switch** trips when a leg
 passes the switch position either way and stays so until reset; one tripped switch takes the command
-from all legs. The lower switches are watched only while told so, since legs pass them on their way
-to and from the stops. The **velocity clamp** bounds the command, which equates to leg velocity
-(section 2.3.3), to a share of full opening. The **rate limiter** bounds the change of the command
-per time, also when a switch trips. These act on hardware voltages and know nothing of the control
-law, whose own limits should be met first.
+from all legs. The lower switches are watched only in hold and engaged, since legs pass them on
+their way to and from the stops. The **velocity clamp** bounds the command, which equates to leg
+velocity (section 2.3.3), to a share of full opening. The **rate limiter** bounds the change of the
+command per time, also when a switch trips. These act on hardware voltages and know nothing of the
+control law, whose own limits should be met first.
 """
 
 from pathlib import Path
@@ -81,15 +81,15 @@ def make_servo_electronics(
         settings: numbers of the electronics.
         rate: frames a second [Hz] at which `step` is called.
     """
-    given = settings or load_servo_settings()
-    bits = given.dac_bits.value
+    chosen = settings or load_servo_settings()
+    bits = chosen.dac_bits.value
     return ServoElectronics(
-        switch_position=given.switch_position.si,
-        velocity_clamp=given.velocity_clamp.si,
-        change=given.rate_limit.si / rate,
-        full_command=given.full_command.si,
-        dac_range=given.dac_range.si,
-        quantum=2.0 * given.dac_range.si / 2.0**bits if bits else 0.0,
+        switch_position=chosen.switch_position.si,
+        velocity_clamp=chosen.velocity_clamp.si,
+        change=chosen.rate_limit.si / rate,
+        full_command=chosen.full_command.si,
+        dac_range=chosen.dac_range.si,
+        quantum=2.0 * chosen.dac_range.si / 2.0**bits if bits else 0.0,
     )
 
 
@@ -151,10 +151,10 @@ def step(  # type: ignore[no-untyped-def]
         tripped |= state.tripped[leg, 0] | state.tripped[leg, 1]
     for leg in range(command.shape[0]):
         counts[leg], volts[leg] = convert(electronics, command[leg])
-        wanted = 0.0 if tripped else volts[leg] / electronics.full_command
-        wanted = min(max(wanted, -electronics.velocity_clamp), electronics.velocity_clamp)
+        target = 0.0 if tripped else volts[leg] / electronics.full_command
+        target = min(max(target, -electronics.velocity_clamp), electronics.velocity_clamp)
         before, change = state.command[leg], electronics.change
         # A bound at a time, so that an unlimited command passes to the bit.
-        state.command[leg] = min(max(wanted, before - change), before + change)
+        state.command[leg] = min(max(target, before - change), before + change)
         valve[leg] = state.command[leg]
     return tripped

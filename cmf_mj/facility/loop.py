@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from cmf_mj.control import dcl as control
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.protection import FAULTS, NO_FAULT, Protection, ProtectionState, protect, reset
-from cmf_mj.core.compiled import compiled
-from cmf_mj.electronics import sensors
+from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.electronics.chain import Electronics, deliver, measure, release, without_gravity
+from cmf_mj.electronics.sensors.differences import acceleration, velocity
 from cmf_mj.facility.front import Chain, cleared, follow, host_age, record_demand, watched
 from cmf_mj.facility.layout import Columns
 from cmf_mj.facility.pace import Pace, begin, end
@@ -158,6 +158,17 @@ def _bounds(cylinders, proof_pressure, pressures, extension):  # type: ignore[no
     return -1, 0
 
 
+@inlined
+def _sense(truth, extension, mean, mean_before, step, pressure):  # type: ignore[no-untyped-def]
+    """The true motion and pressures at a control frame."""
+    for leg in range(extension.shape[0]):
+        truth.position[leg] = extension[leg]
+        truth.velocity[leg] = velocity(mean[leg], mean_before[leg])
+        truth.acceleration[leg] = acceleration(mean[leg], mean_before[leg], step)
+        truth.cap_pressure[leg] = pressure[leg, CAP]
+        truth.rod_pressure[leg] = pressure[leg, ROD]
+
+
 @compiled
 def _strike(timeline, faults, payload, bodies, progress, position):  # type: ignore[no-untyped-def]
     """Let the next event happen."""
@@ -235,12 +246,8 @@ def run(machine, controller, memory, recorder, first, last):  # type: ignore[no-
     mechanics, hydraulics, state = machine.mechanics, machine.hydraulics, machine.state
     faults, timeline = machine.faults, machine.timeline
     model, data = mechanics.model, mechanics.data
-    motors, length, neutral, ctrl = (
-        mechanics.motors,
-        mechanics.length,
-        mechanics.neutral,
-        mechanics.ctrl,
-    )
+    motors, length = mechanics.motors, mechanics.length
+    neutral, ctrl = mechanics.neutral, mechanics.ctrl
     sensordata, qpos = mechanics.sensordata, mechanics.qpos
     payload, bodies = mechanics.payload, mechanics.payload_bodies
     cylinders, step, delay = hydraulics.cylinder, hydraulics.step, controller.delay
@@ -254,10 +261,8 @@ def run(machine, controller, memory, recorder, first, last):  # type: ignore[no-
     plant_faults, supply = faults.plant, state.supply
     newest, oldest = command[0], command[delay]
     limited, commanded = work.limited, work.command
-    compensated, inertial = (
-        dcl.feedback.gravity_compensation,
-        without_gravity(electronics, feedback),
-    )
+    compensated = dcl.feedback.gravity_compensation
+    inertial = without_gravity(electronics, feedback)
     legs, events, rows = extension.shape[0], timeline.frame, recorder.out.shape[0]
     columns, indices = recorder.columns, recorder.sensors
     for frame in range(first, last):
@@ -277,14 +282,7 @@ def run(machine, controller, memory, recorder, first, last):  # type: ignore[no-
             if inner == 0:
                 while progress.event < events.shape[0] and events[progress.event] <= frame:
                     _strike(timeline, faults, payload, bodies, progress, feedback.position)
-                for leg in range(legs):
-                    truth.position[leg] = extension[leg]
-                    truth.velocity[leg] = sensors.velocity(mean[leg], mean_before[leg])
-                    truth.acceleration[leg] = sensors.acceleration(
-                        mean[leg], mean_before[leg], step
-                    )
-                    truth.cap_pressure[leg] = state.pressure[leg, CAP]
-                    truth.rod_pressure[leg] = state.pressure[leg, ROD]
+                _sense(truth, extension, mean, mean_before, step, state.pressure)
                 for age in range(delay, 0, -1):
                     for leg in range(legs):
                         command[age, leg] = command[age - 1, leg]

@@ -1,12 +1,11 @@
 """Replay: the DCL and its fault detection run open loop on recorded feedback.
 
-    recorded reference, feedback -> DCL -> compensator output, beside the recorded one
+    recorded reference, feedback -> DCL -> compensator output, to compare with the recorded one
 
 The law that made a record starts in the state in which the record says it began, so that at the
 control rate its output comes back bit for bit. Any other starts engaged at the first sample.
-A recording at a lower rate, such as the
-facility's 128 Hz, is brought to 2048 Hz by cubic splines, which cannot be exact: what lay between
-the samples is lost.
+A recording at a lower rate, such as the facility's 128 Hz, is brought to 2048 Hz by cubic splines,
+which cannot be exact: what lay between the samples is lost.
 """
 
 from collections.abc import Mapping
@@ -25,6 +24,7 @@ from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import validated
+from cmf_mj.electronics.sensors.suite import at_frame
 from cmf_mj.record.record import Record
 
 FEEDBACK = {
@@ -51,7 +51,7 @@ class Replay(NamedTuple):
     law: str  #: Name of the law.
     time: NDArray[np.float64]  #: Times of the record [s], (N,).
     output: NDArray[np.float64]  #: Compensator output, command fraction, (N, n).
-    recorded: NDArray[np.float64] | None  #: The record's own, where it has one.
+    recorded: NDArray[np.float64] | None  #: That of the record, where it has one.
     interpolated: bool  #: Whether the recording was below the control rate.
     factor: NDArray[np.float64]
     """Factor of an adapting law on its feed-forward, (N, n); 1 for any other."""
@@ -74,13 +74,7 @@ def _run(dcl, state, reference, feedback, output, factor):  # type: ignore[no-un
     for frame in range(reference.shape[0]):
         for leg in range(reference.shape[1]):
             factor[frame, leg] = 1.0 + state.model.adaptation.factor[leg]
-        now = LegFeedback(
-            feedback.position[frame],
-            feedback.velocity[frame],
-            feedback.acceleration[frame],
-            feedback.cap_pressure[frame],
-            feedback.rod_pressure[frame],
-        )
+        now = at_frame(feedback, frame)
         control.step(dcl, state, reference[frame], now)
         output[frame] = dcl.workspace.output
 
@@ -88,13 +82,7 @@ def _run(dcl, state, reference, feedback, output, factor):  # type: ignore[no-un
 @compiled
 def _watch(protection, state, reference, feedback, supply_pressure):  # type: ignore[no-untyped-def]
     for frame in range(reference.shape[0]):
-        now = LegFeedback(
-            feedback.position[frame],
-            feedback.velocity[frame],
-            feedback.acceleration[frame],
-            feedback.cap_pressure[frame],
-            feedback.rod_pressure[frame],
-        )
+        now = at_frame(feedback, frame)
         protect(protection, state, frame, reference[frame], now, supply_pressure[frame])
 
 
@@ -111,8 +99,8 @@ def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = 
         InputError: a channel that the law reads is missing, its shape is another, or the rate does
             not divide the control rate.
     """
-    told = record.metadata
-    loaded = load_law(law).bound_to(told.get("cab") or str(told.get("plant", "")))
+    made = record.metadata
+    loaded = load_law(law).bound_to(made.get("cab") or str(made.get("plant", "")))
     every = _every(record)
     histories = _feedback(record, loaded, feedback or {})
     reference = _legs(record, "leg_reference")
@@ -209,12 +197,12 @@ def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> LegFeedback
         present = channel in record.channels
         still = np.zeros(record["leg_position"].shape)
         histories.append(_legs(record, channel) if present else still)
-    found = LegFeedback(*histories)
+    read = LegFeedback(*histories)
     if "acceleration" not in names and FEEDBACK["acceleration"] in record.channels:
         shift = int(_compensated(record)) - int(law.gravity_compensation)
         if shift:
-            found.acceleration[:] += shift * _felt(record)
-    return found
+            read.acceleration[:] += shift * _felt(record)
+    return read
 
 
 def _compensated(record: Record) -> bool:

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from cmf_mj import signals
 from cmf_mj.analysis.sine import fit_sines
-from cmf_mj.control.feedback import filter_acceleration, make_feedback, noise_gain
+from cmf_mj.control.feedback import LegFeedback, filter_acceleration, make_feedback, noise_gain
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.rates import FRAME
 from cmf_mj.electronics.sensors.settings import SensorSettings, load_sensors
-from cmf_mj.electronics.sensors.suite import Truth, make_sensors, sense_history
+from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
 from cmf_mj.facility.replay import FEEDBACK
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.gravity import axial_gravity
@@ -78,7 +78,9 @@ def _filter(feedback, raw, filtered):  # type: ignore[no-untyped-def]
             )
 
 
-def _readings(truth: Truth, settings: SensorSettings, law: Law, seed: int, skip: int) -> Readings:
+def _readings(
+    truth: LegFeedback, settings: SensorSettings, law: Law, seed: int, skip: int
+) -> Readings:
     """Read histories, filter, and leave out the first `skip` frames."""
     perfect = SensorSettings(name="perfect", gravity=settings.gravity)
     rate = 1.0 / FRAME
@@ -95,9 +97,9 @@ def _tone(values: NDArray[np.float64]) -> NDArray[np.complex128]:
     return fit_sines(values, angle).amplitude[0]
 
 
-def truth_of(record: Record) -> Truth:
+def truth_of(record: Record) -> LegFeedback:
     """What a record holds of the legs' true motion and pressures."""
-    return Truth(*(record[channel] for channel in FEEDBACK.values()))
+    return LegFeedback(*(record[channel] for channel in FEEDBACK.values()))
 
 
 def filter_effect(
@@ -124,14 +126,16 @@ def filter_effect(
     plant = Hexapod()
     hold = simulate(plant, loaded, np.zeros((2, 6)))
     settle = round(0.5 / FRAME)
-    still = Truth(*(np.tile(c[0], (round(duration / FRAME) + settle, 1)) for c in truth_of(hold)))
+    still = LegFeedback(
+        *(np.tile(c[0], (round(duration / FRAME) + settle, 1)) for c in truth_of(hold))
+    )
     rest = _readings(still, settings, loaded, seed, settle)
     cycles = 12
     command = signals.sine("heave", AMPLITUDE, FREQUENCY, cycles=cycles, fade=2.0 / FREQUENCY)
     moving = truth_of(simulate(plant, loaded, command))
     period = 1.0 / (FREQUENCY * FRAME)
     skip, end = round(4 * period), round(9 * period)
-    motion = _readings(Truth(*(c[:end] for c in moving)), settings, loaded, seed, skip)
+    motion = _readings(LegFeedback(*(c[:end] for c in moving)), settings, loaded, seed, skip)
     raw, filtered = _tone(motion.raw), _tone(motion.filtered)
     ratio = filtered.sum() / raw.sum()
     turn = 2.0 * np.pi * FREQUENCY

@@ -16,6 +16,7 @@ from cmf_mj.core import filters
 from cmf_mj.core.compiled import compiled
 from cmf_mj.electronics.sensors.noise import four_normals, key_schedule, stream_key
 from cmf_mj.electronics.sensors.settings import ChannelSettings
+from cmf_mj.electronics.stages import low_pass, steps
 
 
 class Channel(NamedTuple):
@@ -73,11 +74,7 @@ def read(channel, state, frame, truth, reading):  # type: ignore[no-untyped-def]
         reading: (n,) overwritten; may be `truth` itself.
     """
     count = truth.shape[0]
-    for i in range(count):
-        reading[i] = truth[i]
-    if channel.low_pass.shape[0] > 0:
-        for i in range(count):
-            reading[i] = filters.filtered(channel.low_pass, state[i], reading[i])
+    low_pass(channel.low_pass, state, truth, reading)
     if channel.gain.shape[0] > 0:
         for i in range(count):
             reading[i] *= channel.gain[i]
@@ -91,5 +88,5 @@ def read(channel, state, frame, truth, reading):  # type: ignore[no-untyped-def]
                 reading[4 * group + k] += channel.deviation * normals[k]
     for i in range(count):
         if channel.resolution > 0.0:
-            reading[i] = np.floor(reading[i] / channel.resolution + 0.5) * channel.resolution
+            reading[i] = steps(reading[i], channel.resolution) * channel.resolution
         reading[i] = min(max(reading[i], channel.lowest), channel.highest)

@@ -63,8 +63,7 @@ class ChannelSettings(Settings):
 
     def quantities(self) -> dict[str, Quantity]:
         """The numbers common to all legs or axes that are given, by name."""
-        given = {name: getattr(self, name) for name in type(self).model_fields}
-        return {name: value for name, value in given.items() if isinstance(value, Quantity)}
+        return {name: value for name, value in self if isinstance(value, Quantity)}
 
 
 class SensorSettings(Settings):

@@ -2,8 +2,8 @@
 
     truth (motion, pressures) -> leg accelerometer's gravity and swing -> channels -> readings
 
-`Truth` and what is read are named tuples with arrays of the same names as the DCL's `LegFeedback`,
-which may be passed for both.
+The true motion and what is read are both `LegFeedback`: accelerations are second derivatives of the
+extension until a sensor adds what it feels of gravity.
 """
 
 from typing import NamedTuple
@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core import filters
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
@@ -32,16 +33,6 @@ _FIELDS = {name.removeprefix("leg_"): name for name in CHANNELS}
 
 _STILL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, STANDARD_GRAVITY])
 """Angular velocity and specific force of a level platform at rest."""
-
-
-class Truth(NamedTuple):
-    """True motion and pressures of the legs, every array (n,), or (N, n) for a history."""
-
-    position: NDArray[np.float64]  #: Extension from neutral [m].
-    velocity: NDArray[np.float64]  #: [m/s].
-    acceleration: NDArray[np.float64]  #: Second derivative of the extension [m/s^2].
-    cap_pressure: NDArray[np.float64]  #: [Pa].
-    rod_pressure: NDArray[np.float64]  #: [Pa].
 
 
 class Sensors(NamedTuple):
@@ -100,7 +91,7 @@ def make_sensors(settings: SensorSettings, rate: float, seed: int = 0) -> Sensor
 
 def sensor_state(
     sensors: Sensors,
-    truth: Truth,
+    truth: LegFeedback,
     gyro: NDArray[np.float64] | None = None,
     accelerometer: NDArray[np.float64] | None = None,
 ) -> SensorState:
@@ -117,10 +108,10 @@ def sensor_state(
             are not one a leg or axis.
     """
     for field, name in _FIELDS.items():
-        given = getattr(sensors, field).gain.shape[0]
+        gains = getattr(sensors, field).gain.shape[0]
         count = 3 if name.startswith("platform_") else truth.position.shape[0]
-        if given not in (0, count):
-            raise InputError(f"{name}.gain_errors: {given} are given; allowed: {count} or none")
+        if gains not in (0, count):
+            raise InputError(f"{name}.gain_errors: {gains} are given; allowed: {count} or none")
     if sensors.gravity and truth.position.shape != (6,):
         raise InputError(
             f"position: shape is {truth.position.shape}; gravity along the legs needs (6,)"
@@ -149,8 +140,8 @@ def sense(sensors, state, frame, truth, reading):  # type: ignore[no-untyped-def
         sensors: parameters.
         state: overwritten.
         frame: number of the frame, chooses the noise.
-        truth: `Truth` or `LegFeedback`; not changed.
-        reading: `Truth` or `LegFeedback` with arrays of its own, overwritten.
+        truth: `LegFeedback`; not changed.
+        reading: `LegFeedback` with arrays of its own, overwritten.
     """
     read(sensors.position, state.position, frame, truth.position, reading.position)
     read(sensors.velocity, state.velocity, frame, truth.velocity, reading.velocity)
@@ -187,35 +178,28 @@ def sense_platform(sensors, state, frame, gyro, accelerometer, gyro_reading, acc
 
 
 @compiled
-def _histories(sensors, state, truth, now, reading, platform, platform_reading):  # type: ignore[no-untyped-def]
+def at_frame(histories, frame):  # type: ignore[no-untyped-def]
+    """The `LegFeedback` of one frame, as views of histories (N, n)."""
+    return LegFeedback(
+        histories.position[frame],
+        histories.velocity[frame],
+        histories.acceleration[frame],
+        histories.cap_pressure[frame],
+        histories.rod_pressure[frame],
+    )
+
+
+@compiled
+def _histories(sensors, state, truth, reading, platform, platform_reading):  # type: ignore[no-untyped-def]
     for frame in range(truth.position.shape[0]):
-        now.position[:] = truth.position[frame]
-        now.velocity[:] = truth.velocity[frame]
-        now.acceleration[:] = truth.acceleration[frame]
-        now.cap_pressure[:] = truth.cap_pressure[frame]
-        now.rod_pressure[:] = truth.rod_pressure[frame]
-        row = Truth(
-            reading.position[frame],
-            reading.velocity[frame],
-            reading.acceleration[frame],
-            reading.cap_pressure[frame],
-            reading.rod_pressure[frame],
-        )
-        sense(sensors, state, frame, now, row)
-        sense_platform(
-            sensors,
-            state,
-            frame,
-            platform[frame, :3],
-            platform[frame, 3:],
-            platform_reading[frame, :3],
-            platform_reading[frame, 3:],
-        )
+        sense(sensors, state, frame, at_frame(truth, frame), at_frame(reading, frame))
+        seen, felt = platform[frame], platform_reading[frame]
+        sense_platform(sensors, state, frame, seen[:3], seen[3:], felt[:3], felt[3:])
 
 
 def sense_history(
-    sensors: Sensors, truth: Truth, platform: NDArray[np.float64] | None = None
-) -> tuple[Truth, NDArray[np.float64]]:
+    sensors: Sensors, truth: LegFeedback, platform: NDArray[np.float64] | None = None
+) -> tuple[LegFeedback, NDArray[np.float64]]:
     """Readings of whole histories, frame 0 first, the sensors at rest before it.
 
     Args:
@@ -224,16 +208,16 @@ def sense_history(
         platform: (N, 6) angular velocity and specific force of the platform; default at rest.
 
     Returns:
-        Readings as a `Truth` of histories, and (N, 6) of the platform's sensors.
+        Histories of the readings, and (N, 6) of the platform's sensors.
 
     Raises:
         InputError: gravity needs six legs, at positions that a pose has.
     """
-    own = Truth(*(np.ascontiguousarray(channel, dtype=float) for channel in truth))
-    first = Truth(*(channel[0].copy() for channel in own))
-    frames = own.position.shape[0]
-    moving = np.tile(_STILL, (frames, 1)) if platform is None else np.ascontiguousarray(platform)
+    histories = LegFeedback(*(np.array(c, dtype=float, order="C") for c in truth))
+    first = LegFeedback(*(channel[0] for channel in histories))
+    still = np.tile(_STILL, (histories.position.shape[0], 1))
+    moving = still if platform is None else np.ascontiguousarray(platform)
     state = sensor_state(sensors, first, moving[0, :3], moving[0, 3:])
-    reading, platform_reading = Truth(*(np.empty_like(c) for c in own)), np.empty_like(moving)
-    _histories(sensors, state, own, first, reading, moving, platform_reading)
-    return reading, platform_reading
+    reading, felt = LegFeedback(*(np.empty_like(c) for c in histories)), np.empty_like(moving)
+    _histories(sensors, state, histories, reading, moving, felt)
+    return reading, felt

@@ -31,7 +31,7 @@ class Ring(NamedTuple):
     written: NDArray[np.int64]  #: Frames written so far, (1,); the writer's.
     read: NDArray[np.int64]  #: Frames read or lost so far, (1,); the reader's.
     lost: NDArray[np.int64]
-    """Frames the reader came too late for or had no room for, (1,); the reader's."""
+    """Frames the reader came too late for or could not keep, (1,); the reader's."""
 
 
 def make_ring(slots: int = 256) -> Ring:
@@ -53,10 +53,10 @@ def make_ring(slots: int = 256) -> Ring:
 
 
 def make_log(capacity: int) -> Arrivals:
-    """An empty log for `collect`, with room for a number of frames.
+    """An empty log for `collect`, for a number of frames.
 
     Raises:
-        InputError: no room.
+        InputError: the number is less than 1.
     """
     if capacity < 1:
         raise InputError(f"capacity: {capacity} must be at least 1")
