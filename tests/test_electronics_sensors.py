@@ -244,7 +244,7 @@ def test_refused_sets_name_the_field(text: str, message: str, tmp_path: Path) ->
 
 
 def test_other_refusals() -> None:
-    with pytest.raises(ValueError, match="neither ideal nor noisy"):
+    with pytest.raises(ValueError, match="is not one of ideal, noisy"):
         load_sensors("loud")
     with pytest.raises(ValueError, match="seed: -1"):
         make_sensors(load_sensors("noisy"), RATE, -1)
