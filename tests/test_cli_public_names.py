@@ -92,8 +92,10 @@ def test_every_argument_is_documented(name: str, thing: Any, text: str) -> None:
 @pytest.mark.parametrize("name", list(HOMES))
 def test_every_field_is_documented(name: str) -> None:
     thing = getattr(cmf_mj, name)
-    if not inspect.isclass(thing) or not (is_dataclass(thing) or "__init__" not in vars(thing)):
+    if not inspect.isclass(thing) or issubclass(thing, Exception):
         return
+    if "__init__" in vars(thing) and not is_dataclass(thing):
+        return  # arguments, asked for above
     lines = inspect.getsource(thing).splitlines()
     for number, line in enumerate(lines):
         field = re.match(r"    ([a-z]\w*): ", line)
