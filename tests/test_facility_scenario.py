@@ -278,7 +278,7 @@ def test_gains_of_any_law_change_live_and_again_from_the_file(law: str) -> None:
 
 def test_a_law_that_the_machine_cannot_run_is_refused_before_it_does(tmp_path: Path) -> None:
     modes = load_law("modal_plan").modes
-    table = load_law("modal_feedback").model_dump(mode="json", exclude={"name"})
+    table = load_law("modal_feedback").model_dump(mode="json", exclude={"name"}, exclude_none=True)
     table["modes"] = {"ifd": modes["ifd"].model_dump(mode="json")}
     path = tmp_path / "odd.toml"
     path.write_text(tomlkit.dumps({"odd": table}))
