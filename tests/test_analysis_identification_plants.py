@@ -229,15 +229,15 @@ def test_one_model_for_every_degree_of_freedom_fails_off_heave(
 ) -> None:
     """The report's assumption scored on another run: right in heave, not in surge and sway."""
     first, second = (experiment(record, DOFS) for record in hexapod)
-    found = compare_dofs(first, second, (6, 5, 1))
-    scores = {score.axis: score for score in found.scores}
+    comparison = compare_dofs(first, second, (6, 5, 1))
+    scores = {score.axis: score for score in comparison.scores}
     assert all(score.matrix > 92.0 for score in scores.values())
-    assert scores["heave"].shared == scores["heave"].own > 93.0
+    assert scores["heave"].shared == scores["heave"].single > 93.0
     for dof in ("surge", "sway"):
         assert scores[dof].shared < 70.0
-        assert scores[dof].own > 85.0
-    assert all(s.matrix >= s.own - 0.5 for s in scores.values())
-    assert all(s.own >= s.shared for s in scores.values())
-    assert found.matrix.state_space().ninputs == 6
+        assert scores[dof].single > 85.0
+    assert all(s.matrix >= s.single - 0.5 for s in scores.values())
+    assert all(s.single >= s.shared for s in scores.values())
+    assert comparison.matrix.state_space().ninputs == 6
     with pytest.raises(ValueError, match="shared: 'wobble' is not one of surge"):
         compare_dofs(first, second, (2, 2, 1), shared="wobble")

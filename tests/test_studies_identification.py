@@ -2,14 +2,19 @@
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.image
 import numpy as np
 import pytest
+from identified_systems import lag, noisy, pair
 from rich.console import Console
 from typer.testing import CliRunner
 
+from cmf_mj.analysis.frequency_response import line_bandwidths
+from cmf_mj.analysis.identification.arx import arx
+from cmf_mj.analysis.linear.loop import closed_loop_response
 from cmf_mj.cli.common import app
 from cmf_mj.record.record import Record
 from cmf_mj.record.writer import write_facility_csv
@@ -19,6 +24,7 @@ from cmf_mj.studies.identification import (
     Identified,
     excitation,
     identify,
+    loop_bandwidths,
     simulated_records,
 )
 
@@ -31,7 +37,7 @@ def records() -> list[Record]:
 
 
 @pytest.fixture(scope="module")
-def found(records: list[Record]) -> Identified:
+def identified(records: list[Record]) -> Identified:
     step = CASE.run(CASE.step())
     return identify(records, "heave", step=step)
 
@@ -43,33 +49,35 @@ def text(*tables) -> str:
     return console.export_text()
 
 
-def test_orders_found_on_the_grid_are_those_of_lag_mode_and_leakage(found: Identified) -> None:
+def test_orders_found_on_the_grid_are_those_of_lag_mode_and_leakage(identified: Identified) -> None:
     """Four poles: drive lag, oil mode and the leakage's slow one; the loop within 3 %."""
-    assert found.model.orders.na == 4
-    assert found.model.method == "oe"
-    assert found.selection is not None
-    assert found.validation_fit > 94.0
-    assert found.loop is not None
-    assert abs(found.loop.phase_error) < 0.03
-    assert found.law == "velocity"
-    mine, theirs = found.loop
+    assert identified.model.orders.na == 4
+    assert identified.model.method == "oe"
+    assert identified.selection is not None
+    assert identified.validation_fit > 94.0
+    assert identified.loop is not None
+    assert abs(identified.loop.phase_error) < 0.03
+    assert identified.law == "velocity"
+    mine, theirs = identified.loop
     assert mine.damping_ratio == pytest.approx(theirs.damping_ratio, abs=0.03)
-    assert (found.continuous.input_unit, found.continuous.output_unit) == ("1", "m/s")
-    lags = [np.log(r.value.real) * 64.0 for r in found.model.poles() if r.value.imag == 0.0]
+    assert (identified.continuous.input_unit, identified.continuous.output_unit) == ("1", "m/s")
+    lags = [np.log(r.value.real) * 64.0 for r in identified.model.poles() if r.value.imag == 0.0]
     assert min(lags) == pytest.approx(-2.0 * np.pi * 3.0, rel=0.03)
 
 
-def test_residuals_do_not_know_the_command_but_distortion_is_not_white(found: Identified) -> None:
+def test_residuals_do_not_know_the_command_but_distortion_is_not_white(
+    identified: Identified,
+) -> None:
     """Orifices leave a distortion that a linear model cannot have: not white, not linear in u."""
-    assert found.residuals.cross_outside[0] == 0.0
-    assert found.residuals.auto_outside > 0.5
+    assert identified.residuals.cross_outside[0] == 0.0
+    assert identified.residuals.auto_outside > 0.5
 
 
-def test_tables_and_files_say_what_was_found(found: Identified, tmp_path: Path) -> None:
-    shown = text(orders_table(found), model_table(found))
+def test_tables_and_files_say_what_was_found(identified: Identified, tmp_path: Path) -> None:
+    printed = text(orders_table(identified), model_table(identified))
     for word in ("validation fit", "pole", "zero", "closed loop, -90 deg", "law velocity"):
-        assert word in shown
-    paths = save_identification(found, tmp_path / "out")
+        assert word in printed
+    paths = save_identification(identified, tmp_path / "out")
     assert [p.name for p in paths] == [
         "model.json",
         "fit.png",
@@ -80,7 +88,7 @@ def test_tables_and_files_say_what_was_found(found: Identified, tmp_path: Path) 
     for path in paths[1:]:
         assert np.ptp(matplotlib.image.imread(path)) > 0.5
     saved = json.loads(paths[0].read_text())
-    assert saved["denominator"] == found.model.denominators[0].tolist()
+    assert saved["denominator"] == identified.model.denominators[0].tolist()
     assert saved["closed_loop"]["law"] == "velocity"
     assert saved["output"] == ["heave_velocity", "m/s"]
 
@@ -99,6 +107,24 @@ def test_records_of_a_pulse_alone_have_no_measured_loop() -> None:
     assert lone.loop is None
     assert lone.response is None
     assert "closed loop" not in text(model_table(lone))
+
+
+def test_all_axes_of_a_diagonal_matrix_have_the_bandwidth_of_their_common_model() -> None:
+    """A drive lag and an oil mode on each axis, pressures zero: the loop of a single axis."""
+    common = arx(noisy(lag(3.0) * pair(11.3, 0.11), 1, noise=0.0), (3, 3, 1))
+    diagonal = np.eye(6)[:, :, None] * common.numerators
+    whole = replace(
+        common,
+        denominators=np.tile(common.denominators, (18, 1)),
+        numerators=np.concatenate([diagonal, 0.0 * diagonal, 0.0 * diagonal]),
+    )
+    shared_hz, matrix_hz = loop_bandwidths(CASE, common, whole)
+    frequency = np.arange(0.1, 10.0, 0.02)
+    alone = closed_loop_response(CASE.law, common.response(frequency)[:, 0, 0], frequency)
+    expected = line_bandwidths(frequency, alone[:, 0, 0]).phase_hz
+    assert 0.5 < expected < 9.0
+    assert shared_hz == pytest.approx((expected,) * 6)
+    assert matrix_hz == pytest.approx((expected,) * 6)
 
 
 def test_command_line_identifies_recordings_and_simulations_alike(

@@ -113,7 +113,7 @@ def matrix_table(study: MatrixStudy) -> Table:
     loops = zip(study.measured_hz, study.shared_hz, study.matrix_hz, strict=True)
     for score, (measured, common, whole) in zip(study.comparison.scores, loops, strict=True):
         widths = (f"{hz:.2f} ({100.0 * (hz / measured - 1.0):+.1f} %)" for hz in (common, whole))
-        rows.append((score.axis, score.shared, score.own, score.matrix, measured, *widths))
+        rows.append((score.axis, score.shared, score.single, score.matrix, measured, *widths))
     columns = (
         *("dof", (f"fit, {one}", ".1f"), ("own model", ".1f"), ("6 by 6", ".1f")),
         *(("measured -90", ".2f"), (one, ""), ("6 by 6", "")),

@@ -202,11 +202,11 @@ def simulated_records(case: Case, kind: Signal = "multisine") -> list[Record]:
 
 @dataclass(frozen=True)
 class MatrixStudy:
-    """Models of all degrees of freedom, and their loops beside the measured ones."""
+    """Models of all degrees of freedom, and their loops with the measured ones."""
 
     law: str
     comparison: DofComparison
-    measured_hz: tuple[float, ...]  #: -90 deg bandwidth of each degree of freedom on its own [Hz].
+    measured_hz: tuple[float, ...]  #: -90 deg bandwidths, each degree of freedom moved alone [Hz].
     shared_hz: tuple[float, ...]  #: Of the heave model closed with the law, pressures zero.
     matrix_hz: tuple[float, ...]
     """Of the 6 by 6 model closed with the law, pressures identified too."""
@@ -238,17 +238,7 @@ def identify_matrix(
         experiment(first, DOFS), experiment(second, DOFS), orders, shared=shared
     )
     whole = arx(experiment(first, DOFS, outputs=_CHANNELS), orders)
-    frequency = np.arange(0.1, 10.0, 0.02)
-    response = whole.response(frequency)
-    bound, legs = case.law.bound_to(case.build().law_key), pose_jacobian(np.zeros(6))
-    pressures = (response[:, 6:12], response[:, 12:])
-    loop = closed_loop_response(
-        bound, response[:, :6], frequency, pressures=pressures, legs_of_axes=legs
-    )
-    common = comparison.own[DOFS.index(shared)].response(frequency)
-    shares = np.eye(6) * common[:, None, None]
-    alike = closed_loop_response(bound, shares, frequency, legs_of_axes=legs)
-    everywhere = line_bandwidths(frequency, alike[:, 0, 0])
+    shared_hz, matrix_hz = loop_bandwidths(case, comparison.models[DOFS.index(shared)], whole)
     measured = []
     for dof, size in zip(DOFS, sizes, strict=True):
         record = case.run(signals.multisine(dof, size, periods=2))
@@ -257,6 +247,34 @@ def identify_matrix(
         first.metadata["law"],
         comparison,
         tuple(measured),
-        (everywhere.phase_hz,) * len(DOFS),
-        tuple(line_bandwidths(frequency, loop[:, i, i]).phase_hz for i in range(len(DOFS))),
+        shared_hz,
+        matrix_hz,
     )
+
+
+def loop_bandwidths(
+    case: Case, common: PolynomialModel, whole: PolynomialModel
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """-90 deg bandwidths of the degrees of freedom closed with the law of a case [Hz], (6,) each.
+
+    Args:
+        case: law and machine.
+        common: velocity of one degree of freedom, taken for all; its pressures are zero.
+        whole: velocities, cap and rod pressures of all, 18 outputs of 6 inputs.
+
+    Returns:
+        Those with the common model, and those with the whole one.
+    """
+    frequency = np.arange(0.1, 10.0, 0.02)
+    law, legs = case.law.bound_to(case.build().law_key), pose_jacobian(np.zeros(6))
+    velocity, cap, rod = np.split(whole.response(frequency), 3, axis=1)
+    alike = np.eye(len(DOFS)) * common.response(frequency)
+    loops = (
+        closed_loop_response(law, alike, frequency, legs_of_axes=legs),
+        closed_loop_response(law, velocity, frequency, pressures=(cap, rod), legs_of_axes=legs),
+    )
+    shared, matrix = (
+        tuple(line_bandwidths(frequency, loop[:, i, i]).phase_hz for i in range(len(DOFS)))
+        for loop in loops
+    )
+    return shared, matrix

@@ -4,7 +4,7 @@ The report identified heave and took that model for every leg and every motion (
 claims about the same run, in which all degrees of freedom move at once:
 
     shared   y_i = G_heave u_i        the heave model everywhere
-    own      y_i = G_i u_i            a model per degree of freedom, of its own command alone
+    single   y_i = G_i u_i            a model per degree of freedom, of its command alone
     matrix   y_i = sum_j G_ij u_j     a row of the full matrix
 
 scored by the fit (NRMSE) of their simulation to a run that was not used. All three take commands
@@ -28,16 +28,16 @@ class DofScore(NamedTuple):
 
     axis: str
     shared: float  #: With the model of the shared axis.
-    own: float  #: With its own model of its own command.
+    single: float  #: With the model of its command alone.
     matrix: float  #: With its row of the matrix.
 
 
 class DofComparison(NamedTuple):
-    """Models per degree of freedom and what each is worth."""
+    """Models per degree of freedom and how well each fits."""
 
     scores: tuple[DofScore, ...]
     shared: str  #: The axis whose model stands for all.
-    own: tuple[PolynomialModel, ...]  #: One input, one output each.
+    models: tuple[PolynomialModel, ...]  #: Of each axis: one input, one output.
     matrix: PolynomialModel  #: All inputs to all outputs.
 
 
@@ -56,7 +56,7 @@ def compare_dofs(
         validation: another run of the same signals.
         orders: of all models.
         shared: axis whose model is tried everywhere.
-        fitter: `arx`, `instrumental_variable`, `output_error` or one of your own.
+        fitter: `arx`, `instrumental_variable`, `output_error` or another such function.
 
     Raises:
         InputError: outputs that do not pair with inputs, an axis the runs do not have, or as the
@@ -73,10 +73,10 @@ def compare_dofs(
         raise InputError(f"shared: {shared!r} is not one of {', '.join(axes)}")
     chosen = Orders(*orders).check()
     alone = [_alone(runs, i) for i in range(len(axes))]
-    own = [fitter(series, chosen) for series in alone]
+    models = [fitter(series, chosen) for series in alone]
     matrix = fitter(runs, chosen)
     matrix_fit = simulation_fit(matrix, validation)
-    common = own[axes.index(shared)]
+    common = models[axes.index(shared)]
     scores = []
     for i, axis in enumerate(axes):
         (tried,) = _alone([validation], i)
@@ -84,11 +84,11 @@ def compare_dofs(
             DofScore(
                 axis,
                 float(simulation_fit(common.labelled_like(tried), tried)[0]),
-                float(simulation_fit(own[i], tried)[0]),
+                float(simulation_fit(models[i], tried)[0]),
                 float(matrix_fit[i]),
             )
         )
-    return DofComparison(tuple(scores), shared, tuple(own), matrix)
+    return DofComparison(tuple(scores), shared, tuple(models), matrix)
 
 
 def _alone(runs: list[Experiment], i: int) -> list[Experiment]:
