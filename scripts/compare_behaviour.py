@@ -62,21 +62,21 @@ def main() -> int:
     parser.add_argument("--only", help="names of cases, comma-separated")
     parser.add_argument("--keep", action="store_true", help=f"write the base's {VALUES.name}")
     options = parser.parse_args()
-    only = set(options.only.split(",")) if options.only else None
     folders = []
     for commit in (options.base, options.head):
         root = Path().resolve() if commit is None else _export(commit, options.out)
         results = options.out / "results" / (root.name if commit else "working_tree")
-        for name, arguments in _runs(root, results, not options.no_compare).items():
-            if only is None or name in only:
-                _run(root, results / name, arguments)
+        runs = _runs(root, results, not options.no_compare)
+        chosen = options.only.split(",") if options.only else list(runs)
+        for name in chosen:
+            _run(root, results / name, runs[name])
         folders.append(results)
     if options.keep:
         _keep(folders[0])
-    differing = _differences(folders[0], folders[1], only)
+    differing = _differences(folders[0], folders[1], chosen)
     for line in differing:
         print(line)
-    compared = sum(1 for _ in folders[0].rglob("*.parquet"))
+    compared = sum(1 for case in chosen for _ in (folders[0] / case).rglob("*.parquet"))
     print(f"{compared} records: " + (f"{len(differing)} differences" if differing else "same bits"))
     return 1 if differing else 0
 
@@ -162,12 +162,13 @@ def _run(root: Path, folder: Path, arguments: list[str]) -> None:
         print(f"{folder.name}: ended with status {done.returncode}\n{done.stderr[-2000:]}")
 
 
-def _differences(base: Path, head: Path, only: set[str] | None) -> list[str]:
+def _differences(base: Path, head: Path, cases: list[str]) -> list[str]:
     said = []
-    for path in sorted(base.rglob("*")):
+    paths = (path for case in cases for path in sorted((base / case).rglob("*")))
+    for path in paths:
         name = path.relative_to(base)
         other = head / name
-        if path.suffix not in (".parquet", ".csv") or (only and name.parts[0] not in only):
+        if path.suffix not in (".parquet", ".csv"):
             continue
         if not other.is_file():
             said.append(f"{name}: missing")
