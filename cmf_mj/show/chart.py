@@ -81,17 +81,9 @@ def curve(
     width: float = 1.5,
     within: tuple[float, float] | None = None,
 ) -> Curve:
-    """A curve without what cannot be drawn, thinned, in single precision.
+    """A curve (N,) without what cannot be drawn, thinned, in single precision.
 
-    Args:
-        name: for the legend; curves of one name share an entry.
-        x: (N,).
-        y: (N,).
-        colour: as CSS has it.
-        dash: of the line.
-        marks: draw points, not a line.
-        width: of the line [px].
-        within: part of x to keep.
+    Curves of one name share an entry of the legend; `within` is the part of x to keep.
     """
     across, up = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     drawn = np.isfinite(across) & np.isfinite(up)
@@ -102,13 +94,7 @@ def curve(
 
 
 def plot_curves(axes: Axes, curves: Iterable[Curve], *, scale: float = 1.0) -> dict[str, Line2D]:
-    """Draw curves; the first line of each name for a legend.
-
-    Args:
-        axes: of Matplotlib.
-        curves: to draw.
-        scale: points of a picture per width of a curve.
-    """
+    """Draw curves; the first line of each name for a legend."""
     lines: dict[str, Line2D] = {}
     for one in curves:
         style: dict[str, Any] = {"linestyle": _DASHES[one.dash]}

@@ -32,9 +32,7 @@ _ALWAYS = ("received", "accepted", "late", "missing")
 
 
 def account_table(
-    operation: Operation,
-    received: int | None = None,
-    datagrams: Mapping[str, int] | None = None,
+    operation: Operation, received: int | None = None, datagrams: Mapping[str, int] | None = None
 ) -> Table:
     """The account as a table; of the reasons only those that occurred."""
     rows = []

@@ -22,12 +22,8 @@ def overview_figure(
 ) -> Figure:
     """Demand and response, errors, valve commands, pressures and supply of a run.
 
-    Args:
-        record: of any run; one of the facility gets its operating state, shaded where the host was
-            silent.
-        title: default plant and law.
-        changes: times of dotted lines [s].
-        events: times of dashed lines [s].
+    A run of the facility gets its operating state, shaded where the host was silent; changes are
+    dotted lines, events dashed ones [s]; the title is by default plant and law.
     """
     time, state = record.time, "operating_state" in record.channels
     figure = new_figure(9.0, 11.0 if state else 9.6)

@@ -20,11 +20,7 @@ def save_run(
 ) -> list[Path]:
     """Write what a scenario asks for under `outputs`, and the scenario itself.
 
-    Args:
-        record: of the run.
-        scenario: that was run; written as `scenario.toml`, with absolute names of the files in it.
-        folder: made if it is not there.
-        progress: called with the pictures of the film done and those in all.
+    The scenario goes to `scenario.toml`, with absolute names of the files in it.
 
     Raises:
         InputError: a film that cannot be made; the message says why.

@@ -34,11 +34,7 @@ def effect_table(effect: FilterEffect) -> Table:
         ("rms at rest, filtered", f"{effect.filtered_rms / g:.5f} g", ""),
         ("share of noise left", f"{effect.noise_gain:.4f}", f"{effect.predicted_noise_gain:.4f}"),
         (f"gain {at}", f"{effect.signal_gain:.4f}", f"{effect.predicted_signal_gain:.4f}"),
-        (
-            f"delay {at}",
-            f"{1e3 * effect.delay:.2f} ms",
-            f"{1e3 * effect.predicted_delay:.2f} ms",
-        ),
+        (f"delay {at}", f"{1e3 * effect.delay:.2f} ms", f"{1e3 * effect.predicted_delay:.2f} ms"),
     )
     title = f"leg accelerometers, {effect.sensors} sensors"
     return Table(title, ("quantity", "measured", "closed form"), rows)

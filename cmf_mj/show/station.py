@@ -54,13 +54,7 @@ def motion_axes(*motions: Motion, rows: int = 3) -> tuple[Figure, NDArray[Any]]:
 
 
 def perceived_figure(error: CueingError, first: str, second: str) -> Figure:
-    """What is sensed in two motions, and the error within its threshold.
-
-    Args:
-        error: of the second motion against the first.
-        first: what the first is called.
-        second: what the second is called.
-    """
+    """What is sensed in two motions, and the error of the second within its threshold."""
     figure, axes = motion_axes()
     panels = axes.T.ravel()
     time, limits, apart = error.aircraft.time, error.threshold / SCALE, error.error / SCALE

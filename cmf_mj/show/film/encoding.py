@@ -23,13 +23,7 @@ _COMMON, _RARE = 176, 64
 
 
 def check_format(target: Path, fps: int, speed: float, sizes: Mapping[str, int]) -> None:
-    """Refuse what no film can have.
-
-    Args:
-        target: file to be.
-        fps: pictures a second.
-        speed: times real speed.
-        sizes: lengths in pixels, by name.
+    """Refuse a file name, pictures a second, speed or lengths [pixels] that no film can have.
 
     Raises:
         InputError: an argument out of range, named.
@@ -53,14 +47,7 @@ def write_film(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write pictures to a file that appears only when it is complete.
-
-    Args:
-        pictures: each (height, width, 3), both even.
-        count: how many there are.
-        target: ends in .mp4 or .gif.
-        fps: pictures a second.
-        progress: called with the pictures done and those in all.
+    """Write `count` pictures, each (height, width, 3), to a file that appears when it is complete.
 
     Raises:
         InputError: PyAV or its encoders are missing.

@@ -77,12 +77,7 @@ def film(
 
 
 def check_film(model: mujoco.MjModel, path: str | Path, settings: FilmSettings) -> None:
-    """Make sure that a film can be made, before a long run for it.
-
-    Args:
-        model: what the film has in it.
-        path: of the film.
-        settings: how it will look.
+    """Make sure that a film of a model can be made, before a long run for it.
 
     Raises:
         InputError: what `film` would refuse, named: settings, packages, OpenGL.

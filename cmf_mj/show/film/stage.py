@@ -47,9 +47,6 @@ def has_display(environment: Mapping[str, str] | None = None) -> bool:
 def choose_backend(environment: Mapping[str, str] | None = None) -> str:
     """Name of MuJoCo's OpenGL module to use: egl, osmesa, glfw or cgl.
 
-    Args:
-        environment: variables; default those of this process.
-
     Raises:
         InputError: no OpenGL works; the message names the packages that bring one.
     """
@@ -80,13 +77,7 @@ class Stage:
     def __init__(
         self, model: mujoco.MjModel, width: int, height: int, camera: str = "overview"
     ) -> None:
-        """Open an off-screen buffer.
-
-        Args:
-            model: what to show; geoms of groups 0 to 2.
-            width: pixels, at most the model's `offwidth`.
-            height: pixels, at most the model's `offheight`.
-            camera: of the model.
+        """Open an off-screen buffer of width x height pixels, at most those of the model.
 
         Raises:
             InputError: size or camera, named, or no OpenGL.
@@ -144,11 +135,7 @@ class Stage:
         self._gl.free()
 
     def picture(self, qpos: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """The model in a configuration, (height, width, 3).
-
-        Args:
-            qpos: generalised positions, (nq,).
-        """
+        """The model in a configuration (nq,), as pixels (height, width, 3)."""
         self._data.qpos[:] = qpos
         mujoco.mj_forward(self.model, self._data)
         self._gl.make_current()

@@ -51,10 +51,7 @@ class Traces(NamedTuple):
 def traces_of(record: Record, dof: str | None = None) -> Traces:
     """A degree of freedom of a record, and pressures of the leg whose cap pressure moves most.
 
-    Args:
-        record: of a run.
-        dof: degree of freedom to show; default the one whose demand moves most, lengths against
-            1 in and angles against 1 deg.
+    The default is the one whose demand moves most, lengths against 1 in and angles against 1 deg.
 
     Raises:
         InputError: unknown degree of freedom or a channel that is missing.

@@ -44,11 +44,7 @@ class LiveView:
     """A run between two pictures: pace, pause and pulls."""
 
     def __init__(self, run: ScenarioRun, speed: float = 1.0) -> None:
-        """Show a run.
-
-        Args:
-            run: any; it is advanced from here.
-            speed: times real speed.
+        """Show a run, which is advanced from here, at a multiple of real speed.
 
         Raises:
             InputError: the speed is not greater than 0.

@@ -5,11 +5,7 @@ from typing import cast
 import numpy as np
 
 from cmf_mj.analysis.linear.loop import loop_response
-from cmf_mj.analysis.linear.second_order import (
-    bandwidth_example,
-    characteristics,
-    feedback_model,
-)
+from cmf_mj.analysis.linear.second_order import bandwidth_example, characteristics, feedback_model
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME
 from cmf_mj.show.chart import GREY, Dash, Panel, curve

@@ -20,14 +20,7 @@ from cmf_mj.record.record import Record
 from cmf_mj.show.chart import GREY, Dash
 from cmf_mj.show.look import COLOURS
 from cmf_mj.show.report_2014.contents import Drawing, ReportFigure
-from cmf_mj.show.report_2014.curves import (
-    History,
-    Response,
-    after_step,
-    bode,
-    motion,
-    printed,
-)
+from cmf_mj.show.report_2014.curves import History, Response, after_step, bode, motion, printed
 from cmf_mj.show.report_2014.runs import IDENTIFIED_ON, Runs, RunSpec, Signal, leg_motion
 
 _LINES = np.geomspace(0.1, 10.0, 300)

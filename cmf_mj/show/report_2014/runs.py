@@ -184,15 +184,10 @@ def perform(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Runs:
-    """Make all runs.
+    """Make all runs, one asked for twice once; `progress` is called with (done, in all).
 
-    Args:
-        specs: runs; one asked for twice is made once.
-        sensors: read and filter the accelerometers too (Figures 3-15 and 3-16).
-        jobs: threads; default one per core. Results do not depend on it.
-        quick: sweeps of 30 s for 100 s and shorter rounds.
-        seed: of sensor noise and of the multisine that validates the identified models.
-        progress: called with (done, in all) after each.
+    Results do not depend on the number of threads, `jobs`. With `sensors` the accelerometers of
+    Figures 3-15 and 3-16 are read too; `quick` sweeps 30 s for 100 s and shortens the rounds.
 
     Raises:
         InputError: an argument out of range, named.

@@ -58,11 +58,6 @@ def measure(
 ) -> Measured:
     """Measure the response of a session's machine and law: from rest, with a multisine.
 
-    Args:
-        scenario: of the session so far.
-        dof: degree of freedom.
-        progress: called with control frames done and in all.
-
     Raises:
         InputError: the scenario cannot be run.
         OutOfBounds: the loop with this law left its physical bounds.
@@ -102,12 +97,7 @@ class BodePanel:
     """Button, progress, two plots and the bandwidths."""
 
     def __init__(self, desk: Desk, dof: Callable[[], str]) -> None:
-        """Add them to the container in force.
-
-        Args:
-            desk: the page.
-            dof: gives the degree of freedom chosen.
-        """
+        """Add them to the container in force; `dof` returns the degree of freedom chosen."""
         gui = desk.client.gui
         self._desk, self._dof = desk, dof
         self._gone = threading.Event()

@@ -41,13 +41,9 @@ def largest_amplitude(dof: str) -> float:
 
 
 def signal_table(kind: str, dof: str, amplitude: float, frequency: float) -> list[dict[str, Any]]:
-    """The signals of a scenario the controls ask for.
+    """The signals of a scenario the controls ask for; amplitude in in or deg.
 
-    Args:
-        kind: one of `SIGNALS`.
-        dof: degree of freedom.
-        amplitude: in or deg.
-        frequency: of a sine, or the upper edge of a band [Hz].
+    The frequency [Hz] is that of a sine, or the upper edge of a band.
     """
     if kind == "rest":
         return []
@@ -61,12 +57,7 @@ def signal_table(kind: str, dof: str, amplitude: float, frequency: float) -> lis
 
 
 def push_of(direction: str, size: float) -> Push:
-    """A push of the platform.
-
-    Args:
-        direction: one of `DIRECTIONS`.
-        size: kN.
-    """
+    """A push of the platform in one of `DIRECTIONS`; size in kN."""
     newtons = units.to_si("kN", size)
     forward, left, up = (newtons * share for share in DIRECTIONS[direction])
     return Push(force=(forward, left, up))

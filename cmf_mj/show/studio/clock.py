@@ -37,11 +37,7 @@ class Clock:
     """Wall time to control frames for one session."""
 
     def __init__(self, now: float) -> None:
-        """Begin to count.
-
-        Args:
-            now: reading of a monotonic clock [s].
-        """
+        """Begin to count at a reading of a monotonic clock [s]."""
         self._last = now
         self._owed = 0.0
         self._given_up = 0.0
@@ -52,11 +48,7 @@ class Clock:
         """Whether time stands still."""
 
     def due(self, now: float) -> int:
-        """Frames to run now.
-
-        Args:
-            now: reading of the clock [s].
-        """
+        """Frames to run at a reading of the clock [s]."""
         elapsed = now - self._last
         self._last = now
         if self.paused:
@@ -70,13 +62,7 @@ class Clock:
         return frames
 
     def ran(self, wall: float, frames: int, busy: float) -> None:
-        """Note a turn.
-
-        Args:
-            wall: wall time since the turn before [s].
-            frames: control frames run in it.
-            busy: time it took to run and to show them [s].
-        """
+        """Note a turn: wall time since the last [s], frames run, time to run and show them [s]."""
         self._turns.append(_Turn(wall, frames * FRAME, busy))
         while sum(turn.wall for turn in self._turns) - self._turns[0].wall > _WINDOW:
             self._turns.popleft()

@@ -49,12 +49,7 @@ def picked(handle: viser.GuiDropdownHandle[str], value: str) -> None:
 
 
 def read_upload(name: str, content: bytes, read: Callable[[Path], Content]) -> Content:
-    """Read a file of the browser.
-
-    Args:
-        name: its name there.
-        content: its bytes.
-        read: reads a file.
+    """Read a file of the browser from its name there and its bytes.
 
     Raises:
         InputError: `read` refuses it; the message begins with the name.

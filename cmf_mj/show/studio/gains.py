@@ -87,10 +87,7 @@ def _knob(law: Law, path: tuple[str, ...], value: float) -> Knob:
     scale = _SCALES.get(path[-1], 1.0)
     near, far = (
         next(end for end in ends if _allowed(law, path, end))
-        for ends in (
-            (0.0, 0.02 * value, 1.0, value),
-            (2.0 * value, 1.0, 0.99, value),
-        )
+        for ends in ((0.0, 0.02 * value, 1.0, value), (2.0 * value, 1.0, 0.99, value))
     )
     low, high = sorted((near / scale, far / scale))
     return Knob(path, value / scale, low, high, scale)

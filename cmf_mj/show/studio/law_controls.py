@@ -44,12 +44,7 @@ class LawControls:
             self._choose(option)
 
     def sync(self, name: str, law: Law) -> None:
-        """Show a law that did not come from these controls.
-
-        Args:
-            name: as the scenario has it.
-            law: with its gains.
-        """
+        """Show a law with its gains that did not come from these controls."""
         picked(self._law, name)
         self._show_gains(law)
 

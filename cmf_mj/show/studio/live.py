@@ -58,11 +58,7 @@ class LiveSession:
     """One run at a time, in real time."""
 
     def __init__(self, scenario: Scenario, display: Display) -> None:
-        """Build the run; `start` sets it going.
-
-        Args:
-            scenario: the first run; its `duration` is left aside.
-            display: who shows it.
+        """Build the first run, its `duration` left aside; `start` sets it going.
 
         Raises:
             InputError: the scenario is refused, named by its key.

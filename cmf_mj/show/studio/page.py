@@ -46,12 +46,7 @@ class Page:
     """A tab with its session: what the controls see as their desk."""
 
     def __init__(self, client: viser.ClientHandle, scenario: Scenario) -> None:
-        """Build the page and set its session going.
-
-        Args:
-            client: the tab.
-            scenario: what it begins with.
-        """
+        """Build the page and set its session going with a scenario."""
         self.client = client
         self._lock = threading.RLock()
         self._later: dict[str, tuple[float, Callable[[], None]]] = {}

@@ -35,12 +35,7 @@ def add_plot(
 ) -> viser.GuiUplotHandle:
     """Add an empty plot over time, or over frequency on a logarithmic axis.
 
-    Args:
-        client: the tab.
-        title: quantity and unit.
-        lines: one per series.
-        soft: limits the axis has at least, so that round-off does not fill it.
-        frequency: whether it is over frequency.
+    The axis has at least the limits `soft`, so that round-off does not fill it.
     """
     low, high = ({"pad": 0.1, "soft": limit, "mode": 1} for limit in soft)
     series = [uplot.Series(label="f [Hz]" if frequency else "t [s]")]
@@ -87,13 +82,7 @@ class Plots:
         self._supply = add_plot(client, "manifolds [psi]", manifolds, (0.0, 2000.0))
 
     def show(self, traces: Mapping[str, NDArray[np.float64]], dof: str, leg: int) -> None:
-        """Draw the latest rows.
-
-        Args:
-            traces: of `Traces.last`.
-            dof: degree of freedom of demand and response.
-            leg: of the pressures, from 0.
-        """
+        """Draw the rows of `Traces.last`: a degree of freedom, and pressures of a leg from 0."""
         time, index, unit = traces["time"], DOFS.index(dof), dof_unit(dof)
         if time.size < 2:
             return

@@ -24,11 +24,7 @@ class Recording:
     """A record of the hexapod, looked at by time."""
 
     def __init__(self, record: Record, width: int) -> None:
-        """Check that the record can be shown.
-
-        Args:
-            record: of a run with the hexapod.
-            width: generalised positions of the model.
+        """Check that the page can show the record; `width` is the number of generalised positions.
 
         Raises:
             InputError: the record is of another plant or does not hold what the page shows.
@@ -85,11 +81,7 @@ class ReplayPanel:
     ) -> None:
         """Add them to the container in force.
 
-        Args:
-            desk: the page.
-            width: generalised positions of the model.
-            enter: called with a recording to show in the place of the live run.
-            leave: called to go back to it.
+        `enter` takes a recording to show in the place of the live run; `leave` goes back to it.
         """
         gui = desk.client.gui
         self._lock = threading.Lock()
@@ -123,9 +115,6 @@ class ReplayPanel:
 
     def turn(self, elapsed: float) -> float:
         """Let the recording go on.
-
-        Args:
-            elapsed: wall time since the turn before [s].
 
         Returns:
             Time to show [s].

@@ -39,11 +39,8 @@ class MachineScene:
     def __init__(self, client: viser.ClientHandle, cab: str, *, shadows: bool = False) -> None:
         """Send the geometry, in the place of all that the tab showed.
 
-        Args:
-            client: the tab.
-            cab: `gfd`, `rfd` or `ifd`.
-            shadows: whether the key light casts them; a browser without a GPU then draws less
-                than a picture a second.
+        The key light casts shadows on request; a browser without a GPU then draws less than a
+        picture a second.
         """
         self.cab = cab
         """The cab in the scene."""
@@ -87,11 +84,7 @@ class MachineScene:
         )
 
     def show_push(self, share: ArrayLike) -> None:
-        """Draw the push as an arrow that points at the cab and goes with it.
-
-        Args:
-            share: force over the largest one, model's axes, (3,); all zero for none.
-        """
+        """Draw the push, a share (3,) of the largest, as an arrow that points at the cab."""
         along = np.asarray(share, dtype=float)
         if self._push is not None and not np.array_equal(along, self._pushed):
             self._push.remove()

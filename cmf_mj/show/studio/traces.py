@@ -37,12 +37,7 @@ class Traces:
         self._count = 0
 
     def append(self, time: float, values: Mapping[str, ArrayLike]) -> None:
-        """Keep one row.
-
-        Args:
-            time: of the run [s].
-            values: one per channel, of its width.
-        """
+        """Keep one row: the time of the run [s] and a value of every channel."""
         row = self._rows[self._count % self._rows.shape[0]]
         np.concatenate([[time], *(np.atleast_1d(values[name]) for name in CHANNELS)], out=row)
         self._count += 1
