@@ -41,8 +41,7 @@ def linearize_command(
     law: options.Law = "velocity",
     pose: options.Pose = _NEUTRAL,
     dofs: Annotated[
-        list[str],
-        choice(options.DOFS, "DOFS", "degrees of freedom or legs, or `all`", free=True),
+        list[str], choice(options.DOFS, "DOFS", "degrees of freedom or legs, or `all`", free=True)
     ] = options.ALL,
     measure: Annotated[
         bool, Option("--measure", help="simulate each loop as well, about 5 s each")
@@ -118,8 +117,8 @@ def modes_command(
         ]
     paths += report.save_envelope(ranges, sweeps, maps, out)
     # The envelope has neutral in it.
-    asked = at_pose if here.any() else []
-    each = [*asked, *(modes for one in ranges for modes in (*one.modes, one.worst))]
+    off_neutral = at_pose if here.any() else []
+    each = [*off_neutral, *(modes for one in ranges for modes in (*one.modes, one.worst))]
     paths += report.save_modes(each, out)
     for modes in at_pose:
         show(report.mass_table(modes), report.mode_table(modes))
@@ -194,8 +193,7 @@ def identify_command(
     files: options.Recordings = None,
     simulate: options.Simulate = False,
     law: Annotated[
-        str | None,
-        choice(options.LAWS, "LAW", "default velocity, or the file's", free=True),
+        str | None, choice(options.LAWS, "LAW", "default velocity, or the file's", free=True)
     ] = None,
     dof: options.AnyDof = "heave",
     matrix: Annotated[
@@ -218,8 +216,7 @@ def identify_command(
         ),
     ] = "oe",
     orders: Annotated[
-        str | None,
-        Option(metavar="NA,NB,NK", help="default by validation fit on a grid"),
+        str | None, Option(metavar="NA,NB,NK", help="default by validation fit on a grid")
     ] = None,
     out: options.Out = Path("out/identify"),
 ) -> None:

@@ -196,8 +196,7 @@ def record_command(
 def replay_command(
     recording: Annotated[Path, Argument(help="Parquet, facility CSV or UFF 58")],
     law: Annotated[
-        str | None,
-        choice(options.LAWS, "LAW", "default the recording's", free=True),
+        str | None, choice(options.LAWS, "LAW", "default the recording's", free=True)
     ] = None,
     out: options.Out = Path("out/replay"),
 ) -> None:

@@ -110,10 +110,7 @@ def fly_command(
 
 @command("flight")
 def flight_command(
-    name: Annotated[
-        str,
-        argument("pilot.aircraft.scripts:SCRIPTS", "SCRIPT", "what to fly"),
-    ],
+    name: Annotated[str, argument("pilot.aircraft.scripts:SCRIPTS", "SCRIPT", "what to fly")],
     file: Annotated[Path, Option(metavar="FILE", help="CSV or Parquet file")],
     aircraft: Annotated[str, Option(help="of JSBSim")] = "737",
     seed: options.Seed = 1,
@@ -158,8 +155,7 @@ def run_command(
     rate: Rate = 80.0,
     limits: LimitsFile = None,
     senses: Annotated[
-        Path | None,
-        Option(metavar="FILE", help="TOML changes to canals, otoliths, thresholds"),
+        Path | None, Option(metavar="FILE", help="TOML changes to canals, otoliths, thresholds")
     ] = None,
     out: options.Out = Path("out/cue"),
 ) -> None:

@@ -79,8 +79,10 @@ ALL, VELOCITY = ["all"], ["velocity"]
 
 DOFS, LAWS = "machine.kinematics:DOFS", "cli.options:shipped_laws"
 """Where names stand, for `names_in`."""
-_CABS, _PLANTS = "machine.models:CABS", "plant.build:PLANTS"
-_OIL, _WASHOUTS = "plant.parameters.loading:HYDRAULICS", "pilot.cueing.settings:WASHOUTS"
+CABS, _PLANTS = "machine.models:CABS", "plant.build:PLANTS"
+OIL, SENSORS = "plant.parameters.loading:HYDRAULICS", "electronics.sensors.settings:SENSOR_SETS"
+SCENARIOS = "facility.scenario.library:scenario_names"
+_WASHOUTS = "pilot.cueing.settings:WASHOUTS"
 
 Dof = Annotated[str, choice(DOFS, "DOF", "surge, sway, heave, roll, pitch or yaw")]
 AnyDof = Annotated[str, choice(DOFS, "DOF", "degree of freedom, or leg_1 to leg_6", free=True)]
@@ -96,40 +98,26 @@ Laws = Annotated[
         every="control.law:law_names",
     ),
 ]
-Cab = Annotated[str, choice(_CABS, "CAB", "gfd, rfd or ifd")]
-Cabs = Annotated[list[str], choice(_CABS, "CABS", "gfd, rfd, ifd, or `all`")]
+Cab = Annotated[str, choice(CABS, "CAB", "gfd, rfd or ifd")]
+Cabs = Annotated[list[str], choice(CABS, "CABS", "gfd, rfd, ifd, or `all`")]
 PlantName = Annotated[str, choice(_PLANTS, "PLANT", "hexapod or single_legs")]
 Plants = Annotated[list[str], choice(_PLANTS, "PLANTS", "hexapod, single_legs, or `all`")]
-Hydraulics = Annotated[str, choice(_OIL, "SET", "report, hardware, lossy or TOML file", free=True)]
+Hydraulics = Annotated[str, choice(OIL, "SET", "report, hardware, lossy or TOML file", free=True)]
 Washout = Annotated[
-    str,
-    choice(
-        "pilot.cueing.settings:WASHOUTS",
-        "WASHOUT",
-        "simona, reid_nahon, optimal or TOML file",
-        free=True,
-    ),
+    str, choice(_WASHOUTS, "WASHOUT", "simona, reid_nahon, optimal or TOML file", free=True)
 ]
 Scenario = Annotated[
-    str,
-    argument(
-        "facility.scenario.library:scenario_names",
-        "[SCENARIO]",
-        "shipped scenario by name, or TOML file",
-        free=True,
-    ),
+    str, argument(SCENARIOS, "[SCENARIO]", "shipped scenario by name, or TOML file", free=True)
 ]
 Pose = Annotated[
     str, Option(metavar="POSE", help="surge,sway,heave [in],roll,pitch,yaw [deg], z down")
 ]
 Amplitude = Annotated[
-    str | None,
-    Option(metavar="SIZE", help="with its unit; default '0.33 in' or '0.2 deg'"),
+    str | None, Option(metavar="SIZE", help="with its unit; default '0.33 in' or '0.2 deg'")
 ]
 Jobs = Annotated[int | None, Option(help="threads or processes; default one a core")]
 Noise = Annotated[
-    bool,
-    Option("--noise/--ideal", help="sensors, converters and servo electronics with noise"),
+    bool, Option("--noise/--ideal", help="sensors, converters and servo electronics with noise")
 ]
 Quick = Annotated[bool, Option("--quick", help="shorter: sweeps of 30 s, not 100 s")]
 Seed = Annotated[int, Option(help="of all random numbers")]

@@ -40,7 +40,7 @@ def report_command(
     out: options.Out = Path("out/report"),
     quick: options.Quick = False,
 ) -> None:
-    """Reproduce the 2014 report on one HTML page, printed results beside ours."""
+    """Reproduce the 2014 report on one HTML page, printed results next to ours."""
     from rich.table import Table
 
     for package in ("plotly", "jinja2"):
@@ -100,13 +100,7 @@ def laws_command() -> None:
 @listing("parameters")
 def parameters_command(
     hydraulics: Annotated[
-        str,
-        argument(
-            "plant.parameters.loading:HYDRAULICS",
-            "[SET]",
-            "report, hardware, lossy or TOML file",
-            free=True,
-        ),
+        str, argument(options.OIL, "[SET]", "report, hardware, lossy or TOML file", free=True)
     ] = "hardware",
 ) -> None:
     """Show a hydraulic parameter set: value, unit, status and source of every number."""
@@ -119,13 +113,7 @@ def parameters_command(
 @listing("sensors")
 def sensors_command(
     sensors: Annotated[
-        str,
-        argument(
-            "electronics.sensors.settings:SENSOR_SETS",
-            "[SET]",
-            "ideal, noisy or TOML file",
-            free=True,
-        ),
+        str, argument(options.SENSORS, "[SET]", "ideal, noisy or TOML file", free=True)
     ] = "noisy",
     law: options.Law = "acceleration_opposing",
     seed: options.Seed = 0,

@@ -150,10 +150,7 @@ def events_of(
 
 @command("failure")
 def failure_command(
-    event: Annotated[
-        list[str],
-        argument("plant.events:KINDS", "EVENT", "what fails, or `all`"),
-    ],
+    event: Annotated[list[str], argument("plant.events:KINDS", "EVENT", "what fails, or `all`")],
     dof: options.Dof = "heave",
     leg: Annotated[int | None, Option(help="leg of a valve or sensor; default 1")] = None,
     valve: Annotated[int | None, Option(help="1 or 2; default both")] = None,
@@ -164,8 +161,7 @@ def failure_command(
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     amplitude: Annotated[
-        str | None,
-        Option(metavar="SIZE", help="of the sine; default '6 in' or '4 deg'"),
+        str | None, Option(metavar="SIZE", help="of the sine; default '6 in' or '4 deg'")
     ] = None,
     frequency: Annotated[float, Option(help="of the sine [Hz]")] = 0.5,
     protection: Annotated[bool, Option(help="whether a fault stops the machine")] = True,
@@ -218,15 +214,13 @@ def capacity_command(
         str | None, Option(metavar="SIZE", help="with its unit; sine: default '15 in'")
     ] = None,
     frequency: Annotated[
-        float | None,
-        Option(help="of the sine, highest of chirp, noise and multisine [Hz]"),
+        float | None, Option(help="of the sine, highest of chirp, noise and multisine [Hz]")
     ] = None,
     law: options.Law = "velocity",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     least_pressure: Annotated[
-        float | None,
-        Option(help="least manifold pressure [psi]; default 80 % of the set pressure"),
+        float | None, Option(help="least manifold pressure [psi]; default 80 % of the set pressure")
     ] = None,
     envelope: Annotated[
         bool, Option(help="the largest sustained sine at each frequency, 0.1 to 10 Hz")

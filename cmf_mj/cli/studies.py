@@ -17,12 +17,10 @@ from cmf_mj.cli.options import argument, choice
 command = partial(app.command, rich_help_panel="Studies")
 
 Laws = Annotated[
-    list[str] | None,
-    choice(options.LAWS, "LAWS", "laws instead of the study's", free=True),
+    list[str] | None, choice(options.LAWS, "LAWS", "laws instead of the study's", free=True)
 ]
 Workers = Annotated[
-    str,
-    choice("studies.engine:Backend", "BACKEND", "threading, loky (processes) or dask"),
+    str, choice("studies.engine:Backend", "BACKEND", "threading, loky (processes) or dask")
 ]
 Address = Annotated[str | None, Option(help="address of a running Dask scheduler")]
 
@@ -30,13 +28,13 @@ Address = Annotated[str | None, Option(help="address of a running Dask scheduler
 def _run(
     specification: str,
     out: Path,
-    *,
     laws: list[str] | None,
     jobs: int | None,
     backend: str,
     scheduler: str | None,
-    changes: dict[str, Any],
+    **changes: Any,
 ) -> None:
+    """Run a study with some of its fields changed; None leaves a field."""
     from cmf_mj.show import study as report
     from cmf_mj.studies.engine import run_study
     from cmf_mj.studies.settings import load_study
@@ -79,15 +77,8 @@ def study_command(
     scheduler: Address = None,
 ) -> None:
     """Run a study of many cases, or what is left of it; the same command resumes it."""
-    _run(
-        specification,
-        out if out is not None else Path("out") / Path(specification).stem,
-        laws=laws,
-        jobs=jobs,
-        backend=backend,
-        scheduler=scheduler,
-        changes={"draws": draws},
-    )
+    folder = out or Path("out") / Path(specification).stem
+    _run(specification, folder, laws, jobs, backend, scheduler, draws=draws)
 
 
 @command("ablation")
@@ -95,31 +86,21 @@ def ablation_command(
     out: options.Out = Path("out/ablation"),
     laws: Laws = None,
     dofs: Annotated[
-        list[str] | None,
-        choice(options.DOFS, "DOFS", "degrees of freedom, or `all`"),
+        list[str] | None, choice(options.DOFS, "DOFS", "degrees of freedom, or `all`")
     ] = None,
     jobs: options.Jobs = None,
     backend: Workers = "loky",
     scheduler: Address = None,
 ) -> None:
     """Climb from a single leg to the whole machine, one effect at a time."""
-    _run(
-        "ablation",
-        out,
-        laws=laws,
-        jobs=jobs,
-        backend=backend,
-        scheduler=scheduler,
-        changes={"dofs": dofs},
-    )
+    _run("ablation", out, laws, jobs, backend, scheduler, dofs=dofs)
 
 
 @command("tune")
 def tune_command(
     name: Annotated[str, Option(help="name of the law")] = "modal_plan",
     form: Annotated[
-        str,
-        choice("studies.tuning.forms:FORMS", "FORM", "law whose gains are searched"),
+        str, choice("studies.tuning.forms:FORMS", "FORM", "law whose gains are searched")
     ] = "modal_plan",
     title: Annotated[str, Option(help="its title")] = "Modal plan",
     peak: Annotated[float, Option(help="largest peak gain [dB]")] = 2.0,
@@ -145,12 +126,12 @@ def tune_command(
             seed=seed,
             progress=update,
         )
-    said = (
+    command_line = (
         f"cmf tune --form {form} --peak {peak:g} --overshoot {overshoot:g} "
         f"--cabs {','.join(cabs)} --evaluations {evaluations} --seed {seed}"
     )
-    law = result.law.model_copy(update={"source": f"this project: {said}"})
-    target = save_law(law, file, f"Written by `{said}`.")
+    law = result.law.model_copy(update={"source": f"this project: {command_line}"})
+    target = save_law(law, file, f"Written by `{command_line}`.")
     reached = result.performance
     show(
         f"linear plants, worst of all cabs, degrees of freedom and valve gains: "

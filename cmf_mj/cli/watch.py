@@ -20,10 +20,9 @@ command = partial(app.command, rich_help_panel="Simulate")
 
 
 _Law = Annotated[
-    str | None,
-    choice(options.LAWS, "LAW", "law in place of the scenario's", free=True),
+    str | None, choice(options.LAWS, "LAW", "law in place of the scenario's", free=True)
 ]
-_Cab = Annotated[str | None, choice("machine.models:CABS", "CAB", "in place of the scenario's")]
+_Cab = Annotated[str | None, choice(options.CABS, "CAB", "in place of the scenario's")]
 
 
 def _with(scenario: Any, **fields: object) -> Any:
@@ -42,8 +41,7 @@ def view_command(
     cab: _Cab = None,
     speed: options.Speed = 1.0,
     dof: Annotated[
-        str | None,
-        choice(options.DOFS, "DOF", "an endless sine along it instead"),
+        str | None, choice(options.DOFS, "DOF", "an endless sine along it instead")
     ] = None,
     amplitude: Annotated[str, Option(metavar="SIZE", help="of the sine, with its unit")] = "4 in",
     frequency: Annotated[float, Option(help="of the sine [Hz]")] = 0.3,
@@ -77,15 +75,14 @@ def video_command(
     scenario: Annotated[
         list[str] | None,
         argument(
-            "facility.scenario.library:scenario_names",
+            options.SCENARIOS,
             "[SCENARIO]...",
             "scenarios by name or TOML file, or Parquet records",
             free=True,
         ),
     ] = None,
     laws: Annotated[
-        list[str] | None,
-        choice(options.LAWS, "LAWS", "laws next to each other", free=True),
+        list[str] | None, choice(options.LAWS, "LAWS", "laws next to each other", free=True)
     ] = None,
     cab: _Cab = None,
     file: Annotated[Path, Option(metavar="FILE", help="MP4 or GIF file")] = Path("out/video.mp4"),
@@ -96,8 +93,7 @@ def video_command(
     height: options.Height = 450,
     strip: options.StripHeight = 190,
     dof: Annotated[
-        str | None,
-        choice(options.DOFS, "DOF", "of the traces; default: moves most"),
+        str | None, choice(options.DOFS, "DOF", "of the traces; default: moves most")
     ] = None,
     start: options.Start = 0.0,
     seconds: options.Seconds = None,

@@ -68,7 +68,7 @@ class FilterEffect(NamedTuple):
 
 @compiled
 def _filter(feedback, raw, filtered):  # type: ignore[no-untyped-def]
-    """Filter histories (N, n) with the DCL's own filter, settled on the first sample."""
+    """Filter histories (N, n) with the filter of the DCL, settled on the first sample."""
     still = feedback.accelerometer_gain / (1.0 - feedback.accelerometer_pole)
     for leg in range(raw.shape[1]):
         filtered[0, leg] = still * raw[0, leg]

@@ -183,7 +183,7 @@ class CaseResult(NamedTuple):
 
 
 def run_case(case: Case, records: Path | None = None) -> CaseResult:
-    """Run chirp and step of a case; keep both records in the folder `records` if one is given.
+    """Run chirp and step of a case; keep both records in the folder `records` if one is named.
 
     `quick` sweeps in 30 s instead of 100 s: the same band at three times the rate, bandwidths
     within about 2 %.

@@ -76,7 +76,7 @@ class Climb(NamedTuple):
 
 
 def rows_of(table: pa.Table, **equal: object) -> list[Row]:
-    """Rows that have given values and did not fail."""
+    """Rows that did not fail and have these values."""
     return [
         row
         for row in table.to_pylist()

@@ -1,7 +1,7 @@
 """What a case of a study measures: one row a degree of freedom, whatever the method.
 
     sweep    the compiled simulation of the report's chirp and step in one degree of freedom
-    linear   the plant linearised about rest with its own actuators, the law closed around it:
+    linear   the plant linearised about rest with its actuators, the law closed around it:
              poles, the 6 by 6 response and the steps of all degrees of freedom at once
     matrix   the compiled simulation of orthogonal multisines in all degrees of freedom, for the
              6 by 6 response, and of a step in each
@@ -21,11 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj import signals
-from cmf_mj.analysis.frequency_response import (
-    bandwidths,
-    dof_history,
-    matrix_frequency_response,
-)
+from cmf_mj.analysis.frequency_response import bandwidths, dof_history, matrix_frequency_response
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.law import labels
 from cmf_mj.analysis.linear.loop import STEP_DURATION, closed_loop
@@ -54,7 +50,7 @@ BAND = (0.1, 10.0)
 """Frequencies of all responses [Hz]."""
 
 FREQUENCIES = np.geomspace(*BAND, 120)
-"""Lines of the linear responses [Hz], beside those of their own poles."""
+"""Lines of the linear responses [Hz], next to those of their poles."""
 
 MULTISINE_SHARE = 0.25
 """Amplitude of each of six multisines over that of a sweep: together they ask a leg for no more."""
@@ -183,10 +179,8 @@ _LAST = _Machine()
 
 def _linearised(study_case: StudyCase, plant: Plant) -> control.StateSpace:
     case = study_case.case
-    key = (
-        *(study_case.rung, study_case.draw, study_case.study),
-        *(case.cab, case.pose, case.hydraulics),
-    )
+    machine = (case.cab, case.pose, case.hydraulics)
+    key = (study_case.rung, study_case.draw, study_case.study, *machine)
     if key != _LAST.key:
         _LAST.system, _LAST.key = linearize(plant, case.pose), key
     return _LAST.system.copy()

@@ -65,7 +65,7 @@ class Identified:
 
     axis: str
     law: str  #: Name; empty where it is not known.
-    selection: Selection | None  #: Orders tried; None where they were given.
+    selection: Selection | None  #: Orders tried; None where the caller chose them.
     model: PolynomialModel
     validation: Experiment
     estimation_fit: float  #: Of the simulated model to the fitted runs, the least [%].
@@ -114,9 +114,11 @@ def identify(
         estimation = [first]
     else:
         estimation, validation = series[:-1], series[-1]
-    selection = None if orders is not None else select_orders(estimation, validation, **_GRID)
-    chosen = Orders(*orders) if orders is not None else _best(selection)
-    model = _fitted(estimation, chosen, method)
+    selection = None
+    if orders is None:
+        selection = select_orders(estimation, validation, **_GRID)
+        orders = selection.best().orders
+    model = _fit(estimation, Orders(*orders), method)
     continuous = to_continuous(model)
     broad = [r for r in records if r.signal.kind in _BROAD]
     name = law if law is not None else _named_law(records[-1])
@@ -140,13 +142,7 @@ def identify(
     )
 
 
-def _best(selection: Selection | None) -> Orders:
-    if selection is None:
-        raise InputError("orders: neither given nor selected")
-    return selection.best().orders
-
-
-def _fitted(runs: list[Experiment], orders: Orders, method: Method) -> PolynomialModel:
+def _fit(runs: list[Experiment], orders: Orders, method: Method) -> PolynomialModel:
     if method == "arx":
         return arx(runs, orders)
     if method == "iv":
@@ -193,11 +189,8 @@ def simulated_records(case: Case, kind: Signal = "multisine") -> list[Record]:
     Raises:
         InputError: another kind of signal.
     """
-    commands = (
-        excitation(kind, case.dof, case.size),
-        excitation("multisine", case.dof, case.size, seed=1),
-    )
-    return [case.run(command) for command in commands]
+    fitted = excitation(kind, case.dof, case.size)
+    return [case.run(fitted), case.run(excitation("multisine", case.dof, case.size, seed=1))]
 
 
 @dataclass(frozen=True)

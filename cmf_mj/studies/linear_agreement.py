@@ -1,9 +1,9 @@
-"""A linearised plant under a law beside the simulation of the same loop, sine by sine.
+"""A linearised plant under a law compared with the simulation of the same loop, sine by sine.
 
 Both are at rest in the same configuration; each sine is small, has settled, and is fitted over
 whole cycles. Two things are compared. The plant: what the valve commands of the run, as they were,
-make of the linearised plant beside the legs' own motion. The closed loop, from leg demand to leg
-position: it magnifies an error of the plant by its own resonance. What is left over falls with the
+make of the linearised plant, next to the legs' motion. The closed loop, from leg demand to leg
+position: it magnifies an error of the plant by its resonance. What is left over falls with the
 amplitude: the valves' mean opening damps what the linearisation, about closed valves, leaves
 undamped.
 """
@@ -72,11 +72,7 @@ class Comparison(NamedTuple):
 
 
 def loop_between(
-    plant: Plant,
-    system: control.StateSpace,
-    law: str | Law,
-    pose: ArrayLike | None,
-    signal: str,
+    plant: Plant, system: control.StateSpace, law: str | Law, pose: ArrayLike | None, signal: str
 ) -> control.StateSpace:
     """The loop of a law around a linearised plant, from a demand to its position.
 
@@ -155,7 +151,8 @@ def compare_with_simulation(
     rest = round(settle * RATE)
     pose_demand = np.pad(command.pose, ((rest, 0), (0, 0)))
     if leg:
-        demand = np.tile(_extensions(plant, pose), (pose_demand.shape[0], 1))
+        plant.start(pose)
+        demand = np.tile(plant.extensions(), (pose_demand.shape[0], 1))
         demand[:, int(signal[4:]) - 1] += pose_demand[:, DOFS.index("heave")]
         record = simulate(plant, law, demand, start=pose, legs=True)
     else:
@@ -166,11 +163,11 @@ def compare_with_simulation(
     along = _along(plant, pose, signal)
     # The command of a row reaches the valves one frame later and is held over that frame.
     at_valves = np.roll(record["valve_command"], record.metadata["command_delay"], axis=0)
-    found, plants = [], []
+    measured, plants = [], []
     for dwell in command.signal.dwells:
         first = rest + dwell.start
         part = slice(first, first + dwell.frames + 1)
-        found.append(sine_response(x[part], y[part], record.rate, dwell.frequency).response[0])
+        measured.append(sine_response(x[part], y[part], record.rate, dwell.frequency).response[0])
         whole = slice(first, first + dwell.frames)
         omega = 2.0 * np.pi * dwell.frequency
         angle = omega * np.arange(dwell.frames) / record.rate
@@ -182,7 +179,7 @@ def compare_with_simulation(
         plants.append((along @ moved) / (along @ (positions(1j * omega) @ valves)))
     frequency = np.asarray(frequencies, dtype=float)
     linear = control.frequency_response(loop, 2.0 * np.pi * frequency).frdata[0, 0]
-    return Comparison(signal, frequency, np.array(found), np.asarray(linear), np.array(plants))
+    return Comparison(signal, frequency, np.array(measured), np.asarray(linear), np.array(plants))
 
 
 def _along(plant: Plant, pose: ArrayLike | None, signal: str) -> NDArray[np.float64]:
@@ -191,8 +188,3 @@ def _along(plant: Plant, pose: ArrayLike | None, signal: str) -> NDArray[np.floa
         return np.eye(plant.legs)[int(signal[4:]) - 1]
     at = np.zeros(6) if pose is None else np.asarray(pose, dtype=float)
     return np.linalg.inv(pose_jacobian(at))[dof_index(signal)]
-
-
-def _extensions(plant: Plant, pose: ArrayLike | None) -> NDArray[np.float64]:
-    plant.start(pose)
-    return plant.extensions()

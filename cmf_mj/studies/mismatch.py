@@ -7,7 +7,7 @@ deviation, u uniform and z normal cut off at `LIMIT` deviations,
 
     factor       value (1 + x)                        offset   value + x
 
-Every number has a random stream of its own for each draw, keyed by seed, draw and name: laws and
+Every number has one random stream for each draw, keyed by seed, draw and name: laws and
 cabs meet the same machines, so that differences between them are paired, and a spread added later
 leaves the others as they were.
 """

@@ -4,7 +4,7 @@
     method = "linear"                  # sweep, linear or matrix, see `evaluation`
     laws = ["velocity", "mine.toml"]
     cabs = ["gfd", "rfd", "ifd"]
-    draws = 100                        # machines with mismatch, beside the nominal one
+    draws = 100                        # machines with mismatch, and the nominal one
     simulate_every = 50                # every 50th is also simulated, by `matrix`
 
     [mismatch.hydraulics.leak_rate]
@@ -81,7 +81,7 @@ class StudySettings(Settings):
     """Of sweeps in translation [in]; rotations and steps in the report's proportions."""
     quick: bool = True  #: Sweep in 30 s instead of 100 s.
     seed: Annotated[int, Field(ge=0)] = 0  #: Of the machines drawn and of sensor noise.
-    draws: Annotated[int, Field(ge=0)] = 0  #: Machines with mismatch, beside the nominal one.
+    draws: Annotated[int, Field(ge=0)] = 0  #: Machines with mismatch, and the nominal one.
     simulate_every: Annotated[int, Field(ge=0)] = 0
     """Of a linear study: one machine in this many is simulated too; 0 for none."""
     mismatch: Mismatch = Mismatch()

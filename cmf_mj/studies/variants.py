@@ -70,11 +70,7 @@ class Payload:
 
 
 def payload_spec(
-    cab: str,
-    *,
-    inertia: float = 1.0,
-    centre_of_mass: bool = True,
-    leg_inertia: float = 1.0,
+    cab: str, *, inertia: float = 1.0, centre_of_mass: bool = True, leg_inertia: float = 1.0
 ) -> mujoco.MjSpec:
     """The machine with a cab, its mass properties edited.
 
@@ -117,7 +113,7 @@ class Rung:
     payload_inertia: bool = True
     centre_of_mass: bool = True
     leg_inertia: bool = True
-    network: bool = True  #: The set's own supply; otherwise a constant one.
+    network: bool = True  #: Supply of the hydraulic set; otherwise a constant one.
     friction: bool = False
     electronics: bool = False
     command_delay: int = 1  #: Frames.

@@ -7,8 +7,8 @@ extrapolated by Richardson's rule for order 2,
 
     y = y(h/2) + (y(h/2) - y(h)) / 3,
 
-whose own uncertainty is its distance from the same formed one step coarser. So an error of MuJoCo
-is against another engine and another formulation, an error of Exudyn is its own step error.
+whose uncertainty is its distance from the same formed one step coarser. So an error of MuJoCo
+is against another engine and another formulation, an error of Exudyn is its step error.
 """
 
 import sys

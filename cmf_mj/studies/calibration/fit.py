@@ -7,9 +7,9 @@ residual is
 
 where d = s(x0) - f(x0) is what linearisation misses at the point x0 of the last simulation (output
 space mapping: one simulation a round instead of one a derivative). The rounds end at parameters
-where d is measured, so the residuals reported are the simulation's own. Where the velocity law must
-stay stable with several cabs, each adds max(0, m - z) / 0.01 with z the least damping ratio of its
-linear loop and m the one asked for. Solved by scipy.optimize.least_squares within the bounds.
+where d is measured, so the residuals reported are those of the simulation. Where the velocity law
+must stay stable with several cabs, each adds max(0, m - z) / 0.01 with z the least damping ratio of
+its linear loop and m the one asked for. Solved by scipy.optimize.least_squares within the bounds.
 """
 
 from collections.abc import Callable, Mapping
@@ -38,7 +38,7 @@ _SOFT = 0.01
 
 
 class Residual(NamedTuple):
-    """One printed number beside a computed one."""
+    """One printed number and the computed one."""
 
     table: str
     law: str
@@ -82,7 +82,7 @@ class Calibration(NamedTuple):
 
 
 def residual_rows(study: Study, results: Results) -> list[Residual]:
-    """Every printed number of a study beside the results."""
+    """Every printed number of a study with the computed one."""
     return [
         _residual(study, row, measure, results[row.law])
         for row in study.rows
@@ -96,10 +96,8 @@ def _residual(study: Study, row: Row, measure: Measure, result: Measures) -> Res
     off = value - printed if measure == "damping" else value / printed - 1.0
     tolerance = float(getattr(study.tolerance, measure))
     role = "fitted" if measure in row.fitted else "predicted"
-    within = abs(off) <= tolerance
-    return Residual(
-        row.table, row.law, row.of, measure, role, printed, value, off, tolerance, within
-    )
+    numbers = (printed, value, off, tolerance, abs(off) <= tolerance)
+    return Residual(row.table, row.law, row.of, measure, role, *numbers)
 
 
 def _cost_vector(study: Study, values: Values, shift: Shift) -> NDArray[np.float64]:
@@ -147,7 +145,7 @@ def calibrate(
     """
     if rounds < 1:
         raise InputError(f"rounds: {rounds} must be at least 1")
-    tell = progress or (lambda text: None)
+    report = progress or (lambda text: None)
 
     def stage(values: dict[str, float]) -> Stage:
         return Stage(
@@ -157,40 +155,31 @@ def calibrate(
             least_damping(study, values),
         )
 
-    tell(f"{study.name}: as shipped")
+    report(f"{study.name}: as shipped")
     stages = [stage(starting_values(study))]
     free = study.free
     low, high = (np.array([getattr(p, end) for p in free]) for end in ("low", "high"))
+    names, scale = [p.name for p in free], high - low
     for number in range(1, rounds + 1):
-        tell(f"{study.name}: round {number} of {rounds}")
+        report(f"{study.name}: round {number} of {rounds}")
         last = stages[-1]
         shift = _shift(last)
-        scale = high - low
 
         def cost(
-            share: NDArray[np.float64],
-            last: Stage = last,
-            shift: Shift = shift,
-            scale: NDArray[np.float64] = scale,
+            share: NDArray[np.float64], last: Stage = last, shift: Shift = shift
         ) -> NDArray[np.float64]:
-            chosen = low + share * scale
-            names = (p.name for p in free)
-            return _cost_vector(study, last.values | dict(zip(names, chosen, strict=True)), shift)
+            chosen = dict(zip(names, low + share * scale, strict=True))
+            return _cost_vector(study, last.values | chosen, shift)
 
-        start = (np.array([last.values[p.name] for p in free]) - low) / scale
+        start = (np.array([last.values[name] for name in names]) - low) / scale
         solved = optimize.least_squares(
             cost, np.clip(start, 0.01, 0.99), bounds=(0.0, 1.0), diff_step=5e-3, xtol=1e-4
         )
-        chosen = (float(v) for v in low + solved.x * scale)
-        stages.append(stage(last.values | dict(zip((p.name for p in free), chosen, strict=True))))
+        fitted = (low + solved.x * scale).tolist()
+        stages.append(stage(last.values | dict(zip(names, fitted, strict=True))))
     errors, correlation = _uncertainty(solved.jac, solved.fun, scale)
-    names = [p.name for p in free]
-    return Calibration(
-        study,
-        tuple(stages),
-        dict(zip(names, errors.tolist(), strict=True)),
-        correlation,
-    )
+    named_errors = dict(zip(names, errors.tolist(), strict=True))
+    return Calibration(study, tuple(stages), named_errors, correlation)
 
 
 def _uncertainty(

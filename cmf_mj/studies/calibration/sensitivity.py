@@ -40,14 +40,14 @@ class Spread(NamedTuple):
 
     law: str
     measure: Measure
-    nominal: float  #: At the given values [Hz or 1].
+    nominal: float  #: At the nominal values [Hz or 1].
     low: float  #: 5 % of the samples lie below.
     high: float  #: 95 % of the samples lie below.
     unstable: float  #: Share of samples whose loop is unstable.
 
 
 def sensitivity(study: Study, values: Values, laws: tuple[str, ...] = ()) -> Sensitivity:
-    """Normalised derivatives about the given values.
+    """Normalised derivatives about some values.
 
     Args:
         study: parameters and plant.

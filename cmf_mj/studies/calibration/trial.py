@@ -1,4 +1,4 @@
-"""Results of a study at given parameter values: of the linear loop, and of the simulation.
+"""Results of a study at trial values of its parameters: of the linear loop, and of the simulation.
 
 Linear: the plant is linearised about rest (`linearization`), the law closes the loop, and -90 deg,
 -3 dB and the step's overshoot are read from the exact response: a tenth of a second a law.

@@ -111,7 +111,7 @@ class Envelope:
         return [point for point in self.points if point.dof == dof]
 
     def save_csv(self, path: str | Path) -> Path:
-        """Write the points in SI, the closed-form velocity amplitudes beside them."""
+        """Write the points in SI, the closed-form velocity amplitudes next to them."""
         limits = {limit.dof: limit for limit in self.asymptotes}
         names = [f"closed_form_{name}" for name in self.asymptotes[0].velocities(1.0)]
         rows = (
@@ -196,9 +196,8 @@ def _next(below: _Run | None, above: _Run | None, *, halve: bool) -> float:
     aim = np.log(_AIM)
     ends = [run for run in (below, above) if run is not None]
     if len(ends) < 2:
-        change = np.clip(
-            aim - np.log(ends[0].largest), *(np.log(_LARGEST_STEP) * np.array([-1, 1]))
-        )
+        most = np.log(_LARGEST_STEP)
+        change = np.clip(aim - np.log(ends[0].largest), -most, most)
         return float(ends[0].point.command * np.exp(change))
     low, high = (np.log(run.point.command) for run in ends)
     g_low, g_high = (np.log(run.largest) for run in ends)
@@ -272,8 +271,8 @@ def _flow(plant: Hexapod, record: Record, rows: slice) -> tuple[float, float]:
     oil = supply.accumulators * record["accumulator_oil"][rows] + record["supply_content"][rows]
     time = record.time[rows]
     lost = float(oil[0] - oil[-1]) / float(time[-1] - time[0])
-    given = record["pump_flow"][rows] - relief_flow(plant.parameters, record)[rows]
-    drawn = float(given.mean()) + lost
+    delivered = record["pump_flow"][rows] - relief_flow(plant.parameters, record)[rows]
+    drawn = float(delivered.mean()) + lost
     ratio = drawn / supply.pump_flow
     if lost > _PERIODIC * supply.pump_flow:
         ratio = max(ratio, 1.0 + lost / supply.pump_flow - _PERIODIC)

@@ -23,10 +23,10 @@ SIGNALS = ("sine", "step", "chirp", "noise", "multisine")
 """Manoeuvres with a name."""
 
 _SIZES = {"sine": 15.0, "step": 10.0, "chirp": 1.0, "noise": 3.0, "multisine": 3.0}
-"""Amplitudes where none is given [in or deg]."""
+"""Default amplitudes [in or deg]."""
 
 _FREQUENCIES = {"sine": 0.25, "chirp": 2.0, "noise": 1.0, "multisine": 1.0}
-"""Frequency of the sine and the highest of the others, where none is given [Hz]."""
+"""Default frequency of the sine, and default highest frequency of the others [Hz]."""
 
 _CYCLES, _SECONDS = 5.0, 20.0
 """A sine lasts so many cycles, and so long, at least."""

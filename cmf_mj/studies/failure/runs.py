@@ -1,4 +1,4 @@
-"""Runs of one event each, alone on its machine."""
+"""Runs of one event each, on a new machine."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -72,7 +72,7 @@ def run_failures(
     jobs: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[FailureResult]:
-    """Run several events, each alone on a machine of its own, on threads.
+    """Run several events, each on a new machine, on threads.
 
     Args:
         events: one run each.

@@ -60,8 +60,8 @@ def linear_cab(plant: Hexapod) -> LinearCab:
     legs, omega = plant.legs, 2.0 * np.pi * LINES
     response = np.moveaxis(control.frequency_response(system, omega).frdata, -1, 0)
     rows = {name: response[:, i * legs : (i + 1) * legs] for i, name in enumerate(FEEDBACK)}
-    held = control.sample_system(system, FRAME, method="zoh")
-    a, b, c = (np.ascontiguousarray(part) for part in (held.A, held.B, held.C))
+    sampled = control.sample_system(system, FRAME, method="zoh")
+    a, b, c = (np.ascontiguousarray(part) for part in (sampled.A, sampled.B, sampled.C))
     return LinearCab(
         plant.cab,
         pose_jacobian(np.zeros(6), plant.geometry),

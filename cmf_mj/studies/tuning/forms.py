@@ -2,9 +2,9 @@
 
     modal_plan      this project's: modes, plan, load pressure feedback
     velocity        velocity feedback of the report, its two gains anew: what the others stand on
-    pressure        beside it dynamic load pressure feedback
-    feed_forward    beside it feed-forward of the reference's velocity and acceleration
-    acceleration    beside it opposing acceleration feedback, its filter's corner free too
+    pressure        with dynamic load pressure feedback
+    feed_forward    with feed-forward of the reference's velocity and acceleration
+    acceleration    with opposing acceleration feedback, its filter's corner free too
     modal           gains of position, velocity and load pressure by mode, without a plan
 
 The four in the middle keep the report's compensator: its state gives the position K = -C / (1 - A)
@@ -35,7 +35,7 @@ from cmf_mj.studies.tuning.evaluation import LinearCab, linear_cab
 from cmf_mj.studies.tuning.nominal import nominal_modes
 
 HEAVY = 2
-"""Modes of the pair of surge and sway, which have gains of their own."""
+"""Modes of the pair of surge and sway, which have separate gains."""
 
 EASY = 2
 """The next modes, yaw and heave, whose chirp and step ask little of the valves."""
@@ -77,7 +77,7 @@ class Form(NamedTuple):
 
 
 def make_template(name: str, title: str, cabs: Sequence[str] = CABS) -> Template:
-    """What a search needs beside the form.
+    """What a search needs besides the form.
 
     Args:
         name: of the law.
@@ -113,8 +113,7 @@ def _six(at: Values, name: str, sign: float = 1.0) -> tuple[float, ...]:
 
 def _bounds(at: Values, name: str) -> NDArray[np.float64]:
     """Frequencies that bound the plan's reference, by mode, (6,) [Hz]."""
-    bounds = np.full(len(REPORT_AMPLITUDES), at[f"{name}_light"])
-    bounds[:HEAVY] = at[f"{name}_heavy"]
+    bounds = np.array(_six(at, name))
     bounds[HEAVY : HEAVY + EASY] = EASY_REACH
     return bounds
 
@@ -125,23 +124,13 @@ def _rounded(values: NDArray[np.float64]) -> tuple[float, ...]:
 
 def _plan_reach(at: Values) -> float:
     """Where rate or acceleration of the plan's reference end: w a <= R, w^2 a <= A."""
-    ends = [
-        min(at[f"rate_{pair}"], float(np.sqrt(at[f"rate_{pair}"] * at[f"acceleration_{pair}"])))
-        for pair in ("heavy", "light")
-    ]
-    return min(ends)
+    pairs = [(at[f"rate_{pair}"], at[f"acceleration_{pair}"]) for pair in ("heavy", "light")]
+    return min(min(rate, float(np.sqrt(rate * most))) for rate, most in pairs)
 
 
 def _modal(template: Template, **fields: object) -> Law:
-    return Law.model_validate(
-        {
-            "name": template.name,
-            "title": template.title,
-            "coordinates": "hydraulic_modes",
-            "modes": template.modes,
-            **fields,
-        }
-    )
+    common = {"name": template.name, "title": template.title, "modes": template.modes}
+    return Law.model_validate(common | {"coordinates": "hydraulic_modes"} | fields)
 
 
 def _modal_plan(template: Template, at: Values) -> Law:
@@ -153,10 +142,7 @@ def _modal_plan(template: Template, at: Values) -> Law:
         drive_lag=actuator.drive_lag.value,
         valve_lag=actuator.valve_lag.value,
         leak_rate=actuator.leak_rate.value,
-        pairs=(
-            (at["first_pair"], at["first_damping"]),
-            (at["second_pair"], at["second_damping"]),
-        ),
+        pairs=((at["first_pair"], at["first_damping"]), (at["second_pair"], at["second_damping"])),
         pole=at["pole"],
         rate=_rounded(rate),
         acceleration=_rounded(acceleration),

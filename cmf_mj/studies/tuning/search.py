@@ -27,7 +27,7 @@ FASTER = 1.5
 """Factor on all valve gains at which the loop must still be well damped."""
 
 MEAN = 0.1
-"""Weight of the mean bandwidth beside the lowest."""
+"""Weight of the mean bandwidth next to the lowest."""
 
 Seeds = Sequence[int | None]
 """Sets of valve gains, `valve_gains`."""
