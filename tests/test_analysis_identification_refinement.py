@@ -175,7 +175,7 @@ def test_refusals_are_named() -> None:
         instrumental_variable(run, (3, 3, 1), instrument="reference")
     with pytest.raises(ValueError, match="start: 'zero' is not one of arx, iv, a model"):
         output_error(run, (3, 3, 1), start="zero")
-    with pytest.raises(ValueError, match=r"start: has orders \(2, 2, 1\); wanted \(3, 3, 1\)"):
+    with pytest.raises(ValueError, match=r"start: has orders \(2, 2, 1\); allowed: \(3, 3, 1\)"):
         output_error(run, (3, 3, 1), start=arx(run, (2, 2, 1)))
     with pytest.raises(ValueError, match="experiments: none given"):
         output_error([], (3, 3, 1))

@@ -76,7 +76,7 @@ def test_a_motion_within_the_limits_passes_to_the_bit():
     stream = Washout().run(turn_entry())
     assert excursion(stream).largest < 1.0
     kept = within_limits(stream)
-    assert not kept.held.any()
+    assert not kept.limited.any()
     for name in ("pose", "velocity", "acceleration"):
         np.testing.assert_array_equal(getattr(kept.stream, name), getattr(stream, name))
 
@@ -86,7 +86,7 @@ def test_a_motion_beyond_them_is_held_within_travel_and_leg_rates():
     assert excursion(stream).largest > 1.2
     assert "leg_displacement" in excursion(stream).binding
     kept = within_limits(stream)
-    assert kept.held.any() and not kept.held.all()
+    assert kept.limited.any() and not kept.limited.all()
     legs = pose_to_legs(kept.stream.pose)
     assert np.abs(legs).max() <= WORKING_STROKE * (1 + 1e-12)
     low, high = LIMITS.operational.T
@@ -106,7 +106,7 @@ def test_tuning_just_uses_the_machine_and_no_more():
     assert 1.0 - 1e-4 < tuned.excursion.largest <= 1.0
     assert "displacement" in tuned.binding
     np.testing.assert_allclose(tuned.settings.gains, tuned.factor * load_washout().gains)
-    assert not cue(PUSH, tuned.settings).held.any()
+    assert not cue(PUSH, tuned.settings).limited.any()
     half = tune(PUSH, share=0.5, dofs=("surge",))
     assert half.excursion.largest <= 0.5
     np.testing.assert_array_equal(half.settings.gains[1:], load_washout().gains[1:])

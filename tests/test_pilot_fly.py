@@ -52,7 +52,7 @@ def ride(failing: PilotMotion) -> FlightResult:
 def test_the_envelope_is_kept_and_nothing_fails(ride: FlightResult) -> None:
     assert ride.fault is None and ride.use.within
     assert 0.1 < ride.use.leg_position < 1.0 and ride.use.stops == 0.0
-    assert not ride.held.any()
+    assert not ride.limited.any()
     assert all(np.isfinite(values).all() for values in ride.operation.record.channels.values())
 
 
@@ -123,7 +123,7 @@ def direct() -> FlightResult:
 
 def test_direct_mode_has_no_aircraft(direct: FlightResult) -> None:
     assert direct.aircraft is None and direct.cueing is None
-    assert direct.use.within and not direct.held.any()
+    assert direct.use.within and not direct.limited.any()
     figure = flight_report.sensed_figure(direct)
     assert figure.axes[0].get_legend_handles_labels()[1][1] == "if followed at once"
 

@@ -104,7 +104,9 @@ def test_a_pose_is_drawn_back_until_its_legs_have_room(plant: Hexapod) -> None:
     np.testing.assert_array_equal(near.frequency_hz, plant.hydraulic_modes(near.pose).frequency_hz)
     assert min(largest_stroke(plant, near, mode) for mode in range(6)) >= 0.1 - 1e-9
     assert within_stroke(plant, found, 0.01) is found
-    with pytest.raises(ValueError, match=r"room: 1\.0 m must be at least 0 and less than 0\.9525"):
+    with pytest.raises(
+        ValueError, match=r"clearance: 1\.0 m must be at least 0 and less than 0\.9525"
+    ):
         within_stroke(plant, found, 1.0)
 
 

@@ -125,7 +125,7 @@ def frequency_response(
         dof: degree of freedom, or a leg, `leg_1` and so on; default the degree of freedom the
             command moved.
         segment: length of Welch's segments [s], for records that are not periodic.
-        estimator: `h1`, `h2`, `hv`, or `report`: Appendix A's, with its own segments, or over the
+        estimator: `h1`, `h2`, `hv`, or `report`: Appendix A's, with its segments, or over the
             periods of a multisine the mean of H1 and H2.
 
     Returns:
@@ -261,8 +261,8 @@ def rounds_response(
 def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
     """The full 6 by 6 response from pose demand to pose feedback, of one run.
 
-    Each column is measured at its own lines and interpolated to the lines of all, NaN outside its
-    own; m and rad per m and rad, outputs in rows.
+    Each column is measured at its lines and interpolated to the lines of all, NaN outside
+    them; m and rad per m and rad, outputs in rows.
 
     Args:
         record: of `signals.orthogonal_multisines` in all six degrees of freedom.

@@ -193,7 +193,7 @@ def slowest_mode(poles: NDArray[np.complex128]) -> tuple[float, float]:
 def least_damped_mode(
     poles: NDArray[np.complex128], highest_hz: float = 50.0
 ) -> tuple[float, float]:
-    """Least damping ratio of the pairs of a discrete loop below a frequency, and its own [Hz]."""
+    """Damping ratio and frequency [Hz] of the least damped pair of a loop below a frequency."""
     pairs = oscillations(poles)
     pairs = pairs[np.abs(pairs) < 2.0 * np.pi * highest_hz]
     return _mode(pairs, -pairs.real / np.abs(pairs))

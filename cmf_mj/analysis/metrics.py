@@ -171,7 +171,7 @@ def hysteresis(demand: Signal, response: Signal, rate: float, frequency: float) 
     """
     count = min(40, int(np.ceil(rate / 2 / frequency)) - 1)
     into, out = harmonics(demand, rate, frequency, 1), harmonics(response, rate, frequency, count)
-    # On the demand's own angle a, rising and falling branch meet at a and pi - a.
+    # On the angle a of the demand, rising and falling branch meet at a and pi - a.
     angle = np.linspace(-np.pi / 2, np.pi / 2, 721)
     orders = np.arange(1, count + 1)
     phase = out.phase - orders * into.phase[0]

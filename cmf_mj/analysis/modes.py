@@ -242,22 +242,22 @@ def over_envelope(
     return Range(looked_at, plant.hydraulic_modes(search.x))
 
 
-def within_stroke(plant: Hexapod, modes: HydraulicModes, room: float) -> HydraulicModes:
+def within_stroke(plant: Hexapod, modes: HydraulicModes, clearance: float) -> HydraulicModes:
     """Modes at a pose, or as far on the way there from neutral as all legs keep some stroke.
 
     Args:
         plant: the hexapod.
         modes: modes at the pose.
-        room: working stroke to be left to every leg [m].
+        clearance: working stroke to be left to every leg [m].
 
     Raises:
         InputError: not even neutral leaves that much.
     """
-    if not 0.0 <= room < (most := float(reserve(np.zeros(6), plant))):
-        raise InputError(f"room: {room} m must be at least 0 and less than {most:.4f} m")
-    if reserve(modes.pose, plant) >= room:
+    if not 0.0 <= clearance < (most := float(reserve(np.zeros(6), plant))):
+        raise InputError(f"clearance: {clearance} m must be at least 0 and less than {most:.4f} m")
+    if reserve(modes.pose, plant) >= clearance:
         return modes
-    share = optimize.brentq(lambda part: reserve(part * modes.pose, plant) - room, 0.0, 1.0)
+    share = optimize.brentq(lambda part: reserve(part * modes.pose, plant) - clearance, 0.0, 1.0)
     return plant.hydraulic_modes(share * modes.pose)
 
 

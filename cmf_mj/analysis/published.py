@@ -74,10 +74,10 @@ def published_results() -> tuple[Published, ...]:
 
 
 def published(law: str, dof: str, hydraulics: str) -> Published | None:
-    """The published result to set beside a run, or None.
+    """The published result to compare a run with, or None.
 
-    Runs with the `report` hydraulics stand beside the report's non-linear model; others stand
-    beside the hardware where it was measured, beside the non-linear model where it was not.
+    Runs with the `report` hydraulics are compared with the report's non-linear model; others
+    with the hardware where it was measured, with the non-linear model where it was not.
     """
     name = _READ_AS.get(law, law)
     rows = {row.of: row for row in published_results() if row.law == name and row.dof == dof}

@@ -7,11 +7,11 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class SineFit(NamedTuple):
-    """Sines beside an offset, and what is left."""
+    """Sines with an offset, and what is left."""
 
     amplitude: NDArray[np.complex128]
     """Complex amplitudes a of Re(a e^(j angle)), (K,) or (K, n)."""
-    offset: NDArray[np.float64]  #: Mean beside the sines, () or (n,).
+    offset: NDArray[np.float64]  #: Mean without the sines, () or (n,).
     remainder: NDArray[np.float64]  #: Values less the fit, (N,) or (N, n).
 
 

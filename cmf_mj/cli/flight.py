@@ -101,7 +101,7 @@ def fly_command(
         kept = "kept within" if ride.use.within else "LEFT"
         show(
             f"{ride.law}: {kept} the envelope, legs {ride.use.leg_position:.0%} of their "
-            f"stroke, {ride.use.leg_velocity:.0%} of their speed, {int(ride.held.sum())} "
+            f"stroke, {ride.use.leg_velocity:.0%} of their speed, {int(ride.limited.sum())} "
             f"host frames held back; host to legs "
             f"{1e3 * (ride.host_delay + ride.loop_delay):.0f} ms"
         )
@@ -174,7 +174,7 @@ def run_command(
         rate=rate,
     )
     paths = report.save_cue(flown, out)
-    excursion = report.excursion_table(flown.excursion, int(flown.held.sum()))
+    excursion = report.excursion_table(flown.excursion, int(flown.limited.sum()))
     show(report.error_table(flown), excursion, written(paths))
 
 

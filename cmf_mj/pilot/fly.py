@@ -65,7 +65,7 @@ class FlightResult(NamedTuple):
     cab: str
     aircraft: PilotMotion | None  #: At the pilot's station of the aircraft; None in direct mode.
     stream: hosts.HostStream  #: What the host sends to the DCU.
-    held: NDArray[np.bool_]  #: Frames that the limits held back before they were sent, (N,).
+    limited: NDArray[np.bool_]  #: Frames that the limits held back before they were sent, (N,).
     asked: PilotMotion
     """At the pilot's station of the cab, if the machine followed the frames at once."""
     simulator: PilotMotion  #: At the pilot's station of the cab, in truth.
@@ -85,8 +85,8 @@ class FlightResult(NamedTuple):
     @property
     def fault(self) -> str | None:
         """Name of the fault that ended the flight, or None."""
-        found = self.operation.record.metadata["fault"]
-        return None if found is None else str(found["name"])
+        fault = self.operation.record.metadata["fault"]
+        return None if fault is None else str(fault["name"])
 
 
 def fly(
@@ -122,9 +122,9 @@ def fly(
     if isinstance(host, PilotMotion | pilot_host.AircraftHost):
         flown = host if isinstance(host, PilotMotion) else pilot_host.pilot_motion(host)
         cued = cue(flown, cueing, cab=cab, limits=limits, senses=senses)
-        aircraft, stream, held, asked = cued.aircraft, cued.stream, cued.held, cued.simulator
+        aircraft, stream, limited, asked = cued.aircraft, cued.stream, cued.limited, cued.simulator
     else:
-        stream, held = within_limits(_even(pilot_host.host_stream(host)), limits)
+        stream, limited = within_limits(_even(pilot_host.host_stream(host)), limits)
         motion = (stream.time, stream.pose, stream.velocity, stream.acceleration)
         asked = PilotMotion.from_platform(*motion, pilot_station(cab))
     operation = operate(
@@ -144,7 +144,7 @@ def fly(
         cab,
         aircraft,
         stream,
-        held,
+        limited,
         asked,
         simulator,
         None if aircraft is None else cueing_error(aircraft, simulator, senses),
@@ -157,7 +157,7 @@ def fly(
 
 
 def crew_motion(record: Record, time: NDArray[np.float64]) -> PilotMotion:
-    """The crew's motion of a record at given times [s], without what lies beyond 30 Hz.
+    """The crew's motion of a record at some times [s], without what lies beyond 30 Hz.
 
     Raises:
         InputError: a record too slow to have anything there.
@@ -244,10 +244,10 @@ def _delays(sent: NDArray[np.float64], record: Record) -> tuple[float, float]:
     leg = int(np.ptp(reference, axis=0).argmax())
     if np.ptp(reference[:, leg]) == 0.0:
         return float("nan"), float("nan")
-    sent_rate, wanted_rate, true_rate = (
+    sent_rate, reference_rate, leg_rate = (
         np.diff(values[:rows, leg]) for values in (sent, reference, moved)
     )
     return (
-        transient_delay(sent_rate, wanted_rate, record.rate),
-        transient_delay(wanted_rate, true_rate, record.rate),
+        transient_delay(sent_rate, reference_rate, record.rate),
+        transient_delay(reference_rate, leg_rate, record.rate),
     )

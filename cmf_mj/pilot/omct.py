@@ -8,12 +8,12 @@ the pilot's station of the simulator is its response. Ten tests, input > output:
     pitch > surge    roll > sway                   specific force over angle [m/s^2/rad]
     surge > pitch    sway > roll                   angle over specific force [rad/(m/s^2)]
 
-An input in pitch or roll turns the aircraft about the pilot's station, gravity with it, so that its
-own specific force over angle is g (minus g in roll). Responses are taken at three places: behind
+An input in pitch or roll turns the aircraft about the pilot's station, gravity with it, so that the
+specific force over angle is g (minus g in roll). Responses are taken at three places: behind
 the washout (host frames), behind the DCU (an ideal machine), and at the crew's accelerometer of the
 machine under each control law; the last over the one before is the law's share. What an output has
-beside mean and fundamental, harmonics, ringing or a limit cycle, is told by its root mean square
-over that of the fundamental: where this is large the fundamental alone says little.
+beyond mean and fundamental, harmonics, ringing or a limit cycle, is measured by its root mean
+square over that of the fundamental: where this is large the fundamental alone says little.
 
 Single sines, because the washout is not linear: its tilt rate is limited. The procedure is that of
 ICAO 9625 as far as it was known here: frequencies and amplitudes are recalled, not read, and the
@@ -99,7 +99,7 @@ class Omct(NamedTuple):
     """By `STAGES` and law: complex responses in SI, (10, K); NaN where the machine left its
     bounds."""
     remainder: dict[str, NDArray[np.float64]]
-    """By `STAGES` and law: what the output has beside mean and fundamental, rms over the rms of the
+    """By `STAGES` and law: what the output has beyond mean and fundamental, rms over the rms of the
     fundamental, (10, K); NaN likewise."""
 
     def share(self, law: str) -> NDArray[np.complex128]:
@@ -144,7 +144,7 @@ def aircraft_motion(dof: str, frequency: float, size: float) -> tuple[PilotMotio
 
 def outputs_of(dof: str) -> list[int]:
     """Tests that an input drives, as places in `TESTS`."""
-    return [place for place, (given, _) in enumerate(TESTS) if given == dof]
+    return [place for place, (driven, _) in enumerate(TESTS) if driven == dof]
 
 
 def omct(
@@ -190,8 +190,8 @@ def omct(
             )
     names = [*STAGES, *(law.name for law in loaded)]
     shape = len(TESTS), len(frequencies)
-    found = {name: np.full(shape, np.nan + 0j) for name in names}
-    beside = {name: np.full(shape, np.nan) for name in names}
+    responses = {name: np.full(shape, np.nan + 0j) for name in names}
+    remainders = {name: np.full(shape, np.nan) for name in names}
     cases = [
         (dof, column, law)
         for dof in dofs
@@ -213,13 +213,13 @@ def omct(
         for name, motion in felt.items():
             for place in outputs_of(dof):
                 output = _output(motion, TESTS[place][1])
-                found[name][place, column], beside[name][place, column] = _fundamental(
+                responses[name][place, column], remainders[name][place, column] = _fundamental(
                     motion.time, output, frequency, size, begin
                 )
 
     on_threads(run, cases, jobs, progress)
     driven = np.array(frequencies, dtype=float)
-    return Omct(settings.name, cab, parameters.name, driven, found, beside)
+    return Omct(settings.name, cab, parameters.name, driven, responses, remainders)
 
 
 def _without_machine(
@@ -266,7 +266,7 @@ def _fundamental(
     size: float,
     begin: float,
 ) -> tuple[complex, float]:
-    """Fundamental of an output over an input size sin(frequency time), and what is beside it.
+    """Fundamental of an output over an input size sin(frequency time), and the remainder.
 
     Over the whole cycles from `begin` on a fundamental of amplitude A has the variance A^2 / 2;
     what the output's variance has more is the remainder's, the mean taken out.

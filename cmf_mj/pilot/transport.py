@@ -49,7 +49,7 @@ class TransportDelay(NamedTuple):
     dof: str
     frequency: float  #: [Hz].
     stages: tuple[Stage, ...]  #: In the order of the signal.
-    host_to_reference: float  #: Measured, to set beside the sum of the DCU's settings [s].
+    host_to_reference: float  #: Measured, to compare with the sum of the DCU's settings [s].
     total: float
     """Measured from host to pilot [s]; the stages add up to it but for what the DCU's settings
     differ from `host_to_reference`."""
@@ -97,8 +97,8 @@ def transport_delay(
     count = round(_CYCLES * RATE / frequency)
 
     def fundamental(values: NDArray[np.float64]) -> complex:
-        found = metrics.harmonics(values[first : first + count], RATE, frequency, 1)
-        return complex(found.amplitude[0] * np.exp(1j * found.phase[0]))
+        fit = metrics.harmonics(values[first : first + count], RATE, frequency, 1)
+        return complex(fit.amplitude[0] * np.exp(1j * fit.phase[0]))
 
     pattern = kinematics.pose_jacobian(np.zeros(6))[:, index]
 

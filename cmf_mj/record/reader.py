@@ -62,7 +62,7 @@ class _Table(NamedTuple):
 def read_facility_csv(path: str | Path) -> Record:
     """Read a recording of the facility's form.
 
-    Columns are found by the names of `LAYOUT`, in any order and number; leg positions are the only
+    Columns go by the names of `LAYOUT`, in any order and number; leg positions are the only
     ones required. A header without any of these names means the published places: the full file of
     at least 179 columns, or the block alone, 113. Separators are commas, semicolons or blanks;
     lines that begin with `#` are comments. Values that are read must be finite numbers; columns
@@ -73,7 +73,7 @@ def read_facility_csv(path: str | Path) -> Record:
 
     Returns:
         Channels in SI at 128 Hz. In the metadata `command` is the writer's, or of the kind
-        `recording`; `recording` names the file and says how its columns were found.
+        `recording`; `recording` names the file and says how its columns were identified.
 
     Raises:
         InputError: the file is not a whole recording; row, column and value are named.
@@ -183,12 +183,12 @@ def _canonical(cell: str) -> str:
 
 
 def _read_trailer(path: Path, comments: list[tuple[int, str]]) -> Trailer | None:
-    found = [(row, line.strip()) for row, line in comments if line.strip().startswith(TRAILER)]
-    if not found:
+    trailers = [(row, line.strip()) for row, line in comments if line.strip().startswith(TRAILER)]
+    if not trailers:
         return None
-    row, line = found[-1]
+    row, line = trailers[-1]
     where = f"{path}: row {row}"
-    if len(found) > 1:
+    if len(trailers) > 1:
         raise InputError(f"{where}: is a second line {TRAILER!r}; allowed: one")
     try:
         content = json.loads(line.removeprefix(TRAILER))
@@ -237,11 +237,11 @@ def _ours(name: str) -> bool:
 def _values(table: _Table) -> dict[str, NDArray[np.float64]]:
     """The columns with a known name; these, or else the whole block, are finite numbers."""
     _check_header(table)
-    wanted = {index for index, name in enumerate(table.names) if _ours(name)}
+    read = {index for index, name in enumerate(table.names) if _ours(name)}
     if not table.by_name:
         first = table.names.index(next(iter(POSITIONS)))
-        wanted |= set(range(first, first + BLOCK_WIDTH))
-    indices = sorted(wanted)
+        read |= set(range(first, first + BLOCK_WIDTH))
+    indices = sorted(read)
     try:
         values = np.loadtxt(
             table.lines, delimiter=table.separator, usecols=indices, comments=None, ndmin=2

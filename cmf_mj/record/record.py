@@ -45,9 +45,9 @@ class Record:
 
     def __post_init__(self) -> None:
         """Take copies, freeze them and check that they belong together."""
-        own = {name: np.array(values) for name, values in self.channels.items()}
+        copies = {name: np.array(values) for name, values in self.channels.items()}
         object.__setattr__(self, "time", np.array(self.time))
-        for name, values in {"time": self.time, **own}.items():
+        for name, values in {"time": self.time, **copies}.items():
             if values.shape[0] != self.time.shape[0]:
                 raise InputError(
                     f"{name}: has {values.shape[0]} samples; time has {self.time.shape[0]}"
@@ -56,7 +56,7 @@ class Record:
         if set(self.units) != set(self.channels):
             odd = sorted(set(self.units) ^ set(self.channels))
             raise InputError(f"units: every channel needs one unit; check {', '.join(odd)}")
-        object.__setattr__(self, "channels", MappingProxyType(own))
+        object.__setattr__(self, "channels", MappingProxyType(copies))
         object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
 
@@ -92,8 +92,8 @@ class Record:
         if not isinstance(signal, kind):
             needed = kind.model_fields["kind"].annotation
             name = str(get_args(needed)[0]).replace("_", " ")
-            wanted = f"{name} are" if name.endswith("s") else f"a {name} is"
-            raise InputError(f"record: its command is a {signal.kind}; {wanted} needed")
+            subject = f"{name} are" if name.endswith("s") else f"a {name} is"
+            raise InputError(f"record: its command is a {signal.kind}; {subject} needed")
         return signal
 
     @property

@@ -93,13 +93,13 @@ def read_uff(path: str | Path) -> Record:
     pyuff, source = require("pyuff", "uff"), Path(path)
     try:
         source.open("rb").close()
-        found = pyuff.UFF(str(source)).read_sets()
+        sets = pyuff.UFF(str(source)).read_sets()
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except Exception as error:  # pyuff raises nothing more special
         raise InputError(f"{path}: is not a readable UFF file: {error}") from error
-    found = [found] if isinstance(found, dict) else found
-    datasets = [each for each in found if each.get("type") == 58 and each["func_type"] == 1]
+    sets = [sets] if isinstance(sets, dict) else sets
+    datasets = [each for each in sets if each.get("type") == 58 and each["func_type"] == 1]
     if not datasets:
         raise InputError(f"{path}: holds no time response (dataset 58, function type 1)")
     first = datasets[0]

@@ -81,10 +81,12 @@ def motion_figure(flown: Cue) -> Figure:
         platform.set_ylabel(f"platform [{unit}]")
         leg.set_ylabel("extension [in]")
     legend(*axes[3:].flat, ncols=3)
-    if flown.held.any():
+    if flown.limited.any():
         for axis in axes[3:].flat:
             low, high = axis.get_ylim()
-            axis.fill_between(time, low, high, where=flown.held.tolist(), color=ORANGE, alpha=0.15)
+            axis.fill_between(
+                time, low, high, where=flown.limited.tolist(), color=ORANGE, alpha=0.15
+            )
             axis.set_ylim(low, high)
         axes[3, 0].set_title("shaded: held back by the limits", fontsize=9)
     return figure

@@ -106,35 +106,35 @@ def check_limits(command: Command, limits: Limits | None = None) -> Peaks:
             its value and its limit.
     """
     allowed = limits or Limits()
-    found = peaks(command)
+    largest = peaks(command)
     faults = []
     for i, (dof, unit) in enumerate(zip(DOFS, _DOF_UNITS, strict=True)):
         low, high = allowed.displacement[i]
         for value in (command.pose[:, i].min(), command.pose[:, i].max()):
             if not low <= value <= high:
                 faults.append(f"{dof}: {value:.4g} {unit}; allowed: {low:.4g} to {high:.4g} {unit}")
-        faults += _excess(f"{dof} velocity", found.velocity[i], allowed.velocity[i], f"{unit}/s")
+        faults += _excess(f"{dof} velocity", largest.velocity[i], allowed.velocity[i], f"{unit}/s")
         faults += _excess(
-            f"{dof} acceleration", found.acceleration[i], allowed.acceleration[i], f"{unit}/s^2"
+            f"{dof} acceleration", largest.acceleration[i], allowed.acceleration[i], f"{unit}/s^2"
         )
     for leg in range(6):
         name = f"leg {leg + 1}"
         for what, value, limit, unit in (
-            ("displacement", found.leg_displacement[leg], allowed.leg_displacement, "m"),
-            ("velocity", found.leg_velocity[leg], allowed.leg_velocity, "m/s"),
-            ("acceleration", found.leg_acceleration[leg], allowed.leg_acceleration, "m/s^2"),
+            ("displacement", largest.leg_displacement[leg], allowed.leg_displacement, "m"),
+            ("velocity", largest.leg_velocity[leg], allowed.leg_velocity, "m/s"),
+            ("acceleration", largest.leg_acceleration[leg], allowed.leg_acceleration, "m/s^2"),
         ):
             faults += _excess(f"{name} {what}", value, limit, unit)
     if faults:
         raise InputError("; ".join(faults))
-    return found
+    return largest
 
 
 def _excess(name: str, value: float, limit: float, unit: str) -> list[str]:
     if value <= limit:
         return []
-    shown = "infinite (it jumps)" if np.isinf(value) else f"{value:.4g} {unit}"
-    return [f"{name}: {shown}; allowed: at most {limit:.4g} {unit}"]
+    text = "infinite (it jumps)" if np.isinf(value) else f"{value:.4g} {unit}"
+    return [f"{name}: {text}; allowed: at most {limit:.4g} {unit}"]
 
 
 def _rates(

@@ -115,7 +115,7 @@ class Signal(Settings):
         """The signal as a table of poses at 2048 Hz.
 
         Args:
-            seed: of random phases, where the signal has no seed of its own.
+            seed: of random phases, where the signal has none in its settings.
         """
 
     def motion(self, seed: int = 0) -> Motion:
@@ -191,8 +191,8 @@ class SingleSignal(Signal):
 
     def command(self, seed: int = 0) -> "Command":
         """The signal as a table of poses at 2048 Hz."""
-        own = getattr(self, "seed", None)
-        seed = seed if own is None else own
+        fixed = getattr(self, "seed", None)
+        seed = seed if fixed is None else fixed
         poses = along({self.dof: self._history(seed)})
         return Command(poses, self, seed if hasattr(self, "seed") else None)
 

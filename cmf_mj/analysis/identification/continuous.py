@@ -1,4 +1,4 @@
-"""Identified models in continuous time, closed with the law and held against the measured loop.
+"""Identified models in continuous time, closed with the law and compared with the measured loop.
 
 Series that were decimated are band-limited: the response of a discrete model on the unit circle is
 the continuous one there, G(j w) = G_d(e^(j w T)) within the excited band, and `to_continuous` fits
@@ -91,7 +91,7 @@ def in_field_units(velocity: control.TransferFunction) -> UnitTransferFunction:
 
 
 class LoopErrors(NamedTuple):
-    """A model's closed loop beside the measured one, in the terms of Table 4-1."""
+    """A model's closed loop and the measured one, in the terms of Table 4-1."""
 
     model: Measures
     measured: Measures  #: Without a measured step its shape is NaN.

@@ -1,7 +1,7 @@
 """Input and output series for identification, taken from records.
 
-The valve command acts on the legs one computing frame late and is held over a frame. At its own
-sampling instants the held command jumps; its band-limited value there is the mean of both sides,
+The valve command acts on the legs one computing frame late and is held over a frame. At the
+sampling instants this command jumps; its band-limited value there is the mean of both sides,
 
     u(t[k]) = (c[k-d] + c[k-d-1]) / 2,    d = command_delay of the run
 
@@ -227,7 +227,7 @@ def experiment(
         axes: one or several of surge, sway, heave, roll, pitch, yaw, leg_1 and so on.
         outputs: channels, each taken along every axis.
         rate: samples a second afterwards [Hz]; the record's must be a whole multiple of it.
-        command_delay: frames of 1/2048 s from command to valve; default the run's own, 1 where
+        command_delay: frames of 1/2048 s from command to valve; default the run's, 1 where
             the record does not say.
         detrend: what is taken out of every series.
         start: time to drop at the beginning [s], such as the transient of a multisine.
@@ -274,7 +274,7 @@ def experiment(
 
 
 def _at_valve(command: Real, frames: int, rate: float) -> Real:
-    """Band-limited value of the held, delayed command at the sampling instants."""
+    """Band-limited value of the delayed, zero-order-hold command at the sampling instants."""
     place = np.arange(command.shape[0], dtype=float)
     late = np.clip(place - (frames + 0.5) * rate / FRAMES, 0.0, None)
     return np.asarray(interpolate.make_interp_spline(place, command, k=3, axis=0)(late))

@@ -72,14 +72,14 @@ class PolynomialModel:
     covariances: Real  #: Of the parameters of each row, (ny, p, p).
     noise_variance: Real  #: Of e or v, (ny,), in squares of the outputs' units.
     noise: Literal["equation", "output"]  #: Where the noise enters.
-    method: str  #: How the model was found.
+    method: str  #: How the model was fitted.
     samples: int  #: Samples the fit used.
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
     input_units: tuple[str, ...]
     output_units: tuple[str, ...]
     reflected: tuple[complex, ...] = ()
-    """Poles outside the unit circle that were reflected into it, as found."""
+    """Poles outside the unit circle that were reflected into it, as fitted."""
     converged: bool = True
     """Whether an iteration ended by its tolerance, not by its largest number of steps."""
 
@@ -134,7 +134,7 @@ class PolynomialModel:
     def stabilised(self) -> "PolynomialModel":
         """Poles p outside the unit circle put at 1 / conj(p), gain kept at every frequency.
 
-        |B/A| on the unit circle does not change; the phase does. The poles as found are kept in
+        |B/A| on the unit circle does not change; the phase does. The poles as fitted are kept in
         `reflected`; covariances become NaN. A stable model is returned as it is.
         """
         unstable = self.unstable_poles

@@ -71,6 +71,6 @@ def plant_response(
 
 
 def _rate(record: Record) -> float:
-    """The analysis rate, or the record's own where it is lower or no multiple."""
+    """The analysis rate, or the record's where it is lower or no multiple."""
     factor = record.rate / RATE
     return RATE if factor >= 1.0 and abs(factor - round(factor)) < 1e-9 else record.rate

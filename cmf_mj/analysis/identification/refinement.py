@@ -49,7 +49,7 @@ PREFILTER = 24
 """Orders of the ARX model from reference to input."""
 
 _SINGULAR = 1e12
-"""Condition from which on parameters count as not told apart."""
+"""Condition from which on parameters count as not distinguishable."""
 
 
 def _assembled(
@@ -82,7 +82,7 @@ def instrumental_variable(
 
     Raises:
         InputError: as `arx`; no reference; another instrument; an iteration that diverges. One that
-            only has not ended is told by the result's `converged`.
+            only has not ended is marked by the result's `converged`.
     """
     if instrument not in ("input", "reference"):
         raise InputError(f"instrument: {instrument!r} is not one of input, reference")
@@ -222,14 +222,14 @@ def output_error(
         evaluations: of the simulation a row, at most.
 
     Raises:
-        InputError: as `arx`; another start. A search that has not ended is told by the result's
+        InputError: as `arx`; another start. A search that has not ended is marked by the result's
             `converged`.
     """
     runs = as_experiments(experiments)
     chosen = Orders(*orders).check()
     if isinstance(start, PolynomialModel):
         if start.orders != chosen:
-            raise InputError(f"start: has orders {tuple(start.orders)}; wanted {tuple(chosen)}")
+            raise InputError(f"start: has orders {tuple(start.orders)}; allowed: {tuple(chosen)}")
         start.check(runs[0])
         first = start
     elif start in ("arx", "iv"):

@@ -2,7 +2,7 @@
 
     H(s) = g N(s) / D(s) e^(-s tau),   minimise sum_k |H(j w_k) - H_k|^2 / sigma_k^2
 
-Two steps. Poles are found without a starting guess by the linear least squares of D H = N,
+Two steps. Poles are computed without a starting guess by the linear least squares of D H = N,
 repeated with the weight 1 / |D| of the time before (Sanathanan and Koerner, IEEE Trans. Automatic
 Control 8 (1963) 56-58); those in the right half plane are reflected and counted. Then poles, zeros,
 gain and delay are refined together on the complex residuals by `scipy.optimize.least_squares` with

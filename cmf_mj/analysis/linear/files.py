@@ -23,7 +23,7 @@ def save_system(
     Args:
         system: continuous or discrete.
         path: of the file.
-        description: plain JSON values kept beside it, such as plant and pose.
+        description: plain JSON values kept with it, such as plant and pose.
     """
     content: dict[str, Any] = {
         "name": system.name,

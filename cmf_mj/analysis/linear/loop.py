@@ -15,7 +15,7 @@ its inputs and H = e^(-s d T0) (1 - e^(-s T0)) / (s T0) delay and hold,
 The same law on every axis is a number times 1, and the axes may be any; a law in hydraulic modes is
 a matrix. The accelerometer is one frame late, as in the simulation.
 
-The report's zero pressures are nearly right for a leg of its own and in heave, where the law's
+The report's zero pressures are nearly right for a single leg and in heave, where the law's
 pressure terms move the -90 deg bandwidth by 0.3 %. In surge and sway of the hexapod, whose legs
 swing the largest mass, they slow it by about 2 %: models of the pressures belong into that loop.
 """
@@ -118,7 +118,7 @@ def closed_loop(
 
 
 def _at_frames(plant: UnitTransferFunction | control.StateSpace) -> control.StateSpace:
-    """The plant as a state space at 2048 Hz, its input held over a frame."""
+    """The plant as a state space at 2048 Hz, its input constant over a frame."""
     if isinstance(plant, UnitTransferFunction):
         return leg_plant(plant)
     if not isinstance(plant, control.StateSpace):
@@ -192,7 +192,7 @@ def _delayed(matrices: tuple[Matrix, ...], frames: int) -> tuple[Matrix, ...]:
 def loop_response(
     loop: control.StateSpace, frequency: NDArray[np.float64], output: int = 0, input: int = 0
 ) -> FrequencyResponse:
-    """The exact frequency response of a closed loop, as measured ones are given.
+    """The exact frequency response of a closed loop, in the form of measured ones.
 
     Args:
         loop: of `closed_loop`, or any other linear system.

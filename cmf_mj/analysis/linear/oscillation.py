@@ -44,10 +44,10 @@ class Oscillation(NamedTuple):
 def open_loop(law: Law, leg: control.StateSpace, f: NDArray[np.float64]) -> NDArray[np.complex128]:
     """L at `f` [Hz], (K,): from the command at the valve around to the DCL's output."""
     omega = 2.0 * np.pi * f
-    held = control.sample_system(leg, FRAME, method="zoh", copy_names=True)
-    plant = control.frequency_response(held, omega).frdata[:, 0, :]
+    sampled = control.sample_system(leg, FRAME, method="zoh", copy_names=True)
+    plant = control.frequency_response(sampled, omega).frdata[:, 0, :]
     dcl = control.frequency_response(dcl_state_space(law), omega).frdata[0]
-    rows = {name: plant[held.output_labels.index(name)] for name in FEEDBACK}
+    rows = {name: plant[sampled.output_labels.index(name)] for name in FEEDBACK}
     total = sum(dcl[DCL_INPUTS.index(name)] * rows[name] for name in FEEDBACK)
     return np.asarray(total * np.exp(-1j * omega * FRAME))
 

@@ -2,7 +2,8 @@
 
 `leg_plant` joins models of single outputs, such as the report's, into one plant. What no model
 gives follows from what one does: position is the integral of velocity and velocity of acceleration,
-or the other way round the derivative. Commands are held over a frame: the discrete plant is exact.
+or the other way round the derivative. Commands are constant over a frame: the discrete plant is
+exact.
 """
 
 from typing import NamedTuple
@@ -32,7 +33,7 @@ def leg_plant(*models: UnitTransferFunction) -> control.StateSpace:
     """One leg from models of some of its outputs.
 
     The derivative of an output without a direct term is exact; with one it is the difference over a
-    frame, since a held command makes such an output jump. Pressures without a model are zero, as
+    frame, since a stepped command makes such an output jump. Pressures without a model are zero, as
     in the report's loop.
 
     Args:
@@ -67,7 +68,7 @@ def leg_plant(*models: UnitTransferFunction) -> control.StateSpace:
 
 
 def _joined(models: tuple[UnitTransferFunction, ...]) -> _System:
-    """All models side by side, SI, each realised and balanced on its own."""
+    """All models side by side, SI, each realised and balanced separately."""
     system = _System(np.zeros((0, 0)), np.zeros((0, 1)), {})
     for model in models:
         name = model.output_labels[0]

@@ -100,7 +100,7 @@ def minimal(system: control.StateSpace, tolerance: float = 1e-4) -> control.Stat
     Args:
         system: continuous, without defective poles.
         tolerance: share of the response at which a mode is worth keeping; 0 keeps all that are
-            reached and shown.
+            reached and observed.
 
     Raises:
         InputError: a discrete system, or one whose poles are defective.
@@ -111,7 +111,7 @@ def minimal(system: control.StateSpace, tolerance: float = 1e-4) -> control.Stat
     matrix, (scale, _) = linalg.matrix_balance(np.asarray(system.A), permute=False, separate=True)
     poles, right = np.linalg.eig(matrix)
     if poles.size and np.linalg.cond(right) > _DEFECTIVE:
-        raise InputError("system: has defective poles, which have no modes of their own")
+        raise InputError("system: has defective poles, which have no separate modes")
     b = np.linalg.solve(right, np.asarray(system.B) / scale[:, None])
     c = np.asarray(system.C) * scale @ right
     omega = np.geomspace(*_AXIS, 2000)
@@ -158,7 +158,7 @@ def minimal(system: control.StateSpace, tolerance: float = 1e-4) -> control.Stat
 
 
 def leg_model(system: control.StateSpace, leg: int) -> control.StateSpace:
-    """One leg of a linearised plant, the commands of all others held.
+    """One leg of a linearised plant, the commands of all others constant.
 
     The others' oil still gives way: a leg of the hexapod keeps the modes of the whole machine.
 

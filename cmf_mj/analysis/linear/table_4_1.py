@@ -39,7 +39,7 @@ def law_loops(laws: Sequence[str]) -> tuple[LawLoop, ...]:
 
 
 class TableRow(NamedTuple):
-    """One entry of Table 4-1 beside the computed one."""
+    """One entry of Table 4-1 and the computed one."""
 
     model: int  #: Linear model 1 to 3.
     equation: str  #: Of its velocity transfer function.
@@ -53,7 +53,7 @@ class TableRow(NamedTuple):
 
 
 def table_4_1() -> tuple[TableRow, ...]:
-    """Table 4-1 computed: the velocity law around linear models 1 to 3, beside the print.
+    """Table 4-1 computed: the velocity law around linear models 1 to 3, with the printed values.
 
     The damping ratio stands in all three readings.
     """

@@ -39,8 +39,8 @@ def matrix_response(
 
     From several runs, such as one an axis, or six with orthogonal multisines, every line gives the
     whole matrix. From a single run with interleaved lines, each driven by one input, a column is
-    known at its own lines only and is NaN at the others; `interpolate` draws straight lines in the
-    complex plane between a column's own (error up to the spacing squared times H''/8, which
+    known at its lines only and is NaN at the others; `interpolate` draws straight lines in the
+    complex plane between a column's lines (error up to the spacing squared times H''/8, which
     `radius` does not hold) and leaves NaN outside them. A line driven by several inputs needs as
     many independent periods, segments or runs.
 
@@ -56,7 +56,7 @@ def matrix_response(
         window: see `welch_response`.
         band: see `welch_response`.
         pad: see `welch_response`.
-        interpolate: fill columns between their own lines.
+        interpolate: fill columns between their lines.
 
     Returns:
         Response (K, ny, nu), radius alike, multiple coherence (K, ny).

@@ -163,7 +163,7 @@ def _variance(squares: Real, count: int) -> Real:
 
 
 def _near(power: Real, chosen: Real, fitted: Real) -> tuple[Real, Real]:
-    """Mean of `power` over the lines next to each wanted one that no sine lies on, and how many."""
+    """Mean of `power` over the lines next to each chosen one that no sine lies on, and how many."""
     order = np.arange(power.size)
     free = order[(np.abs(order[:, None] - fitted) > 0.75).all(axis=1) & (order > 0)]
     near = [free[np.argsort(np.abs(free - line), kind="stable")[:NEIGHBOURS]] for line in chosen]
@@ -172,7 +172,7 @@ def _near(power: Real, chosen: Real, fitted: Real) -> tuple[Real, Real]:
 
 
 def _with_harmonics(chosen: Real, harmonics: int, resolution: float, top: float) -> Real:
-    """The wanted frequencies, then those of their harmonics that can be told from all others."""
+    """The chosen frequencies, then those of their harmonics that are clear of all others."""
     sines = list(chosen)
     for frequency in np.outer(np.arange(2, harmonics + 1), chosen).ravel():
         clear = min(abs(frequency - other) for other in sines) > 0.5 * resolution

@@ -1,4 +1,4 @@
-"""Responses by averaged segments: Welch's method and the report's own routine."""
+"""Responses by averaged segments: Welch's method and the report's routine."""
 
 from typing import Any
 

@@ -1,13 +1,13 @@
 """An aircraft of JSBSim: loaded, trimmed, flown step by step, felt at the pilot's eye.
 
-JSBSim integrates the rigid body in its own axes, which are ours: x forward, y right, z down. At
+JSBSim integrates the rigid body in body axes, which are ours: x forward, y right, z down. At
 the end of a step it knows the force on the body F (aerodynamic, engines, ground; not gravity), the
 mass m, and inertial rate w and acceleration dw/dt of the body. With r from the centre of
 gravity to the eyepoint, the specific force there is
 
     f = F / m + dw/dt x r + w x (w x r)
 
-which is what JSBSim's own `accelerations/a-pilot-*` say one step later: it evaluates them at the
+which is what JSBSim's `accelerations/a-pilot-*` say one step later: it evaluates them at the
 start of a step from the forces of the step before. In structural axes (x aft, y right, z up, inch)
 r = (x_cg - x, y - y_cg, z_cg - z); the centre of gravity wanders with the fuel, 0.3 mm a second.
 
@@ -195,7 +195,7 @@ class Airframe:
     def fail_engine(self, engine: int) -> None:
         """Let an engine, 0 the left one, spool down to idle for the rest of the flight.
 
-        JSBSim's own fuel cut takes all thrust away within one step; spooling down takes 2 s to
+        JSBSim's fuel cut takes all thrust away within one step; spooling down takes 2 s to
         4 % of the take-off thrust, which stays.
         """
         self._failed.add(engine)
@@ -266,7 +266,7 @@ def without_network(aircraft: Path, copy: Path) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """JSBSim prints a banner unless this variable of its own says 0."""
+    """JSBSim prints a banner unless this variable says 0."""
     before = os.environ.get("JSBSIM_DEBUG")
     os.environ["JSBSIM_DEBUG"] = "0"
     try:

@@ -6,7 +6,7 @@ A file is CSV or Parquet with the columns of `PilotMotion` and any others,
 
 each with its unit: in a Parquet file as JSON in the schema, in a CSV file in the header, `time
 [s],specific_force_x [g],angular_rate_x [deg/s] ...`. Units that `cmf_mj.core.units` knows are
-converted; a column without one is in SI. The metadata stand beside the units in Parquet, and in the
+converted; a column without one is in SI. The metadata are with the units in Parquet, and in the
 first line of a CSV file after `# cmf_mj_flight`, as JSON.
 """
 
@@ -71,8 +71,8 @@ class Flight:
         Raises:
             InputError: a column of another length or with a number that is not finite.
         """
-        own = {name: np.array(values, dtype=float) for name, values in self.others.items()}
-        for name, values in own.items():
+        others = {name: np.array(values, dtype=float) for name, values in self.others.items()}
+        for name, values in others.items():
             if values.shape != self.motion.time.shape:
                 raise InputError(
                     f"{name}: shape is {values.shape}; allowed: {self.motion.time.shape}"
@@ -81,7 +81,7 @@ class Flight:
                 row = int(np.argmin(np.isfinite(values)))
                 raise InputError(f"{name}: row {row}: {values[row]}; allowed: finite numbers")
             values.setflags(write=False)
-        object.__setattr__(self, "others", MappingProxyType(own))
+        object.__setattr__(self, "others", MappingProxyType(others))
 
     def samples(self) -> Iterator[PilotSample]:
         """The samples one by one, as a host in aircraft mode sends them."""
@@ -188,15 +188,15 @@ def _parts(path: Path) -> tuple[pa.Table, dict[str, str], Origin]:
             f"{path}: row 1: is {first[:40]!r}; allowed: '# {_KEY} ' and the origin as JSON"
         )
     try:
-        told = json.loads(first.removeprefix(f"# {_KEY} "))
+        origin = json.loads(first.removeprefix(f"# {_KEY} "))
         table = pyarrow.csv.read_csv(io.BytesIO(rest.encode()))
     except (json.JSONDecodeError, pa.ArrowInvalid) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
-    found = [_HEADER.match(cell.strip().strip('"')) for cell in table.column_names]
-    if not all(found):
-        odd = table.column_names[found.index(None)]
+    matches = [_HEADER.match(cell.strip().strip('"')) for cell in table.column_names]
+    if not all(matches):
+        odd = table.column_names[matches.index(None)]
         raise InputError(f"{path}: row 2: {odd!r} is refused; allowed: name or name [unit]")
-    cells = [match.groupdict() for match in found if match]
+    cells = [match.groupdict() for match in matches if match]
     column_units = {str(cell["name"]): cell["unit"] or "1" for cell in cells}
     table = table.rename_columns([str(cell["name"]) for cell in cells])
-    return table, column_units, validated(Origin, told, f"{path}: row 1")
+    return table, column_units, validated(Origin, origin, f"{path}: row 1")

@@ -1,8 +1,8 @@
 """A pilot: holds pitch, bank and heading, and moves the controls through a first-order lag.
 
-    elevator = trim - s (k e + k_i integral(e) - k_q q),    e = pitch wanted - pitch
-    aileron  = s (k (bank wanted - bank) - k_p p)
-    rudder   = s (-k (heading wanted - heading) + k_r r)    on the ground, or to keep a heading
+    elevator = trim - s (k e + k_i integral(e) - k_q q),    e = pitch target - pitch
+    aileron  = s (k (bank target - bank) - k_p p)
+    rudder   = s (-k (heading target - heading) + k_r r)    on the ground, or to keep a heading
                -s (k sideslip + k_i integral(sideslip))     in coordinated flight
 
 with s = min((80 m/s / airspeed)^2, 1), since control moments grow with dynamic pressure. The gains
@@ -58,7 +58,7 @@ class Pilot:
         self._airframe = airframe
         self._state = airframe.state()
         self._pitch_integral, self._sideslip_integral = 0.0, 0.0
-        self._held = np.zeros(3)
+        self._surfaces = np.zeros(3)
         self._moved = np.array([0.0, 0.0, 0.0, throttle])
 
     @property
@@ -68,9 +68,9 @@ class Pilot:
 
     def fly(self, targets: Targets) -> None:
         """Fly one step of 1/240 s."""
-        wanted = self._wanted(self._state, targets)
+        demanded = self._demanded(self._state, targets)
         blend = -np.expm1(-1.0 / (RATE * LAG))
-        self._moved += blend * (wanted - self._moved)
+        self._moved += blend * (demanded - self._moved)
         elevator, aileron, rudder, throttle = self._moved
         self._airframe.step(
             Controls(
@@ -79,7 +79,7 @@ class Pilot:
         )
         self._state = self._airframe.state()
 
-    def _wanted(self, state: State, targets: Targets) -> NDArray[np.float64]:
+    def _demanded(self, state: State, targets: Targets) -> NDArray[np.float64]:
         scale = min((_REFERENCE_SPEED / max(state.airspeed, 1.0)) ** 2, 1.0)
         roll, pitch, heading = state.attitude
         p, q, r = state.angular_rate
@@ -87,16 +87,16 @@ class Pilot:
             error = targets.pitch - pitch
             self._pitch_integral += error / RATE
             pull = _PITCH * error + _PITCH_INTEGRAL * self._pitch_integral - _PITCH_RATE * q
-            self._held[0] = -scale * pull
+            self._surfaces[0] = -scale * pull
         if targets.bank is not None:
-            self._held[1] = scale * (_BANK * (targets.bank - roll) - _ROLL_RATE * p)
+            self._surfaces[1] = scale * (_BANK * (targets.bank - roll) - _ROLL_RATE * p)
         if targets.heading is not None:
             away = np.remainder(targets.heading - heading + np.pi, 2.0 * np.pi) - np.pi
-            self._held[2] = scale * (-_HEADING * away + _YAW_RATE * r)
+            self._surfaces[2] = scale * (-_HEADING * away + _YAW_RATE * r)
         elif targets.coordinate:
             self._sideslip_integral += state.sideslip / RATE
             slip = _SIDESLIP * state.sideslip + _SIDESLIP_INTEGRAL * self._sideslip_integral
-            self._held[2] = -scale * slip
+            self._surfaces[2] = -scale * slip
         added = (targets.elevator, targets.aileron, targets.rudder)
-        surfaces = np.clip(self._held + added, -1.0, 1.0)
+        surfaces = np.clip(self._surfaces + added, -1.0, 1.0)
         return np.array([*surfaces, targets.throttle])

@@ -53,7 +53,7 @@ class ScriptedFlight:
                 heading += float(turn)
                 attitude = np.array([*state.attitude[:2], heading])
                 yield state._replace(time=step / RATE, attitude=attitude)
-            pilot.fly(begun.wanted(step / RATE, state))
+            pilot.fly(begun.targets(step / RATE, state))
 
     def samples(self) -> Iterator[PilotSample]:
         """Fly, frame by frame; errors are those of `states`."""

@@ -1,4 +1,4 @@
-"""Flights by script: what the pilot wants, what the air does and what fails, over time.
+"""Flights by script: what the pilot aims at, what the air does and what fails, over time.
 
 Speeds are calibrated. Rotation, climb and approach follow common practice with this aircraft
 (rotation at 145 kt to 15 deg, 10 deg on one engine, approach at 145 kt on 3 deg); none of it is
@@ -15,14 +15,12 @@ from cmf_mj.core.units import DEGREE, FOOT, KNOT
 from cmf_mj.pilot.aircraft.airframe import Airframe, Controls, State
 from cmf_mj.pilot.aircraft.pilot import Targets
 
-Wanted = Callable[[float, State], Targets]
-"""Targets at a time since the start [s] in a state."""
-
 
 class Begun(NamedTuple):
     """An aircraft that is ready to go."""
 
-    wanted: Wanted  #: What the pilot wants.
+    targets: Callable[[float, State], Targets]
+    """What the pilot aims at, at a time since the start [s] and in a state."""
     throttle: float  #: Where the throttle stands, 0 to 1.
 
 
@@ -51,7 +49,7 @@ def _take_off(airframe: Airframe, *, failure: bool) -> Begun:
     best = (10.0 if failure else 15.0) * DEGREE
     began: dict[str, float] = {}
 
-    def wanted(time: float, state: State) -> Targets:
+    def targets(time: float, state: State) -> Targets:
         if failure and state.airspeed > _FAILURE and "failure" not in began:
             began["failure"] = time
             airframe.fail_engine(0)
@@ -73,7 +71,7 @@ def _take_off(airframe: Airframe, *, failure: bool) -> Begun:
             flaps=_FLAPS,
         )
 
-    return Begun(wanted, 0.0)
+    return Begun(targets, 0.0)
 
 
 def _cruise(airframe: Airframe, height: float = 1500.0) -> tuple[float, float]:
@@ -90,7 +88,7 @@ def _pulse(time: float, start: float, width: float) -> float:
 def _doublets(airframe: Airframe) -> Begun:
     throttle, level = _cruise(airframe)
 
-    def wanted(time: float, state: State) -> Targets:
+    def targets(time: float, state: State) -> Targets:
         free = [start <= time < start + 9.0 for start in (3.0, 17.0, 31.0)]
         return Targets(
             pitch=None if free[0] else level,
@@ -102,19 +100,19 @@ def _doublets(airframe: Airframe) -> Begun:
             throttle=throttle,
         )
 
-    return Begun(wanted, throttle)
+    return Begun(targets, throttle)
 
 
 def _turn(airframe: Airframe) -> Begun:
     throttle, level = _cruise(airframe)
 
-    def wanted(time: float, state: State) -> Targets:
+    def targets(time: float, state: State) -> Targets:
         share = np.clip(min((time - 3.0) / 6.0, (38.0 - time) / 6.0), 0.0, 1.0)
         bank = 30.0 * DEGREE * share
         pitch = level + 1.3 * DEGREE * share
         return Targets(pitch=pitch, bank=bank, throttle=min(throttle + 0.08 * share, 1.0))
 
-    return Begun(wanted, throttle)
+    return Begun(targets, throttle)
 
 
 _GUSTS = ((3.0, (0.0, 0.0, -9.0), 2.0), (18.0, (0.0, 6.0, 0.0), 2.0))
@@ -125,23 +123,23 @@ def _gusts(airframe: Airframe) -> Begun:
     throttle, level = _cruise(airframe)
     left = list(_GUSTS)
 
-    def wanted(time: float, state: State) -> Targets:
+    def targets(time: float, state: State) -> Targets:
         if left and time >= left[0][0]:
             _, velocity, length = left.pop(0)
             airframe.gust(velocity, length)
         return Targets(pitch=level, coordinate=False, throttle=throttle)
 
-    return Begun(wanted, throttle)
+    return Begun(targets, throttle)
 
 
 def _turbulence(airframe: Airframe) -> Begun:
     throttle, level = _cruise(airframe, 450.0)
     airframe.turbulence(30.0 * KNOT, "tustin")
 
-    def wanted(time: float, state: State) -> Targets:
+    def targets(time: float, state: State) -> Targets:
         return Targets(pitch=level, coordinate=False, throttle=throttle)
 
-    return Begun(wanted, throttle)
+    return Begun(targets, throttle)
 
 
 _FLARE = 35.0 * FOOT
@@ -157,7 +155,7 @@ def _approach(airframe: Airframe) -> Begun:
     airframe.turbulence(15.0 * KNOT, "milspec")
     began: dict[str, float] = {}
 
-    def wanted(time: float, state: State) -> Targets:
+    def targets(time: float, state: State) -> Targets:
         if state.height < _FLARE:
             began.setdefault("flare", time)
         if state.height < 1.3:
@@ -176,7 +174,7 @@ def _approach(airframe: Airframe) -> Begun:
             flaps=1.0,
         )
 
-    return Begun(wanted, throttle)
+    return Begun(targets, throttle)
 
 
 SCRIPTS: Mapping[str, Script] = MappingProxyType(

@@ -2,7 +2,7 @@
 
 Structure after Reid and Nahon (UTIAS reports 296, 307 and 319). With f1 the scaled and limited
 specific force, e the Euler rates of the scaled and limited angular rate, T from simulator to
-inertial axes at the simulator's own attitude, g gravity:
+inertial axes at the simulator's attitude, g gravity:
 
     translation   d'' = s^2 / (s^2 + 2 zeta wn s + wn^2) . s / (s + wb) (T f1 + g)    displacement
                         of the pilot's station from neutral, inertial axes
@@ -81,7 +81,7 @@ def low_pass_filter(axis: Tilted) -> Matrices:
 
 
 def translation_filter(axis: ThirdOrder) -> Matrices:
-    """Acceleration wanted to displacement and two derivatives."""
+    """Acceleration demanded to displacement and two derivatives."""
     wn, zeta, wb = axis.natural_frequency.si, axis.damping.si, axis.break_frequency.si
     a = np.array([[0.0, 1.0, 0.0], [-(wn**2), -2.0 * zeta * wn, -1.0], [0.0, 0.0, -wb]])
     b = np.array([[0.0], [1.0], [wb]])

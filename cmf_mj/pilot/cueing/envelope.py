@@ -1,10 +1,10 @@
 """How much of the machine a motion takes, and a motion kept within it.
 
 `excursion` compares the peaks of pose and legs, their velocities and accelerations, with the limits
-of `motion_limits`. `within_limits` lets the DCL's own rate limiters, at the host's rate, hold a
+of `motion_limits`. `within_limits` lets the DCL's rate limiters, at the host's rate, hold a
 motion back: first the degrees of freedom, then the legs, which share one scale so that the platform
 stays on its way. The legs have the last word: while they are held back, a degree of freedom may
-pass its own limit by a little. What keeps the limits passes to the bit.
+pass its limit by a little. What keeps the limits passes to the bit.
 """
 
 from typing import NamedTuple
@@ -60,7 +60,7 @@ class LimitedMotion(NamedTuple):
     """A motion within the limits."""
 
     stream: HostStream
-    held: NDArray[np.bool_]  #: Frames that differ from the demand, (N,).
+    limited: NDArray[np.bool_]  #: Frames that differ from the demand, (N,).
 
 
 def excursion(stream: HostStream, limits: MotionLimits | None = None) -> Excursion:
@@ -70,16 +70,16 @@ def excursion(stream: HostStream, limits: MotionLimits | None = None) -> Excursi
         stream: host frames.
         limits: default Table 2-1 and the rates assumed with it.
     """
-    given = limits or load_motion_limits()
-    low, high = given.operational.T
+    bounds = limits or load_motion_limits()
+    low, high = bounds.operational.T
     legs = pose_to_legs(stream.pose)
     rates = pose_motion_to_legs(stream.pose, stream.velocity, stream.acceleration)
-    leg = given.leg
+    leg = bounds.leg
     used = np.array(
         [
             np.maximum(stream.pose / high, stream.pose / low),
-            np.abs(stream.velocity) / given.velocity,
-            np.abs(stream.acceleration) / given.acceleration,
+            np.abs(stream.velocity) / bounds.velocity,
+            np.abs(stream.acceleration) / bounds.acceleration,
             np.abs(legs) / leg.position.si,
             np.abs(rates.velocity) / leg.velocity.si,
             np.abs(rates.acceleration) / leg.acceleration.si,
@@ -97,10 +97,10 @@ def within_limits(stream: HostStream, limits: MotionLimits | None = None) -> Lim
     """
     if stream.time.size < 2:
         return LimitedMotion(stream, np.zeros(stream.time.size, dtype=bool))
-    given = limits or load_motion_limits()
+    bounds = limits or load_motion_limits()
     frame = float(stream.time[-1] - stream.time[0]) / (stream.time.size - 1)
     platform = limit_history(
-        make_pose_limiter(given)._replace(frame=frame),
+        make_pose_limiter(bounds)._replace(frame=frame),
         stream.pose,
         stream.velocity,
         stream.acceleration,
@@ -109,7 +109,7 @@ def within_limits(stream: HostStream, limits: MotionLimits | None = None) -> Lim
     legs = pose_to_legs(pose)
     rates = pose_motion_to_legs(pose, velocity, acceleration)
     limited = limit_history(
-        make_leg_limiter(given)._replace(frame=frame), legs, *rates, together=True
+        make_leg_limiter(bounds)._replace(frame=frame), legs, *rates, together=True
     )
     moved = (limited.position != legs).any(axis=1)
     if moved.any():
@@ -117,7 +117,7 @@ def within_limits(stream: HostStream, limits: MotionLimits | None = None) -> Lim
         velocity[moved], acceleration[moved] = leg_motion_to_pose(
             pose[moved], limited.velocity[moved], limited.acceleration[moved]
         )
-    held = (pose != stream.pose).any(axis=1)
+    changed = (pose != stream.pose).any(axis=1)
     return LimitedMotion(
-        stream._replace(pose=pose, velocity=velocity, acceleration=acceleration), held
+        stream._replace(pose=pose, velocity=velocity, acceleration=acceleration), changed
     )

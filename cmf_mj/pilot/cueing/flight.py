@@ -26,9 +26,9 @@ class Cue(NamedTuple):
     settings: WashoutSettings
     aircraft: PilotMotion  #: At the host's frames, from time 0.
     stream: HostStream  #: The host's frames, within the limits.
-    held: NDArray[np.bool_]  #: Frames that the limits held back, (N,).
+    limited: NDArray[np.bool_]  #: Frames that the limits held back, (N,).
     excursion: Excursion  #: Of what the washout asked.
-    simulator: PilotMotion  #: At the pilot's station, if the machine does as it is told.
+    simulator: PilotMotion  #: At the pilot's station, if the machine follows exactly.
     error: CueingError  #: Sensed in flight less sensed in the simulator.
 
 
@@ -57,7 +57,7 @@ def cue(
     algorithm = Washout(washout, station=pilot_station(cab), rate=rate)
     flown = algorithm.flown(motion)
     demanded = algorithm.run(flown)
-    stream, held = within_limits(demanded, limits)
+    stream, limited = within_limits(demanded, limits)
     simulator = PilotMotion.from_platform(
         stream.time, stream.pose, stream.velocity, stream.acceleration, algorithm.station
     )
@@ -65,7 +65,7 @@ def cue(
         algorithm.settings,
         flown,
         stream,
-        held,
+        limited,
         excursion(demanded, limits),
         simulator,
         cueing_error(flown, simulator, senses),
@@ -95,7 +95,7 @@ def tune(
     """Scale gains by one factor so that a flight just uses its share of the machine's limits.
 
     Bisection on the largest share of any limit, which mostly grows with the gains; where it does
-    not, the factor found is one at which it crosses, not always the largest.
+    not, the result is a factor at which it crosses, not always the largest.
 
     Args:
         motion: at the pilot's station in flight.
@@ -121,28 +121,28 @@ def tune(
     scaled = np.array([dof in dofs for dof in DOFS])
     if not (settings.gains[scaled] > 0.0).any():
         raise InputError(f"dofs: {', '.join(dofs)} have no gain above 0 to scale")
-    station, given = pilot_station(cab), limits or load_motion_limits()
+    station, bounds = pilot_station(cab), limits or load_motion_limits()
 
     def tried(factor: float) -> tuple[WashoutSettings, Excursion]:
         gains = np.where(scaled, factor, 1.0) * settings.gains
         changed = settings.with_gains(gains)
-        return changed, excursion(Washout(changed, station=station, rate=rate).run(motion), given)
+        return changed, excursion(Washout(changed, station=station, rate=rate).run(motion), bounds)
 
     most = largest_gain / float(settings.gains[scaled].max())
     top = tried(most)
     if top[1].largest <= share:
         return Tuned(top[0], most, top[1], "largest gain")
-    low, high, found = 0.0, most, tried(0.0)
-    if found[1].largest > share:
+    low, high, best = 0.0, most, tried(0.0)
+    if best[1].largest > share:
         raise InputError(
-            f"dofs: the gains left alone use {found[1].largest:.3g} of {found[1].binding}; "
+            f"dofs: the gains left alone use {best[1].largest:.3g} of {best[1].binding}; "
             f"allowed: {share}"
         )
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         now = tried(middle)
         if now[1].largest <= share:
-            low, found = middle, now
+            low, best = middle, now
         else:
             high = middle
-    return Tuned(found[0], low, found[1], found[1].binding)
+    return Tuned(best[0], low, best[1], best[1].binding)

@@ -15,7 +15,7 @@ where v = (rate, specific force), and u = (rate, acceleration) of the simulator:
     heave          f_S = a                   x_d = int p, p, dp/dt
     yaw            rate only                 x_d = int angle, angle
 
-Unlike the originals the aircraft's specific force is an input of its own, not acceleration and
+Unlike the originals the aircraft's specific force is a separate input, not acceleration and
 tilt: it is known, and large attitudes need no small angles. The integrals make position and yaw
 wash out wholly. The Riccati equation gives u = -F (x_v, x_d, x_n); with x_n = v_A that is a linear
 filter from v_A to u, whose states hold the simulator's position and angle. Sizes e0, x_d0, u0 are
@@ -225,24 +225,24 @@ def make_optimal(
     settings: OptimalSettings, interval: float, senses: Senses | str | None = None
 ) -> Optimal:
     """Compiled parameters at samples `interval` [s] apart."""
-    found = modes(settings, senses)
-    a = linalg.block_diag(*(mode.filter[0] for mode in found.values()))
+    by_name = modes(settings, senses)
+    a = linalg.block_diag(*(mode.filter[0] for mode in by_name.values()))
     b, c, d = np.zeros((len(a), 12)), np.zeros((18, len(a))), np.zeros((18, 12))
     begin = 0
-    for name, mode in found.items():
-        own_a, own_b, own_c, own_d = mode.filter
-        states = slice(begin, begin + len(own_a))
+    for name, mode in by_name.items():
+        mode_a, mode_b, mode_c, mode_d = mode.filter
+        states = slice(begin, begin + len(mode_a))
         begin = states.stop
         inputs, outputs = (np.array(place) for place in _PLACES[name])
-        b[states, inputs] = own_b
-        c[outputs, states] = own_c
-        d[np.ix_(outputs, inputs)] = own_d
+        b[states, inputs] = mode_b
+        c[outputs, states] = mode_c
+        d[np.ix_(outputs, inputs)] = mode_d
         # Angular acceleration is the derivative of the rate, an output with direct feed-through.
         for rate in outputs[(outputs >= 3) & (outputs < 6)]:
             row = list(outputs).index(rate)
-            c[rate + 3, states] = own_c[row] @ own_a
-            d[rate + 3, inputs] = own_c[row] @ own_b
-            d[rate + 3, inputs + 6] = own_d[row]
+            c[rate + 3, states] = mode_c[row] @ mode_a
+            d[rate + 3, inputs] = mode_c[row] @ mode_b
+            d[rate + 3, inputs + 6] = mode_d[row]
     return Optimal(hold(a, b, c, d, interval), interval)
 
 

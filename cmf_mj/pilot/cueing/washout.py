@@ -211,7 +211,7 @@ class Washout:
         return HostFrame(0, 0.0, *motion)
 
     def frame(self, specific_force: ArrayLike, angular_rate: ArrayLike) -> HostFrame:
-        """The next frame, for a live aircraft; starts on its own.
+        """The next frame, for a live aircraft; the first call starts.
 
         Args:
             specific_force: at the pilot's station, body axes [m/s^2], (3,).
@@ -228,14 +228,14 @@ class Washout:
         return HostFrame(self._sequence, self._sequence / self.rate, *motion)
 
 
-def _inputs(*given: ArrayLike) -> list[NDArray[np.float64]]:
-    found = []
-    for name, values in zip(("specific_force", "angular_rate"), given, strict=True):
+def _inputs(*inputs: ArrayLike) -> list[NDArray[np.float64]]:
+    vectors = []
+    for name, values in zip(("specific_force", "angular_rate"), inputs, strict=True):
         array = np.array(values, dtype=float)
         if array.shape != (3,) or not np.isfinite(array).all():
             raise InputError(f"{name}: {array} is refused; allowed: three finite numbers")
-        found.append(array)
-    return found
+        vectors.append(array)
+    return vectors
 
 
 def _compile(settings: WashoutSettings, station: NDArray[np.float64], interval: float) -> Cueing:

@@ -1,6 +1,6 @@
 """Cueing error: what the pilot would sense in flight, less what he senses in the simulator.
 
-Canals and otoliths of both motions are computed alike, and their difference is set beside the
+Canals and otoliths of both motions are computed alike, and their difference is compared with the
 thresholds. A threshold is a setting, not a verdict: whether an error matters depends on the task.
 """
 
@@ -92,7 +92,7 @@ def oscillation(
     frequency: ArrayLike = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0),
     senses: Senses | str | None = None,
 ) -> Oscillation:
-    """What the otoliths make of a sine of specific force, beside the thresholds.
+    """What the otoliths make of a sine of specific force, with the thresholds.
 
     Args:
         amplitude: of the sine [m/s^2].

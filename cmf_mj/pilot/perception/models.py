@@ -80,8 +80,8 @@ def sense(motion: PilotMotion, senses: Senses | str | None = None) -> Sensed:
         outputs = np.empty_like(inputs)
         for axis in range(3):
             column = np.ascontiguousarray(inputs[:, axis : axis + 1])
-            told = np.empty_like(column)
-            history(system, settled(system, column[0]), column, told)
-            outputs[:, axis] = told[:, 0]
+            sensed = np.empty_like(column)
+            history(system, settled(system, column[0]), column, sensed)
+            outputs[:, axis] = sensed[:, 0]
         parts.append(outputs)
     return Sensed(motion.time, *parts)
