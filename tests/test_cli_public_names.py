@@ -32,7 +32,7 @@ HEAVY = ("mujoco", "numba", "scipy", "control", "matplotlib", "pydantic", "pyarr
 
 
 def fresh(program: str) -> str:
-    """What a program prints in an interpreter of its own."""
+    """What a program prints in a new interpreter."""
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -108,8 +108,8 @@ def test_every_field_is_documented(name: str) -> None:
 @pytest.mark.parametrize("name", list(HOMES))
 def test_every_name_has_an_example_that_runs(name: str) -> None:
     thing, home = getattr(cmf_mj, name), import_module(HOMES[name])
-    own = inspect.isclass(thing) or inspect.isroutine(thing) or hasattr(thing, "__wrapped__")
-    text = inspect.getdoc(thing if own else home) or ""
+    documented = inspect.isclass(thing) or inspect.isroutine(thing) or hasattr(thing, "__wrapped__")
+    text = inspect.getdoc(thing if documented else home) or ""
     names = {"cmf_mj": cmf_mj, "np": np, "control": control, "mujoco": mujoco}
     example = doctest.DocTestParser().get_doctest(text, names, name, None, 0)
     assert example.examples, f"{name} has no example"

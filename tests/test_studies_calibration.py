@@ -77,16 +77,16 @@ def test_hardware_set_meets_the_hardware_rows() -> None:
     laws = ("original", "velocity")
     results = simulated_results(study, starting_values(study), laws, quick=True)
     rows = study.model_copy(update={"rows": tuple(r for r in study.rows if r.law in laws)})
-    found = residual_rows(rows, results)
-    assert len(found) == 6
-    assert all(row.within for row in found)
+    residuals = residual_rows(rows, results)
+    assert len(residuals) == 6
+    assert all(row.within for row in residuals)
 
 
 def test_velocity_law_is_damped_with_every_cab() -> None:
     study = load_study("hardware")
-    found = least_damping(study, starting_values(study))
-    assert set(found) == {"gfd", "rfd", "ifd"}
-    assert min(found.values()) > study.least_damping
+    damping = least_damping(study, starting_values(study))
+    assert set(damping) == {"gfd", "rfd", "ifd"}
+    assert min(damping.values()) > study.least_damping
     values = starting_values(study) | {"leg_speed": 0.4}
     assert least_damping(study, values)["ifd"] < 0.0  # why the leg speed cannot be higher
 
@@ -135,7 +135,7 @@ def test_payload_of_a_single_leg_sets_its_mode() -> None:
 
 
 def test_payload_of_the_hexapod_adds_in_proportion() -> None:
-    """M_leg and the legs' loads are linear in the factor; the legs' own share stays."""
+    """M_leg and the legs' loads are linear in the factor; the legs' share stays."""
     study = load_study("hardware")
     plants = [plant_of(study, {"payload": factor}) for factor in (1.0, 1.2, 1.4)]
     masses = [p.reflected_mass(np.zeros(6)) for p in plants if isinstance(p, Hexapod)]
@@ -155,26 +155,28 @@ def test_fit_finds_known_parameters_through_a_biased_linear_model(
     """ "Simulations" that are linear results 4 % and 2 % off; printed values made at known ones."""
 
     def biased(study: Study, values: dict[str, float], laws: object, **_: object) -> object:
-        found = linear_results(study, values, study.laws)
+        linear = linear_results(study, values, study.laws)
         return {
             law: r._replace(
                 phase_bandwidth_hz=1.04 * r.phase_bandwidth_hz,
                 gain_bandwidth_hz=0.98 * r.gain_bandwidth_hz,
                 damping_ratio=r.damping_ratio + 0.05,
             )
-            for law, r in found.items()
+            for law, r in linear.items()
         }
 
     truth = starting_values(small) | {"leg_speed": 0.3, "derivative_pole": 80.0}
     made = biased(small, truth, small.laws)
     monkeypatch.setattr(Row, "printed", lambda row, measure: computed(made[row.law], measure))  # type: ignore[index]
     monkeypatch.setattr(fit, "simulated_results", biased)
-    found = calibrate(small, rounds=2)
-    assert found.after.values["leg_speed"] == pytest.approx(0.3, rel=2e-3)
-    assert found.after.values["derivative_pole"] == pytest.approx(80.0, rel=2e-2)
-    assert all(abs(row.deviation) < 2e-3 for row in residual_rows(small, found.after.simulated))
-    assert max(abs(r.deviation) for r in residual_rows(small, found.before.simulated)) > 0.05
-    np.testing.assert_allclose(np.diag(found.correlation), 1.0)
+    calibration = calibrate(small, rounds=2)
+    assert calibration.after.values["leg_speed"] == pytest.approx(0.3, rel=2e-3)
+    assert calibration.after.values["derivative_pole"] == pytest.approx(80.0, rel=2e-2)
+    assert all(
+        abs(row.deviation) < 2e-3 for row in residual_rows(small, calibration.after.simulated)
+    )
+    assert max(abs(r.deviation) for r in residual_rows(small, calibration.before.simulated)) > 0.05
+    np.testing.assert_allclose(np.diag(calibration.correlation), 1.0)
 
 
 def test_stability_holds_the_leg_speed_back(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -189,11 +191,11 @@ def test_stability_holds_the_leg_speed_back(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(
         Row, "printed", lambda row, measure: {"phase": 3.3, "gain": 4.8}.get(measure, 0.4)
     )
-    held = calibrate(study, rounds=1).after
+    fitted = calibrate(study, rounds=1).after
     free = calibrate(study.model_copy(update={"stable_cabs": ()}), rounds=1).after
-    assert held.least_damping["ifd"] == pytest.approx(study.least_damping, abs=0.01)
+    assert fitted.least_damping["ifd"] == pytest.approx(study.least_damping, abs=0.01)
     assert free.values["leg_speed"] == pytest.approx(0.4, rel=1e-3)  # its bound
-    assert held.values["leg_speed"] < 0.37
+    assert fitted.values["leg_speed"] < 0.37
 
 
 # -- sensitivity and uncertainty -----------------------------------------------------------------
@@ -201,9 +203,9 @@ def test_stability_holds_the_leg_speed_back(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_sensitivity_foretells_a_change(small: Study) -> None:
     values = starting_values(small)
-    found = sensitivity(small, values, ("velocity",))
-    slope = found.derivative[0, :2, found.parameters.index("leg_speed")]
-    pole = found.derivative[0, :, found.parameters.index("derivative_pole")]
+    result = sensitivity(small, values, ("velocity",))
+    slope = result.derivative[0, :2, result.parameters.index("leg_speed")]
+    pole = result.derivative[0, :, result.parameters.index("derivative_pole")]
     np.testing.assert_allclose(pole, 0.0, atol=1e-12)  # the velocity law has none
     before, after = (
         linear_results(small, values | {"leg_speed": speed}, ["velocity"])["velocity"]

@@ -55,14 +55,14 @@ def sine(plant):
 
 def test_default_criterion_is_80_percent_of_the_set_pressure(sine):
     assert sine.allowed_pressure == pytest.approx(1200 * PSI)
-    assert sine.holds and sine.least_pressure > sine.allowed_pressure
+    assert sine.holds and sine.least_pressure.value > sine.allowed_pressure
 
 
 @pytest.mark.parametrize(("offset", "holds"), [(-1.0, True), (1.0, False)])
 def test_verdict_turns_where_the_least_pressure_meets_the_allowed(plant, sine, offset, holds):
     """The run does not depend on the criterion, so a pascal either way decides."""
     again = capacity(
-        manoeuvre("sine", "heave"), plant=plant, least_pressure=sine.least_pressure + offset
+        manoeuvre("sine", "heave"), plant=plant, least_pressure=sine.least_pressure.value + offset
     )
     assert again.least_pressure == sine.least_pressure
     assert again.holds is holds
@@ -84,18 +84,18 @@ def test_measures_of_a_sine(sine):
     speed = np.diff(pose_to_legs(pose), axis=0)
     drawn = np.where(speed > 0, CAP * speed, -ROD * speed).sum()
     bank = 4 * (sine.record["accumulator_oil"][-1] - sine.record["accumulator_oil"][0])
-    given = sine.mean_pump_flow * sine.record.time[-1]
-    assert given - bank == pytest.approx(drawn, rel=0.02)  # piston leakage and compression
-    assert sine.mean_relief_flow == sine.peak_relief_flow == 0.0
-    assert sine.peak_pump_flow <= sine.pump_flow_limit
+    delivered = sine.pump_flow.mean * sine.record.time[-1]
+    assert delivered - bank == pytest.approx(drawn, rel=0.02)  # piston leakage and compression
+    assert sine.relief_flow == (0.0, 0.0)
+    assert sine.pump_flow.peak <= sine.pump_flow_limit
     assert not sine.saturation.any() and (sine.peak_command < 1.0).all()
 
 
 def test_margin_of_a_machine_at_rest_is_the_supply_less_the_load_over_the_cap(plant, sine):
     plant.start()
-    wanted = 1500 * PSI - plant.static_load() / CAP
-    np.testing.assert_allclose(pressure_margin(plant.hydraulics, sine.record)[0], wanted, rtol=1e-5)
-    assert sine.least_margin < wanted.min()
+    margin = 1500 * PSI - plant.static_load() / CAP
+    np.testing.assert_allclose(pressure_margin(plant.hydraulics, sine.record)[0], margin, rtol=1e-5)
+    assert sine.least_margin.value < margin.min()
 
 
 def test_step_saturates_the_valves_for_a_share_of_the_run(plant):
@@ -114,14 +114,14 @@ def test_too_small_a_supply_empties_its_accumulators_and_does_not_hold():
     assert not result.holds
     assert result.empty_time > 0.5
     assert result.least_oil == pytest.approx(0.0, abs=1e-9)
-    assert result.least_pressure < 1000 * PSI  # below the precharge
-    assert result.peak_pump_flow == pytest.approx(20 * GPM, rel=1e-3)
+    assert result.least_pressure.value < 1000 * PSI  # below the precharge
+    assert result.pump_flow.peak == pytest.approx(20 * GPM, rel=1e-3)
 
 
 def test_constant_supply_holds_and_has_neither_pump_nor_accumulators():
     result = capacity(manoeuvre("step", "heave"), hydraulics="report")
-    assert result.holds and result.least_pressure == pytest.approx(1500 * PSI)
-    assert np.isnan([result.mean_pump_flow, result.least_oil, result.empty_time]).all()
+    assert result.holds and result.least_pressure.value == pytest.approx(1500 * PSI)
+    assert np.isnan([result.pump_flow.mean, result.least_oil, result.empty_time]).all()
 
 
 def test_command_beyond_the_operational_limits_is_refused(plant):
@@ -146,9 +146,9 @@ def test_full_speed_solves_the_orifices_and_hoses(plant, sense):
             return CAP * (high - drops[0]) - ROD * (low + drops[1]) - load
         return load - CAP * (low + drops[0]) + ROD * (high - drops[1])
 
-    found = full_speed(plant.hydraulics, np.full(6, load), high, low)
-    wanted = brentq(excess, 0.0, 2.0, xtol=1e-14)
-    np.testing.assert_allclose(found[:, 0 if sense > 0 else 1], wanted, rtol=1e-9)
+    speeds = full_speed(plant.hydraulics, np.full(6, load), high, low)
+    expected = brentq(excess, 0.0, 2.0, xtol=1e-14)
+    np.testing.assert_allclose(speeds[:, 0 if sense > 0 else 1], expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
@@ -173,22 +173,22 @@ def test_full_speed_of_a_stalled_leg_is_zero(plant):
 
 @pytest.mark.parametrize("dof", DOFS)
 def test_pump_limit_is_the_mean_flow_of_a_sine_through_the_kinematics(plant, dof):
-    own = asymptotes(plant, dof)
+    limits = asymptotes(plant, dof)
     phase = 2 * np.pi * np.arange(4001) / 4000
     pose = np.zeros((phase.size, 6))
     amplitude, index = 1e-3, DOFS.index(dof)
     pose[:, index] = amplitude * np.sin(phase)
     travel = np.diff(pose_to_legs(pose), axis=0)
     volume = np.where(travel > 0, CAP * travel, -ROD * travel).sum()  # a cycle
-    rate = own.pump_flow / amplitude  # w of a sine with this velocity amplitude
+    rate = limits.pump_flow / amplitude  # w of a sine with this velocity amplitude
     assert volume * rate / (2 * np.pi) == pytest.approx(400 * GPM, rel=1e-3)
 
 
 @pytest.mark.parametrize("dof", DOFS)
 def test_acceleration_limit_puts_one_leg_at_its_stall_force_and_none_beyond(plant, dof):
-    own = asymptotes(plant, dof)
+    limits = asymptotes(plant, dof)
     column = pose_jacobian(np.zeros(6))[:, DOFS.index(dof)]
-    inertia = plant.reflected_mass() @ column * own.acceleration
+    inertia = plant.reflected_mass() @ column * limits.acceleration
     load = plant.static_load()
     used = [(load + sign * inertia) / (1500 * PSI) for sign in (1, -1)]
     share = max(max((u / CAP).max(), (-u / ROD).max()) for u in used)
@@ -196,22 +196,22 @@ def test_acceleration_limit_puts_one_leg_at_its_stall_force_and_none_beyond(plan
 
 
 def test_displacement_limits_are_table_2_1_the_smaller_side(plant):
-    found = [asymptotes(plant, dof) for dof in DOFS]
+    every = [asymptotes(plant, dof) for dof in DOFS]
     scale = np.array([INCH] * 3 + [np.pi / 180] * 3)
     printed = [55, 55, 41, 28, 25, 38]
-    np.testing.assert_allclose([own.displacement for own in found] / scale, printed)
-    assert all(own.leg_stroke > own.displacement for own in found)
+    np.testing.assert_allclose([limits.displacement for limits in every] / scale, printed)
+    assert all(limits.leg_stroke > limits.displacement for limits in every)
 
 
 def test_transmission_is_one_at_low_frequency_and_peaks_at_the_heave_mode(plant):
-    own = asymptotes(plant, "heave")
-    assert own.transmission(0.01) == pytest.approx(1.0, abs=1e-4)
+    limits = asymptotes(plant, "heave")
+    assert limits.transmission(0.01) == pytest.approx(1.0, abs=1e-4)
     frequency = np.linspace(6, 16, 401)
-    peak = frequency[np.argmax([own.transmission(f) for f in frequency])]
+    peak = frequency[np.argmax([limits.transmission(f) for f in frequency])]
     modes = plant.hydraulic_modes()
     heave = np.abs(modes.pose_shape[2]).argmax()
     assert peak == pytest.approx(modes.frequency[heave] / (2 * np.pi), rel=0.02)
-    assert own.transmission(100.0) < 0.05
+    assert limits.transmission(100.0) < 0.05
 
 
 # The envelope

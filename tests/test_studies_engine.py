@@ -135,9 +135,9 @@ def test_a_case_that_kills_every_worker_is_a_row_with_an_error(
     study: Study, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def results(
-        cases: list[StudyCase], jobs: int, own: Callable[..., object] = engine._results
+        cases: list[StudyCase], jobs: int, original: Callable[..., object] = engine._results
     ) -> Iterator[tuple[int, list[StudyRow]]]:
-        return own(cases, jobs, deadly)  # type: ignore[return-value]
+        return original(cases, jobs, deadly)  # type: ignore[return-value]
 
     monkeypatch.setattr(engine, "_results", results)
     run_study(study, tmp_path, jobs=2, backend="loky")
@@ -151,7 +151,7 @@ def test_a_case_that_kills_every_worker_is_a_row_with_an_error(
 
 @contextmanager
 def cluster() -> Iterator[tuple[str, list[int]]]:
-    """A scheduler and two workers, each a process of its own; their process numbers."""
+    """A scheduler and two workers, each a process; their process numbers."""
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
     program = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
@@ -191,7 +191,7 @@ def test_a_dask_cluster_that_loses_a_worker_loses_nothing(
 
 
 def begin(specification: Path, folder: Path) -> subprocess.Popen[str]:
-    """`cmf study` in a process of its own, once its journal has a line and before its end."""
+    """`cmf study` in another process, once its journal has a line and before its end."""
     command = [sys.executable, "-m", "cmf_mj", "study", str(specification), "--out"]
     process = subprocess.Popen(
         [*command, str(folder), "--backend", "threading"],
@@ -232,9 +232,9 @@ def test_an_interrupted_run_says_how_to_go_on(
 ) -> None:
     process = begin(specification, tmp_path)
     process.send_signal(signal.SIGINT)
-    _, told = process.communicate(timeout=120)
-    assert process.returncode == 130, told
-    assert "interrupted; the same command goes on" in told
+    _, printed = process.communicate(timeout=120)
+    assert process.returncode == 130, printed
+    assert "interrupted; the same command goes on" in printed
     assert 1 <= lines(tmp_path) < CASES
     again = CliRunner().invoke(
         app, ["study", str(specification), "--out", str(tmp_path), "--backend", "threading"]

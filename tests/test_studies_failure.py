@@ -82,7 +82,7 @@ def test_every_event_stays_physical(hardware, lossy, unprotected) -> None:
 
 
 def test_what_is_found_and_how_it_ends(hardware, lossy) -> None:
-    found = {
+    faults = {
         "pump_lost": "under_pressure",
         "accumulator_lost": None,
         "supply_hose_burst": "under_pressure",
@@ -95,12 +95,12 @@ def test_what_is_found_and_how_it_ends(hardware, lossy) -> None:
         "overload": None,
         "emergency_stop": None,
     }
-    settled = set(found) - {"pump_lost", "accumulator_lost", "overload"}
-    assert {name for name in found if hardware[name].state == "settled"} == settled
+    settled = set(faults) - {"pump_lost", "accumulator_lost", "overload"}
+    assert {name for name in faults if hardware[name].state == "settled"} == settled
     assert lossy["emergency_stop"].state == lossy["valve_hard_over-leg_1"].state == "settled"
     for results in (hardware, lossy):
-        for name, fault in found.items():
-            late = results is lossy and name == "pump_lost"  # found after eleven seconds
+        for name, fault in faults.items():
+            late = results is lossy and name == "pump_lost"  # detected after eleven seconds
             assert results[name].detected_by == (None if late else fault), name
             assert (results[name].detection_time is None) == (results[name].detected_by is None)
         assert results["accumulator_lost"].state == "running"
@@ -198,16 +198,16 @@ def test_accumulators_hold_for_what_their_gas_gives(hardware) -> None:
     start = int(AT * 256)
     pressure = record["accumulator_pressure"][start]
     ratio = (1000.0 * PSI + ATMOSPHERE) / (pressure + ATMOSPHERE)
-    given = 4 * 50.0 * 0.003785411784 * (1.0 - ratio ** (1.0 / 1.4))
+    delivered = 4 * 50.0 * 0.003785411784 * (1.0 - ratio ** (1.0 / 1.4))
     travel = np.diff(record["leg_extension"][start:], axis=0)
     drawn = np.cumsum((CAP * np.maximum(travel, 0) - ROD * np.minimum(travel, 0)).sum(axis=1))
-    expected = np.searchsorted(drawn, given) / 256 + 20 * FRAME
+    expected = np.searchsorted(drawn, delivered) / 256 + 20 * FRAME
     assert result.detection_time == pytest.approx(expected, rel=0.03)
 
 
 def test_one_accumulator_lost_leaves_three(hardware) -> None:
     """They give more, at most a third more: what the falling pressure makes the pump give, and
-    the overload's own run has four."""
+    the run of the overload has four."""
     with_four, with_three = hardware["overload"], hardware["accumulator_lost"]
     rows = slice(int((AT + 2.0) * 256), int((AT + 10.0) * 256))
     swing = [np.ptp(r.record["accumulator_oil"][rows]) for r in (with_four, with_three)]
@@ -262,8 +262,8 @@ def test_one_valve_hard_over_is_fought_by_the_other(unprotected) -> None:
 
     least, most = ((load + ROD * rod) / CAP for rod in (low + 1.0, high - 1.0))
     cap = brentq(lambda p: np.subtract(*speeds(p)), least, min(most, high))
-    found = (record["leg_extension"][row + 8, 0] - record["leg_extension"][row - 8, 0]) * 16
-    assert found == pytest.approx(speeds(cap)[0], rel=0.03)
+    speed = (record["leg_extension"][row + 8, 0] - record["leg_extension"][row - 8, 0]) * 16
+    assert speed == pytest.approx(speeds(cap)[0], rel=0.03)
     assert 0.0 < result.load.free.value < CAP * SUPPLY
 
 

@@ -49,7 +49,9 @@ def text(*tables) -> str:
     return console.export_text()
 
 
-def test_orders_found_on_the_grid_are_those_of_lag_mode_and_leakage(identified: Identified) -> None:
+def test_orders_chosen_on_the_grid_are_those_of_lag_mode_and_leakage(
+    identified: Identified,
+) -> None:
     """Four poles: drive lag, oil mode and the leakage's slow one; the loop within 3 %."""
     assert identified.model.orders.na == 4
     assert identified.model.method == "oe"
@@ -73,7 +75,7 @@ def test_residuals_do_not_know_the_command_but_distortion_is_not_white(
     assert identified.residuals.auto_outside > 0.5
 
 
-def test_tables_and_files_say_what_was_found(identified: Identified, tmp_path: Path) -> None:
+def test_tables_and_files_say_what_was_identified(identified: Identified, tmp_path: Path) -> None:
     printed = text(orders_table(identified), model_table(identified))
     for word in ("validation fit", "pole", "zero", "closed loop, -90 deg", "law velocity"):
         assert word in printed

@@ -97,10 +97,10 @@ def test_acceleration_step_moves_at_constant_acceleration() -> None:
 
 
 def test_accelerations_from_the_legs_are_the_second_derivative_of_the_pose() -> None:
-    """Against the recorded legs' own second difference, one step late as the sensor is."""
+    """Against the recorded legs' second difference, one step late as the sensor is."""
     record = simulate(SingleLegs(), "velocity", signals.sine("pitch", 0.01, 1.0, cycles=3.0))
     pose = legs_to_pose(record["leg_position"])
     second = np.diff(pose, 2, axis=0) * RATE**2
-    found = dof_accelerations(record)[2:]
+    measured = dof_accelerations(record)[2:]
     scale = np.abs(second[:, 4]).max()
-    np.testing.assert_allclose(found[:, 4], second[:, 4], rtol=0, atol=2e-3 * scale)
+    np.testing.assert_allclose(measured[:, 4], second[:, 4], rtol=0, atol=2e-3 * scale)

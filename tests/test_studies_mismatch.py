@@ -38,20 +38,20 @@ def values(drawn: HydraulicParameters, field: str, valve: int | None = None) -> 
     ],
 )
 def test_samples_have_the_deviation_and_the_bounds_they_say(distribution: str, sd: float) -> None:
-    """Standard deviations in closed form, within four of their own standard errors."""
-    found = spread(distribution=distribution).sample(np.random.default_rng(1), (20000,))
-    assert np.std(found) == pytest.approx(sd, rel=4.0 / np.sqrt(2.0 * 20000))
-    assert abs(found.mean()) < 4.0 * sd / np.sqrt(20000)
-    assert np.abs(found).max() <= (0.05 if distribution == "uniform" else LIMIT * 0.05)
+    """Standard deviations in closed form, within four of the standard errors."""
+    sample = spread(distribution=distribution).sample(np.random.default_rng(1), (20000,))
+    assert np.std(sample) == pytest.approx(sd, rel=4.0 / np.sqrt(2.0 * 20000))
+    assert abs(sample.mean()) < 4.0 * sd / np.sqrt(20000)
+    assert np.abs(sample).max() <= (0.05 if distribution == "uniform" else LIMIT * 0.05)
 
 
 def test_a_lognormal_factor_is_as_often_doubled_as_halved() -> None:
-    found = 1.0 + spread(distribution="lognormal", deviation=30.0).sample(
+    sample = 1.0 + spread(distribution="lognormal", deviation=30.0).sample(
         np.random.default_rng(1), (20001,)
     )
-    assert np.median(found) == pytest.approx(1.0, abs=0.02)
-    assert np.log(found).max() <= LIMIT * 0.3
-    assert np.log(found).min() >= -LIMIT * 0.3
+    assert np.median(sample) == pytest.approx(1.0, abs=0.02)
+    assert np.log(sample).max() <= LIMIT * 0.3
+    assert np.log(sample).min() >= -LIMIT * 0.3
 
 
 def test_a_machine_drawn_is_the_same_for_all_laws_and_with_more_spreads() -> None:
@@ -68,9 +68,9 @@ def test_a_machine_drawn_is_the_same_for_all_laws_and_with_more_spreads() -> Non
 
 def test_an_offset_is_added_to_a_bias_of_nothing() -> None:
     mismatch = Mismatch(hydraulics={"null_bias": spread(effect="offset", deviation=1.0)})
-    found = values(mismatch.draw_hydraulics(HARDWARE, NAMES, 0, 0), "null_bias")
-    assert 0.0 < np.abs(found).max() <= 0.02
-    assert (found < 0.0).any()
+    bias = values(mismatch.draw_hydraulics(HARDWARE, NAMES, 0, 0), "null_bias")
+    assert 0.0 < np.abs(bias).max() <= 0.02
+    assert (bias < 0.0).any()
 
 
 @pytest.mark.parametrize(
@@ -127,11 +127,11 @@ def test_step_responses_in_blocks_are_those_of_the_library() -> None:
         generator.normal(size=(2, 2)),
         FRAME,
     )
-    found = evaluation._steps(system)
+    steps = evaluation._steps(system)
     time = np.arange(200) * FRAME
     for i in range(2):
         expected = control.step_response(system, time, input=i).outputs[:, 0]
-        assert found[:200, :, i].T == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        assert steps[:200, :, i].T == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -153,8 +153,8 @@ def measured() -> dict[tuple[str, int], list[StudyRow]]:
             },
         }
     )
-    wanted = [c for c in study.cases if (c.method, c.draw) != ("matrix", NOMINAL)]
-    return {(case.method, case.draw): evaluate(case) for case in wanted}
+    chosen = [c for c in study.cases if (c.method, c.draw) != ("matrix", NOMINAL)]
+    return {(case.method, case.draw): evaluate(case) for case in chosen}
 
 
 def test_a_symmetric_machine_keeps_its_halves_apart_and_a_drawn_one_does_not(
@@ -187,11 +187,11 @@ def test_the_linear_method_agrees_with_the_simulation_on_a_drawn_machine(
 
 def test_shares_have_wilsons_interval() -> None:
     """(p + z^2/2n +- z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n), 8 of 10."""
-    found = intervals.share([True] * 8 + [False] * 2)
+    interval = intervals.share([True] * 8 + [False] * 2)
     z, n, p = stats.norm.ppf(0.975), 10, 0.8
     middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
-    assert found == pytest.approx((0.8, middle - half, middle + half, 10))
+    assert interval == pytest.approx((0.8, middle - half, middle + half, 10))
     exact = intervals.share([True] * 10, "exact")
     assert exact.low == pytest.approx(0.025 ** (1 / 10))
     assert intervals.share([]).machines == 0
@@ -200,11 +200,11 @@ def test_shares_have_wilsons_interval() -> None:
 def test_the_interval_of_a_mean_holds_it_as_often_as_it_says() -> None:
     """400 samples of ten: 95 % within three standard errors."""
     generator = np.random.default_rng(0)
-    held = 0
+    covered = 0
     for _ in range(400):
-        found = intervals.mean(generator.normal(3.0, 2.0, 10))
-        held += found.low <= 3.0 <= found.high
-    assert held / 400 == pytest.approx(0.95, abs=3.0 * np.sqrt(0.95 * 0.05 / 400))
+        interval = intervals.mean(generator.normal(3.0, 2.0, 10))
+        covered += interval.low <= 3.0 <= interval.high
+    assert covered / 400 == pytest.approx(0.95, abs=3.0 * np.sqrt(0.95 * 0.05 / 400))
     assert intervals.mean([1.0, np.nan, 3.0])[:1] == (2.0,)
     assert np.isnan(intervals.mean([np.nan]).value)
     assert intervals.mean([2.0, 2.0])[:3] == (2.0, 2.0, 2.0)

@@ -33,19 +33,19 @@ def printed(table: str, law: str, of: str) -> Published:
 @pytest.mark.parametrize("law", ["original", "velocity", "position_error_rate", "acceleration"])
 def test_single_legs_with_the_report_set_reproduce_table_3_5(law: str) -> None:
     """One set of parameters: -90 deg within 10 %, -3 dB within 15 %, force feedback excepted."""
-    found = measured(SingleLegs("report"), law, "heave")
+    widths = measured(SingleLegs("report"), law, "heave")
     row = printed("3-5", law, "nonlinear")
-    assert found.phase_hz == pytest.approx(row.phase_bandwidth_hz, rel=0.10)
-    assert found.gain_hz == pytest.approx(row.gain_bandwidth_hz, rel=0.15)
+    assert widths.phase_hz == pytest.approx(row.phase_bandwidth_hz, rel=0.10)
+    assert widths.gain_hz == pytest.approx(row.gain_bandwidth_hz, rel=0.15)
 
 
 @pytest.mark.parametrize(("table", "law"), [("2-4", "original"), ("2-6", "velocity")])
 def test_hexapod_with_the_hardware_set_reproduces_the_hardware_rows(table: str, law: str) -> None:
     """Heave: -90 deg within 10 %, -3 dB within 15 % of the hardware rows."""
-    found = measured(Hexapod(), law, "heave")
+    widths = measured(Hexapod(), law, "heave")
     row = printed(table, law, "hardware")
-    assert found.phase_hz == pytest.approx(row.phase_bandwidth_hz, rel=0.10)
-    assert found.gain_hz == pytest.approx(row.gain_bandwidth_hz, rel=0.15)
+    assert widths.phase_hz == pytest.approx(row.phase_bandwidth_hz, rel=0.10)
+    assert widths.gain_hz == pytest.approx(row.gain_bandwidth_hz, rel=0.15)
 
 
 @pytest.mark.parametrize("cab", CABS)

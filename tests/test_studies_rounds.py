@@ -45,7 +45,7 @@ def test_four_excitations_agree_on_the_phase_bandwidth_within_3_percent(
         read_facility_csv(write_facility_csv(record, tmp_path / f"{i}of5.csv"))
         for i, record in enumerate(rounds, start=1)
     ]
-    found = {
+    responses = {
         "multisine": frequency_response(run(signals.multisine("heave", AMPLITUDE))),
         "chirp": frequency_response(run(signals.chirp("heave", AMPLITUDE))),
         "stepped sines": rounds_response(
@@ -53,7 +53,7 @@ def test_four_excitations_agree_on_the_phase_bandwidth_within_3_percent(
         ),
         "five files": rounds_response(read, "heave"),
     }
-    phase = {name: bandwidths(response).phase_hz for name, response in found.items()}
+    phase = {name: bandwidths(response).phase_hz for name, response in responses.items()}
     middle = float(np.median(list(phase.values())))
     for name, value in phase.items():
         assert value == pytest.approx(middle, rel=0.015), (name, phase)  # so 3 % end to end

@@ -64,7 +64,7 @@ def test_reflected_mass_without_legs_is_that_of_the_payload(
     legs = (many - few) / (1.0 - SMALL)
     geometry = read_geometry()
     # At a turned pose M turns with the payload and J takes body rates: checked at neutral and, in
-    # translation, at the pose's own Jacobian.
+    # translation, at the Jacobian of the pose.
     inverse = np.linalg.inv(pose_jacobian(np.zeros(6), geometry))
     expected = inverse.T @ payload_matrix(inertia, centre_of_mass=centre_of_mass) @ inverse
     if not np.any(pose):
@@ -104,7 +104,7 @@ def test_heave_does_not_notice_the_geometry() -> None:
 
 
 def test_raising_the_centre_of_mass_couples_surge_with_pitch_alone() -> None:
-    """m h beside the diagonal; a machine that is its own mirror image keeps surge out of sway."""
+    """m h next to the diagonal; a machine that mirrors itself keeps surge out of sway."""
     matrix = payload_matrix(1.0, centre_of_mass=True)
     payload = Payload(hexapod_spec("gfd"))
     assert matrix[0, 4] == pytest.approx(-payload.mass * payload.centre[2])

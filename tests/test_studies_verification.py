@@ -33,7 +33,7 @@ def altered(name: str, factor: float) -> HydraulicParameters:
 
 
 @pytest.fixture(scope="module")
-def found() -> Verification:
+def compared() -> Verification:
     return verify(seconds=SECONDS, parts=(1, 2, 4))
 
 
@@ -42,23 +42,23 @@ def circuit() -> Circuit:
     return make_circuit(load_hydraulics("report"))
 
 
-def errors(found: Verification, engine: str) -> list[float]:
-    return [run.extension_error for run in found.runs if run.engine == engine]
+def errors(compared: Verification, engine: str) -> list[float]:
+    return [run.extension_error for run in compared.runs if run.engine == engine]
 
 
-def test_both_engines_agree_within_two_micrometres(found: Verification) -> None:
-    # A leg held 2 um off between closed valves is this far off in pressure: beta / h per metre.
+def test_both_engines_agree_within_two_micrometres(compared: Verification) -> None:
+    # A leg 2 um off between closed valves is this far off in pressure: beta / h per metre.
     report = load_hydraulics("report")
     allowed = TARGET * report.bulk_modulus.si / report.half_stroke.si
-    assert found.travel > 1e4 * TARGET
-    for run in found.runs:
+    assert compared.travel > 1e4 * TARGET
+    for run in compared.runs:
         assert run.extension_error < TARGET, run
         assert run.pressure_error < allowed, run
-    assert found.extension_uncertainty < 0.05 * TARGET
+    assert compared.extension_uncertainty < 0.05 * TARGET
 
 
-def test_step_errors_fall_with_order_two(found: Verification) -> None:
-    exudyn, mujoco = errors(found, "exudyn"), errors(found, "mujoco")
+def test_step_errors_fall_with_order_two(compared: Verification) -> None:
+    exudyn, mujoco = errors(compared, "exudyn"), errors(compared, "mujoco")
     assert exudyn[0] / exudyn[1] == pytest.approx(4.0, rel=0.1)
     assert exudyn[1] / exudyn[2] == pytest.approx(4.0, rel=0.1)
     assert mujoco[0] / mujoco[1] > 3.0
@@ -80,8 +80,8 @@ def test_exudyn_has_the_reflected_mass_and_stays_at_rest(cab: str) -> None:
     np.testing.assert_allclose(machine.reflected_mass(), mass, rtol=0.0, atol=1e-9 * mass.max())
     still = machine.run(np.zeros((205, 6)), 1.0 / 2048.0)
     assert np.abs(still.extension).max() < 1e-12
-    held = np.broadcast_to(plant.start().pressure, still.pressure.shape)
-    np.testing.assert_allclose(still.pressure, held, rtol=1e-9)
+    start = np.broadcast_to(plant.start().pressure, still.pressure.shape)
+    np.testing.assert_allclose(still.pressure, start, rtol=1e-9)
 
 
 def test_a_machine_starts_every_run_anew() -> None:

@@ -71,24 +71,24 @@ def _gallons(value: float) -> str:
 def capacity_table(result: CapacityResult) -> Table:
     """Every measure of a manoeuvre: name, value with unit, definition."""
     worst = int(result.peak_command.argmax())
-    lowest, oil = f"at {result.least_pressure_time:.2f} s", _gallons(result.charged_oil)
-    margin = f"leg {result.least_margin_leg + 1} at {result.least_margin_time:.2f} s"
+    lowest, oil = f"at {result.least_pressure.time:.2f} s", _gallons(result.charged_oil)
+    margin = f"leg {result.least_margin.leg} at {result.least_margin.time:.2f} s"
     rows = [
         (
             *("supply holds", "yes" if result.holds else "NO"),
             f"manifold never below {_psi(result.allowed_pressure)}",
         ),
-        ("least manifold pressure", _psi(result.least_pressure), lowest),
+        ("least manifold pressure", _psi(result.least_pressure.value), lowest),
         ("least oil in accumulators", _gallons(result.least_oil), f"of {oil} charged"),
         ("least gas pressure", _psi(result.least_gas_pressure), "of the accumulators"),
         ("accumulators empty", f"{number(result.empty_time, '.3g')} s", "in all"),
         (
-            *("mean pump flow", _gpm(result.mean_pump_flow)),
+            *("mean pump flow", _gpm(result.pump_flow.mean)),
             f"over the run; limit {_gpm(result.pump_flow_limit)}",
         ),
-        ("peak pump flow", _gpm(result.peak_pump_flow), ""),
-        ("mean relief flow", _gpm(result.mean_relief_flow), "over the run"),
-        ("peak relief flow", _gpm(result.peak_relief_flow), ""),
+        ("peak pump flow", _gpm(result.pump_flow.peak), ""),
+        ("mean relief flow", _gpm(result.relief_flow.mean), "over the run"),
+        ("peak relief flow", _gpm(result.relief_flow.peak), ""),
         (
             *("valve saturation", f"{100.0 * result.saturation.max():.2f} %"),
             "of the run, worst leg",
@@ -97,7 +97,11 @@ def capacity_table(result: CapacityResult) -> Table:
             *("peak valve demand", f"{100.0 * result.peak_command[worst]:.0f} %"),
             f"leg {worst + 1}, before the clamp at 100 %",
         ),
-        ("least pressure margin", _psi(result.least_margin), f"manifold over stall, {margin}"),
+        (
+            "least pressure margin",
+            _psi(result.least_margin.value),
+            f"manifold over stall, {margin}",
+        ),
     ]
     about = result.record.metadata
     words = [about["law"], about["cab"], f"{about['hydraulics']} hydraulics"]
@@ -150,7 +154,7 @@ def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Fi
     motion, pressure, *between, valve = figure.subplots(count, 1, sharex=True)
     verdict = "holds" if result.holds else "does NOT hold"
     motion.set_title(
-        f"the supply {verdict}: least manifold pressure {_psi(result.least_pressure)}, "
+        f"the supply {verdict}: least manifold pressure {_psi(result.least_pressure.value)}, "
         f"{_psi(result.allowed_pressure)} needed"
     )
     plot_motion(motion, record)
@@ -187,7 +191,7 @@ def _network(
     drawn = -np.gradient(bank, time) / _GPM
     flow.plot(time, drawn, color=AMBER, linewidth=0.9, label="accumulators")
     flow.axhline(parameters.pump_flow.si / _GPM, color=GREY, linestyle=":", label="pump's limit")
-    if result.peak_relief_flow > 0.0:
+    if result.relief_flow.peak > 0.0:
         relief = relief_flow(parameters, record) / _GPM
         flow.plot(time, relief, color=PURPLE, label="relief")
     flow.set_ylabel("flow [gpm]")

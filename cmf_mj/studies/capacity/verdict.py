@@ -27,6 +27,7 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.peaks import check_limits
 from cmf_mj.signals.signal import Command
+from cmf_mj.studies.failure.measures import Peak, least
 
 LEAST_PRESSURE = 0.8
 """Least manifold pressure, as a share of the set pressure."""
@@ -34,6 +35,13 @@ LEAST_PRESSURE = 0.8
 _SATURATED = 1.0 - 1e-9
 _FRAMES = 4
 """Frames from row to row of the record: 512 Hz, against some 15 Hz of the fastest mode."""
+
+
+class Flow(NamedTuple):
+    """A flow over a whole run."""
+
+    mean: float  #: [m^3/s].
+    peak: float  #: [m^3/s].
 
 
 class CapacityResult(NamedTuple):
@@ -44,24 +52,19 @@ class CapacityResult(NamedTuple):
 
     holds: bool  #: Whether the supply manifold stayed above `allowed_pressure`.
     allowed_pressure: float  #: Least pressure that the criterion allows [Pa].
-    least_pressure: float  #: Least pressure of the supply manifold [Pa].
-    least_pressure_time: float  #: When [s].
+    least_pressure: Peak  #: Least pressure of the supply manifold [Pa].
     least_oil: float  #: Least oil in all accumulators together [m^3].
     charged_oil: float  #: Oil in them at the start [m^3].
     least_gas_pressure: float  #: Least gas pressure of the accumulators [Pa].
     empty_time: float  #: How long they were empty [s].
-    mean_pump_flow: float  #: Over the whole run [m^3/s].
-    peak_pump_flow: float  #: Largest [m^3/s].
+    pump_flow: Flow
     pump_flow_limit: float  #: What the pump can give [m^3/s].
-    mean_relief_flow: float  #: Over the whole run [m^3/s].
-    peak_relief_flow: float  #: Largest [m^3/s].
+    relief_flow: Flow
     saturation: NDArray[np.float64]
     """Share of the run each valve command stood at its stops, (n,)."""
     peak_command: NDArray[np.float64]
     """Largest compensator output, before the clamp, as a fraction, (n,)."""
-    least_margin: float  #: Least pressure margin of all legs [Pa], see `pressure_margin`.
-    least_margin_leg: int  #: Index of its leg.
-    least_margin_time: float  #: When [s].
+    least_margin: Peak  #: Least pressure margin of all legs [Pa], see `pressure_margin`.
     record: Record  #: The run, at 512 Hz.
 
 
@@ -149,29 +152,26 @@ def judge(plant: Plant, record: Record, allowed: float) -> CapacityResult:
     pressure, pump, oil = (
         record[name] for name in ("supply_pressure", "pump_flow", "accumulator_oil")
     )
-    relief = relief_flow(plant.parameters, record)
-    margin = pressure_margin(plant.hydraulics, record)
-    row, leg = np.unravel_index(margin.argmin(), margin.shape)
     known = np.nan if supply.constant else 1.0
-    saturated = np.abs(record["compensator_output"]) >= _SATURATED
+    output = np.abs(record["compensator_output"])
+    whole = np.full(record.time.size, True)
+
+    def flow(history: NDArray[np.float64]) -> Flow:
+        return Flow(known * float(history.mean()), known * float(history.max()))
+
     return CapacityResult(
         holds=bool(pressure.min() >= allowed),
         allowed_pressure=allowed,
-        least_pressure=float(pressure.min()),
-        least_pressure_time=float(record.time[pressure.argmin()]),
+        least_pressure=least(record.time, pressure, whole),
         least_oil=known * supply.accumulators * float(oil.min()),
         charged_oil=known * supply.accumulators * float(oil[0]),
         least_gas_pressure=known * float(record["accumulator_pressure"].min()),
         empty_time=known * np.count_nonzero(oil <= 1e-6 * oil[0]) / record.rate,
-        mean_pump_flow=known * float(pump.mean()),
-        peak_pump_flow=known * float(pump.max()),
+        pump_flow=flow(pump),
         pump_flow_limit=known * supply.pump_flow,
-        mean_relief_flow=known * float(relief.mean()),
-        peak_relief_flow=known * float(relief.max()),
-        saturation=saturated.mean(axis=0),
-        peak_command=np.abs(record["compensator_output"]).max(axis=0),
-        least_margin=float(margin[row, leg]),
-        least_margin_leg=int(leg),
-        least_margin_time=float(record.time[row]),
+        relief_flow=flow(relief_flow(plant.parameters, record)),
+        saturation=(output >= _SATURATED).mean(axis=0),
+        peak_command=output.max(axis=0),
+        least_margin=least(record.time, pressure_margin(plant.hydraulics, record), whole),
         record=record,
     )

@@ -152,8 +152,8 @@ def measure(
         state=state,
         message=message,
         pressure_peak=_largest(time, chambers.max(axis=2), after),
-        pressure_least=_least(time, chambers.min(axis=2), after),
-        supply_least=_least(time, record["supply_pressure"][:-1], after),
+        pressure_least=least(time, chambers.min(axis=2), after),
+        supply_least=least(time, record["supply_pressure"][:-1], after),
         contact_speed=contact,
         impact_speed=impact,
         record=_thinned(record, load, acceleration),
@@ -189,9 +189,8 @@ def _largest(
     return Peak(float(chosen[place]), float(time[rows[place[0]]]), leg)
 
 
-def _least(
-    time: NDArray[np.float64], values: NDArray[np.float64], where: NDArray[np.bool_]
-) -> Peak:
+def least(time: NDArray[np.float64], values: NDArray[np.float64], where: NDArray[np.bool_]) -> Peak:
+    """The least of (N,) or (N, n) values where asked; NaN if nowhere."""
     peak = _largest(time, -values, where)
     return peak._replace(value=-peak.value)
 
