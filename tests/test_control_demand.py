@@ -5,7 +5,8 @@ import pytest
 
 from cmf_mj import pose_to_legs
 from cmf_mj.control import demand as block
-from cmf_mj.machine.kinematics import make_geometry, pose_motion_to_legs, read_geometry
+from cmf_mj.machine.kinematics import make_geometry, read_geometry
+from cmf_mj.machine.leg_motion import pose_motion_to_legs
 
 GRAVITY = np.array([0.0, 0.0, 9.80665])
 RNG = np.random.default_rng(7)

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from cmf_mj.control import demand, limiter, states
 from cmf_mj.control.states import Request, State
-from cmf_mj.machine.kinematics import WORKING_STROKE, pose_motion_to_legs, pose_to_legs
+from cmf_mj.machine.kinematics import WORKING_STROKE, pose_to_legs
+from cmf_mj.machine.leg_motion import pose_motion_to_legs
 
 T = 1.0 / 2048.0
 POSE = limiter.make_pose_limiter()
@@ -32,10 +33,7 @@ def _run(pose_limits, pose_state, parameters, machine, machine_state, leg_limits
         demand.step(
             parameters, limited, velocity[k], acceleration[k], host[0], host[1], host[2]
         )  # fmt: skip
-        codes[k] = states.step(
-            machine, machine_state, requests[k], host[0], host[1], host[2], measured,
-            reference[0], reference[1], reference[2],
-        )  # fmt: skip
+        codes[k] = states.step(machine, machine_state, requests[k], host, measured, reference)
         if together:
             limiter.step_together(
                 leg_limits, leg_state, reference[0], out[0, k], reference[1], reference[2],

@@ -37,6 +37,7 @@ def _run(states, state, requests, host, rates, changes, stuck, out, codes, valve
     measured = state.hold.copy()
     if state.code[0] < 2:
         measured[:] = -states.travel
+    demand, reference = np.zeros((3, host.shape[1])), np.zeros((3, host.shape[1]))
     for k in range(requests.size):
         if stuck == 1:
             measured[0] = 0.3
@@ -44,10 +45,9 @@ def _run(states, state, requests, host, rates, changes, stuck, out, codes, valve
             measured[0] = np.nan
         elif stuck == 3:
             measured *= 0.931
-        codes[k] = block.step(
-            states, state, requests[k], host[k], rates[k], changes[k], measured,
-            out[0, k], out[1, k], out[2, k],
-        )  # fmt: skip
+        demand[0], demand[1], demand[2] = host[k], rates[k], changes[k]
+        codes[k] = block.step(states, state, requests[k], demand, measured, reference)
+        out[:, k] = reference
         measured[:] = out[0, k]
         valve[k] = state.valve[1]
 
@@ -182,7 +182,7 @@ def test_the_diagram_of_the_documentation_has_every_change_and_no_other():
     and long ended, valve faded in or out, hold at neutral or not."""
     drawn = Path(__file__).resolve().parents[1].joinpath("docs", "limits.md").read_text()
     diagram = set(re.findall(r"^    (\w+) --> (\w+)", drawn, re.MULTILINE))
-    still, found = np.zeros(LEGS), set()
+    still, found = np.zeros((3, LEGS)), set()
     for code, request, place, time, valve, hold in itertools.product(
         State, Request, (-WORKING_STROKE, 0.0, 0.4), (0.0, 2.0, 50.0), (0.0, 1.0), (0.0, 0.4)
     ):
@@ -190,9 +190,7 @@ def test_the_diagram_of_the_documentation_has_every_change_and_no_other():
         machine.code[0], machine.clock[:] = code, (time, 1.0, 0.5)
         machine.valve[:], machine.hold[:] = valve, hold
         out = np.zeros((3, LEGS))
-        after = block.step(
-            STATES, machine, request, still, still, still, np.full(LEGS, place), *out
-        )
+        after = block.step(STATES, machine, request, still, np.full(LEGS, place), out)
         if after != code:
             found.add((code.name.lower(), State(after).name.lower()))
     assert found == diagram

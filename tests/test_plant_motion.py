@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cmf_mj import pose_to_legs
-from cmf_mj.machine.kinematics import leg_motion_to_pose, pose_motion_to_legs
+from cmf_mj.machine.leg_motion import leg_motion_to_pose, pose_motion_to_legs
 
 RATE = np.array([0.4, -0.3, 0.5, 0.35, -0.25, 0.3])
 SIZE = np.array([0.3, 0.25, 0.2, 0.2, 0.15, 0.25])

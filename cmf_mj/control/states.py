@@ -306,27 +306,23 @@ def _fade_valve(states, state):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def step(  # type: ignore[no-untyped-def]
-    states, state, request, host, rates, accelerations, measured, out, out_rates, out_changes
-):
+def step(states, state, request, demand, measured, reference):  # type: ignore[no-untyped-def]
     """One frame of the operating states.
 
     Args:
         states: parameters.
         state: overwritten by the state of the next frame.
         request: a `Request`.
-        host: (n,) leg positions of the host's demand [m]. A demand that is not finite in position,
-            velocity or acceleration is replaced by its last finite position at rest.
-        rates: (n,) their velocities [m/s].
-        accelerations: (n,) their accelerations [m/s^2].
+        demand: (3, n) leg positions, velocities and accelerations of the host's demand [m]. One
+            that is not finite is replaced by its last finite position at rest.
         measured: (n,) leg positions of the sensors [m].
-        out: (n,) receives the reference [m].
-        out_rates: (n,) receives its velocity [m/s].
-        out_changes: (n,) receives its acceleration [m/s^2].
+        reference: (3, n) receives position, velocity and acceleration [m].
 
     Returns:
         The `State` of this frame. The valve command is to be multiplied by `state.valve[1]`.
     """
+    host, rates, accelerations = demand[0], demand[1], demand[2]
+    out, out_rates, out_changes = reference[0], reference[1], reference[2]
     time, fade, stop = state.clock
     s, ds, dds = smooth(time / fade) if fade > 0.0 else (1.0, 0.0, 0.0)
     for leg in range(out.shape[0]):

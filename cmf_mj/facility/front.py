@@ -136,18 +136,7 @@ def _follow(chain, frame, position, fault, tripped, reference):  # type: ignore[
     dcu.step(blocks.dcu, chain.dcu_state, motion)
     limiter.step(blocks.pose_limits, chain.pose_state, motion[0], motion[0], motion[1], motion[2])
     demand.step(blocks.demand, motion[0], motion[1], motion[2], legs[0], legs[1], legs[2])
-    progress.state = states.step(
-        blocks.states,
-        chain.operating,
-        request,
-        legs[0],
-        legs[1],
-        legs[2],
-        position,
-        out[0],
-        out[1],
-        out[2],
-    )
+    progress.state = states.step(blocks.states, chain.operating, request, legs, position, out)
     if before == State.FAULT.value and progress.state == State.OFF.value:
         progress.cleared = 1
     limiter.step(blocks.leg_limits, chain.leg_state, out[0], out[0], out[1], out[2])

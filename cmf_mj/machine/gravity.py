@@ -31,6 +31,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine import kinematics, models
 from cmf_mj.machine.kinematics import Geometry
+from cmf_mj.machine.leg_motion import pose_motion_to_legs
 
 
 class LegAxes(NamedTuple):
@@ -192,7 +193,7 @@ def leg_specific_force(
         geometry: gimbals; default the CMF's.
     """
     shape = geometry or kinematics.read_geometry()
-    legs = kinematics.pose_motion_to_legs(pose, velocity, acceleration, shape)
+    legs = pose_motion_to_legs(pose, velocity, acceleration, shape)
     length, direction = leg_directions(pose, shape)
     gimbal = _gimbal_velocity(np.asarray(pose, float), np.asarray(velocity, float), shape)
     swing = gimbal - legs.velocity[..., None] * direction

@@ -141,7 +141,8 @@ def _twist_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _pose_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
+def write_pose_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
+    """Write d(legs)/d(pose), (6, 6)."""
     _twist_jacobian(geometry, pose, jacobian)
     jacobian[:, 3:] = np.ascontiguousarray(jacobian[:, 3:]) @ euler_rate_matrix(pose[4], pose[5])
 
@@ -160,7 +161,7 @@ def _newton(geometry, legs, pose):  # type: ignore[no-untyped-def]
     """
     found = np.empty(6)
     jacobian = np.empty((6, 6))
-    _pose_jacobian(geometry, np.zeros(6), jacobian)
+    write_pose_jacobian(geometry, np.zeros(6), jacobian)
     sense = np.linalg.det(jacobian)
     error = legs.copy()
     for _ in range(_NEWTON_ITERATIONS):
@@ -168,12 +169,12 @@ def _newton(geometry, legs, pose):  # type: ignore[no-untyped-def]
         error[:] = legs - found
         if np.max(np.abs(error)) < _NEWTON_TOLERANCE:
             break
-        _pose_jacobian(geometry, pose, jacobian)
+        write_pose_jacobian(geometry, pose, jacobian)
         if abs(np.linalg.det(jacobian)) < 1e-9 * abs(sense):
             return False
         pose += np.linalg.solve(jacobian, error)
     # Round-off can hold the error a little above the tolerance, never above the accuracy promised.
-    _pose_jacobian(geometry, pose, jacobian)
+    write_pose_jacobian(geometry, pose, jacobian)
     turned = np.max(np.abs(pose[3:])) < 0.5 * np.pi
     return turned and np.max(np.abs(error)) < 1e-11 and np.linalg.det(jacobian) * sense > 0.0
 
@@ -195,7 +196,8 @@ def _pose_history(geometry, legs, poses):  # type: ignore[no-untyped-def]
     return -1
 
 
-def _rows(name: str, values: ArrayLike) -> NDArray[np.float64]:
+def rows_of(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Copy of finite values whose last axis has length 6; refused under their name otherwise."""
     array = np.array(values, dtype=float, order="C")
     if array.ndim == 0 or array.shape[-1] != 6:
         raise InputError(f"{name}: shape is {array.shape}; the last axis must have length 6")
@@ -211,7 +213,7 @@ def one_pose(values: ArrayLike) -> NDArray[np.float64]:
     Raises:
         InputError: another shape, or a number that is not finite.
     """
-    pose = _rows("pose", values)
+    pose = rows_of("pose", values)
     if pose.ndim != 1:
         raise InputError(f"pose: shape is {pose.shape}; one pose of shape (6,) is needed")
     return pose
@@ -230,7 +232,7 @@ def pose_to_legs(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[n
     >>> cmf_mj.pose_to_legs([0, 0, -0.1, 0, 0, 0]).round(3).tolist()
     [0.084, 0.084, 0.084, 0.084, 0.084, 0.084]
     """
-    poses = _rows("pose", pose)
+    poses = rows_of("pose", pose)
     legs = np.empty(poses.shape)
     _legs_history(geometry or read_geometry(), poses.reshape(-1, 6), legs.reshape(-1, 6))
     return legs
@@ -256,7 +258,7 @@ def legs_to_pose(legs: ArrayLike, geometry: Geometry | None = None) -> NDArray[n
     >>> cmf_mj.legs_to_pose(legs).round(6)[2].item()
     -0.1
     """
-    rows = _rows("legs", legs)
+    rows = rows_of("legs", legs)
     poses = np.empty(rows.shape)
     flat = rows.reshape(-1, 6)
     failed = _pose_history(geometry or read_geometry(), flat, poses.reshape(-1, 6))
@@ -283,109 +285,8 @@ def leg_jacobian(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[n
 def pose_jacobian(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
     """d(legs)/d(pose), (6, 6): as `leg_jacobian`, but for the rates of the Euler angles."""
     jacobian = np.empty((6, 6))
-    _pose_jacobian(geometry or read_geometry(), one_pose(pose), jacobian)
+    write_pose_jacobian(geometry or read_geometry(), one_pose(pose), jacobian)
     return jacobian
-
-
-@compiled
-def _leg_motion(geometry, pose, rate, turning, legs):  # type: ignore[no-untyped-def]
-    """Leg velocities and the velocity part of leg accelerations (centripetal and Euler terms).
-
-    With w_j = v + omega x r_j the velocity of upper gimbal j, n_j along the leg, L_j its length,
-    d2l/dt2 = n . (dv/dt + domega/dt x r + omega x (omega x r)) + (|w|^2 - (dl/dt)^2) / L.
-    """
-    arm = geometry.upper @ rotation(pose[3], pose[4], pose[5]).T
-    ct, st = np.cos(pose[4]), np.sin(pose[4])
-    cp, sp = np.cos(pose[5]), np.sin(pose[5])
-    omega = euler_rate_matrix(pose[4], pose[5]) @ rate[3:]
-    roll, pitch, yaw = rate[3], rate[4], rate[5]
-    euler = np.array(
-        [
-            (-st * cp * pitch - ct * sp * yaw) * roll - cp * yaw * pitch,
-            (-st * sp * pitch + ct * cp * yaw) * roll - sp * yaw * pitch,
-            -ct * pitch * roll,
-        ]
-    )
-    for j in range(6):
-        line = pose[:3] + arm[j] - geometry.lower[j]
-        length = np.sqrt(line @ line)
-        line /= length
-        swing = np.cross(omega, arm[j])
-        gimbal = rate[:3] + swing
-        legs[j] = line @ gimbal
-        inward = np.cross(euler, arm[j]) + np.cross(omega, swing)
-        turning[j] = line @ inward + (gimbal @ gimbal - legs[j] ** 2) / length
-
-
-@compiled
-def _motion_to_legs(geometry, poses, rates, accelerations, leg_rates, leg_accelerations):  # type: ignore[no-untyped-def]
-    jacobian = np.empty((6, 6))
-    for row in range(poses.shape[0]):
-        _leg_motion(geometry, poses[row], rates[row], leg_accelerations[row], leg_rates[row])
-        _pose_jacobian(geometry, poses[row], jacobian)
-        leg_accelerations[row] += jacobian @ accelerations[row]
-
-
-@compiled
-def _legs_to_motion(geometry, poses, leg_rates, leg_accelerations, rates, accelerations):  # type: ignore[no-untyped-def]
-    jacobian = np.empty((6, 6))
-    turning = np.empty(6)
-    again = np.empty(6)
-    for row in range(poses.shape[0]):
-        _pose_jacobian(geometry, poses[row], jacobian)
-        rates[row] = np.linalg.solve(jacobian, leg_rates[row])
-        _leg_motion(geometry, poses[row], rates[row], turning, again)
-        accelerations[row] = np.linalg.solve(jacobian, leg_accelerations[row] - turning)
-
-
-class Motion(NamedTuple):
-    """First and second time derivatives, of poses or of legs."""
-
-    velocity: NDArray[np.float64]  #: (..., 6): m/s, and rad/s of the Euler angles.
-    acceleration: NDArray[np.float64]  #: (..., 6): m/s^2, and rad/s^2 of the Euler angles.
-
-
-def _alike(**arrays: ArrayLike) -> list[NDArray[np.float64]]:
-    rows = {name: _rows(name, values) for name, values in arrays.items()}
-    (first, reference), *others = rows.items()
-    for name, values in others:
-        if values.shape != reference.shape:
-            raise InputError(f"{name}: shape is {values.shape}; {first} has {reference.shape}")
-    return list(rows.values())
-
-
-def pose_motion_to_legs(
-    pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike, geometry: Geometry | None = None
-) -> Motion:
-    """Leg velocities and accelerations of a platform motion, exact with the Jacobian's change.
-
-    Args:
-        pose: (..., 6) [m, rad], z down.
-        velocity: (..., 6) rates of the pose.
-        acceleration: (..., 6) second derivatives of the pose.
-        geometry: gimbals; default the CMF's.
-    """
-    arrays = _alike(pose=pose, velocity=velocity, acceleration=acceleration)
-    found = Motion(np.empty(arrays[0].shape), np.empty(arrays[0].shape))
-    _motion_to_legs(geometry or read_geometry(), *(a.reshape(-1, 6) for a in (*arrays, *found)))
-    return found
-
-
-def leg_motion_to_pose(
-    pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike, geometry: Geometry | None = None
-) -> Motion:
-    """Platform motion of leg velocities and accelerations at known poses.
-
-    Args:
-        pose: (..., 6) [m, rad], z down, e.g. of `legs_to_pose`.
-        velocity: (..., 6) leg velocities [m/s].
-        acceleration: (..., 6) leg accelerations [m/s^2].
-        geometry: gimbals; default the CMF's.
-    """
-    arrays = _alike(pose=pose, velocity=velocity, acceleration=acceleration)
-    found = Motion(np.empty(arrays[0].shape), np.empty(arrays[0].shape))
-    _legs_to_motion(geometry or read_geometry(), *(a.reshape(-1, 6) for a in (*arrays, *found)))
-    return found
 
 
 def excursion_envelope(

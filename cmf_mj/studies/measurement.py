@@ -27,7 +27,8 @@ from cmf_mj.analysis.step_response import StepMetrics, step_metrics
 from cmf_mj.core import units
 from cmf_mj.core.threads import on_threads
 from cmf_mj.machine.dof import by_kind
-from cmf_mj.machine.kinematics import DOFS, leg_motion_to_pose, legs_to_pose
+from cmf_mj.machine.kinematics import DOFS, legs_to_pose
+from cmf_mj.machine.leg_motion import leg_motion_to_pose
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite

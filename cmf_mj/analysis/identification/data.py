@@ -26,7 +26,8 @@ from scipy import interpolate, signal
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE as FRAMES
-from cmf_mj.machine.kinematics import DOFS, leg_motion_to_pose, legs_to_pose
+from cmf_mj.machine.kinematics import DOFS, legs_to_pose
+from cmf_mj.machine.leg_motion import leg_motion_to_pose
 from cmf_mj.record.record import Record
 
 Real = NDArray[np.float64]

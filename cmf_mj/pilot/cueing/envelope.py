@@ -14,13 +14,8 @@ from numpy.typing import NDArray
 
 from cmf_mj.control.limiter import limit_history, make_leg_limiter, make_pose_limiter
 from cmf_mj.facility.host.stream import HostStream
-from cmf_mj.machine.kinematics import (
-    DOFS,
-    leg_motion_to_pose,
-    legs_to_pose,
-    pose_motion_to_legs,
-    pose_to_legs,
-)
+from cmf_mj.machine.kinematics import DOFS, legs_to_pose, pose_to_legs
+from cmf_mj.machine.leg_motion import leg_motion_to_pose, pose_motion_to_legs
 from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
 
 LIMITS = (

@@ -1,0 +1,123 @@
+"""Velocities and accelerations between platform and legs, exact with the Jacobian's change.
+
+    dl/dt = J dx/dt,    d2l/dt2 = J d2x/dt2 + c(x, dx/dt)
+
+with x the pose, J of `kinematics.pose_jacobian`, and c the centripetal and Euler terms.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmf_mj.core.compiled import compiled
+from cmf_mj.core.errors import InputError
+from cmf_mj.machine.kinematics import (
+    Geometry,
+    euler_rate_matrix,
+    read_geometry,
+    rotation,
+    rows_of,
+    write_pose_jacobian,
+)
+
+
+@compiled
+def _leg_motion(geometry, pose, rate, turning, legs):  # type: ignore[no-untyped-def]
+    """Leg velocities and the velocity part of leg accelerations (centripetal and Euler terms).
+
+    With w_j = v + omega x r_j the velocity of upper gimbal j, n_j along the leg, L_j its length,
+    d2l/dt2 = n . (dv/dt + domega/dt x r + omega x (omega x r)) + (|w|^2 - (dl/dt)^2) / L.
+    """
+    arm = geometry.upper @ rotation(pose[3], pose[4], pose[5]).T
+    ct, st = np.cos(pose[4]), np.sin(pose[4])
+    cp, sp = np.cos(pose[5]), np.sin(pose[5])
+    omega = euler_rate_matrix(pose[4], pose[5]) @ rate[3:]
+    roll, pitch, yaw = rate[3], rate[4], rate[5]
+    euler = np.array(
+        [
+            (-st * cp * pitch - ct * sp * yaw) * roll - cp * yaw * pitch,
+            (-st * sp * pitch + ct * cp * yaw) * roll - sp * yaw * pitch,
+            -ct * pitch * roll,
+        ]
+    )
+    for j in range(6):
+        line = pose[:3] + arm[j] - geometry.lower[j]
+        length = np.sqrt(line @ line)
+        line /= length
+        swing = np.cross(omega, arm[j])
+        gimbal = rate[:3] + swing
+        legs[j] = line @ gimbal
+        inward = np.cross(euler, arm[j]) + np.cross(omega, swing)
+        turning[j] = line @ inward + (gimbal @ gimbal - legs[j] ** 2) / length
+
+
+@compiled
+def _motion_to_legs(geometry, poses, rates, accelerations, leg_rates, leg_accelerations):  # type: ignore[no-untyped-def]
+    jacobian = np.empty((6, 6))
+    for row in range(poses.shape[0]):
+        _leg_motion(geometry, poses[row], rates[row], leg_accelerations[row], leg_rates[row])
+        write_pose_jacobian(geometry, poses[row], jacobian)
+        leg_accelerations[row] += jacobian @ accelerations[row]
+
+
+@compiled
+def _legs_to_motion(geometry, poses, leg_rates, leg_accelerations, rates, accelerations):  # type: ignore[no-untyped-def]
+    jacobian = np.empty((6, 6))
+    turning = np.empty(6)
+    again = np.empty(6)
+    for row in range(poses.shape[0]):
+        write_pose_jacobian(geometry, poses[row], jacobian)
+        rates[row] = np.linalg.solve(jacobian, leg_rates[row])
+        _leg_motion(geometry, poses[row], rates[row], turning, again)
+        accelerations[row] = np.linalg.solve(jacobian, leg_accelerations[row] - turning)
+
+
+class Motion(NamedTuple):
+    """First and second time derivatives, of poses or of legs."""
+
+    velocity: NDArray[np.float64]  #: (..., 6): m/s, and rad/s of the Euler angles.
+    acceleration: NDArray[np.float64]  #: (..., 6): m/s^2, and rad/s^2 of the Euler angles.
+
+
+def _alike(**arrays: ArrayLike) -> list[NDArray[np.float64]]:
+    rows = {name: rows_of(name, values) for name, values in arrays.items()}
+    (first, reference), *others = rows.items()
+    for name, values in others:
+        if values.shape != reference.shape:
+            raise InputError(f"{name}: shape is {values.shape}; {first} has {reference.shape}")
+    return list(rows.values())
+
+
+def pose_motion_to_legs(
+    pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike, geometry: Geometry | None = None
+) -> Motion:
+    """Leg velocities and accelerations of a platform motion, exact with the Jacobian's change.
+
+    Args:
+        pose: (..., 6) [m, rad], z down.
+        velocity: (..., 6) rates of the pose.
+        acceleration: (..., 6) second derivatives of the pose.
+        geometry: gimbals; default the CMF's.
+    """
+    arrays = _alike(pose=pose, velocity=velocity, acceleration=acceleration)
+    found = Motion(np.empty(arrays[0].shape), np.empty(arrays[0].shape))
+    _motion_to_legs(geometry or read_geometry(), *(a.reshape(-1, 6) for a in (*arrays, *found)))
+    return found
+
+
+def leg_motion_to_pose(
+    pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike, geometry: Geometry | None = None
+) -> Motion:
+    """Platform motion of leg velocities and accelerations at known poses.
+
+    Args:
+        pose: (..., 6) [m, rad], z down, e.g. of `legs_to_pose`.
+        velocity: (..., 6) leg velocities [m/s].
+        acceleration: (..., 6) leg accelerations [m/s^2].
+        geometry: gimbals; default the CMF's.
+    """
+    arrays = _alike(pose=pose, velocity=velocity, acceleration=acceleration)
+    found = Motion(np.empty(arrays[0].shape), np.empty(arrays[0].shape))
+    _legs_to_motion(geometry or read_geometry(), *(a.reshape(-1, 6) for a in (*arrays, *found)))
+    return found
