@@ -19,7 +19,7 @@ from cmf_mj.studies.calibration.trial import Verdict, least_damping, linear_resu
 
 
 @pytest.fixture(scope="module")
-def found() -> Examination:
+def examined() -> Examination:
     """The study `hardware` with linear results in place of simulated ones, nothing fitted."""
     study = load_study("hardware")
     values = starting_values(study)
@@ -41,11 +41,11 @@ def rows_of(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_files_hold_what_was_computed(found: Examination, tmp_path: Path) -> None:
-    paths = calibration_report.save_calibration(found, tmp_path / "study")
+def test_files_hold_what_was_computed(examined: Examination, tmp_path: Path) -> None:
+    paths = calibration_report.save_calibration(examined, tmp_path / "study")
     assert sorted(path.name for path in paths) == sorted(p.name for p in paths[0].parent.iterdir())
     table = rows_of(tmp_path / "study" / "residuals.csv")
-    study, stage = found.calibration.study, found.calibration.before
+    study, stage = examined.calibration.study, examined.calibration.before
     computed = residual_rows(study, stage.simulated)
     assert len(table) == 2 * len(computed)
     for row, line in zip(computed, table, strict=False):
@@ -56,9 +56,9 @@ def test_files_hold_what_was_computed(found: Examination, tmp_path: Path) -> Non
         else:
             assert line["computed"] == line["deviation"] == ""
     derivatives = rows_of(tmp_path / "study" / "sensitivity.csv")
-    assert len(derivatives) == found.sensitivity.derivative.size
+    assert len(derivatives) == examined.sensitivity.derivative.size
     assert float(derivatives[0]["normalised_derivative"]) == pytest.approx(
-        found.sensitivity.derivative[0, 0, 0], rel=1e-5
+        examined.sensitivity.derivative[0, 0, 0], rel=1e-5
     )
     assert len(rows_of(tmp_path / "study" / "uncertainty.csv")) == 3
     assert [row["stable"] for row in rows_of(tmp_path / "study" / "stability.csv")] == [
@@ -70,8 +70,8 @@ def test_files_hold_what_was_computed(found: Examination, tmp_path: Path) -> Non
         assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
 
 
-def test_text_marks_what_is_outside_and_what_is_missing(found: Examination) -> None:
-    text = calibration_report.markdown(found)
+def test_text_marks_what_is_outside_and_what_is_missing(examined: Examination) -> None:
+    text = calibration_report.markdown(examined)
     assert "| leg_speed | in/s/% | 0.35 | 0.3512 +- 0.011 | 0.286 to 0.4 |" in text
     assert "| bulk_modulus | psi | 1e+05 | held |" in text
     assert "| 2-6 | velocity | h | -3 dB | fitted | 4.00 | - | - | - | - |" in text
@@ -83,10 +83,10 @@ def test_text_marks_what_is_outside_and_what_is_missing(found: Examination) -> N
 
 
 def test_command_writes_a_folder_a_study(
-    found: Examination, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    examined: Examination, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fit, "calibrate", lambda *_, **__: found.calibration)
-    monkeypatch.setattr(examination, "examine", lambda *_, **__: found)
+    monkeypatch.setattr(fit, "calibrate", lambda *_, **__: examined.calibration)
+    monkeypatch.setattr(examination, "examine", lambda *_, **__: examined)
     arguments = ["calibrate", "hardware", "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output

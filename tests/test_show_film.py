@@ -88,11 +88,11 @@ def test_a_gif_keeps_its_pace_though_it_counts_hundredths(single: Record, tmp_pa
     """Fifteen pictures at 30 a second last 0.5 s; 15 times 0.03 s would be 0.45 s."""
     path = film([single], tmp_path / "pace.gif", SMALL._replace(fps=30, strip=0))
     with Image.open(path) as picture:
-        shown = [picture.info["duration"]]
+        durations = [picture.info["duration"]]
         for number in range(1, picture.n_frames):
             picture.seek(number)
-            shown.append(picture.info["duration"])
-    assert sum(shown) == 500
+            durations.append(picture.info["duration"])
+    assert sum(durations) == 500
     with pytest.raises(ValueError, match="fps: 60 pictures a second of a GIF file .* at most 50"):
         film([single], tmp_path / "fast.gif", SMALL._replace(fps=60))
 
@@ -143,16 +143,16 @@ def test_a_part_of_a_run_is_filmed_from_its_row_on(record: Record, tmp_path: Pat
     rest = film([record], tmp_path / "rest.gif", bare._replace(start=0.3))
 
     def rows(path: Path) -> list[np.ndarray]:
-        found = []
+        frames = []
         with Image.open(path) as picture:
             for number in range(picture.n_frames):
                 picture.seek(number)
-                found.append(np.asarray(picture.convert("RGB"), dtype=int))
-        return found
+                frames.append(np.asarray(picture.convert("RGB"), dtype=int))
+        return frames
 
     every, some = rows(whole), rows(part)
     assert (len(every), len(some), len(rows(rest))) == (5, 3, 2)
-    # Each film has a palette of its own.
+    # Each film has another palette.
     for number, picture in enumerate(some):
         away = [np.abs(picture - other).mean() for other in every]
         assert int(np.argmin(away)) == number + 2

@@ -55,8 +55,8 @@ def test_linear_prints_the_tables_and_writes_the_files(tmp_path: Path) -> None:
     some = effects[50]
     plant = ("plant_natural_frequency", "plant_damping_ratio")
     loop = FeedbackLoop(*(float(some[name]) for name in (*plant, *GAINS)))
-    found = characteristics(loop)
-    assert float(some["gain_bandwidth_hz"]) == pytest.approx(found.gain_bandwidth_hz, rel=1e-7)
+    example = characteristics(loop)
+    assert float(some["gain_bandwidth_hz"]) == pytest.approx(example.gain_bandwidth_hz, rel=1e-7)
     pictures = sorted(path.stem for path in out.glob("*.png"))
     assert pictures == [
         *("bode_original", "bode_velocity", "gain_effects", "models", "poles_zeros"),
@@ -99,8 +99,8 @@ def test_published_bandwidths_lie_on_the_bode_diagram(law: str, models: tuple[in
         bode.axes, (-3.0, -90.0), ("gain_bandwidth_hz", "phase_bandwidth_hz"), strict=True
     ):
         marks = [line for line in axis.lines if line.get_marker() == "o"]
-        found = [float(line.get_xdata()[0]) for line in marks]
-        assert found == [getattr(printed[f"linear_{n}"], name) for n in models]
+        widths = [float(line.get_xdata()[0]) for line in marks]
+        assert widths == [getattr(printed[f"linear_{n}"], name) for n in models]
         assert {float(line.get_ydata()[0]) for line in marks} <= {level}
     assert ("circles" in bode.axes[0].get_title()) == bool(models)
     assert len(step.axes[0].lines) == 4  # three steps and the demand

@@ -30,8 +30,8 @@ def test_linearize_prints_the_tables_and_writes_the_files(tmp_path: Path) -> Non
     assert "heave -5 in, pitch 3 deg" in text and "not measured" in text
     pose = np.array([0.0, 0.0, -5 * 0.0254, 0.0, np.radians(3.0), 0.0])
     expected = linearize(Hexapod("gfd"), pose)
-    found = load_system(out / "state_space.json")
-    np.testing.assert_allclose(found.A, expected.A, rtol=1e-12, atol=1e-12)
+    loaded = load_system(out / "state_space.json")
+    np.testing.assert_allclose(loaded.A, expected.A, rtol=1e-12, atol=1e-12)
     with (out / "modes.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     poles = [complex(float(row["real"]), float(row["imaginary"])) for row in rows]
@@ -53,9 +53,9 @@ def test_measured_loops_stand_beside_the_linear_ones(tmp_path: Path) -> None:
 
 
 def test_poles_that_coincide_share_a_line() -> None:
-    found = linearization_study(Hexapod("gfd"), "velocity", np.zeros(6), ["heave"])
-    times = [int(row[1]) for row in mode_table(found).cells]
-    assert sum(times) == len(found.modes)
+    study = linearization_study(Hexapod("gfd"), "velocity", np.zeros(6), ["heave"])
+    times = [int(row[1]) for row in mode_table(study).cells]
+    assert sum(times) == len(study.modes)
     assert times.count(6) == 3  # integrators, drives, spools
 
 

@@ -132,14 +132,14 @@ def test_table_2_4_judges_each_row_by_its_tolerance(content: Content) -> None:
 
 def altered(runs: Runs, factor: float) -> Runs:
     """The same runs with other -90 deg bandwidths."""
-    found: dict[RunSpec, Any] = {}
+    results: dict[RunSpec, Any] = {}
     for key, result in runs.results.items():
         if isinstance(result, CaseResult):
             phase = factor * result.measures.phase_bandwidth_hz
             measures = result.measures._replace(phase_bandwidth_hz=phase)
             result = result._replace(measures=measures)
-        found[key] = result
-    return Runs(found, runs.sensors, runs.quick, runs.seed)
+        results[key] = result
+    return Runs(results, runs.sensors, runs.quick, runs.seed)
 
 
 def test_a_slower_model_falls_outside_and_is_coloured(content: Content) -> None:
@@ -149,17 +149,17 @@ def test_a_slower_model_falls_outside_and_is_coloured(content: Content) -> None:
     assert [row.quantity for row in tables.outside(after)].count("-90 deg") == 2
     slow = Content(altered(content.runs, 0.6), (), ("2-4",), studies=False)
     chapter = next(s for s in sections_of(slow) if s.anchor == "chapter-2")
-    shown = next(b for b in chapter.blocks if isinstance(b, PageTable) and b.anchor == "table-2-4")
-    assert [row.verdict for row in shown.rows[::3]] == ["outside", "outside"]
+    judged = next(b for b in chapter.blocks if isinstance(b, PageTable) and b.anchor == "table-2-4")
+    assert [row.verdict for row in judged.rows[::3]] == ["outside", "outside"]
 
 
 @pytest.fixture(scope="module")
 def studied(content: Content) -> Content:
     """All sections; the original law stands in for those that were not run."""
-    found: dict[RunSpec, Any] = dict(content.runs.results)
+    results: dict[RunSpec, Any] = dict(content.runs.results)
     for need in STUDY_NEEDS:
-        found.setdefault(need, content.runs.case(need.on, "original"))
-    runs = Runs(found, content.runs.sensors, content.runs.quick, content.runs.seed)
+        results.setdefault(need, content.runs.case(need.on, "original"))
+    runs = Runs(results, content.runs.sensors, content.runs.quick, content.runs.seed)
     return Content(runs, (), (), studies=True)
 
 
@@ -181,21 +181,21 @@ def test_all_sections_have_rows_as_wide_as_their_headers(studied: Content) -> No
 
 
 def test_studies_are_left_out_of_a_part(content: Content) -> None:
-    shown = {section.anchor for section in sections_of(content)}
-    assert not shown & {"force", "steady-state", "text", "calibration"}
-    assert {"ledger", "parameters", "provenance"} <= shown
+    anchors = {section.anchor for section in sections_of(content)}
+    assert not anchors & {"force", "steady-state", "text", "calibration"}
+    assert {"ledger", "parameters", "provenance"} <= anchors
 
 
 def test_ledger_and_calibration_are_shown_whole(studied: Content) -> None:
-    shown = tables_of(studied)
-    assert len(shown["ledger-table"].rows) == len(load_ledger())
+    page = tables_of(studied)
+    assert len(page["ledger-table"].rows) == len(load_ledger())
     for name in ("report", "hardware"):
         study = load_studies()[name]
-        rows = shown[f"calibration-{name}-residuals"].rows
+        rows = page[f"calibration-{name}-residuals"].rows
         assert len(rows) == sum(len(row.fitted) + len(row.predicted) for row in study.rows)
-        fitted = [p for p in shown[f"calibration-{name}-parameters"].rows if "fitted" in p.cells]
+        fitted = [p for p in page[f"calibration-{name}-parameters"].rows if "fitted" in p.cells]
         assert len(fitted) == len(study.free)
-    original = [r for r in shown["calibration-report-residuals"].rows if "Original" in r.cells[0]]
+    original = [r for r in page["calibration-report-residuals"].rows if "Original" in r.cells[0]]
     phase = studied.runs.case("model", "original").measures.phase_bandwidth_hz
     assert {row.cells[4] for row in original if row.cells[1] == "-90 deg [Hz]"} == {f"{phase:.2f}"}
 
@@ -240,28 +240,28 @@ def test_steady_state_of_a_law_follows_from_its_gains() -> None:
 def test_the_loop_at_its_crossover_and_unit_gain_has_poles_on_the_circle() -> None:
     """Scaled by one over its gain there, the law keeps an undamped oscillation."""
     law, parameters = law_of("force"), hydraulics_of("model")
-    found = oscillation(law, parameters)
-    assert found.crossover_gain > 1.0 > 0.0 > found.pole_damping
+    unstable = oscillation(law, parameters)
+    assert unstable.crossover_gain > 1.0 > 0.0 > unstable.pole_damping
     gains = law.direct_gain.model_dump()
     scaled = law.model_copy(
         update={
             "direct_gain": law.direct_gain.model_copy(
-                update={name: value / found.crossover_gain for name, value in gains.items()}
+                update={name: value / unstable.crossover_gain for name, value in gains.items()}
             ),
-            "output_gain": law.output_gain / found.crossover_gain,
+            "output_gain": law.output_gain / unstable.crossover_gain,
         }
     )
     leg = leg_model(linearize(SingleLegs(parameters)), 1)
     poles = np.log(closed_loop(scaled, leg).poles().astype(complex)) / FRAME
-    near = poles[np.argmin(np.abs(poles - 2j * np.pi * found.crossover_hz))]
-    assert near.imag / (2.0 * np.pi) == pytest.approx(found.crossover_hz, rel=2e-3)
+    near = poles[np.argmin(np.abs(poles - 2j * np.pi * unstable.crossover_hz))]
+    assert near.imag / (2.0 * np.pi) == pytest.approx(unstable.crossover_hz, rel=2e-3)
     assert abs(near.real) / abs(near) < 2e-3
 
 
 def test_the_leg_rings_between_crossover_and_poles_and_not_at_25_hz(content: Content) -> None:
-    found = oscillation(law_of("force"), hydraulics_of("model"))
+    linear = oscillation(law_of("force"), hydraulics_of("model"))
     frequency, amplitude, acceleration = limit_cycle(content.runs.case("model", "force").step)
-    assert found.crossover_hz < frequency < 1.01 * found.pole_hz + 0.25
+    assert linear.crossover_hz < frequency < 1.01 * linear.pole_hz + 0.25
     assert frequency < 0.6 * force.REPORTED_HZ
     assert amplitude > 500.0
     assert acceleration > 1.0

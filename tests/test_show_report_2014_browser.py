@@ -45,12 +45,12 @@ def visit(path: Path) -> Iterator[Visit]:
             executable_path=shutil.which("chromium"), args=["--no-sandbox"]
         )
         context = browser.new_context(offline=True, viewport={"width": 1300, "height": 900})
-        found = Visit(context.new_page())
-        found.page.goto(path.as_uri())
+        opened = Visit(context.new_page())
+        opened.page.goto(path.as_uri())
         for number in FIGURES:
-            found.page.locator(f"#figure-{number}").scroll_into_view_if_needed()
-            found.page.locator(f"#figure-{number} .main-svg").first.wait_for()
-        yield found
+            opened.page.locator(f"#figure-{number}").scroll_into_view_if_needed()
+            opened.page.locator(f"#figure-{number} .main-svg").first.wait_for()
+        yield opened
         browser.close()
 
 
@@ -62,7 +62,7 @@ def test_page_asks_for_nothing_and_complains_of_nothing(visit: Visit) -> None:
 def test_pointing_at_a_curve_shows_its_value(visit: Visit) -> None:
     plot = visit.page.locator("#figure-3-14 .plot")
     plot.scroll_into_view_if_needed()
-    # The pixel of a point of the first curve, from plotly's own axes.
+    # The pixel of a point of the first curve, from plotly's axes.
     where = plot.evaluate(
         """element => {
             const trace = element._fullData[0], layout = element._fullLayout, i = 200;
@@ -79,9 +79,9 @@ def test_pointing_at_a_curve_shows_its_value(visit: Visit) -> None:
     text = (hover.text_content() or "").replace("\u2212", "-")
     numbers = re.search(r"(-?[0-9.]+), (-?[0-9.]+)", text)
     assert numbers is not None and "position" in text
-    shown = [float(part) for part in numbers.groups()]
-    index = min(range(400), key=lambda i: abs(where["curve"][0][i] - shown[0]))
-    assert shown == pytest.approx([values[index] for values in where["curve"]], rel=1e-3)
+    hovered = [float(part) for part in numbers.groups()]
+    index = min(range(400), key=lambda i: abs(where["curve"][0][i] - hovered[0]))
+    assert hovered == pytest.approx([values[index] for values in where["curve"]], rel=1e-3)
     assert 150 < index < 250
 
 

@@ -1,4 +1,4 @@
-"""Figures 3-15 and 3-16: what the filter does, measured beside its closed forms."""
+"""Figures 3-15 and 3-16: what the filter does, measured next to its closed forms."""
 
 from pathlib import Path
 

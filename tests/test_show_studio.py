@@ -112,10 +112,10 @@ def test_traces_keep_the_last_rows_in_order_and_never_grow() -> None:
     for k in range(rows + 100):
         values = {name: np.full(width, float(k)) for name, width in traces.CHANNELS.items()}
         kept.append(k / traces.RATE, values)
-    found = kept.last(1e9)
-    assert found["time"].size == rows
-    assert np.array_equal(found["leg_force"][:, 5], np.arange(100.0, rows + 100.0))
-    assert np.array_equal(found["time"], found["supply_pressure"][:, 0] / traces.RATE)
+    latest = kept.last(1e9)
+    assert latest["time"].size == rows
+    assert np.array_equal(latest["leg_force"][:, 5], np.arange(100.0, rows + 100.0))
+    assert np.array_equal(latest["time"], latest["supply_pressure"][:, 0] / traces.RATE)
     assert kept.last(1.0)["time"].size == traces.RATE
 
 
@@ -125,11 +125,11 @@ def test_traces_keep_the_last_rows_in_order_and_never_grow() -> None:
 @pytest.mark.parametrize("name", law_names())
 def test_knobs_are_the_numbers_of_the_law_and_turn_it(name: str) -> None:
     law = load_law(name)
-    found = knobs(law)
+    offered = knobs(law)
     gains = law.direct_gain.model_dump()
-    wanted = {("direct_gain", key) for key, value in gains.items() if value != 0.0}
-    assert wanted <= {knob.path for knob in found}
-    for knob in found:
+    expected = {("direct_gain", key) for key, value in gains.items() if value != 0.0}
+    assert expected <= {knob.path for knob in offered}
+    for knob in offered:
         assert knob.low <= knob.value <= knob.high
         same = overlaid_law(law, knob.table(knob.value))
         assert _value(same, knob.path) == pytest.approx(_value(law, knob.path), rel=1e-12)
@@ -140,10 +140,10 @@ def test_knobs_are_the_numbers_of_the_law_and_turn_it(name: str) -> None:
 
 
 def _value(law: Law, path: tuple[str, ...]) -> float:
-    found = law.model_dump()
+    value = law.model_dump()
     for part in path:
-        found = found[part]
-    return float(found)
+        value = value[part]
+    return float(value)
 
 
 @pytest.mark.parametrize("name", ["force", "model_reference_adaptive"])
@@ -151,8 +151,8 @@ def test_a_law_from_a_file_becomes_gains_that_make_it(name: str) -> None:
     law = load_law(name)
     table = law_as_gains(law)
     made = overlaid_law(load_law(table["law"]), table["gains"])
-    told = {"name", "title", "source"}
-    assert made.model_dump(exclude=told) == law.model_dump(exclude=told)
+    texts = {"name", "title", "source"}
+    assert made.model_dump(exclude=texts) == law.model_dump(exclude=texts)
 
 
 @pytest.mark.parametrize("dof", DOFS)
@@ -265,15 +265,15 @@ def test_bode_measures_what_simulate_and_frequency_response_do(
     monkeypatch.setattr(bode, "PERIODS", 2)
     live = heave(cab="rfd", change=[{"at": 0.5, "law": "position_error_rate"}])
     done = []
-    found = bode.measure(live, "heave", lambda frames, total: done.append(frames / total))
+    measured = bode.measure(live, "heave", lambda frames, total: done.append(frames / total))
     command = multisine("heave", 0.33 * 0.0254, start=1 / 20.0, period=20.0, periods=2, fade=1.0)
     record = simulate(Hexapod("rfd"), "position_error_rate", command, record_every=16)
-    wanted = frequency_response(record)
-    assert np.allclose(found.response.gain_db, wanted.gain_db, atol=1e-6)
-    assert bandwidths(found.response).phase_hz == pytest.approx(
-        bandwidths(wanted).phase_hz, rel=1e-9
+    expected = frequency_response(record)
+    assert np.allclose(measured.response.gain_db, expected.gain_db, atol=1e-6)
+    assert bandwidths(measured.response).phase_hz == pytest.approx(
+        bandwidths(expected).phase_hz, rel=1e-9
     )
-    assert found.title == "position_error_rate, heave, rfd, hardware"
+    assert measured.title == "position_error_rate, heave, rfd, hardware"
     assert done[-1] == 1.0 and len(done) > 20
 
 
@@ -283,11 +283,11 @@ def test_bode_measures_what_simulate_and_frequency_response_do(
 def test_recording_gives_the_rows_of_its_file(tmp_path: Path) -> None:
     record = run_scenario(heave())
     path = record.save(tmp_path / "run.parquet")
-    found = read_recording("run.parquet", path.read_bytes(), 25)
-    assert found.cab == "gfd" and found.end == record.time[-1]
-    assert np.array_equal(found.position(0.5), record["generalised_position"][64])
-    assert np.array_equal(found.position(99.0), record["generalised_position"][-1])
-    rows = found.last(0.75, 0.25)
+    recording = read_recording("run.parquet", path.read_bytes(), 25)
+    assert recording.cab == "gfd" and recording.end == record.time[-1]
+    assert np.array_equal(recording.position(0.5), record["generalised_position"][64])
+    assert np.array_equal(recording.position(99.0), record["generalised_position"][-1])
+    rows = recording.last(0.75, 0.25)
     assert rows["time"][-1] == pytest.approx(0.75) and rows["time"][0] == pytest.approx(0.5)
     assert np.array_equal(rows["platform_pose"], record["platform_pose"][64:97])
 
@@ -350,7 +350,7 @@ def test_command_names_the_extra_where_viser_is_missing() -> None:
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.returncode == 2
-    assert "install cmf-mj[studio]" in result.stderr
+    assert "pip install 'cmf-mj[studio]'" in result.stderr
 
 
 def test_first_scenario_is_a_file_too() -> None:

@@ -1,6 +1,6 @@
 """The studio in a real headless Chromium, software WebGL: what a user of the page sees and does.
 
-Every check waits for a condition of its own; nothing sleeps for luck on a busy machine.
+Every check waits for one condition; nothing sleeps for luck on a busy machine.
 """
 
 import io
@@ -27,7 +27,7 @@ from cmf_mj.show.studio.server import Studio
 pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection")
 
 PATIENCE = 300_000
-"""Longest wait for anything on the page [ms]: WebGL in software beside other work is slow, and only
+"""Longest wait for anything on the page [ms]: WebGL in software is slow on a busy machine, and only
 something that never comes is a failure."""
 
 ARGUMENTS = (
@@ -45,11 +45,11 @@ def studio() -> Iterator[Studio]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    found = shutil.which("chromium")
-    if found is None:
+    program = shutil.which("chromium")
+    if program is None:
         pytest.fail("no Chromium to open the page in: apt-get install chromium (Debian package)")
     with sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=found, args=list(ARGUMENTS))
+        running = playwright.chromium.launch(executable_path=program, args=list(ARGUMENTS))
         yield running
         running.close()
 
@@ -82,9 +82,9 @@ class Tab:
             self.page.wait_for_timeout(100)
 
     def status(self, text: str) -> str:
-        found = self.page.get_by_text(re.compile(text)).first
-        found.wait_for()
-        return found.inner_text()
+        line = self.page.get_by_text(re.compile(text)).first
+        line.wait_for()
+        return line.inner_text()
 
     def press(self, name: str) -> None:
         self.page.get_by_role("button", name=name, exact=True).click()
@@ -169,9 +169,9 @@ def test_page_moves_the_platform_in_real_time_with_its_plots_on(tab: Tab) -> Non
 
     def keeps_up() -> bool:
         said = tab.status(r"real-time factor [\d.]+")
-        found = re.search(r"real-time factor ([\d.]+), paced to ([\d.]+)", said)
-        assert found is not None
-        return float(found[1]) >= 1.0 and 0.97 <= float(found[2]) <= 1.03
+        match = re.search(r"real-time factor ([\d.]+), paced to ([\d.]+)", said)
+        assert match is not None
+        return float(match[1]) >= 1.0 and 0.97 <= float(match[2]) <= 1.03
 
     tab.wait(keeps_up)
     assert tab.page.get_by_text("leg forces [kN]").is_visible()
@@ -264,8 +264,8 @@ def test_bode_panel_measures_the_law_in_force(tab: Tab, monkeypatch: pytest.Monk
     tab.page.get_by_role("tab", name="Bode").click()
     tab.press("measure the response")
     said = tab.status("-90 deg at")
-    wanted = bode.measure(choices.first_scenario(), "heave")
-    assert wanted.text in said
+    measured = bode.measure(choices.first_scenario(), "heave")
+    assert measured.text in said
 
 
 @pytest.mark.usefixtures("fewer_pictures")

@@ -41,27 +41,27 @@ def legs_of(plant: Hexapod, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
 def test_the_room_of_a_mode_ends_at_the_working_stroke(
     plant: Hexapod, pose: NDArray[np.float64], mode: int
 ) -> None:
-    """With all its room one leg just reaches the working stroke; the largest moves that room."""
-    found = plant.hydraulic_modes(pose)
-    room = largest_stroke(plant, found, mode)
-    time = np.arange(8) / (8.0 * found.frequency_hz[mode])  # has the two ends of the motion in it
-    legs = legs_of(plant, swinging(plant, found, mode, time, stroke=room))
+    """At its largest stroke one leg just reaches the working stroke."""
+    modes = plant.hydraulic_modes(pose)
+    most = largest_stroke(plant, modes, mode)
+    time = np.arange(8) / (8.0 * modes.frequency_hz[mode])  # has the two ends of the motion in it
+    legs = legs_of(plant, swinging(plant, modes, mode, time, stroke=most))
     assert np.abs(legs).max() == pytest.approx(WORKING_STROKE, abs=1e-9)
-    assert np.abs(legs - legs[0]).max() == pytest.approx(room, abs=1e-9)
-    with pytest.raises(ValueError, match=rf"stroke: {2 * room:.4f} m .* at most {room:.4f} m"):
-        swinging(plant, found, mode, time, stroke=2 * room)
+    assert np.abs(legs - legs[0]).max() == pytest.approx(most, abs=1e-9)
+    with pytest.raises(ValueError, match=rf"stroke: {2 * most:.4f} m .* at most {most:.4f} m"):
+        swinging(plant, modes, mode, time, stroke=2 * most)
 
 
 @pytest.mark.parametrize("pose", [np.zeros(6), LEANING])
 def test_the_exaggerated_motion_keeps_every_gimbal_closed(
     plant: Hexapod, pose: NDArray[np.float64]
 ) -> None:
-    """MuJoCo's own residual of the 18 closures, through the largest swing of each mode."""
-    found = plant.hydraulic_modes(pose)
+    """MuJoCo's residual of the 18 closures, through the largest swing of each mode."""
+    modes = plant.hydraulic_modes(pose)
     for mode in range(6):
-        room = largest_stroke(plant, found, mode)
-        time = np.arange(12) / (12.0 * found.frequency_hz[mode])
-        for qpos in swinging(plant, found, mode, time, stroke=room):
+        most = largest_stroke(plant, modes, mode)
+        time = np.arange(12) / (12.0 * modes.frequency_hz[mode])
+        for qpos in swinging(plant, modes, mode, time, stroke=most):
             plant.data.qpos[:] = qpos
             mujoco.mj_forward(plant.model, plant.data)
             closures = plant.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY.value
@@ -71,47 +71,47 @@ def test_the_exaggerated_motion_keeps_every_gimbal_closed(
 
 def test_the_legs_swing_as_the_equation_says(plant: Hexapod) -> None:
     """l = l0 + a s sin(2 pi f t), and for small a the platform follows the pose shape."""
-    found = plant.hydraulic_modes(LEANING)
+    modes = plant.hydraulic_modes(LEANING)
     time, stroke = np.linspace(0.0, 0.3, 7), 1e-4
     for mode in range(6):
-        scale = stroke / np.abs(found.leg_shape[:, mode]).max()
-        swung = scale * np.sin(2.0 * np.pi * found.frequency_hz[mode] * time)[:, None]
-        qpos = swinging(plant, found, mode, time, stroke=stroke)
+        scale = stroke / np.abs(modes.leg_shape[:, mode]).max()
+        swung = scale * np.sin(2.0 * np.pi * modes.frequency_hz[mode] * time)[:, None]
+        qpos = swinging(plant, modes, mode, time, stroke=stroke)
         rest = pose_to_legs(LEANING, plant.geometry)
-        legs = rest + swung * found.leg_shape[:, mode]
+        legs = rest + swung * modes.leg_shape[:, mode]
         assert legs_of(plant, qpos) == pytest.approx(legs, abs=1e-10)
         moved = plant.pose_of(qpos) - LEANING
-        straight = swung * found.pose_shape[:, mode]
+        straight = swung * modes.pose_shape[:, mode]
         assert moved == pytest.approx(straight, abs=2e-3 * np.abs(straight).max())
 
 
 def test_a_pose_at_the_end_of_a_leg_has_no_room(plant: Hexapod) -> None:
     pose = np.array([0.0, 0.0, -1.1, 0.0, 0.0, 0.0])
     assert reserve(pose, plant) < 0.0
-    found = Hexapod("gfd").hydraulic_modes(np.zeros(6))._replace(pose=pose)
+    modes = Hexapod("gfd").hydraulic_modes(np.zeros(6))._replace(pose=pose)
     with pytest.raises(ValueError, match=r"pose: leaves leg \d -0\.\d+ m of its working stroke"):
-        largest_stroke(plant, found, 0)
+        largest_stroke(plant, modes, 0)
 
 
 def test_a_pose_is_drawn_back_until_its_legs_have_room(plant: Hexapod) -> None:
-    """On the line from neutral, exactly with the room asked for; as it is where it has that."""
-    found = plant.hydraulic_modes(LEANING)
+    """On the line from neutral, exactly with the clearance asked for; unchanged where it has it."""
+    modes = plant.hydraulic_modes(LEANING)
     assert reserve(LEANING, plant) < 0.1
-    near = within_stroke(plant, found, 0.1)
+    near = within_stroke(plant, modes, 0.1)
     assert reserve(near.pose, plant) == pytest.approx(0.1, abs=1e-9)
     share = near.pose / LEANING
     assert share == pytest.approx(np.full(6, share[0])) and 0.5 < share[0] < 1.0
     np.testing.assert_array_equal(near.frequency_hz, plant.hydraulic_modes(near.pose).frequency_hz)
     assert min(largest_stroke(plant, near, mode) for mode in range(6)) >= 0.1 - 1e-9
-    assert within_stroke(plant, found, 0.01) is found
+    assert within_stroke(plant, modes, 0.01) is modes
     with pytest.raises(
         ValueError, match=r"clearance: 1\.0 m must be at least 0 and less than 0\.9525"
     ):
-        within_stroke(plant, found, 1.0)
+        within_stroke(plant, modes, 1.0)
 
 
 class Watched(swing.Stage):
-    """A stage that keeps what it is shown."""
+    """A stage that keeps the configurations it draws."""
 
     seen: list[NDArray[np.float64]] = []
 
@@ -126,13 +126,13 @@ def test_the_film_shows_each_mode_with_its_own_period(
     """Frequency on the screen, by fitting a sine to what was drawn: the mode's times the speed."""
     monkeypatch.setattr(swing, "Stage", Watched)
     Watched.seen = []
-    found, chosen = plant.hydraulic_modes(), SMALL._replace(fps=20, speed=0.2, periods=2.0)
-    told: list[tuple[int, int]] = []
+    modes, chosen = plant.hydraulic_modes(), SMALL._replace(fps=20, speed=0.2, periods=2.0)
+    reported: list[tuple[int, int]] = []
     path = swing_film(
-        plant, found, tmp_path / "m.gif", chosen, progress=lambda *done: told.append(done)
+        plant, modes, tmp_path / "m.gif", chosen, progress=lambda *done: reported.append(done)
     )
-    count = round(2.0 / (found.frequency_hz[0] * 0.2) * 20)
-    assert told == [(number, count) for number in range(1, count + 1)]
+    count = round(2.0 / (modes.frequency_hz[0] * 0.2) * 20)
+    assert reported == [(number, count) for number in range(1, count + 1)]
     assert len(Watched.seen) == 6 * count
     time = np.arange(count) / 20.0  # of the screen
     tried = np.linspace(0.5, 5.0, 4501)
@@ -142,18 +142,18 @@ def test_the_film_shows_each_mode_with_its_own_period(
         assert np.abs(leg).max() <= 12.0 * units.INCH + 1e-9
         waves = np.sin(2.0 * np.pi * tried[:, None] * time)
         left = [np.sum((leg - w * (w @ leg) / (w @ w)) ** 2) for w in waves]
-        assert tried[np.argmin(left)] == pytest.approx(0.2 * found.frequency_hz[mode], abs=1e-3)
+        assert tried[np.argmin(left)] == pytest.approx(0.2 * modes.frequency_hz[mode], abs=1e-3)
     with Image.open(path) as picture:
         assert picture.n_frames == count
 
 
 def test_an_mp4_is_whole_and_says_what_it_shows(plant: Hexapod, tmp_path: Path) -> None:
-    found = plant.hydraulic_modes(LEANING)
-    path = swing_film(plant, found, tmp_path / "m.mp4", SMALL._replace(speed=0.02, periods=0.1))
+    modes = plant.hydraulic_modes(LEANING)
+    path = swing_film(plant, modes, tmp_path / "m.mp4", SMALL._replace(speed=0.02, periods=0.1))
     with av.open(str(path)) as container:
         pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
         assert container.streams.video[0].average_rate == 6
-    assert len(pictures) == round(0.1 / (found.frequency_hz[0] * 0.02) * 6)
+    assert len(pictures) == round(0.1 / (modes.frequency_hz[0] * 0.02) * 6)
     height, width, _ = pictures[0].shape
     assert width == 3 * SMALL.width and height > 2 * SMALL.height
     moved = np.abs(pictures[-1].astype(int) - pictures[0])
@@ -161,13 +161,13 @@ def test_an_mp4_is_whole_and_says_what_it_shows(plant: Hexapod, tmp_path: Path) 
     assert min(panels) > 60
     assert [p.name for p in tmp_path.iterdir()] == ["m.mp4"]
 
-    shown = swing.one_swing(plant, found, 5, np.zeros(1), 12.0 * units.INCH)
-    room = units.from_si("in", largest_stroke(plant, found, 5))
-    assert room < 12.0
-    mass = units.from_si("lbm", found.leg_mass[5])
-    leading = 100.0 * found.share[:, 5].max()
-    assert shown.caption.startswith(f"mode 6: {found.frequency_hz[5]:.2f} Hz, {mass:.0f} lbm a leg")
-    assert f" {leading:.0f} %, legs ±{room:.1f} in" in shown.caption
+    panel = swing.one_swing(plant, modes, 5, np.zeros(1), 12.0 * units.INCH)
+    most = units.from_si("in", largest_stroke(plant, modes, 5))
+    assert most < 12.0
+    mass = units.from_si("lbm", modes.leg_mass[5])
+    leading = 100.0 * modes.share[:, 5].max()
+    assert panel.caption.startswith(f"mode 6: {modes.frequency_hz[5]:.2f} Hz, {mass:.0f} lbm a leg")
+    assert f" {leading:.0f} %, legs ±{most:.1f} in" in panel.caption
     assert [swing.pace_text(s) for s in (0.05, 1.0, 2.0)] == [
         "20 times slower",
         "at real speed",

@@ -1,1 +1,1 @@
-"""What is shown of results: tables, figures, films, the studio, the report on one page."""
+"""Results as tables, figures and films, in the studio, and in the report on one page."""

@@ -153,11 +153,7 @@ def sensitivity_figure(result: Sensitivity, name: str) -> Figure:
 
 
 def save_calibration(result: Examination, folder: Path) -> list[Path]:
-    """Write CSV files, figures and the Markdown of a study.
-
-    Returns:
-        The paths.
-    """
+    """Write CSV files, figures and the Markdown of a study."""
     calibration = result.calibration
     before, after = calibration.before, calibration.after
     residuals = [

@@ -41,15 +41,15 @@ def error_table(flown: Cue) -> Table:
     return Table(f"cueing error, washout {flown.settings.name}", columns, rows, ERROR_LEGEND)
 
 
-def excursion_table(excursion: Excursion, held: int = 0) -> Table:
-    """Peaks of a motion over the limits of the machine; `held` frames the limits held back."""
+def excursion_table(excursion: Excursion, changed_frames: int = 0) -> Table:
+    """Peaks of a motion over the limits of the machine, which changed so many of its frames."""
     rows = []
     for row, name in enumerate(LIMITS):
         column = int(excursion.share[row].argmax())
         where = DOFS[column] if row < 3 else f"leg {column + 1}"
         share, time = 100.0 * excursion.share[row, column], excursion.time[row, column]
         rows.append((name.replace("_", " "), share, where, time))
-    caption = f"frames held back: {held}" if held else "no frame held back"
+    caption = f"frames held back: {changed_frames}" if changed_frames else "no frame held back"
     columns = ("limit", ("largest", ".1f %"), ("where", ""), ("at [s]", ".2f"))
     return Table("use of the machine", columns, rows, caption)
 

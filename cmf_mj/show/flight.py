@@ -68,10 +68,10 @@ def motion_figure(ride: FlightResult) -> Figure:
 
 def sensed_figure(ride: FlightResult) -> Figure:
     """What is sensed in aircraft and cab, and the error within its threshold."""
-    if ride.cueing is None:
-        figure = perceived_figure(ride.machine, "if followed at once", "sensed in the cab")
-    else:
-        figure = perceived_figure(ride.cueing, "sensed in the aircraft", "sensed in the cab")
+    error, reference = ride.machine, "if followed at once"
+    if ride.cueing is not None:
+        error, reference = ride.cueing, "sensed in the aircraft"
+    figure = perceived_figure(error, reference, "sensed in the cab")
     figure.suptitle(f"sensed by otoliths and canals: {ride.law}, cab {ride.cab}")
     return figure
 

@@ -15,21 +15,17 @@ from numpy.typing import NDArray
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.core import units
 from cmf_mj.core.files import whole_file
+from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 
 BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9",
 )  # fmt: skip
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, "#000000", "#999933")
-"""Told apart by readers with any colour vision (Okabe and Ito), in order of use."""
+"""Distinct to readers with any colour vision (Okabe and Ito), in order of use."""
 
 DARK, GREY, PALE = "0.2", "0.6", "0.9"
 """Of what is measured against, of references, and of grids."""
-
-
-def field_unit(dof: str | int) -> str:
-    """Unit in which a degree of freedom is written: in or deg."""
-    return "in" if (DOFS.index(dof) if isinstance(dof, str) else dof) < 3 else "deg"
 
 
 def pose_text(pose: NDArray[np.float64], form: str = ".4g") -> str:
@@ -40,9 +36,9 @@ def pose_text(pose: NDArray[np.float64], form: str = ".4g") -> str:
     """
     parts = []
     for dof, value in zip(DOFS, pose, strict=True):
-        size = format(units.from_si(field_unit(dof), float(value)), form)
+        size = format(units.from_si(dof_unit(dof), float(value)), form)
         if float(size) != 0.0:
-            parts.append(f"{dof} {size} {field_unit(dof)}")
+            parts.append(f"{dof} {size} {dof_unit(dof)}")
     return ", ".join(parts) or "neutral"
 
 
@@ -56,7 +52,7 @@ class _Figure(Figure):
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure [in] whose axes and labels leave room for one another."""
+    """An empty figure [in] whose axes and labels do not overlap."""
     return _Figure(figsize=(width, height), layout="constrained")
 
 
@@ -93,11 +89,7 @@ def bode_axes(title: str = "", *, limits: bool = False) -> tuple[Figure, Axes, A
 
 
 def plot_bode(gain: Axes, phase: Axes, response: FrequencyResponse, **style: Any) -> Any:
-    """Draw a response.
-
-    Returns:
-        Its colour.
-    """
+    """Draw a response and return its colour."""
     (line,) = gain.semilogx(response.frequency, response.gain_db, **style)
     style["color"] = line.get_color()
     phase.semilogx(response.frequency, response.phase_deg, **style)

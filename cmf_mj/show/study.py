@@ -244,10 +244,6 @@ def rate_figure(table: pa.Table) -> Figure:
     return figure
 
 
-def _drawn(rows: list[Row]) -> bool:
-    return any(row["method"] == "linear" and row["draw"] != NOMINAL for row in rows)
-
-
 def tables_of(table: pa.Table) -> dict[str, Table]:
     """The tables a study has something for, by the name of their file."""
     rows = rows_of(table)
@@ -273,7 +269,7 @@ def figures_of(table: pa.Table) -> dict[str, Figure]:
     figures: dict[str, Figure] = {}
     if len(in_order(rows, "rung")) > 1:
         figures["ladder"] = ladder_figure(table)
-    if _drawn(rows):
+    if any(row["method"] == "linear" and row["draw"] != NOMINAL for row in rows):
         figures["rates"] = rate_figure(table)
         for law in in_order(rows, "law"):
             figures[f"crosstalk_{law}"] = crosstalk_figure(table, law)

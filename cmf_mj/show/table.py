@@ -23,14 +23,7 @@ Cell = str | float | None
 
 
 def number(value: Cell, form: str = "") -> str:
-    """A cell as text.
-
-    Args:
-        value: text, number, or None for none.
-        form: format of a number, with a unit after a space if it has one.
-
-    Returns:
-        The text; a dash for NaN and None.
+    """A cell as text, a dash for NaN and None; a unit may follow the format after a space.
 
     >>> number(0.1234, ".1f %"), number(float("nan"), ".1f %"), number("unstable", ".1f %")
     ('0.1 %', '-', 'unstable')

@@ -23,11 +23,7 @@ _COMMON, _RARE = 176, 64
 
 
 def check_format(target: Path, fps: int, speed: float, sizes: Mapping[str, int]) -> None:
-    """Refuse a file name, pictures a second, speed or lengths [pixels] that no film can have.
-
-    Raises:
-        InputError: an argument out of range, named.
-    """
+    """Refuse a file name, pictures a second, speed or lengths [pixels] that no film can have."""
     if target.suffix not in (".mp4", ".gif"):
         raise InputError(f"out: {target.name} must end in .mp4 or .gif")
     if not (np.isfinite(speed) and speed > 0.0) or fps < 1:
@@ -47,11 +43,7 @@ def write_film(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write `count` pictures, each (height, width, 3), to a file that appears when it is complete.
-
-    Raises:
-        InputError: PyAV or its encoders are missing.
-    """
+    """Write `count` pictures (height, width, 3) to a file that appears when it is complete."""
 
     def counted() -> Iterator[NDArray[np.uint8]]:
         for number, picture in enumerate(pictures, start=1):
@@ -82,11 +74,7 @@ def _write_mp4(pictures: Iterator[NDArray[np.uint8]], target: Path, fps: int) ->
 
 
 def mp4_codec() -> str:
-    """The first encoder of MP4 files that opens.
-
-    Raises:
-        InputError: PyAV is missing, or has none of them.
-    """
+    """The first encoder of MP4 files that opens; refused without PyAV or without encoders."""
     try:
         import av
     except ImportError as error:

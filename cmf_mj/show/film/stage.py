@@ -91,7 +91,7 @@ class Stage:
         cameras = [model.camera(i).name for i in range(model.ncam)]
         if camera not in cameras:
             raise InputError(f"camera: {camera!r} is not one of {', '.join(cameras)}")
-        # Software OpenGL pays for vertices, for the shadow map and, most of all, for its own
+        # Software OpenGL pays for vertices, for the shadow map and, most of all, for
         # multisampling: twice the pixels each way, averaged, look as good for 60 % of the time.
         model = copy.copy(model)
         quality, buffer = model.vis.quality, model.vis.global_

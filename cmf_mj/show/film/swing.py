@@ -85,11 +85,7 @@ def swing_film(
 
 
 def film_time(modes: HydraulicModes, chosen: SwingSettings) -> NDArray[np.float64]:
-    """Time of the machine in each picture, (n,) [s], one for all modes.
-
-    Raises:
-        InputError: the film has no length, or too few pictures for the fastest mode.
-    """
+    """Time of the machine in each picture (n,) [s]; refused if the fastest mode has too few."""
     if not (np.isfinite(chosen.periods) and chosen.periods > 0.0):
         raise InputError(f"periods: {chosen.periods} of the lowest mode must be greater than 0")
     fastest = float(modes.frequency_hz[-1])

@@ -6,7 +6,7 @@ be saved as a scenario and done again. Keys: space stops time, + and - change th
 
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -30,14 +30,6 @@ NO_DISPLAY = (
     "off-screen with MUJOCO_GL=egl (libegl1, libgl1-mesa-dri) or MUJOCO_GL=osmesa (libosmesa6). "
     "For a window without a screen use a virtual one: `xvfb-run cmf view` (package xvfb)."
 )
-
-
-class Pull(NamedTuple):
-    """Force of the viewer's mouse."""
-
-    body: str
-    force: tuple[float, float, float]
-    torque: tuple[float, float, float]
 
 
 class LiveView:

@@ -1,7 +1,6 @@
 """Blocks on what the print has wrong and on what was fitted to it."""
 
 from cmf_mj.analysis.ledger import load_ledger
-from cmf_mj.analysis.measures import Measures
 from cmf_mj.show.listing import figures_text
 from cmf_mj.show.report_2014.contents import VERDICTS, Block, PageTable, TableRow, table
 from cmf_mj.show.report_2014.curves import law_title
@@ -32,10 +31,6 @@ def ledger_table() -> PageTable:
     return table("ledger-table", rows)
 
 
-def _measured(runs: Runs, study: Study) -> dict[str, Measures]:
-    return {law: runs.case(_PLANTS[study.hydraulics], law).measures for law in study.laws}
-
-
 def _parameters(study: Study) -> PageTable:
     values = starting_values(study)
     rows = [
@@ -54,8 +49,9 @@ def _parameters(study: Study) -> PageTable:
 
 
 def _residuals(runs: Runs, study: Study) -> PageTable:
-    rows = []
-    for row in residual_rows(study, _measured(runs, study)):
+    on, rows = _PLANTS[study.hydraulics], []
+    measures = {law: runs.case(on, law).measures for law in study.laws}
+    for row in residual_rows(study, measures):
         relative, verdict = row.measure != "damping", VERDICTS[row.within]
         cells = (
             f"{row.table}, {law_title(row.law)}",

@@ -117,9 +117,5 @@ def render(content: Content) -> str:
 
 
 def save_page(content: Content, folder: Path) -> Path:
-    """Write `report.html`; it appears only when it is complete.
-
-    Raises:
-        MissingExtraError: plotly or Jinja2 is not installed.
-    """
+    """Write `report.html`; it appears only when it is complete."""
     return write_text(folder / "report.html", render(content))

@@ -56,12 +56,7 @@ class Cancelled(Exception):
 def measure(
     scenario: Scenario, dof: str, progress: Callable[[int, int], None] | None = None
 ) -> Measured:
-    """Measure the response of a session's machine and law: from rest, with a multisine.
-
-    Raises:
-        InputError: the scenario cannot be run.
-        OutOfBounds: the loop with this law left its physical bounds.
-    """
+    """Measure the response of a session's machine and law: from rest, with a multisine."""
     unit = dof_unit(dof)
     signal = {
         "kind": "multisine",

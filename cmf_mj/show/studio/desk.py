@@ -21,10 +21,10 @@ class Desk(Protocol):
     live: LiveSession  #: Its session.
 
     def apply(self, change: Change) -> None:
-        """Let something change; a refusal is shown."""
+        """Let something change, or show the refusal."""
 
     def begin(self, scenario: Scenario) -> None:
-        """Begin anew; a refusal is shown and the run goes on."""
+        """Begin anew; on a refusal show it and let the run go on."""
 
     def again(self, **settings: Any) -> None:
         """Begin anew with the present law and signal and some settings of the scenario changed."""
@@ -49,11 +49,7 @@ def picked(handle: viser.GuiDropdownHandle[str], value: str) -> None:
 
 
 def read_upload(name: str, content: bytes, read: Callable[[Path], Content]) -> Content:
-    """Read a file of the browser from its name there and its bytes.
-
-    Raises:
-        InputError: `read` refuses it; the message begins with the name.
-    """
+    """Read a file of the browser from its name and bytes; a refusal begins with the name."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / (Path(name).name or "file")
         path.write_bytes(content)

@@ -216,11 +216,7 @@ class LiveSession:
 
 
 def _open_run(scenario: Scenario) -> ScenarioRun:
-    """A run without end, on the hexapod.
-
-    Raises:
-        InputError: another plant, or the scenario is refused; named by its key.
-    """
+    """A run without end, on the hexapod."""
     if scenario.plant != "hexapod":
         raise InputError(f"plant: {scenario.plant!r} has no platform to show; allowed: hexapod")
     keep = KEPT_ROWS * scenario.record_every / RATE

@@ -8,7 +8,7 @@ from typing import Any
 
 import viser
 
-from cmf_mj.control.law import Law, load_law
+from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.facility.scenario.settings import Change, Scenario, overlaid_law
 from cmf_mj.show.studio import choices, traces
@@ -69,11 +69,11 @@ class Page:
     # What controls ask for.
 
     def apply(self, change: Change) -> None:
-        """Let something change; a refusal is shown."""
+        """Let something change, or show the refusal."""
         self.live.apply(change).add_done_callback(self._refused)
 
     def begin(self, scenario: Scenario) -> None:
-        """Begin anew; a refusal is shown and the run goes on."""
+        """Begin anew; on a refusal show it and let the run go on."""
         paused = self.live.paused
         self.live.pause(True)  # time that the new scene takes is not to be made up for
         try:
@@ -184,13 +184,9 @@ class Page:
         self._machine.sync(scenario)
         self._signal.sync(scenario)
         self._disturbance.sync(scenario)
-        self._law.sync(scenario.law, _begun_law(scenario))
+        self._law.sync(scenario.law, overlaid_law(load_law(scenario.law), scenario.gains))
 
     def _refused(self, done: "Future[None]") -> None:
         error = None if done.cancelled() else done.exception()
         if isinstance(error, Exception):
             self.tell(error)
-
-
-def _begun_law(scenario: Scenario) -> Law:
-    return overlaid_law(load_law(scenario.law), scenario.gains)

@@ -24,11 +24,7 @@ class Recording:
     """A record of the hexapod, looked at by time."""
 
     def __init__(self, record: Record, width: int) -> None:
-        """Check that the page can show the record; `width` is the number of generalised positions.
-
-        Raises:
-            InputError: the record is of another plant or does not hold what the page shows.
-        """
+        """Check that the page can show the record; `width`: number of generalised positions."""
         plant = record.metadata.get("plant")
         if plant != "hexapod":
             raise InputError(f"plant: {plant!r} of the record cannot be shown; allowed: hexapod")
@@ -65,11 +61,7 @@ class Recording:
 
 
 def read_recording(name: str, content: bytes, width: int) -> Recording:
-    """A recording from a file of the browser.
-
-    Raises:
-        InputError: the file is no record of the hexapod; the message names file and field.
-    """
+    """A recording from a file of the browser."""
     return read_upload(name, content, lambda path: Recording(Record.load(path), width))
 
 
@@ -110,7 +102,7 @@ class ReplayPanel:
 
     @property
     def recording(self) -> Recording | None:
-        """What is shown in the place of the live run, if anything."""
+        """The recording in the place of the live run, if any."""
         return self._recording
 
     def turn(self, elapsed: float) -> float:
@@ -130,7 +122,7 @@ class ReplayPanel:
             return self._time
 
     def show(self) -> None:
-        """Move the scrubber to the time shown."""
+        """Move the scrubber to the time of the picture."""
         if self._recording is not None and self._play.value:
             self._slider.value = round(self._time, 2)
 

@@ -22,7 +22,7 @@ class Studio:
         """Begin to serve.
 
         Args:
-            host: address to listen on; others than this machine's own reach it with `0.0.0.0`.
+            host: address to listen on; other machines reach it with `0.0.0.0`.
             port: TCP port; the next free one is taken if it is in use.
             scenario: what each tab begins with; default `first_scenario`.
 
