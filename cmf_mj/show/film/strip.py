@@ -105,11 +105,7 @@ class Strip:
     ) -> None:
         """Draw them once; panels that all have the same curves share one legend.
 
-        Args:
-            traces: of the run.
-            width: pixels.
-            height: pixels.
-            others: traces of other runs with the same panels, whose range the axes take in too.
+        The axes take in the range of other runs' traces with the same panels.
         """
         every = [traces, *others]
         rows = len(traces.panels) // traces.columns

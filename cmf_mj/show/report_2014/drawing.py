@@ -82,13 +82,12 @@ def plotly_json(chart: Chart) -> str:
 def still(chart: Chart) -> str:
     """The chart as an SVG picture, texts as outlines; the same bytes for the same chart."""
     panels = chart.panels
-    # Random ids and the date would make each file another; texts need no font of the reader's.
+    # Random ids and the date would change every file; texts must not need the reader's fonts.
     with rc_context({"svg.hashsalt": "cmf-mj", "svg.fonttype": "path"}):
         figure = Figure(figsize=(7.2, chart_height(chart) / 105.0), layout="constrained")
         heights = [panel.height for panel in panels]
-        every = figure.subplots(len(panels), 1, squeeze=False, sharex=True, height_ratios=heights)[
-            :, 0
-        ]
+        options: dict[str, Any] = {"sharex": True, "height_ratios": heights}
+        every = figure.subplots(len(panels), 1, squeeze=False, **options)[:, 0]
         handles: dict[str, Any] = {}
         for axes, panel in zip(every, panels, strict=True):
             handles = plot_curves(axes, panel.curves, scale=0.7) | handles

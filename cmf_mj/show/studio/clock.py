@@ -75,11 +75,7 @@ class Clock:
     @property
     def pace(self) -> Pace:
         """How the session keeps up; NaN before the first turn."""
-        wall, simulated, busy = (
-            (sum(column) for column in zip(*self._turns, strict=True))
-            if self._turns
-            else (0.0, 0.0, 0.0)
-        )
+        wall, simulated, busy = [sum(c) for c in zip(*self._turns, strict=True)] or [0.0] * 3
         missing = float("nan")
         return Pace(
             simulated / wall if wall > 0.0 else missing,

@@ -64,11 +64,7 @@ def knobs(law: Law) -> tuple[Knob, ...]:
 
 
 def law_as_gains(law: Law) -> dict[str, Any]:
-    """A law of a file as a change that needs no file: `law` and the `gains` that make it.
-
-    Returns:
-        Keys `law` and `gains` of a change.
-    """
+    """A law of a file as a change that needs no file: `law` and the `gains` that make it."""
     gains = law.model_dump(exclude={"name", "title", "source"}, exclude_none=True)
     assert load_law(_BASE).reference_model is None
     return {"law": _BASE, "gains": gains}

@@ -106,11 +106,7 @@ class ReplayPanel:
         return self._recording
 
     def turn(self, elapsed: float) -> float:
-        """Let the recording go on.
-
-        Returns:
-            Time to show [s].
-        """
+        """Let the recording go on for a wall time [s], and return the time to show [s]."""
         with self._lock:
             if self._recording is None:
                 return 0.0

@@ -31,9 +31,8 @@ class Studio:
             OSError: the address cannot be listened on.
         """
         self._scenario = scenario or first_scenario()
-        ScenarioRun(self._scenario).advance(
-            1
-        )  # compiles the loop before the first tab waits for it
+        # Compile the loop before the first tab waits for it.
+        ScenarioRun(self._scenario).advance(1)
         self._host = host
         self._changed = threading.Condition()
         self._stopped = False
