@@ -17,7 +17,7 @@ from cmf_mj.analysis.measures import Measures, joined, sweep_response
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import check_name
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine import models
@@ -28,7 +28,7 @@ from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
-from cmf_mj.signals.signal import Command
+from cmf_mj.signals.signal import Command, check_positive
 from cmf_mj.signals.single import Chirp
 
 AMPLITUDE = 0.33 * units.INCH
@@ -153,20 +153,13 @@ def make_case(
         InputError: an argument out of range.
     """
     dof_index(dof)
-    if plant not in PLANTS:
-        raise InputError(f"plant: {plant!r} is not one of {', '.join(PLANTS)}")
+    check_name("plant", plant, PLANTS)
     models.cab_path(cab)
-    if amplitude is not None and not (np.isfinite(amplitude) and amplitude > 0.0):
-        raise InputError(f"amplitude: {amplitude} must be a finite number greater than 0")
-    return Case(
-        plant,
-        cab if plant == "hexapod" else "",
-        load_hydraulics(hydraulics),
-        load_law(law),
-        dof,
-        amplitude,
-        **options,
-    )
+    if amplitude is not None:
+        check_positive(amplitude=amplitude)
+    with_cab = cab if plant == "hexapod" else ""
+    parameters, loaded = load_hydraulics(hydraulics), load_law(law)
+    return Case(plant, with_cab, parameters, loaded, dof, amplitude, **options)
 
 
 class CaseResult(NamedTuple):

@@ -14,7 +14,7 @@ import numpy as np
 
 from cmf_mj.analysis.published import Published, published
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_csv
 from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics.chain import ElectronicsSettings
@@ -117,8 +117,7 @@ def compare(
     loaded = [load_law(law) for law in laws]
     for field, chosen, known in (("dofs", dofs, DOFS), ("plants", plants, PLANTS)):
         for name in chosen:
-            if name not in known:
-                raise InputError(f"{field}: {name!r} is not one of {', '.join(known)}")
+            check_name(field, name, known)
         if not chosen:
             raise InputError(f"{field}: is empty; choose from {', '.join(known)}")
     if not loaded:

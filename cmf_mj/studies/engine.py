@@ -16,7 +16,7 @@ import pyarrow as pa
 from joblib import Parallel, delayed, parallel_config
 from threadpoolctl import threadpool_limits
 
-from cmf_mj.core.errors import InputError, require
+from cmf_mj.core.errors import InputError, check_name, require
 from cmf_mj.studies.evaluation import StudyRow, evaluate, failed
 from cmf_mj.studies.journal import Journal
 from cmf_mj.studies.settings import Study, StudyCase
@@ -76,8 +76,7 @@ def run_study(
     """
     if jobs < 1:
         raise InputError(f"jobs: {jobs} must be at least 1")
-    if backend not in get_args(Backend):
-        raise InputError(f"backend: {backend!r} is not one of {', '.join(get_args(Backend))}")
+    check_name("backend", backend, get_args(Backend))
     if scheduler is not None and backend != "dask":
         raise InputError(f"scheduler: {scheduler} needs the backend dask, not {backend}")
     journal = Journal(Path(folder), study)

@@ -35,7 +35,7 @@ from cmf_mj.analysis.identification.validation import Residuals, residual_analys
 from cmf_mj.analysis.linear.loop import closed_loop_response
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, law_names
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.machine.kinematics import DOFS, pose_jacobian
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
@@ -104,8 +104,7 @@ def identify(
     Raises:
         InputError: an argument out of range, or records that cannot be fitted.
     """
-    if method not in get_args(Method):
-        raise InputError(f"method: {method!r} is not one of {', '.join(get_args(Method))}")
+    check_name("method", method, get_args(Method))
     if not records:
         raise InputError("records: none given; at least one is needed")
     series = [experiment(record, axis, rate=rate) for record in records]
@@ -167,6 +166,7 @@ def excitation(kind: Signal, dof: str, amplitude: float | None = None, *, seed: 
     Raises:
         InputError: another kind, or an argument out of range.
     """
+    check_name("signal", kind, get_args(Signal))
     size = dof_amplitude(dof) if amplitude is None else amplitude
     if kind == "multisine":
         return signals.multisine(
@@ -178,9 +178,7 @@ def excitation(kind: Signal, dof: str, amplitude: float | None = None, *, seed: 
         return signals.noise(dof, size, stop=HIGHEST, duration=60.0, seed=seed)
     if kind == "pulse":
         return signals.pulse(dof, size)
-    if kind == "sine":
-        return signals.sine(dof, size, 1.0)
-    raise InputError(f"signal: {kind!r} is not one of {', '.join(get_args(Signal))}")
+    return signals.sine(dof, size, 1.0)
 
 
 def simulated_records(case: Case, kind: Signal = "multisine") -> list[Record]:

@@ -60,11 +60,10 @@ class Journal:
                 raise InputError(f"{self.folder}: holds a journal without its {SPECIFICATION}")
             write_text(path, json.dumps(identity, indent=1))
             return
-        there = json.loads(path.read_text(encoding="utf-8"))
-        other = _differences(there, identity)
-        if other:
+        differing = _differences(json.loads(path.read_text(encoding="utf-8")), identity)
+        if differing:
             raise InputError(
-                f"{self.folder}: holds a study that differs in {', '.join(other)}; "
+                f"{self.folder}: holds a study that differs in {', '.join(differing)}; "
                 "allowed: the same study, or another folder"
             )
 

@@ -23,7 +23,7 @@ from cmf_mj.analysis.response.periodic import sine_response
 from cmf_mj.analysis.sine import fit_sines
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.dof import dof_index
@@ -94,10 +94,8 @@ def loop_between(
     if not signal.startswith("leg_"):
         index = dof_index(signal)
         loop = pose_loop(loop, plant, pose)
-    elif signal in legs:
-        index = legs.index(signal)
     else:
-        raise InputError(f"dof: {signal!r} is not one of {', '.join(legs)}")
+        index = legs.index(check_name("dof", signal, legs))
     return loop[index, index]
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy import stats
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Settings, validated
 from cmf_mj.electronics.chain import ElectronicsSettings
@@ -87,10 +87,7 @@ class Mismatch(Settings):
             if spread.effect == "offset" and name != "null_bias":
                 raise InputError(f"mismatch.hydraulics.{name}: effect must be factor")
         for name, spread in self.sensor_gains.items():
-            if name not in LEG_CHANNELS:
-                raise InputError(
-                    f"mismatch.sensor_gains: {name!r} is not one of {', '.join(LEG_CHANNELS)}"
-                )
+            check_name("mismatch.sensor_gains", name, LEG_CHANNELS)
             if spread.per != "actuator" or spread.effect != "factor":
                 raise InputError(f"mismatch.sensor_gains.{name}: must be a factor per actuator")
 

@@ -12,7 +12,7 @@ from cmf_mj.analysis.frequency_response import (
 )
 from cmf_mj.analysis.metrics import SecondOrder, fit_second_order
 from cmf_mj.analysis.response.estimate import Estimator
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import check_name
 from cmf_mj.record.reader import read_recording
 
 
@@ -43,9 +43,7 @@ def measure_recordings(files: Sequence[Path], dof: str, estimator: str) -> Recor
     Raises:
         InputError: a broken file, no demand in the degree of freedom, an unknown estimator.
     """
-    if estimator not in get_args(Estimator):
-        names = ", ".join(get_args(Estimator))
-        raise InputError(f"estimator: {estimator!r} is not one of {names}")
+    check_name("estimator", estimator, get_args(Estimator))
     records = [read_recording(path) for path in files]
     if len(records) > 1 or records[0].signal.dwells:
         response = rounds_response(records, dof)

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import check_name
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.plant.hexapod import Hexapod, hexapod_spec
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -195,6 +195,4 @@ def rung_named(name: str) -> Rung:
     Raises:
         InputError: no such rung.
     """
-    if name not in _RUNGS:
-        raise InputError(f"rungs: {name!r} is not one of {', '.join(_RUNGS)}")
-    return _RUNGS[name]
+    return _RUNGS[check_name("rungs", name, _RUNGS)]

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import Published, published_results
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.settings import Settings, read_toml, validated
 
 _FILE = Path(__file__).with_name("studies.toml")
@@ -164,6 +164,4 @@ def load_study(source: str | Study) -> Study:
     if isinstance(source, Study):
         return source
     studies = load_studies()
-    if source not in studies:
-        raise InputError(f"study: {source!r} is not one of {', '.join(studies)}")
-    return studies[source]
+    return studies[check_name("study", source, studies)]

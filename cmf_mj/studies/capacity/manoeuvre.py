@@ -12,7 +12,7 @@ from scipy.interpolate import PchipInterpolator
 
 from cmf_mj import signals
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, unknown_name
 from cmf_mj.core.files import read_column, read_table
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.dof import dof_index, dof_unit
@@ -79,9 +79,7 @@ def read_poses(path: str | Path) -> Command:
     """
     source = Path(path)
     if source.suffix not in (".csv", ".parquet"):
-        raise InputError(
-            f"signal: {str(path)!r} is not one of {', '.join(SIGNALS)} nor a .csv or .parquet file"
-        )
+        raise unknown_name("signal", str(path), SIGNALS, " nor a .csv or .parquet file")
     table = read_table(source)
     moved = [name for name in DOFS if name in table.column_names]
     if "time" not in table.column_names or not moved:

@@ -24,7 +24,7 @@ from cmf_mj.control.law import Gains, Law, ReferenceModel, load_law
 from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.control.plan import Plan
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import check_name
 from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.hexapod import Hexapod
@@ -275,6 +275,4 @@ def form_named(name: str) -> Form:
     Raises:
         InputError: no such form.
     """
-    if name not in FORMS:
-        raise InputError(f"form: {name!r} is not one of {', '.join(FORMS)}")
-    return FORMS[name]
+    return FORMS[check_name("form", name, FORMS)]

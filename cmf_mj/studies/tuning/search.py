@@ -103,9 +103,8 @@ def search(
     """
     if evaluations < 1:
         raise InputError(f"evaluations: {evaluations} must be at least 1")
-    kept = limits or Limits()
-    chosen = form_named(form)
-    begun = np.array(chosen.start if start is None else start)
+    limits, chosen = limits or Limits(), form_named(form)
+    first = np.array(chosen.start if start is None else start)
     low, high = np.array(list(chosen.free.values())).T
 
     def values_of(point: NDArray[np.float64]) -> list[float]:
@@ -115,16 +114,16 @@ def search(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         cma = require("cma", "search")
-        strategy = cma.CMAEvolutionStrategy((begun - low) / (high - low), chosen.spread, options)
-    best, tried = (np.inf, begun.tolist()), 0
+        strategy = cma.CMAEvolutionStrategy((first - low) / (high - low), chosen.spread, options)
+    best, tried = (np.inf, first.tolist()), 0
     while tried < evaluations and not strategy.stop():
         points = strategy.ask()
-        prices = [cost(chosen, values_of(point), template, kept, seeds) for point in points]
-        strategy.tell(points, prices)
+        costs = [cost(chosen, values_of(point), template, limits, seeds) for point in points]
+        strategy.tell(points, costs)
         tried += len(points)
-        least = int(np.argmin(prices))
-        if prices[least] < best[0]:
-            best = prices[least], values_of(points[least])
+        least = int(np.argmin(costs))
+        if costs[least] < best[0]:
+            best = costs[least], values_of(points[least])
         if progress is not None:
             progress(min(tried, evaluations), evaluations)
     law = candidate(chosen, template, best[1])
