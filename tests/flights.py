@@ -30,7 +30,7 @@ def turned(axis: int, history: NDArray[np.float64]) -> PilotMotion:
     return PilotMotion(flown.time, flown.specific_force, rate, flown.attitude)
 
 
-def held(size: float, seconds: float = 60.0, at: float = 1.0) -> NDArray[np.float64]:
+def sustained(size: float, seconds: float = 60.0, at: float = 1.0) -> NDArray[np.float64]:
     """Nothing, then `size` from the time `at` on, at 80 Hz."""
     return np.where(np.arange(round(seconds * 80)) >= round(at * 80), size, 0.0)
 

@@ -58,11 +58,11 @@ def exact(system: control.TransferFunction, hertz: NDArray[np.float64]) -> NDArr
     return np.ravel(system(2j * np.pi * hertz))
 
 
-def compare(found: FrequencyResponse, system: control.TransferFunction) -> None:
+def compare(result: FrequencyResponse, system: control.TransferFunction) -> None:
     """Gain within 0.05 dB and phase within 0.5 deg from 0.3 to 8 Hz."""
-    band = (found.frequency >= 0.3 - 1e-9) & (found.frequency <= 8.0)
+    band = (result.frequency >= 0.3 - 1e-9) & (result.frequency <= 8.0)
     assert band.sum() >= 39
-    ratio = found.response[band] / exact(system, found.frequency[band])
+    ratio = result.response[band] / exact(system, result.frequency[band])
     np.testing.assert_allclose(20 * np.log10(np.abs(ratio)), 0.0, rtol=0, atol=0.05)
     np.testing.assert_allclose(np.degrees(np.angle(ratio)), 0.0, rtol=0, atol=0.5)
 
@@ -78,8 +78,8 @@ def test_a_well_damped_system_is_recovered(kind: str, zeta: float, hertz: float)
 def test_every_degree_of_freedom_is_recovered(dof: str) -> None:
     """0.33 in or 0.2 deg (Appendix D); the six legs carry each motion in their own way."""
     amplitude = np.radians(0.2) if dof in DOFS[3:] else AMPLITUDE
-    found = measured("multisine", 0.6, 2.5, dof=dof, amplitude=amplitude)
-    compare(found, second_order(0.6, 2.5))
+    result = measured("multisine", 0.6, 2.5, dof=dof, amplitude=amplitude)
+    compare(result, second_order(0.6, 2.5))
 
 
 def test_every_frame_of_a_record_serves_as_well() -> None:
@@ -93,11 +93,11 @@ def test_every_frame_of_a_record_serves_as_well() -> None:
 def test_coherence_of_a_linear_system_is_one(kind: str, least: float) -> None:
     """Linear, no noise. The multisine is periodic, its coherence exact; Welch's segments of the
     chirp leak a little into each other."""
-    found = measured(kind)
-    assert found.coherence.shape == found.frequency.shape
-    assert found.coherence.max() <= 1.0 + 1e-12
-    inner = (found.frequency >= 0.3) & (found.frequency <= 8.0)
-    assert found.coherence[inner].min() > least
+    result = measured(kind)
+    assert result.coherence.shape == result.frequency.shape
+    assert result.coherence.max() <= 1.0 + 1e-12
+    inner = (result.frequency >= 0.3) & (result.frequency <= 8.0)
+    assert result.coherence[inner].min() > least
 
 
 def test_coherence_falls_with_noise() -> None:
@@ -112,9 +112,9 @@ def test_coherence_falls_with_noise() -> None:
     sigma = np.sqrt(lines.mean() / samples)
     feedback = command.pose.copy()
     feedback[:, DOFS.index("heave")] += np.random.default_rng(7).normal(0, sigma, len(feedback))
-    found = frequency_response(record_of(command, feedback, 8))
-    assert found.coherence.size == 10
-    assert found.coherence.mean() == pytest.approx(0.5 + 0.25 / 24, abs=0.1)
+    result = frequency_response(record_of(command, feedback, 8))
+    assert result.coherence.size == 10
+    assert result.coherence.mean() == pytest.approx(0.5 + 0.25 / 24, abs=0.1)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -144,24 +144,24 @@ def test_a_standing_offset_does_not_count(kind: str) -> None:
     command = excitation(kind)
     feedback = response(command, second_order(0.7, 3.0))
     feedback[:, DOFS.index("heave")] += 0.002
-    found = frequency_response(record_of(command, feedback, 8))
-    np.testing.assert_allclose(found.response, measured(kind).response, rtol=1e-6)
+    result = frequency_response(record_of(command, feedback, 8))
+    np.testing.assert_allclose(result.response, measured(kind).response, rtol=1e-6)
 
 
 def test_the_response_is_a_control_frequency_response() -> None:
     """It goes into python-control as it is."""
-    found = measured("multisine")
-    assert isinstance(found, FrequencyResponse)
-    assert isinstance(found, control.FrequencyResponseData)
-    assert found.ninputs == found.noutputs == 1
-    np.testing.assert_allclose(found.omega, 2 * np.pi * found.frequency, rtol=1e-15)
-    np.testing.assert_array_equal(np.ravel(found.frdata), found.response)
-    closed = control.FrequencyResponseData(found.response, found.omega).feedback()
+    result = measured("multisine")
+    assert isinstance(result, FrequencyResponse)
+    assert isinstance(result, control.FrequencyResponseData)
+    assert result.ninputs == result.noutputs == 1
+    np.testing.assert_allclose(result.omega, 2 * np.pi * result.frequency, rtol=1e-15)
+    np.testing.assert_array_equal(np.ravel(result.frdata), result.response)
+    closed = control.FrequencyResponseData(result.response, result.omega).feedback()
     np.testing.assert_allclose(
-        np.ravel(found.feedback().frdata), np.ravel(closed.frdata), rtol=1e-14
+        np.ravel(result.feedback().frdata), np.ravel(closed.frdata), rtol=1e-14
     )
     np.testing.assert_allclose(
-        np.ravel(found.feedback().frdata), found.response / (1 + found.response), rtol=1e-12
+        np.ravel(result.feedback().frdata), result.response / (1 + result.response), rtol=1e-12
     )
 
 
@@ -173,10 +173,10 @@ def test_the_bound_holds_the_response(kind: str) -> None:
     feedback = response(command, second_order(0.7, 3.0))
     noise = np.random.default_rng(4).normal(0, 0.1 * AMPLITUDE, len(feedback))
     feedback[:, DOFS.index("heave")] += noise
-    found = frequency_response(record_of(command, feedback, 8))
-    assert found.bound.shape == found.frequency.shape
-    assert np.median(measured(kind).bound) < 0.2 * np.median(found.bound)
-    assert np.mean(np.abs(found.response - measured(kind).response) < found.bound) >= 0.85
+    result = frequency_response(record_of(command, feedback, 8))
+    assert result.bound.shape == result.frequency.shape
+    assert np.median(measured(kind).bound) < 0.2 * np.median(result.bound)
+    assert np.mean(np.abs(result.response - measured(kind).response) < result.bound) >= 0.85
 
 
 def test_a_single_leg_serves_as_well() -> None:
@@ -195,11 +195,11 @@ def test_every_estimator_recovers_a_system_without_noise(kind: str, estimator: E
     """3 % of gain 1 from 0.5 to 8 Hz; the report's segments cut the sweep at their ends."""
     command = excitation(kind)
     system = second_order(0.7, 3.0)
-    found = frequency_response(
+    result = frequency_response(
         record_of(command, response(command, system), 8), estimator=estimator
     )
-    inner = (found.frequency >= 0.5) & (found.frequency <= 8.0)
-    off = found.response - exact(system, found.frequency)
+    inner = (result.frequency >= 0.5) & (result.frequency <= 8.0)
+    off = result.response - exact(system, result.frequency)
     np.testing.assert_allclose(np.abs(off[inner]), 0.0, rtol=0, atol=0.03)
 
 
@@ -218,10 +218,10 @@ def test_phase_is_unwrapped() -> None:
     omega = 2 * np.pi * np.linspace(0.05, 10.0, 400)
     lag = 2 * np.pi * 2.0
     values = (1 / (1 + 1j * omega / lag)) ** 4
-    found = FrequencyResponse(values, omega, np.ones(omega.size))
-    assert found.phase_deg[-1] < -300.0
-    np.testing.assert_allclose(found.phase_deg, -4 * np.degrees(np.arctan(omega / lag)), atol=1e-9)
-    np.testing.assert_allclose(found.gain_db, -40 * np.log10(1 + (omega / lag) ** 2), atol=1e-12)
+    result = FrequencyResponse(values, omega, np.ones(omega.size))
+    assert result.phase_deg[-1] < -300.0
+    np.testing.assert_allclose(result.phase_deg, -4 * np.degrees(np.arctan(omega / lag)), atol=1e-9)
+    np.testing.assert_allclose(result.gain_db, -40 * np.log10(1 + (omega / lag) ** 2), atol=1e-12)
 
 
 # -- bandwidths ---------------------------------------------------------------------------------
@@ -248,31 +248,31 @@ def test_bandwidths_of_a_second_order_system(zeta: float, hertz: float, gain: fl
     1 / (2 zeta sqrt(1 - zeta^2)). 1e-3 Hz and 0.01 dB: linear interpolation between lines of
     0.05 Hz; 0.931 is the velocity law's DC gain."""
     system = second_order(zeta, hertz, gain)
-    found = bandwidths(analytic(system))
-    assert found.phase_hz == pytest.approx(hertz, abs=1e-3)
-    assert found.gain_hz == pytest.approx(minus_three_db(system), abs=1e-3)
+    result = bandwidths(analytic(system))
+    assert result.phase_hz == pytest.approx(hertz, abs=1e-3)
+    assert result.gain_hz == pytest.approx(minus_three_db(system), abs=1e-3)
     if zeta < np.sqrt(0.5):
         peak = gain / (2 * zeta * np.sqrt(1 - zeta**2))
-        assert found.peak_db == pytest.approx(20 * np.log10(peak), abs=1e-2)
+        assert result.peak_db == pytest.approx(20 * np.log10(peak), abs=1e-2)
     else:
-        assert found.peak_db == pytest.approx(20 * np.log10(gain), abs=1e-2)
+        assert result.peak_db == pytest.approx(20 * np.log10(gain), abs=1e-2)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_bandwidths_of_a_measured_second_order_system(kind: str) -> None:
     """From the record to the numbers of the report's tables. 0.02 Hz: 0.5 deg of phase at
     40 deg/Hz, 0.05 dB at 3 dB/Hz; 0.05 dB: as `compare`."""
-    found = bandwidths(measured(kind, 0.5))
-    assert found.phase_hz == pytest.approx(3.0, abs=0.02)
-    assert found.gain_hz == pytest.approx(minus_three_db(second_order(0.5, 3.0)), abs=0.02)
-    assert found.peak_db == pytest.approx(20 * np.log10(1 / np.sqrt(0.75)), abs=0.05)
+    result = bandwidths(measured(kind, 0.5))
+    assert result.phase_hz == pytest.approx(3.0, abs=0.02)
+    assert result.gain_hz == pytest.approx(minus_three_db(second_order(0.5, 3.0)), abs=0.02)
+    assert result.peak_db == pytest.approx(20 * np.log10(1 / np.sqrt(0.75)), abs=0.05)
 
 
 def test_minus_three_db_counts_from_absolute_zero() -> None:
     """A gain of 0.5 is below -3 dB from the first line: no crossing within the lines."""
-    found = bandwidths(analytic(second_order(0.7, 3.0, gain=0.5)))
-    assert np.isnan(found.gain_hz)
-    assert found.phase_hz == pytest.approx(3.0, abs=1e-3)
+    result = bandwidths(analytic(second_order(0.7, 3.0, gain=0.5)))
+    assert np.isnan(result.gain_hz)
+    assert result.phase_hz == pytest.approx(3.0, abs=1e-3)
 
 
 def test_no_crossing_is_nan() -> None:
@@ -291,16 +291,16 @@ def test_the_first_crossing_counts() -> None:
     notch = control.tf([1.0, 0.1 * np.pi, (4 * np.pi) ** 2], [1.0, 2 * np.pi, (4 * np.pi) ** 2])
     system = notch * second_order(0.7, 8.0)
     first, last = minus_three_db(system, 0.1, 2.0), minus_three_db(system, 5.0, 20.0)
-    found = bandwidths(analytic(system, 20.0))
-    assert found.gain_hz == pytest.approx(first, abs=1e-3)
+    result = bandwidths(analytic(system, 20.0))
+    assert result.gain_hz == pytest.approx(first, abs=1e-3)
     assert first < 2.0 < last
 
 
 def test_bandwidths_take_any_control_response() -> None:
     omega = 2 * np.pi * np.linspace(0.1, 10.0, 500)
     plain = control.frequency_response(second_order(0.5, 3.0), omega)
-    found = bandwidths(control.FrequencyResponseData(np.ravel(plain.frdata), omega))
-    assert found.phase_hz == pytest.approx(3.0, abs=1e-3)
+    result = bandwidths(control.FrequencyResponseData(np.ravel(plain.frdata), omega))
+    assert result.phase_hz == pytest.approx(3.0, abs=1e-3)
 
 
 # -- refused records ----------------------------------------------------------------------------

@@ -143,13 +143,13 @@ def test_orders_are_found_by_bic_and_by_validation() -> None:
     system = lag(3.0) * pair(11.0, 0.11)
     estimation = noisy(system, 10, samples=6000, where="equation", noise=0.1)
     validation = noisy(system, 11, samples=3000, where="equation", noise=0.1)
-    found = select_orders(estimation, validation, na=range(1, 7), nb=range(1, 6), nk=(0, 1, 2))
-    assert found.best("bic").orders == Orders(3, 3, 1)
-    assert found.best("aic").bic >= found.best("bic").bic
-    best = found.best("validation")
-    assert best.fit >= max(c.fit for c in found.candidates) - 0.2
-    assert best.parameters <= found.best("validation", slack=0.0).parameters
-    true = next(c for c in found.candidates if c.orders == Orders(3, 3, 1))
+    result = select_orders(estimation, validation, na=range(1, 7), nb=range(1, 6), nk=(0, 1, 2))
+    assert result.best("bic").orders == Orders(3, 3, 1)
+    assert result.best("aic").bic >= result.best("bic").bic
+    best = result.best("validation")
+    assert best.fit >= max(c.fit for c in result.candidates) - 0.2
+    assert best.parameters <= result.best("validation", slack=0.0).parameters
+    true = next(c for c in result.candidates if c.orders == Orders(3, 3, 1))
     alone = arx(estimation, (3, 3, 1))
     assert true.fit == pytest.approx(float(simulation_fit(alone, validation)[0]), abs=0.05)
     n = 6000 - 6
@@ -194,9 +194,9 @@ def test_share_of_residual_correlations_outside_their_bounds_is_one_per_cent() -
         model = replace(
             arx(noisy(system, seed, samples=1000, noise=0.0), (1, 1, 1)), noise="output"
         )
-        found = residual_analysis(model, run, lags=20)
-        outside.append(found.auto_outside)
-        crossed.append(found.cross_outside[0])
+        result = residual_analysis(model, run, lags=20)
+        outside.append(result.auto_outside)
+        crossed.append(result.cross_outside[0])
     assert np.mean(outside) == pytest.approx(0.01, abs=0.007)
     assert np.mean(crossed) == pytest.approx(0.01, abs=0.007)
 

@@ -28,8 +28,8 @@ def test_input_is_the_held_command_at_the_valves(record: Record) -> None:
     command = record["valve_command"][:, 0]
     fine = np.repeat(np.concatenate([[command[0]], command[:-1]]), 16)
     about = np.array([fine[max(k - 8, 0) : k + 8].mean() for k in range(0, fine.size, 16)])
-    found = experiment(record, "leg_1", rate=2048.0, detrend="none").input[:, 0]
-    assert np.abs(found - about)[16:].max() < 2e-3 * np.ptp(command)
+    result = experiment(record, "leg_1", rate=2048.0, detrend="none").input[:, 0]
+    assert np.abs(result - about)[16:].max() < 2e-3 * np.ptp(command)
 
 
 def test_degrees_of_freedom_are_the_legs_behind_the_jacobian(record: Record) -> None:
@@ -42,8 +42,8 @@ def test_degrees_of_freedom_are_the_legs_behind_the_jacobian(record: Record) -> 
     inverse = np.linalg.inv(pose_jacobian(np.zeros(6)))
     for kind in ("input", "output"):
         expected = getattr(legs, kind) @ inverse.T
-        found = getattr(dofs, kind)
-        np.testing.assert_allclose(found[:, 4], expected[:, 4], atol=0.01 * np.ptp(expected[:, 4]))
+        result = getattr(dofs, kind)
+        np.testing.assert_allclose(result[:, 4], expected[:, 4], atol=0.01 * np.ptp(expected[:, 4]))
     assert dofs.reference is not None
     np.testing.assert_allclose(
         dofs.reference[64:-64, 4],

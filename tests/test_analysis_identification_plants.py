@@ -80,9 +80,9 @@ def test_closed_loop_of_the_identified_single_leg_has_its_bandwidth(
     """-90 deg within 3 % (the report's best: 6.5 %), -3 dB within 3 %, by the report's path."""
     model = method(experiment(records[kind], "leg_1"), (4, 3, 1))
     assert model.unstable_poles == ()
-    found = loop_errors(in_field_units(to_continuous(model).rational), LAW, measured)
-    assert abs(found.phase_error) < 0.03
-    assert abs(found.gain_error) < 0.03
+    result = loop_errors(in_field_units(to_continuous(model).rational), LAW, measured)
+    assert abs(result.phase_error) < 0.03
+    assert abs(result.gain_error) < 0.03
 
 
 def test_one_sine_does_not_tell_the_orders_that_a_broad_signal_does(
@@ -103,10 +103,10 @@ def test_step_of_the_identified_loop_is_that_of_the_plant(
     """Damping ratio within 0.03 of the measured 1 in step's, as Table 4-1 compares them."""
     step = step_metrics(simulate(legs, LAW, signals.step("heave", 0.0254)))
     model = arx(experiment(records["multisine"], "heave"), (4, 3, 1))
-    found = loop_errors(in_field_units(to_continuous(model).rational), LAW, measured, step)
-    assert found.measured.damping_ratio == step.damping_ratio
-    assert found.model.damping_ratio == pytest.approx(step.damping_ratio, abs=0.03)
-    assert found.model.rise_time == pytest.approx(step.rise_time, rel=0.1)
+    result = loop_errors(in_field_units(to_continuous(model).rational), LAW, measured, step)
+    assert result.measured.damping_ratio == step.damping_ratio
+    assert result.model.damping_ratio == pytest.approx(step.damping_ratio, abs=0.03)
+    assert result.model.rise_time == pytest.approx(step.rise_time, rel=0.1)
 
 
 @pytest.mark.parametrize("kind", ["multisine", "noise"])
@@ -218,10 +218,10 @@ def test_closed_loop_of_the_matrix_model_is_the_measured_matrix(
     omega = np.asarray(measured.omega)[known]
     for i, dof in enumerate(DOFS):
         diagonal = control.FrequencyResponseData(measured.frdata[i, i, known], omega)
-        found = line_bandwidths(frequency, whole[:, i, i]).phase_hz
-        assert found == pytest.approx(bandwidths(diagonal).phase_hz, rel=0.03)
+        result = line_bandwidths(frequency, whole[:, i, i]).phase_hz
+        assert result == pytest.approx(bandwidths(diagonal).phase_hz, rel=0.03)
         if dof in ("surge", "sway"):
-            assert line_bandwidths(frequency, short[:, i, i]).phase_hz > 1.015 * found
+            assert line_bandwidths(frequency, short[:, i, i]).phase_hz > 1.015 * result
 
 
 def test_one_model_for_every_degree_of_freedom_fails_off_heave(

@@ -57,19 +57,19 @@ def test_arx_is_biased_on_noisy_outputs_and_refinements_are_not() -> None:
     The true 0.11 lies within 3.3 standard errors of the mean (99.9 %) of OE and IV, and more than
     20 away from ARX's, which is a fifth or more too high.
     """
-    found = {"arx": [], "oe": [], "iv": []}
+    estimates = {"arx": [], "oe": [], "iv": []}
     for seed in range(RUNS):
         run = noisy(LEG, seed, samples=1500)
-        found["arx"].append(damping(arx(run, (3, 3, 1))))
+        estimates["arx"].append(damping(arx(run, (3, 3, 1))))
         model = instrumental_variable(run, (3, 3, 1))
-        found["iv"].append(damping(model))
-        found["oe"].append(damping(output_error(run, (3, 3, 1), start=model)))
+        estimates["iv"].append(damping(model))
+        estimates["oe"].append(damping(output_error(run, (3, 3, 1), start=model)))
     off = {
         name: (np.mean(values) - 0.11) / (np.std(values, ddof=1) / np.sqrt(RUNS))
-        for name, values in found.items()
+        for name, values in estimates.items()
     }
     assert off["arx"] > 20.0
-    assert np.mean(found["arx"]) > 1.2 * 0.11
+    assert np.mean(estimates["arx"]) > 1.2 * 0.11
     assert abs(off["oe"]) < 3.3
     assert abs(off["iv"]) < 3.3
 
@@ -101,19 +101,19 @@ def fed_back(seed: int, samples: int = 3000) -> Experiment:
 
 def test_under_feedback_only_the_reference_is_an_unbiased_instrument() -> None:
     """Static gain 1 of the leg, 40 experiments in closed loop under coloured noise."""
-    found = {"oe": [], "input": [], "reference": []}
+    estimates = {"oe": [], "input": [], "reference": []}
     for seed in range(RUNS):
         run = fed_back(seed)
         for instrument in ("input", "reference"):
             model = instrumental_variable(run, (3, 3, 1), instrument=instrument)
-            found[instrument].append(model.response(0.5)[0, 0, 0])
-        found["oe"].append(output_error(run, (3, 3, 1), start=model).response(0.5)[0, 0, 0])
+            estimates[instrument].append(model.response(0.5)[0, 0, 0])
+        estimates["oe"].append(output_error(run, (3, 3, 1), start=model).response(0.5)[0, 0, 0])
     b, a = sampled(LEG)
     z = np.exp(2j * np.pi * 0.5 / RATE)
     true = np.polyval(b, z) / np.polyval(a, z)
     off = {
         name: abs(np.mean(values) - true) / (np.std(values, ddof=1) / np.sqrt(RUNS))
-        for name, values in found.items()
+        for name, values in estimates.items()
     }
     assert off["oe"] > 5.0
     assert off["input"] > 5.0
@@ -160,8 +160,8 @@ def test_subspace_method_of_a_library_agrees() -> None:
     frame = pd.DataFrame({"u": run.input[:, 0], "y": run.output[:, 0]})
     library = NFourSID(frame, output_columns=["y"], input_columns=["u"], num_block_rows=20)
     library.subspace_identification()
-    found, _ = library.system_identification(rank=6)
-    system = control.ss(found.a, found.b, found.c, found.d, 1.0 / RATE)
+    estimates, _ = library.system_identification(rank=6)
+    system = control.ss(estimates.a, estimates.b, estimates.c, estimates.d, 1.0 / RATE)
     theirs = control.frequency_response(system, 2.0 * np.pi * FREQUENCY).frdata[0, 0]
     ours = output_error(run, (6, 6, 1)).response(FREQUENCY)[:, 0, 0]
     assert np.abs(theirs - ours).max() < 0.03 * np.abs(ours).max()

@@ -110,9 +110,9 @@ def test_band_limited_model_becomes_the_continuous_one() -> None:
     model = output_error(run, (6, 7, 0), start="arx")
     fit = to_continuous(model, poles=6, zeros=2)
     inside = (FREQUENCY > 0.2) & (FREQUENCY < 10.0)
-    wanted = true(SIXTH)[inside]
-    found = fit.response(FREQUENCY[inside])
-    assert np.abs(found - wanted).max() < 1e-3 * np.abs(wanted).max()
+    expected = true(SIXTH)[inside]
+    result = fit.response(FREQUENCY[inside])
+    assert np.abs(result - expected).max() < 1e-3 * np.abs(expected).max()
 
 
 def test_field_units_are_inches_a_second_per_per_cent() -> None:

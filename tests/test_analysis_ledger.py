@@ -67,9 +67,9 @@ def test_legs_reach_beyond_two_mechanical_limits(entry: LedgerEntry) -> None:
         stated = getattr(limits, dof).mechanical
         near = 1.2 if stated.unit == "in" else 0.8
         for leg, table in ((low, stated.low), (high, stated.high)):
-            own = units.from_si(stated.unit, leg)
-            if abs(own - table) > near:
-                beyond.append((dof, bool(leg > 0.0), bool(abs(own) > abs(table))))
+            actual = units.from_si(stated.unit, leg)
+            if abs(actual - table) > near:
+                beyond.append((dof, bool(leg > 0.0), bool(abs(actual) > abs(table))))
     assert beyond == [("heave", True, True), ("pitch", False, True)]
 
 
@@ -90,15 +90,15 @@ def test_yaw_limit_fits_in_degrees_only(entry: LedgerEntry) -> None:
 
 
 def test_printed_b_does_not_track(entry: LedgerEntry) -> None:
-    found = {
+    result = {
         law: [measure_loop(closed_loop(law, hardware_velocity(n))) for n in (1, 2, 3)]
         for law in ("original", "original_as_printed")
     }
     for law, name in (("original_as_printed", "printed"), ("original", "0.1079")):
-        for row in found[law]:
+        for row in result[law]:
             gain = entry.figure(f"static gain, {name}")
             assert row.static_gain == pytest.approx(gain, abs=5e-4)
-    widths = [row.phase_bandwidth_hz for row in found["original"]]
+    widths = [row.phase_bandwidth_hz for row in result["original"]]
     assert min(widths) == pytest.approx(entry.figure("lowest -90 deg, 0.1079"), abs=0.005)
     assert max(widths) == pytest.approx(entry.figure("highest -90 deg, 0.1079"), abs=0.005)
 
@@ -159,8 +159,8 @@ def test_damping_differs_as_much_as_before(entry: LedgerEntry) -> None:
 
 def test_velocity_law_stops_short(entry: LedgerEntry) -> None:
     for number in (1, 2, 3):
-        found = measure_loop(closed_loop("velocity", hardware_velocity(number)))
-        assert 100.0 * (1.0 - found.static_gain) == pytest.approx(entry.figure("offset"), abs=0.05)
+        result = measure_loop(closed_loop("velocity", hardware_velocity(number)))
+        assert 100.0 * (1.0 - result.static_gain) == pytest.approx(entry.figure("offset"), abs=0.05)
 
 
 def test_128_hz_is_ample_for_10_hz(entry: LedgerEntry) -> None:
@@ -168,8 +168,8 @@ def test_128_hz_is_ample_for_10_hz(entry: LedgerEntry) -> None:
     time = np.arange(128) / 128.0
     gain = 1.0 / (1.0 + 10.0j / 3.0)
     turning = np.exp(20j * np.pi * time)
-    found = sine_response(turning.imag, (gain * turning).imag, 128.0, 10.0)
-    assert abs(found.response[0] - gain) < entry.figure("largest error of a 10 Hz response")
+    result = sine_response(turning.imag, (gain * turning).imag, 128.0, 10.0)
+    assert abs(result.response[0] - gain) < entry.figure("largest error of a 10 Hz response")
 
 
 def test_rounds_of_two_laws_leave_a_step(entry: LedgerEntry) -> None:
@@ -302,8 +302,8 @@ def test_signs_of_acceleration_feedback_differ(
 def test_eqs_3_5_and_3_6_disagree(entry: LedgerEntry) -> None:
     runs = report_model("3.6").poles()[0].real
     for variant, name in (("printed", "pole from the print"), ("corrected", "pole from 0.02 s")):
-        held = control.sample_system(report_model("3.5", variant), 1.0 / 2048.0, "zoh")  # type: ignore[arg-type]
-        pole = held.poles()[0].real
+        kept = control.sample_system(report_model("3.5", variant), 1.0 / 2048.0, "zoh")  # type: ignore[arg-type]
+        pole = kept.poles()[0].real
         assert pole == pytest.approx(entry.figure(name), abs=5e-6)
         assert (abs(pole - runs) < 5e-5) == (variant == "corrected")
 
@@ -351,22 +351,22 @@ def test_delay_takes_half_a_hertz(entry: LedgerEntry) -> None:
 
 
 def test_acceleration_is_not_best_in_phase(entry: LedgerEntry) -> None:
-    force, own = printed("3-5", "force"), printed("3-5", "acceleration")
-    below = (force.phase_bandwidth_hz or 0.0) - (own.phase_bandwidth_hz or 0.0)
+    force, actual = printed("3-5", "force"), printed("3-5", "acceleration")
+    below = (force.phase_bandwidth_hz or 0.0) - (actual.phase_bandwidth_hz or 0.0)
     assert below == pytest.approx(entry.figure("below force feedback"))
 
 
 def test_acceleration_gains_no_hertz(entry: LedgerEntry, single: dict[str, Measures]) -> None:
-    without, own = printed("3-5", "position_error_rate"), printed("3-5", "acceleration")
-    more = (own.phase_bandwidth_hz or 0.0) - (without.phase_bandwidth_hz or 0.0)
+    without, actual = printed("3-5", "position_error_rate"), printed("3-5", "acceleration")
+    more = (actual.phase_bandwidth_hz or 0.0) - (without.phase_bandwidth_hz or 0.0)
     assert more == pytest.approx(entry.figure("gain in heave, printed"))
-    damping = (own.damping_ratio or 0.0) - (without.damping_ratio or 0.0)
+    damping = (actual.damping_ratio or 0.0) - (without.damping_ratio or 0.0)
     assert damping == pytest.approx(entry.figure("damping gained, printed"))
     ours = single["acceleration"].phase_bandwidth_hz
     more = ours - single["position_error_rate"].phase_bandwidth_hz
     assert more == pytest.approx(entry.figure("gain in heave, ours"), abs=2e-3)
     others = [row.phase_bandwidth_hz or 0.0 for row in published_results() if row.table == "D-2"]
-    assert min(others) - (own.phase_bandwidth_hz or 0.0) > 0.6
+    assert min(others) - (actual.phase_bandwidth_hz or 0.0) > 0.6
 
 
 def test_force_feedback_is_not_damped_best(entry: LedgerEntry, single: dict[str, Measures]) -> None:

@@ -90,9 +90,9 @@ def test_model_3_is_farthest_in_damping(entry: LedgerEntry, loops: dict[int, Mea
     hardware = TABLE_4_1["hardware"].damping_ratio or 0.0
     overshoot = np.exp(-np.pi * hardware / np.sqrt(1.0 - hardware**2))
     assert overshoot == pytest.approx(entry.figure("overshoot for 0.4"), abs=5e-4)
-    for number, found in loops.items():
+    for number, result in loops.items():
         name = f"overshoot, model #{number}"
-        assert found.overshoot == pytest.approx(entry.figure(name), abs=5e-4)
+        assert result.overshoot == pytest.approx(entry.figure(name), abs=5e-4)
     off = {n: abs((TABLE_4_1[f"linear_{n}"].damping_ratio or 0.0) - hardware) for n in loops}
     assert max(off, key=off.__getitem__) == 3
     assert max(loops, key=lambda n: overshoot - loops[n].overshoot) == 3
@@ -122,11 +122,11 @@ def test_113_5_is_not_the_neutral_length(entry: LedgerEntry) -> None:
     length = np.linalg.norm(geometry.upper - geometry.lower, axis=1) / INCH
     name = "distance of the gimbals"
     np.testing.assert_allclose(length, entry.figure(name), atol=3e-3)
-    found = kinematics.legs_to_pose(np.full(6, 113.5 - entry.figure(name)) * INCH, geometry)
-    np.testing.assert_allclose(found[[0, 1, 3, 4, 5]], 0.0, atol=1e-4)
-    height = found[2] / INCH
+    result = kinematics.legs_to_pose(np.full(6, 113.5 - entry.figure(name)) * INCH, geometry)
+    np.testing.assert_allclose(result[[0, 1, 3, 4, 5]], 0.0, atol=1e-4)
+    height = result[2] / INCH
     assert height == pytest.approx(entry.figure("height of the pose below neutral"), abs=0.1)
-    heave = [np.linalg.inv(kinematics.pose_jacobian(p))[2].sum() for p in (found, np.zeros(6))]
+    heave = [np.linalg.inv(kinematics.pose_jacobian(p))[2].sum() for p in (result, np.zeros(6))]
     name = "heave per leg motion over that at neutral"
     assert heave[0] / heave[1] == pytest.approx(entry.figure(name), abs=0.005)
 
@@ -156,9 +156,9 @@ def true_pitch_column(pose: Real) -> Real:
     return np.asarray(length * kinematics.pose_jacobian(pose)[:, 4] / INCH**2)
 
 
-def column_error(found: Real, pose: Real) -> float:
+def column_error(result: Real, pose: Real) -> float:
     true = true_pitch_column(pose)
-    return float(np.abs(found - true).max() / np.abs(true).max())
+    return float(np.abs(result - true).max() / np.abs(true).max())
 
 
 def test_printed_pitch_column_is_not_the_derivative(entry: LedgerEntry) -> None:
@@ -186,8 +186,8 @@ def test_mean_of_h1_and_h2_is_biased(entry: LedgerEntry) -> None:
         y = x + np.sqrt(1.0 / coherence - 1.0) * noise
         gains = {}
         for kind in ("h1", "report"):
-            found = welch_response(x, y, 128.0, segment=2.0, estimator=kind)  # type: ignore[arg-type]
-            gains[kind] = 20.0 * np.log10(found.response.real.mean())
+            result = welch_response(x, y, 128.0, segment=2.0, estimator=kind)  # type: ignore[arg-type]
+            gains[kind] = 20.0 * np.log10(result.response.real.mean())
         stated = entry.figure(f"bias at a coherence of {coherence:g}")
         assert gains["report"] - gains["h1"] == pytest.approx(stated, abs=0.02)
         assert gains["h1"] == pytest.approx(0.0, abs=0.02)
@@ -222,15 +222,15 @@ def test_segments_follow_the_options(entry: LedgerEntry) -> None:
     assert 4096 / 128.0 == entry.figure("segment, variables")
     random = np.random.default_rng(1)
     x = random.normal(size=samples)
-    found = report_response(x, x + random.normal(size=samples), 128.0)
-    assert found.averages.max() < 8.0
+    result = report_response(x, x + random.normal(size=samples), 128.0)
+    assert result.averages.max() < 8.0
 
 
 def test_ceil_of_the_rate_can_be_one_too_many(entry: LedgerEntry) -> None:
     for rate in (128, 120):
         time = np.arange(200) * (1.0 / rate)
-        found = np.ceil(1.0 / (time[49] - time[48]))
-        assert found == entry.figure(f"rate at {rate} Hz")
+        result = np.ceil(1.0 / (time[49] - time[48]))
+        assert result == entry.figure(f"rate at {rate} Hz")
 
 
 # -- appendices C and D --------------------------------------------------------------------------
@@ -243,17 +243,17 @@ def test_eq_c_3_is_no_component(entry: LedgerEntry) -> None:
     np.testing.assert_allclose(
         half, entry.figure("Eq C.3 with r half the leg, at neutral"), atol=5e-4
     )
-    own = axial_gravity(neutral) / units.STANDARD_GRAVITY
-    np.testing.assert_allclose(own, entry.figure("component at neutral"), atol=5e-4)
+    actual = axial_gravity(neutral) / units.STANDARD_GRAVITY
+    np.testing.assert_allclose(actual, entry.figure("component at neutral"), atol=5e-4)
     np.testing.assert_allclose(projected_gravity(neutral, 0.0), units.STANDARD_GRAVITY, rtol=1e-12)
 
 
 def test_surge_is_not_heave(entry: LedgerEntry) -> None:
     """Heave is the mode in which all legs move alike."""
-    found = Hexapod("gfd").hydraulic_modes()
-    hertz = found.frequency / (2.0 * np.pi)
+    result = Hexapod("gfd").hydraulic_modes()
+    hertz = result.frequency / (2.0 * np.pi)
     assert hertz.min() == pytest.approx(entry.figure("surge mode"), rel=0.01)
-    shapes = found.leg_shape
+    shapes = result.leg_shape
     alike = np.abs(shapes.sum(axis=0)) / np.linalg.norm(shapes, axis=0)
     heave = hertz[np.argmax(alike)]
     assert heave == pytest.approx(entry.figure("heave mode"), rel=0.01)

@@ -29,10 +29,10 @@ def test_table_4_1_bandwidths_within_0_03_hz(number: int, table: tuple[TableRow,
         assert rows[quantity].published == value
         assert rows[quantity].computed == pytest.approx(value, abs=0.03)
         assert rows[quantity].within
-    found = bandwidths(
+    result = bandwidths(
         control.frequency_response(closed_loop("velocity", hardware_velocity(number)), OMEGA)
     )
-    assert found.phase_hz == pytest.approx(rows["-90 deg"].computed, abs=1e-4)
+    assert result.phase_hz == pytest.approx(rows["-90 deg"].computed, abs=1e-4)
 
 
 def test_table_4_1_damping_depends_on_its_reading(table: tuple[TableRow, ...]) -> None:
@@ -60,13 +60,13 @@ def test_steps_peak_and_settle_where_the_report_says() -> None:
 def test_a_second_order_loop_has_one_damping_ratio_in_every_reading() -> None:
     natural, damping = 2.0 * np.pi * 2.0, 0.4
     system = control.tf([natural**2], [1.0, 2.0 * damping * natural, natural**2])
-    found = measure_loop(control.sample_system(control.ss(system), FRAME, "zoh"))
+    result = measure_loop(control.sample_system(control.ss(system), FRAME, "zoh"))
     for reading in ("", "demand_", "peak_", "mode_"):
-        assert getattr(found, f"{reading}damping_ratio") == pytest.approx(damping, abs=1e-3)
-    assert found.mode_frequency_hz == pytest.approx(2.0)
-    assert found.phase_bandwidth_hz == pytest.approx(2.0, rel=5e-3)  # the hold adds a frame / 2
-    assert found.static_gain == pytest.approx(1.0)
-    assert found.stable
+        assert getattr(result, f"{reading}damping_ratio") == pytest.approx(damping, abs=1e-3)
+    assert result.mode_frequency_hz == pytest.approx(2.0)
+    assert result.phase_bandwidth_hz == pytest.approx(2.0, rel=5e-3)  # the hold adds a frame / 2
+    assert result.static_gain == pytest.approx(1.0)
+    assert result.stable
     # Rise and settling of the normalised second-order step, from its closed form.
     time = np.arange(20480) * FRAME
     beat = natural * np.sqrt(1.0 - damping**2)
@@ -74,9 +74,9 @@ def test_a_second_order_loop_has_one_damping_ratio_in_every_reading() -> None:
         np.cos(beat * time) + damping * natural / beat * np.sin(beat * time)
     )
     rise = time[np.argmax(shape >= 0.9)] - time[np.argmax(shape >= 0.1)]
-    assert found.rise_time == pytest.approx(rise, abs=2 * FRAME)
+    assert result.rise_time == pytest.approx(rise, abs=2 * FRAME)
     settled = time[np.flatnonzero(np.abs(shape - 1.0) > 0.02)[-1]]
-    assert found.settling_time == pytest.approx(settled, abs=2 * FRAME)
+    assert result.settling_time == pytest.approx(settled, abs=2 * FRAME)
 
 
 def test_an_unstable_loop_is_called_so() -> None:
@@ -93,15 +93,15 @@ def test_an_unstable_loop_is_called_so() -> None:
     loop = closed_loop("original", faster)
     _, reached = loop_step(loop, 3.0)
     assert np.abs(reached[-2048:]).max() > 2.0 * np.abs(reached[:2048]).max()
-    found = measure_loop(loop)
-    assert not found.stable
-    assert np.isnan([found.overshoot, found.damping_ratio, found.static_gain]).all()
-    assert found.mode_damping_ratio < 0.0
+    result = measure_loop(loop)
+    assert not result.stable
+    assert np.isnan([result.overshoot, result.damping_ratio, result.static_gain]).all()
+    assert result.mode_damping_ratio < 0.0
 
 
 def test_original_law_with_corrected_b_reaches_the_hardware_rows() -> None:
     """With B = 0.1079 the three fits give 1.75 to 1.85 and 2.07 to 2.31 Hz; hardware 1.8, 2.4."""
     for number in (1, 2, 3):
-        found = measure_loop(closed_loop("original", hardware_velocity(number)))
-        assert 1.74 < found.phase_bandwidth_hz < 1.85
-        assert 2.06 < found.gain_bandwidth_hz < 2.32
+        result = measure_loop(closed_loop("original", hardware_velocity(number)))
+        assert 1.74 < result.phase_bandwidth_hz < 1.85
+        assert 2.06 < result.gain_bandwidth_hz < 2.32

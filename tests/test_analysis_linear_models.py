@@ -87,19 +87,19 @@ def run_frames(
     rows = [[plant.output_labels.index(n + leg) for leg in names] for n in FEEDBACK]
     columns = [plant.input_labels.index(f"command{leg}") for leg in names]
     x = np.zeros(plant.nstates)
-    held = np.zeros(legs)
-    found, commands = [], []
+    kept = np.zeros(legs)
+    result, commands = [], []
     for demand in reference:
         u = np.zeros(legs)
-        u[columns] = held
+        u[columns] = kept
         y = plant.C @ x + plant.D @ u
         feedback = LegFeedback(*(y[row].copy() for row in rows))
         step(dcl, state, demand, feedback)
         x = plant.A @ x + plant.B @ u
-        held = dcl.workspace.command.copy()
-        found.append(np.concatenate([*feedback]))
+        kept = dcl.workspace.command.copy()
+        result.append(np.concatenate([*feedback]))
         commands.append(dcl.workspace.output.copy())
-    return np.array(found), np.array(commands)
+    return np.array(result), np.array(commands)
 
 
 @pytest.mark.parametrize("law", LAWS, ids=law_id)
@@ -117,8 +117,8 @@ def test_linear_dcl_is_the_compiled_one(law: str | Law) -> None:
         expected[k] = dcl.workspace.output
     system = dcl_state_space(law, legs)
     driven = np.vstack([inputs[label[:-2]][:, int(label[-1]) - 1] for label in system.input_labels])
-    found = control.forced_response(system, inputs=driven)
-    np.testing.assert_allclose(found.outputs.T, expected, rtol=1e-9, atol=1e-12)
+    result = control.forced_response(system, inputs=driven)
+    np.testing.assert_allclose(result.outputs.T, expected, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("law", LAWS, ids=law_id)
@@ -134,11 +134,11 @@ def test_closed_loop_is_the_compiled_dcl_around_the_plant(
     reference = np.random.default_rng(7).normal(size=(120, legs)) * 1e-5
     feedback, commands = run_frames(law, plant, reference, legs)
     loop = closed_loop(law, plant, outputs=(*FEEDBACK, "command"))
-    found = np.atleast_2d(control.forced_response(loop, inputs=reference.T).outputs)
+    result = np.atleast_2d(control.forced_response(loop, inputs=reference.T).outputs)
     expected = np.hstack([feedback, commands]).T
     assert np.abs(commands).max() < 1.0  # the clamps did not act
     size = np.abs(expected).max(axis=1, keepdims=True) + 1e-300
-    np.testing.assert_allclose(found / size, expected / size, atol=1e-8)
+    np.testing.assert_allclose(result / size, expected / size, atol=1e-8)
 
 
 def test_labels_of_loops() -> None:
@@ -179,9 +179,9 @@ def test_each_further_frame_of_delay_is_one_more_register() -> None:
     delayed = control.ss(delayed, inputs=["command"], outputs=list(FEEDBACK))
     omega = OMEGA[::100]
     for law in ("acceleration", "velocity_error"):
-        found = control.frequency_response(closed_loop(law, plant, command_delay=2), omega)
+        result = control.frequency_response(closed_loop(law, plant, command_delay=2), omega)
         expected = control.frequency_response(closed_loop(law, delayed), omega)
-        np.testing.assert_allclose(found.frdata, expected.frdata, rtol=1e-8)
+        np.testing.assert_allclose(result.frdata, expected.frdata, rtol=1e-8)
 
 
 def test_pressures_can_be_hidden_from_the_law() -> None:
@@ -202,11 +202,11 @@ def test_a_continuous_plant_is_held_over_a_frame() -> None:
     names = {"inputs": ["valve"], "outputs": ["leg_position", "leg_velocity"]}
     continuous = control.ss(a, b, np.eye(2), np.zeros((2, 1)), **names)
     discrete = control.sample_system(continuous, FRAME, "zoh", copy_names=True)
-    held, sampled = (
+    kept, sampled = (
         control.frequency_response(closed_loop("velocity", plant), OMEGA[::100]).frdata
         for plant in (continuous, discrete)
     )
-    np.testing.assert_array_equal(held, sampled)
+    np.testing.assert_array_equal(kept, sampled)
 
 
 def test_legs_apart_are_single_legs() -> None:
@@ -235,7 +235,7 @@ def test_motion_follows_from_any_of_its_models(number: str, powers: tuple[int | 
     model = report_model(number).to_si()
     plant = leg_plant(report_model(number))
     time = np.arange(600) * FRAME
-    found = control.forced_response(plant, time, np.ones(time.size)).outputs
+    result = control.forced_response(plant, time, np.ones(time.size)).outputs
     s = control.tf("s")
     for row, power in enumerate(powers):
         if power is None:
@@ -246,8 +246,10 @@ def test_motion_follows_from_any_of_its_models(number: str, powers: tuple[int | 
             numerator = np.polymul(numerator, [1.0] + [0.0] * power)
         exact = control.tf(numerator, denominator) / s ** max(-power, 0)
         expected = control.step_response(exact, time).outputs
-        np.testing.assert_allclose(found[row, 1:], expected[1:], atol=2e-7 * np.abs(expected).max())
-    np.testing.assert_array_equal(found[3:], 0.0)
+        np.testing.assert_allclose(
+            result[row, 1:], expected[1:], atol=2e-7 * np.abs(expected).max()
+        )
+    np.testing.assert_array_equal(result[3:], 0.0)
 
 
 @pytest.mark.parametrize(("number", "first"), [("4.11", 0), ("4.12", 1)])
@@ -257,33 +259,33 @@ def test_the_rate_of_an_output_that_jumps_is_its_difference_over_a_frame(
     """Velocity and acceleration of a position with a direct term, acceleration of a velocity."""
     plant = leg_plant(report_model(number))
     command = np.random.default_rng(1).normal(size=200)
-    found = control.forced_response(plant, inputs=command).outputs
+    result = control.forced_response(plant, inputs=command).outputs
     for row in range(first, 2):
-        difference = np.diff(np.concatenate([[0.0], found[row]])) / FRAME
-        np.testing.assert_allclose(found[row + 1], difference, atol=1e-9 * np.ptp(difference))
+        difference = np.diff(np.concatenate([[0.0], result[row]])) / FRAME
+        np.testing.assert_allclose(result[row + 1], difference, atol=1e-9 * np.ptp(difference))
 
 
 def test_given_models_are_kept_and_pressures_are_in_pascal() -> None:
     plant = leg_model(("4.6", "4.4", "4.5"))
     time = np.arange(400) * FRAME
-    found = control.forced_response(plant, time, np.ones(time.size)).outputs
+    result = control.forced_response(plant, time, np.ones(time.size)).outputs
     for row, number in ((0, "4.4"), (3, "4.5"), (4, "4.6")):
         model = report_model(number)
         scale = {"in": 0.0254, "psi": 6894.757293168}[model.output_unit] / 0.01
         expected = scale * control.step_response(model, time).outputs
-        np.testing.assert_allclose(found[row], expected, atol=1e-6 * np.abs(expected).max())
+        np.testing.assert_allclose(result[row], expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_exact_response_is_given_like_a_measured_one() -> None:
     loop = closed_loop("velocity", hardware_velocity(1), outputs=("command", "leg_position"))
     frequency = np.array([0.5, 1.0, 2.0])
-    found = loop_response(loop, frequency, output=1)
+    result = loop_response(loop, frequency, output=1)
     expected = loop(np.exp(2j * np.pi * frequency * FRAME))[1, 0]
-    np.testing.assert_allclose(found.response, expected, rtol=1e-10)
-    np.testing.assert_array_equal(found.frequency, frequency)
-    np.testing.assert_array_equal(found.coherence, 1.0)
-    np.testing.assert_array_equal(found.bound, 0.0)
-    assert found.output_labels == ["leg_position"]
+    np.testing.assert_allclose(result.response, expected, rtol=1e-10)
+    np.testing.assert_array_equal(result.frequency, frequency)
+    np.testing.assert_array_equal(result.coherence, 1.0)
+    np.testing.assert_array_equal(result.bound, 0.0)
+    assert result.output_labels == ["leg_position"]
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,7 @@ def test_without_leakage_the_modes_ring_at_the_hydraulic_modes(hexapod: Hexapod)
 def test_gravity_stiffness_is_that_of_placed_poses(hexapod: Hexapod) -> None:
     """Through the pose kinematics instead of MuJoCo's integration of motions; and symmetric."""
     pose = POSES["turned"]
-    found = linear_mechanics(hexapod, pose)
+    result = linear_mechanics(hexapod, pose)
     legs, expected = pose_to_legs(pose), np.empty((6, 6))
     for leg in range(6):
         loads = []
@@ -120,15 +120,15 @@ def test_gravity_stiffness_is_that_of_placed_poses(hexapod: Hexapod) -> None:
             loads.append(hexapod.static_load())
         expected[:, leg] = (loads[0] - loads[1]) / 2e-3
     size = np.abs(expected).max()
-    np.testing.assert_allclose(found.stiffness, expected, atol=1e-5 * size)
-    np.testing.assert_allclose(found.stiffness, found.stiffness.T, atol=1e-5 * size)
+    np.testing.assert_allclose(result.stiffness, expected, atol=1e-5 * size)
+    np.testing.assert_allclose(result.stiffness, result.stiffness.T, atol=1e-5 * size)
 
 
 def test_springs_and_dampers_of_the_model_are_in_the_mechanics() -> None:
-    found = linear_mechanics(slide('stiffness="5000" damping="700"'))
-    assert found.stiffness[0, 0] == pytest.approx(5000.0, rel=1e-9)
-    assert found.damping[0, 0] == pytest.approx(700.0, rel=1e-9)
-    assert found.mass[0, 0] == pytest.approx(3000.0, rel=1e-12)
+    result = linear_mechanics(slide('stiffness="5000" damping="700"'))
+    assert result.stiffness[0, 0] == pytest.approx(5000.0, rel=1e-9)
+    assert result.damping[0, 0] == pytest.approx(700.0, rel=1e-9)
+    assert result.mass[0, 0] == pytest.approx(3000.0, rel=1e-12)
     system = linearize(slide('stiffness="5000" damping="700"', changed("report")))
     speed = system.state_labels.index("leg_velocity")
     assert system.A[speed, system.state_labels.index("leg_position")] == pytest.approx(-5 / 3)
@@ -179,12 +179,12 @@ def step_matrices(plant: Plant, pose: np.ndarray | None) -> control.StateSpace:
             state.supply[RETURN_PRESSURE] += low
             state.supply[ACCUMULATOR] += oil
             state.supply[PUMP] += pump
-            for content, pressure, room in (
+            for content, pressure, reach in (
                 (SUPPLY, SUPPLY_PRESSURE, supply.supply_volume),
                 (RETURN, RETURN_PRESSURE, supply.return_volume),
             ):
                 state.supply[content] = (
-                    room * density(plant.hydraulics.oil, state.supply[pressure])[0]
+                    reach * density(plant.hydraulics.oil, state.supply[pressure])[0]
                 )
         state.stage.chambers.cap_change[:] = 0.0
         state.stage.chambers.rod_change[:] = 0.0
@@ -196,11 +196,11 @@ def step_matrices(plant: Plant, pose: np.ndarray | None) -> control.StateSpace:
         after = plant.extensions()
         assert advance(plant.hydraulics, state, no_faults(legs), command, before, after)
         speed = plant.data.actuator_velocity.copy()
-        found = [state.drive[:, 0], state.spool[:, 0], after - extension, speed]
-        found += [state.pressure[:, 0] - base["pressure"][:, 0]]
-        found += [state.pressure[:, 1] - base["pressure"][:, 1]]
+        result = [state.drive[:, 0], state.spool[:, 0], after - extension, speed]
+        result += [state.pressure[:, 0] - base["pressure"][:, 0]]
+        result += [state.pressure[:, 1] - base["pressure"][:, 1]]
         columns = [SUPPLY_PRESSURE, RETURN_PRESSURE, ACCUMULATOR, PUMP][:network]
-        return np.concatenate([*found, state.supply[columns] - base["supply"][columns]])
+        return np.concatenate([*result, state.supply[columns] - base["supply"][columns]])
 
     none = np.zeros(legs)
     phi = np.empty((count, count))
@@ -241,9 +241,9 @@ def test_the_compiled_step_has_the_same_response(
     for frequency in (0.5, 2.0, 5.0, 10.0, 20.0):
         omega = 2.0 * np.pi * frequency
         expected = system(1j * omega)
-        found = stepped(np.exp(1j * omega / 65536.0))
+        result = stepped(np.exp(1j * omega / 65536.0))
         size = np.abs(expected).max()
-        np.testing.assert_allclose(found, expected, atol=tolerance * size)
+        np.testing.assert_allclose(result, expected, atol=tolerance * size)
 
 
 def test_slopes_are_those_of_the_flows() -> None:
@@ -257,24 +257,27 @@ def test_slopes_are_those_of_the_flows() -> None:
     def flow(p: np.ndarray, u: np.ndarray, x: float) -> np.ndarray:
         return port_slopes(plant.hydraulics, 0, u, p, x).flow
 
-    found = port_slopes(plant.hydraulics, 0, spools, pressures, extension)
+    result = port_slopes(plant.hydraulics, 0, spools, pressures, extension)
     for i in range(4):
         d = 10.0 * np.eye(4)[i]
         slope = flow(pressures + d, spools, extension) - flow(pressures - d, spools, extension)
         np.testing.assert_allclose(
-            found.pressure[:, i], slope / 20.0, rtol=1e-5, atol=1e-5 * np.abs(found.pressure).max()
+            result.pressure[:, i],
+            slope / 20.0,
+            rtol=1e-5,
+            atol=1e-5 * np.abs(result.pressure).max(),
         )
     for i in range(2):
         d = 1e-6 * np.eye(2)[i]
         slope = flow(pressures, spools + d, extension) - flow(pressures, spools - d, extension)
         np.testing.assert_allclose(
-            found.opening[:, i], slope / 2e-6, atol=1e-6 * np.abs(found.opening).max()
+            result.opening[:, i], slope / 2e-6, atol=1e-6 * np.abs(result.opening).max()
         )
     slope = flow(pressures, spools, extension + 1e-6) - flow(pressures, spools, extension - 1e-6)
     np.testing.assert_allclose(
-        found.extension, slope / 2e-6, atol=1e-5 * np.abs(found.extension).max()
+        result.extension, slope / 2e-6, atol=1e-5 * np.abs(result.extension).max()
     )
-    assert np.abs(found.extension).max() > 0.0
+    assert np.abs(result.extension).max() > 0.0
 
 
 def biased() -> HydraulicParameters:
@@ -318,17 +321,17 @@ def test_the_operating_point_stays_when_it_is_driven(
 def test_static_load_of_a_single_leg_may_be_any(load: float) -> None:
     """More than the weight of the mass, too."""
     force = load * units.POUND_FORCE
-    found = linear_mechanics(SingleLegs(static_load=force)).load
-    np.testing.assert_allclose(found, force, rtol=1e-12, atol=1e-9)
+    result = linear_mechanics(SingleLegs(static_load=force)).load
+    np.testing.assert_allclose(result, force, rtol=1e-12, atol=1e-9)
 
 
 def test_closed_valves_rest_at_the_leakage_null() -> None:
     plant = SingleLegs("report")
     point = operating_point(plant)
-    own = plant.parameters
-    expected = MASS * 9.80665 / (own.cap_area - own.rod_area)
+    actual = plant.parameters
+    expected = MASS * 9.80665 / (actual.cap_area - actual.rod_area)
     np.testing.assert_allclose(point.pressure, expected, rtol=1e-9)
-    assert not point.command.any() and point.supply_pressure == own.supply_pressure.si
+    assert not point.command.any() and point.supply_pressure == actual.supply_pressure.si
 
 
 @pytest.mark.parametrize("excitation", ["noise", "sine"])
@@ -368,7 +371,7 @@ def test_agrees_with_the_simulation(plant: str, pose: str, signal: str, hexapod:
     """Plant and closed loop of the velocity law at 0.004 in or 0.0024 deg, 0.5 to 8 Hz: 0.5 dB and
     3 deg; the loop that magnifies, 4.5 deg."""
     machine = hexapod if plant == "hexapod" else SingleLegs()
-    found = compare_with_simulation(
+    result = compare_with_simulation(
         machine,
         "velocity",
         POSES[pose],
@@ -378,23 +381,23 @@ def test_agrees_with_the_simulation(plant: str, pose: str, signal: str, hexapod:
         transient=3.0,
         settle=4.0,
     )
-    assert np.abs(found.plant_gain_error).max() < 0.5
-    assert np.abs(found.plant_phase_error).max() < 3.0
-    assert np.abs(found.gain_error).max() < 0.5
-    assert np.abs(found.phase_error).max() < (4.5 if (plant, pose, signal) == MAGNIFIED else 3.0)
+    assert np.abs(result.plant_gain_error).max() < 0.5
+    assert np.abs(result.plant_phase_error).max() < 3.0
+    assert np.abs(result.gain_error).max() < 0.5
+    assert np.abs(result.phase_error).max() < (4.5 if (plant, pose, signal) == MAGNIFIED else 3.0)
 
 
 def test_mean_of_the_slopes_would_not_agree(hexapod: Hexapod) -> None:
     """What the share of outward motion is for: a legs-drifting 1/2 puts surge's resonance wrong."""
     pose = POSES["offset"]
-    found = compare_with_simulation(
+    result = compare_with_simulation(
         hexapod, "velocity", pose, "surge", frequencies=(2.8, 3.2), cycles=3
     )
     half = linearize(hexapod, pose, excitation="mean")
     loop = loop_between(hexapod, half, "velocity", pose, "surge")
-    other = control.frequency_response(loop, 2.0 * np.pi * found.frequency).frdata[0, 0]
-    assert np.abs(20.0 * np.log10(np.abs(found.measured / other))).max() > 1.0
-    assert np.abs(found.gain_error).max() < 0.5
+    other = control.frequency_response(loop, 2.0 * np.pi * result.frequency).frdata[0, 0]
+    assert np.abs(20.0 * np.log10(np.abs(result.measured / other))).max() > 1.0
+    assert np.abs(result.gain_error).max() < 0.5
 
 
 def test_reduced_and_minimal_systems_answer_alike(hexapod: Hexapod) -> None:
@@ -426,11 +429,11 @@ def test_reduced_and_minimal_systems_answer_alike(hexapod: Hexapod) -> None:
 
 
 def test_modes_name_what_takes_part(hexapod: Hexapod) -> None:
-    found = modes(linearize(hexapod), hexapod)
-    assert sum(1 if m.pole.imag == 0.0 else 2 for m in found) == linearize(hexapod).nstates
-    for mode in found:
+    result = modes(linearize(hexapod), hexapod)
+    assert sum(1 if m.pole.imag == 0.0 else 2 for m in result) == linearize(hexapod).nstates
+    for mode in result:
         assert sum(mode.shares.values()) == pytest.approx(1.0, abs=1e-9)
-    ringing = [m for m in found if m.pole.imag > 1.0]
+    ringing = [m for m in result if m.pole.imag > 1.0]
     leading = [DOFS[int(np.argmax(m.dof_shares))] for m in ringing]
     assert leading == ["surge", "sway", "yaw", "heave", "pitch", "roll"]
     for mode, shape in zip(ringing, hexapod.hydraulic_modes().leg_shape.T, strict=True):
@@ -438,7 +441,7 @@ def test_modes_name_what_takes_part(hexapod: Hexapod) -> None:
         match = abs(np.vdot(mode.leg_shape, shape))
         match /= np.linalg.norm(mode.leg_shape) * np.linalg.norm(shape)
         assert match > 0.999
-    lags = [m for m in found if m.shares["drive"] > 0.9]
+    lags = [m for m in result if m.shares["drive"] > 0.9]
     assert [m.frequency for m in lags] == pytest.approx([18.85] * 6, rel=1e-3)
     assert {round(m.damping_ratio, 6) for m in lags} == {1.0}
 

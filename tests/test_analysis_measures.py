@@ -22,9 +22,11 @@ def test_records_and_loop_agree_in_every_measure() -> None:
     omega, damping = 2.0 * np.pi * 2.0, 0.4
     system = control.tf([0.9 * omega**2], [1.0, 2.0 * damping * omega, omega**2])
     loop = control.sample_system(control.ss(system), FRAME, method="zoh")
-    held = control.sample_system(system, FRAME, method="zoh")
+    sampled = control.sample_system(system, FRAME, method="zoh")
     sweep, step = (
-        record_of(command, signal.lfilter(held.num[0][0], held.den[0][0], command.pose, axis=0), 8)
+        record_of(
+            command, signal.lfilter(sampled.num[0][0], sampled.den[0][0], command.pose, axis=0), 8
+        )
         for command in (signals.chirp("heave", 0.01), signals.step("heave", 0.0254))
     )
     measured, computed = measure_records(sweep, step), measure_loop(loop)

@@ -58,18 +58,18 @@ def test_an_offset_and_a_broken_cycle_do_not_count() -> None:
 
 
 def test_harmonics_give_amplitude_and_phase() -> None:
-    found = harmonics(wave(2.0, 3.0, 1.5, 0.2, phase=-0.4), RATE, 2.0, 2)
-    np.testing.assert_allclose(found.amplitude, [1.5, 0.2], rtol=1e-12)
-    np.testing.assert_allclose(found.phase, [-0.4, -0.8], rtol=1e-12)
+    result = harmonics(wave(2.0, 3.0, 1.5, 0.2, phase=-0.4), RATE, 2.0, 2)
+    np.testing.assert_allclose(result.amplitude, [1.5, 0.2], rtol=1e-12)
+    np.testing.assert_allclose(result.phase, [-0.4, -0.8], rtol=1e-12)
 
 
 def test_describing_function_of_a_saturation() -> None:
     """N(A) = 2/pi (asin(d/A) + d/A sqrt(1 - (d/A)^2)) for a clip at d; d = 1, A = 0.5, 2, 4."""
     demand = [a * wave(0.5, 200.0, 1.0) for a in (0.5, 2.0, 4.0)]
-    found = describing_function(demand, [np.clip(x, -1, 1) for x in demand], RATE, [0.5] * 3)
+    result = describing_function(demand, [np.clip(x, -1, 1) for x in demand], RATE, [0.5] * 3)
     ratio = np.array([0.5, 0.25])
     exact = 2 / np.pi * (np.arcsin(ratio) + ratio * np.sqrt(1 - ratio**2))
-    np.testing.assert_allclose(found, [1.0, *exact], atol=2e-4)  # corners fall between samples
+    np.testing.assert_allclose(result, [1.0, *exact], atol=2e-4)  # corners fall between samples
 
 
 def test_crosstalk_is_a_ratio_of_rms() -> None:
@@ -85,20 +85,20 @@ def test_hysteresis_of_a_backlash_is_its_width(width: float) -> None:
     """Play of +-w: the branches lie 2 w apart over a peak-to-peak of 2. 3 %: 40 harmonics."""
     demand = wave(0.01, 300.0, 1.0, phase=0.0)
     response = np.empty_like(demand)
-    held = 0.0
+    sampled = 0.0
     for i, x in enumerate(demand):
-        held = min(max(held, x - width), x + width)
-        response[i] = held
-    found = hysteresis(demand[12800:], response[12800:], RATE, 0.01)
-    assert found == pytest.approx(width, rel=0.03)
+        sampled = min(max(sampled, x - width), x + width)
+        response[i] = sampled
+    result = hysteresis(demand[12800:], response[12800:], RATE, 0.01)
+    assert result == pytest.approx(width, rel=0.03)
 
 
 def test_a_pure_delay_opens_the_loop_by_its_phase() -> None:
     """Three samples at 0.01 Hz and gain 0.9: 0.9 sin(2 pi f d)."""
     demand = wave(0.01, 100.0, 1.0)
     expected = 0.9 * np.sin(2.0 * np.pi * 0.01 * 3.0 / RATE)
-    found = hysteresis(demand, 0.9 * np.roll(demand, 3), RATE, 0.01)
-    assert found == pytest.approx(expected, rel=1e-6)
+    result = hysteresis(demand, 0.9 * np.roll(demand, 3), RATE, 0.01)
+    assert result == pytest.approx(expected, rel=1e-6)
 
 
 def test_dynamic_threshold_of_a_lag_is_its_time_constant() -> None:
@@ -120,8 +120,8 @@ def test_delay_of_a_shifted_signal(samples: float) -> None:
     def motion(t: np.ndarray) -> np.ndarray:
         return np.asarray(sum(np.sin(2 * np.pi * f * t + p) for f, p in terms))
 
-    found = correlation_delay(motion(time), motion(time - samples / RATE), RATE)
-    assert found == pytest.approx(samples / RATE, abs=0.02 / RATE)
+    result = correlation_delay(motion(time), motion(time - samples / RATE), RATE)
+    assert result == pytest.approx(samples / RATE, abs=0.02 / RATE)
 
 
 @pytest.mark.parametrize("damping", [0.2, 0.5, 0.9])
@@ -130,12 +130,12 @@ def test_second_order_fit_recovers_a_known_system(damping: float) -> None:
     natural = 2.0 * np.pi * 3.0
     system = control.tf([0.93 * natural**2], [1.0, 2.0 * damping * natural, natural**2])
     response = system(2j * np.pi * frequency) * np.exp(-2j * np.pi * frequency * 0.01)
-    found = fit_second_order(frequency, response)
-    assert found.gain == pytest.approx(0.93, rel=1e-6)
-    assert found.natural_frequency_hz == pytest.approx(3.0, rel=1e-6)
-    assert found.damping_ratio == pytest.approx(damping, rel=1e-6)
-    assert found.delay == pytest.approx(0.01, abs=1e-8)
-    assert found.residual < 1e-7
+    result = fit_second_order(frequency, response)
+    assert result.gain == pytest.approx(0.93, rel=1e-6)
+    assert result.natural_frequency_hz == pytest.approx(3.0, rel=1e-6)
+    assert result.damping_ratio == pytest.approx(damping, rel=1e-6)
+    assert result.delay == pytest.approx(0.01, abs=1e-8)
+    assert result.residual < 1e-7
 
 
 @pytest.mark.parametrize(

@@ -34,64 +34,64 @@ def envelope(plant: Hexapod) -> Range:
 @pytest.mark.parametrize("pose", [np.zeros(6), RAISED])
 def test_a_mode_is_a_leg_on_its_spring(plant: Hexapod, pose: np.ndarray) -> None:
     """w^2 = s'Ks / s'Ms; with equal springs k that is k over the mass a leg feels."""
-    found = plant.hydraulic_modes(pose)
+    hydraulic = plant.hydraulic_modes(pose)
     legs = pose_to_legs(pose, plant.geometry)
     oil = plant.hydraulics.oil.bulk_modulus
     spring = cylinder.stiffness(plant.hydraulics.cylinder, oil, legs)
-    stored = np.sum(spring[:, None] * found.leg_shape**2, axis=0)
-    assert np.sqrt(stored) / (2.0 * np.pi) == pytest.approx(found.frequency_hz, rel=1e-9)
+    stored = np.sum(spring[:, None] * hydraulic.leg_shape**2, axis=0)
+    assert np.sqrt(stored) / (2.0 * np.pi) == pytest.approx(hydraulic.frequency_hz, rel=1e-9)
     if not pose.any():
-        assert np.sqrt(spring[0] / found.leg_mass) / (2.0 * np.pi) == pytest.approx(
-            found.frequency_hz, rel=1e-9
+        assert np.sqrt(spring[0] / hydraulic.leg_mass) / (2.0 * np.pi) == pytest.approx(
+            hydraulic.frequency_hz, rel=1e-9
         )
 
 
 @pytest.mark.parametrize("pose", [np.zeros(6), RAISED])
 def test_shares_are_of_the_kinetic_energy(plant: Hexapod, pose: np.ndarray) -> None:
     """By the platform's inertia, they sum to 1; by the legs, it is half the unit mass."""
-    found = plant.hydraulic_modes(pose)
-    assert found.share.sum(axis=0) == pytest.approx(np.ones(6), abs=1e-12)
-    moved = pose_jacobian(pose, plant.geometry) @ found.pose_shape
-    assert moved == pytest.approx(found.leg_shape, abs=1e-12)
+    hydraulic = plant.hydraulic_modes(pose)
+    assert hydraulic.share.sum(axis=0) == pytest.approx(np.ones(6), abs=1e-12)
+    moved = pose_jacobian(pose, plant.geometry) @ hydraulic.pose_shape
+    assert moved == pytest.approx(hydraulic.leg_shape, abs=1e-12)
 
 
 def test_heave_at_neutral_is_all_legs_alike(plant: Hexapod) -> None:
     """Pure heave moves all legs alike: 1'M1 / 6. The mode has 2 % of pitch in it, within 1 %."""
-    found = plant.hydraulic_modes()
-    heave = int(np.argmax(found.share[2]))
-    moving = float(found.reflected_mass.sum()) / 6.0
-    assert found.leg_mass[heave] == pytest.approx(moving, rel=0.01)
-    assert found.share[2, heave] > 0.97
+    hydraulic = plant.hydraulic_modes()
+    heave = int(np.argmax(hydraulic.share[2]))
+    moving = float(hydraulic.reflected_mass.sum()) / 6.0
+    assert hydraulic.leg_mass[heave] == pytest.approx(moving, rel=0.01)
+    assert hydraulic.share[2, heave] > 0.97
 
 
 def test_mirrored_poses_ring_alike(plant: Hexapod) -> None:
     """The machine is its own image in the vertical plane through x."""
     one, other = plant.hydraulic_modes(RAISED), plant.hydraulic_modes(RAISED * MIRROR)
     assert one.frequency_hz == pytest.approx(other.frequency_hz, rel=1e-6)
-    found = plane_map(plant, ("sway", "roll"), count=5)
-    np.testing.assert_allclose(found.first[8:], -found.first[:9], atol=1e-9)
-    np.testing.assert_allclose(found.frequency_hz[8:], found.frequency_hz[:9], rtol=1e-6)
+    hydraulic = plane_map(plant, ("sway", "roll"), count=5)
+    np.testing.assert_allclose(hydraulic.first[8:], -hydraulic.first[:9], atol=1e-9)
+    np.testing.assert_allclose(hydraulic.frequency_hz[8:], hydraulic.frequency_hz[:9], rtol=1e-6)
 
 
 def test_map_and_sweep_meet(plant: Hexapod) -> None:
     """A map begins at neutral, ends where sweeps do, and fills the envelope to its very end."""
-    found = plane_map(plant, ("surge", "heave"), count=7)
+    hydraulic = plane_map(plant, ("surge", "heave"), count=7)
     for dof, values, (end, begin) in (
-        ("surge", found.first, (0, 12)),
-        ("heave", found.second, (6, 18)),
+        ("surge", hydraulic.first, (0, 12)),
+        ("heave", hydraulic.second, (6, 18)),
     ):
         along = sweep(plant, dof, count=7)
         ends = [values[begin, -1], values[end, -1]]
         assert ends == pytest.approx([along.excursion[0], along.excursion[-1]], abs=1e-9)
-        frequencies = found.frequency_hz[[begin, end], -1]
+        frequencies = hydraulic.frequency_hz[[begin, end], -1]
         np.testing.assert_allclose(frequencies, along.frequency_hz[[0, -1]], rtol=1e-6)
         np.testing.assert_array_equal(along.frequency_hz[3], plant.hydraulic_modes().frequency_hz)
-        np.testing.assert_array_equal(found.frequency_hz[:, 0], 25 * [along.frequency_hz[3]])
+        np.testing.assert_array_equal(hydraulic.frequency_hz[:, 0], 25 * [along.frequency_hz[3]])
     low, high = load_motion_limits().operational[[0, 2]].T
     ends_by_stroke = []
-    for ray, ring in np.ndindex(found.first.shape):
+    for ray, ring in np.ndindex(hydraulic.first.shape):
         pose = np.zeros(6)
-        pose[[0, 2]] = found.first[ray, ring], found.second[ray, ring]
+        pose[[0, 2]] = hydraulic.first[ray, ring], hydraulic.second[ray, ring]
         left = modes.reserve(pose, plant)
         inside = np.concatenate([pose[[0, 2]] - low, high - pose[[0, 2]]]).min()
         assert min(left, inside) >= -1e-9
@@ -100,7 +100,7 @@ def test_map_and_sweep_meet(plant: Hexapod) -> None:
             ends_by_stroke.append(left < inside)
         if ring and ray % 5 == 0:
             expected = plant.hydraulic_modes(pose).frequency_hz
-            np.testing.assert_array_equal(found.frequency_hz[ray, ring], expected)
+            np.testing.assert_array_equal(hydraulic.frequency_hz[ray, ring], expected)
     assert any(ends_by_stroke)
 
 

@@ -91,13 +91,15 @@ def test_leg_speed_of_model_a() -> None:
 
 @pytest.mark.parametrize(("variant", "pole"), [("corrected", 0.9924), ("printed", 0.99924)])
 def test_running_accelerometer_filter_is_the_hold_of_0_02_s(variant: str, pole: float) -> None:
-    held = control.sample_system(report_model("3.5", variant), 1.0 / 2048.0, "zoh")
+    sampled = control.sample_system(report_model("3.5", variant), 1.0 / 2048.0, "zoh")
     runs = report_model("3.6")
-    assert held.poles()[0].real == pytest.approx(pole, abs=1e-5 if variant == "printed" else 5e-5)
-    same = held.poles()[0].real == pytest.approx(runs.poles()[0].real, abs=5e-5)
+    assert sampled.poles()[0].real == pytest.approx(
+        pole, abs=1e-5 if variant == "printed" else 5e-5
+    )
+    same = sampled.poles()[0].real == pytest.approx(runs.poles()[0].real, abs=5e-5)
     assert same == (variant == "corrected")
     if same:
-        assert held.num_array[0, 0][-1] == pytest.approx(0.007588, abs=5e-7)
+        assert sampled.num_array[0, 0][-1] == pytest.approx(0.007588, abs=5e-7)
 
 
 def test_accelerometer_filter_delays_by_64_ms() -> None:

@@ -47,8 +47,8 @@ def exact(system: control.TransferFunction, hertz: NDArray[np.float64]) -> NDArr
     return np.ravel(system(np.exp(2j * np.pi * hertz / RATE)))
 
 
-def error(found: Estimate, system: control.TransferFunction) -> NDArray[np.complex128]:
-    return found.response - exact(system, found.frequency)
+def error(estimate: Estimate, system: control.TransferFunction) -> NDArray[np.complex128]:
+    return estimate.response - exact(system, estimate.frequency)
 
 
 def white(seconds: float, seed: int, sigma: float = 1.0) -> NDArray[np.float64]:
@@ -90,35 +90,35 @@ ODD = np.arange(1, 101, 2)
 def test_welch_finds_the_analytic_response(estimator: Estimator) -> None:
     """A sweep without noise: 0.5 % of gain 1, leakage of segments of 20 s."""
     x = sweep()
-    found = welch_response(
+    estimate = welch_response(
         x, through(plant(), x), RATE, estimator=estimator, band=(0.3, 8.0), pad=True
     )
-    np.testing.assert_allclose(np.abs(error(found, plant())), 0.0, rtol=0, atol=5e-3)
-    assert found.coherence.min() > 0.999
+    np.testing.assert_allclose(np.abs(error(estimate, plant())), 0.0, rtol=0, atol=5e-3)
+    assert estimate.coherence.min() > 0.999
 
 
 def test_report_estimator_finds_the_analytic_response() -> None:
     """A sweep without noise, 0.5 to 8 Hz: 3 %, as the ends of segments of 26 s cut the sweep."""
     x = sweep()
-    found = report_response(x, through(plant(), x), RATE, band=(0.5, 8.0))
-    np.testing.assert_allclose(np.abs(error(found, plant())), 0.0, rtol=0, atol=0.03)
+    estimate = report_response(x, through(plant(), x), RATE, band=(0.5, 8.0))
+    np.testing.assert_allclose(np.abs(error(estimate, plant())), 0.0, rtol=0, atol=0.03)
 
 
 def test_periods_give_the_response_exactly() -> None:
     """Whole periods in steady state do not leak: 1e-9, what is left of the transient."""
     x = multisine(ODD, 1)
-    found = periodic_response(x, through(plant(), x), RATE, 10.0)
-    np.testing.assert_allclose(found.frequency, ODD / 10.0, rtol=1e-12)
-    np.testing.assert_allclose(np.abs(error(found, plant())), 0.0, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(found.coherence, 1.0, rtol=0, atol=1e-9)
-    assert found.radius.max() < 1e-9
+    estimate = periodic_response(x, through(plant(), x), RATE, 10.0)
+    np.testing.assert_allclose(estimate.frequency, ODD / 10.0, rtol=1e-12)
+    np.testing.assert_allclose(np.abs(error(estimate, plant())), 0.0, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(estimate.coherence, 1.0, rtol=0, atol=1e-9)
+    assert estimate.radius.max() < 1e-9
 
 
 def test_a_sine_gives_the_response_exactly() -> None:
     """Least squares in steady state at a frequency of 58.18 samples a cycle: 1e-9."""
     x = sines((1.1,), 30.0)
-    found = sine_response(x, through(plant(), x) + 0.3, RATE, 1.1, settle=10.0)
-    np.testing.assert_allclose(np.abs(error(found, plant())), 0.0, rtol=0, atol=1e-9)
+    estimate = sine_response(x, through(plant(), x) + 0.3, RATE, 1.1, settle=10.0)
+    np.testing.assert_allclose(np.abs(error(estimate, plant())), 0.0, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["welch", "report", "periodic", "sine"])
@@ -127,14 +127,14 @@ def test_noise_on_the_output_averages_out(kind: str) -> None:
     the report's estimator divided by its bias, (1 + 1/c) / 2."""
     squares, stated = [], []
     for seed in range(20):
-        found = noisy(kind, seed)
-        factor = 0.5 * (1.0 + 1.0 / found.coherence) if kind == "report" else 1.0
-        inner = (found.frequency >= 0.5) & (found.frequency <= 9.0)
-        n = found.averages - 1.0
+        estimate = noisy(kind, seed)
+        factor = 0.5 * (1.0 + 1.0 / estimate.coherence) if kind == "report" else 1.0
+        inner = (estimate.frequency >= 0.5) & (estimate.frequency <= 9.0)
+        n = estimate.averages - 1.0
         fisher = n * np.expm1(-np.log(0.05) / n)
-        off = found.response / factor - exact(plant(), found.frequency)
+        off = estimate.response / factor - exact(plant(), estimate.frequency)
         squares.append(np.mean(np.abs(off[inner]) ** 2))
-        stated.append(np.mean(((found.radius / factor) ** 2 / fisher)[inner]))
+        stated.append(np.mean(((estimate.radius / factor) ** 2 / fisher)[inner]))
     assert np.sqrt(np.mean(squares) / np.mean(stated)) == pytest.approx(1.0, abs=0.2)
 
 
@@ -158,8 +158,8 @@ def noisy(kind: str, seed: int, sigma: float = 0.5) -> Estimate:
 # -- bounds -------------------------------------------------------------------------------------
 
 
-def within(found: Estimate, system: control.TransferFunction, every: int) -> NDArray[np.bool_]:
-    return (np.abs(error(found, system)) < found.radius)[::every]
+def within(estimate: Estimate, system: control.TransferFunction, every: int) -> NDArray[np.bool_]:
+    return (np.abs(error(estimate, system)) < estimate.radius)[::every]
 
 
 def cover(measure: Callable[[int], Estimate], every: int = 1) -> tuple[float, int]:
@@ -203,9 +203,9 @@ def test_bounds_of_the_matrix_hold_on_95_percent_of_entries() -> None:
         inputs = np.stack([one_axis(i, 6, seed) for i in range(6)])
         outputs = np.stack([coupled(system, x) for x in inputs])
         outputs += np.random.default_rng(seed).normal(0, 0.5, outputs.shape)
-        found = matrix_response(inputs, outputs, RATE, period=10.0)
-        off = np.abs(found.response - exact_matrix(system, found.frequency))
-        hits.append((off < found.radius)[::10].ravel())
+        estimate = matrix_response(inputs, outputs, RATE, period=10.0)
+        off = np.abs(estimate.response - exact_matrix(system, estimate.frequency))
+        hits.append((off < estimate.radius)[::10].ravel())
     joined = np.concatenate(hits)
     assert joined.mean() == pytest.approx(0.95, abs=binomial(joined.size))
 
@@ -214,12 +214,12 @@ def test_without_overlap_the_bound_is_bendat_and_piersols() -> None:
     """r^2 = F(2, 2 S - 2) / (S - 1) (1 - c) S_yy / S_xx with S = 16 and scipy's F."""
     x = white(64.0, 1)
     y = through(plant(), x) + white(64.0, 2)
-    found = welch_response(x, y, RATE, segment=4.0, overlap=0.0)
-    np.testing.assert_allclose(found.averages, 16.0, rtol=1e-12)
-    h1 = np.abs(found.response) ** 2
-    ratio = (1 - found.coherence) * h1 / found.coherence
+    estimate = welch_response(x, y, RATE, segment=4.0, overlap=0.0)
+    np.testing.assert_allclose(estimate.averages, 16.0, rtol=1e-12)
+    h1 = np.abs(estimate.response) ** 2
+    ratio = (1 - estimate.coherence) * h1 / estimate.coherence
     expected = np.sqrt(stats.f.ppf(0.95, 2, 30) / 15 * ratio)
-    np.testing.assert_allclose(found.radius, expected, rtol=1e-9)
+    np.testing.assert_allclose(estimate.radius, expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize(("overlap", "worth"), [(0.0, 1.0), (0.5, 0.947), (0.75, 0.520)])
@@ -230,25 +230,25 @@ def test_overlapping_segments_count_less(overlap: float, worth: float) -> None:
     hop, segments = round(256 * (1 - overlap)), 1000
     measured = np.ones(256 + (segments - 1) * hop, dtype=bool)
     correlation = spectra._correlation(window, hop, measured)
-    found = np.trace(correlation) ** 2 / np.sum(correlation**2) / segments
-    assert found == pytest.approx(worth, abs=2e-3)
+    estimate = np.trace(correlation) ** 2 / np.sum(correlation**2) / segments
+    assert estimate == pytest.approx(worth, abs=2e-3)
 
 
 def test_gain_and_phase_bounds_are_those_of_the_circle() -> None:
     """Radius 0.5 about 1: 20 log10(0.5), 20 log10(1.5), 30 deg; about 0.4 it holds zero."""
     one = np.ones(2)
-    found = Estimate(one, np.array([1.0, 0.4j]), one, 0.5 * one, 9 * one)
-    np.testing.assert_allclose(found.gain_bound_db[:, 0], 20 * np.log10([0.5, 1.5]), rtol=1e-12)
-    np.testing.assert_allclose(found.phase_bound_deg, [30.0, 180.0], rtol=1e-12)
-    assert found.gain_bound_db[0, 1] == -np.inf
+    estimate = Estimate(one, np.array([1.0, 0.4j]), one, 0.5 * one, 9 * one)
+    np.testing.assert_allclose(estimate.gain_bound_db[:, 0], 20 * np.log10([0.5, 1.5]), rtol=1e-12)
+    np.testing.assert_allclose(estimate.phase_bound_deg, [30.0, 180.0], rtol=1e-12)
+    assert estimate.gain_bound_db[0, 1] == -np.inf
 
 
 def test_one_average_states_no_bound() -> None:
     """One period measured: nothing is known about its scatter."""
     x = multisine(ODD, 1, periods=2)
-    found = periodic_response(x, through(plant(), x), RATE, 10.0)
-    assert np.isinf(found.radius).all()
-    assert np.isnan(found.noise_variance).all()
+    estimate = periodic_response(x, through(plant(), x), RATE, 10.0)
+    assert np.isinf(estimate.radius).all()
+    assert np.isnan(estimate.noise_variance).all()
 
 
 # -- the estimators against each other ----------------------------------------------------------
@@ -276,9 +276,9 @@ def test_welch_agrees_with_scipy() -> None:
     options = {"fs": RATE, "window": "hann", "nperseg": 250, "noverlap": 187, "detrend": False}
     expected = signal.csd(x, y, **options)[1] / signal.welch(x, **options)[1]
     coherence = signal.coherence(x, y, **options)[1]
-    found = welch_response(x, y, RATE, segment=250 / RATE)
-    np.testing.assert_allclose(found.response, expected[2:], rtol=1e-12)
-    np.testing.assert_allclose(found.coherence, coherence[2:], rtol=0, atol=1e-12)
+    estimate = welch_response(x, y, RATE, segment=250 / RATE)
+    np.testing.assert_allclose(estimate.response, expected[2:], rtol=1e-12)
+    np.testing.assert_allclose(estimate.coherence, coherence[2:], rtol=0, atol=1e-12)
 
 
 def test_h2_is_free_of_bias_under_input_noise() -> None:
@@ -288,8 +288,8 @@ def test_h2_is_free_of_bias_under_input_noise() -> None:
     measured = x + white(1500.0, 6, 0.5)
     options = {"segment": 4.0, "band": (0.5, 5.0)}
     for name, expected in (("h2", 1.0), ("h1", 0.8), ("hv", np.sqrt(0.8))):
-        found = welch_response(measured, y, RATE, estimator=name, **options)
-        ratio = np.mean(found.response / exact(plant(hertz=8.0), found.frequency)).real
+        estimate = welch_response(measured, y, RATE, estimator=name, **options)
+        ratio = np.mean(estimate.response / exact(plant(hertz=8.0), estimate.frequency)).real
         assert ratio == pytest.approx(expected, rel=0.02)
 
 
@@ -302,10 +302,10 @@ def test_report_estimator_has_its_known_bias(coherence: float, bias: float) -> N
     gains = []
     for seed in range(SEEDS):
         x = white(64.0, 7000 + seed)
-        found = report_response(x, x + white(64.0, seed, sigma), RATE, band=(2.0, 30.0))
-        h1 = found.response / (0.5 * (1 + 1 / found.coherence))
-        assert found.averages.max() < 7.0
-        gains.append([found.response.real.mean(), h1.real.mean()])
+        estimate = report_response(x, x + white(64.0, seed, sigma), RATE, band=(2.0, 30.0))
+        h1 = estimate.response / (0.5 * (1 + 1 / estimate.coherence))
+        assert estimate.averages.max() < 7.0
+        gains.append([estimate.response.real.mean(), h1.real.mean()])
     report, h1 = 20 * np.log10(np.mean(gains, axis=0))
     assert report == pytest.approx(bias, abs=0.05)
     assert h1 == pytest.approx(0.0, abs=0.02)
@@ -318,8 +318,8 @@ def test_report_segments_use_the_record_up(size: int, segments: int) -> None:
     the same sums in another order, divided by small numbers where the coherence is low."""
     x = white(size / RATE, 1)
     assert x.size == size
-    found = report_response(x, x + white(size / RATE, 2), RATE)
-    np.testing.assert_allclose(found.frequency, np.arange(1, size // 2 + 1) * RATE / size)
+    estimate = report_response(x, x + white(size / RATE, 2), RATE)
+    np.testing.assert_allclose(estimate.frequency, np.arange(1, size // 2 + 1) * RATE / size)
     length = int((size - 1) / 4)
     hop = length - length // 2
     taper = signal.get_window("hann", length + 1, fftbins=False)
@@ -329,7 +329,7 @@ def test_report_segments_use_the_record_up(size: int, segments: int) -> None:
     cross = np.mean(np.conj(a) * b, axis=0)
     h1 = cross / np.mean(np.abs(a) ** 2, axis=0)
     h2 = np.mean(np.abs(b) ** 2, axis=0) / np.conj(cross)
-    np.testing.assert_allclose(found.response, 0.5 * (h1 + h2)[1:], rtol=1e-8)
+    np.testing.assert_allclose(estimate.response, 0.5 * (h1 + h2)[1:], rtol=1e-8)
 
 
 # -- noise and distortion -----------------------------------------------------------------------
@@ -343,10 +343,10 @@ def test_noise_variance_is_recovered() -> None:
     x = np.stack([multisine(ODD, seed, periods=periods + 1) for seed in range(realisations)])
     y = np.stack([through(plant(), row) for row in x])
     y += np.random.default_rng(1).normal(0.0, sigma, y.shape)
-    found = periodic_response(x, y, RATE, 10.0)
+    estimate = periodic_response(x, y, RATE, 10.0)
     expected = 4 * sigma**2 / (640 * periods * realisations)
-    assert found.noise_variance.mean() == pytest.approx(expected, rel=0.10)
-    assert found.averages[0] == realisations
+    assert estimate.noise_variance.mean() == pytest.approx(expected, rel=0.10)
+    assert estimate.averages[0] == realisations
 
 
 def test_a_cubic_is_separated_from_noise() -> None:
@@ -359,23 +359,23 @@ def test_a_cubic_is_separated_from_noise() -> None:
     clean = clean + 0.02 * clean**3
     quiet = periodic_response(x, clean, RATE, 10.0)
     noise = np.random.default_rng(2).normal(0.0, sigma, clean.shape)
-    found = periodic_response(x, clean + noise, RATE, 10.0)
+    estimate = periodic_response(x, clean + noise, RATE, 10.0)
     assert quiet.noise_variance.max() < 1e-15
-    ratio = found.distortion_variance.mean() / quiet.distortion_variance.mean()
+    ratio = estimate.distortion_variance.mean() / quiet.distortion_variance.mean()
     assert ratio == pytest.approx(1.0, abs=0.25)
     expected = 4 * sigma**2 / (640 * 4 * realisations)
-    assert found.noise_variance.mean() == pytest.approx(expected, rel=0.10)
+    assert estimate.noise_variance.mean() == pytest.approx(expected, rel=0.10)
     assert quiet.distortion_variance.mean() > 10 * realisations * expected
     linear = periodic_response(x, x + noise, RATE, 10.0)
-    assert linear.distortion_variance.mean() < 0.1 * found.distortion_variance.mean()
+    assert linear.distortion_variance.mean() < 0.1 * estimate.distortion_variance.mean()
 
 
 def test_an_even_distortion_falls_between_odd_lines() -> None:
     """x^2 of odd lines has even lines only: no distortion of the response, 1e-18 of gain 1."""
     x = np.stack([multisine(ODD, seed) for seed in range(3)])
-    found = periodic_response(x, x + 0.1 * x**2, RATE, 10.0)
-    np.testing.assert_allclose(found.response, 1.0, rtol=0, atol=1e-9)
-    assert found.distortion_variance.max() < 1e-18
+    estimate = periodic_response(x, x + 0.1 * x**2, RATE, 10.0)
+    np.testing.assert_allclose(estimate.response, 1.0, rtol=0, atol=1e-9)
+    assert estimate.distortion_variance.max() < 1e-18
 
 
 # -- sines and rounds ---------------------------------------------------------------------------
@@ -388,8 +388,8 @@ def test_harmonics_do_not_reach_a_sine_response() -> None:
     angle = 2 * np.pi * 1.1 * time
     third = 0.3 * np.sin(3 * angle + 1.0) + 0.3 * np.cos(2 * angle)
     y = 0.8 * np.sin(angle - np.radians(40)) + third + 5.0
-    found = sine_response(np.sin(angle) + third, y, RATE, 1.1)
-    assert found.response[0] == pytest.approx(0.8 * np.exp(-1j * np.radians(40)), abs=1e-9)
+    estimate = sine_response(np.sin(angle) + third, y, RATE, 1.1)
+    assert estimate.response[0] == pytest.approx(0.8 * np.exp(-1j * np.radians(40)), abs=1e-9)
 
 
 def test_five_rounds_stitched_are_the_analytic_response() -> None:
@@ -398,10 +398,10 @@ def test_five_rounds_stitched_are_the_analytic_response() -> None:
     for frequencies in ROUNDS[::-1]:
         x = sines(frequencies, 40.0)
         rounds.append(sine_response(x, through(plant(), x), RATE, frequencies, settle=20.0))
-    found = stitch(rounds)
-    assert found.frequency.size == 35
-    np.testing.assert_allclose(found.frequency, np.ravel(ROUNDS), rtol=1e-12)
-    np.testing.assert_allclose(np.abs(error(found, plant())), 0.0, rtol=0, atol=1e-9)
+    estimate = stitch(rounds)
+    assert estimate.frequency.size == 35
+    np.testing.assert_allclose(estimate.frequency, np.ravel(ROUNDS), rtol=1e-12)
+    np.testing.assert_allclose(np.abs(error(estimate, plant())), 0.0, rtol=0, atol=1e-9)
 
 
 def test_the_better_of_two_rounds_stays() -> None:
@@ -413,9 +413,9 @@ def test_the_better_of_two_rounds_stays() -> None:
 
     good, bad = lines([1.0, 2.0], 1.0, 0.99), lines([0.5, 1.0], 3.0, 0.5)
     for order in ((good, bad), (bad, good)):
-        found = stitch(order)
-        np.testing.assert_array_equal(found.frequency, [0.5, 1.0, 2.0])
-        np.testing.assert_array_equal(found.response, [3.0, 1.0, 1.0])
+        estimate = stitch(order)
+        np.testing.assert_array_equal(estimate.frequency, [0.5, 1.0, 2.0])
+        np.testing.assert_array_equal(estimate.response, [3.0, 1.0, 1.0])
 
 
 def test_rounds_of_different_units_are_not_joined() -> None:
@@ -463,11 +463,11 @@ def test_six_runs_give_the_matrix() -> None:
     """One axis a run: K diag(G) at every line, 1e-9."""
     inputs = np.stack([one_axis(i, 2, i) for i in range(6)])
     outputs = np.stack([coupled(six_by_six(), x) for x in inputs])
-    found = matrix_response(inputs, outputs, RATE, period=10.0)
-    assert found.response.shape == (50, 6, 6)
-    expected = exact_matrix(six_by_six(), found.frequency)
-    np.testing.assert_allclose(found.response, expected, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(found.coherence, 1.0, rtol=0, atol=1e-9)
+    estimate = matrix_response(inputs, outputs, RATE, period=10.0)
+    assert estimate.response.shape == (50, 6, 6)
+    expected = exact_matrix(six_by_six(), estimate.frequency)
+    np.testing.assert_allclose(estimate.response, expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(estimate.coherence, 1.0, rtol=0, atol=1e-9)
 
 
 def test_orthogonal_multisines_give_the_matrix() -> None:
@@ -482,9 +482,9 @@ def test_orthogonal_multisines_give_the_matrix() -> None:
             x[:, axis] = np.tile(np.fft.irfft(spectrum, 640), 2)
         runs.append(x)
     outputs = np.stack([coupled(six_by_six(), x) for x in runs])
-    found = matrix_response(np.stack(runs), outputs, RATE, period=10.0)
-    expected = exact_matrix(six_by_six(), found.frequency)
-    np.testing.assert_allclose(found.response, expected, rtol=0, atol=1e-9)
+    estimate = matrix_response(np.stack(runs), outputs, RATE, period=10.0)
+    expected = exact_matrix(six_by_six(), estimate.frequency)
+    np.testing.assert_allclose(estimate.response, expected, rtol=0, atol=1e-9)
 
 
 def interleaved(periods: int = 3) -> NDArray[np.float64]:
@@ -496,26 +496,26 @@ def interleaved(periods: int = 3) -> NDArray[np.float64]:
 def test_one_run_with_interleaved_lines_gives_columns_at_their_own_lines() -> None:
     """Column i at every sixth line, 1e-9, and NaN at the others."""
     x = interleaved()
-    found = matrix_response(x, coupled(six_by_six(), x), RATE, period=10.0)
-    assert found.response.shape == (96, 6, 6)
-    expected = exact_matrix(six_by_six(), found.frequency)
+    estimate = matrix_response(x, coupled(six_by_six(), x), RATE, period=10.0)
+    assert estimate.response.shape == (96, 6, 6)
+    expected = exact_matrix(six_by_six(), estimate.frequency)
     for i in range(6):
-        own = np.arange(96) % 6 == i
+        actual = np.arange(96) % 6 == i
         np.testing.assert_allclose(
-            found.response[own, :, i], expected[own, :, i], rtol=0, atol=1e-9
+            estimate.response[actual, :, i], expected[actual, :, i], rtol=0, atol=1e-9
         )
-        assert np.isnan(found.response[~own, :, i]).all()
+        assert np.isnan(estimate.response[~actual, :, i]).all()
 
 
 def test_interleaved_columns_are_joined_by_lines_on_demand() -> None:
     """Straight lines between lines 0.6 Hz apart: within 0.6^2 / 8 max |H''|, by differences of the
     analytic response."""
     x = interleaved()
-    found = matrix_response(x, coupled(six_by_six(), x), RATE, period=10.0, interpolate=True)
-    expected = exact_matrix(six_by_six(), found.frequency)
+    estimate = matrix_response(x, coupled(six_by_six(), x), RATE, period=10.0, interpolate=True)
+    expected = exact_matrix(six_by_six(), estimate.frequency)
     second = np.abs(np.diff(expected, 2, axis=0)).max() / 0.1**2
     inner = slice(5, 91)
-    off = np.abs(found.response - expected)[inner]
+    off = np.abs(estimate.response - expected)[inner]
     assert np.nanmax(off) < 0.6**2 / 8 * second * 1.05
     assert not np.isnan(off).any()
 
@@ -523,9 +523,9 @@ def test_interleaved_columns_are_joined_by_lines_on_demand() -> None:
 def test_independent_noise_in_one_run_gives_the_matrix() -> None:
     """Six white inputs, no noise: 3 % of gain 1 from 450 s, leakage of segments of 8 s."""
     x = np.random.default_rng(9).normal(size=(round(450 * RATE), 6))
-    found = matrix_response(x, coupled(six_by_six(), x), RATE, segment=8.0, band=(0.5, 8.0))
-    expected = exact_matrix(six_by_six(), found.frequency)
-    np.testing.assert_allclose(np.abs(found.response - expected), 0.0, rtol=0, atol=0.03)
+    estimate = matrix_response(x, coupled(six_by_six(), x), RATE, segment=8.0, band=(0.5, 8.0))
+    expected = exact_matrix(six_by_six(), estimate.frequency)
+    np.testing.assert_allclose(np.abs(estimate.response - expected), 0.0, rtol=0, atol=0.03)
 
 
 def test_a_matrix_of_one_by_one_is_h1() -> None:
@@ -579,6 +579,6 @@ def test_bad_input_is_named(call: Callable[[], Estimate], message: str) -> None:
 
 def test_an_estimate_is_read_only() -> None:
     x = multisine(ODD, 1)
-    found = periodic_response(x, x, RATE, 10.0)
+    estimate = periodic_response(x, x, RATE, 10.0)
     with pytest.raises(ValueError, match="read-only"):
-        found.response[0] = 0.0
+        estimate.response[0] = 0.0

@@ -41,28 +41,28 @@ def test_eqs_3_2_to_3_4_are_the_nested_loops_of_figure_3_12(loop: FeedbackLoop) 
 @given(LOOPS)
 @settings(deadline=None, max_examples=30)
 def test_characteristics_are_those_of_the_transfer_function(loop: FeedbackLoop) -> None:
-    system, found = feedback_model("3.4", loop), characteristics(loop)
+    system, result = feedback_model("3.4", loop), characteristics(loop)
     natural, damping, _ = control.damp(system, doprint=False)
-    assert np.sqrt(np.prod(natural)) / (2.0 * np.pi) == pytest.approx(found.mode_frequency_hz)
-    if found.mode_damping_ratio < 1.0:
-        assert damping[0] == pytest.approx(found.mode_damping_ratio)
-    assert system.dcgain() == pytest.approx(found.static_gain)
-    at_phase = system(2j * np.pi * found.phase_bandwidth_hz)
+    assert np.sqrt(np.prod(natural)) / (2.0 * np.pi) == pytest.approx(result.mode_frequency_hz)
+    if result.mode_damping_ratio < 1.0:
+        assert damping[0] == pytest.approx(result.mode_damping_ratio)
+    assert system.dcgain() == pytest.approx(result.static_gain)
+    at_phase = system(2j * np.pi * result.phase_bandwidth_hz)
     assert np.angle(at_phase, deg=True) == pytest.approx(-90.0)
-    at_gain = system(2j * np.pi * found.gain_bandwidth_hz)
-    assert abs(at_gain) == pytest.approx(found.static_gain * 10.0 ** (-3.0 / 20.0))
-    omega = 2.0 * np.pi * found.mode_frequency_hz * np.linspace(1e-6, 2.0, 20001)
-    peak = np.abs(system(1j * omega)).max() / found.static_gain
-    assert 20.0 * np.log10(peak) == pytest.approx(found.peak_gain_db, abs=1e-3)
+    at_gain = system(2j * np.pi * result.gain_bandwidth_hz)
+    assert abs(at_gain) == pytest.approx(result.static_gain * 10.0 ** (-3.0 / 20.0))
+    omega = 2.0 * np.pi * result.mode_frequency_hz * np.linspace(1e-6, 2.0, 20001)
+    peak = np.abs(system(1j * omega)).max() / result.static_gain
+    assert 20.0 * np.log10(peak) == pytest.approx(result.peak_gain_db, abs=1e-3)
 
 
 @pytest.mark.parametrize("damping", [0.1, 0.4, 0.7, 1.3])
 def test_overshoot_is_that_of_the_simulated_step(damping: float) -> None:
     loop = FeedbackLoop(6.0, damping, 0.5)
-    found = characteristics(loop)
+    result = characteristics(loop)
     reached = control.step_response(feedback_model("3.4", loop), np.linspace(0.0, 10.0, 20001))
-    over = float(reached.outputs.max()) / found.static_gain - 1.0
-    assert max(over, 0.0) == pytest.approx(found.overshoot, abs=2e-5)
+    over = float(reached.outputs.max()) / result.static_gain - 1.0
+    assert max(over, 0.0) == pytest.approx(result.overshoot, abs=2e-5)
 
 
 def test_each_gain_does_what_the_characteristic_equation_says() -> None:

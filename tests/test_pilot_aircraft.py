@@ -46,7 +46,7 @@ def test_jsbsims_own_pilot_acceleration_is_ours_one_step_later() -> None:
         blended = before.centre_force + at_lever_arm(
             now.inertial_rate, before.angular_acceleration, now.lever
         )
-        np.testing.assert_allclose(airframe.own_pilot_force(), blended, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(airframe.jsbsim_pilot_force(), blended, rtol=0, atol=1e-9)
         largest = max(largest, float(np.abs(blended - before.specific_force).max()))
     assert 0.0 < largest < 5e-3
 
@@ -138,8 +138,8 @@ def test_a_gust_has_its_size_and_shape() -> None:
         airframe.step(Controls(throttle=throttle, gear=0.0))
         felt.append(airframe["atmosphere/total-wind-down-fps"] * 0.3048)
     time = (np.arange(len(felt)) + 1) / RATE
-    wanted = np.where(time < 2.0, -4.0 * (1.0 - np.cos(np.pi * time)), 0.0)
-    np.testing.assert_allclose(felt, wanted, atol=0.06)
+    expected = np.where(time < 2.0, -4.0 * (1.0 - np.cos(np.pi * time)), 0.0)
+    np.testing.assert_allclose(felt, expected, atol=0.06)
 
 
 def test_a_failed_engine_spools_down_and_the_other_does_not() -> None:

@@ -3,7 +3,7 @@
 import control
 import numpy as np
 import pytest
-from flights import G, held, level, pushed, turn_entry, turned
+from flights import G, level, pushed, sustained, turn_entry, turned
 
 from cmf_mj.core.hold import Held, history, hold
 from cmf_mj.facility.host.stream import HostStream
@@ -43,12 +43,12 @@ def matrices(dof: str):
 
 def discrete_response(system: Held, omega: np.ndarray) -> np.ndarray:
     """C (z - transition)^-1 (earlier + z later) + D at z = exp(j omega T), (K, p, m)."""
-    found = []
+    result = []
     for z in np.exp(1j * omega * STEP):
         resolvent = np.linalg.inv(z * np.eye(len(system.transition)) - system.transition)
         pushed_by = system.earlier + z * system.later
-        found.append(system.output @ resolvent @ pushed_by + system.direct)
-    return np.array(found)
+        result.append(system.output @ resolvent @ pushed_by + system.direct)
+    return np.array(result)
 
 
 @pytest.mark.parametrize("dof", DOFS)
@@ -67,10 +67,10 @@ def test_continuous_filters_are_their_transfer_functions_and_derivatives(dof):
     points = 1j * np.geomspace(0.01, 100.0, 20)
     for point in points:
         # A rotation's second input is the slope of its first.
-        found = system(point)
-        found = found[:, 0] + point * found[:, 1] if dof in DOFS[3:] else found[:, 0]
+        result = system(point)
+        result = result[:, 0] + point * result[:, 1] if dof in DOFS[3:] else result[:, 0]
         expected = transfer(dof)(point) * point ** np.arange(3)
-        np.testing.assert_allclose(found, expected, rtol=1e-9)
+        np.testing.assert_allclose(result, expected, rtol=1e-9)
 
 
 def test_low_pass_is_its_transfer_function():
@@ -92,12 +92,12 @@ def pulse_response(ramp, time: np.ndarray) -> np.ndarray:
 
 def run_pulse(system: Held, inputs: int) -> np.ndarray:
     """Outputs of a unit impulse in the first input at the second row."""
-    given = np.zeros((400, inputs))
-    given[1, 0] = 1.0 / STEP
+    arguments = np.zeros((400, inputs))
+    arguments[1, 0] = 1.0 / STEP
     if inputs == 2:
-        given[1:3, 1] = np.array([1.0, -1.0]) / STEP**2
+        arguments[1:3, 1] = np.array([1.0, -1.0]) / STEP**2
     outputs = np.empty((400, len(system.output)))
-    history(system, np.zeros(len(system.transition)), given, outputs)
+    history(system, np.zeros(len(system.transition)), arguments, outputs)
     return outputs[1:]
 
 
@@ -106,8 +106,8 @@ def test_impulse_response_of_a_rotation_in_closed_form():
     w = SIMONA.roll.natural_frequency.si
     time = np.arange(399) * STEP
     expected = pulse_response(lambda t: (1 - (1 + w * t) * np.exp(-w * t)) / w**2, time)
-    found = run_pulse(hold(*rotation_filter(SIMONA.roll), STEP), 2)[:, 0]
-    np.testing.assert_allclose(found, expected, atol=1e-10)
+    result = run_pulse(hold(*rotation_filter(SIMONA.roll), STEP), 2)[:, 0]
+    np.testing.assert_allclose(result, expected, atol=1e-10)
 
 
 def test_impulse_response_of_heave_in_closed_form():
@@ -120,8 +120,8 @@ def test_impulse_response_of_heave_in_closed_form():
     def ramp(t):
         return steady + slow * np.exp(-b * t) + (single + double * t) * np.exp(-w * t)
 
-    found = run_pulse(hold(*translation_filter(SIMONA.heave), STEP), 1)[:, 0]
-    np.testing.assert_allclose(found, pulse_response(ramp, time), atol=1e-9)
+    result = run_pulse(hold(*translation_filter(SIMONA.heave), STEP), 1)[:, 0]
+    np.testing.assert_allclose(result, pulse_response(ramp, time), atol=1e-9)
 
 
 def test_side_by_side_keeps_inputs_and_outputs_in_order():
@@ -165,7 +165,7 @@ def simulated(motion: PilotMotion, **options) -> tuple[HostStream, PilotMotion]:
 
 def test_sustained_surge_is_reached_by_tilt_within_its_rate_limit():
     """1 m/s^2: in the end gain times 1 m/s^2, from g sin(tilt) alone; 3 deg/s are not exceeded."""
-    stream, felt = simulated(pushed(0, held(1.0)))
+    stream, felt = simulated(pushed(0, sustained(1.0)))
     assert felt.specific_force[-1, 0] == pytest.approx(0.6, abs=1e-4)
     assert G * np.sin(stream.pose[-1, 4]) == pytest.approx(0.6, abs=1e-12)
     np.testing.assert_allclose(stream.velocity[-1], 0.0, atol=1e-5)
@@ -174,7 +174,7 @@ def test_sustained_surge_is_reached_by_tilt_within_its_rate_limit():
 
 
 def test_a_large_sustained_surge_binds_the_tilt_rate():
-    stream, felt = simulated(pushed(0, held(4.0)))
+    stream, felt = simulated(pushed(0, sustained(4.0)))
     rate = np.degrees(np.abs(stream.velocity[:, 4]))
     assert rate.max() == pytest.approx(3.0, abs=1e-12)
     assert np.count_nonzero(rate > 2.999) > 80
@@ -182,17 +182,17 @@ def test_a_large_sustained_surge_binds_the_tilt_rate():
 
 
 def test_sustained_sway_tilts_the_other_way():
-    stream, felt = simulated(pushed(1, held(1.0)))
+    stream, felt = simulated(pushed(1, sustained(1.0)))
     assert stream.pose[-1, 3] == pytest.approx(-np.arcsin(0.6 / G), abs=1e-9)
     assert felt.specific_force[-1, 1] == pytest.approx(0.6, abs=1e-4)
 
 
 def test_heave_and_yaw_wash_to_zero():
-    stream, felt = simulated(pushed(2, held(1.0)))
+    stream, felt = simulated(pushed(2, sustained(1.0)))
     assert np.abs(stream.pose[:, 2]).max() > 0.2
     np.testing.assert_allclose(stream.pose[-1], 0.0, atol=1e-4)
     np.testing.assert_allclose(felt.specific_force[-1], [0.0, 0.0, -G], atol=1e-4)
-    stream, felt = simulated(turned(2, held(0.2)))
+    stream, felt = simulated(turned(2, sustained(0.2)))
     assert np.abs(stream.pose[:, 5]).max() > 0.04
     np.testing.assert_allclose(stream.pose[-1], 0.0, atol=1e-9)
 
@@ -257,7 +257,7 @@ def test_frame_by_frame_is_the_whole_run_to_the_bit():
 
 def test_the_platform_turns_about_the_pilot():
     """Tilt about the centroid throws the head, 2.3 m above it, back at the onset of a surge."""
-    motion = pushed(0, np.minimum(held(1.0), np.arange(4800) / 80.0))
+    motion = pushed(0, np.minimum(sustained(1.0), np.arange(4800) / 80.0))
     _, about_head = simulated(motion)
     station = pilot_station()
     stream = Washout(station=np.zeros(3)).run(motion)

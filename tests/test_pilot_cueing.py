@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from flights import held, pushed, turn_entry
+from flights import pushed, sustained, turn_entry
 from typer.testing import CliRunner
 
 from cmf_mj.cli.common import app
@@ -97,9 +97,11 @@ def test_a_motion_beyond_them_is_held_within_travel_and_leg_rates():
     assert speed <= LIMITS.leg.velocity.si * (1 + 1e-9)
     push = np.abs(np.diff(legs, n=2, axis=0)).max() * 80.0**2
     assert push <= LIMITS.leg.acceleration.si * (1 + 1e-6)
-    told = pose_motion_to_legs(kept.stream.pose, kept.stream.velocity, kept.stream.acceleration)
+    rates = pose_motion_to_legs(kept.stream.pose, kept.stream.velocity, kept.stream.acceleration)
     differenced = (legs[2:] - legs[:-2]) * 40.0
-    assert np.abs(told.velocity[1:-1] - differenced).max() < 0.6 * LIMITS.leg.acceleration.si / 80.0
+    assert (
+        np.abs(rates.velocity[1:-1] - differenced).max() < 0.6 * LIMITS.leg.acceleration.si / 80.0
+    )
 
 
 def test_tuning_just_uses_the_machine_and_no_more():
@@ -114,7 +116,7 @@ def test_tuning_just_uses_the_machine_and_no_more():
 
 
 def test_tuning_of_a_small_motion_ends_at_the_largest_gain():
-    tuned = tune(pushed(0, held(0.2, seconds=20.0)))
+    tuned = tune(pushed(0, sustained(0.2, seconds=20.0)))
     assert tuned.binding == "largest gain"
     assert tuned.settings.gains.max() == pytest.approx(1.0)
 
@@ -155,9 +157,9 @@ def test_cue_run_and_tune_write_their_files(tmp_path):
     ],
 )
 def test_cue_refuses_in_one_line(arguments, message, tmp_path):
-    flight = pushed(0, held(0.1, seconds=2.0)).save(tmp_path / "flight.csv")
-    given = [str(flight) if part == "FLIGHT" else part for part in arguments]
-    result = CliRunner().invoke(app, ["cue", "run", *given, "--out", str(tmp_path / "out")])
+    flight = pushed(0, sustained(0.1, seconds=2.0)).save(tmp_path / "flight.csv")
+    options = [str(flight) if part == "FLIGHT" else part for part in arguments]
+    result = CliRunner().invoke(app, ["cue", "run", *options, "--out", str(tmp_path / "out")])
     assert result.exit_code == 2
     assert message in result.output
     assert not (tmp_path / "out").exists()

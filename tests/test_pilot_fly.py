@@ -68,8 +68,8 @@ def test_the_delay_of_a_slow_transient_is_found_whatever_its_gain() -> None:
     def bump(at: np.ndarray) -> np.ndarray:
         return np.exp(-((at - 6.0) ** 2))
 
-    found = transient_delay(bump(time), 0.8 * bump(time - 0.037) + 0.1, 256.0)
-    assert found == pytest.approx(0.037, abs=1e-4)
+    computed = transient_delay(bump(time), 0.8 * bump(time - 0.037) + 0.1, 256.0)
+    assert computed == pytest.approx(0.037, abs=1e-4)
 
 
 def test_the_machines_error_is_that_of_the_flight_less_that_of_the_washout(

@@ -54,8 +54,10 @@ def test_taking_one_for_the_other_is_off_by_gravity_to_the_bit():
 
 def test_pitched_on_the_ground_it_feels_a_push_in_the_back():
     attitude = np.array([[0.0, np.radians(10.0), 0.3]])
-    given = still() | {"attitude": attitude}
-    rest = PilotMotion.from_centre_of_gravity(**given, lever_arm=np.zeros(3), acceleration=LEVEL)
+    arguments = still() | {"attitude": attitude}
+    rest = PilotMotion.from_centre_of_gravity(
+        **arguments, lever_arm=np.zeros(3), acceleration=LEVEL
+    )
     expected = [[G * np.sin(np.radians(10.0)), 0.0, -G * np.cos(np.radians(10.0))]]
     np.testing.assert_allclose(rest.specific_force, expected, rtol=1e-15)
     banked = gravity_in_body(np.array([np.radians(30.0), 0.0, 1.0]))
@@ -66,12 +68,12 @@ def test_pilot_ahead_of_the_centre_of_gravity():
     """Pitch acceleration lifts the nose, -q' x; a steady pitch rate pulls inwards, -q^2 x. The
     error of taking the centre of gravity for the pilot is the whole of it."""
     arm = np.array([20.0, 0.0, -3.0])
-    given = still() | {
+    arguments = still() | {
         "angular_rate": np.array([[0.0, 0.2, 0.0]]),
         "angular_acceleration": np.array([[0.0, 0.1, 0.0]]),
     }
     pilot = PilotMotion.from_centre_of_gravity(
-        **given, lever_arm=arm, specific_force=LEVEL - [0.0, 0.0, G]
+        **arguments, lever_arm=arm, specific_force=LEVEL - [0.0, 0.0, G]
     )
     expected = [[0.1 * -3.0 - 0.04 * 20.0, 0.0, -G - 0.1 * 20.0 + 0.04 * 3.0]]
     np.testing.assert_allclose(pilot.specific_force, expected, rtol=1e-14)
@@ -85,9 +87,9 @@ def test_coordinated_turn_has_no_side_force():
     rates = np.array([[0.0, turn * np.sin(bank), turn * np.cos(bank)]])
     # Inertial acceleration points to the right, speed times turn rate; in body axes:
     acceleration = (rotation(bank, 0.0, 0.0).T @ [0.0, speed * turn, 0.0])[None]
-    given = still() | {"attitude": attitude, "angular_rate": rates}
+    arguments = still() | {"attitude": attitude, "angular_rate": rates}
     felt = PilotMotion.from_centre_of_gravity(
-        **given, lever_arm=np.zeros(3), acceleration=acceleration
+        **arguments, lever_arm=np.zeros(3), acceleration=acceleration
     )
     np.testing.assert_allclose(felt.specific_force, [[0.0, 0.0, -G / np.cos(bank)]], atol=1e-14)
 
@@ -109,15 +111,15 @@ def test_motion_on_the_platform_against_differenced_positions():
     step, arm = 1e-3, np.array([0.6, 0.2, -2.3])
     time = 1.0 + step * np.arange(-2, 3)
     pose, velocity, acceleration = motion(time)
-    found = PilotMotion.from_platform(time, pose, velocity, acceleration, arm)
+    result = PilotMotion.from_platform(time, pose, velocity, acceleration, arm)
     turn = np.array([rotation(*row[3:]) for row in pose])
     place = pose[:, :3] + turn @ arm
     inertial = (place[3] - 2 * place[2] + place[1]) / step**2 - [0.0, 0.0, G]
-    np.testing.assert_allclose(found.specific_force[2], turn[2].T @ inertial, atol=1e-5)
+    np.testing.assert_allclose(result.specific_force[2], turn[2].T @ inertial, atol=1e-5)
     # Angular velocity of the rotation matrix itself.
     turned = Rotation.from_matrix(turn[1].T @ turn[3]).as_rotvec() / (2 * step)
-    np.testing.assert_allclose(found.angular_rate[2], turned, atol=1e-6)
-    np.testing.assert_allclose(found.attitude, pose[:, 3:])
+    np.testing.assert_allclose(result.angular_rate[2], turned, atol=1e-6)
+    np.testing.assert_allclose(result.attitude, pose[:, 3:])
 
 
 def test_angular_acceleration_is_the_derivative_of_the_rate():

@@ -56,27 +56,27 @@ def ideal():
 def test_responses_of_the_washout_in_closed_form(ideal, test):
     """Small angles: K H for rotations and heave, K (H (1 - L) + L) for surge and sway, K L / g for
     their tilt, and what the false side force of a rotation amounts to."""
-    given, output = test
-    gain = getattr(SIMONA, given).gain.si
+    source, output = test
+    gain = getattr(SIMONA, source).gain.si
     points = 1j * np.array(FREQUENCIES)
-    found = ideal.responses["washout"][TESTS.index(test)]
-    if given == output:
-        expected = gain * high_pass(given)(points)
-        if given in ("surge", "sway"):
-            low = low_pass(given)(points)
+    measured = ideal.responses["washout"][TESTS.index(test)]
+    if source == output:
+        expected = gain * high_pass(source)(points)
+        if source in ("surge", "sway"):
+            low = low_pass(source)(points)
             expected = gain * (expected / gain * (1.0 - low) + low)
-        if given in ("pitch", "roll"):
-            other = {"pitch": "surge", "roll": "sway"}[given]
+        if source in ("pitch", "roll"):
+            other = {"pitch": "surge", "roll": "sway"}[source]
             expected = expected + getattr(SIMONA, other).gain.si * low_pass(other)(points)
-    elif given in ("surge", "sway"):
-        expected = gain * low_pass(given)(points) / G * (1.0 if given == "surge" else -1.0)
+    elif source in ("surge", "sway"):
+        expected = gain * low_pass(source)(points) / G * (1.0 if source == "surge" else -1.0)
     else:
         # The aircraft's specific force is g times its angle; the simulator's is its own angle's
         # and what translation makes of the difference.
-        share, sign = getattr(SIMONA, output).gain.si, 1.0 if given == "pitch" else -1.0
-        angle = gain * high_pass(given)(points) + share * low_pass(output)(points)
+        share, sign = getattr(SIMONA, output).gain.si, 1.0 if source == "pitch" else -1.0
+        angle = gain * high_pass(source)(points) + share * low_pass(output)(points)
         expected = sign * G * (angle + high_pass(output)(points) * (share - angle))
-    np.testing.assert_allclose(found, expected, rtol=0, atol=0.01 * np.abs(expected).max())
+    np.testing.assert_allclose(measured, expected, rtol=0, atol=0.01 * np.abs(expected).max())
 
 
 def test_the_dcu_delays_and_does_nothing_else(ideal):
@@ -105,7 +105,7 @@ def test_the_laws_share_is_its_static_gain_at_low_frequency(machine):
         assert abs(share) == pytest.approx(gain, rel=0.02)
         assert -6.0 < np.degrees(np.angle(share)) < -1.0
     driven = [np.isfinite(row).all() for row in machine.responses["velocity"]]
-    assert driven == [given == "surge" for given, _ in TESTS]
+    assert driven == [source == "surge" for source, _ in TESTS]
 
 
 def test_aircraft_motion_is_one_of_a_pilot():

@@ -3,7 +3,7 @@
 import control
 import numpy as np
 import pytest
-from flights import G, held, pushed, turned
+from flights import G, pushed, sustained, turned
 from scipy import linalg
 
 from cmf_mj.pilot.cueing.optimal import modes
@@ -82,8 +82,8 @@ def test_sway_mirrors_surge_with_equal_sizes():
     surge, sway = (control.ss(*mirrored[n].filter) for n in ("pitch_surge", "roll_sway"))
     for point in points:
         # Angle to force and force to angle change sign, the rest does not.
-        own = surge(point) * np.outer([1, 1, -1, -1, -1], [1.0, 1.0]) * np.array([1.0, -1.0])
-        np.testing.assert_allclose(sway(point), own, rtol=1e-6, atol=1e-9)
+        actual = surge(point) * np.outer([1, 1, -1, -1, -1], [1.0, 1.0]) * np.array([1.0, -1.0])
+        np.testing.assert_allclose(sway(point), actual, rtol=1e-6, atol=1e-9)
 
 
 def felt(motion):
@@ -95,13 +95,13 @@ def felt(motion):
 
 
 def test_heave_and_yaw_wash_to_zero_and_surge_is_held_by_tilt():
-    stream, motion = felt(pushed(2, held(1.0)))
+    stream, motion = felt(pushed(2, sustained(1.0)))
     assert np.abs(stream.pose[:, 2]).max() > 0.05
     np.testing.assert_allclose(stream.pose[-1, 2], 0.0, atol=1e-3)
-    stream, _ = felt(turned(2, held(0.1, seconds=300.0)))
+    stream, _ = felt(turned(2, sustained(0.1, seconds=300.0)))
     assert np.abs(stream.pose[:, 5]).max() > 0.05
     assert np.abs(stream.pose[-1, 5]) < 0.02 * np.abs(stream.pose[:, 5]).max()
-    stream, motion = felt(pushed(0, held(1.0)))
+    stream, motion = felt(pushed(0, sustained(1.0)))
     assert motion.specific_force[-1, 0] == pytest.approx(G * np.sin(stream.pose[-1, 4]), abs=1e-3)
     share = np.asarray(control.ss(*MODES["pitch_surge"].filter)(0.0))[0, 1] * G
     assert motion.specific_force[-1, 0] == pytest.approx(0.6 * share, rel=0.05)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from flights import G, held, level, pushed, turned
+from flights import G, level, pushed, sustained, turned
 
 from cmf_mj.pilot.perception.error import cueing_error, oscillation
 from cmf_mj.pilot.perception.models import canal_response, otolith_response, sense, state_space
@@ -22,27 +22,27 @@ def test_state_space_is_the_transfer_function(name):
 def test_a_rate_that_lasts_is_forgotten_as_in_closed_form():
     """A step of rate r through T1 T2 s^2 (T3 s + 1) / ((T1 s + 1) (T2 s + 1) (T4 s + 1)); after
     the lag the slow poles leave r (T2 exp(-t/T1) - T1 exp(-t/T2)) / (T2 - T1)."""
-    told = sense(turned(2, held(0.1)))
+    sensed = sense(turned(2, sustained(0.1)))
     t1, t2 = SENSES.canals.time_constant.si, SENSES.canals.adaptation.si
-    time = told.time - 1.0 + 0.5 / 80.0 + SENSES.canals.lead.si - SENSES.canals.lag.si
+    time = sensed.time - 1.0 + 0.5 / 80.0 + SENSES.canals.lead.si - SENSES.canals.lag.si
     slow = (t2 * np.exp(-time / t1) - t1 * np.exp(-time / t2)) / (t2 - t1)
-    later = told.time > 1.5
+    later = sensed.time > 1.5
     expected = 0.1 * slow
-    np.testing.assert_allclose(told.angular_rate[later, 2], expected[later], atol=5e-5)
-    assert told.angular_rate[-1, 2] < 0.0  # the other way, by adaptation
+    np.testing.assert_allclose(sensed.angular_rate[later, 2], expected[later], atol=5e-5)
+    assert sensed.angular_rate[-1, 2] < 0.0  # the other way, by adaptation
 
 
 def test_gravity_is_known_by_the_gain_and_a_step_settles_there():
-    told = sense(pushed(0, held(1.0)))
-    np.testing.assert_allclose(told.specific_force[:, 2], -0.4 * G, rtol=1e-12)
+    sensed = sense(pushed(0, sustained(1.0)))
+    np.testing.assert_allclose(sensed.specific_force[:, 2], -0.4 * G, rtol=1e-12)
     oto = SENSES.otoliths
-    assert told.specific_force[-1, 0] == pytest.approx(oto.gain.si, abs=1e-4)
-    early = told.specific_force[85:100, 0].max()
+    assert sensed.specific_force[-1, 0] == pytest.approx(oto.gain.si, abs=1e-4)
+    early = sensed.specific_force[85:100, 0].max()
     assert early == pytest.approx(oto.gain.si * oto.lead.si / oto.long_lag.si, rel=0.05)
 
 
 def test_same_motion_has_no_error_and_a_missing_one_all_of_it():
-    flown, still = pushed(1, held(0.5, seconds=10.0)), level(10.0)
+    flown, still = pushed(1, sustained(0.5, seconds=10.0)), level(10.0)
     assert not cueing_error(flown, flown).peak.any()
     error = cueing_error(flown, still)
     np.testing.assert_allclose(error.peak[1], sense(flown).specific_force[:, 1].max())
@@ -55,14 +55,14 @@ def test_same_motion_has_no_error_and_a_missing_one_all_of_it():
 
 def test_a_tenth_of_g_beside_the_thresholds():
     """The figures of docs/perception.md, from |H| by hand at 1 Hz."""
-    found = oscillation()
-    assert found.amplitude == pytest.approx(0.980665)
-    at = list(found.frequency).index(1.0)
+    result = oscillation()
+    assert result.amplitude == pytest.approx(0.980665)
+    at = list(result.frequency).index(1.0)
     w = 2 * np.pi
     gain = 0.4 * np.hypot(10 * w, 1) / (np.hypot(5 * w, 1) * np.hypot(0.016 * w, 1))
-    assert found.sensed[at] == pytest.approx(0.980665 * gain, rel=1e-12)
-    np.testing.assert_allclose(found.over_threshold[at], found.sensed[at] / [0.17, 0.17, 0.28])
-    np.testing.assert_allclose(found.input_over_threshold, 0.980665 / np.array([0.17, 0.17, 0.28]))
+    assert result.sensed[at] == pytest.approx(0.980665 * gain, rel=1e-12)
+    np.testing.assert_allclose(result.over_threshold[at], result.sensed[at] / [0.17, 0.17, 0.28])
+    np.testing.assert_allclose(result.input_over_threshold, 0.980665 / np.array([0.17, 0.17, 0.28]))
 
 
 def test_own_file_and_refusals(tmp_path):

@@ -65,9 +65,9 @@ def test_begins_and_ends_at_the_pose_zero_without_speed(kind):
 @pytest.mark.parametrize("kind", AT_REST)
 def test_peak_is_the_amplitude(kind):
     """To the sample, and to what the fades take off the crest of a multisine: none here."""
-    found = np.abs(AT_REST[kind]().pose).max(axis=0)
-    wanted = np.abs(SIX) if kind == "orthogonal_multisines" else [0, 0, AMPLITUDE, 0, 0, 0]
-    np.testing.assert_allclose(found, wanted, rtol=1.2e-4, atol=0.0)
+    result = np.abs(AT_REST[kind]().pose).max(axis=0)
+    expected = np.abs(SIX) if kind == "orthogonal_multisines" else [0, 0, AMPLITUDE, 0, 0, 0]
+    np.testing.assert_allclose(result, expected, rtol=1.2e-4, atol=0.0)
 
 
 @pytest.mark.parametrize("kind", AT_REST)
@@ -254,9 +254,9 @@ def test_dwells_are_whole_cycles_at_full_amplitude(kind):
     for dwell in command.signal.dwells:
         assert abs(dwell.frames - dwell.cycles / dwell.frequency * RATE) <= 0.5
         time = np.arange(dwell.frames) / RATE
-        wanted = dwell.amplitude * np.sin(2.0 * np.pi * dwell.frequency * time)
-        found = heave(command)[dwell.start : dwell.start + dwell.frames]
-        np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-15)
+        expected = dwell.amplitude * np.sin(2.0 * np.pi * dwell.frequency * time)
+        result = heave(command)[dwell.start : dwell.start + dwell.frames]
+        np.testing.assert_allclose(result, expected, rtol=0.0, atol=1e-15)
 
 
 def test_seven_sines_run_the_frequencies_of_the_round_in_sequence():
@@ -269,8 +269,8 @@ def test_seven_sines_run_the_frequencies_of_the_round_in_sequence():
 
 def test_stepped_sines_take_each_frequency_at_each_amplitude():
     command = composite.stepped_sines("sway", (2.0, 0.5), (0.1, 0.2), transient=3.0)
-    found = [(d.frequency, d.amplitude) for d in command.signal.dwells]
-    assert found == [(2.0, 0.1), (2.0, 0.2), (0.5, 0.1), (0.5, 0.2)]
+    result = [(d.frequency, d.amplitude) for d in command.signal.dwells]
+    assert result == [(2.0, 0.1), (2.0, 0.2), (0.5, 0.1), (0.5, 0.2)]
 
 
 def test_stepped_sines_keep_their_amplitude_through_the_transient():
@@ -278,8 +278,8 @@ def test_stepped_sines_keep_their_amplitude_through_the_transient():
     start = command.signal.dwells[0].start
     assert start == 5 * RATE  # 1 s of rest, 1 s of fade, 3 s of transient
     time = np.arange(-3 * RATE, 0) / RATE
-    found = command.pose[start - 3 * RATE : start, 1]
-    np.testing.assert_allclose(found, 0.1 * np.sin(4.0 * np.pi * time), rtol=0.0, atol=1e-13)
+    result = command.pose[start - 3 * RATE : start, 1]
+    np.testing.assert_allclose(result, 0.1 * np.sin(4.0 * np.pi * time), rtol=0.0, atol=1e-13)
 
 
 # Refusals

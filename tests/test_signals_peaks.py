@@ -29,29 +29,29 @@ def test_peaks_of_a_sine(dof, frequency):
     A fade of four periods adds nothing: |e'' s + 2 e' w c - e w^2 s| stays below w^2.
     """
     index, omega = DOFS.index(dof), 2.0 * np.pi * frequency
-    found = peaks(signals.sine(dof, 0.001, frequency, cycles=40.0, fade=4.0 / frequency))
-    wanted = 0.001 * np.array([1.0, omega, omega**2])
-    measured = [found.displacement[index], found.velocity[index], found.acceleration[index]]
-    np.testing.assert_allclose(measured, wanted, rtol=2e-4, atol=0.0)
-    others = np.delete(np.array(found[:3]), index, axis=1)
+    largest = peaks(signals.sine(dof, 0.001, frequency, cycles=40.0, fade=4.0 / frequency))
+    expected = 0.001 * np.array([1.0, omega, omega**2])
+    measured = [largest.displacement[index], largest.velocity[index], largest.acceleration[index]]
+    np.testing.assert_allclose(measured, expected, rtol=2e-4, atol=0.0)
+    others = np.delete(np.array(largest[:3]), index, axis=1)
     assert not others.any()
 
 
 def test_leg_peaks_are_the_jacobian_times_the_platform_s():
     """For a small heave sine: second-order terms are of the order A / leg length, 0.1 mm in 4 m."""
-    found = peaks(signals.sine("heave", 1e-4, 2.0))
+    largest = peaks(signals.sine("heave", 1e-4, 2.0))
     ratio = np.abs(pose_jacobian(np.zeros(6))[:, 2])
-    for leg, platform in zip(found[3:], found[:3], strict=True):
+    for leg, platform in zip(largest[3:], largest[:3], strict=True):
         np.testing.assert_allclose(leg, ratio * platform[2], rtol=1e-4, atol=0.0)
 
 
 @pytest.mark.parametrize("kind", ["step", "pulse"])
 def test_jump_of_position_has_infinite_rates(kind):
-    found = peaks(getattr(signals, kind)("heave", AMPLITUDE))
-    assert found.displacement[2] == AMPLITUDE
-    assert np.isinf(found.velocity[2]) and np.isinf(found.acceleration[2])
-    assert np.isinf(found.leg_velocity).all() and np.isinf(found.leg_acceleration).all()
-    assert not np.delete(found.velocity, 2).any()
+    largest = peaks(getattr(signals, kind)("heave", AMPLITUDE))
+    assert largest.displacement[2] == AMPLITUDE
+    assert np.isinf(largest.velocity[2]) and np.isinf(largest.acceleration[2])
+    assert np.isinf(largest.leg_velocity).all() and np.isinf(largest.leg_acceleration).all()
+    assert not np.delete(largest.velocity, 2).any()
 
 
 @pytest.mark.parametrize("kind", ["chirp", "multisine"])
@@ -67,8 +67,8 @@ def test_start_or_stop_in_motion_has_infinite_acceleration_and_a_fade_cures_it(k
 
 @pytest.mark.parametrize("frames", [1, 2, 3])
 def test_command_at_rest_has_no_peaks(frames):
-    found = peaks(Command.from_pose(np.zeros((frames, 6))))
-    np.testing.assert_allclose(np.array(found), 0.0, rtol=0.0, atol=0.0)
+    largest = peaks(Command.from_pose(np.zeros((frames, 6))))
+    np.testing.assert_allclose(np.array(largest), 0.0, rtol=0.0, atol=0.0)
 
 
 # Limits

@@ -250,12 +250,7 @@ def rounds_response(
     _, power = signal.welch(x, rates[0], nperseg=round(segment * rates[0]))
     spectrum = np.interp(estimate.frequency, np.arange(power.size) / segment, power)
     kept = spectrum > DRIVEN_SHARE * spectrum.max()
-    return FrequencyResponse(
-        estimate.response[kept],
-        2.0 * np.pi * estimate.frequency[kept],
-        estimate.coherence[kept],
-        estimate.radius[kept],
-    )
+    return _wrapped(estimate, kept)
 
 
 def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
@@ -292,9 +287,12 @@ def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
     )
 
 
-def _wrapped(estimate: Estimate) -> FrequencyResponse:
+def _wrapped(
+    estimate: Estimate, lines: NDArray[np.bool_] | slice = slice(None)
+) -> FrequencyResponse:
+    response, frequency = estimate.response[lines], estimate.frequency[lines]
     return FrequencyResponse(
-        estimate.response, 2.0 * np.pi * estimate.frequency, estimate.coherence, estimate.radius
+        response, 2.0 * np.pi * frequency, estimate.coherence[lines], estimate.radius[lines]
     )
 
 

@@ -2,15 +2,19 @@
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import model_validator
+from pydantic import BeforeValidator, model_validator
 
+from cmf_mj.control.coordinates import as_tuples
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings, read_toml, validated
 
 _FILE = Path(__file__).with_name("published.toml")
 _GAINS = Path(__file__).with_name("published_gains.toml")
+
+Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuples)]
+"""A list of numbers of a table."""
 
 _READ_AS = {"acceleration_opposing": "acceleration", "original_as_printed": "original"}
 """Laws that are other readings of a published one, and are compared with its results."""
@@ -35,15 +39,10 @@ class PublishedGains(Settings):
     table: str
     law: str
     a: float
-    b: tuple[float, ...]  #: B, a column a signal.
+    b: Numbers  #: B, a column a signal.
     c: float
-    d: tuple[float, ...]  #: D, a column a signal.
-    signals: tuple[str, ...]  #: What the columns act on.
-
-    @model_validator(mode="before")
-    @classmethod
-    def _tuples(cls, table: dict[str, Any]) -> dict[str, Any]:
-        return {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
+    d: Numbers  #: D, a column a signal.
+    signals: Annotated[tuple[str, ...], BeforeValidator(as_tuples)]  #: What the columns act on.
 
     @model_validator(mode="after")
     def _columns(self) -> "PublishedGains":

@@ -2,12 +2,13 @@
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from cmf_mj.analysis.linear.second_order import FeedbackLoop, Variant, feedback_model
 from cmf_mj.analysis.linear.transfer import UnitTransferFunction
+from cmf_mj.analysis.published import Numbers
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings, read_toml, validated
 
@@ -19,8 +20,8 @@ class Correction(Settings):
 
     reason: str = Field(min_length=1)
     model: str | None = None
-    numerator: tuple[float, ...] | None = None
-    denominator: tuple[float, ...] | None = None
+    numerator: Numbers | None = None
+    denominator: Numbers | None = None
     formula: str | None = None
 
 
@@ -36,25 +37,13 @@ class ReportModel(Settings):
     output: str  #: Label of the output.
     output_unit: str  #: Unit of the output.
     unit_evidence: str = ""  #: How the units are known; the report prints none.
-    numerator: tuple[float, ...] = ()
+    numerator: Numbers = ()
     """Coefficients, highest power first; empty where a formula takes parameters."""
-    denominator: tuple[float, ...] = ()
+    denominator: Numbers = ()
     rate: float | None = Field(default=None, gt=0.0)  #: Sampling rate of a discrete one [Hz].
     formula: str = ""  #: Of an equation with parameters, `FeedbackLoop`.
     note: str = ""  #: What to know before trusting it.
     corrected: Correction | None = None  #: What the print has wrong.
-
-    @model_validator(mode="before")
-    @classmethod
-    def _tuples(cls, table: Any) -> Any:
-        """TOML has arrays where the strict fields want tuples."""
-
-        def frozen(value: Any) -> Any:
-            if isinstance(value, dict):
-                return {key: frozen(item) for key, item in value.items()}
-            return tuple(value) if isinstance(value, list) else value
-
-        return frozen(table)
 
     @property
     def variants(self) -> tuple[Variant, ...]:

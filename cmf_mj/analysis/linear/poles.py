@@ -89,6 +89,7 @@ def modes(
         size = float(np.abs(poles[i]))
         shape = right[rows, i]
         most = shape[np.argmax(np.abs(shape))]
+        parts = list(zip(factors[:, i], family, strict=True))
         moves = np.abs(most) > 1e-12 * np.abs(right[:, i]).max()
         shape = shape / most if moves else np.zeros(legs, dtype=complex)
         result.append(
@@ -96,14 +97,7 @@ def modes(
                 complex(poles[i]),
                 size,
                 float(-poles[i].real / size) if size > _STILL else float("nan"),
-                {
-                    name: float(
-                        sum(
-                            f for f, kind in zip(factors[:, i], family, strict=True) if kind == name
-                        )
-                    )
-                    for name in FAMILIES
-                },
+                {name: float(sum(f for f, kind in parts if kind == name)) for name in FAMILIES},
                 shape,
                 _dof_shares(shape, jacobian),
             )

@@ -245,7 +245,7 @@ class Airframe:
         centre = self._vector("inertia/cg-{}-in")
         return (eye - centre) * np.array([-1.0, 1.0, -1.0]) * units.INCH
 
-    def own_pilot_force(self) -> NDArray[np.float64]:
+    def jsbsim_pilot_force(self) -> NDArray[np.float64]:
         """JSBSim's `a-pilot` [m/s^2], (3,): `state().specific_force` of one step before."""
         return self._vector("accelerations/a-pilot-{}-ft_sec2") * units.FOOT
 
