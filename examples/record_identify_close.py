@@ -4,11 +4,9 @@ The model goes from valve command to velocity (ARX structure, output error). Clo
 predicts the bandwidth, which the second run measures.
 """
 
-from cmf_mj.analysis.identification.loop import loop_errors
-
 import cmf_mj
 from cmf_mj import signals
-from cmf_mj.analysis.identification.continuous import in_field_units, to_continuous
+from cmf_mj.analysis.identification.continuous import in_field_units, loop_errors, to_continuous
 from cmf_mj.analysis.identification.data import experiment
 from cmf_mj.analysis.identification.model import Orders
 from cmf_mj.analysis.identification.refinement import output_error
@@ -33,5 +31,5 @@ print(f"fit on the second run: {float(simulation_fit(model, second)[0]):.1f} %")
 velocity = in_field_units(to_continuous(model).rational)
 errors = loop_errors(velocity, "velocity", cmf_mj.frequency_response(records[1]))
 print(
-    f"-90 deg predicted at {errors.model.phase_hz:.2f} Hz, error {100 * errors.phase_error:.1f} %"
+    f"-90 deg predicted at {errors.model.phase_bandwidth_hz:.2f} Hz, error {100 * errors.phase_error:.1f} %"
 )

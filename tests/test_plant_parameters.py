@@ -330,10 +330,9 @@ def test_missing_file_is_named(tmp_path):
 
 @pytest.mark.parametrize("name", ["hardwar", "", "set.json"])
 def test_unknown_set_lists_the_sets(name):
-    message = refusal(name)
-    assert message == (
-        f"hydraulics: {name!r} is not one of report, hardware, lossy nor a .toml file"
-    )
+    said = f"hydraulics: {name!r} is not one of report, hardware, lossy nor a .toml file"
+    hint = "; did you mean hardware?" if name == "hardwar" else ""
+    assert refusal(name) == said + hint
 
 
 def test_published_units_convert() -> None:

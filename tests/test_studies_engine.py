@@ -16,6 +16,7 @@ import pytest
 from distributed import Client
 from typer.testing import CliRunner
 
+from cmf_mj.analysis.measures import Measures
 from cmf_mj.cli.common import app
 from cmf_mj.studies import engine
 from cmf_mj.studies.engine import run_study
@@ -87,7 +88,7 @@ def test_a_case_that_fails_is_a_row_with_its_error(finished: Path) -> None:
     rows = read_results(finished).to_pylist()
     failed = [row for row in rows if row["error_type"]]
     assert len(failed) == CASES // 2
-    assert {row["error_type"] for row in failed} == {"ValueError"}
+    assert {row["error_type"] for row in failed} == {"InputError"}
     assert all("puts leg 1 at" in row["error_message"] for row in failed)
     assert not any(row["stable"] for row in failed)
     assert len(rows) - len(failed) == 6 * CASES // 2
@@ -292,7 +293,7 @@ def test_bad_arguments_are_refused_before_a_folder_is_made(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"laws": ["fast"]}, "law: 'fast' is neither"),
+        ({"laws": ["fast"]}, "law: 'fast' is not one of"),
         ({"laws": []}, "laws: .* is refused"),
         ({"cabs": ["bus"]}, "cab: 'bus'"),
         ({"dofs": ["up"]}, "dofs: 'up' is not one of surge"),
@@ -320,10 +321,12 @@ def test_an_unknown_study_is_refused() -> None:
 
 def test_numbers_survive_the_journal_to_the_bit(study: Study, tmp_path: Path) -> None:
     journal = engine.Journal(tmp_path, study)
-    row = engine.failed(ValueError("x"))._replace(overshoot=np.nextafter(0.1, 1.0), dof="surge")
+    row = engine.failed(ValueError("x"))._replace(
+        measures=Measures(overshoot=np.nextafter(0.1, 1.0)), dof="surge"
+    )
     journal.add(0, [row])
     again = engine.Journal(tmp_path, study)
-    assert again.table().column("overshoot").to_pylist() == [row.overshoot]
+    assert again.table().column("overshoot").to_pylist() == [row.measures.overshoot]
     assert np.isnan(again.table().column("peak_gain_db").to_pylist()[0])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -55,6 +56,9 @@ def _run(
         show(report.summary_table(table), written(paths, out))
     except KeyboardInterrupt:
         typer.secho(f"cmf: interrupted; the same command goes on with {out}", err=True)
+        if backend == "threading":
+            sys.stderr.flush()
+            os._exit(130)  # threads still compute: they would outlive what they compute on
         raise SystemExit(130) from None
 
 

@@ -58,16 +58,17 @@ class Kind(NamedTuple):
         """
         unit = quantity.unit
         if unit not in self.units:
-            raise InputError(f"unit must be one of {', '.join(self.units)}")
+            raise InputError(f"{unit!r} is refused: unit must be one of {', '.join(self.units)}")
+        refused = f"{quantity.value} {unit} is refused: must be"
         if not self.signed and self.zero and quantity.value < 0.0:
-            raise InputError(f"must be at least 0 {unit}")
+            raise InputError(f"{refused} at least 0 {unit}")
         if not self.signed and not self.zero and quantity.value <= 0.0:
-            raise InputError(f"must be greater than 0 {unit}")
+            raise InputError(f"{refused} greater than 0 {unit}")
         size = abs(quantity.si)
         if size >= self.below:
-            raise InputError(f"must be less than {units.from_si(unit, self.below):g} {unit}")
+            raise InputError(f"{refused} less than {units.from_si(unit, self.below):g} {unit}")
         if size > self.at_most:
-            raise InputError(f"must be at most {units.from_si(unit, self.at_most):g} {unit}")
+            raise InputError(f"{refused} at most {units.from_si(unit, self.at_most):g} {unit}")
         return quantity
 
 
