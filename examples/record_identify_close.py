@@ -30,6 +30,5 @@ model = output_error(first, Orders(4, 3, 1))
 print(f"fit on the second run: {float(simulation_fit(model, second)[0]):.1f} %")
 velocity = in_field_units(to_continuous(model).rational)
 errors = loop_errors(velocity, "velocity", cmf_mj.frequency_response(records[1]))
-print(
-    f"-90 deg predicted at {errors.model.phase_bandwidth_hz:.2f} Hz, error {100 * errors.phase_error:.1f} %"
-)
+bandwidth = errors.model.phase_bandwidth_hz
+print(f"-90 deg predicted at {bandwidth:.2f} Hz, error {100 * errors.phase_error:.1f} %")
