@@ -2,8 +2,8 @@
 
     make site    # builds it in build/site; a broken link or reference is an error
 
-Overview, machine and changes are README.md, models/README.md and CHANGELOG.md, whose links are
-turned to where they lie from here.
+Overview, machine, changes and contributing are README.md, models/README.md, CHANGELOG.md and
+CONTRIBUTING.md, whose links are turned to where they lie from here.
 
 The reference is read from the docstrings. They are plain text, equations set in by four columns,
 while Sphinx reads reStructuredText: `as_restructured` stands between. With the compiler switched
@@ -42,7 +42,12 @@ suppress_warnings = ["ref.python"]  # a word before a colon under Returns is tak
 autodoc_default_options = {"members": True, "ignore-module-all": True, "show-inheritance": True}
 
 _HERE = Path(__file__).parent
-_BORROWED = {"index": "README.md", "machine": "models/README.md", "changes": "CHANGELOG.md"}
+_BORROWED = {
+    "index": "README.md",
+    "machine": "models/README.md",
+    "changes": "CHANGELOG.md",
+    "contributing": "CONTRIBUTING.md",
+}
 _LINK = re.compile(r"(?<=\]\()(?!\w+:|#)([^)#]+)")
 _SECTION = re.compile(r"(Args|Returns|Raises|Yields|Attributes):$")
 _ITEM = re.compile(r"\s*(- |\* |\d+\. )")
