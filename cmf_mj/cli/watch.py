@@ -149,13 +149,13 @@ def studio_command(
     # A picture on its way to a tab that has just been closed is nothing to tell of.
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
     studio = Studio(host, port, load_scenario(scenario) if scenario else None)
-    # A shell that starts it in the background would have it ignore Ctrl-C for good.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
-    print(f"studio: {studio.url} (end with Ctrl-C)", flush=True)
-    if browse:
-        webbrowser.open(studio.url)
     try:
+        # A shell that starts it in the background would have it ignore Ctrl-C for good.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.default_int_handler)
+        print(f"studio: {studio.url} (end with Ctrl-C)", flush=True)
+        if browse:
+            webbrowser.open(studio.url)
         while True:
             time.sleep(1.0)
     except KeyboardInterrupt:
