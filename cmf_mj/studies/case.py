@@ -48,11 +48,7 @@ RECORD_EVERY = 16
 
 
 def dof_amplitude(dof: str, amplitude: float = AMPLITUDE) -> float:
-    """Amplitude in a degree of freedom [m or rad] that goes with one in translation [m].
-
-    Raises:
-        InputError: unknown degree of freedom.
-    """
+    """Amplitude in a degree of freedom [m or rad] that goes with one in translation [m]."""
     return amplitude * by_kind(dof, 1.0, ROTATION_PER_TRANSLATION)
 
 
@@ -101,10 +97,7 @@ class Case:
     ) -> Record:
         """Simulate a command.
 
-        Args:
-            command: added to the pose of the case.
-            plant: to run on; default a new one.
-            every: control frames from sample to sample of the record.
+        `command` is added to the pose of the case; the record has a sample every `every` frames.
         """
         pose = command.pose + np.asarray(self.pose)
         return simulate(
@@ -140,17 +133,8 @@ def make_case(
 ) -> Case:
     """A case from names; what is refused is named before anything runs.
 
-    Args:
-        law: name, TOML file or loaded law.
-        dof: degree of freedom.
-        plant: `hexapod` or `single_legs`.
-        cab: `gfd`, `rfd` or `ifd`.
-        hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
-        amplitude: of the chirp [m or rad]; default the report's 0.33 in or 0.2 deg.
-        options: further fields of `Case`.
-
-    Raises:
-        InputError: an argument out of range.
+    Laws and hydraulic sets are names, TOML files or loaded ones; `amplitude` of the chirp is in m
+    or rad, by default the report's 0.33 in or 0.2 deg; `options` are further fields of `Case`.
     """
     dof_index(dof)
     check_name("plant", plant, PLANTS)

@@ -130,11 +130,7 @@ def law_effects(
     against: str = "position_error_rate",
     dofs: Sequence[str] = DOFS[3:],
 ) -> list[Effect]:
-    """What laws change against another, machine by machine.
-
-    Raises:
-        InputError: a law is not in the table.
-    """
+    """What laws change against another, machine by machine."""
     rows = _drawn(table)
     for law in (against, *laws):
         check_name("laws", law, in_order(rows, "law"))

@@ -59,20 +59,10 @@ def run_study(
 ) -> pa.Table:
     """Run what is left of a study.
 
-    Args:
-        study: of `load_study`.
-        folder: of the study; what is finished there is not run again.
-        jobs: threads or processes; with a Dask scheduler, its workers decide.
-        backend: what runs the cases.
-        scheduler: address of a running Dask scheduler; default a local cluster of `jobs` workers.
-        progress: called with (cases done, cases in all) at the start and after each case.
-
-    Returns:
-        All rows, in the order of the cases; also written to `results.parquet`.
-
-    Raises:
-        InputError: an argument out of range, or a folder with another study.
-        MissingExtraError: `dask` without the extra `cluster`.
+    Finished cases in `folder` are not run again. `jobs` threads or processes run the rest, or the
+    workers of a Dask `scheduler` (its address; default a local cluster of `jobs`). `progress` is
+    called with (cases done, cases in all). The rows, in the order of the cases, also go to
+    `results.parquet`.
     """
     if jobs < 1:
         raise InputError(f"jobs: {jobs} must be at least 1")

@@ -111,9 +111,7 @@ class StudyRow(NamedTuple):
 def evaluate(study_case: StudyCase) -> list[StudyRow]:
     """Run a case.
 
-    Raises:
-        InputError: the rung, the pose or the law does not go with the method.
-        FloatingPointError: a run left its physical bounds.
+    Raises FloatingPointError where a run leaves its physical bounds.
     """
     rung, case, study = rung_named(study_case.rung), study_case.case, study_case.study
     plant = rung.build(case.cab, case.hydraulics)

@@ -89,20 +89,12 @@ def identify(
 ) -> Identified:
     """Identify leg velocity from valve command along a leg or degree of freedom.
 
-    Args:
-        records: the last one validates, the others are fitted jointly; of a single one the first
-            `SHARE` is fitted.
-        axis: surge to yaw, or leg_1 and so on.
-        method: `arx`, `iv` (refined instrumental variables; the reference as instrument, since the
-            records are of a closed loop) or `oe`.
-        orders: na, nb, nk; default the fewest parameters of an ARX grid within 0.2 % of the best
-            validation fit.
-        rate: of the series [Hz].
-        law: that drove the records; default the one they name, if it is a shipped one.
-        step: run of a step under that law, to compare the loop's damping with.
-
-    Raises:
-        InputError: an argument out of range, or records that cannot be fitted.
+    The last record validates, the others are fitted jointly; of a single one the first `SHARE` is
+    fitted. `axis` is surge to yaw, or leg_1 and so on; `method` is `arx`, `iv` (refined
+    instrumental variables, the reference as instrument, since the records are of a closed loop) or
+    `oe`. Default orders are the fewest parameters of an ARX grid within 0.2 % of the best
+    validation fit. `rate` of the series is in Hz; `law` drove the records, by default the shipped
+    one they name; `step` is a step under it, to compare the loop's damping with.
     """
     check_name("method", method, get_args(Method))
     if not records:
@@ -157,14 +149,8 @@ def _named_law(record: Record) -> str | None:
 def excitation(kind: Signal, dof: str, amplitude: float | None = None, *, seed: int = 0) -> Command:
     """A command to identify from, along one degree of freedom.
 
-    Args:
-        kind: `multisine` or `noise` to 16 Hz, the report's `chirp`, `pulse` (1 s) or `sine` (1 Hz).
-        dof: degree of freedom.
-        amplitude: peak [m or rad]; default the report's 0.33 in or 0.2 deg.
-        seed: of the random phases.
-
-    Raises:
-        InputError: another kind, or an argument out of range.
+    `multisine` and `noise` reach 16 Hz, `pulse` takes 1 s, `sine` has 1 Hz. `amplitude` is the peak
+    [m or rad], by default the report's 0.33 in or 0.2 deg.
     """
     check_name("signal", kind, get_args(Signal))
     size = dof_amplitude(dof) if amplitude is None else amplitude
@@ -182,11 +168,7 @@ def excitation(kind: Signal, dof: str, amplitude: float | None = None, *, seed: 
 
 
 def simulated_records(case: Case, kind: Signal = "multisine") -> list[Record]:
-    """A run to fit and one of another multisine to validate.
-
-    Raises:
-        InputError: another kind of signal.
-    """
+    """A run to fit and one of another multisine to validate."""
     fitted = excitation(kind, case.dof, case.size)
     return [case.run(fitted), case.run(excitation("multisine", case.dof, case.size, seed=1))]
 
@@ -208,13 +190,7 @@ def identify_matrix(
 ) -> MatrixStudy:
     """Identify all degrees of freedom at once on orthogonal multisines and score the models.
 
-    Args:
-        case: law and machine.
-        orders: of all models.
-        shared: degree of freedom whose model is tried everywhere.
-
-    Raises:
-        InputError: an argument out of range, named.
+    `shared` is the degree of freedom whose model is tried everywhere.
     """
     sizes = REPORT_AMPLITUDES.tolist()
     first, second = (
@@ -248,13 +224,8 @@ def loop_bandwidths(
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """-90 deg bandwidths of the degrees of freedom closed with the law of a case [Hz], (6,) each.
 
-    Args:
-        case: law and machine.
-        common: velocity of one degree of freedom, taken for all; its pressures are zero.
-        whole: velocities, cap and rod pressures of all, 18 outputs of 6 inputs.
-
-    Returns:
-        Those with the common model, and those with the whole one.
+    First with the `common` velocity model for all degrees of freedom and no pressures, then with
+    the `whole` one: velocities, cap and rod pressures of all, 18 outputs of 6 inputs.
     """
     frequency = np.arange(0.1, 10.0, 0.02)
     law, legs = case.law.bound_to(case.build().law_key), pose_jacobian(np.zeros(6))

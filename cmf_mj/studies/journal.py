@@ -42,8 +42,7 @@ class Journal:
     def __init__(self, folder: Path, study: Study) -> None:
         """Open the folder of a study, new or with a part of it.
 
-        Raises:
-            InputError: the folder holds another study, or the same one of other sources.
+        Refuses a folder that holds another study, or the same one of other sources.
         """
         self.folder = folder
         self.study = study
@@ -105,11 +104,7 @@ class Journal:
 
 
 def read_results(folder: str | Path) -> pa.Table:
-    """The results of a finished study.
-
-    Raises:
-        InputError: there are none, or the study is unfinished.
-    """
+    """The results of a finished study."""
     place = Path(folder)
     if (place / RESULTS).is_file():
         return pq.read_table(place / RESULTS)

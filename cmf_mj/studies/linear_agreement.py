@@ -76,18 +76,8 @@ def loop_between(
 ) -> control.StateSpace:
     """The loop of a law around a linearised plant, from a demand to its position.
 
-    Args:
-        plant: what `system` is of.
-        system: of `linearize`.
-        law: name, TOML file or loaded law.
-        pose: where `system` is; None for neutral.
-        signal: degree of freedom, or a leg, `leg_1` and so on.
-
-    Returns:
-        One input, one output, discrete at 2048 Hz; all other demands are zero.
-
-    Raises:
-        InputError: another signal, or a law that is refused.
+    `system` is the plant linearised in `pose`; `signal` is a degree of freedom, or a leg, `leg_1`
+    and so on. The loop has one input and one output, at 2048 Hz; all other demands are zero.
     """
     loop = closed_loop(load_law(law).bound_to(plant.law_key), system)
     legs = [f"leg_{leg + 1}" for leg in range(plant.legs)]
@@ -113,20 +103,10 @@ def compare_with_simulation(
 ) -> Comparison:
     """Run single sines through the simulation and the linearised loop.
 
-    Args:
-        plant: with a mechanical step that divides the control frame.
-        law: name, TOML file or loaded law; its loop must be stable there.
-        pose: configuration as `plant.place` takes it; for a degree of freedom (6,) [m, rad].
-            Default neutral.
-        signal: degree of freedom, or a leg, `leg_1` and so on.
-        frequencies: of the sines [Hz].
-        amplitude: of each [m or rad]; default `SMALL`.
-        cycles: fitted, whole ones.
-        transient: at full amplitude before them [s].
-        settle: rest before the first sine [s].
-
-    Raises:
-        InputError: an argument out of range, an unstable loop, or a plant without linearisation.
+    The loop must be stable in `pose` (as `plant.place` takes it), and the mechanical step divide
+    the control frame. `signal` is a degree of freedom, or a leg, `leg_1` and so on; `amplitude` [m
+    or rad] defaults to `SMALL`. After `settle` s of rest each sine runs `transient` s at full
+    amplitude, then `cycles` whole ones are fitted.
     """
     leg = signal.startswith("leg_")
     turns = not leg and dof_index(signal) >= 3

@@ -41,11 +41,7 @@ class LinearizationStudy(NamedTuple):
 def signal_model(
     system: control.StateSpace, plant: Plant, pose: NDArray[np.float64], signal: str
 ) -> control.StateSpace:
-    """Position per command of a degree of freedom, or of a leg, `leg_1` and so on; SISO.
-
-    Raises:
-        InputError: no such degree of freedom or leg.
-    """
+    """Position per command of a degree of freedom, or of a leg, `leg_1` and so on; SISO."""
     if not signal.startswith("leg_"):
         return reduced(dof_model(system, plant, pose, signal), outputs=[signal])
     if not signal[4:].isdecimal():
@@ -63,15 +59,8 @@ def linearization_study(
 ) -> LinearizationStudy:
     """Linearise a plant and close a law around it.
 
-    Args:
-        plant: with the legs of the facility.
-        law: name or TOML file.
-        pose: (6,) [m, rad], z down.
-        signals: degrees of freedom, or legs.
-        measure: whether to run the simulation of each loop too.
-
-    Raises:
-        InputError: an argument out of range, or a plant without linearisation.
+    `pose` is (6,) in m and rad; `signals` are degrees of freedom or legs; `measure` runs the
+    simulation of each loop too.
     """
     load_law(law)
     point = operating_point(plant, pose)

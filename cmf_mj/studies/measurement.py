@@ -121,11 +121,7 @@ def plain(value: Any) -> Any:
 
 
 def dof_accelerations(record: Record) -> NDArray[np.float64]:
-    """Acceleration of the platform pose from the leg sensors, (N, 6) [m/s^2, rad/s^2].
-
-    Raises:
-        InputError: the record holds no leg velocities or accelerations.
-    """
+    """Acceleration of the platform pose from the leg sensors, (N, 6) [m/s^2, rad/s^2]."""
     pose = legs_to_pose(record["leg_position"])
     legs = (record["leg_velocity"], record["leg_acceleration"])
     return leg_motion_to_pose(pose, *legs).acceleration
@@ -134,12 +130,7 @@ def dof_accelerations(record: Record) -> NDArray[np.float64]:
 def session_commands(dof: str, amplitude: float | None = None) -> list[Command]:
     """The five rounds of seven sines of Table 2-3, checked against the operational limits.
 
-    Args:
-        dof: degree of freedom.
-        amplitude: of each sine [m or rad]; default the report's 0.33 in or 0.2 deg.
-
-    Raises:
-        InputError: an argument out of range, or a demand beyond the limits; each is named.
+    `amplitude` of each sine [m or rad] defaults to the report's 0.33 in or 0.2 deg.
     """
     size = dof_amplitude(dof) if amplitude is None else amplitude
     numbers = range(1, len(composite.ROUNDS) + 1)
@@ -150,15 +141,7 @@ def session_commands(dof: str, amplitude: float | None = None) -> list[Command]:
 
 
 def facility_session(case: Case, jobs: int | None = None) -> list[Record]:
-    """The facility's frequency-response session: five rounds of seven sines, at 128 Hz.
-
-    Args:
-        case: law, machine, degree of freedom and amplitude of each sine.
-        jobs: threads; default one per core. Records do not depend on it.
-
-    Raises:
-        InputError: a demand beyond the operational limits.
-    """
+    """The facility's frequency-response session: five rounds of seven sines, at 128 Hz."""
     return on_threads(case.run, session_commands(case.dof, case.size), jobs)
 
 
@@ -187,10 +170,8 @@ def measure(
 ) -> Measurement:
     """Run a whole measuring session.
 
-    Args:
-        case: law, machine, degree of freedom and amplitude of the sweep.
-        frequencies: of the describing function [Hz].
-        shares: amplitudes of describing function and half-hertz noise, in that of the sweep.
+    `frequencies` of the describing function are in Hz; `shares` are its amplitudes, and those of
+    the half-hertz noise, over that of the sweep.
     """
     plant = case.build()
     sizes = [share * case.size for share in shares]

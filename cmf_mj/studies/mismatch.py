@@ -72,11 +72,7 @@ class Mismatch(Settings):
     sensor_gains: dict[str, Spread] = {}  #: By channel of the sensors.
 
     def check(self) -> None:
-        """Refuse names that cannot scatter.
-
-        Raises:
-            InputError: the name and what is allowed.
-        """
+        """Refuse names that cannot scatter."""
         for name, spread in self.hydraulics.items():
             allowed = VALVE_FIELDS if spread.per == "valve" else ACTUATOR_FIELDS
             if name not in allowed:
@@ -96,14 +92,8 @@ class Mismatch(Settings):
     ) -> HydraulicParameters:
         """A set whose actuators differ.
 
-        Args:
-            base: the set they scatter about.
-            actuators: names of the motors.
-            seed: of the study.
-            draw: number of the machine drawn.
-
-        Raises:
-            InputError: a drawn number out of its range.
+        The set's actuators scatter about `base`, by `seed` of the study and number `draw` of the
+        machine.
         """
         nominal = base.quantities()
         changes: dict[str, dict[str, object]] = {name: {} for name in actuators}
@@ -135,9 +125,7 @@ def valve_gains(seed: int | None, actuators: int = len(DOFS)) -> NDArray[np.floa
 def with_valve_gains(parameters: HydraulicParameters, seed: int | None) -> HydraulicParameters:
     """A hydraulic set whose legs 1 to 6 have the speeds of `valve_gains`.
 
-    Args:
-        parameters: the nominal set, all actuators alike.
-        seed: of the random gains; None for the nominal set.
+    The nominal set where `seed` is None.
     """
     if seed is None:
         return parameters

@@ -38,11 +38,7 @@ class RecordingMeasures(NamedTuple):
 
 
 def measure_recordings(files: Sequence[Path], dof: str, estimator: str) -> RecordingMeasures:
-    """Measure the response in recordings; several, or one of single sines, are rounds of one.
-
-    Raises:
-        InputError: a broken file, no demand in the degree of freedom, an unknown estimator.
-    """
+    """Measure the response in recordings; several, or one of single sines, are rounds of one."""
     check_name("estimator", estimator, get_args(Estimator))
     records = [read_recording(path) for path in files]
     if len(records) > 1 or records[0].signal.dwells:

@@ -166,13 +166,8 @@ def load_study(
 ) -> Study:
     """Load a study.
 
-    Args:
-        source: name of a shipped specification, TOML file, or a table.
-        laws: laws instead of those of the specification.
-        changes: fields of the specification that are replaced.
-
-    Raises:
-        InputError: what is wrong, by field.
+    `source` is the name of a shipped specification, a TOML file or a table; `laws` stand in for its
+    laws, `changes` replace its fields.
     """
     where = "study"
     if isinstance(source, dict):

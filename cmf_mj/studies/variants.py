@@ -74,14 +74,9 @@ def payload_spec(
 ) -> mujoco.MjSpec:
     """The machine with a cab, its mass properties edited.
 
-    Args:
-        cab: `gfd`, `rfd` or `ifd`.
-        inertia: factor on the payload's inertia tensor about its centre of mass.
-        centre_of_mass: whether the payload has its centre of mass, or the platform centroid is it.
-        leg_inertia: factor on mass and inertia of cylinders and rods.
-
-    Raises:
-        InputError: unknown cab.
+    `inertia` is a factor on the payload's tensor about its centre of mass, which without
+    `centre_of_mass` lies in the platform's centroid; `leg_inertia` one on mass and inertia of
+    cylinders and rods.
     """
     payload = Payload(hexapod_spec(cab))
     spec = hexapod_spec(cab)
@@ -190,9 +185,5 @@ _RUNGS = {rung.name: rung for rung in (*LADDER, MACHINE)}
 
 
 def rung_named(name: str) -> Rung:
-    """A rung of the ladder, or `machine`.
-
-    Raises:
-        InputError: no such rung.
-    """
+    """A rung of the ladder, or `machine`."""
     return _RUNGS[check_name("rungs", name, _RUNGS)]

@@ -93,9 +93,7 @@ def in_mujoco(
 def exudyn_machine(plant: Hexapod) -> Any:
     """The machine of a plant in Exudyn, `Machine` of `tests/crosscheck/machine.py`.
 
-    Raises:
-        MissingExtraError: exudyn is not installed, or this is no checkout of the repository.
-        InputError: the hydraulics have what the second equations leave out.
+    Raises `MissingExtraError` without exudyn or outside a checkout of the repository.
     """
     if not (_TESTS / "crosscheck").is_dir():
         raise MissingExtraError(
@@ -134,16 +132,9 @@ def verify(
 ) -> Verification:
     """Drive both engines with `valve_sines` over several step sizes.
 
-    Args:
-        cab: `gfd`, `rfd` or `ifd`.
-        hydraulics: a set with constant supply and no losses.
-        seconds: simulated time.
-        parts: mechanical steps to a control frame, at least three, each twice the one before.
-        progress: called with (runs done, runs in all).
-
-    Raises:
-        MissingExtraError: exudyn is not installed, or this is no checkout of the repository.
-        InputError: an argument out of range, named, or a run left what Exudyn's side models.
+    The hydraulic set must have a constant supply and no losses. `parts` are mechanical steps to a
+    control frame, at least three, each twice the one before; `progress` is called with (runs done,
+    runs in all). Raises `MissingExtraError` as `exudyn_machine`.
     """
     pairs = zip(parts, parts[1:], strict=False)
     if len(parts) < 3 or parts[0] < 1 or any(b != 2 * a for a, b in pairs):

@@ -74,11 +74,7 @@ class Row(Settings):
 
     @property
     def published(self) -> Published:
-        """The printed numbers.
-
-        Raises:
-            InputError: the report has no such row in heave.
-        """
+        """The printed numbers."""
         for row in published_results():
             if (row.table, row.law, row.of, row.dof) == (self.table, self.law, self.of, "heave"):
                 return row
@@ -156,11 +152,7 @@ def load_studies() -> dict[str, Study]:
 
 
 def load_study(source: str | Study) -> Study:
-    """A study by name.
-
-    Raises:
-        InputError: no such study.
-    """
+    """A study by name."""
     if isinstance(source, Study):
         return source
     studies = load_studies()

@@ -20,13 +20,7 @@ class Examination:
 def examine(
     calibration: Calibration, *, samples: int = 128, jobs: int | None = None
 ) -> Examination:
-    """Add sensitivities, uncertainty and the stability runs of a study that asks for them.
-
-    Args:
-        calibration: of `calibrate`.
-        samples: of the Latin hypercube.
-        jobs: threads of the stability runs.
-    """
+    """Add sensitivities, uncertainty and the stability runs of a study that asks for them."""
     study, shipped = calibration.study, calibration.before.values
     return Examination(
         calibration,

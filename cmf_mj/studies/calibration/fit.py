@@ -133,15 +133,8 @@ def calibrate(
 ) -> Calibration:
     """Fit the free parameters of a study.
 
-    Args:
-        study: of `load_study`.
-        rounds: fits, each followed by a simulation, at least 1.
-        quick: sweeps of 30 s instead of 100 s in the simulations.
-        jobs: threads of the simulations; default one per core.
-        progress: called with a line of text at each step.
-
-    Raises:
-        InputError: less than one round.
+    `rounds` are fits, each followed by a simulation, with sweeps of 30 s instead of 100 s where
+    `quick`, on `jobs` threads. `progress` is called with a line of text at each step.
     """
     if rounds < 1:
         raise InputError(f"rounds: {rounds} must be at least 1")

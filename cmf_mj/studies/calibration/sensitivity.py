@@ -47,13 +47,7 @@ class Spread(NamedTuple):
 
 
 def sensitivity(study: Study, values: Values, laws: tuple[str, ...] = ()) -> Sensitivity:
-    """Normalised derivatives about some values.
-
-    Args:
-        study: parameters and plant.
-        values: of all parameters.
-        laws: default those of the study.
-    """
+    """Normalised derivatives about some values."""
     chosen = laws or study.laws
     names = tuple(parameter.name for parameter in study.parameters)
     slopes = np.full((len(chosen), len(MEASURES), len(names)), np.nan)
@@ -78,15 +72,7 @@ def spread(
 ) -> list[Spread]:
     """Propagate the ranges of all parameters to the results of laws.
 
-    Args:
-        study: parameters with their ranges.
-        values: nominal values.
-        laws: names.
-        samples: of the Latin hypercube, at least 2.
-        seed: of the hypercube.
-
-    Raises:
-        InputError: less than two samples.
+    `samples` of the Latin hypercube are at least 2, `seed` is its seed.
     """
     if samples < 2:
         raise InputError(f"samples: {samples} must be at least 2")

@@ -78,10 +78,7 @@ def law_of(name: str, values: Values) -> Law:
 def plant_of(study: Study, values: Values, cab: str = "") -> Plant:
     """The study's plant with the values of a trial.
 
-    Args:
-        study: the study.
-        values: parameters by name; those left out are as shipped.
-        cab: another cab than the study's.
+    Parameters left out are as shipped; `cab` stands in for the study's.
     """
     hydraulics, factor = hydraulics_of(study, values), values.get("payload", 1.0)
     if study.plant == "single_legs":
@@ -102,11 +99,7 @@ def linear_results(
 ) -> dict[str, Measures]:
     """Measures of laws around the linearised plant, in heave.
 
-    Args:
-        study: plant and parameters.
-        values: parameters by name; those left out are as shipped.
-        laws: names.
-        damping: step the loop too; without it the damping ratios are NaN.
+    Parameters left out are as shipped; without `damping` no loop is stepped and the ratios are NaN.
     """
     plant = plant_of(study, values)
     system = linearize(plant)
@@ -149,15 +142,7 @@ def simulated_results(
 ) -> dict[str, Measures]:
     """Measures of laws in the simulation, in heave.
 
-    Args:
-        study: the study; `payload` must be as shipped.
-        values: parameters by name.
-        laws: names.
-        quick: sweeps of 30 s instead of 100 s.
-        jobs: threads; default one per core.
-
-    Raises:
-        InputError: another payload.
+    The `payload` must be as shipped; `quick` sweeps in 30 s instead of 100 s.
     """
     if values.get("payload", 1.0) != 1.0:
         raise InputError(f"payload: {values['payload']} must be 1 in a simulation")

@@ -89,14 +89,8 @@ def full_speed(
 ) -> NDArray[np.float64]:
     """Steady leg speeds with valves fully open [m/s], (n, 2): extending, retracting.
 
-    Args:
-        hydraulics: compiled parameters.
-        load: static leg forces [N], (n,), positive pressing the leg together.
-        high: pressure of the supply manifold [Pa].
-        low: pressure of the return manifold [Pa].
-
-    Returns:
-        Speeds, 0 where the load stalls the leg.
+    `load` is the static leg force [N], (n,), positive pressing the leg together; `high` and `low`
+    are the manifolds' pressures [Pa]. 0 where the load stalls the leg.
     """
     cylinder = hydraulics.cylinder
     cap, rod = cylinder.cap_area, cylinder.rod_area
@@ -117,11 +111,7 @@ def full_speed(
 
 
 def asymptotes(plant: Hexapod, dof: str) -> Asymptotes:
-    """Closed-form limits of a degree of freedom from the parameters, at neutral.
-
-    Raises:
-        InputError: unknown degree of freedom.
-    """
+    """Closed-form limits of a degree of freedom from the parameters, at neutral."""
     index = dof_index(dof)
     hydraulics = plant.hydraulics
     supply, cylinder = hydraulics.supply, hydraulics.cylinder

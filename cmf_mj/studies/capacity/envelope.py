@@ -146,18 +146,8 @@ def largest_sine(
 ) -> EnvelopePoint:
     """The largest sustained sine that holds at a frequency.
 
-    Args:
-        plant: the machine.
-        law: name, TOML file or loaded `Law`.
-        dof: degree of freedom.
-        frequency: [Hz].
-        least_pressure: least pressure of the supply manifold [Pa]; default 80 % of the set.
-
-    Returns:
-        A point whose largest ratio lies between 0.98 and 1; or less, where a ratio jumps.
-
-    Raises:
-        InputError: an argument out of range, named.
+    `least_pressure` of the supply manifold [Pa] defaults to 80 % of the set. The largest ratio of
+    the point lies between 0.98 and 1; or less, where a ratio jumps.
     """
     check_positive(frequency=frequency)
     allowed = least_allowed(plant.parameters, least_pressure)
@@ -301,18 +291,8 @@ def performance_envelope(
 ) -> Envelope:
     """The largest sustained sine of every degree of freedom at every frequency.
 
-    Args:
-        law: name, TOML file or loaded `Law`.
-        cab: `gfd`, `rfd` or `ifd`.
-        hydraulics: a set by name, a TOML file or a loaded set.
-        dofs: degrees of freedom.
-        frequencies: [Hz].
-        least_pressure: least pressure of the supply manifold [Pa]; default 80 % of the set.
-        jobs: threads; default one per core. Results do not depend on it.
-        progress: called with (points done, points in all) after each point.
-
-    Raises:
-        InputError: an argument out of range, named; nothing has been run then.
+    `least_pressure` of the supply manifold [Pa] defaults to 80 % of the set; `progress` is called
+    with (points done, points in all). What is refused is named before anything runs.
     """
     loaded, parameters = load_law(law), load_hydraulics(hydraulics)
     models.cab_path(cab)

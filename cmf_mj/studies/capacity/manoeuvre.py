@@ -37,14 +37,8 @@ def manoeuvre(
 ) -> Command:
     """A manoeuvre by name or file.
 
-    Args:
-        name: one of `SIGNALS`, or a CSV or Parquet file of poses.
-        dof: degree of freedom of a named signal.
-        amplitude: of a named signal [m or rad].
-        frequency: of a sine, highest of a chirp, of noise and of a multisine [Hz].
-
-    Raises:
-        InputError: an argument out of range, or one that the signal does not take.
+    `name` is one of `SIGNALS`, or a CSV or Parquet file of poses. `amplitude` [m or rad] and
+    `frequency` [Hz], the highest of a chirp, of noise and of a multisine, are for named signals.
     """
     kind = str(name)
     if kind not in SIGNALS:
@@ -71,12 +65,7 @@ def manoeuvre(
 
 
 def read_poses(path: str | Path) -> Command:
-    """Read a command from a CSV or Parquet file of poses.
-
-    Raises:
-        InputError: unknown signal or kind of file, a missing column, a number that is not finite
-            or times that do not rise; each is named.
-    """
+    """Read a command from a CSV or Parquet file of poses."""
     source = Path(path)
     if source.suffix not in (".csv", ".parquet"):
         raise unknown_name("signal", str(path), SIGNALS, " nor a .csv or .parquet file")

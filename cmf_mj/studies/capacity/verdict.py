@@ -71,12 +71,7 @@ class CapacityResult(NamedTuple):
 def least_allowed(parameters: HydraulicParameters, least_pressure: float | None = None) -> float:
     """Least manifold pressure of the criterion [Pa].
 
-    Args:
-        parameters: the set.
-        least_pressure: gauge [Pa]; default `LEAST_PRESSURE` of the set pressure.
-
-    Raises:
-        InputError: it is not between tank and set pressure.
+    `least_pressure` is gauge [Pa], by default `LEAST_PRESSURE` of the set pressure.
     """
     least, most = parameters.return_pressure.si, parameters.supply_pressure.si
     chosen = LEAST_PRESSURE * most if least_pressure is None else least_pressure
@@ -119,18 +114,10 @@ def capacity(
 ) -> CapacityResult:
     """Run a manoeuvre and say whether the supply holds through it.
 
-    Args:
-        command: a `Command` or platform poses (N, 6) at 2048 Hz [m, rad], z down.
-        law: name, TOML file or loaded `Law`.
-        cab: `gfd`, `rfd` or `ifd`.
-        hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
-        plant: runs on this plant instead; `cab` and `hydraulics` are then not used.
-        least_pressure: least pressure of the supply manifold, gauge [Pa]; default 80 % of the
-            set pressure.
-
-    Raises:
-        InputError: an argument out of range, named; a command beyond the operational limits.
-        FloatingPointError: the state left its physical bounds; leg, time and value are named.
+    `command` is a `Command` or platform poses (N, 6) at 2048 Hz [m, rad], z down, within the
+    operational limits. A `plant` runs instead of one of `cab` and `hydraulics`. `least_pressure` is
+    gauge [Pa], by default 80 % of the set pressure. Raises FloatingPointError where the state
+    leaves its physical bounds.
     """
     demanded = command if isinstance(command, Command) else Command.from_pose(command)
     check_limits(demanded)
@@ -141,13 +128,7 @@ def capacity(
 
 
 def judge(plant: Plant, record: Record, allowed: float) -> CapacityResult:
-    """What a run that has been made took out of the supply.
-
-    Args:
-        plant: it was made on.
-        record: of the run.
-        allowed: least manifold pressure of the criterion [Pa].
-    """
+    """What a run that has been made took out of the supply."""
     supply = plant.hydraulics.supply
     pressure, pump, oil = (
         record[name] for name in ("supply_pressure", "pump_flow", "accumulator_oil")

@@ -31,15 +31,8 @@ def manoeuvre(
 ) -> Command:
     """The sine of a failure run, faded in and out, and two seconds of rest.
 
-    Args:
-        dof: degree of freedom.
-        amplitude: of the sine [m or rad].
-        frequency: of the sine [Hz].
-        at: time of the event [s].
-        after: length of the run after the event [s], at least 4 s.
-
-    Raises:
-        InputError: an argument out of range, or the motion exceeds the machine's limits.
+    `amplitude` is in m or rad, `frequency` in Hz; the event comes `at`, the run ends `after` it, at
+    least 4 s later [s].
     """
     check_positive(frequency=frequency)
     check_not_negative(at=at)
@@ -52,11 +45,7 @@ def manoeuvre(
 
 
 def size_of(dof: str, amplitude: float | None) -> float:
-    """The amplitude of the sine [m or rad]; None for the default one of the degree of freedom.
-
-    Raises:
-        InputError: unknown degree of freedom, or an amplitude that is not positive.
-    """
+    """The amplitude of the sine [m or rad]; None for the default one of the degree of freedom."""
     if amplitude is None:
         return by_kind(dof, *AMPLITUDES)
     dof_index(dof)

@@ -111,13 +111,7 @@ def measure(
 ) -> FailureResult:
     """All measures of a run recorded at every frame.
 
-    Args:
-        plant: the machine that ran.
-        event: what failed.
-        dof: degree of freedom of the manoeuvre.
-        protected: whether a detected fault made an emergency stop.
-        record: the run as `simulate` returns it.
-        message: what left its bounds; empty if nothing did.
+    The record is as `simulate` returns it; `message` tells what left its bounds.
     """
     half = plant.hydraulics.cylinder.half_stroke
     extension = record["leg_extension"][:-1]

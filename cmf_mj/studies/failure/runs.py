@@ -28,17 +28,10 @@ def run_failure(
 ) -> FailureResult:
     """Run one event and measure what it does.
 
-    Args:
-        event: what fails, where, when and how much.
-        case: law, hexapod, and degree of freedom and amplitude of the manoeuvre's sine, by default
-            6 in or 4 deg; default velocity feedback in heave with the GFD and the `hardware` set.
-        frequency: of its sine [Hz].
-        after: length of the run after the event [s].
-        command: another manoeuvre in place of the sine; it must be longer than `event.at`.
-        protection: `default`, a TOML file, or None for no protection.
-
-    Raises:
-        InputError: an argument out of range, named.
+    `case` names law, hexapod, degree of freedom and amplitude of the manoeuvre's sine (default 6 in
+    or 4 deg in heave with velocity feedback, the GFD, the `hardware` set); `after` is the length of
+    the run after the event [s]. `command` stands in for the sine and must be longer than
+    `event.at`. `protection` is `default`, a TOML file, or None for none.
     """
     chosen = make_case("velocity") if case is None else case
     machine = Hexapod(chosen.cab, chosen.hydraulics)
@@ -74,17 +67,7 @@ def run_failures(
 ) -> list[FailureResult]:
     """Run several events, each on a new machine, on threads.
 
-    Args:
-        events: one run each.
-        case: as for `run_failure`.
-        frequency: as for `run_failure`.
-        after: as for `run_failure`.
-        protection: as for `run_failure`.
-        jobs: threads; default one a core. Results do not depend on it.
-        progress: called with (runs done, runs in all) after each.
-
-    Raises:
-        InputError: an argument out of range, named.
+    Arguments as for `run_failure`; `progress` is called with (runs done, runs in all) after each.
     """
     guard = None if protection is None else load_protection(protection)
 

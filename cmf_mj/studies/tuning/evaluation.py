@@ -87,11 +87,7 @@ def step_response(
 ) -> NDArray[np.float64]:
     """Step of the report's size in some degrees of freedom at once, as fractions of it, (N, m).
 
-    Args:
-        law: bound to the cab.
-        cab: linear plant.
-        dofs: indices of the m degrees of freedom.
-        gains: valve gains over the nominal, (6,).
+    The law is bound to the cab; `dofs` are indices, `gains` valve gains over the nominal, (6,).
     """
     a, b, c = cab.sampled
     chosen = list(dofs)
@@ -132,11 +128,7 @@ def evaluate(
 ) -> Performance:
     """Measure a law on linear plants of all cabs.
 
-    Args:
-        law: not yet bound to a cab.
-        cabs: linear plants.
-        seeds: of the valve gains; None for the nominal ones.
-        scale: of all valve gains besides.
+    `seeds` are those of the valve gains, None for the nominal ones; `scale` is a factor on all.
     """
     cases = list(product(cabs, seeds))
     results = on_threads(lambda case: _one(law, *case, scale), cases, jobs=len(cases))

@@ -43,10 +43,7 @@ def _value(value: object) -> str:
 def save_law(law: Law, path: str | Path, heading: str = "") -> Path:
     """Write a law file whole or not at all.
 
-    Args:
-        law: with all its modes.
-        path: TOML file.
-        heading: comment lines above.
+    `heading` becomes comment lines above.
     """
     comment = "".join(f"# {line}".rstrip() + "\n" for line in heading.splitlines())
     return write_text(Path(path), comment + law_text(law))

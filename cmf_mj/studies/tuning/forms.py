@@ -77,13 +77,7 @@ class Form(NamedTuple):
 
 
 def make_template(name: str, title: str, cabs: Sequence[str] = CABS) -> Template:
-    """What a search needs besides the form.
-
-    Args:
-        name: of the law.
-        title: for figures and tables.
-        cabs: names.
-    """
+    """What a search needs besides the form."""
     plants = [Hexapod(cab) for cab in cabs]
     modes = {plant.cab: nominal_modes(plant) for plant in plants}
     legs = SingleLegs()
@@ -270,9 +264,5 @@ FORMS: Mapping[str, Form] = {
 
 
 def form_named(name: str) -> Form:
-    """A form.
-
-    Raises:
-        InputError: no such form.
-    """
+    """A form."""
     return FORMS[check_name("form", name, FORMS)]

@@ -13,11 +13,7 @@ from cmf_mj.plant.plant import Plant
 def nominal_modes(plant: Plant) -> Modes:
     """Hydraulic modes of a plant at neutral: orthonormal shapes of its reflected mass.
 
-    Args:
-        plant: with six legs, whose oil springs are alike there.
-
-    Raises:
-        InputError: another number of legs, or springs that are not alike.
+    The plant has six legs, whose oil springs are alike there.
     """
     if plant.legs != MODES:
         raise InputError(f"plant: {plant.name} has {plant.legs} legs; hydraulic modes need {MODES}")

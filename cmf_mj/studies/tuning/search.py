@@ -88,18 +88,8 @@ def search(
 ) -> SearchResult:
     """Search the gains of a law by CMA-ES.
 
-    Args:
-        template: of `make_template`.
-        limits: to keep; default `Limits`.
-        form: name of the law's form.
-        seeds: sets of valve gains, `valve_gains`.
-        evaluations: about so many laws are tried.
-        seed: of the search.
-        start: values to start from; default those of the form.
-        progress: called with (laws tried, laws in all).
-
-    Raises:
-        InputError: less than one evaluation, or no such form.
+    `seeds` are sets of valve gains (`valve_gains`); about `evaluations` laws are tried, from
+    `start` or else the values of the form. `progress` is called with (laws tried, laws in all).
     """
     if evaluations < 1:
         raise InputError(f"evaluations: {evaluations} must be at least 1")
