@@ -24,7 +24,7 @@ from joblib import Parallel, delayed
 from cmf_mj import Hexapod
 from cmf_mj.control.law import law_names
 from cmf_mj.control.states import State
-from cmf_mj.facility import host
+from cmf_mj.facility.host.stream import HostStream, make_stream
 from cmf_mj.facility.operation import operate
 from cmf_mj.machine.models import CABS
 from cmf_mj.machine.motion_limits import load_motion_limits
@@ -68,9 +68,7 @@ def smooth(generator: np.random.Generator, time: np.ndarray, largest: float) -> 
     return largest * 10.0 ** generator.uniform(-3.0, 0.0) * wave / np.abs(wave).max()
 
 
-def aircraft_stream(
-    generator: np.random.Generator, case: Case, time: np.ndarray
-) -> host.HostStream:
+def aircraft_stream(generator: np.random.Generator, case: Case, time: np.ndarray) -> HostStream:
     """The frames of a washout with random gains on a random motion."""
     columns = [smooth(generator, time, size) for size in (FORCE,) * 3 + (RATE,) * 3]
     force, rate = np.column_stack(columns[:3]), np.column_stack(columns[3:])
@@ -79,7 +77,7 @@ def aircraft_stream(
     return cue(motion, settings, cab=case.cab).stream
 
 
-def platform_stream(generator: np.random.Generator, time: np.ndarray) -> host.HostStream:
+def platform_stream(generator: np.random.Generator, time: np.ndarray) -> HostStream:
     """Random poses with random jumps and derivatives that do not belong to them."""
     sizes = (3.0, 3.0, 2.0, 1.2, 1.2, 1.2)
     pose = np.column_stack([smooth(generator, time, size) for size in sizes])
@@ -88,7 +86,7 @@ def platform_stream(generator: np.random.Generator, time: np.ndarray) -> host.Ho
     velocity, acceleration = (
         np.column_stack([smooth(generator, time, size) for _ in range(6)]) for size in (5.0, 50.0)
     )
-    return host.make_stream(time, pose, velocity, acceleration)
+    return make_stream(time, pose, velocity, acceleration)
 
 
 def faults_of(record: Record) -> list[str]:

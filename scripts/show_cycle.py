@@ -6,7 +6,7 @@ from pathlib import Path
 from cmf_mj import Hexapod, signals
 from cmf_mj.cli.common import refuse
 from cmf_mj.control.states import Request, State
-from cmf_mj.facility import host
+from cmf_mj.facility.host.stream import from_command
 from cmf_mj.facility.operation import operate
 from cmf_mj.show.look import save_figure
 from cmf_mj.show.overview import overview_figure
@@ -24,7 +24,7 @@ def main() -> None:
         operation = operate(
             Hexapod(),
             options.law,
-            host.from_command(command, rate=80.0),
+            from_command(command, rate=80.0),
             begin=State.OFF,
             requests=[(0.5, Request.ENGAGE), (19.0, Request.OFF)],
             seconds=options.seconds,

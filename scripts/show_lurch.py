@@ -14,7 +14,7 @@ from cmf_mj import Hexapod, load_law
 from cmf_mj.cli.common import refuse
 from cmf_mj.control.states import Request, State
 from cmf_mj.core import units
-from cmf_mj.facility import host
+from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.facility.operation import FacilitySettings, Operation, operate
 
 NO_TRIGGER = -40.0
@@ -48,7 +48,7 @@ def rise(
     return operate(
         Hexapod(),
         load_law(law).model_copy(update={"integrator_trigger": trigger}),
-        host.make_stream(time, np.zeros((time.size, 6)), derivatives="zero"),
+        make_stream(time, np.zeros((time.size, 6)), derivatives="zero"),
         begin=State.OFF,
         requests=[(wait, Request.RAISE)],
         facility=FacilitySettings(protection=protection),

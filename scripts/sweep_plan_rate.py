@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from cmf_mj import Hexapod, Law, load_hydraulics, load_law
-from cmf_mj.facility import host
+from cmf_mj.facility.host.stream import HostStream, make_stream
 from cmf_mj.facility.operation import FacilitySettings, operate
 from cmf_mj.machine.models import CABS
 from cmf_mj.pilot import host as pilot_host
@@ -45,7 +45,7 @@ def scaled(factors: str) -> Law:
     return law.model_copy(update={"plan": law.plan.model_copy(update={"rate": rate})})
 
 
-def wild_stream(number: int) -> host.HostStream:
+def wild_stream(number: int) -> HostStream:
     """Sums of random sines with three jumps, then rest: at neutral, or where it happens to be."""
     generator = np.random.default_rng([77, number])
     time = np.arange(round(pilot_host.MOST_RATE * (MOVING + STILL))) / pilot_host.MOST_RATE
@@ -62,7 +62,7 @@ def wild_stream(number: int) -> host.HostStream:
     pose *= np.clip(np.minimum(time, (MOVING - time) / 0.05), 0.0, 1.0)[:, None]
     if number % 2:
         pose[ends:] = pose[ends - 6]
-    return within_limits(host.make_stream(time, pose))[0]
+    return within_limits(make_stream(time, pose))[0]
 
 
 def cycles(law: Law, number: int) -> bool:

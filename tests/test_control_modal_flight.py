@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from cmf_mj import Hexapod, Law, load_law, simulate
 from cmf_mj.core import units
-from cmf_mj.facility import host
+from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.facility.operation import FacilitySettings, Operation, operate
 from cmf_mj.pilot.cueing.envelope import within_limits
 
@@ -18,9 +18,7 @@ def jumped(law: Law) -> Operation:
     time = np.arange(480) / 80.0
     pose = np.zeros((time.size, 6))
     pose[80:, 0] = 20.0 * units.INCH
-    stream, _ = within_limits(
-        host.make_stream(time, pose, np.zeros_like(pose), np.zeros_like(pose))
-    )
+    stream, _ = within_limits(make_stream(time, pose, np.zeros_like(pose), np.zeros_like(pose)))
     facility = FacilitySettings(electronics=None)
     return operate(Hexapod("ifd"), law, stream, facility=facility, record_every=8)
 

@@ -18,25 +18,35 @@ from typer.testing import CliRunner
 from cmf_mj import signals
 from cmf_mj.cli.common import app
 from cmf_mj.control import dcu
-from cmf_mj.facility import host
-from cmf_mj.facility.host.datagram import SIZE
-from cmf_mj.facility.host.handover import NEVER
+from cmf_mj.facility.host.datagram import DATAGRAM_REASONS, SIZE, DatagramError, decode, encode
+from cmf_mj.facility.host.files import HostSession, read_stream, write_stream
+from cmf_mj.facility.host.handover import NEVER, collect, logged, make_log, make_ring, put
+from cmf_mj.facility.host.stream import (
+    HostFrame,
+    HostStream,
+    differentiate,
+    from_command,
+    make_stream,
+    resample,
+)
+from cmf_mj.facility.host.stream import arrivals as arrivals_of
+from cmf_mj.facility.host.udp import UdpReceiver, UdpSender
 
 RATE = 2048
 
 
-def wave(count: int = 40, rate: float = 80.0) -> host.HostStream:
+def wave(count: int = 40, rate: float = 80.0) -> HostStream:
     time = np.arange(count) / rate
     angle = np.outer(time, 2.0 * np.pi * np.array([0.5, 0.7, 1.0, 0.3, 0.4, 0.6]))
-    return host.make_stream(time, 0.05 * np.sin(angle))
+    return make_stream(time, 0.05 * np.sin(angle))
 
 
-def frame(sequence: int = 7, time: float = 1.25) -> host.HostFrame:
+def frame(sequence: int = 7, time: float = 1.25) -> HostFrame:
     values = np.random.default_rng(2).normal(size=(3, 6))
-    return host.HostFrame(sequence, time, *values)
+    return HostFrame(sequence, time, *values)
 
 
-def assert_same(a: host.HostStream, b: host.HostStream) -> None:
+def assert_same(a: HostStream, b: HostStream) -> None:
     for left, right in zip(a, b, strict=True):
         assert left.dtype == right.dtype
         assert left.tobytes() == right.tobytes()
@@ -49,7 +59,7 @@ def test_derivatives_of_a_quintic_are_exact() -> None:
     time = np.sort(np.random.default_rng(1).uniform(0.0, 1.0, 30))
     poly = np.polynomial.Polynomial([0.1, -0.2, 0.3, 1.0, -1.5, 0.5])
     pose = np.tile(poly(time)[:, None], 6)
-    velocity, acceleration = host.differentiate(time, pose)
+    velocity, acceleration = differentiate(time, pose)
     assert np.abs(velocity[:, 3] - poly.deriv()(time)).max() < 1e-9
     assert np.abs(acceleration[:, 3] - poly.deriv(2)(time)).max() < 1e-6
 
@@ -59,7 +69,7 @@ def test_the_error_of_derivatives_falls_with_the_fifth_and_fourth_power() -> Non
     for rate in (20.0, 40.0):
         time = np.arange(int(8 * rate)) / rate
         pose = np.tile(np.sin(2.0 * np.pi * time)[:, None], 6)
-        first, second = host.differentiate(time, pose)
+        first, second = differentiate(time, pose)
         inner = (time > 2.0) & (time < 6.0)
         w = 2.0 * np.pi
         errors.append(
@@ -76,7 +86,7 @@ def test_the_error_of_derivatives_falls_with_the_fifth_and_fourth_power() -> Non
 def test_a_stream_of_poses_is_played_as_its_spline() -> None:
     stream = wave(160, 64.0)
     compiled = dcu.make_dcu()
-    demand = dcu.upsample(compiled, dcu.resting(compiled), host.arrivals(stream), 5000)
+    demand = dcu.upsample(compiled, dcu.resting(compiled), arrivals_of(stream), 5000)
     spline = make_interp_spline(stream.time, stream.pose, k=5)
     delay = 1.0 / 64.0 + compiled.hold + compiled.line / RATE
     at = np.arange(1500, 5000) / RATE - delay
@@ -86,12 +96,12 @@ def test_a_stream_of_poses_is_played_as_its_spline() -> None:
 
 def test_a_command_is_sampled_with_its_derivatives() -> None:
     command = signals.sine("pitch", 0.05, 0.5)
-    stream = host.from_command(command, 64.0)
+    stream = from_command(command, 64.0)
     assert stream.time[-1] <= command.duration
     assert np.diff(stream.time) == pytest.approx(1 / 64.0)
     picked = command.pose[:: RATE // 64][: stream.time.size]
     assert np.abs(stream.pose - picked).max() < 1e-12
-    again = host.from_command(signals.step("heave", 0.0254), 80.0, derivatives="zero")
+    again = from_command(signals.step("heave", 0.0254), 80.0, derivatives="zero")
     assert set(np.unique(again.pose[:, 2])) == {0.0, 0.0254}
     assert again.pose[80, 2] == 0.0254
     assert again.pose[79, 2] == 0.0
@@ -100,9 +110,9 @@ def test_a_command_is_sampled_with_its_derivatives() -> None:
 
 def test_resampling_keeps_the_motion() -> None:
     stream = wave(81, 40.0)
-    finer = host.resample(stream, 80.0)
+    finer = resample(stream, 80.0)
     assert finer.time.size == 161
-    back = host.resample(finer, 40.0)
+    back = resample(finer, 40.0)
     for name in ("time", "pose", "velocity", "acceleration"):
         assert np.abs(getattr(back, name) - getattr(stream, name)).max() < 1e-10
 
@@ -128,7 +138,7 @@ def test_resampling_keeps_the_motion() -> None:
 def test_a_bad_stream_is_refused_by_name(changes: dict[str, object], message: str) -> None:
     arguments: dict[str, object] = {"time": np.arange(10.0), "pose": np.zeros((10, 6))} | changes
     with pytest.raises(ValueError, match=message):
-        host.make_stream(**arguments)  # type: ignore[arg-type]
+        make_stream(**arguments)  # type: ignore[arg-type]
 
 
 # Files
@@ -137,18 +147,18 @@ def test_a_bad_stream_is_refused_by_name(changes: dict[str, object], message: st
 @pytest.mark.parametrize("name", ["run.csv", "run.parquet"])
 def test_a_stream_reads_back_bit_for_bit(name: str, tmp_path: Path) -> None:
     stream = wave()
-    assert_same(host.read_stream(host.write_stream(stream, tmp_path / name)), stream)
+    assert_same(read_stream(write_stream(stream, tmp_path / name)), stream)
 
 
 def test_a_file_of_poses_alone_in_any_order(tmp_path: Path) -> None:
     path = tmp_path / "poses.csv"
     rows = [f"0,0,{0.001 * k},9,0,0,0,{k / 50}" for k in range(8)]
     path.write_text("\n".join(["yaw,pitch,heave,note,roll,sway,surge,time", *rows]))
-    stream = host.read_stream(path)
+    stream = read_stream(path)
     assert stream.pose[:, 2] == pytest.approx(0.001 * np.arange(8))
     assert stream.velocity[:, 2] == pytest.approx(0.05)
     assert stream.sequence.tolist() == list(range(8))
-    assert not host.read_stream(path, derivatives="zero").velocity.any()
+    assert not read_stream(path, derivatives="zero").velocity.any()
 
 
 @pytest.mark.parametrize(
@@ -166,23 +176,23 @@ def test_a_bad_file_is_refused_with_its_place(text: str, message: str, tmp_path:
     path = tmp_path / "bad.csv"
     path.write_text(text)
     with pytest.raises(ValueError, match=message):
-        host.read_stream(path, derivatives="zero")
+        read_stream(path, derivatives="zero")
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="must end in"):
-        host.read_stream(tmp_path / "run.xlsx")
+        read_stream(tmp_path / "run.xlsx")
     with pytest.raises(ValueError, match="must end in"):
-        host.write_stream(wave(), tmp_path / "run.txt")
+        write_stream(wave(), tmp_path / "run.txt")
     with pytest.raises(ValueError, match="cannot be read"):
-        host.read_stream(tmp_path / "none.parquet")
-    path = host.write_stream(wave(), tmp_path / "run.parquet")
+        read_stream(tmp_path / "none.parquet")
+    path = write_stream(wave(), tmp_path / "run.parquet")
     with pytest.raises(ValueError, match="is not a host session"):
-        host.HostSession.load(path)
+        HostSession.load(path)
 
 
 def test_a_session_with_bad_frames_is_replayed_bit_for_bit(tmp_path: Path) -> None:
-    arrivals = host.arrivals(wave(120))
+    arrivals = arrivals_of(wave(120))
     arrivals.values[30, 1, 2] = np.nan
     arrivals.values[31, 0, 0] = np.inf
     arrivals.time[40] = np.nan
@@ -190,11 +200,9 @@ def test_a_session_with_bad_frames_is_replayed_bit_for_bit(tmp_path: Path) -> No
     arrivals.frame[60:] += 400
     table = dcu.load_dcu().model_dump()
     table["delay"]["transmission"]["value"] = 11.0
-    session = host.HostSession(
-        arrivals, 4000, np.full(6, 0.01), dcu.DcuSettings.model_validate(table)
-    )
+    session = HostSession(arrivals, 4000, np.full(6, 0.01), dcu.DcuSettings.model_validate(table))
     demand = session.replay()
-    again = host.HostSession.load(session.save(tmp_path / "session.parquet"))
+    again = HostSession.load(session.save(tmp_path / "session.parquet"))
     assert again.settings == session.settings
     for left, right in zip(arrivals, again.arrivals, strict=True):
         assert left.tobytes() == right.tobytes()
@@ -208,7 +216,7 @@ def test_a_session_with_bad_frames_is_replayed_bit_for_bit(tmp_path: Path) -> No
 def test_a_datagram_is_laid_out_as_documented() -> None:
     """Against the struct module: another reading of the same table."""
     sent = frame()
-    data = host.encode(sent)
+    data = encode(sent)
     body = struct.pack(
         "<4sHHQd18d",
         b"CMFH",
@@ -230,8 +238,8 @@ def test_a_datagram_is_laid_out_as_documented() -> None:
     values=st.lists(st.floats(), min_size=18, max_size=18),
 )
 def test_decoding_undoes_encoding(sequence: int, time: float, values: list[float]) -> None:
-    sent = host.HostFrame(sequence, time, *np.array(values).reshape(3, 6))
-    found = host.decode(host.encode(sent))
+    sent = HostFrame(sequence, time, *np.array(values).reshape(3, 6))
+    found = decode(encode(sent))
     assert found.sequence == sequence
     assert struct.pack("<d", found.time) == struct.pack("<d", time)
     for name in ("pose", "velocity", "acceleration"):
@@ -240,86 +248,86 @@ def test_decoding_undoes_encoding(sequence: int, time: float, values: list[float
 
 def forged(offset: int, octets: bytes) -> bytes:
     """A datagram with other octets and a checksum that fits them."""
-    body = bytearray(host.encode(frame())[:-4])
+    body = bytearray(encode(frame())[:-4])
     body[offset : offset + len(octets)] = octets
     return bytes(body) + struct.pack("<I", zlib.crc32(body))
 
 
 MALFORMED = [
     (b"", "wrong_length"),
-    (host.encode(frame())[:-1], "wrong_length"),
-    (host.encode(frame()) + b"\0", "wrong_length"),
+    (encode(frame())[:-1], "wrong_length"),
+    (encode(frame()) + b"\0", "wrong_length"),
     (forged(0, b"CMFX"), "wrong_magic"),
     (forged(4, b"\2\0"), "wrong_version"),
     (forged(6, b"\1\0"), "wrong_length"),
     (forged(8, b"\xff" * 8), "wrong_sequence"),
-    (host.encode(frame())[:-4] + b"\0\0\0\0", "wrong_checksum"),
+    (encode(frame())[:-4] + b"\0\0\0\0", "wrong_checksum"),
 ]
 
 
 @pytest.mark.parametrize(("data", "reason"), MALFORMED)
 def test_a_malformed_datagram_is_refused_with_its_reason(data: bytes, reason: str) -> None:
-    with pytest.raises(host.DatagramError, match=reason) as error:
-        host.decode(data)
+    with pytest.raises(DatagramError, match=reason) as error:
+        decode(data)
     assert error.value.reason == reason
-    assert reason in host.DATAGRAM_REASONS
+    assert reason in DATAGRAM_REASONS
 
 
 @given(bit=st.integers(0, 8 * SIZE - 1))
 def test_any_flipped_bit_is_noticed(bit: int) -> None:
-    data = bytearray(host.encode(frame()))
+    data = bytearray(encode(frame()))
     data[bit // 8] ^= 1 << bit % 8
-    with pytest.raises(host.DatagramError):
-        host.decode(bytes(data))
+    with pytest.raises(DatagramError):
+        decode(bytes(data))
 
 
 @settings(max_examples=200)
 @example(data=b"CMFH" + bytes(168))
 @given(data=st.binary(max_size=400) | st.binary(min_size=SIZE, max_size=SIZE))
 def test_garbage_is_refused(data: bytes) -> None:
-    with pytest.raises(host.DatagramError):
-        host.decode(data)
+    with pytest.raises(DatagramError):
+        decode(data)
 
 
 def test_a_frame_that_does_not_fit_is_not_encoded() -> None:
     with pytest.raises(ValueError, match="sequence: -1"):
-        host.encode(frame(-1))
+        encode(frame(-1))
     with pytest.raises(ValueError, match=r"pose: shape is \(5,\)"):
-        host.encode(frame()._replace(pose=np.zeros(5)))
+        encode(frame()._replace(pose=np.zeros(5)))
 
 
 # Hand-over
 
 
 def test_the_ring_hands_over_in_order_and_counts_what_it_lost() -> None:
-    ring, log = host.make_ring(4), host.make_log(10)
-    filled = host.collect(ring, log, 0, 0)
+    ring, log = make_ring(4), make_log(10)
+    filled = collect(ring, log, 0, 0)
     assert filled == 0
     for number in range(3):
-        host.put(ring, frame(number, float(number)))
-    filled = host.collect(ring, log, filled, 5)
+        put(ring, frame(number, float(number)))
+    filled = collect(ring, log, filled, 5)
     assert (filled, ring.lost[0]) == (3, 0)
     for number in range(3, 10):
-        host.put(ring, frame(number, float(number)))
-    filled = host.collect(ring, log, filled, 9)
+        put(ring, frame(number, float(number)))
+    filled = collect(ring, log, filled, 9)
     assert (filled, ring.lost[0]) == (7, 3)
-    kept = host.logged(log, filled)
+    kept = logged(log, filled)
     assert kept.sequence.tolist() == [0, 1, 2, 6, 7, 8, 9]
     assert kept.frame.tolist() == [5, 5, 5, 9, 9, 9, 9]
     assert (kept.values[0] == np.array(frame()[2:])).all()
     assert (log.frame[filled:] == NEVER).all()
     for number in range(4):
-        host.put(ring, frame(number))
-    assert host.collect(ring, log, filled, 12) == 10
+        put(ring, frame(number))
+    assert collect(ring, log, filled, 12) == 10
     assert ring.lost[0] == 4
 
 
 def test_a_slot_under_the_writers_hand_is_lost_not_torn() -> None:
-    ring, log = host.make_ring(4), host.make_log(10)
+    ring, log = make_ring(4), make_log(10)
     for number in range(2):
-        host.put(ring, frame(number))
+        put(ring, frame(number))
     ring.mark[0] = -1  # the writer has come round and is at work in slot 0
-    assert host.collect(ring, log, 0, 0) == 1
+    assert collect(ring, log, 0, 0) == 1
     assert ring.lost[0] == 1
     assert log.sequence[0] == 1
 
@@ -329,7 +337,7 @@ def _read_until(ring, log, last):  # type: ignore[no-untyped-def]
     """Collect without pause until the writer's last frame is read or lost."""
     filled, turns = 0, 0
     while ring.read[0] < last and turns < 10**9:
-        filled = host.collect(ring, log, filled, turns)
+        filled = collect(ring, log, filled, turns)
         turns += 1
     return filled
 
@@ -337,15 +345,15 @@ def _read_until(ring, log, last):  # type: ignore[no-untyped-def]
 def test_writer_and_reader_at_once_tear_no_frame() -> None:
     """A reader that never pauses beside a writer that never waits, on a ring of two slots."""
     count = 20000
-    ring, log = host.make_ring(2), host.make_log(count)
+    ring, log = make_ring(2), make_log(count)
     _read_until(ring, log, 0)  # compiled before the race
-    frames = [host.HostFrame(n, float(n), *np.full((3, 6), float(n))) for n in range(count)]
+    frames = [HostFrame(n, float(n), *np.full((3, 6), float(n))) for n in range(count)]
     with ThreadPoolExecutor(1) as pool:
         reader = pool.submit(_read_until, ring, log, count)
         for sent in frames:
-            host.put(ring, sent)
+            put(ring, sent)
         filled = reader.result(timeout=60)
-    kept = host.logged(log, filled)
+    kept = logged(log, filled)
     assert filled + ring.lost[0] == count
     assert filled > 0
     assert (np.diff(kept.sequence) > 0).all()
@@ -357,7 +365,7 @@ def test_writer_and_reader_at_once_tear_no_frame() -> None:
 # Sockets
 
 
-def wait_for(receiver: host.UdpReceiver, count: int) -> None:
+def wait_for(receiver: UdpReceiver, count: int) -> None:
     """Until that many datagrams were taken or dropped; ten seconds at most."""
     end = clock.monotonic() + 10.0
     while receiver.received + sum(receiver.refused.values()) < count:
@@ -367,31 +375,31 @@ def wait_for(receiver: host.UdpReceiver, count: int) -> None:
 
 def test_frames_cross_the_loopback_in_real_time() -> None:
     stream = wave(24)
-    log = host.make_log(100)
-    with host.UdpReceiver() as receiver:
+    log = make_log(100)
+    with UdpReceiver() as receiver:
         assert receiver.address[0] == "127.0.0.1"
-        with host.UdpSender(*receiver.address) as sender:
+        with UdpSender(*receiver.address) as sender:
             report = sender.play(stream)
         wait_for(receiver, 24)
-        assert host.collect(receiver.ring, log, 0, 0) == 24
+        assert collect(receiver.ring, log, 0, 0) == 24
     assert report.frames == 24
     assert report.duration + report.worst_lateness >= 23 / 80.0 - 1e-9
-    kept = host.logged(log, 24)
+    kept = logged(log, 24)
     assert kept.values.tobytes() == stream.values.tobytes()
     assert kept.time.tobytes() == stream.time.tobytes()
     assert not any(receiver.refused.values())
 
 
 def test_garbage_never_reaches_the_ring_and_is_counted() -> None:
-    expected = dict.fromkeys(host.DATAGRAM_REASONS, 0)
+    expected = dict.fromkeys(DATAGRAM_REASONS, 0)
     with (
-        host.UdpReceiver() as receiver,
+        UdpReceiver() as receiver,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw,
     ):
         for data, reason in MALFORMED:
             raw.sendto(data, receiver.address)
             expected[reason] += 1
-        raw.sendto(host.encode(frame()), receiver.address)
+        raw.sendto(encode(frame()), receiver.address)
         raw.sendto(b"\0" * 5000, receiver.address)
         expected["wrong_length"] += 1
         wait_for(receiver, len(MALFORMED) + 2)
@@ -410,9 +418,9 @@ def test_other_senders_are_dropped_and_counted() -> None:
         neighbour.bind(("127.0.0.1", 0))
         stranger.bind(("127.0.0.2", 0))
         port = mine.getsockname()[1]
-        with host.UdpReceiver(host="127.0.0.1", host_port=port) as receiver:
+        with UdpReceiver(host="127.0.0.1", host_port=port) as receiver:
             for sender in (stranger, neighbour, mine):
-                sender.sendto(host.encode(frame()), receiver.address)
+                sender.sendto(encode(frame()), receiver.address)
             wait_for(receiver, 3)
             assert receiver.received == 1
             assert receiver.refused["wrong_sender"] == 2
@@ -426,7 +434,7 @@ def test_deadlines_are_absolute() -> None:
         nonlocal now
         now += seconds + 0.001
 
-    with host.UdpReceiver() as receiver, host.UdpSender(*receiver.address) as sender:
+    with UdpReceiver() as receiver, UdpSender(*receiver.address) as sender:
         report = sender.play(wave(200), clock=lambda: now, sleep=sleep)
     assert report.worst_lateness == pytest.approx(0.001)
     assert report.duration == pytest.approx(199 / 80.0 + 0.001)
@@ -443,17 +451,17 @@ def test_deadlines_are_absolute() -> None:
 )
 def test_bad_sockets_are_refused_by_name(arguments: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        host.UdpReceiver(**arguments)  # type: ignore[arg-type]
+        UdpReceiver(**arguments)  # type: ignore[arg-type]
 
 
 def test_a_port_in_use_is_an_error_at_once() -> None:
-    with host.UdpReceiver() as receiver, pytest.raises(OSError):
-        host.UdpReceiver(receiver.address[1])
+    with UdpReceiver() as receiver, pytest.raises(OSError):
+        UdpReceiver(receiver.address[1])
 
 
 def test_the_command_line_sends_a_file(tmp_path: Path) -> None:
-    path = host.write_stream(wave(17, 40.0), tmp_path / "run.csv")
-    with host.UdpReceiver() as receiver:
+    path = write_stream(wave(17, 40.0), tmp_path / "run.csv")
+    with UdpReceiver() as receiver:
         target = f"127.0.0.1:{receiver.address[1]}"
         result = CliRunner().invoke(app, ["host", str(path), "--to", target, "--rate", "80"])
         assert result.exit_code == 0, result.output
@@ -476,7 +484,7 @@ def test_the_command_line_sends_a_file(tmp_path: Path) -> None:
     datagrams=st.lists(
         st.binary(max_size=200)
         | st.builds(
-            lambda n, t, v: host.encode(host.HostFrame(n, t, *np.full((3, 6), v))),
+            lambda n, t, v: encode(HostFrame(n, t, *np.full((3, 6), v))),
             st.integers(0, 100),
             st.floats(),
             st.floats(),
@@ -486,7 +494,7 @@ def test_the_command_line_sends_a_file(tmp_path: Path) -> None:
 )
 def test_from_datagram_to_demand_nothing_is_unaccounted_for(datagrams: list[bytes]) -> None:
     """Octets in, demand out, one datagram a host interval, without the socket between."""
-    ring, log = host.make_ring(), host.make_log(64)
+    ring, log = make_ring(), make_log(64)
     compiled = dcu.make_dcu()
     state, demand = dcu.resting(compiled), np.empty((3, 6))
     refused = filled = cursor = 0
@@ -494,10 +502,10 @@ def test_from_datagram_to_demand_nothing_is_unaccounted_for(datagrams: list[byte
     for now in range(len(datagrams) * 26 + 600):
         if now % 26 == 0 and now // 26 < len(datagrams):
             try:
-                host.put(ring, host.decode(datagrams[now // 26]))
-            except host.DatagramError:
+                put(ring, decode(datagrams[now // 26]))
+            except DatagramError:
                 refused += 1
-        filled = host.collect(ring, log, filled, now)
+        filled = collect(ring, log, filled, now)
         cursor = dcu.feed(compiled, state, log, cursor, now)
         dcu.step(compiled, state, demand)
         assert np.isfinite(demand).all()

@@ -12,7 +12,9 @@ from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import Request, State
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility import host
+from cmf_mj.facility.host.handover import make_ring, put
+from cmf_mj.facility.host.stream import HostStream, from_command
+from cmf_mj.facility.host.stream import arrivals as arrivals_of
 from cmf_mj.facility.operation import FacilitySettings, Operation, operate, serve
 from cmf_mj.facility.replay import replay
 from cmf_mj.machine import kinematics
@@ -22,9 +24,9 @@ RATE, INCH, GRAVITY = 2048, 0.0254, 9.80665
 LEGS = limiter.make_leg_limiter()
 
 
-def sine(seconds: float, amplitude: float = 0.05) -> host.HostStream:
+def sine(seconds: float, amplitude: float = 0.05) -> HostStream:
     command = signals.sine("heave", amplitude, 0.5, cycles=0.5 * seconds)
-    return host.from_command(command, rate=80.0)
+    return from_command(command, rate=80.0)
 
 
 def lag(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
@@ -164,7 +166,7 @@ def test_a_reset_leaves_the_fault_and_the_machine_rises_again() -> None:
 
 
 def test_no_watchdog_before_the_first_frame_or_below_engaged() -> None:
-    late = host.arrivals(sine(2.0), delay=2048)
+    late = arrivals_of(sine(2.0), delay=2048)
     waiting = operate(Hexapod(), "velocity", late)
     assert waiting.record.metadata["fault"] is None
     held = operate(Hexapod(), "velocity", sine(1.0), seconds=3.0, begin=State.HOLD)
@@ -194,7 +196,7 @@ def test_a_limit_switch_trips_the_states(tmp_path) -> None:
 def test_host_to_legs_takes_the_configured_delay_and_the_loops_own() -> None:
     """By cross-correlation: to the reference the breakdown, to the motion that and the loop."""
     noise = signals.noise("heave", 0.003, stop=3.0, duration=8.0)
-    record = operate(Hexapod(), "velocity", host.from_command(noise, rate=80.0)).record
+    record = operate(Hexapod(), "velocity", from_command(noise, rate=80.0)).record
     sent = kinematics.pose_to_legs(noise.pose)
     frames = min(sent.shape[0], record.time.size)
     total = load_dcu().delay.total
@@ -234,7 +236,7 @@ def test_the_demand_is_the_dcus_in_its_own_frame() -> None:
 
 def bad_host(kind: str) -> Arrivals:
     """Three seconds of an 80 Hz host that goes wrong after one."""
-    good = host.arrivals(sine(3.0))
+    good = arrivals_of(sine(3.0))
     frame, number, time, values = (np.array(column) for column in good)
     generator = np.random.default_rng(3)
     late = frame > RATE
@@ -285,17 +287,17 @@ def test_same_seed_same_bits_and_another_seed_others() -> None:
 
 def test_in_real_time_every_frame_is_accounted_for() -> None:
     """Times are those of whatever machine this is; counts are not."""
-    ring = host.make_ring()
+    ring = make_ring()
     stream = sine(4.0, 0.005)
     for index in range(3):
-        host.put(ring, stream.row(index))
+        put(ring, stream.row(index))
     seen: list[float] = []
 
     def progress(done: float) -> None:
         seen.append(done)
         if done > 0.0:
             for index in range(40):
-                host.put(ring, stream.row(len(seen) * 40 + index))
+                put(ring, stream.row(len(seen) * 40 + index))
 
     operation = serve(Hexapod(), "velocity", ring, 2.5, progress=progress)
     timing, record = operation.timing, operation.record
@@ -327,7 +329,7 @@ def test_refusals() -> None:
 
 
 def test_a_first_frame_beyond_the_limits_begins_at_neutral() -> None:
-    arrivals = host.arrivals(sine(1.0))
+    arrivals = arrivals_of(sine(1.0))
     arrivals.values[0, 0] = np.nan
     record = operate(Hexapod(), "velocity", arrivals, seconds=0.2).record
     assert not record["demand_pose"][0].any()

@@ -12,9 +12,16 @@ from test_control_dcu_streams import KINDS, stream
 from cmf_mj.control import dcu, limiter, states
 from cmf_mj.control.demand import make_demand
 from cmf_mj.control.states import Request, State
-from cmf_mj.facility import host
 from cmf_mj.facility.front import Blocks, Chain, follow, make_chain
-from cmf_mj.facility.host.datagram import MOST_SEQUENCE
+from cmf_mj.facility.host.datagram import (
+    DATAGRAM_REASONS,
+    MOST_SEQUENCE,
+    DatagramError,
+    decode,
+    encode,
+)
+from cmf_mj.facility.host.handover import logged, make_log, make_ring, put
+from cmf_mj.facility.host.stream import HostFrame
 from cmf_mj.machine.kinematics import WORKING_STROKE
 
 T = 1.0 / 2048.0
@@ -37,12 +44,12 @@ def build(begin: State, requests: list[tuple[int, Request]]) -> Chain:
     legs = np.full(6, -WORKING_STROKE if begin in (State.OFF, State.SETTLED) else 0.0)
     return make_chain(
         Blocks(DCU, POSE, DEMAND, STATES, LEGS),
-        host.make_log(4096),
+        make_log(4096),
         requests,
         begin,
         position=legs,
         pose=np.zeros(6),
-        ring=host.make_ring(64),
+        ring=make_ring(64),
     )
 
 
@@ -85,24 +92,24 @@ def run(
     frames = max(frames, 4096)
     chain, out = build(begin, requests), np.zeros((3, frames, 6))
     position = chain.reference[0].copy()
-    sent, refused, now = [], dict.fromkeys(host.DATAGRAM_REASONS, 0), 0
+    sent, refused, now = [], dict.fromkeys(DATAGRAM_REASONS, 0), 0
 
     def deliver(datagram: bytes) -> None:
         """As the receiving thread does."""
         try:
-            host.put(chain.ring, host.decode(datagram))
-        except host.DatagramError as error:
+            put(chain.ring, decode(datagram))
+        except DatagramError as error:
             refused[error.reason] += 1
 
     for index, arrival in enumerate(arrivals.frame):
         _advance(chain, now, int(arrival), position, tripped_at, out)
         now = max(now, int(arrival))
-        frame = host.HostFrame(
+        frame = HostFrame(
             int(arrivals.sequence[index]) & MOST_SEQUENCE,
             float(arrivals.time[index]),
             *arrivals.values[index],
         )
-        sent.append(host.encode(frame))
+        sent.append(encode(frame))
         deliver(sent[-1])
         if garbage:
             deliver(spoiled(sent[-1], garbage[index % len(garbage)], generator))
@@ -112,9 +119,9 @@ def run(
 
 def logged_datagrams(chain: Chain) -> list[bytes]:
     """What reached the DCU, as datagrams: NaN compare like any octets."""
-    log = host.logged(chain.arrivals, int(chain.progress[0].collected))
+    log = logged(chain.arrivals, int(chain.progress[0].collected))
     return [
-        host.encode(host.HostFrame(int(s), float(t), *v))
+        encode(HostFrame(int(s), float(t), *v))
         for s, t, v in zip(log.sequence, log.time, log.values, strict=True)
     ]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmf_mj.core.units import DEGREE, KNOT, STANDARD_GRAVITY
-from cmf_mj.facility import host
+from cmf_mj.facility.host.stream import HostFrame, make_stream
 from cmf_mj.pilot import host as pilot_host
 from cmf_mj.pilot.aircraft.airframe import RATE, Airframe, Controls, State, without_network
 from cmf_mj.pilot.aircraft.flight import Flight, Origin, load_flight
@@ -291,7 +291,7 @@ def test_hosts_faster_than_80_hz_or_silent_are_refused() -> None:
         def samples(self) -> list[pilot_host.PilotSample]:
             return []
 
-        def frames(self) -> list[host.HostFrame]:
+        def frames(self) -> list[HostFrame]:
             return []
 
     with pytest.raises(ValueError, match="samples: the host sends none"):
@@ -303,7 +303,7 @@ def test_hosts_faster_than_80_hz_or_silent_are_refused() -> None:
 def test_a_stream_is_a_host_in_direct_mode() -> None:
     pose = np.zeros((8, 6))
     pose[:, 2] = 0.01 * np.arange(8) ** 2
-    stream = host.make_stream(np.arange(8) / 80.0, pose)
+    stream = make_stream(np.arange(8) / 80.0, pose)
     assert isinstance(stream, pilot_host.PlatformHost) and not isinstance(
         stream, pilot_host.AircraftHost
     )

@@ -16,7 +16,7 @@ from cmf_mj.analysis.delay import transient_delay
 from cmf_mj.cli.common import app
 from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.core.rates import RATE
-from cmf_mj.facility import host
+from cmf_mj.facility.host.stream import from_command, make_stream
 from cmf_mj.facility.operation import FacilitySettings
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.motion_limits import load_motion_limits
@@ -118,7 +118,7 @@ def test_a_live_host_is_flown_like_its_recording(failing: PilotMotion) -> None:
 def direct() -> FlightResult:
     """A slow sine in surge, in direct mode with ideal electronics."""
     command = signals.sine("surge", 0.1, 0.4, cycles=3.0, fade=2.0)
-    return fly(host.from_command(command, 80.0), "velocity", facility=IDEAL)
+    return fly(from_command(command, 80.0), "velocity", facility=IDEAL)
 
 
 def test_direct_mode_has_no_aircraft(direct: FlightResult) -> None:
@@ -154,7 +154,7 @@ def test_taking_80_hz_samples_leaves_slow_motion_as_it_is(direct: FlightResult) 
 
 def test_the_use_of_the_envelope_is_that_of_a_pose_held() -> None:
     pose = np.array([0.3, -0.2, 0.1, 0.05, -0.06, 0.1])
-    stream = host.make_stream(np.arange(80) / 80.0, np.tile(pose, (80, 1)))
+    stream = make_stream(np.arange(80) / 80.0, np.tile(pose, (80, 1)))
     ride = fly(stream, "velocity_integral", facility=IDEAL)
     low, high = load_motion_limits().operational.T
     use = envelope_use(ride.operation.record)

@@ -1,6 +1,5 @@
 """Recordings: the published places, exact to the stated resolution, one clear error if broken."""
 
-import importlib
 import json
 
 import numpy as np
@@ -10,7 +9,6 @@ from cmf_mj import Record, SingleLegs, frequency_response, signals, simulate
 from cmf_mj.core import units
 from cmf_mj.record.layout import LAYOUT
 from cmf_mj.record.reader import read_facility_csv
-from cmf_mj.record.uff import read_uff, write_uff
 from cmf_mj.record.writer import write_facility_csv
 
 INCH = 0.0254  # international yard and pound agreement
@@ -420,7 +418,7 @@ def test_broken_file_gives_one_clear_error_and_no_output(tmp_path, change, messa
     text = write_facility_csv(synthetic(), path).read_text()
     put(tmp_path, change(text))
     with pytest.raises(ValueError, match=message) as caught:
-        write_uff(read_facility_csv(path), tmp_path / "out.uff")
+        read_facility_csv(path).save(tmp_path / "out.parquet")
     assert str(caught.value).startswith(f"{path}: ")
     assert len(str(caught.value).splitlines()) == 1
     assert [each.name for each in tmp_path.iterdir()] == ["run.csv"]
@@ -515,117 +513,3 @@ def test_interrupted_write_keeps_the_old_file(tmp_path, monkeypatch):
 def test_folders_are_made(tmp_path):
     path = write_facility_csv(synthetic(), tmp_path / "a" / "b" / "run.csv")
     assert path == tmp_path / "a" / "b" / "run.csv" and path.is_file()
-
-
-# UFF 58
-
-
-def test_uff_round_trip_is_bit_for_bit(run, tmp_path):
-    back = read_uff(write_uff(run, tmp_path / "run.uff"))
-    assert list(back.channels) == list(run.channels) and dict(back.units) == dict(run.units)
-    for name in run.channels:
-        assert back[name].shape == run[name].shape
-        assert back[name].tobytes() == run[name].tobytes()
-    np.testing.assert_array_equal(back.time, run.time)
-    for name in ("sample_rate", "command", "plant", "law"):
-        assert back.metadata[name] == run.metadata[name]
-
-
-def test_uff_response_is_that_of_the_run(run, tmp_path):
-    back = read_uff(write_uff(run, tmp_path / "run.uff"))
-    np.testing.assert_array_equal(
-        frequency_response(back).response, frequency_response(run).response
-    )
-
-
-def test_uff_datasets_are_labelled_time_responses(tmp_path):
-    """Function type 1 time response; data types 8 displacement, 15 pressure, 17 time."""
-    pyuff = importlib.import_module("pyuff")
-    sets = pyuff.UFF(str(write_uff(synthetic(), tmp_path / "run.uff"))).read_sets()
-    assert len(sets) == 6 * len(LAYOUT)
-    assert {each["func_type"] for each in sets} == {1}
-    assert {each["abscissa_spec_data_type"] for each in sets} == {17}
-    by_name = {each["id1"]: each for each in sets}
-    leg, cap = by_name["leg_position_3"], by_name["cap_pressure_1"]
-    assert (leg["ordinate_spec_data_type"], cap["ordinate_spec_data_type"]) == (8, 15)
-    assert (leg["ordinate_axis_lab"], leg["ordinate_axis_units_lab"]) == ("leg_position", "m")
-    assert (leg["rsp_node"], leg["abscissa_axis_units_lab"]) == (3, "s")
-    assert leg["abscissa_inc"] == 1.0 / 128.0
-
-
-def test_uff_of_others_is_read_as_it_stands(tmp_path):
-    pyuff = importlib.import_module("pyuff")
-    common = {"func_type": 1, "rsp_node": 7, "rsp_dir": 3, "ref_node": 1, "ref_dir": 3}
-    common |= {"abscissa_spacing": 1, "orddenom_spec_data_type": 0}
-    x, data = np.arange(8) / 256.0, np.arange(8.0)
-    each = pyuff.prepare_58(binary=0, id1="Acc front", x=x, data=data, **common) | {
-        "ordinate_axis_units_lab": "g"
-    }
-    path = tmp_path / "lab.uff"
-    pyuff.UFF(str(path)).write_sets([each])
-    back = read_uff(path)
-    np.testing.assert_array_equal(back["Acc front"], data)
-    assert back.units["Acc front"] == "g"
-    assert back.rate == pytest.approx(256.0, rel=1e-5)
-    assert back.metadata["command"] == {"kind": "recording"}
-
-
-def test_uff_command_too_long_for_the_id_lines_is_left_out(tmp_path):
-    metadata = {"sample_rate": 128.0, "command": {"kind": "sines", "frequencies": [0.1] * 200}}
-    back = read_uff(write_uff(synthetic(metadata=metadata), tmp_path / "run.uff"))
-    assert back.rate == 128.0 and back.metadata["command"] == {"kind": "recording"}
-
-
-UFF_BROKEN = {
-    "empty": (lambda b: b"", "is not a readable UFF file|holds no time response"),
-    "text": (lambda b: b"not a UFF file\n", "is not a readable UFF file|holds no time response"),
-    "end missing": (lambda b: b[:-100], "holds 47 datasets 58; allowed: 48, as written"),
-    "half": (lambda b: b[: len(b) // 2], r"holds \d+ datasets 58; allowed: 48"),
-    "only the first header": (lambda b: b[:900], "is not a readable|holds no time response"),
-    "values lost": (lambda b: b[:1100] + b[1180:], r"dataset 1 \(leg_position_1\): has 30 values"),
-    "function type": (lambda b: b.replace(b"\n    1         0", b"\n    4         0"),
-                      "holds no time response"),
-    "name twice": (lambda b: b.replace(b"leg_position_2", b"leg_position_1", 1),
-                   r"dataset 3 \(leg_position_3\): is there twice or out of order"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(("change", "message"), UFF_BROKEN.values(), ids=UFF_BROKEN)
-def test_broken_uff_gives_one_clear_error(tmp_path, change, message):
-    path = write_uff(synthetic(), tmp_path / "run.uff")
-    path.write_bytes(change(path.read_bytes()))
-    with pytest.raises(ValueError, match=message) as caught:
-        read_uff(path)
-    assert str(caught.value).startswith(f"{path}: ")
-
-
-def test_missing_uff_is_named(tmp_path):
-    with pytest.raises(ValueError, match="none.uff: cannot be read: No such file"):
-        read_uff(tmp_path / "none.uff")
-
-
-def test_values_uff_would_change_are_refused(tmp_path):
-    """pyuff turns NaN into 0 without a word."""
-    with pytest.raises(ValueError, match="valve_command_3: nan at sample 4 is not finite"):
-        write_uff(changed("valve_command", np.nan), tmp_path / "run.uff")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_interrupted_uff_leaves_nothing(tmp_path, monkeypatch):
-    pyuff = importlib.import_module("pyuff")
-
-    def fail(file, *_, **__):
-        (tmp_path / file.get_file_name()).write_bytes(b"    -1\n")
-        raise OSError("disk full")
-
-    monkeypatch.setattr(pyuff.UFF, "write_sets", fail)
-    with pytest.raises(OSError, match="disk full"):
-        write_uff(synthetic(), tmp_path / "run.uff")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_without_pyuff_the_error_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(importlib.import_module("sys").modules, "pyuff", None)
-    for call in (lambda: write_uff(synthetic(), tmp_path / "a.uff"), lambda: read_uff("a.uff")):
-        with pytest.raises(ModuleNotFoundError, match=r"pip install 'cmf-mj\[uff\]'"):
-            call()

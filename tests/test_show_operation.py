@@ -14,20 +14,21 @@ from typer.testing import CliRunner
 
 from cmf_mj import Hexapod, Record, signals
 from cmf_mj.cli.common import app
-from cmf_mj.facility import host
-from cmf_mj.facility.host.files import HostSession
+from cmf_mj.facility.host.files import HostSession, write_stream
+from cmf_mj.facility.host.stream import HostStream, from_command
+from cmf_mj.facility.host.stream import arrivals as arrivals_of
 from cmf_mj.facility.operation import Operation, Timing, account, operate
 from cmf_mj.show import operation as operation_report
 
 
-def stream(seconds: float) -> host.HostStream:
+def stream(seconds: float) -> HostStream:
     command = signals.sine("heave", 0.02, 0.5, cycles=0.5 * seconds)
-    return host.from_command(command, rate=80.0)
+    return from_command(command, rate=80.0)
 
 
 @pytest.fixture(scope="module")
 def run() -> Operation:
-    arrivals = host.arrivals(stream(1.0))
+    arrivals = arrivals_of(stream(1.0))
     arrivals.values[40, 1, 2] = np.nan
     return operate(Hexapod(), "velocity", arrivals)
 
@@ -85,7 +86,7 @@ def test_files_of_a_run_in_real_time(run: Operation, tmp_path: Path) -> None:
 
 
 def test_cmf_operate(tmp_path: Path) -> None:
-    path = host.write_stream(stream(1.0), tmp_path / "flight.csv")
+    path = write_stream(stream(1.0), tmp_path / "flight.csv")
     out = tmp_path / "out"
     result = CliRunner().invoke(app, ["operate", str(path), "--out", str(out)])
     assert result.exit_code == 0, result.output
@@ -110,7 +111,7 @@ def test_cmf_serve_refuses_bad_arguments() -> None:
 
 def test_cmf_serve_against_cmf_host_accounts_for_every_frame(tmp_path: Path) -> None:
     """Two processes on loopback; a stranger and garbage between. Counts only, no times."""
-    path = host.write_stream(stream(2.0), tmp_path / "flight.csv")
+    path = write_stream(stream(2.0), tmp_path / "flight.csv")
     out = tmp_path / "served"
     command = [sys.executable, "-m", "cmf_mj"]
     environment = os.environ | {"COLUMNS": "200"}

@@ -131,7 +131,7 @@ def test_record_and_measure_from_the_command_line(tmp_path: Path) -> None:
     [
         (["measure"], "files: name recordings, or use --simulate"),
         (["measure", "missing.csv"], "missing.csv"),
-        (["measure", "notes.txt"], "ending '.txt' is not one of .csv, .uff, .unv, .parquet"),
+        (["measure", "notes.txt"], "ending '.txt' is not one of .csv, .parquet"),
         (["measure", "--simulate", "--plant", "boat"], "plant: 'boat'"),
         (["measure", "a.csv", "--estimator", "h3"], "estimator: 'h3' is not one of h1"),
         (["record", "--dof", "up"], "dof: 'up' is not one of surge"),

@@ -194,7 +194,7 @@ def record_command(
 
 @command("replay")
 def replay_command(
-    recording: Annotated[Path, Argument(help="Parquet, facility CSV or UFF 58")],
+    recording: Annotated[Path, Argument(help="Parquet or facility CSV")],
     law: Annotated[
         str | None, choice(options.LAWS, "LAW", "default the recording's", free=True)
     ] = None,

@@ -123,7 +123,7 @@ Quick = Annotated[bool, Option("--quick", help="shorter: sweeps of 30 s, not 100
 Seed = Annotated[int, Option(help="of all random numbers")]
 Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results")]
 Simulate = Annotated[bool, Option("--simulate", help="simulate the recordings")]
-Recordings = Annotated[list[Path] | None, Argument(help="facility CSV, UFF 58 or Parquet files")]
+Recordings = Annotated[list[Path] | None, Argument(help="facility CSV or Parquet files")]
 FilmFile = Annotated[
     str | None, Option("--video", metavar="NAME.mp4|NAME.gif", help="film in the folder")
 ]

@@ -27,8 +27,11 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME, RATE
 from cmf_mj.core.units import INCH
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility import host as hosts
 from cmf_mj.facility.front import Blocks, make_chain
+from cmf_mj.facility.host.files import HostSession
+from cmf_mj.facility.host.handover import NEVER, Ring, logged, make_log, make_ring
+from cmf_mj.facility.host.stream import HostStream
+from cmf_mj.facility.host.stream import arrivals as arrivals_of
 from cmf_mj.facility.pace import Pace, make_pace
 from cmf_mj.facility.session import Options, Session
 from cmf_mj.machine import kinematics
@@ -80,7 +83,7 @@ class Operation(NamedTuple):
     record: Record
     """All signals; `demand_pose`, its derivatives, `operating_state`, `host_stale` and
     `valve_gain` besides those of `simulate`."""
-    session: hosts.HostSession  #: The host's frames as they arrived.
+    session: HostSession  #: The host's frames as they arrived.
     counts: dict[str, int]  #: What the DCU made of the frames: accepted, late, missing and so on.
     rejections: dict[str, int]  #: Frames the DCU refused, by reason.
     unused: dict[str, int]
@@ -117,7 +120,7 @@ class Start(NamedTuple):
 def operate(
     plant: Hexapod,
     law: str | Path | Law,
-    frames: hosts.HostStream | Arrivals,
+    frames: HostStream | Arrivals,
     *,
     seconds: float | None = None,
     **options: Unpack[OperationOptions],
@@ -137,7 +140,7 @@ def operate(
         InputError: an argument out of range, named.
         OutOfBounds: the state left its physical bounds; leg, time and value are named.
     """
-    arrivals = hosts.arrivals(frames) if isinstance(frames, hosts.HostStream) else frames
+    arrivals = arrivals_of(frames) if isinstance(frames, HostStream) else frames
     if not arrivals.frame.size:
         raise InputError("frames: the host sends none; give at least one")
     settings = options.get("facility") or FacilitySettings()
@@ -154,7 +157,7 @@ def operate(
 def serve(
     plant: Hexapod,
     law: str | Path | Law,
-    ring: hosts.Ring,
+    ring: Ring,
     seconds: float,
     **options: Unpack[OperationOptions],
 ) -> Operation:
@@ -165,7 +168,7 @@ def serve(
     Args:
         plant: the hexapod.
         law: name, TOML file or loaded `Law`.
-        ring: of `host.UdpReceiver`, or filled by `host.put`.
+        ring: of `UdpReceiver`, or filled by `put`.
         seconds: length of the run.
         **options: as for `operate`; the pose at the start is neutral.
 
@@ -177,12 +180,12 @@ def serve(
     settings, loaded = options.get("facility") or FacilitySettings(), load_law(law)
     start = _start(options, np.zeros(6))
 
-    def session_of(count: int, source: hosts.Ring, pace: Pace) -> Session:
-        log = hosts.make_log(int(count / RATE * _LOG_CAPACITY) + 256)
+    def session_of(count: int, source: Ring, pace: Pace) -> Session:
+        log = make_log(int(count / RATE * _LOG_CAPACITY) + 256)
         run = _options(options, count, 16)
         return facility_session(plant, loaded, log, settings, start, run, ring=source, pace=pace)
 
-    session_of(8, hosts.make_ring(2), make_pace(8)).run()
+    session_of(8, make_ring(2), make_pace(8)).run()
     count = _count(seconds)
     pace = make_pace(count)
     session = session_of(count, ring, pace)
@@ -193,7 +196,7 @@ def serve(
     ring.read[0] = started
     _run(session, options)
     log = session.chain.arrivals
-    arrivals = hosts.logged(log, int((log.frame < hosts.NEVER).sum()))
+    arrivals = logged(log, int((log.frame < NEVER).sum()))
     unused["lost"] = int(ring.lost[0]) - lost
     timing = Timing(pace.busy, pace.late)
     return _operation(session, arrivals, settings, start.pose, unused, timing)
@@ -243,7 +246,7 @@ def facility_session(
     start: Start,
     options: Options,
     *,
-    ring: hosts.Ring | None = None,
+    ring: Ring | None = None,
     pace: Pace | None = None,
 ) -> Session:
     """A session of the whole chain from host to valves.
@@ -312,7 +315,7 @@ def _operation(
         "host_rejections": rejections,
     }
     record = Record(time, channels, units, session.describe() | context)
-    played = hosts.HostSession(arrivals, session.frame, pose, unit)
+    played = HostSession(arrivals, session.frame, pose, unit)
     return Operation(record, played, counts, rejections, unused, timing)
 
 

@@ -20,7 +20,7 @@ from cmf_mj.analysis.delay import transient_delay
 from cmf_mj.control.law import Law
 from cmf_mj.control.states import State
 from cmf_mj.core.errors import InputError
-from cmf_mj.facility import host as hosts
+from cmf_mj.facility.host.stream import HostStream, resample
 from cmf_mj.facility.operation import FacilitySettings, Operation, operate
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.motion_limits import load_motion_limits
@@ -64,7 +64,7 @@ class FlightResult(NamedTuple):
     law: str
     cab: str
     aircraft: PilotMotion | None  #: At the pilot's station of the aircraft; None in direct mode.
-    stream: hosts.HostStream  #: What the host sends to the DCU.
+    stream: HostStream  #: What the host sends to the DCU.
     limited: NDArray[np.bool_]  #: Frames that the limits held back before they were sent, (N,).
     asked: PilotMotion
     """At the pilot's station of the cab, if the machine followed the frames at once."""
@@ -137,7 +137,7 @@ def fly(
     )
     record = operation.record
     simulator = crew_motion(record, asked.time)
-    legs = kinematics.pose_to_legs(hosts.resample(stream, record.rate).pose)
+    legs = kinematics.pose_to_legs(resample(stream, record.rate).pose)
     host_delay, loop_delay = _delays(legs, record)
     return FlightResult(
         str(record.metadata["law"]),
@@ -229,11 +229,11 @@ def error_spectra(
     return frequency, density
 
 
-def _even(stream: hosts.HostStream) -> hosts.HostStream:
+def _even(stream: HostStream) -> HostStream:
     """Frames that the limiters can take: evenly spaced, at most 80 Hz."""
     step = np.diff(stream.time)
     if step.size and np.ptp(step) > 1e-6 * step.mean():
-        return hosts.resample(stream, HOST_RATE)
+        return resample(stream, HOST_RATE)
     return stream
 
 

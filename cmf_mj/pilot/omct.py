@@ -36,7 +36,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.core.threads import on_threads
 from cmf_mj.core.units import DEGREE
-from cmf_mj.facility import host
+from cmf_mj.facility.host.stream import HostStream, arrivals
 from cmf_mj.facility.operation import FacilitySettings, operate
 from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.pilot.cueing.settings import WashoutSettings, load_washout
@@ -223,12 +223,12 @@ def omct(
 
 
 def _without_machine(
-    stream: host.HostStream, station: NDArray[np.float64]
+    stream: HostStream, station: NDArray[np.float64]
 ) -> tuple[PilotMotion, PilotMotion]:
     """Pilot's motion by the host's frames, and by the DCU's demand at 128 Hz."""
     unit = make_dcu(load_dcu())
     frames = int(stream.time[-1] * RATE)
-    played = upsample(unit, resting(unit, stream.pose[0]), host.arrivals(stream), frames)
+    played = upsample(unit, resting(unit, stream.pose[0]), arrivals(stream), frames)
     pose, velocity, acceleration = np.swapaxes(played[::_EVERY], 0, 1)
     time = np.arange(frames)[::_EVERY] / RATE
     return (
@@ -240,7 +240,7 @@ def _without_machine(
 
 
 def _on_machine(
-    stream: host.HostStream, law: Law, cab: str, parameters: HydraulicParameters
+    stream: HostStream, law: Law, cab: str, parameters: HydraulicParameters
 ) -> PilotMotion | None:
     """Pilot's motion on the machine; None where it left its bounds."""
     facility = FacilitySettings(electronics=None, protection=None)

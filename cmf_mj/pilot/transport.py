@@ -23,7 +23,7 @@ from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.control.law import Law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
-from cmf_mj.facility import host as hosts
+from cmf_mj.facility.host.stream import from_command
 from cmf_mj.facility.operation import FacilitySettings, operate
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.dof import by_kind, dof_index
@@ -89,7 +89,7 @@ def transport_delay(
     settings = facility or FacilitySettings()
     size = amplitude if amplitude is not None else by_kind(dof, 0.01, np.radians(0.5))
     command = signals.sine(dof, size, frequency, cycles=_SETTLE + _CYCLES + 2.0, fade=1.0)
-    stream = hosts.from_command(command, pilot_host.MOST_RATE)
+    stream = from_command(command, pilot_host.MOST_RATE)
     plant = Hexapod(cab, hydraulics)
     record = operate(plant, law, stream, facility=settings).record
     omega = 2.0 * np.pi * frequency

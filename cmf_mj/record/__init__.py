@@ -1,1 +1,1 @@
-"""Records of runs, the facility's CSV files at 128 Hz, and UFF 58."""
+"""Records of runs, and the facility's CSV files at 128 Hz."""

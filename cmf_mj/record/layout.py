@@ -1,4 +1,4 @@
-"""Recordings at 128 Hz in the facility's CSV layout, and UFF 58 for modal-analysis tools.
+"""Recordings at 128 Hz in the facility's CSV layout.
 
 The facility's file has one header row, then one row a sample. The report (Appendix A) reads the
 block BO2..FW, columns 67 to 179, and publishes the meaning of twelve of its columns:
@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings
 from cmf_mj.machine.kinematics import half_stroke
 
@@ -95,24 +94,3 @@ def stroke() -> float:
 def checksum(whole: NDArray[np.float64]) -> int:
     """Of a column in units of its last decimal."""
     return zlib.crc32(np.rint(whole).astype("<i8").tobytes())
-
-
-def check_dataset(where: str, dataset: dict[str, Any], first: dict[str, Any]) -> None:
-    """Whole, real, finite, evenly sampled, at the same times as the first."""
-    values, time = dataset["data"], dataset["x"]
-    if values.size != dataset["num_pts"] or values.size < 2 or np.iscomplexobj(values):
-        raise InputError(
-            f"{where}: has {values.size} values; allowed: {dataset['num_pts']} real ones, 2 or more"
-        )
-    if not np.isfinite(values).all():
-        sample = int(np.argmin(np.isfinite(values)))
-        raise InputError(f"{where}: {values[sample]} at sample {sample} is not finite")
-    step = np.diff(time)
-    if not (step > 0.0).all() or np.ptp(step) > 1e-3 * step[0]:
-        raise InputError(f"{where}: its times are not even")
-    if not np.array_equal(time, first["x"]):
-        raise InputError(f"{where}: its {time.size} times are not those of dataset 1")
-
-
-UFF_TYPES = {"m": 8, "m/s": 11, "m/s^2": 12, "N": 13, "Pa": 15}
-"""Specific data types of dataset 58; 0, unknown, for other units."""

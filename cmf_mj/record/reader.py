@@ -32,7 +32,6 @@ from cmf_mj.record.layout import (
     stroke,
 )
 from cmf_mj.record.record import Record
-from cmf_mj.record.uff import read_uff
 
 
 class _Table(NamedTuple):
@@ -330,15 +329,13 @@ def _letters(column: int) -> str:
 
 
 def read_recording(path: Path) -> Record:
-    """Read a recording by its ending: .csv (facility), .uff or .unv (UFF 58), .parquet.
+    """Read a recording by its ending: .csv (facility) or .parquet.
 
     Raises:
         InputError: another ending, or a broken file.
     """
     readers: dict[str, Callable[[Path], Record]] = {
         ".csv": read_facility_csv,
-        ".uff": read_uff,
-        ".unv": read_uff,
         ".parquet": Record.load,
     }
     if path.suffix not in readers:

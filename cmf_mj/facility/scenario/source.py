@@ -16,7 +16,7 @@ from cmf_mj.control.law import Law
 from cmf_mj.control.protection import load_protection
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
-from cmf_mj.facility import host as hosts
+from cmf_mj.facility.host.handover import make_log
 from cmf_mj.facility.operation import Start, facility_session, starting_pose
 from cmf_mj.facility.scenario.demand import Demand
 from cmf_mj.facility.scenario.settings import Scenario, request_code
@@ -74,7 +74,7 @@ class ChainSource:
             raise InputError("operation: needs the hexapod")
         self._demand = demand
         self._every = operation.host_every
-        self._arrivals = hosts.make_log((scenario.frames or BLOCK) // self._every + BLOCK)
+        self._arrivals = make_log((scenario.frames or BLOCK) // self._every + BLOCK)
         self.fill(0)
         limits = load_motion_limits(operation.limits)
         self._settings = operation.facility(scenario)
@@ -112,7 +112,7 @@ class ChainSource:
     def _extend(self, count: int) -> None:
         if count <= self._arrivals.frame.size:
             return
-        larger = hosts.make_log(2 * count)
+        larger = make_log(2 * count)
         for new, old in zip(larger, self._arrivals, strict=True):
             new[: old.shape[0]] = old
         self._arrivals = larger
