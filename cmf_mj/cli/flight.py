@@ -117,7 +117,7 @@ def flight_command(
     single: Annotated[bool, Option("--single", help="round to single precision")] = False,
 ) -> None:
     """Fly a script with JSBSim and record what the pilot's station is subjected to."""
-    from cmf_mj.pilot.aircraft.recorder import ScriptedFlight
+    from cmf_mj.pilot.aircraft.scripts import ScriptedFlight
 
     flight = ScriptedFlight(name, aircraft=aircraft, seed=seed).record()
     path = flight.save(file, single=single)

@@ -18,8 +18,7 @@ import os
 import shutil
 import tempfile
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,9 +30,6 @@ from cmf_mj.core.errors import InputError, require, unknown_name
 
 RATE = 240
 """Steps of the flight mechanics a second [Hz]: three a host frame of 80 Hz."""
-
-_AXES = ("x", "y", "z")
-_RATES = ("p", "q", "r")
 
 
 class State(NamedTuple):
@@ -71,25 +67,19 @@ class Airframe:
     """One aircraft in the air or on the ground."""
 
     def __init__(self, aircraft: str = "737", *, seed: int = 0) -> None:
-        """Load an aircraft that comes with JSBSim; its network ports stay closed.
+        """Load an aircraft that comes with JSBSim, by the name of its folder.
 
-        Args:
-            aircraft: name of its folder.
-            seed: of the turbulence; the same seed gives the same bits.
-
-        Raises:
-            MissingExtraError: JSBSim is not installed.
-            InputError: no such aircraft.
+        Its network ports stay closed. The same seed gives the same turbulence, bit for bit.
         """
-        self.aircraft, self.seed = aircraft, seed
+        self.aircraft = aircraft
         self._failed: set[int] = set()
+        os.environ.setdefault("JSBSIM_DEBUG", "0")  # JSBSim prints a banner otherwise
         library = require("jsbsim", "flight")
         shipped = Path(library.get_default_root_dir()) / "aircraft"
         names = sorted(path.name for path in shipped.iterdir() if path.is_dir())
         if aircraft not in names:
             raise unknown_name("aircraft", aircraft, names)
-        with _quiet():
-            self._fdm = library.FGFDMExec(library.get_default_root_dir())
+        self._fdm = library.FGFDMExec(library.get_default_root_dir())
         self._trim_failure = library.TrimFailureError
         self._fdm.set_dt(1.0 / RATE)
         with tempfile.TemporaryDirectory(prefix="cmf_aircraft_") as folder:
@@ -114,19 +104,10 @@ class Airframe:
             self.step(controls)
 
     def in_air(self, controls: Controls, *, height: float, airspeed: float, path: float) -> float:
-        """Fly straight, trimmed.
+        """Fly straight, trimmed with gear and flaps of `controls`; returns the throttle.
 
-        Args:
-            controls: gear and flaps; trim finds elevator trim and throttle.
-            height: above the ground [m].
-            airspeed: calibrated [m/s].
-            path: flight path angle, positive climbing [rad].
-
-        Returns:
-            Throttle of the trim.
-
-        Raises:
-            InputError: JSBSim finds no trim.
+        Height is above the ground [m], airspeed calibrated [m/s], the flight path angle positive
+        climbing [rad].
         """
         start = {
             "h-agl-ft": units.from_si("ft", height),
@@ -135,8 +116,7 @@ class Airframe:
         }
         self._begin(start, controls)
         try:
-            with _quiet():
-                self["simulation/do_simple_trim"] = 1.0
+            self["simulation/do_simple_trim"] = 1.0
         except self._trim_failure as error:
             raise InputError(
                 f"airspeed: {airspeed:.1f} m/s at {height:.0f} m on a path of {path:.3f} rad "
@@ -157,11 +137,9 @@ class Airframe:
         self["propulsion/set-running"] = -1.0
 
     def gust(self, velocity: tuple[float, float, float], length: float) -> None:
-        """Begin a gust v (1 - cos(2 pi t / T)) / 2 of the air in local axes (north, east, down).
+        """Begin a gust v (1 - cos(2 pi t / T)) / 2 of the air, T its length [s].
 
-        Args:
-            velocity: v [m/s].
-            length: T [s].
+        The velocity v [m/s] is in local axes (north, east, down).
         """
         v = np.array(velocity)
         size = float(np.linalg.norm(v))
@@ -174,15 +152,10 @@ class Airframe:
         self["atmosphere/cosine-gust/start"] = 1.0
 
     def turbulence(self, wind: float, model: str = "tustin", severity: int = 3) -> None:
-        """Turn on Dryden turbulence after MIL-F-8785C.
+        """Turn on Dryden turbulence after MIL-F-8785C, in one of JSBSim's two discretisations.
 
-        Args:
-            wind: mean wind 20 ft above the ground that sets its size below 2000 ft [m/s].
-            model: `milspec` or `tustin`, JSBSim's two discretisations.
-            severity: 1 to 7, which sets its size above 2000 ft.
-
-        Raises:
-            InputError: unknown model.
+        The mean wind 20 ft above the ground [m/s] sets its size below 2000 ft, the severity, 1 to
+        7, above.
         """
         kinds = {"milspec": 3.0, "tustin": 4.0}
         if model not in kinds:
@@ -218,16 +191,17 @@ class Airframe:
 
     def state(self) -> State:
         """What is felt at the end of the last step."""
-        rate = self._vector("velocities/{}i-rad_sec", _RATES)
-        turning = self._vector("accelerations/{}idot-rad_sec2", _RATES)
+        rate = self._vector("velocities/{}i-rad_sec", "pqr")
+        turning = self._vector("accelerations/{}idot-rad_sec2", "pqr")
         force = self._vector("forces/fb{}-total-lbs") / self["inertia/mass-slugs"] * units.FOOT
-        lever = self.lever()
+        from_centre = self._vector("metrics/eyepoint-{}-in") - self._vector("inertia/cg-{}-in")
+        lever = from_centre * np.array([-1.0, 1.0, -1.0]) * units.INCH
         felt = force + np.cross(turning, lever) + np.cross(rate, np.cross(rate, lever))
         return State(
             self["simulation/sim-time-sec"],
             felt,
             force,
-            self._vector("velocities/{}-rad_sec", _RATES),
+            self._vector("velocities/{}-rad_sec", "pqr"),
             rate,
             turning,
             self._vector("attitude/{}-rad", ("phi", "theta", "psi")),
@@ -239,17 +213,7 @@ class Airframe:
             self["aero/beta-rad"],
         )
 
-    def lever(self) -> NDArray[np.float64]:
-        """From the centre of gravity to the eyepoint, body axes [m], (3,)."""
-        eye = self._vector("metrics/eyepoint-{}-in")
-        centre = self._vector("inertia/cg-{}-in")
-        return (eye - centre) * np.array([-1.0, 1.0, -1.0]) * units.INCH
-
-    def jsbsim_pilot_force(self) -> NDArray[np.float64]:
-        """JSBSim's `a-pilot` [m/s^2], (3,): `state().specific_force` of one step before."""
-        return self._vector("accelerations/a-pilot-{}-ft_sec2") * units.FOOT
-
-    def _vector(self, pattern: str, names: tuple[str, ...] = _AXES) -> NDArray[np.float64]:
+    def _vector(self, pattern: str, names: Iterable[str] = "xyz") -> NDArray[np.float64]:
         return np.array([self[pattern.format(name)] for name in names])
 
 
@@ -262,17 +226,3 @@ def without_network(aircraft: Path, copy: Path) -> None:
         for element in tree.getroot().findall(tag):
             tree.getroot().remove(element)
     tree.write(file)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """JSBSim prints a banner unless this variable says 0."""
-    before = os.environ.get("JSBSIM_DEBUG")
-    os.environ["JSBSIM_DEBUG"] = "0"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["JSBSIM_DEBUG"]
-        else:
-            os.environ["JSBSIM_DEBUG"] = before

@@ -3,25 +3,106 @@
 Speeds are calibrated. Rotation, climb and approach follow common practice with this aircraft
 (rotation at 145 kt to 15 deg, 10 deg on one engine, approach at 145 kt on 3 deg); none of it is
 taken from a manual.
+
+The pilot holds pitch, bank and heading, and moves the controls through a first-order lag:
+
+    elevator = trim - s (k e + k_i integral(e) - k_q q),    e = pitch target - pitch
+    aileron  = s (k (bank target - bank) - k_p p)
+    rudder   = s (-k (heading target - heading) + k_r r)    on the ground, or to keep a heading
+               -s (k sideslip + k_i integral(sideslip))     in coordinated flight
+
+with s = min((80 m/s / airspeed)^2, 1), since control moments grow with dynamic pressure. The gains
+are this project's, tuned for damped responses of the 737; they are no model of a human.
 """
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable, Iterator
+from functools import partial
+from importlib.metadata import version
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import DEGREE, FOOT, KNOT
-from cmf_mj.pilot.aircraft.airframe import Airframe, Controls, State
-from cmf_mj.pilot.aircraft.pilot import Targets
+from cmf_mj.pilot.aircraft.airframe import RATE, Airframe, Controls, State
+from cmf_mj.pilot.aircraft.flight import Flight, Origin
+from cmf_mj.pilot.host import MOST_RATE, PilotSample
+from cmf_mj.pilot.motion import PilotMotion
+
+LAG = 0.15
+"""Time constant from what the pilot wants to the control surface [s]: arm and actuator, assumed.
+JSBSim's 737 moves its surfaces at once, which would jerk the cab."""
+
+_REFERENCE_SPEED = 80.0
+_PITCH, _PITCH_INTEGRAL, _PITCH_RATE = 4.0, 2.0, 3.0
+_BANK, _ROLL_RATE = 1.5, 1.0
+_HEADING, _YAW_RATE = 6.0, 4.0
+_SIDESLIP, _SIDESLIP_INTEGRAL = 4.0, 3.0
 
 
-class Begun(NamedTuple):
-    """An aircraft that is ready to go."""
+class Targets(NamedTuple):
+    """What the pilot wants now."""
 
-    targets: Callable[[float, State], Targets]
-    """What the pilot aims at, at a time since the start [s] and in a state."""
-    throttle: float  #: Where the throttle stands, 0 to 1.
+    controls: Controls
+    """Throttle, brakes, gear and flaps; its elevator, aileron and rudder are added to those that
+    follow the targets."""
+    pitch: float | None = None  #: Attitude to hold [rad]; None leaves the elevator where it is.
+    bank: float | None = 0.0  #: Attitude to hold [rad]; None leaves the ailerons where they are.
+    heading: float | None = None
+    """Heading to hold by the rudder [rad]; None coordinates by it where `coordinate` says so."""
+    coordinate: bool = True  #: Whether the rudder takes out sideslip.
+
+
+class Pilot:
+    """Flies an airframe, on the ground or trimmed, after targets."""
+
+    def __init__(self, airframe: Airframe, throttle: float) -> None:
+        """Take the controls as they are."""
+        self._airframe, self.state = airframe, airframe.state()
+        self._pitch_integral, self._sideslip_integral = 0.0, 0.0
+        self._surfaces = np.zeros(3)
+        self._moved = np.array([0.0, 0.0, 0.0, throttle])
+
+    def fly(self, targets: Targets) -> None:
+        """Fly one step of 1/240 s."""
+        blend = -np.expm1(-1.0 / (RATE * LAG))
+        self._moved += blend * (self._demand(self.state, targets) - self._moved)
+        elevator, aileron, rudder, throttle = self._moved
+        _, _, _, _, brakes, gear, flaps = targets.controls
+        self._airframe.step(Controls(elevator, aileron, rudder, throttle, brakes, gear, flaps))
+        self.state = self._airframe.state()
+
+    def _demand(self, state: State, targets: Targets) -> NDArray[np.float64]:
+        """Elevator, aileron, rudder and throttle, (4,)."""
+        scale = min((_REFERENCE_SPEED / max(state.airspeed, 1.0)) ** 2, 1.0)
+        roll, pitch, heading = state.attitude
+        p, q, r = state.angular_rate
+        if targets.pitch is not None:
+            error = targets.pitch - pitch
+            self._pitch_integral += error / RATE
+            pull = _PITCH * error + _PITCH_INTEGRAL * self._pitch_integral - _PITCH_RATE * q
+            self._surfaces[0] = -scale * pull
+        if targets.bank is not None:
+            self._surfaces[1] = scale * (_BANK * (targets.bank - roll) - _ROLL_RATE * p)
+        if targets.heading is not None:
+            away = _wrapped(targets.heading - heading)
+            self._surfaces[2] = scale * (-_HEADING * away + _YAW_RATE * r)
+        elif targets.coordinate:
+            self._sideslip_integral += state.sideslip / RATE
+            slip = _SIDESLIP * state.sideslip + _SIDESLIP_INTEGRAL * self._sideslip_integral
+            self._surfaces[2] = -scale * slip
+        surfaces = np.clip(self._surfaces + targets.controls[:3], -1.0, 1.0)
+        return np.array([*surfaces, targets.controls.throttle])
+
+
+def _wrapped(angle: float) -> float:
+    """An angle [rad] within half a turn of 0."""
+    return float(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
+
+
+Aim = Callable[[float, State], Targets]
+"""What the pilot aims at, at a time since the start [s] and in a state."""
 
 
 class Script(NamedTuple):
@@ -29,175 +110,205 @@ class Script(NamedTuple):
 
     title: str  #: In words.
     seconds: float  #: Length [s].
-    begin: Callable[[Airframe], Begun]  #: Puts the aircraft where the flight begins.
+    begin: Callable[[Airframe], tuple[float, Aim]]
+    """Puts the aircraft where the flight begins; returns the throttle, 0 to 1, and the aim."""
 
 
 _FLAPS = 0.25
 """Take-off flaps, a fraction of their travel."""
-
 _BRAKES_OFF = 2.0
 _ROTATION = 145.0 * KNOT
 _FAILURE = 130.0 * KNOT
 """Speed of the engine failure, past the decision to go."""
 _REACTION = 1.0
 """From the failure to the first rudder [s]."""
+_FLARE = 35.0 * FOOT
+_GUSTS = {3.0: ((0.0, 0.0, -9.0), 2.0), 18.0: ((0.0, 6.0, 0.0), 2.0)}
+"""Velocity north, east, down [m/s] and length [s] by start [s]: from below, and from the left."""
 
 
-def _take_off(airframe: Airframe, *, failure: bool) -> Begun:
+class _Clock(dict[str, float]):
+    """Times [s] at which conditions were first met."""
+
+    def since(self, name: str, time: float, met: bool) -> float:
+        """Time since then [s]; minus infinity before."""
+        if met:
+            self.setdefault(name, time)
+        return time - self.get(name, np.inf)
+
+
+def _take_off(airframe: Airframe, *, failure: bool) -> tuple[float, Aim]:
     airframe.on_ground(Controls(brakes=1.0, flaps=_FLAPS))
     runway = airframe.state().attitude[2]
     best = (10.0 if failure else 15.0) * DEGREE
-    began: dict[str, float] = {}
+    clock = _Clock()
 
-    def targets(time: float, state: State) -> Targets:
-        if failure and state.airspeed > _FAILURE and "failure" not in began:
-            began["failure"] = time
+    def aim(time: float, state: State) -> Targets:
+        failed = clock.since("failure", time, failure and state.airspeed > _FAILURE)
+        if failed == 0.0:
             airframe.fail_engine(0)
-        if state.airspeed > _ROTATION:
-            began.setdefault("rotation", time)
-        if state.height > 15.0:
-            began.setdefault("airborne", time)
-        reacting = time > began.get("failure", 0.0) + _REACTION
-        pitch = None
-        if "rotation" in began:
-            pitch = min(2.5 * DEGREE * (time - began["rotation"]), best)
+        rotating = clock.since("rotation", time, state.airspeed > _ROTATION)
+        airborne = clock.since("airborne", time, state.height > 15.0)
+        reacting = time > _REACTION and not 0.0 <= failed <= _REACTION
+        waiting = time <= _BRAKES_OFF
         return Targets(
-            pitch=pitch,
+            Controls(
+                throttle=0.0 if waiting else 1.0,
+                brakes=1.0 if waiting else 0.0,
+                gear=0.0 if airborne > 3.0 else 1.0,
+                flaps=_FLAPS,
+            ),
+            pitch=min(2.5 * DEGREE * rotating, best) if rotating >= 0.0 else None,
             heading=runway if reacting else None,
             coordinate=False,
-            throttle=1.0 if time > _BRAKES_OFF else 0.0,
-            brakes=0.0 if time > _BRAKES_OFF else 1.0,
-            gear=0.0 if time > began.get("airborne", np.inf) + 3.0 else 1.0,
-            flaps=_FLAPS,
         )
 
-    return Begun(targets, 0.0)
+    return 0.0, aim
 
 
-def _cruise(airframe: Airframe, height: float = 1500.0) -> tuple[float, float]:
-    """Trimmed straight flight at 250 kt; throttle and pitch."""
-    throttle = airframe.in_air(Controls(gear=0.0), height=height, airspeed=250.0 * KNOT, path=0.0)
-    return throttle, float(airframe.state().attitude[1])
+def _cruise(airframe: Airframe, height: float = 1500.0) -> tuple[Controls, float]:
+    """Trimmed straight flight at 250 kt; controls and pitch."""
+    controls = Controls(gear=0.0)
+    throttle = airframe.in_air(controls, height=height, airspeed=250.0 * KNOT, path=0.0)
+    return controls._replace(throttle=throttle), float(airframe.state().attitude[1])
 
 
-def _pulse(time: float, start: float, width: float) -> float:
-    """A doublet: 1 for a width [s], then -1 for a width."""
-    return float(np.sign(start + width - time)) if start <= time < start + 2.0 * width else 0.0
+def _doublets(airframe: Airframe) -> tuple[float, Aim]:
+    controls, level = _cruise(airframe)
 
+    def doublet(time: float, start: float) -> float:
+        return float(np.sign(start + 1.0 - time)) if start <= time < start + 2.0 else 0.0
 
-def _doublets(airframe: Airframe) -> Begun:
-    throttle, level = _cruise(airframe)
-
-    def targets(time: float, state: State) -> Targets:
+    def aim(time: float, state: State) -> Targets:
         free = [start <= time < start + 9.0 for start in (3.0, 17.0, 31.0)]
-        return Targets(
-            pitch=None if free[0] else level,
-            bank=None if free[1] or free[2] else 0.0,
-            coordinate=not (free[1] or free[2]),
-            elevator=-0.10 * _pulse(time, 3.0, 1.0),
-            aileron=0.15 * _pulse(time, 17.0, 1.0),
-            rudder=-0.20 * _pulse(time, 31.0, 1.0),
-            throttle=throttle,
+        lateral = free[1] or free[2]
+        moved = controls._replace(
+            elevator=-0.10 * doublet(time, 3.0),
+            aileron=0.15 * doublet(time, 17.0),
+            rudder=-0.20 * doublet(time, 31.0),
         )
+        pitch, bank = None if free[0] else level, None if lateral else 0.0
+        return Targets(moved, pitch, bank, coordinate=not lateral)
 
-    return Begun(targets, throttle)
+    return controls.throttle, aim
 
 
-def _turn(airframe: Airframe) -> Begun:
-    throttle, level = _cruise(airframe)
+def _turn(airframe: Airframe) -> tuple[float, Aim]:
+    controls, level = _cruise(airframe)
 
-    def targets(time: float, state: State) -> Targets:
+    def aim(time: float, state: State) -> Targets:
         share = np.clip(min((time - 3.0) / 6.0, (38.0 - time) / 6.0), 0.0, 1.0)
-        bank = 30.0 * DEGREE * share
-        pitch = level + 1.3 * DEGREE * share
-        return Targets(pitch=pitch, bank=bank, throttle=min(throttle + 0.08 * share, 1.0))
+        pushed = controls._replace(throttle=min(controls.throttle + 0.08 * share, 1.0))
+        return Targets(pushed, level + 1.3 * DEGREE * share, 30.0 * DEGREE * share)
 
-    return Begun(targets, throttle)
-
-
-_GUSTS = ((3.0, (0.0, 0.0, -9.0), 2.0), (18.0, (0.0, 6.0, 0.0), 2.0))
-"""Start [s], velocity north, east, down [m/s], length [s]: from below, and from the left."""
+    return controls.throttle, aim
 
 
-def _gusts(airframe: Airframe) -> Begun:
-    throttle, level = _cruise(airframe)
-    left = list(_GUSTS)
+def _gusts(airframe: Airframe) -> tuple[float, Aim]:
+    controls, level = _cruise(airframe)
 
-    def targets(time: float, state: State) -> Targets:
-        if left and time >= left[0][0]:
-            _, velocity, length = left.pop(0)
-            airframe.gust(velocity, length)
-        return Targets(pitch=level, coordinate=False, throttle=throttle)
+    def aim(time: float, state: State) -> Targets:
+        if time in _GUSTS:
+            airframe.gust(*_GUSTS[time])
+        return Targets(controls, level, coordinate=False)
 
-    return Begun(targets, throttle)
+    return controls.throttle, aim
 
 
-def _turbulence(airframe: Airframe) -> Begun:
-    throttle, level = _cruise(airframe, 450.0)
+def _turbulence(airframe: Airframe) -> tuple[float, Aim]:
+    controls, level = _cruise(airframe, 450.0)
     airframe.turbulence(30.0 * KNOT, "tustin")
-
-    def targets(time: float, state: State) -> Targets:
-        return Targets(pitch=level, coordinate=False, throttle=throttle)
-
-    return Begun(targets, throttle)
+    return controls.throttle, lambda time, state: Targets(controls, level, coordinate=False)
 
 
-_FLARE = 35.0 * FOOT
-
-
-def _approach(airframe: Airframe) -> Begun:
-    path = -3.0 * DEGREE
+def _approach(airframe: Airframe) -> tuple[float, Aim]:
     down = Controls(gear=1.0, flaps=1.0)
-    height = 620.0 * FOOT
-    throttle = airframe.in_air(down, height=height, airspeed=145.0 * KNOT, path=path)
-    state = airframe.state()
-    level, runway = float(state.attitude[1]), float(state.attitude[2])
+    throttle = airframe.in_air(down, height=620.0 * FOOT, airspeed=145.0 * KNOT, path=-3.0 * DEGREE)
+    _, level, runway = airframe.state().attitude
     airframe.turbulence(15.0 * KNOT, "milspec")
-    began: dict[str, float] = {}
+    clock = _Clock()
 
-    def targets(time: float, state: State) -> Targets:
-        if state.height < _FLARE:
-            began.setdefault("flare", time)
-        if state.height < 1.3:
-            began.setdefault("ground", time)
-        since = time - began.get("flare", np.inf)
-        rolling = time - began.get("ground", np.inf)
-        pitch = level + 4.0 * DEGREE * np.clip(since / 4.0, 0.0, 1.0)
+    def aim(time: float, state: State) -> Targets:
+        flaring = clock.since("flare", time, state.height < _FLARE)
+        rolling = clock.since("ground", time, state.height < 1.3)
+        pitch = level + 4.0 * DEGREE * np.clip(flaring / 4.0, 0.0, 1.0)
         if rolling > 0.0:
             pitch = max(pitch - 2.0 * DEGREE * rolling, 0.0)
-        return Targets(
-            pitch=pitch,
-            heading=runway,
-            throttle=throttle * float(np.clip(1.0 - since / 3.0, 0.0, 1.0)),
+        controls = down._replace(
+            throttle=throttle * float(np.clip(1.0 - flaring / 3.0, 0.0, 1.0)),
             brakes=0.35 * float(np.clip((rolling - 2.0) / 2.0, 0.0, 1.0)),
-            gear=1.0,
-            flaps=1.0,
         )
+        return Targets(controls, pitch, heading=runway)
 
-    return Begun(targets, throttle)
+    return throttle, aim
 
 
-SCRIPTS: Mapping[str, Script] = MappingProxyType(
-    {
-        "take_off": Script(
-            "take-off: 2 s at rest, roll, rotation at 145 kt, climb",
-            55.0,
-            lambda airframe: _take_off(airframe, failure=False),
-        ),
-        "engine_failure": Script(
-            "take-off with the left engine failing at 130 kt",
-            60.0,
-            lambda airframe: _take_off(airframe, failure=True),
-        ),
-        "doublets": Script("doublets of elevator, ailerons and rudder at 250 kt", 45.0, _doublets),
-        "turn": Script("coordinated turn with 30 deg of bank at 250 kt", 45.0, _turn),
-        "gusts": Script("1-cosine gusts from below and from the left at 250 kt", 35.0, _gusts),
-        "turbulence": Script(
-            "moderate turbulence (MIL-F-8785C) at 250 kt, 450 m", 40.0, _turbulence
-        ),
-        "approach": Script(
-            "approach on 3 deg in light turbulence, landing, braking", 60.0, _approach
-        ),
-    }
-)
+SCRIPTS = {
+    "take_off": Script(
+        "take-off: 2 s at rest, roll, rotation at 145 kt, climb",
+        55.0,
+        partial(_take_off, failure=False),
+    ),
+    "engine_failure": Script(
+        "take-off with the left engine failing at 130 kt", 60.0, partial(_take_off, failure=True)
+    ),
+    "doublets": Script("doublets of elevator, ailerons and rudder at 250 kt", 45.0, _doublets),
+    "turn": Script("coordinated turn with 30 deg of bank at 250 kt", 45.0, _turn),
+    "gusts": Script("1-cosine gusts from below and from the left at 250 kt", 35.0, _gusts),
+    "turbulence": Script("moderate turbulence (MIL-F-8785C) at 250 kt, 450 m", 40.0, _turbulence),
+    "approach": Script("approach on 3 deg in light turbulence, landing, braking", 60.0, _approach),
+}
 """Flights of the 737 by name."""
+
+
+class ScriptedFlight:
+    """An aircraft of JSBSim that a script flies, made for the 737; an `AircraftHost`."""
+
+    def __init__(self, name: str, *, aircraft: str = "737", seed: int = 1) -> None:
+        """Choose one of `SCRIPTS` and the turbulence's seed; the first sample starts the flight."""
+        if name not in SCRIPTS:
+            raise InputError(f"flight: {name!r} is not one of {', '.join(SCRIPTS)}")
+        self.name, self.aircraft, self.seed = name, aircraft, seed
+
+    def states(self) -> Iterator[State]:
+        """Fly; yields the state 80 times a second, with time from 0 and heading without wrapping.
+
+        Raises:
+            MissingExtraError: JSBSim is not installed.
+            InputError: no such aircraft, or it cannot be trimmed.
+        """
+        script = SCRIPTS[self.name]
+        airframe = Airframe(self.aircraft, seed=self.seed)
+        throttle, aim = script.begin(airframe)
+        pilot = Pilot(airframe, throttle)
+        heading = 0.0
+        for step in range(round(script.seconds * RATE)):
+            state = pilot.state
+            if step % round(RATE / MOST_RATE) == 0:
+                heading += _wrapped(state.attitude[2] - heading)
+                attitude = np.array([*state.attitude[:2], heading])
+                yield state._replace(time=step / RATE, attitude=attitude)
+            pilot.fly(aim(step / RATE, state))
+
+    def samples(self) -> Iterator[PilotSample]:
+        """Fly, frame by frame."""
+        for state in self.states():
+            yield PilotSample(state.time, state.specific_force, state.angular_rate, state.attitude)
+
+    def record(self) -> Flight:
+        """Fly it all."""
+        states = list(self.states())
+        columns = {
+            name: np.array([getattr(state, name) for state in states])
+            for name in ("time", "specific_force", "angular_rate", "attitude", "airspeed", "height")
+        }
+        others = {name: columns.pop(name) for name in ("airspeed", "height")}
+        x, y, z = (round(float(part), 6) for part in states[0].lever)
+        origin = Origin(
+            title=SCRIPTS[self.name].title,
+            aircraft=self.aircraft,
+            lever_arm=(x, y, z),
+            source=f"JSBSim {version('jsbsim')}, script {self.name}",
+            seed=self.seed,
+        )
+        return Flight(PilotMotion(**columns), origin, others)
