@@ -9,13 +9,15 @@ Figures of the studies are copied to docs/images, their numbers to docs/data. Wh
 import argparse
 import re
 import shutil
+import textwrap
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 from cmf_mj import load_hydraulics
-from cmf_mj.analysis.ledger import load_ledger
-from cmf_mj.show.listing import ledger_markdown, parameter_table
+from cmf_mj.analysis.ledger import LedgerEntry, load_ledger
+from cmf_mj.show.listing import figures_text, parameter_table
+from cmf_mj.show.table import Table
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = (
@@ -61,8 +63,33 @@ def parameters(name: str) -> str:
     return parameter_table(load_hydraulics(name)).markdown()
 
 
+def ledger() -> str:
+    """A list of contents as a table, then a section an entry."""
+    contents = Table(
+        "",
+        ("no.", "where", "what"),
+        [(str(entry.number), entry.where, entry.title) for entry in load_ledger()],
+    )
+    return contents.markdown() + "".join(f"\n{_section(entry)}" for entry in load_ledger())
+
+
+def _section(entry: LedgerEntry) -> str:
+    points = (
+        ("Printed", entry.printed),
+        ("Finding", entry.finding),
+        ("Figures", figures_text(entry)),
+        ("Here", entry.project),
+        ("Shown by", f"`{entry.demonstration}`"),
+    )
+    lines = [
+        textwrap.fill(f"- {name}: {text}.", 116, subsequent_indent="  ", break_long_words=False)
+        for name, text in points
+    ]
+    return f"## {entry.number}. {entry.title}\n\n{entry.where}.\n\n" + "\n".join(lines) + "\n"
+
+
 DATA: dict[str, Callable[[], str]] = {
-    "ledger": lambda: ledger_markdown(load_ledger()),
+    "ledger": ledger,
     **{f"parameters-{name}": partial(parameters, name) for name in ("report", "hardware", "lossy")},
 }
 """What is made from data of the package."""

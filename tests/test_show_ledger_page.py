@@ -1,6 +1,7 @@
 """The ledger: its form, its page and its command."""
 
 import ast
+import runpy
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,6 @@ from typer.testing import CliRunner
 from cmf_mj.analysis import ledger
 from cmf_mj.analysis.ledger import ledger_entry, load_ledger
 from cmf_mj.cli.common import app
-from cmf_mj.show.listing import ledger_markdown
 
 TESTS = Path(__file__).parent
 
@@ -75,7 +75,8 @@ def test_a_shared_demonstration_is_refused(monkeypatch: pytest.MonkeyPatch) -> N
 def test_page_is_what_the_data_give() -> None:
     """docs/ledger.md holds the text that scripts/update_docs.py makes."""
     page = (TESTS.parent / "docs" / "ledger.md").read_text(encoding="utf-8")
-    assert f"<!-- data: ledger -->\n\n{ledger_markdown(load_ledger())}\n<!-- end -->" in page
+    script = runpy.run_path(str(TESTS.parent / "scripts" / "update_docs.py"))
+    assert f"<!-- data: ledger -->\n\n{script['ledger']()}\n<!-- end -->" in page
 
 
 @pytest.mark.parametrize(("arguments", "count"), [([], None), (["3"], 1)])

@@ -59,8 +59,7 @@ def test_linear_prints_the_tables_and_writes_the_files(tmp_path: Path) -> None:
     assert float(some["gain_bandwidth_hz"]) == pytest.approx(example.gain_bandwidth_hz, rel=1e-7)
     pictures = sorted(path.stem for path in out.glob("*.png"))
     assert pictures == [
-        *("bode_original", "bode_velocity", "gain_effects", "models", "poles_zeros"),
-        *("second_order", "step_original", "step_velocity"),
+        *("bode_original", "bode_velocity", "gain_effects", "step_original", "step_velocity"),
     ]
     for name in pictures:
         picture = matplotlib.image.imread(out / f"{name}.png")

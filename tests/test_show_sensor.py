@@ -1,9 +1,6 @@
 """Figures 3-15 and 3-16: what the filter does, measured next to its closed forms."""
 
-from pathlib import Path
-
 import control
-import matplotlib.image
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -62,11 +59,9 @@ def test_refusals() -> None:
         filter_effect(duration=0.0)
 
 
-def test_the_command_line(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["sensors", "--out", str(tmp_path)])
+def test_the_command_line() -> None:
+    result = CliRunner().invoke(app, ["sensors"])
     assert result.exit_code == 0, result.output
     assert "0.86 g" in result.output
     assert "noise_density" in result.output
-    for name in ("accelerometer_at_rest.png", "accelerometer_filter.png"):
-        assert np.ptp(matplotlib.image.imread(tmp_path / name)) > 0.5
     assert CliRunner().invoke(app, ["sensors", "loud"]).exit_code == 2

@@ -117,15 +117,13 @@ def sensors_command(
     ] = "noisy",
     law: options.Law = "acceleration_opposing",
     seed: options.Seed = 0,
-    out: options.Out = Path("out/sensors"),
 ) -> None:
     """Show a sensor set, and what the accelerometer filter does to it (Figures 3-15, 3-16)."""
     from cmf_mj.electronics.sensors.settings import load_sensors
-    from cmf_mj.show import sensor as report
     from cmf_mj.show.listing import sensor_table
+    from cmf_mj.show.sensor import effect_table
     from cmf_mj.studies.accelerometer_filter import filter_effect
 
     settings = load_sensors(sensors)
     effect = filter_effect(settings, law, seed=seed)
-    paths = report.save_sensor_figures(effect, out)
-    show(sensor_table(settings), report.effect_table(effect), written(paths))
+    show(sensor_table(settings), effect_table(effect))

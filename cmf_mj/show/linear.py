@@ -4,22 +4,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cmf_mj.analysis.linear.catalogue import (
     HARDWARE_MODELS,
     ReportModel,
-    report_entry,
     report_model,
     report_models,
 )
 from cmf_mj.analysis.linear.loop import loop_response, loop_step
 from cmf_mj.analysis.linear.second_order import (
     GAINS,
-    FeedbackLoop,
     GainEffect,
-    bandwidth_example,
     feedback_model,
     gain_effects,
 )
@@ -34,7 +30,6 @@ from cmf_mj.show.look import (
     legend,
     new_figure,
     plot_bode,
-    plot_roots,
     save_figures,
 )
 from cmf_mj.show.table import Table
@@ -144,39 +139,6 @@ def loop_table(loops: Sequence[LawLoop]) -> Table:
     return Table("laws around the report's linear models, pressures zero", columns, rows)
 
 
-def models_figure() -> Figure:
-    """Bode diagrams of the report's position, velocity and acceleration per command."""
-    figure = new_figure(12.0, 7.0)
-    axes = figure.subplots(2, 3, sharex=True)
-    for (gain, phase), output in zip(
-        axes.T, ("leg_position", "leg_velocity", "leg_acceleration"), strict=True
-    ):
-        entries = [report_entry(e.number) for e in report_models() if e.output == output]
-        # The gain of Eq 4.1 is of no use; its poles stand in the map of poles and zeros.
-        entries = [e for e in entries if e.input == "command" and e.number != "4.1"]
-        for entry in entries:
-            response = loop_response(report_model(entry.number), _FREQUENCIES)
-            plot_bode(gain, phase, response, label=f"Eq {entry.number}, {entry.model}")
-        dress_bode(gain, phase, output.replace("_", " "))
-        gain.set_ylabel(f"gain [dB of {entries[0].output_unit} per {entries[0].input_unit}]")
-        legend(gain, fontsize=7)
-    return figure
-
-
-def pole_zero_figure() -> Figure:
-    """Poles and zeros of the report's models of the plant."""
-    numbers = ("4.1", "4.4", "4.12", "4.15", "4.18", "4.11", "4.14", "4.17")
-    figure = new_figure(12.0, 6.5)
-    for axis, number in zip(figure.subplots(2, 4).flat, numbers, strict=True):
-        entry = report_entry(number)
-        plot_roots(axis, report_model(number))
-        # Poles lie from 0.005 to 3600 rad/s.
-        axis.set_yscale("symlog", linthresh=10.0)
-        axis.set(xlim=(-2e3, 2e2), ylim=(-1e4, 1e4))
-        axis.set_title(f"Eq {number}: {entry.output.replace('_', ' ')}\n{entry.model}", fontsize=9)
-    return figure
-
-
 def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
     """Bode diagram (Figure 4-13) and step (Figures 4-6, 4-9, 4-12) of a law around the models."""
     bode, gain, phase = bode_axes(limits=True)
@@ -205,21 +167,6 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
     return bode, step
 
 
-def _loop_bode(gain: Axes, phase: Axes, loop: FeedbackLoop, label: str) -> None:
-    lines = np.geomspace(0.1, 10.0, 400)
-    plot_bode(gain, phase, loop_response(feedback_model("3.4", loop), lines), label=label)
-
-
-def example_figure() -> Figure:
-    """Three loops with the bandwidths of Figure 3-14."""
-    figure, gain, phase = bode_axes("feedback of a second-order plant, Eq 3.4")
-    titles = ("position", "position, rate", "position, rate, acceleration")
-    for title, loop in zip(titles, bandwidth_example().values(), strict=True):
-        _loop_bode(gain, phase, loop, title)
-    legend(gain)
-    return figure
-
-
 def _relative(effect: GainEffect) -> float:
     """A gain times the power of w that makes it a number."""
     return effect.value * effect.loop.natural_frequency ** GAINS.index(effect.gain)
@@ -227,12 +174,13 @@ def _relative(effect: GainEffect) -> float:
 
 def gain_figure(effects: Sequence[GainEffect]) -> Figure:
     """The effect of each gain on the Bode diagram, the bandwidths and the damping ratio."""
-    figure = new_figure(12.0, 10.0)
+    figure, lines = new_figure(12.0, 10.0), np.geomspace(0.1, 10.0, 400)
     for (gain, phase, width), name in zip(figure.subplots(3, 3).T, GAINS, strict=True):
         title, symbol = _GAIN_TITLES[name]
         chosen = [effect for effect in effects if effect.gain == name]
         for effect in chosen[:: max((len(chosen) - 1) // 4, 1)]:
-            _loop_bode(gain, phase, effect.loop, f"{symbol} = {_relative(effect):.2f}")
+            response = loop_response(feedback_model("3.4", effect.loop), lines)
+            plot_bode(gain, phase, response, label=f"{symbol} = {_relative(effect):.2f}")
         dress_bode(gain, phase, f"effect of the {title}")
         gain.set_ylim(-40.0, 20.0)
         values = [_relative(effect) for effect in chosen]
@@ -251,12 +199,7 @@ def gain_figure(effects: Sequence[GainEffect]) -> Figure:
 def save_linear(loops: Sequence[LawLoop], rows: Sequence[TableRow], folder: Path) -> list[Path]:
     """Write the tables as CSV and all figures as PNG."""
     effects = gain_effects()
-    figures = {
-        "models": models_figure(),
-        "poles_zeros": pole_zero_figure(),
-        "second_order": example_figure(),
-        "gain_effects": gain_figure(effects),
-    }
+    figures = {"gain_effects": gain_figure(effects)}
     for law in dict.fromkeys(item.law.name for item in loops):
         bode, step = loop_figures([item for item in loops if item.law.name == law])
         figures |= {f"bode_{law}": bode, f"step_{law}": step}

@@ -1,6 +1,5 @@
 """Tables of what ships: laws, hydraulic and sensor sets, and the ledger of the report's errors."""
 
-import textwrap
 from collections.abc import Sequence
 
 from cmf_mj.analysis.ledger import LedgerEntry
@@ -8,8 +7,6 @@ from cmf_mj.control.law import Law
 from cmf_mj.electronics.sensors.settings import CHANNELS, SensorSettings
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.show.table import Table
-
-_WIDTH = 116
 
 
 def law_table(laws: Sequence[Law]) -> Table:
@@ -57,28 +54,3 @@ def ledger_table(entries: Sequence[LedgerEntry]) -> Table:
         for one in entries
     ]
     return Table("misprints and contradictions of the report", columns, rows, ruled=True)
-
-
-def ledger_markdown(entries: Sequence[LedgerEntry]) -> str:
-    """A list of contents as a table, then a section an entry: the body of docs/ledger.md."""
-    contents = Table(
-        "",
-        ("no.", "where", "what"),
-        [(str(entry.number), entry.where, entry.title) for entry in entries],
-    )
-    return contents.markdown() + "".join(f"\n{_section(entry)}" for entry in entries)
-
-
-def _section(entry: LedgerEntry) -> str:
-    points = (
-        ("Printed", entry.printed),
-        ("Finding", entry.finding),
-        ("Figures", figures_text(entry)),
-        ("Here", entry.project),
-        ("Shown by", f"`{entry.demonstration}`"),
-    )
-    lines = [
-        textwrap.fill(f"- {name}: {text}.", _WIDTH, subsequent_indent="  ", break_long_words=False)
-        for name, text in points
-    ]
-    return f"## {entry.number}. {entry.title}\n\n{entry.where}.\n\n" + "\n".join(lines) + "\n"

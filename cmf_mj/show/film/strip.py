@@ -13,7 +13,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.record.record import Record
-from cmf_mj.show.chart import Curve, Panel, plot_curves
+from cmf_mj.show.chart import Curve, Panel
 from cmf_mj.show.look import BLUE, DARK, GREEN, GREY, ORANGE
 
 _DPI = 100
@@ -118,7 +118,10 @@ class Strip:
         shared = len({tuple(curve.name for curve in panel.curves) for panel in traces.panels}) == 1
         axes = list(grid.T.ravel())
         for axis, *panels in zip(axes, *(t.panels for t in every), strict=True):
-            lines = plot_curves(axis, panels[0].curves)
+            lines = [
+                axis.plot(c.x, c.y, color=c.colour, linewidth=c.width, label=c.name)[0]
+                for c in panels[0].curves
+            ]
             axis.set(xlim=self._time, ylim=_limits(panels))
             axis.set_ylabel(panels[0].y_title, fontsize=letters)
             axis.grid(True, color="0.92", linewidth=0.6)
@@ -129,7 +132,7 @@ class Strip:
             axis.set_xlabel("time [s]", fontsize=letters)
         if shared:
             below: dict[str, Any] = {"loc": "outside lower center", "ncols": len(lines)}
-            figure.legend(handles=list(lines.values()), **below, **(small | {"fontsize": letters}))
+            figure.legend(handles=lines, **below, **(small | {"fontsize": letters}))
         figure.align_ylabels()
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
