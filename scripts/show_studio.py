@@ -1,4 +1,4 @@
-"""Picture of the studio: the page in a headless Chromium, after a push and a measured response.
+"""Picture of the studio: the page in a headless Chromium, after a push.
 
 Needs Debian's package `chromium` and the extras `studio` and `dev`.
 """
@@ -46,7 +46,6 @@ def main() -> None:
     """Parse the arguments and write the picture."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.png")
-    parser.add_argument("--bode", action="store_true", help="with the measured response")
     parser.add_argument("--seconds", type=float, default=12.0, help="time before the picture")
     parser.add_argument("--port", type=int, default=8471, help="TCP port")
     arguments = parser.parse_args()
@@ -60,10 +59,6 @@ def main() -> None:
             browser = playwright.chromium.launch(executable_path=chromium, args=list(ARGUMENTS))
             page = browser.new_page(viewport=SIZE)
             begin(page, studio.url, arguments.seconds)
-            if arguments.bode:
-                page.get_by_role("tab", name="Bode").click()
-                page.get_by_role("button", name="measure the response").click()
-                page.get_by_text("-90 deg at").wait_for()
             arguments.out.parent.mkdir(parents=True, exist_ok=True)
             picture = Image.open(io.BytesIO(page.screenshot(timeout=PATIENCE)))
             picture.quantize(256, Image.Quantize.MAXCOVERAGE).save(arguments.out, optimize=True)

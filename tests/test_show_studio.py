@@ -1,4 +1,4 @@
-"""The studio without a browser: real time in parts, what the controls mean, sessions, replay."""
+"""The studio without a browser: real time in parts, what the controls mean, sessions."""
 
 import subprocess
 import sys
@@ -12,7 +12,6 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from cmf_mj.analysis.frequency_response import bandwidths, frequency_response
 from cmf_mj.control.law import Law, law_names, load_law
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.facility.scenario.settings import (
@@ -23,22 +22,17 @@ from cmf_mj.facility.scenario.settings import (
     scenario_of,
     scenario_toml,
 )
-from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.record.record import Record
-from cmf_mj.show.studio import bode, choices, traces
+from cmf_mj.show.studio import choices
 from cmf_mj.show.studio.clock import LARGEST, Clock
 from cmf_mj.show.studio.gains import knobs, law_as_gains
-from cmf_mj.show.studio.live import KEPT_ROWS, LiveSession, View
-from cmf_mj.show.studio.replay import Recording, read_recording
-from cmf_mj.signals.single import multisine
+from cmf_mj.show.studio.live import KEPT_ROWS, LONGEST, PLOT_RATE, LiveSession, View
 
 SHORT = {"duration": 1.0, "record_every": 16}
 
 
 def heave(**settings: object) -> Scenario:
-    signal = choices.signal_table("sine", "heave", 2.0, 2.0)
+    signal = choices.signal_table("sine", "heave", 2.0, frequency=2.0)
     return scenario_of({"signal": signal, **SHORT, **settings}, "test")
 
 
@@ -50,7 +44,7 @@ class Screen:
         self.errors: list[Exception] = []
         self.reached = threading.Condition()
 
-    def show(self, view: View, kept: traces.Traces) -> None:
+    def show(self, view: View) -> None:
         with self.reached:
             self.views.append(view)
             self.reached.notify_all()
@@ -106,19 +100,6 @@ def test_pace_is_simulated_over_wall_and_over_busy_time() -> None:
     assert clock.pace.capacity == pytest.approx(64 / 2048 / 0.01)
 
 
-def test_traces_keep_the_last_rows_in_order_and_never_grow() -> None:
-    kept = traces.Traces()
-    rows = round(traces.LONGEST * traces.RATE)
-    for k in range(rows + 100):
-        values = {name: np.full(width, float(k)) for name, width in traces.CHANNELS.items()}
-        kept.append(k / traces.RATE, values)
-    latest = kept.last(1e9)
-    assert latest["time"].size == rows
-    assert np.array_equal(latest["leg_force"][:, 5], np.arange(100.0, rows + 100.0))
-    assert np.array_equal(latest["time"], latest["supply_pressure"][:, 0] / traces.RATE)
-    assert kept.last(1.0)["time"].size == traces.RATE
-
-
 # What the controls mean.
 
 
@@ -156,11 +137,16 @@ def test_a_law_from_a_file_becomes_gains_that_make_it(name: str) -> None:
 
 
 @pytest.mark.parametrize("dof", DOFS)
-@pytest.mark.parametrize("kind", choices.SIGNALS)
+@pytest.mark.parametrize("kind", ["rest", *choices.SIGNALS])
 def test_every_signal_of_the_page_can_be_run(kind: str, dof: str) -> None:
+    offered = choices.signal_settings(kind)
     for frequency in (0.05, 10.0):
-        table = choices.signal_table(kind, dof, choices.largest_amplitude(dof), frequency)
-        change = change_of({"signal": table})
+        edges = {"frequency": frequency, "start": 0.5 * frequency, "stop": frequency}
+        settings = {name: edges.get(name, begun) for name, begun in offered.items()}
+        if kind == "multisine":
+            settings["start"] = 0.05  # the lowest line of its period
+        largest = choices.largest_amplitude(dof)
+        change = change_of({"signal": choices.signal_table(kind, dof, largest, **settings)})
         assert change.signal is not None
         assert len(change.signal) == (0 if kind == "rest" else 1)
         for signal in change.signal:
@@ -170,8 +156,20 @@ def test_every_signal_of_the_page_can_be_run(kind: str, dof: str) -> None:
             assert not others.any()
 
 
+def test_the_page_offers_the_settings_of_the_signals() -> None:
+    assert list(choices.SIGNALS) == [
+        *("step", "pulse", "sine", "chirp", "noise", "multisine", "seven_sines")
+    ]
+    assert choices.signal_settings("rest") == {}
+    assert choices.signal_settings("sine") == {"frequency": 0.5, "fade": 1.0, "rest": 0.0}
+    assert choices.signal_settings("noise")["scale"] == "peak"
+    (table,) = choices.signal_table("pulse", "roll", 3.0, width=2.0)
+    expected = {"kind": "pulse", "dof": "roll", "amplitude": [3.0, "deg"], "at": 1.0, "width": 2.0}
+    assert table == expected
+
+
 def test_settled_keeps_law_gains_and_signal_and_drops_the_rest() -> None:
-    step = choices.signal_table("step", "yaw", 1.0, 1.0)
+    step = choices.signal_table("step", "yaw", 1.0)
     scenario = heave(
         change=[
             {"at": 0.1, "law": "force", "gains": {"direct_gain": {"force": -0.02}}},
@@ -191,11 +189,11 @@ def test_settled_keeps_law_gains_and_signal_and_drops_the_rest() -> None:
 
 
 def test_session_goes_with_the_wall_clock_and_its_scenario_repeats_it(screen: Screen) -> None:
-    session = LiveSession(heave(), screen)
+    session = LiveSession(heave(), screen.show, screen.tell)
     session.start()
     screen.wait_for_time(0.5)
     session.apply(change_of({"law": "position_error_rate"})).result()
-    session.apply(change_of({"signal": choices.signal_table("step", "roll", 1.0, 1.0)})).result()
+    session.apply(change_of({"signal": choices.signal_table("step", "roll", 1.0)})).result()
     session.apply(change_of({"push": {"force": [2e4, 0.0, 0.0]}})).result()
     screen.wait_for_time(1.5)
     session.apply(change_of({"gains": {"direct_gain": {"velocity": -0.5}}})).result()
@@ -212,11 +210,16 @@ def test_session_goes_with_the_wall_clock_and_its_scenario_repeats_it(screen: Sc
         assert np.array_equal(again[name][: values.shape[0]], values), name
     assert again.time.size >= record.time.size > 2.2 * 128
     assert np.linalg.norm(screen.views[-1].push) == pytest.approx(2e4)
+    past = session._past  # never grows
+    assert past.maxlen == round(LONGEST * PLOT_RATE)
+    times = np.array([live.time for live in past])
+    assert times.size > 2.1 * PLOT_RATE
+    np.testing.assert_allclose(np.diff(times), 1.0 / PLOT_RATE, rtol=1e-9)
 
 
 def test_session_tells_when_the_state_leaves_its_bounds_and_begins_again(screen: Screen) -> None:
     crushed = heave(change=[{"at": 0.1, "push": {"force": [0.0, 0.0, -5e7]}}])
-    session = LiveSession(crushed, screen)
+    session = LiveSession(crushed, screen.show, screen.tell)
     session.start()
     with screen.reached:
         assert screen.reached.wait_for(lambda: screen.errors, timeout=60.0)
@@ -231,7 +234,7 @@ def test_session_tells_when_the_state_leaves_its_bounds_and_begins_again(screen:
 
 
 def test_session_refuses_and_goes_on(screen: Screen) -> None:
-    session = LiveSession(heave(), screen)
+    session = LiveSession(heave(), screen.show, screen.tell)
     session.start()
     with pytest.raises(ValueError, match="plant: 'single_legs'"):
         session.begin(heave(plant="single_legs")).result()
@@ -242,7 +245,7 @@ def test_session_refuses_and_goes_on(screen: Screen) -> None:
 
 
 def test_session_that_has_ended_answers_nobody_and_keeps_nobody_waiting(screen: Screen) -> None:
-    session = LiveSession(heave(), screen)
+    session = LiveSession(heave(), screen.show, screen.tell)
     session.start()
     screen.wait_for_time(0.05)
     session.close()
@@ -251,58 +254,10 @@ def test_session_that_has_ended_answers_nobody_and_keeps_nobody_waiting(screen: 
 
 
 def test_session_keeps_a_bounded_record() -> None:
-    session = LiveSession(heave(record_every=1), Screen())
+    screen = Screen()
+    session = LiveSession(heave(record_every=1), screen.show, screen.tell)
     most = session._run._most * 1024  # rows at every frame
     assert most <= KEPT_ROWS + 1024
-
-
-# Bode.
-
-
-def test_bode_measures_what_simulate_and_frequency_response_do(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(bode, "PERIODS", 2)
-    live = heave(cab="rfd", change=[{"at": 0.5, "law": "position_error_rate"}])
-    done = []
-    measured = bode.measure(live, "heave", lambda frames, total: done.append(frames / total))
-    command = multisine("heave", 0.33 * 0.0254, start=1 / 20.0, period=20.0, periods=2, fade=1.0)
-    record = simulate(Hexapod("rfd"), "position_error_rate", command, record_every=16)
-    expected = frequency_response(record)
-    assert np.allclose(measured.response.gain_db, expected.gain_db, atol=1e-6)
-    assert bandwidths(measured.response).phase_hz == pytest.approx(
-        bandwidths(expected).phase_hz, rel=1e-9
-    )
-    assert measured.title == "position_error_rate, heave, rfd, hardware"
-    assert done[-1] == 1.0 and len(done) > 20
-
-
-# Replay.
-
-
-def test_recording_gives_the_rows_of_its_file(tmp_path: Path) -> None:
-    record = run_scenario(heave())
-    path = record.save(tmp_path / "run.parquet")
-    recording = read_recording("run.parquet", path.read_bytes(), 25)
-    assert recording.cab == "gfd" and recording.end == record.time[-1]
-    assert np.array_equal(recording.position(0.5), record["generalised_position"][64])
-    assert np.array_equal(recording.position(99.0), record["generalised_position"][-1])
-    rows = recording.last(0.75, 0.25)
-    assert rows["time"][-1] == pytest.approx(0.75) and rows["time"][0] == pytest.approx(0.5)
-    assert np.array_equal(rows["platform_pose"], record["platform_pose"][64:97])
-
-
-def test_recording_refuses_what_it_cannot_show() -> None:
-    with pytest.raises(ValueError, match=r"^notes.txt: is not a readable Parquet file"):
-        read_recording("notes.txt", b"hello", 25)
-    single = run_scenario(scenario_of({"plant": "single_legs", "duration": 0.01}, "test"))
-    with pytest.raises(ValueError, match="plant: 'single_legs' of the record cannot be shown"):
-        Recording(single, 25)
-    whole = run_scenario(heave())
-    part = {name: whole[name] for name in whole.channels if name != "leg_force"}
-    units = {name: whole.units[name] for name in part}
-    with pytest.raises(ValueError, match="channel: 'leg_force' is not one of"):
-        Recording(Record(whole.time, part, units, whole.metadata), 25)
 
 
 # The command.

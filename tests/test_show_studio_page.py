@@ -18,9 +18,9 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from cmf_mj.control.law import law_names
 from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.facility.scenario.run import run_scenario
-from cmf_mj.facility.scenario.settings import save_scenario, scenario_of
+from cmf_mj.facility.scenario.settings import save_scenario
 from cmf_mj.plant.events import KINDS
-from cmf_mj.show.studio import bode, choices, live
+from cmf_mj.show.studio import choices, live
 from cmf_mj.show.studio.page import Page as StudioPage
 from cmf_mj.show.studio.server import Studio
 
@@ -128,13 +128,17 @@ def opened(browser: Browser, studio: Studio) -> Iterator[Tab]:
 @pytest.fixture
 def tab(opened: Tab, tmp_path: Path) -> Iterator[Tab]:
     """The tab, at the beginning of the first scenario."""
-    scenario, before = choices.first_scenario(), opened.behind.live.scenario().result()
-    begun = opened.behind.live.begun
-    if before.change or before.cab != scenario.cab or before.law != scenario.law:
-        opened.page.get_by_role("tab", name="Signals").click()
+    scenario = choices.first_scenario()
+
+    def begun() -> bool:
+        present = opened.behind.live.scenario().result()
+        same = (present.cab, present.law) == (scenario.cab, scenario.law)
+        return same and not present.change
+
+    if not begun():
         path = save_scenario(scenario, tmp_path / "first.toml")
         opened.upload("load scenario", path)
-        opened.wait(lambda: opened.behind.live.begun > begun)
+        opened.wait(begun)
     opened.press("go on")
     yield opened
     assert opened.errors == []  # nothing was said on the console
@@ -153,8 +157,9 @@ def _changed(one: np.ndarray, other: np.ndarray) -> float:
 
 def _error(behind: StudioPage) -> float:
     """Root mean square of demand less response over the last two seconds: four cycles."""
-    rows = behind.live.rows(2.0).result()
-    error = rows["demand_pose"][:, 2] - rows["platform_pose"][:, 2]
+    record = behind.live.record().result()
+    rows = record.time > record.time[-1] - 2.0
+    error = (record["demand_pose"] - record["platform_pose"])[rows, 2]
     return float(np.sqrt(np.mean(error**2)))
 
 
@@ -258,39 +263,6 @@ def test_scenario_of_another_cab_can_be_loaded_and_reset(tab: Tab, tmp_path: Pat
 
 
 @pytest.mark.usefixtures("fewer_pictures")
-def test_bode_panel_measures_the_law_in_force(tab: Tab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bode, "PERIOD", 5.0)
-    monkeypatch.setattr(bode, "PERIODS", 2)
-    tab.page.get_by_role("tab", name="Bode").click()
-    tab.press("measure the response")
-    said = tab.status("-90 deg at")
-    measured = bode.measure(choices.first_scenario(), "heave")
-    assert measured.text in said
-
-
-@pytest.mark.usefixtures("fewer_pictures")
-def test_recording_is_scrubbed_and_played(tab: Tab, tmp_path: Path) -> None:
-    table = {
-        "cab": "rfd",
-        "signal": choices.signal_table("sine", "heave", 5.0, 0.5),
-        "duration": 3.0,
-        "record_every": 16,
-    }
-    record = run_scenario(scenario_of(table, "test"))
-    path = record.save(tmp_path / "mine.parquet")
-    tab.page.get_by_role("tab", name="Recording").click()
-    tab.upload("open a recording (Parquet)", path)
-    tab.status("mine.parquet")
-    tab.wait(lambda: tab.behind._scene.cab == "rfd")
-    end = record["generalised_position"][-1, 2]
-    tab.wait(lambda: abs(tab.height() - end) < 1e-12)  # played to its end
-    tab.press("back to the live run")
-    tab.wait(lambda: tab.behind._scene.cab == "gfd")
-    since = tab.time()
-    tab.wait(lambda: tab.time() > since + 0.3)
-
-
-@pytest.mark.usefixtures("fewer_pictures")
 def test_page_offers_every_law_and_failure(tab: Tab) -> None:
     for label, options in (("law", law_names("all")), ("failure", KINDS)):
         tab.page.get_by_label(label, exact=True).first.click()
@@ -302,3 +274,13 @@ def test_page_offers_every_law_and_failure(tab: Tab) -> None:
     tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 1)
     (change,) = tab.behind.live.scenario().result().change
     assert change.failure[0].kind == "valve_hard_over" and change.failure[0].leg == 1
+
+
+@pytest.mark.usefixtures("fewer_pictures")
+def test_settings_of_the_signal_chosen_act(tab: Tab) -> None:
+    tab.choose("signal", "noise")
+    tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 1)
+    tab.page.get_by_label("stop [Hz]", exact=True).first.fill("0.8")
+    tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 2)
+    (signal,) = tab.behind.live.scenario().result().change[1].signal or ()
+    assert signal.kind == "noise" and signal.band == (0.05, 0.8)

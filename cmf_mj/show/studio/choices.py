@@ -1,16 +1,25 @@
 """What the controls of the page mean: plain functions to tables of a scenario."""
 
-from typing import Any
+from typing import Any, get_args
 
 from cmf_mj.core import units
 from cmf_mj.core.settings import merged
 from cmf_mj.facility.scenario.settings import Push, Scenario, scenario_of
+from cmf_mj.facility.scenario.signal import Signal
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.signals.signal import SingleSignal
 
-SIGNALS = ("rest", "sine", "step", "pulse", "chirp", "noise", "multisine")
-"""Signals the page offers; a scenario file may have any other."""
+SIGNALS: dict[str, type[SingleSignal]] = {
+    get_args(signal.model_fields["kind"].annotation)[0]: signal
+    for signal in get_args(get_args(Signal)[0])
+    if issubclass(signal, SingleSignal)
+}
+"""Signals the page offers by kind; a scenario file may have any other."""
+
+GENTLE = {"frequency": 0.5, "start": 0.05, "stop": 0.5, "number": 1}
+"""Settings the page begins with where the signals have other defaults [Hz], or none."""
 
 DIRECTIONS = {
     "forward": (1.0, 0.0, 0.0),
@@ -28,11 +37,6 @@ LARGEST_PUSH = 100.0
 RECORD_EVERY = 16
 """Control frames between rows of a session's record: 128 Hz, the facility's recorder."""
 
-LOWEST = 0.05
-"""Lowest frequency of chirp, noise and multisine [Hz]."""
-
-_TURNS = {"frequency": ("sine",), "stop": ("chirp", "noise", "multisine")}
-
 
 def largest_amplitude(dof: str) -> float:
     """Operational excursion of a degree of freedom that both ends have, in in or deg."""
@@ -40,20 +44,23 @@ def largest_amplitude(dof: str) -> float:
     return round(units.from_si(dof_unit(dof), float(min(-low, high))), 1)
 
 
-def signal_table(kind: str, dof: str, amplitude: float, frequency: float) -> list[dict[str, Any]]:
-    """The signals of a scenario the controls ask for; amplitude in in or deg.
+def signal_settings(kind: str) -> dict[str, Any]:
+    """Settings of a kind of signal besides degree of freedom and amplitude, as the page begins.
 
-    The frequency [Hz] is that of a sine, or the upper edge of a band.
+    Those that may be left out stay so.
     """
+    fields = SIGNALS[kind].model_fields.items() if kind in SIGNALS else ()
+    begun = {name: GENTLE.get(name, field.default) for name, field in fields}
+    basic = ("kind", "dof", "amplitude")
+    return {name: value for name, value in begun.items() if name not in basic and value is not None}
+
+
+def signal_table(kind: str, dof: str, amplitude: float, **settings: Any) -> list[dict[str, Any]]:
+    """The signals of a scenario, none for `rest`; amplitude in in or deg."""
     if kind == "rest":
         return []
-    table: dict[str, Any] = {"kind": kind, "dof": dof, "amplitude": [amplitude, dof_unit(dof)]}
-    for name, kinds in _TURNS.items():
-        if kind in kinds:
-            table[name] = frequency
-    if kind in _TURNS["stop"]:
-        table["start"] = min(LOWEST, 0.5 * frequency)
-    return [table]
+    basic = {"kind": kind, "dof": dof, "amplitude": [amplitude, dof_unit(dof)]}
+    return [basic | signal_settings(kind) | settings]
 
 
 def push_of(direction: str, size: float) -> Push:
@@ -65,15 +72,13 @@ def push_of(direction: str, size: float) -> Push:
 
 def first_scenario() -> Scenario:
     """What a tab begins with: a gentle heave of the lightest cab with the law that flew."""
-    return scenario_of(
-        {
-            "title": "studio session",
-            "signal": signal_table("sine", "heave", 2.0, 0.5),
-            "duration": "open",
-            "record_every": RECORD_EVERY,
-        },
-        "studio",
-    )
+    table = {
+        "title": "studio session",
+        "signal": signal_table("sine", "heave", 2.0),
+        "duration": "open",
+        "record_every": RECORD_EVERY,
+    }
+    return scenario_of(table, "studio")
 
 
 def settled(scenario: Scenario) -> Scenario:
@@ -87,13 +92,5 @@ def settled(scenario: Scenario) -> Scenario:
             law, gains = change.law, {}
         gains = merged(gains, change.gains)
         signal = signal if change.signal is None else change.signal
-    return scenario.model_copy(
-        update={
-            "law": law,
-            "gains": gains,
-            "signal": signal,
-            "event": (),
-            "change": (),
-            "duration": "open",
-        }
-    )
+    begun = {"law": law, "gains": gains, "signal": signal, "duration": "open"}
+    return scenario.model_copy(update=begun | {"event": (), "change": ()})

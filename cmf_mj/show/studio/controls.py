@@ -1,50 +1,64 @@
-"""Controls of a page: run, signal, machine and disturbances."""
+"""Controls of a page, folder by folder."""
 
 import math
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_args
 
 import viser
 
-from cmf_mj.facility.scenario.settings import Failure, Push, Scenario, change_of
+from cmf_mj.control.law import Law, law_names, load_law
+from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
+from cmf_mj.facility.scenario.settings import (
+    Change,
+    Push,
+    Scenario,
+    change_of,
+    overlaid_law,
+    read_scenario,
+    scenario_toml,
+)
 from cmf_mj.machine import models
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.parameters.loading import HYDRAULICS
 from cmf_mj.show.studio import choices
-from cmf_mj.show.studio.desk import Desk, by_hand, picked
+from cmf_mj.show.studio.desk import Desk, add_upload, by_hand, pick
+from cmf_mj.show.studio.gains import Knob, knobs, law_as_gains
 from cmf_mj.show.studio.live import View
+from cmf_mj.signals.signal import SingleSignal
 
 SPEEDS = {"1": 1.0, "1/2": 0.5, "1/5": 0.2, "1/10": 0.1, "1/50": 0.02}
 """Slow motion: simulated over wall time."""
 
+LEGS = tuple("123456")
 
-class RunControls:
-    """Pause, reset, slow motion and how the session stands."""
+_HERTZ = ("frequency", "start", "stop", "corner")
+"""Settings of signals in Hz; numbers with a point among the others are in s."""
 
-    def __init__(self, desk: Desk) -> None:
-        """Add them to the container in force."""
-        gui = desk.client.gui
-        self._status = gui.add_markdown("starting ...")
-        self._buttons = gui.add_button_group("run", ("pause", "go on", "reset"))
-        self._speed = gui.add_dropdown(
-            "speed", tuple(SPEEDS), initial_value="1", hint="simulated over wall time"
-        )
-        self._shown = ""
+_STEPS = 200
+"""Steps of a gain's slider from end to end."""
 
-        @self._buttons.on_click
-        def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-            if event.target.value == "reset":
-                desk.again()
-            else:
-                desk.live.pause(event.target.value == "pause")
 
-        @self._speed.on_update
-        def _(event: viser.GuiEvent[viser.GuiDropdownHandle[str]]) -> None:
-            if by_hand(event):
-                desk.live.set_speed(SPEEDS[event.target.value])
+def run_controls(desk: Desk) -> Callable[[View], None]:
+    """Pause, reset and slow motion; brings what it says of the session up to date."""
+    gui = desk.client.gui
+    status = gui.add_markdown("starting ...")
+    buttons = gui.add_button_group("run", ("pause", "go on", "reset"))
+    speed = gui.add_dropdown("speed", tuple(SPEEDS), hint="simulated over wall time")
+    by_hand(lambda chosen: desk.live.set_speed(SPEEDS[chosen.value]), speed)
 
-    def show(self, view: View) -> None:
-        """Bring the status up to date."""
+    @buttons.on_click
+    def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+        if event.target.value == "reset":
+            desk.again()
+        else:
+            desk.live.pause(event.target.value == "pause")
+
+    def show(view: View) -> None:
         live, pace = view.live, view.pace
         lines = [f"**t = {live.time:.1f} s** {'(paused)' if view.paused else ''}"]
         if not math.isnan(pace.capacity):
@@ -55,138 +69,217 @@ class RunControls:
         if live.fault is not None:
             leg = "" if live.fault.leg is None else f" of leg {live.fault.leg}"
             lines += [f"**fault: {live.fault.name.replace('_', ' ')}{leg}**"]
-        text = "  \n".join(lines)
-        if text != self._shown:
-            self._shown = self._status.content = text
+        status.content = "  \n".join(lines)
+
+    return show
 
 
 class SignalControls:
-    """Degree of freedom, kind, amplitude and frequency of the demand."""
+    """The demand: degree of freedom, kind, amplitude and the settings of its kind."""
 
     def __init__(self, desk: Desk) -> None:
         """Add them to the container in force."""
         gui = desk.client.gui
         self._desk = desk
         self._dof = gui.add_dropdown("DOF", DOFS, initial_value="heave")
-        self._kind = gui.add_dropdown("signal", choices.SIGNALS, initial_value="sine")
-        self._amplitude = gui.add_slider("amplitude [in]", 0.05, 41.0, 0.05, 2.0)
-        self._frequency = gui.add_slider(
-            "frequency [Hz]", 0.05, 10.0, 0.05, 0.5, hint="of a sine, or upper edge of the band"
-        )
-        for handle in (self._dof, self._kind, self._amplitude, self._frequency):
-            handle.on_update(self._moved)
-        gui.add_button("send again", hint="step, pulse and chirp once more").on_click(
-            lambda _: self.send()
-        )
+        self._kind = gui.add_dropdown("signal", ("rest", *choices.SIGNALS), initial_value="sine")
+        self._amplitude = gui.add_slider("amplitude", 0.05, 41.0, 0.05, 2.0)
+        self._folder = gui.add_folder("settings")
+        self._settings: dict[str, Any] = {}
+        by_hand(self._moved, self._dof, self._kind, self._amplitude)
+        again = gui.add_button("send again", hint="step, pulse and chirp once more")
+        again.on_click(lambda _: desk.later("signal", self._send))
+        desk.follow(self._follow)
 
     @property
     def dof(self) -> str:
         """Degree of freedom chosen."""
         return self._dof.value
 
-    def send(self) -> None:
-        """Let the signal take over."""
-        table = choices.signal_table(
-            self._kind.value, self.dof, self._amplitude.value, self._frequency.value
-        )
-        try:
-            self._desk.apply(change_of({"signal": table}, "signal"))
-        except ValueError as error:
-            self._desk.tell(error)
+    def _send(self) -> None:
+        settings = {name: handle.value for name, handle in self._settings.items()}
+        table = choices.signal_table(self._kind.value, self.dof, self._amplitude.value, **settings)
+        self._desk.apply(change_of({"signal": table}, "signal"))
 
-    def sync(self, scenario: Scenario) -> None:
+    def _follow(self, scenario: Scenario) -> None:
         """Show the signal of a scenario, where the page has such a one."""
         signals = scenario.signal
         if not signals:
             self._kind.value = "rest"
-        if len(signals) != 1 or signals[0].kind not in choices.SIGNALS:
-            return
-        table = signals[0].model_dump()
-        self._dof.value = table["dof"]
+        settings: dict[str, Any] = {}
+        if len(signals) == 1 and isinstance(signals[0], SingleSignal):
+            signal = signals[0]
+            self._kind.value, self._dof.value = signal.kind, signal.dof
+            self._amplitude.value = abs(units.from_si(dof_unit(signal.dof), signal.size))
+            settings = signal.model_dump()
         self._limit()
-        self._kind.value = table["kind"]
-        value, unit = table["amplitude"]
-        if unit == dof_unit(self.dof):
-            self._amplitude.value = value
-        self._frequency.value = table.get("frequency", table.get("stop", self._frequency.value))
+        self._show_settings(settings)
 
-    def _moved(self, event: viser.GuiEvent[viser.GuiInputHandle[str]]) -> None:
-        if by_hand(event):
-            if event.target is self._dof:
-                self._limit()
-            self._desk.later("signal", self.send)
+    def _moved(self, handle: Any) -> None:
+        if handle is self._dof:
+            self._limit()
+        if handle is self._kind:
+            self._show_settings({})
+        self._desk.later("signal", self._send)
 
     def _limit(self) -> None:
         """Scale the amplitude to the degree of freedom."""
-        largest = choices.largest_amplitude(self.dof)
         self._amplitude.label = f"amplitude [{dof_unit(self.dof)}]"
-        self._amplitude.max = largest
-        self._amplitude.value = min(self._amplitude.value, largest)
+        self._amplitude.max = choices.largest_amplitude(self.dof)
+        self._amplitude.value = min(self._amplitude.value, self._amplitude.max)
+
+    def _show_settings(self, chosen: dict[str, Any]) -> None:
+        """One control for each setting of the kind, by its type."""
+        gui, kind = self._desk.client.gui, self._kind.value
+        for handle in self._settings.values():
+            handle.remove()
+        self._settings.clear()
+        for name, begun in choices.signal_settings(kind).items():
+            value = chosen.get(name, begun)
+            with self._folder:
+                if isinstance(value, str):
+                    options = get_args(choices.SIGNALS[kind].model_fields[name].annotation)
+                    self._settings[name] = gui.add_dropdown(name, options, initial_value=value)
+                    continue
+                unit = "Hz" if name in _HERTZ else "s"
+                whole = isinstance(value, int)
+                label, step = (name, 1) if whole else (f"{name} [{unit}]", 0.05)
+                self._settings[name] = gui.add_number(label, value, step=step)
+        by_hand(self._moved, *self._settings.values())
 
 
-class MachineControls:
-    """Cab, plant set and protection: each begins a new run."""
-
-    def __init__(self, desk: Desk) -> None:
-        """Add them to the container in force."""
-        gui = desk.client.gui
-        self._cab = gui.add_dropdown("cab", models.CABS)
-        self._hydraulics = gui.add_dropdown("plant set", HYDRAULICS, initial_value="hardware")
-        self._protection = gui.add_checkbox(
-            "protection", False, hint="fault detection that makes an emergency stop"
-        )
-        gui.add_markdown("*A change here begins a new run.*")
-
-        def moved(event: viser.GuiEvent[viser.GuiInputHandle[str]]) -> None:
-            if by_hand(event):
-                desk.again(
-                    cab=self._cab.value,
-                    hydraulics=self._hydraulics.value,
-                    protection="default" if self._protection.value else None,
-                )
-
-        for handle in (self._cab, self._hydraulics, self._protection):
-            handle.on_update(moved)
-
-    def sync(self, scenario: Scenario) -> None:
-        """Show the machine of a scenario."""
-        self._cab.value = scenario.cab
-        picked(self._hydraulics, scenario.hydraulics)
-        self._protection.value = scenario.protection is not None
-
-
-class DisturbanceControls:
-    """A push on the platform, and failures."""
+class LawControls:
+    """The law, shipped or from a file, and a slider for each of its gains."""
 
     def __init__(self, desk: Desk) -> None:
         """Add them to the container in force."""
-        gui = desk.client.gui
-        self._direction = gui.add_dropdown("push", tuple(choices.DIRECTIONS))
-        self._size = gui.add_slider("force [kN]", 1.0, choices.LARGEST_PUSH, 1.0, 20.0)
-        self._on = gui.add_checkbox("push now", False, hint="lasts until it is switched off")
-        self._kind = gui.add_dropdown("failure", KINDS, initial_value="pump_lost")
-        self._leg = gui.add_dropdown("leg", tuple("123456"), hint="of a valve or sensor")
         self._desk = desk
-        for handle in (self._direction, self._size, self._on):
-            handle.on_update(self._moved)
-        gui.add_button("fail now", color="red").on_click(lambda _: self._fail())
+        self._files: dict[str, Law] = {}
+        gui = desk.client.gui
+        self._law = gui.add_dropdown("law", law_names("all"), initial_value="velocity")
+        by_hand(lambda law: self._choose(law.value), self._law)
+        add_upload(desk, "law from a file", ".toml", self._open)
+        self._folder = gui.add_folder("gains", expand_by_default=False)
+        self._sliders: list[viser.GuiSliderHandle[float]] = []
+        desk.follow(self._follow)
 
-    def sync(self, scenario: Scenario) -> None:
-        """A new run begins without a push."""
-        self._on.value = False
+    def _follow(self, scenario: Scenario) -> None:
+        pick(self._law, scenario.law)
+        self._show_gains(overlaid_law(load_law(scenario.law), scenario.gains))
 
-    def _moved(self, event: viser.GuiEvent[viser.GuiInputHandle[bool]]) -> None:
-        if by_hand(event) and (self._on.value or event.target is self._on):
-            self._desk.later("push", self._push)
+    def _open(self, file: viser.UploadedFile) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / (Path(file.name).name or "file")
+            path.write_bytes(file.content)
+            try:
+                law = load_law(path)
+            except ValueError as error:
+                raise InputError(str(error).replace(f"{folder}/", "")) from None
+        option = f"{law.name} (file)"
+        self._files[option] = law
+        pick(self._law, option)
+        self._choose(option)
 
-    def _push(self) -> None:
-        force = choices.push_of(self._direction.value, self._size.value)
-        self._desk.apply(
-            change_of({}).model_copy(update={"push": force if self._on.value else Push()})
+    def _choose(self, option: str) -> None:
+        law = self._files.get(option)
+        table = {"law": option} if law is None else law_as_gains(law)
+        self._desk.apply(change_of(table, "law"))
+        self._show_gains(law or load_law(option))
+
+    def _show_gains(self, law: Law) -> None:
+        for slider in self._sliders:
+            slider.remove()
+        with self._folder:
+            self._sliders = [self._slider(knob) for knob in knobs(law)]
+
+    def _slider(self, knob: Knob) -> viser.GuiSliderHandle[float]:
+        step = (knob.high - knob.low) / _STEPS
+        slider = self._desk.client.gui.add_slider(
+            knob.label, knob.low, knob.high, step, knob.value, hint=knob.hint
         )
 
-    def _fail(self) -> None:
-        event = default_event(self._kind.value, 0.0)
-        leg = None if event.leg is None else int(self._leg.value)
-        failure = Failure(kind=event.kind, leg=leg)
-        self._desk.apply(change_of({}).model_copy(update={"failure": (failure,)}))
+        def moved(_: Any) -> None:
+            change = change_of({"gains": knob.table(slider.value)}, "gains")
+            self._desk.later(knob.hint, lambda: self._desk.apply(change))
+
+        by_hand(moved, slider)
+        return slider
+
+
+def machine_controls(desk: Desk) -> None:
+    """Cab, plant set and protection: each begins a new run."""
+    gui = desk.client.gui
+    cab = gui.add_dropdown("cab", models.CABS)
+    hydraulics = gui.add_dropdown("plant set", HYDRAULICS, initial_value="hardware")
+    protection = gui.add_checkbox(
+        "protection", False, hint="fault detection that makes an emergency stop"
+    )
+    gui.add_markdown("*A change here begins a new run.*")
+
+    def moved(_: Any) -> None:
+        protected = "default" if protection.value else None
+        desk.again(cab=cab.value, hydraulics=hydraulics.value, protection=protected)
+
+    def follow(scenario: Scenario) -> None:
+        cab.value = scenario.cab
+        pick(hydraulics, scenario.hydraulics)
+        protection.value = scenario.protection is not None
+
+    by_hand(moved, cab, hydraulics, protection)
+    desk.follow(follow)
+
+
+def disturbance_controls(desk: Desk) -> None:
+    """A push on the platform, and failures."""
+    gui = desk.client.gui
+    direction = gui.add_dropdown("push", tuple(choices.DIRECTIONS))
+    size = gui.add_slider("force [kN]", 1.0, choices.LARGEST_PUSH, 1.0, 20.0)
+    on = gui.add_checkbox("push now", False, hint="lasts until it is switched off")
+    kind = gui.add_dropdown("failure", KINDS, initial_value="pump_lost")
+    leg = gui.add_dropdown("leg", LEGS, hint="of a valve or sensor")
+    fail = gui.add_button("fail now", color="red")
+
+    def push() -> None:
+        force = choices.push_of(direction.value, size.value) if on.value else Push()
+        desk.apply(Change(push=force))
+
+    def moved(handle: Any) -> None:
+        if on.value or handle is on:
+            desk.later("push", push)
+
+    @fail.on_click
+    def _(_: Any) -> None:
+        needs_leg = default_event(kind.value, 0.0).leg is not None
+        failure = {"kind": kind.value, "leg": int(leg.value) if needs_leg else None}
+        desk.apply(change_of({"failure": [failure]}))
+
+    by_hand(moved, direction, size, on)
+    desk.follow(lambda _: setattr(on, "value", False))  # a new run begins without a push
+
+
+def file_controls(desk: Desk) -> None:
+    """The session as a scenario, its record, and scenarios to load."""
+    gui, send = desk.client.gui, desk.client.send_file_download
+    export = gui.add_button(
+        "export scenario", icon="download", hint="`cmf run` repeats this session bit for bit"
+    )
+    save = gui.add_button(
+        "save record", icon="download", hint="what the session has kept, as Parquet"
+    )
+
+    @export.on_click
+    def _(_: Any) -> None:
+        text = scenario_toml(desk.live.scenario().result())
+        send("session.toml", text.encode("utf-8"), save_immediately=True)
+
+    @save.on_click
+    def _(_: Any) -> None:
+        record = desk.live.record().result()
+        with tempfile.TemporaryDirectory() as folder:
+            content = record.save(Path(folder) / "session.parquet").read_bytes()
+        send("session.parquet", content, save_immediately=True)
+
+    def load(file: viser.UploadedFile) -> None:
+        desk.begin(read_scenario(file.content.decode("utf-8"), file.name))
+
+    add_upload(desk, "load scenario", ".toml", load)

@@ -1,60 +1,122 @@
-"""What the controls of a page act on, and what they have in common."""
+"""What the controls of a page act on: its tab and its session."""
 
-import tempfile
+import threading
+import time
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from concurrent.futures import Future
+from typing import Any
 
 import viser
 
-from cmf_mj.core.errors import InputError
 from cmf_mj.facility.scenario.settings import Change, Scenario
-from cmf_mj.show.studio.live import LiveSession
+from cmf_mj.show.studio import choices
+from cmf_mj.show.studio.live import LiveSession, View
 
-Content = TypeVar("Content")
+_SETTLE = 0.3
+"""Time a control is left alone before it acts [s]."""
 
 
-class Desk(Protocol):
-    """The page, as its controls see it."""
+class Desk:
+    """A tab with its session, and those who show what a run begins with."""
 
-    client: viser.ClientHandle  #: The tab.
-    live: LiveSession  #: Its session.
+    def __init__(
+        self, client: viser.ClientHandle, scenario: Scenario, show: Callable[[View], None]
+    ) -> None:
+        """Build the session; `show` draws its turns."""
+        self.client = client
+        self.live = LiveSession(scenario, show, self.tell)
+        self._followers: list[Callable[[Scenario], None]] = []
+        self._lock = threading.Lock()
+        self._later: dict[str, tuple[float, Callable[[], None]]] = {}
+
+    def follow(self, follower: Callable[[Scenario], None]) -> None:
+        """Call with the scenario of each run that begins."""
+        self._followers.append(follower)
+
+    def start(self, scenario: Scenario) -> None:
+        """Show the first run and set the session going."""
+        for follower in self._followers:
+            follower(scenario)
+        self.live.start()
 
     def apply(self, change: Change) -> None:
         """Let something change, or show the refusal."""
+        self.live.apply(change).add_done_callback(self._refused)
 
     def begin(self, scenario: Scenario) -> None:
         """Begin anew; on a refusal show it and let the run go on."""
+        paused = self.live.paused
+        self.live.pause(True)  # time that a new scene takes is not to be made up for
+        try:
+            self.live.begin(scenario).result()
+            for follower in self._followers:
+                follower(scenario)
+        except (ValueError, OSError) as error:
+            self.tell(error)
+        finally:
+            self.live.pause(paused)
 
     def again(self, **settings: Any) -> None:
-        """Begin anew with the present law and signal and some settings of the scenario changed."""
+        """Begin anew with the present law and signal and some settings changed."""
+        present = choices.settled(self.live.scenario().result())
+        self.begin(present.model_copy(update=settings))
 
     def tell(self, error: Exception) -> None:
         """Show a refusal."""
+        self.client.add_notification(
+            "Refused", str(error), color="red", with_close_button=True, auto_close_seconds=30.0
+        )
 
     def later(self, key: str, action: Callable[[], None]) -> None:
         """Do something when the control of this key has been left alone for a moment."""
+        with self._lock:
+            self._later[key] = (time.monotonic() + _SETTLE, action)
+
+    def act(self) -> None:
+        """Do what has been left alone for long enough."""
+        now = time.monotonic()
+        with self._lock:
+            ripe = [key for key, (when, _) in self._later.items() if when <= now]
+            actions = [self._later.pop(key)[1] for key in ripe]
+        for action in actions:
+            try:
+                action()
+            except ValueError as error:
+                self.tell(error)
+
+    def _refused(self, done: "Future[None]") -> None:
+        error = None if done.cancelled() else done.exception()
+        if isinstance(error, Exception):
+            self.tell(error)
 
 
-def by_hand(event: viser.GuiEvent[Any]) -> bool:
-    """Whether a control was moved in the browser, and not by the page itself."""
-    return event.client is not None
+def by_hand(action: Callable[[Any], None], *handles: Any) -> None:
+    """Call with a control that was moved in the browser, and not by the page itself."""
+
+    def moved(event: viser.GuiEvent[Any]) -> None:
+        if event.client is not None:
+            action(event.target)
+
+    for handle in handles:
+        handle.on_update(moved)
 
 
-def picked(handle: viser.GuiDropdownHandle[str], value: str) -> None:
+def pick(handle: viser.GuiDropdownHandle[str], value: str) -> None:
     """Set a dropdown, with a new option if it has no such one."""
     if value not in handle.options:
         handle.options = (*handle.options, value)
     handle.value = value
 
 
-def read_upload(name: str, content: bytes, read: Callable[[Path], Content]) -> Content:
-    """Read a file of the browser from its name and bytes; a refusal begins with the name."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / (Path(name).name or "file")
-        path.write_bytes(content)
+def add_upload(
+    desk: Desk, label: str, mime_type: str, use: Callable[[viser.UploadedFile], None]
+) -> None:
+    """A button for a file of the browser; what `use` refuses is shown."""
+    button = desk.client.gui.add_upload_button(label, mime_type=mime_type, icon="file-upload")
+
+    @button.on_upload
+    def _(event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
         try:
-            return read(path)
+            use(event.target.value)
         except ValueError as error:
-            text = str(error).replace(f"{folder}/", "")
-            raise InputError(text if path.name in text else f"{path.name}: {text}") from None
+            desk.tell(error)

@@ -3,14 +3,13 @@
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from cmf_mj.control.law import Law, load_law
+from cmf_mj.control.law import Law
 from cmf_mj.facility.scenario.settings import overlaid_law
 
 _BASE = "velocity"
 """Law that a law from the page replaces field by field; it follows no model."""
 
-_TABLES = ("input_gain", "direct_gain", "reference_model")
-_SCALARS = ("state_gain", "output_gain")
+_LETTERS = {"input_gain": "B", "direct_gain": "D", "state_gain": "A", "output_gain": "C"}
 
 _UNITS = {
     "reference": "%/in",
@@ -40,16 +39,16 @@ class Knob(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Short name: B and D for the two gain tables, as the report has them."""
+        """Short name: the report's letters for the gain tables."""
         table, *rest = self.path
-        letter = {"input_gain": "B", "direct_gain": "D", "state_gain": "A", "output_gain": "C"}
-        short = letter.get(table, "model")
-        return " ".join([short, *(part.replace("_", " ") for part in rest)])
+        return " ".join([_LETTERS.get(table, "model"), *rest]).replace("_", " ")
 
     @property
     def hint(self) -> str:
         """Full name and unit."""
-        unit = _UNITS.get(self.path[-1], "") if self.path[0] in _TABLES[:2] else ""
+        unit = (
+            _UNITS.get(self.path[-1], "") if self.path[0] in ("input_gain", "direct_gain") else ""
+        )
         return f"{'.'.join(self.path)} {unit}".strip()
 
     def table(self, value: float) -> dict[str, Any]:
@@ -59,14 +58,13 @@ class Knob(NamedTuple):
 
 def knobs(law: Law) -> tuple[Knob, ...]:
     """One knob for each number of a law that is not zero."""
-    data = law.model_dump(include={*_TABLES, *_SCALARS}, exclude_none=True)
+    data = law.model_dump(include={*_LETTERS, "reference_model"}, exclude_none=True)
     return tuple(_knob(law, path, value) for path, value in _numbers(data) if value != 0.0)
 
 
 def law_as_gains(law: Law) -> dict[str, Any]:
     """A law of a file as a change that needs no file: `law` and the `gains` that make it."""
     gains = law.model_dump(exclude={"name", "title", "source"}, exclude_none=True)
-    assert load_law(_BASE).reference_model is None
     return {"law": _BASE, "gains": gains}
 
 
@@ -80,21 +78,19 @@ def _numbers(data: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[t
 
 def _knob(law: Law, path: tuple[str, ...], value: float) -> Knob:
     """A knob that reaches as far towards zero and the double as the law allows."""
+
+    def allowed(end: float) -> bool:
+        try:
+            overlaid_law(law, _nested(path, end))
+        except ValueError:
+            return False
+        return True
+
     scale = _SCALES.get(path[-1], 1.0)
-    near, far = (
-        next(end for end in ends if _allowed(law, path, end))
-        for ends in ((0.0, 0.02 * value, 1.0, value), (2.0 * value, 1.0, 0.99, value))
-    )
+    near = next(filter(allowed, (0.0, 0.02 * value, 1.0, value)))
+    far = next(filter(allowed, (2.0 * value, 1.0, 0.99, value)))
     low, high = sorted((near / scale, far / scale))
     return Knob(path, value / scale, low, high, scale)
-
-
-def _allowed(law: Law, path: tuple[str, ...], value: float) -> bool:
-    try:
-        overlaid_law(law, _nested(path, value))
-    except ValueError:
-        return False
-    return True
 
 
 def _nested(path: tuple[str, ...], value: float) -> dict[str, Any]:

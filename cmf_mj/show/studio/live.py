@@ -6,10 +6,11 @@ thread does it between two parts. Nothing here knows the page.
 
 import threading
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Collection
 from concurrent.futures import Future
 from queue import Empty, SimpleQueue
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,6 @@ from cmf_mj.facility.scenario.settings import Change, Scenario
 from cmf_mj.facility.session import Live
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
-from cmf_mj.show.studio import traces
 from cmf_mj.show.studio.clock import Clock, Pace
 
 TURN = 1.0 / 30.0
@@ -30,7 +30,13 @@ TURN = 1.0 / 30.0
 KEPT_ROWS = 76_800
 """Rows of the record a session keeps, about 90 MB: ten minutes at 128 Hz."""
 
-_PART = RATE // traces.RATE
+PLOT_RATE = 64
+"""States kept for the plots in a second of simulated time [Hz]; the fastest excitation has 10."""
+
+LONGEST = 20.0
+"""Time they are kept [s]."""
+
+_PART = RATE // PLOT_RATE
 
 Answer = TypeVar("Answer")
 
@@ -39,38 +45,38 @@ class View(NamedTuple):
     """What a turn has to show."""
 
     live: Live  #: The run as it stands.
-    push: NDArray[np.float64]  #: External force on the platform, model's axes [N], (3,).
+    past: Collection[Live]  #: The states of the last `LONGEST` seconds, oldest first.
+    plant: Hexapod  #: The machine; its MuJoCo data is that of the run.
     pace: Pace  #: How the session keeps up.
     paused: bool  #: Whether time stands still.
 
-
-class Display(Protocol):
-    """Who shows a session; called from its thread."""
-
-    def show(self, view: View, kept: traces.Traces) -> None:
-        """Draw a turn."""
-
-    def tell(self, error: Exception) -> None:
-        """Say that the run has ended or refused something."""
+    @property
+    def push(self) -> NDArray[np.float64]:
+        """External force on the platform, model's axes [N], (3,)."""
+        plant = self.plant
+        return plant.data.xfrc_applied[plant.model.body("platform").id, :3].copy()
 
 
 class LiveSession:
     """One run at a time, in real time."""
 
-    def __init__(self, scenario: Scenario, display: Display) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        show: Callable[[View], None],
+        tell: Callable[[Exception], None],
+    ) -> None:
         """Build the first run, its `duration` left aside; `start` sets it going.
 
-        Raises:
-            InputError: the scenario is refused, named by its key.
+        From the session's thread `show` draws each turn, and `tell` takes the error that ends a
+        run. Raises `InputError` if the scenario is refused.
         """
-        self._display = display
+        self._show, self._tell = show, tell
         self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._closed = threading.Event()
         self._clock = Clock(time.monotonic())
-        self._traces = traces.Traces()
+        self._past: deque[Live] = deque(maxlen=round(LONGEST * PLOT_RATE))
         self._run = _open_run(scenario)
-        self.begun = 1
-        """Runs begun so far."""
         self._ended = False
         self._thread = threading.Thread(target=self._go, name="studio session", daemon=True)
 
@@ -94,9 +100,8 @@ class LiveSession:
 
         def build() -> None:
             self._run = _open_run(scenario)
-            self.begun += 1
             self._ended = False
-            self._traces.clear()
+            self._past.clear()
             self._clock.restart(time.monotonic())
 
         return self._ask(build)
@@ -125,10 +130,6 @@ class LiveSession:
     def record(self) -> "Future[Record]":
         """What the session has kept of its signals."""
         return self._ask(lambda: self._run.record())
-
-    def rows(self, seconds: float) -> "Future[dict[str, NDArray[np.float64]]]":
-        """The latest rows the plots draw, as `Traces.last`."""
-        return self._ask(lambda: self._traces.last(seconds))
 
     def _ask(self, action: Callable[[], Answer]) -> "Future[Answer]":
         future: Future[Answer] = Future()
@@ -163,7 +164,7 @@ class LiveSession:
             try:
                 frames = self._turn(begun)
             except Exception as error:
-                self._display.tell(error)
+                self._tell(error)
                 raise
             now = time.monotonic()
             if frames:
@@ -180,39 +181,21 @@ class LiveSession:
             self._advance(due)
         except CmfError as error:
             self._ended = True
-            self._display.tell(error)
+            self._tell(error)
         plant = self._run.plant
-        push = plant.data.xfrc_applied[plant.model.body("platform").id, :3].copy()
-        view = View(self._run.latest(), push, self._clock.pace, self._clock.paused)
-        self._display.show(view, self._traces)
+        assert isinstance(plant, Hexapod)
+        clock = self._clock
+        self._show(View(self._run.latest(), self._past, plant, clock.pace, clock.paused))
         return due
 
     def _advance(self, frames: int) -> None:
-        """Run control frames, keeping a row at each multiple of a part."""
+        """Run control frames, keeping the state at each multiple of a part."""
         end = self._run.frame + frames
         while self._run.frame < end:
             frame = self._run.frame
             self._run.advance(min(_PART - frame % _PART, end - frame))
             if self._run.frame % _PART == 0:
-                self._keep()
-
-    def _keep(self) -> None:
-        live = self._run.latest()
-        plant = self._run.plant
-        assert isinstance(plant, Hexapod)
-        self._traces.append(
-            live.time,
-            {
-                "demand_pose": live.demand,
-                "platform_pose": plant.pose_of(live.qpos),
-                "leg_force": live.force,
-                "valve_command": live.valve_command,
-                "cap_pressure": live.cap_pressure,
-                "rod_pressure": live.rod_pressure,
-                "supply_pressure": live.supply_pressure,
-                "return_pressure": live.return_pressure,
-            },
-        )
+                self._past.append(self._run.latest())
 
 
 def _open_run(scenario: Scenario) -> ScenarioRun:

@@ -66,11 +66,6 @@ class MachineScene:
         """Where the platform is drawn, model's axes (z up) [m], (3,)."""
         return self._data.xpos[self._platform].copy()
 
-    @property
-    def width(self) -> int:
-        """Generalised positions of the model."""
-        return int(self._model.nq)
-
     def show(self, qpos: ArrayLike) -> None:
         """Move everything to generalised positions (nq,)."""
         self._data.qpos[:] = np.asarray(qpos, dtype=float)
@@ -86,24 +81,21 @@ class MachineScene:
     def show_push(self, share: ArrayLike) -> None:
         """Draw the push, a share (3,) of the largest, as an arrow that points at the cab."""
         along = np.asarray(share, dtype=float)
-        if self._push is not None and not np.array_equal(along, self._pushed):
-            self._push.remove()
-            self._push = None
-        self._pushed = along
-        length = float(np.linalg.norm(along))
-        if length == 0.0:
-            return
-        if self._push is None:
-            tip = _CAB_CENTRE - _CLEAR * along / length
-            self._push = self._client.scene.add_arrows(
-                "/push",
-                points=np.array([[tip - _PUSH_LENGTH * along, tip]], dtype=np.float32),
-                colors=(214, 39, 40),
-                shaft_radius=0.07,
-                head_radius=0.18,
-                head_length=0.4,
-            )
-        self._push.position = self.platform_position
+        if not np.array_equal(along, self._pushed):
+            self._pushed, self._push = along, None
+            self._client.scene.remove_by_name("/push")
+            if along.any():
+                tip = _CAB_CENTRE - _CLEAR * along / np.linalg.norm(along)
+                self._push = self._client.scene.add_arrows(
+                    "/push",
+                    points=np.array([[tip - _PUSH_LENGTH * along, tip]], dtype=np.float32),
+                    colors=(214, 39, 40),
+                    shaft_radius=0.07,
+                    head_radius=0.18,
+                    head_length=0.4,
+                )
+        if self._push is not None:
+            self._push.position = self.platform_position
 
     def _light(self) -> None:
         """Background, lights and floor colours of a fresh scene."""

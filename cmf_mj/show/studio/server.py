@@ -1,6 +1,7 @@
 """The studio's server: one page and one session for each browser tab."""
 
 import threading
+from concurrent.futures import Future
 
 import viser
 
@@ -34,11 +35,9 @@ class Studio:
         # Compile the loop before the first tab waits for it.
         ScenarioRun(self._scenario).advance(1)
         self._host = host
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
         self._stopped = False
-        self._building: set[int] = set()
-        self._pages: dict[int, Page] = {}
-        self._gone: set[int] = set()
+        self._pages: dict[int, Future[Page]] = {}
         self._server = viser.ViserServer(host=host, port=port, label="cmf studio", verbose=False)
         self._server.scene.world_axes.visible = False
         self._server.scene.configure_environment_map(None)
@@ -57,43 +56,44 @@ class Studio:
     @property
     def pages(self) -> tuple[Page, ...]:
         """Pages of the tabs that are open, oldest first."""
-        with self._changed:
-            return tuple(self._pages.values())
+        with self._lock:
+            return tuple(
+                page.result()
+                for page in self._pages.values()
+                if page.done() and not page.exception()
+            )
 
     def stop(self) -> None:
         """End all sessions, those still being built too, and then the server."""
-        with self._changed:
+        with self._lock:
             self._stopped = True
-            self._changed.wait_for(lambda: not self._building)
-        for page in self.pages:
-            page.close()
+            pages = tuple(self._pages.values())
+        for page in pages:
+            _close(page)
         self._server.stop()
 
     def _connected(self, client: viser.ClientHandle) -> None:
-        with self._changed:
+        with self._lock:
             if self._stopped:
                 return
-            self._building.add(client.client_id)
-        page = None
+            page = self._pages[client.client_id] = Future()
         try:
-            page = Page(client, self._scenario)
-        finally:
-            with self._changed:
-                self._building.remove(client.client_id)
-                gone = client.client_id in self._gone
-                self._gone.discard(client.client_id)
-                if page is not None and not gone:
-                    self._pages[client.client_id] = page
-                self._changed.notify_all()
-        if gone:
-            page.close()
+            page.set_result(Page(client, self._scenario))
+        except Exception as error:
+            page.set_exception(error)
+            raise
+        if client.client_id not in self._server.get_clients():
+            self._disconnected(client)
 
     def _disconnected(self, client: viser.ClientHandle) -> None:
-        with self._changed:
-            page = self._pages.get(client.client_id)
-            if page is None:
-                self._gone.add(client.client_id)
-                return
-        page.close()  # first: the server must not end while a session draws
-        with self._changed:
-            self._pages.pop(client.client_id, None)
+        page = self._pages.get(client.client_id)
+        if page is not None:
+            _close(page)  # first: the server must not end while a session draws
+            with self._lock:
+                self._pages.pop(client.client_id, None)
+
+
+def _close(page: "Future[Page]") -> None:
+    """End a session as soon as it is built."""
+    if page.exception() is None:
+        page.result().live.close()
