@@ -79,7 +79,7 @@ def test_decimation_keeps_the_band_and_stops_what_would_fold_back() -> None:
     assert np.abs(thin.output[inside]).max() < 1e-3
 
 
-def test_split_cut_detrend_and_select() -> None:
+def test_split_cut_and_detrend() -> None:
     u = driven(0, 640)
     run = series(u, np.arange(640.0), reference=u)
     first, second = run.split(0.75)
@@ -89,9 +89,6 @@ def test_split_cut_detrend_and_select() -> None:
     np.testing.assert_array_equal(cut.output[:, 0], np.arange(64.0, 128.0))
     assert np.abs(run.detrended("linear").output).max() < 1e-9
     assert abs(run.detrended().output.mean()) < 1e-9
-    assert run.select(outputs=["y"]).output_names == ("y",)
-    with pytest.raises(ValueError, match="inputs: 'w' is not one of u"):
-        run.select(inputs=["w"])
     with pytest.raises(ValueError, match="share: 1.0 must be"):
         run.split(1.0)
     with pytest.raises(ValueError, match="kind: 'cubic' is not one of"):

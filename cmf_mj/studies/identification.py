@@ -205,7 +205,7 @@ def identify_matrix(
         experiment(first, DOFS), experiment(second, DOFS), orders, shared=shared
     )
     whole = arx(experiment(first, DOFS, outputs=_CHANNELS), orders)
-    shared_hz, matrix_hz = loop_bandwidths(case, comparison.models[DOFS.index(shared)], whole)
+    shared_hz, matrix_hz = loop_bandwidths(case, comparison.model, whole)
     measured = []
     for dof, size in zip(DOFS, sizes, strict=True):
         record = case.run(signals.multisine(dof, size, periods=2))

@@ -23,7 +23,7 @@ fit tells what is worth it.
 
 from collections.abc import Iterable, Sequence
 from itertools import product
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from scipy import linalg
@@ -31,18 +31,13 @@ from scipy import linalg
 from cmf_mj.analysis.identification.data import Experiment, Real
 from cmf_mj.analysis.identification.model import FittedRow, Orders, PolynomialModel, from_rows
 from cmf_mj.analysis.identification.validation import simulation_fit
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 
 Criterion = Literal["aic", "bic", "validation"]
-Unstable = Literal["report", "reflect", "refuse"]
 
 
 def as_experiments(experiments: Experiment | Sequence[Experiment]) -> list[Experiment]:
-    """One or several experiments as a list of at least one, all of the same signals and rate.
-
-    Raises:
-        InputError: none, or they differ.
-    """
+    """One or several experiments as a list of at least one, all of the same signals and rate."""
     runs = [experiments] if isinstance(experiments, Experiment) else list(experiments)
     if not runs:
         raise InputError("experiments: none given; at least one is needed")
@@ -68,47 +63,24 @@ def regressors(experiment: Experiment, row: int, orders: Orders, lag: int) -> Re
     return np.column_stack(past + drive)
 
 
-def handled(model: PolynomialModel, unstable: Unstable) -> PolynomialModel:
-    """A model with its unstable poles reported, reflected or refused.
-
-    Raises:
-        InputError: `refuse`, and there are some; or another word.
-    """
-    if unstable not in ("report", "reflect", "refuse"):
-        raise InputError(f"unstable: {unstable!r} is not one of report, reflect, refuse")
-    if unstable == "refuse" and model.unstable_poles:
-        sizes = ", ".join(f"{abs(p):.6f}" for p in model.unstable_poles)
-        raise InputError(f"unstable: poles of modulus {sizes}; allowed: at most 1")
-    return model.stabilised() if unstable == "reflect" else model
-
-
 def arx(
     experiments: Experiment | Sequence[Experiment],
     orders: Orders | tuple[int, int, int],
-    *,
-    unstable: Unstable = "report",
 ) -> PolynomialModel:
     """Fit an ARX model to one or several experiments by least squares.
 
-    Args:
-        experiments: of the same signals and rate; an experiment's rest is not joined to the next.
-        orders: na, nb and nk.
-        unstable: what to do with poles outside the unit circle: `report` leaves them, see
-            `PolynomialModel.unstable_poles`; `reflect` puts them inside, see `stabilised`;
-            `refuse` raises.
-
-    Raises:
-        InputError: orders out of range, too few samples, inputs that do not excite the model
-            (regressors linearly dependent), or refused poles.
+    The experiments have the same signals and rate; an experiment's rest is not joined to the next.
+    Poles outside the unit circle stay, see `PolynomialModel.unstable_poles` and `stabilised`.
+    Raises `InputError` for orders out of range, too few samples, or inputs that do not excite the
+    model (regressors linearly dependent).
     """
     runs = as_experiments(experiments)
     chosen = Orders(*orders).check()
     factors = [_factor(runs, row, chosen, chosen.lag) for row in range(runs[0].output.shape[1])]
     solved = [_solve(factor, np.arange(factor.triangle.shape[1] - 1))[0] for factor in factors]
-    model = from_rows(
+    return from_rows(
         chosen, solved, runs[0], noise="equation", method="arx", samples=factors[0].samples
     )
-    return handled(model, unstable)
 
 
 class _Factor(NamedTuple):
@@ -178,16 +150,10 @@ class Selection(NamedTuple):
     def best(self, criterion: Criterion = "validation", *, slack: float = 0.2) -> Candidate:
         """The best of the stable candidates; if there is none, of all.
 
-        Args:
-            criterion: `validation` takes the fewest parameters whose fit is within the slack of the
-                best one; `aic` and `bic` their minimum.
-            slack: of the validation fit [%].
-
-        Raises:
-            InputError: another criterion.
+        `validation` takes the fewest parameters whose fit is within `slack` [%] of the best one,
+        `aic` and `bic` their minimum.
         """
-        if criterion not in ("aic", "bic", "validation"):
-            raise InputError(f"criterion: {criterion!r} is not one of aic, bic, validation")
+        check_name("criterion", criterion, get_args(Criterion))
         pool = [c for c in self.candidates if c.stable] or list(self.candidates)
         if criterion == "validation":
             enough = max(c.fit for c in pool) - slack
@@ -207,9 +173,6 @@ def select_orders(
     """Compare ARX orders by AIC, BIC and validation fit on a grid.
 
     One QR of the largest regressors serves all candidates, and all are judged on the same samples.
-
-    Raises:
-        InputError: an empty grid, orders out of range, or experiments that cannot be fitted.
     """
     runs, others = as_experiments(estimation), as_experiments(validation)
     grid = [Orders(*o).check() for o in product(na, nb, nk)]

@@ -32,28 +32,16 @@ _LINES = 200
 
 def to_continuous(
     model: PolynomialModel,
-    row: int = 0,
-    column: int = 0,
     *,
     band: tuple[float, float] = BAND,
     poles: int | None = None,
     zeros: int | None = None,
 ) -> ResponseFit:
-    """Continuous transfer function with the response of a discrete model over a band.
+    """Continuous transfer function with the response of a discrete model over a band [Hz].
 
-    Args:
-        model: identified from band-limited series.
-        row: output.
-        column: input.
-        band: from and to [Hz], below half the model's rate.
-        poles: default the discrete model's.
-        zeros: default one less than poles.
-
-    Returns:
-        The fit, relative over 200 lines evenly spaced in log frequency; look at its `misfit`.
-
-    Raises:
-        InputError: a band or orders out of range.
+    The model, of one input and one output, was identified from band-limited series. It keeps its
+    number of `poles`, with one `zeros` less, unless they are stated. The fit is relative over 200
+    lines evenly spaced in log frequency; look at its `misfit`.
     """
     low, high = band
     nyquist = 0.5 / model.step
@@ -63,21 +51,17 @@ def to_continuous(
     count = model.orders.na if poles is None else poles
     return fit_response(
         frequency,
-        model.response(frequency)[:, row, column],
+        model.response(frequency)[:, 0, 0],
         count,
         count - 1 if zeros is None else zeros,
-        input_name=model.input_names[column],
-        output_name=model.output_names[row],
-        input_unit=model.input_units[column],
-        output_unit=model.output_units[row],
     )
 
 
 def in_field_units(velocity: control.TransferFunction) -> UnitTransferFunction:
     """Leg velocity per command in in/s per %, of one in m/s per full command.
 
-    Its output is named `leg_velocity`, as `linear.loop.closed_loop` wants it: a degree of freedom
-    is closed with the law like a leg.
+    Its output is named `leg_velocity`, so that `linear.loop.closed_loop` closes a degree of freedom
+    with the law like a leg.
     """
     return UnitTransferFunction(
         units.from_si("in/s/%", velocity.num[0][0]),
@@ -112,21 +96,11 @@ def loop_errors(
     law: str | Law,
     measured: FrequencyResponse,
     step: StepMetrics | None = None,
-    *,
-    command_delay: int = 1,
 ) -> LoopErrors:
-    """Close a velocity model with the law and compare it with the measured closed loop.
+    """Close a velocity model [in/s per %] with a law and compare it with the measured loop.
 
-    Args:
-        velocity: leg velocity per command, continuous [in/s per %]; see `in_field_units`.
-        law: the law of the measurement.
-        measured: its response from reference to position, `frequency_response`.
-        step: its measured step.
-        command_delay: frames from the DCL to the valves.
-
-    Raises:
-        InputError: a refused law or delay.
+    `measured` is the response from reference to position under the same law, `step` its measured
+    step.
     """
-    loop = closed_loop(law, velocity, command_delay=command_delay)
-    model = measure_loop(loop, frequencies=measured.frequency)
+    model = measure_loop(closed_loop(law, velocity), frequencies=measured.frequency)
     return LoopErrors(model, joined(bandwidths(measured), step))

@@ -111,29 +111,18 @@ class Experiment:
         The filter is SciPy's Chebyshev filter of eighth order, forwards and backwards, in stages of
         at most 8; it passes 0.8 of the new Nyquist frequency within 0.1 dB a stage and is the same
         for all series, so that ratios of them are not touched.
-
-        Raises:
-            InputError: a factor below 1, or too few samples.
         """
         thin = self._mapped(partial(decimated, factor=factor))
         return replace(thin, step=self.step * factor)
 
     def detrended(self, kind: Literal["constant", "linear"] = "constant") -> "Experiment":
-        """Take the mean or the straight line of least squares out of every series.
-
-        Raises:
-            InputError: another kind.
-        """
+        """Take the mean or the straight line of least squares out of every series."""
         if kind not in ("constant", "linear"):
             raise InputError(f"kind: {kind!r} is not one of constant, linear")
         return self._mapped(lambda x: signal.detrend(x, axis=0, type=kind))
 
     def between(self, start: float = 0.0, stop: float = float("inf")) -> "Experiment":
-        """The samples from `start` to before `stop` [s], counted from the first.
-
-        Raises:
-            InputError: fewer than two samples lie between.
-        """
+        """The samples from `start` to before `stop` [s], counted from the first; at least two."""
         first = max(ceil(start / self.step - 1e-9), 0)
         last = self.samples
         if np.isfinite(stop):
@@ -144,35 +133,11 @@ class Experiment:
         return self._mapped(lambda x: x[first:last])
 
     def split(self, share: float = 0.5) -> tuple["Experiment", "Experiment"]:
-        """Estimation and validation parts: the first `share` of the run, and the rest.
-
-        Raises:
-            InputError: a share that leaves one of the two without samples.
-        """
+        """Estimation and validation parts: the first `share` of the run, and the rest."""
         if not 0.0 < share < 1.0:
             raise InputError(f"share: {share} must be greater than 0 and less than 1")
         middle = share * self.samples * self.step
         return self.between(0.0, middle), self.between(middle)
-
-    def select(
-        self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None
-    ) -> "Experiment":
-        """Some of the inputs and outputs, by name; the reference stays whole.
-
-        Raises:
-            InputError: a name the experiment does not have.
-        """
-        u = _indices("inputs", self.input_names, inputs)
-        y = _indices("outputs", self.output_names, outputs)
-        return replace(
-            self,
-            input=self.input[:, u],
-            output=self.output[:, y],
-            input_names=tuple(self.input_names[i] for i in u),
-            output_names=tuple(self.output_names[i] for i in y),
-            input_units=tuple(self.input_units[i] for i in u),
-            output_units=tuple(self.output_units[i] for i in y),
-        )
 
 
 def decimated(values: Real, factor: int) -> Real:
@@ -223,22 +188,15 @@ def experiment(
 ) -> Experiment:
     """Valve command to leg signals along legs or degrees of freedom, decimated and detrended.
 
-    Args:
-        record: holding `valve_command`, `leg_reference`, `leg_position` and the outputs.
-        axes: one or several of surge, sway, heave, roll, pitch, yaw, leg_1 and so on.
-        outputs: channels, each taken along every axis.
-        rate: samples a second afterwards [Hz]; the record's must be a whole multiple of it.
-        command_delay: frames of 1/2048 s from command to valve; default the run's, 1 where
-            the record does not say.
-        detrend: what is taken out of every series.
-        start: time to drop at the beginning [s], such as the transient of a multisine.
+    The record has `valve_command`, `leg_reference`, `leg_position` and the outputs. `axes` are one
+    or several of surge, sway, heave, roll, pitch, yaw, leg_1 and so on; `outputs` are channels,
+    each taken along every axis; `rate` [Hz] divides the record's. `command_delay` is in frames of
+    1/2048 s from command to valve, default the run's, 1 where the record does not say; `start` [s]
+    is dropped, such as the transient of a multisine.
 
-    Returns:
-        Inputs `<axis>_command` as fractions of full command (rotations: times rad/m), outputs
-        `<axis>_velocity` and so on in SI, the leg reference along the axes as reference.
-
-    Raises:
-        InputError: a channel, axis or rate the record does not have.
+    Inputs are `<axis>_command` as fractions of full command (rotations: times rad/m), outputs
+    `<axis>_velocity` and so on in SI, the reference is the leg reference along the axes. Raises
+    `InputError` for a channel, axis or rate the record does not have.
     """
     names = [axes] if isinstance(axes, str) else list(axes)
     channels = [outputs] if isinstance(outputs, str) else list(outputs)

@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg, signal
+from scipy import signal
 
 from cmf_mj.analysis.identification.data import Experiment, Real
 from cmf_mj.core.errors import InputError
@@ -150,26 +150,6 @@ class PolynomialModel:
         unknown = np.full_like(self.covariances, np.nan)
         return replace(self, denominators=a, numerators=b, covariances=unknown, reflected=unstable)
 
-    def labelled_like(self, experiment: Experiment) -> "PolynomialModel":
-        """The same model taken for the signals of an experiment.
-
-        Raises:
-            InputError: the experiment has other numbers of inputs or outputs.
-        """
-        shape = (experiment.output.shape[1], experiment.input.shape[1])
-        if shape != (self.outputs, self.inputs):
-            raise InputError(
-                f"experiment: has {shape[1]} inputs and {shape[0]} outputs; the model has "
-                f"{self.inputs} and {self.outputs}"
-            )
-        return replace(
-            self,
-            input_names=experiment.input_names,
-            output_names=experiment.output_names,
-            input_units=experiment.input_units,
-            output_units=experiment.output_units,
-        )
-
     def transfer_function(self, row: int = 0, column: int = 0) -> control.TransferFunction:
         """One input to one output as a python-control transfer function in z, with labels."""
         a, b = self.denominators[row], self.numerators[row, column]
@@ -183,36 +163,8 @@ class PolynomialModel:
             name=self.method,
         )
 
-    def state_space(self) -> control.StateSpace:
-        """All inputs to all outputs in observer form, a block a row, with labels."""
-        blocks = [self._row(row) for row in range(self.outputs)]
-        a, b, c, d = zip(*blocks, strict=True)
-        return control.ss(
-            linalg.block_diag(*a),
-            np.vstack(b),
-            linalg.block_diag(*c),
-            np.vstack(d),
-            self.step,
-            inputs=list(self.input_names),
-            outputs=list(self.output_names),
-            name=self.method,
-        )
-
-    def _row(self, row: int) -> tuple[Real, Real, Real, Real]:
-        order = max(self.denominators.shape[1], self.numerators.shape[2]) - 1
-        a = np.pad(self.denominators[row], (0, order + 1 - self.denominators.shape[1]))
-        b = np.pad(self.numerators[row], ((0, 0), (0, order + 1 - self.numerators.shape[2])))
-        d = b[:, :1].T
-        matrix = np.eye(order, k=1)
-        matrix[:, 0] = -a[1:]
-        return matrix, b[:, 1:].T - np.outer(a[1:], d), np.eye(1, order), d
-
     def simulate(self, inputs: ArrayLike) -> Real:
-        """Outputs (N, ny) of inputs (N, nu) from rest.
-
-        Raises:
-            InputError: another number of inputs.
-        """
+        """Outputs (N, ny) of inputs (N, nu) from rest."""
         u = np.asarray(inputs, dtype=float)
         if u.ndim != 2 or u.shape[1] != self.inputs:
             raise InputError(f"inputs: shape is {u.shape}; allowed: (N, {self.inputs})")
@@ -257,11 +209,7 @@ class PolynomialModel:
         return np.column_stack(past)
 
     def check(self, experiment: Experiment) -> None:
-        """Refuse an experiment of other signals or another rate.
-
-        Raises:
-            InputError: names or rate differ; both are named.
-        """
+        """Refuse an experiment of other signals or another rate."""
         for field in ("input_names", "output_names"):
             have, need = getattr(experiment, field), getattr(self, field)
             if have != need:

@@ -11,16 +11,14 @@ scored by the fit (NRMSE) of their simulation to a run that was not used. All th
 and velocities mapped to degrees of freedom by the Jacobian (`experiment`).
 """
 
-from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
-from cmf_mj.analysis.identification.arx import arx, as_experiments
+from cmf_mj.analysis.identification.arx import arx
 from cmf_mj.analysis.identification.data import Experiment
 from cmf_mj.analysis.identification.model import Orders, PolynomialModel
 from cmf_mj.analysis.identification.validation import simulation_fit
-from cmf_mj.core.errors import InputError
-
-Fitter = Callable[[Experiment | Sequence[Experiment], Orders], PolynomialModel]
+from cmf_mj.core.errors import check_name
 
 
 class DofScore(NamedTuple):
@@ -33,63 +31,49 @@ class DofScore(NamedTuple):
 
 
 class DofComparison(NamedTuple):
-    """Models per degree of freedom and how well each fits."""
+    """How well three kinds of models fit each degree of freedom."""
 
     scores: tuple[DofScore, ...]
     shared: str  #: The axis whose model stands for all.
-    models: tuple[PolynomialModel, ...]  #: Of each axis: one input, one output.
-    matrix: PolynomialModel  #: All inputs to all outputs.
+    model: PolynomialModel  #: Of that axis: one input, one output.
 
 
 def compare_dofs(
-    estimation: Experiment | Sequence[Experiment],
+    estimation: Experiment,
     validation: Experiment,
     orders: Orders | tuple[int, int, int],
     *,
     shared: str = "heave",
-    fitter: Fitter = arx,
 ) -> DofComparison:
-    """Identify models of every axis and score them on another run.
+    """Identify ARX models of every axis and score them on another run.
 
-    Args:
-        estimation: runs with as many outputs as inputs, output i along the axis of input i.
-        validation: another run of the same signals.
-        orders: of all models.
-        shared: axis whose model is tried everywhere.
-        fitter: `arx`, `instrumental_variable`, `output_error` or another such function.
-
-    Raises:
-        InputError: outputs that do not pair with inputs, an axis the runs do not have, or as the
-            fitter does.
+    Output i of the runs is along the axis of input i; `shared` is the axis whose model is tried
+    everywhere.
     """
-    runs = as_experiments(estimation)
-    axes = [name.removesuffix("_command") for name in runs[0].input_names]
-    if len(runs[0].output_names) != len(axes):
-        raise InputError(
-            f"estimation: has {len(axes)} inputs and {len(runs[0].output_names)} outputs; "
-            "allowed: one output an input"
-        )
-    if shared not in axes:
-        raise InputError(f"shared: {shared!r} is not one of {', '.join(axes)}")
-    chosen = Orders(*orders).check()
-    alone = [_alone(runs, i) for i in range(len(axes))]
-    models = [fitter(series, chosen) for series in alone]
-    matrix = fitter(runs, chosen)
-    matrix_fit = simulation_fit(matrix, validation)
-    common = models[axes.index(shared)]
+    axes = [name.removesuffix("_command") for name in estimation.input_names]
+    common = arx(_alone(estimation, axes.index(check_name("shared", shared, axes))), orders)
+    matrix_fit = simulation_fit(arx(estimation, orders), validation)
     scores = []
     for i, axis in enumerate(axes):
-        (tried,) = _alone([validation], i)
-        scores.append(
-            DofScore(
-                axis,
-                float(simulation_fit(common.labelled_like(tried), tried)[0]),
-                float(simulation_fit(models[i], tried)[0]),
-                float(matrix_fit[i]),
-            )
+        run = _alone(validation, i)
+        labels = {name: getattr(common, name) for name in ("input_names", "output_names")}
+        fits = (
+            simulation_fit(common, replace(run, **labels)),
+            simulation_fit(arx(_alone(estimation, i), orders), run),
         )
-    return DofComparison(tuple(scores), shared, tuple(models), matrix)
+        scores.append(DofScore(axis, *(float(fit[0]) for fit in fits), float(matrix_fit[i])))
+    return DofComparison(tuple(scores), shared, common)
 
 
-def _alone(runs: list[Experiment], i: int) -> list[Experiment]:
-    return [run.select([run.input_names[i]], [run.output_names[i]]) for run in runs]
+def _alone(run: Experiment, i: int) -> Experiment:
+    """Input i and output i."""
+    one = slice(i, i + 1)
+    return replace(
+        run,
+        input=run.input[:, one],
+        output=run.output[:, one],
+        input_names=run.input_names[one],
+        output_names=run.output_names[one],
+        input_units=run.input_units[one],
+        output_units=run.output_units[one],
+    )

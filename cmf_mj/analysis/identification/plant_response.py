@@ -29,27 +29,19 @@ def plant_response(
     *,
     output: str = "leg_velocity",
     segment: float = SEGMENT,
-    command_delay: int | None = None,
 ) -> FrequencyResponse:
     """Response from the command at the valve to a leg signal along a leg or degree of freedom.
 
-    Args:
-        record: of a chirp, noise or multisine along this axis.
-        axis: surge to yaw, or leg_1 and so on.
-        output: channel.
-        segment: length of Welch's segments [s], for records that are not periodic.
-        command_delay: see `experiment`.
-
-    Returns:
-        Lines in the band of the excitation, in SI per full command; the coherence is the lesser of
-        reference to input and reference to output.
-
-    Raises:
-        InputError: no excitation along the axis, a record too short, a rate that does not fit.
+    The record is of a chirp, noise or multisine along the axis, surge to yaw or leg_1 and so on;
+    `output` is a channel, `segment` the length of Welch's segments [s] for records that are not
+    periodic. Lines lie in the band of the excitation, in SI per full command; the coherence is the
+    lesser of reference to input and reference to output. Raises `InputError` without excitation
+    along the axis.
     """
-    series = experiment(
-        record, axis, outputs=output, rate=_rate(record), command_delay=command_delay
-    )
+    # The analysis rate, or the record's where it is lower or no multiple.
+    factor = record.rate / RATE
+    rate = RATE if factor >= 1.0 and abs(factor - round(factor)) < 1e-9 else record.rate
+    series = experiment(record, axis, outputs=output, rate=rate)
     if series.reference is None or np.ptp(series.reference[:, 0]) < 1e-9:
         raise InputError(f"axis: the record holds no demand in {axis}")
     to_input, to_output = (
@@ -68,9 +60,3 @@ def plant_response(
         inputs=list(series.input_names),
         outputs=list(series.output_names),
     )
-
-
-def _rate(record: Record) -> float:
-    """The analysis rate, or the record's where it is lower or no multiple."""
-    factor = record.rate / RATE
-    return RATE if factor >= 1.0 and abs(factor - round(factor)) < 1e-9 else record.rate

@@ -26,13 +26,13 @@ hold both.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize, signal
 
-from cmf_mj.analysis.identification.arx import Unstable, arx, as_experiments, handled, regressors
+from cmf_mj.analysis.identification.arx import arx, as_experiments, regressors
 from cmf_mj.analysis.identification.data import Experiment, Real
 from cmf_mj.analysis.identification.model import (
     STABILITY,
@@ -41,7 +41,7 @@ from cmf_mj.analysis.identification.model import (
     PolynomialModel,
     from_rows,
 )
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 
 Instrument = Literal["input", "reference"]
 
@@ -66,26 +66,17 @@ def instrumental_variable(
     instrument: Instrument = "input",
     iterations: int = 30,
     tolerance: float = 0.02,
-    unstable: Unstable = "report",
 ) -> PolynomialModel:
     """Refined instrumental variables, started from ARX.
 
-    Args:
-        experiments: of the same signals and rate.
-        orders: na, nb and nk.
-        instrument: `input` where the inputs are free of the outputs' noise (open loop), `reference`
-            where the outputs are fed back; the experiments then need a reference an input or more.
-        iterations: at most.
-        tolerance: change of the parameters in standard deviations that ends the iteration.
-        unstable: as for `arx`. Within the iteration poles outside the unit circle are reflected
-            for the filter and the instruments, not in the estimate.
-
-    Raises:
-        InputError: as `arx`; no reference; another instrument; an iteration that diverges. One that
-            only has not ended is marked by the result's `converged`.
+    `instrument` is `input` where the inputs are free of the outputs' noise (open loop), `reference`
+    where the outputs are fed back; the experiments then need a reference an input or more. The
+    iteration ends when the parameters change by less than `tolerance` standard deviations. Within
+    it poles outside the unit circle are reflected for the filter and the instruments, not in the
+    estimate. Raises `InputError` as `arx`, and where the iteration diverges; one that only has not
+    ended is marked by the result's `converged`.
     """
-    if instrument not in ("input", "reference"):
-        raise InputError(f"instrument: {instrument!r} is not one of input, reference")
+    check_name("instrument", instrument, get_args(Instrument))
     runs = as_experiments(experiments)
     chosen = Orders(*orders).check()
     drives = [run.input for run in runs] if instrument == "input" else _driven(runs)
@@ -93,8 +84,7 @@ def instrumental_variable(
     rows = [
         _refined(runs, drives, model, row, iterations, tolerance) for row in range(model.outputs)
     ]
-    result = _assembled(rows, chosen, runs, "iv")
-    return handled(result, unstable)
+    return _assembled(rows, chosen, runs, "iv")
 
 
 def _driven(runs: list[Experiment]) -> list[Real]:
@@ -115,7 +105,7 @@ def _driven(runs: list[Experiment]) -> list[Real]:
                 output_units=run.input_units,
             )
         )
-    model = arx(swapped, (PREFILTER, PREFILTER, 0), unstable="reflect")
+    model = arx(swapped, (PREFILTER, PREFILTER, 0)).stabilised()
     return [model.simulate(run.input) for run in swapped]
 
 
@@ -214,16 +204,10 @@ def output_error(
 ) -> PolynomialModel:
     """Fit an output-error model to one or several experiments.
 
-    Args:
-        experiments: of the same signals and rate.
-        orders: na, nb and nk.
-        start: a model of the same orders, or how to find one. Poles outside the unit circle are
-            reflected first and listed in the result's `reflected`; the fit stays stable.
-        evaluations: of the simulation a row, at most.
-
-    Raises:
-        InputError: as `arx`; another start. A search that has not ended is marked by the result's
-            `converged`.
+    `start` is a model of the same orders, or how to find one. Poles outside the unit circle are
+    reflected first and listed in the result's `reflected`; the fit stays stable. Each row takes at
+    most `evaluations` simulations; a search that has not ended is marked by the result's
+    `converged`. Raises `InputError` as `arx`.
     """
     runs = as_experiments(experiments)
     chosen = Orders(*orders).check()

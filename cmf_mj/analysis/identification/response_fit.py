@@ -49,8 +49,6 @@ class ResponseFit(NamedTuple):
     aic: float
     bic: float
     reflected: int  #: Poles of the linear fit that had to be reflected.
-    input_unit: str = ""
-    output_unit: str = ""
 
     def response(self, frequency: ArrayLike) -> Complex:
         """H at `frequency` [Hz], (K,)."""
@@ -60,11 +58,7 @@ class ResponseFit(NamedTuple):
 
 
 def response_deviation(response: ArrayLike, coherence: ArrayLike, averages: ArrayLike) -> Real:
-    """Standard deviation sigma of each line of a response, (K,).
-
-    Raises:
-        InputError: a coherence outside 0 to 1, or averages below 1.
-    """
+    """Standard deviation sigma of each line of a response, (K,)."""
     c, n = np.asarray(coherence, dtype=float), np.asarray(averages, dtype=float)
     if not ((c > 0.0) & (c <= 1.0)).all():
         raise InputError("coherence: must be above 0 and at most 1 at every line")
@@ -82,29 +76,14 @@ def fit_response(
     deviation: ArrayLike | None = None,
     delay: float = 0.0,
     fit_delay: bool = False,
-    input_name: str = "u",
-    output_name: str = "y",
-    input_unit: str = "",
-    output_unit: str = "",
 ) -> ResponseFit:
     """Fit a stable rational transfer function, with a pure delay on demand, to a response.
 
-    Args:
-        frequency: lines [Hz], (K,), rising, above 0.
-        response: complex, (K,).
-        poles: number of poles.
-        zeros: number of zeros, at most as many.
-        deviation: standard deviation of each line, e.g. `response_deviation` or an `Estimate`'s
-            radius; default |response|, a relative fit.
-        delay: pure delay [s], or where to start it.
-        fit_delay: whether the delay is fitted too; it stays at or above 0.
-        input_name: label.
-        output_name: label.
-        input_unit: kept in the result.
-        output_unit: kept in the result.
-
-    Raises:
-        InputError: bad lines, orders out of range, too few lines.
+    Lines [Hz], (K,), rise and lie above 0, `response` is complex, (K,); there are at most as many
+    zeros as poles. `deviation` is the standard deviation of each line, e.g. `response_deviation` or
+    an `Estimate`'s radius, default |response|: a relative fit. `delay` [s] is fixed, or with
+    `fit_delay` where to start it; it stays at or above 0. Raises `InputError` for bad lines, orders
+    out of range, too few lines.
     """
     f, h, sigma = _checked_lines(frequency, response, deviation)
     if not 0 <= zeros <= poles:
@@ -141,8 +120,6 @@ def fit_response(
     rational = control.tf(
         gain * numerator * scale ** (poles - np.arange(zeros, -1, -1.0)),
         denominator * scale ** (poles - order.astype(float)),
-        inputs=[input_name],
-        outputs=[output_name],
         name="response_fit",
     )
     values, errors = _pole_errors(problem, fitted, variance)
@@ -160,8 +137,6 @@ def fit_response(
         float(count * np.log(loss / count) + 2.0 * unknowns),
         float(count * np.log(loss / count) + unknowns * np.log(count)),
         reflected,
-        input_unit,
-        output_unit,
     )
 
 

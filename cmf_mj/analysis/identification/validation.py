@@ -26,10 +26,7 @@ from cmf_mj.core.errors import InputError
 def fit_percentage(measured: ArrayLike, modelled: ArrayLike) -> Real:
     """Fit of each output (ny,) in per cent: 100 is perfect, 0 no better than the mean.
 
-    A model that leaves the finite numbers has -inf.
-
-    Raises:
-        InputError: shapes that differ, or an output that does not move.
+    A model that leaves the finite numbers has -inf; an output that does not move is refused.
     """
     y, model = np.asarray(measured, dtype=float), np.asarray(modelled, dtype=float)
     if y.shape != model.shape:
@@ -43,24 +40,14 @@ def fit_percentage(measured: ArrayLike, modelled: ArrayLike) -> Real:
     return np.asarray(100.0 * (1.0 - np.where(np.isnan(missed), np.inf, missed)))
 
 
-def simulated(model: PolynomialModel, experiment: Experiment, *, start: str = "estimate") -> Real:
+def simulated(model: PolynomialModel, experiment: Experiment) -> Real:
     """Outputs (N, ny) of the model, driven by the inputs alone.
 
-    Args:
-        model: of the experiment's signals.
-        experiment: what drives it.
-        start: `estimate` fits the initial state of every row to the measured output by least
-            squares, as `compare` does; `rest` begins at zero.
-
-    Raises:
-        InputError: another start, or an experiment of other signals.
+    The initial state of every row is fitted to the measured output by least squares, as `compare`
+    does; `PolynomialModel.simulate` begins at rest.
     """
-    if start not in ("estimate", "rest"):
-        raise InputError(f"start: {start!r} is not one of estimate, rest")
     model.check(experiment)
     outputs = model.simulate(experiment.input)
-    if start == "rest":
-        return outputs
     for row in range(model.outputs):
         free = model.free_responses(row, experiment.samples)
         missing = experiment.output[:, row] - outputs[:, row]
@@ -69,11 +56,9 @@ def simulated(model: PolynomialModel, experiment: Experiment, *, start: str = "e
     return outputs
 
 
-def simulation_fit(
-    model: PolynomialModel, experiment: Experiment, *, start: str = "estimate"
-) -> Real:
+def simulation_fit(model: PolynomialModel, experiment: Experiment) -> Real:
     """Fit of each output (ny,) of the simulated model in per cent."""
-    return fit_percentage(experiment.output, simulated(model, experiment, start=start))
+    return fit_percentage(experiment.output, simulated(model, experiment))
 
 
 def residuals(model: PolynomialModel, experiment: Experiment) -> Real:
@@ -112,11 +97,7 @@ def residual_analysis(
     lags: int = 40,
     confidence: float = 0.99,
 ) -> Residuals:
-    """Correlate a model's residuals with themselves and with the inputs.
-
-    Raises:
-        InputError: a confidence out of range, lags out of range, or residuals that are all zero.
-    """
+    """Correlate a model's residuals with themselves and with the inputs."""
     if not 0.0 < confidence < 1.0:
         raise InputError(f"confidence: {confidence} must be greater than 0 and less than 1")
     e = residuals(model, experiment)[:, row]

@@ -57,30 +57,8 @@ class Estimate(NamedTuple):
     """Variance of `response` due to noise, (K,); from periods and sines only."""
     distortion_variance: Real | None = None
     """Variance of one realisation's response due to non-linearity, (K,); from several only."""
-    unit: str = ""
-    """Unit of the response where the caller states it; `stitch` joins equal units only."""
 
     @property
     def gain_db(self) -> Real:
         """Gain [dB], the response's shape."""
         return np.asarray(20.0 * np.log10(np.abs(self.response)))
-
-    @property
-    def gain_bound_db(self) -> Real:
-        """Distance of the circle's near and far end from `gain_db` [dB], (2, K); near is < 0."""
-        share = self._relative()
-        with np.errstate(divide="ignore"):
-            return np.asarray(
-                20.0 * np.log10(np.stack([np.clip(1.0 - share, 0.0, None), 1.0 + share]))
-            )
-
-    @property
-    def phase_bound_deg(self) -> Real:
-        """Half of the angle the circle is seen under [deg], (K,); 180 where it holds zero."""
-        share = self._relative()
-        return np.where(share < 1.0, np.degrees(np.arcsin(np.clip(share, 0.0, 1.0))), 180.0)
-
-    def _relative(self) -> Real:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = self.radius / np.abs(self.response)
-        return np.where(np.isnan(share) & ~np.isnan(self.response), np.inf, share)

@@ -6,18 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cmf_mj.analysis.response.estimate import DRIVEN, SEGMENT, Estimate, Real
-from cmf_mj.analysis.response.spectra import (
-    _between,
-    _fit,
-    _frozen,
-    _periods,
-    _runs,
-    _segments,
-    _stacked,
-    _Windowing,
-    _within,
-)
+from cmf_mj.analysis.response import spectra
+from cmf_mj.analysis.response.estimate import DRIVEN, SEGMENT, Complex, Estimate, Real
 from cmf_mj.core.errors import InputError
 
 
@@ -29,10 +19,7 @@ def matrix_response(
     period: float | None = None,
     segment: float = SEGMENT,
     transient: int = 1,
-    overlap: float = 0.75,
-    window: Any = "hann",
     band: tuple[float, float] | None = None,
-    pad: bool = False,
     interpolate: bool = False,
 ) -> Estimate:
     """Response matrix from several inputs to several outputs, H = S_yx S_xx^-1 at each line.
@@ -44,45 +31,34 @@ def matrix_response(
     `radius` does not hold) and leaves NaN outside them. A line driven by several inputs needs as
     many independent periods, segments or runs.
 
-    Args:
-        inputs: (N, nu) of one run, or (E, N, nu) of several.
-        outputs: (N, ny) or (E, N, ny).
-        rate: samples a second [Hz].
-        period: of periodic inputs [s]; spectra are then taken over whole periods, else by Welch's
-            method with the options of `welch_response`, and every input counts as driven.
-        segment: see `welch_response`.
-        transient: first periods to drop.
-        overlap: see `welch_response`.
-        window: see `welch_response`.
-        band: see `welch_response`.
-        pad: see `welch_response`.
-        interpolate: fill columns between their lines.
-
-    Returns:
-        Response (K, ny, nu), radius alike, multiple coherence (K, ny).
-
-    Raises:
-        InputError: shapes that do not match, inputs that are not independent at a line.
+    `inputs` are (N, nu) of one run or (E, N, nu) of several, `outputs` (N, ny) or (E, N, ny).
+    With a `period` [s] spectra are taken over whole periods after `transient` ones, else by
+    Welch's method as by `welch_response`, and every input counts as driven. The response is
+    (K, ny, nu), its radius alike, the multiple coherence (K, ny).
     """
     xs, ys = _runs("inputs", inputs), _runs("outputs", outputs)
     if xs.shape[:2] != ys.shape[:2]:
         raise InputError(f"inputs, outputs: {xs.shape}, {ys.shape}; runs and samples must agree")
     if period is None:
-        windowing = _Windowing(rate, segment, overlap, window, band, pad)
-        runs = [_segments(x.T, y.T, windowing) for x, y in zip(xs, ys, strict=True)]
+        windowing = spectra.Windowing(rate, segment, band=band)
+        runs = [spectra.segment_spectra(x.T, y.T, windowing) for x, y in zip(xs, ys, strict=True)]
         frequency = runs[0][0]
         spectra_x, spectra_y = (np.concatenate([r[i] for r in runs], axis=2) for i in (1, 2))
         correlation: Real = np.asarray(np.kron(np.eye(len(runs)), runs[0][3]), dtype=np.float64)
         driven = np.ones(spectra_x.shape[:2], dtype=bool)
     else:
-        spectra_x = _stacked(_periods("inputs", np.swapaxes(xs, 1, 2), rate, period, transient))
-        spectra_y = _stacked(_periods("outputs", np.swapaxes(ys, 1, 2), rate, period, transient))
+        spectra_x = _stacked(
+            spectra.period_spectra("inputs", np.swapaxes(xs, 1, 2), rate, period, transient)
+        )
+        spectra_y = _stacked(
+            spectra.period_spectra("outputs", np.swapaxes(ys, 1, 2), rate, period, transient)
+        )
         correlation = np.eye(spectra_x.shape[2])
         power = np.sum(np.abs(spectra_x) ** 2, axis=2)
         power[0] = 0.0
         driven = power > DRIVEN**2 * power.max(axis=0)
         frequency = np.arange(power.shape[0]) / period
-        chosen = _within(frequency, band, 0.5 / period) & driven.any(axis=1)
+        chosen = spectra.within(frequency, band, 0.5 / period) & driven.any(axis=1)
         frequency, driven = frequency[chosen], driven[chosen]
         spectra_x, spectra_y = spectra_x[chosen], spectra_y[chosen]
     if frequency.size == 0:
@@ -93,7 +69,7 @@ def matrix_response(
     for pattern in np.unique(driven, axis=0):
         rows = np.flatnonzero((driven == pattern).all(axis=1))
         columns = np.flatnonzero(pattern)
-        fit = _fit(spectra_x[np.ix_(rows, columns)], spectra_y[rows], correlation)
+        fit = spectra.least_squares(spectra_x[np.ix_(rows, columns)], spectra_y[rows], correlation)
         place = np.ix_(rows, np.arange(shape[1]), columns)
         response[place], radius[place] = fit.response, fit.radius
         coherence[rows], averages[rows] = fit.coherence, fit.averages
@@ -102,24 +78,18 @@ def matrix_response(
             known = driven[:, j]
             response[:, i, j] = _between(frequency, frequency[known], response[known, i, j])
             radius[:, i, j] = _between(frequency, frequency[known], radius[known, i, j]).real
-    return _frozen(Estimate(frequency, response, coherence, radius, averages))
+    return spectra.frozen(Estimate(frequency, response, coherence, radius, averages))
 
 
 def stitch(estimates: Sequence[Estimate]) -> Estimate:
     """Join the lines of several rounds in order of frequency.
 
     Of a line that several rounds measured, that of the highest coherence stays, in a matrix the
-    highest mean coherence.
-
-    Raises:
-        InputError: no rounds, or rounds of different units or shapes.
+    highest mean coherence. Rounds of different shapes are refused.
     """
     rounds = list(estimates)
     if not rounds:
         raise InputError("estimates: none given; at least one is needed")
-    units = sorted({estimate.unit for estimate in rounds})
-    if len(units) > 1:
-        raise InputError(f"estimates: units {', '.join(map(repr, units))} have nothing in common")
     shapes = {estimate.response.shape[1:] for estimate in rounds}
     if len(shapes) > 1:
         raise InputError(f"estimates: shapes a line {sorted(shapes)}; must be the same")
@@ -139,5 +109,26 @@ def stitch(estimates: Sequence[Estimate]) -> Estimate:
             return None
         return np.concatenate(parts)[kept]
 
-    arrays = {name: joined(name) for name in Estimate._fields if name != "unit"}
-    return _frozen(Estimate(**arrays, unit=units[0]))
+    return spectra.frozen(Estimate(*(joined(name) for name in Estimate._fields)))
+
+
+def _runs(name: str, values: ArrayLike) -> Real:
+    history = np.asarray(values, dtype=float)
+    if history.ndim not in (2, 3):
+        raise InputError(f"{name}: shape is {history.shape}; allowed: (N, n) or (runs, N, n)")
+    return history if history.ndim == 3 else history[None]
+
+
+def _stacked(spectra: Complex) -> Complex:
+    """Runs' spectra (E, channels, P, F) as (F, channels, E P)."""
+    runs, channels, periods, lines = spectra.shape
+    return spectra.transpose(3, 1, 0, 2).reshape(lines, channels, runs * periods)
+
+
+def _between(frequency: Real, known: Real, values: ArrayLike) -> Complex:
+    parts = np.asarray(values)
+    if known.size == 0:
+        return np.full(frequency.size, np.nan + 0j)
+    options = {"left": np.nan, "right": np.nan}
+    real = np.interp(frequency, known, parts.real, **options)
+    return real + 1j * np.interp(frequency, known, parts.imag, **options)

@@ -1,21 +1,10 @@
 """Responses of periodic excitations and of single sines."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.analysis.response.estimate import Estimate
-from cmf_mj.analysis.response.spectra import (
-    _driven,
-    _frozen,
-    _near,
-    _orders,
-    _pair,
-    _periods,
-    _radius,
-    _share,
-    _variance,
-    _with_harmonics,
-)
+from cmf_mj.analysis.response import spectra
+from cmf_mj.analysis.response.estimate import DRIVEN, NEIGHBOURS, Estimate, Real
 from cmf_mj.analysis.sine import fit_sines
 from cmf_mj.core.errors import InputError
 
@@ -41,21 +30,13 @@ def periodic_response(
     Two periods and seven realisations of an odd random-phase multisine tell the two apart. One
     realisation's bound holds the noise alone, several realisations' both.
 
-    Args:
-        x: input, (N,), or a sequence of realisations' inputs, which share amplitude spectrum and
-            length and differ in phases.
-        y: output, or outputs, likewise.
-        rate: samples a second [Hz].
-        period: of the input [s], a whole number of samples; a rest of the record is ignored.
-        transient: first periods to drop.
-        lines: driven multiples of 1 / `period`, (K,); default those on which the input has more
-            than `DRIVEN` of its largest amplitude. State them where the input was measured.
-
-    Raises:
-        InputError: a period that is no whole number of samples, no period left, no line driven.
+    x and y are (N,), or sequences of realisations, whose inputs share amplitude spectrum and length
+    and differ in phases. `period` [s] is a whole number of samples; a rest of the record is
+    ignored. `lines` are the driven multiples of 1 / `period`, (K,); default those on which the
+    input has more than `DRIVEN` of its largest amplitude. State them where the input was measured.
     """
-    spectra_x = _periods("x", x, rate, period, transient)
-    spectra_y = _periods("y", y, rate, period, transient)
+    spectra_x = spectra.period_spectra("x", x, rate, period, transient)
+    spectra_y = spectra.period_spectra("y", y, rate, period, transient)
     if spectra_x.shape != spectra_y.shape:
         raise InputError(f"x, y: shapes are {np.shape(x)}, {np.shape(y)}; must be the same")
     power = np.mean(np.abs(spectra_x) ** 2, axis=(0, 1))
@@ -71,15 +52,15 @@ def periodic_response(
     noise = noise.sum(axis=0) / realisations**2
     total = _variance(np.sum(np.abs(each - response) ** 2, axis=0), realisations)
     if realisations > 1:
-        radius, averages = _radius(total, realisations - 1.0), realisations
+        radius, averages = spectra.confidence_radius(total, realisations - 1.0), realisations
     else:
-        radius, averages = _radius(noise, periods - 1.0), periods
+        radius, averages = spectra.confidence_radius(noise, periods - 1.0), periods
     cross = np.abs(np.mean(np.conj(xs) * ys, axis=(0, 1))) ** 2
-    return _frozen(
+    return spectra.frozen(
         Estimate(
             chosen / period,
             response,
-            _share(cross, power[chosen] * np.mean(np.abs(ys) ** 2, axis=(0, 1))),
+            spectra.share_of(cross, power[chosen] * np.mean(np.abs(ys) ** 2, axis=(0, 1))),
             radius,
             np.full(chosen.size, float(averages)),
             noise,
@@ -99,22 +80,15 @@ def sine_response(
 ) -> Estimate:
     """Response at the frequency of a sine, or of several in one run, by least squares.
 
-    A constant, the sines and their harmonics are fitted at once to whole cycles of the lowest, so
-    that neither an offset nor a harmonic reaches the response. The noise at a line is the mean
-    power of the residual on the `NEIGHBOURS` lines about it.
+    A constant, the sines and their harmonics up to `harmonics` are fitted at once to whole cycles
+    of the lowest, so that neither an offset nor a harmonic reaches the response. The noise at a
+    line is the mean power of the residual on the `NEIGHBOURS` lines about it.
 
-    Args:
-        x: input, (N,).
-        y: output, (N,).
-        rate: samples a second [Hz].
-        frequency: of the sine [Hz], or of the sines that run at the same time, (K,).
-        settle: time to drop before the first cycle [s].
-        harmonics: highest harmonic in the fit; those above half the rate are left out.
-
-    Raises:
-        InputError: frequencies out of range or too close, no whole cycle, no input at one of them.
+    x and y are (N,), `frequency` [Hz] a number or (K,), `settle` the time to drop before the first
+    cycle [s]. Raises `InputError` for frequencies out of range or too close, no whole cycle, no
+    input at one of them.
     """
-    xs, ys = _pair(x, y)
+    xs, ys = spectra.as_pair(x, y)
     chosen = np.sort(np.atleast_1d(np.asarray(frequency, dtype=float)))
     if chosen.size == 0 or not (chosen[0] > 0.0 and chosen[-1] < 0.5 * rate):
         raise InputError(f"frequency: {chosen} Hz; allowed: above 0 and below {0.5 * rate} Hz")
@@ -141,13 +115,54 @@ def sine_response(
     power, count = _near(residual, chosen / resolution, sines / resolution)
     noise = power / (0.5 * size * amplitude) ** 2
     explained = np.abs(response) ** 2
-    return _frozen(
+    return spectra.frozen(
         Estimate(
             chosen,
             response,
-            _share(explained, explained + np.nan_to_num(noise)),
-            _radius(noise, count),
+            spectra.share_of(explained, explained + np.nan_to_num(noise)),
+            spectra.confidence_radius(noise, count),
             count + 1.0,
             noise,
         )
     )
+
+
+def _driven(power: Real) -> NDArray[np.intp]:
+    inner = np.concatenate([[0.0], power[1:]])
+    lines = np.flatnonzero(inner > DRIVEN**2 * inner.max())
+    if lines.size == 0:
+        raise InputError("x: no line is driven; the input does not move")
+    return lines
+
+
+def _orders(lines: ArrayLike, size: int) -> NDArray[np.intp]:
+    orders = np.asarray(lines)
+    if orders.ndim != 1 or orders.size == 0 or not np.issubdtype(orders.dtype, np.integer):
+        raise InputError(f"lines: {lines!r} must be a list of whole numbers")
+    if orders.min() < 1 or orders.max() >= size:
+        raise InputError(f"lines: {orders.min()} to {orders.max()}; allowed: 1 to {size - 1}")
+    return np.sort(orders)
+
+
+def _variance(squares: Real, count: int) -> Real:
+    """Variance of a mean of `count` values from the sum of squared deviations; NaN for one."""
+    return squares / (count * (count - 1)) if count > 1 else np.full_like(squares, np.nan)
+
+
+def _near(power: Real, chosen: Real, fitted: Real) -> tuple[Real, Real]:
+    """Mean of `power` over the lines next to each chosen one that no sine lies on, and how many."""
+    order = np.arange(power.size)
+    free = order[(np.abs(order[:, None] - fitted) > 0.75).all(axis=1) & (order > 0)]
+    near = [free[np.argsort(np.abs(free - line), kind="stable")[:NEIGHBOURS]] for line in chosen]
+    means = [float(power[lines].mean()) if lines.size else np.nan for lines in near]
+    return np.array(means), np.array([float(lines.size) for lines in near])
+
+
+def _with_harmonics(chosen: Real, harmonics: int, resolution: float, top: float) -> Real:
+    """The chosen frequencies, then those of their harmonics that are clear of all others."""
+    sines = list(chosen)
+    for frequency in np.outer(np.arange(2, harmonics + 1), chosen).ravel():
+        clear = min(abs(frequency - other) for other in sines) > 0.5 * resolution
+        if clear and frequency < top - 0.5 * resolution:
+            sines.append(frequency)
+    return np.array(sines)

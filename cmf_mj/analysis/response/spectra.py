@@ -1,6 +1,6 @@
 """Spectra, fits, variances and checks that the estimators share."""
 
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -8,28 +8,26 @@ from scipy import signal
 
 from cmf_mj.analysis.response.estimate import (
     CONFIDENCE,
-    DRIVEN,
-    NEIGHBOURS,
+    SEGMENT,
     Complex,
     Estimate,
-    Estimator,
     Real,
 )
 from cmf_mj.core.errors import InputError
 
 
-class _Windowing(NamedTuple):
+class Windowing(NamedTuple):
     """Options of Welch's method, as `welch_response` names them."""
 
     rate: float
-    segment: float
-    overlap: float
-    window: Any
-    band: tuple[float, float] | None
-    pad: bool
+    segment: float = SEGMENT
+    overlap: float = 0.75
+    window: Any = "hann"
+    band: tuple[float, float] | None = None
+    pad: bool = False
 
 
-def _segments(x: Real, y: Real, options: _Windowing) -> tuple[Real, Complex, Complex, Real]:
+def segment_spectra(x: Real, y: Real, options: Windowing) -> tuple[Real, Complex, Complex, Real]:
     """Lines, spectra (K, nu, S) and (K, ny, S) of x (nu, N) and y (ny, N), correlation (S, S)."""
     if options.segment <= 0.0 or not 0.0 <= options.overlap < 1.0:
         raise InputError(
@@ -46,26 +44,24 @@ def _segments(x: Real, y: Real, options: _Windowing) -> tuple[Real, Complex, Com
     both = np.pad(np.vstack([x, y]), ((0, 0), (rest, rest)))
     measured = np.pad(np.ones(size, dtype=bool), rest)
     taper = signal.get_window(options.window, length)
-    frequency = _lines(length, options.rate)
-    chosen = _within(frequency, options.band, 1.5 / options.segment)
-    spectra = _spectra(both, taper, hop, length)[chosen]
+    frequency = line_frequencies(length, options.rate)
+    chosen = within(frequency, options.band, 1.5 / options.segment)
+    spectra = transform(both, taper, hop, length)[chosen]
     nu = x.shape[0]
-    correlation = _correlation(taper, hop, measured)
+    correlation = segment_correlation(taper, hop, measured)
     return frequency[chosen], spectra[:, :nu], spectra[:, nu:], correlation
 
 
-def _spectra(x: Real, window: Real, hop: int, size: int) -> Complex:
+def transform(x: Real, window: Real, hop: int, size: int) -> Complex:
     """Spectra (F, channels, S) of the segments of x (channels, N), phases from the first sample."""
-    transform = signal.ShortTimeFFT(
-        window, hop, 1.0, fft_mode="onesided", mfft=size, phase_shift=None
-    )
+    stft = signal.ShortTimeFFT(window, hop, 1.0, fft_mode="onesided", mfft=size, phase_shift=None)
     count = (x.shape[-1] - window.size) // hop + 1
-    spectra = transform.stft(x, p0=0, p1=count, k_offset=transform.m_num_mid)
-    turn = np.exp(-2j * np.pi * np.outer(transform.f, hop * np.arange(count)))
+    spectra = stft.stft(x, p0=0, p1=count, k_offset=stft.m_num_mid)
+    turn = np.exp(-2j * np.pi * np.outer(stft.f, hop * np.arange(count)))
     return np.asarray(np.swapaxes(spectra, 0, 1) * turn[:, None, :])
 
 
-def _correlation(window: Real, hop: int, measured: NDArray[np.bool_]) -> Real:
+def segment_correlation(window: Real, hop: int, measured: NDArray[np.bool_]) -> Real:
     """Correlation (S, S) between segments of white noise that is there where `measured`."""
     frames = np.lib.stride_tricks.sliding_window_view(measured, window.size)[::hop]
     count = frames.shape[0]
@@ -78,7 +74,7 @@ def _correlation(window: Real, hop: int, measured: NDArray[np.bool_]) -> Real:
     return correlation / np.sum(window**2)
 
 
-def _periods(name: str, x: ArrayLike, rate: float, period: float, transient: int) -> Complex:
+def period_spectra(name: str, x: ArrayLike, rate: float, period: float, transient: int) -> Complex:
     """Spectra (..., P, F) of the whole periods of x (..., N) after the transient ones."""
     try:
         history = np.atleast_2d(np.asarray(x, dtype=float))
@@ -97,20 +93,16 @@ def _periods(name: str, x: ArrayLike, rate: float, period: float, transient: int
     return np.asarray(np.fft.rfft(whole.reshape(*whole.shape[:-1], -1, size), axis=-1))
 
 
-def _stacked(spectra: Complex) -> Complex:
-    """Runs' spectra (E, channels, P, F) as (F, channels, E P)."""
-    runs, channels, periods, lines = spectra.shape
-    return spectra.transpose(3, 1, 0, 2).reshape(lines, channels, runs * periods)
+class Fit(NamedTuple):
+    """Responses by least squares."""
 
-
-class _Fit(NamedTuple):
     response: Complex  # (K, ny, nu)
     coherence: Real  # (K, ny)
     radius: Real  # (K, ny, nu)
     averages: Real  # (K,)
 
 
-def _fit(x: Complex, y: Complex, correlation: Real) -> _Fit:
+def least_squares(x: Complex, y: Complex, correlation: Real) -> Fit:
     """Y = H X by least squares on each line; x (K, nu, S), y (K, ny, S), correlation (S, S)."""
     inputs, count = x.shape[1:]
     if count < inputs:
@@ -134,20 +126,15 @@ def _fit(x: Complex, y: Complex, correlation: Real) -> _Fit:
     n = np.where(known, left**2 / np.where(known, square, 1.0), 0.0)
     noise = unexplained / np.where(known, left, 1.0)[:, None]
     gain = np.einsum("kij,kjl,kil->ki", inverse, inner, np.conj(inverse)).real / size[:, :, 0] ** 2
-    radius = _radius(noise[:, :, None] * gain[:, None, :], n[:, None, None])
-    return _Fit(response, 1.0 - _share(unexplained, total, 1.0), radius, n + 1.0)
+    radius = confidence_radius(noise[:, :, None] * gain[:, None, :], n[:, None, None])
+    return Fit(response, 1.0 - share_of(unexplained, total, 1.0), radius, n + 1.0)
 
 
 def _adjoint(a: Complex) -> Complex:
     return np.conj(np.swapaxes(a, -1, -2))
 
 
-def _single(frequency: Real, fit: _Fit) -> Estimate:
-    response, radius = fit.response[:, 0, 0], fit.radius[:, 0, 0]
-    return _frozen(Estimate(frequency, response, fit.coherence[:, 0], radius, fit.averages))
-
-
-def _radius(variance: Real, averages: ArrayLike) -> Real:
+def confidence_radius(variance: Real, averages: ArrayLike) -> Real:
     """95 % radius of a complex mean of this variance, itself known from n averages; n = 0: inf."""
     n = np.broadcast_to(np.asarray(averages, dtype=float), variance.shape)
     known = n > 0.0
@@ -157,98 +144,35 @@ def _radius(variance: Real, averages: ArrayLike) -> Real:
     return np.where(known, np.sqrt(fisher * np.where(known, variance, 0.0)), np.inf)
 
 
-def _variance(squares: Real, count: int) -> Real:
-    """Variance of a mean of `count` values from the sum of squared deviations; NaN for one."""
-    return squares / (count * (count - 1)) if count > 1 else np.full_like(squares, np.nan)
-
-
-def _near(power: Real, chosen: Real, fitted: Real) -> tuple[Real, Real]:
-    """Mean of `power` over the lines next to each chosen one that no sine lies on, and how many."""
-    order = np.arange(power.size)
-    free = order[(np.abs(order[:, None] - fitted) > 0.75).all(axis=1) & (order > 0)]
-    near = [free[np.argsort(np.abs(free - line), kind="stable")[:NEIGHBOURS]] for line in chosen]
-    means = [float(power[lines].mean()) if lines.size else np.nan for lines in near]
-    return np.array(means), np.array([float(lines.size) for lines in near])
-
-
-def _with_harmonics(chosen: Real, harmonics: int, resolution: float, top: float) -> Real:
-    """The chosen frequencies, then those of their harmonics that are clear of all others."""
-    sines = list(chosen)
-    for frequency in np.outer(np.arange(2, harmonics + 1), chosen).ravel():
-        clear = min(abs(frequency - other) for other in sines) > 0.5 * resolution
-        if clear and frequency < top - 0.5 * resolution:
-            sines.append(frequency)
-    return np.array(sines)
-
-
-def _pair(x: ArrayLike, y: ArrayLike) -> tuple[Real, Real]:
+def as_pair(x: ArrayLike, y: ArrayLike) -> tuple[Real, Real]:
+    """Input and output as arrays (N,) of one length."""
     xs, ys = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     if xs.ndim != 1 or xs.shape != ys.shape:
         raise InputError(f"x, y: shapes are {xs.shape}, {ys.shape}; both must be (N,)")
     return xs, ys
 
 
-def _runs(name: str, values: ArrayLike) -> Real:
-    history = np.asarray(values, dtype=float)
-    if history.ndim not in (2, 3):
-        raise InputError(f"{name}: shape is {history.shape}; allowed: (N, n) or (runs, N, n)")
-    return history if history.ndim == 3 else history[None]
-
-
-def _known(estimator: str) -> None:
-    if estimator not in get_args(Estimator):
-        raise InputError(f"estimator: {estimator!r} is not one of {', '.join(get_args(Estimator))}")
-
-
-def _lines(size: int, rate: float) -> Real:
+def line_frequencies(size: int, rate: float) -> Real:
     """Frequencies of the real transform of `size` samples [Hz], (size // 2 + 1,)."""
     return np.asarray(np.arange(size // 2 + 1) * (rate / size), dtype=np.float64)
 
 
-def _within(frequency: Real, band: tuple[float, float] | None, above: float) -> NDArray[np.bool_]:
+def within(frequency: Real, band: tuple[float, float] | None, above: float) -> NDArray[np.bool_]:
+    """Lines that lie in the band and above a frequency [Hz]."""
     low, high = band if band is not None else (0.0, np.inf)
     slack = 1e-9 * frequency[-1]
     return (frequency > above) & (frequency >= low - slack) & (frequency <= high + slack)
 
 
-def _driven(power: Real) -> NDArray[np.intp]:
-    inner = np.concatenate([[0.0], power[1:]])
-    lines = np.flatnonzero(inner > DRIVEN**2 * inner.max())
-    if lines.size == 0:
-        raise InputError("x: no line is driven; the input does not move")
-    return lines
-
-
-def _orders(lines: ArrayLike, size: int) -> NDArray[np.intp]:
-    orders = np.asarray(lines)
-    if orders.ndim != 1 or orders.size == 0 or not np.issubdtype(orders.dtype, np.integer):
-        raise InputError(f"lines: {lines!r} must be a list of whole numbers")
-    if orders.min() < 1 or orders.max() >= size:
-        raise InputError(f"lines: {orders.min()} to {orders.max()}; allowed: 1 to {size - 1}")
-    return np.sort(orders)
-
-
-def _share(part: Real, whole: Real, empty: float = 0.0) -> Real:
+def share_of(part: Real, whole: Real, empty: float = 0.0) -> Real:
     """Part over whole, 0 to 1, and `empty` where there is nothing."""
     some = whole > 0.0
     return np.where(some, np.clip(part / np.where(some, whole, 1.0), 0.0, 1.0), empty)
 
 
-def _scaled(variance: Real | None, factor: Real) -> Real | None:
-    return None if variance is None else variance * factor**2
-
-
-def _between(frequency: Real, known: Real, values: ArrayLike) -> Complex:
-    parts = np.asarray(values)
-    if known.size == 0:
-        return np.full(frequency.size, np.nan + 0j)
-    options = {"left": np.nan, "right": np.nan}
-    real = np.interp(frequency, known, parts.real, **options)
-    return real + 1j * np.interp(frequency, known, parts.imag, **options)
-
-
-def _frozen(estimate: Estimate) -> Estimate:
-    for values in estimate[:-1]:
+def frozen(estimate: Estimate) -> Estimate:
+    """The estimate, its arrays made read-only."""
+    for values in estimate:
         if isinstance(values, np.ndarray):
             values.setflags(write=False)
     return estimate
