@@ -57,11 +57,9 @@ def compare_dofs(
     for i, axis in enumerate(axes):
         run = _alone(validation, i)
         labels = {name: getattr(common, name) for name in ("input_names", "output_names")}
-        fits = (
-            simulation_fit(common, replace(run, **labels)),
-            simulation_fit(arx(_alone(estimation, i), orders), run),
-        )
-        scores.append(DofScore(axis, *(float(fit[0]) for fit in fits), float(matrix_fit[i])))
+        everywhere = simulation_fit(common, replace(run, **labels))[0]
+        single = simulation_fit(arx(_alone(estimation, i), orders), run)[0]
+        scores.append(DofScore(axis, float(everywhere), float(single), float(matrix_fit[i])))
     return DofComparison(tuple(scores), shared, common)
 
 
