@@ -30,7 +30,7 @@ from cmf_mj.facility.host.stream import (
     resample,
 )
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
-from cmf_mj.facility.host.udp import UdpReceiver, UdpSender
+from cmf_mj.facility.host.udp import UdpReceiver, send_stream
 
 RATE = 2048
 
@@ -378,8 +378,7 @@ def test_frames_cross_the_loopback_in_real_time() -> None:
     log = make_log(100)
     with UdpReceiver() as receiver:
         assert receiver.address[0] == "127.0.0.1"
-        with UdpSender(*receiver.address) as sender:
-            report = sender.play(stream)
+        report = send_stream(stream, *receiver.address)
         wait_for(receiver, 24)
         assert collect(receiver.ring, log, 0, 0) == 24
     assert report.frames == 24
@@ -434,8 +433,8 @@ def test_deadlines_are_absolute() -> None:
         nonlocal now
         now += seconds + 0.001
 
-    with UdpReceiver() as receiver, UdpSender(*receiver.address) as sender:
-        report = sender.play(wave(200), clock=lambda: now, sleep=sleep)
+    with UdpReceiver() as receiver:
+        report = send_stream(wave(200), *receiver.address, clock=lambda: now, sleep=sleep)
     assert report.worst_lateness == pytest.approx(0.001)
     assert report.duration == pytest.approx(199 / 80.0 + 0.001)
 

@@ -145,12 +145,10 @@ def host_command(
     derivatives: Derivatives = "spline",
 ) -> None:
     """Send a file of host frames over UDP in real time."""
-    from cmf_mj.facility.host.udp import UdpSender, parse_target
+    from cmf_mj.facility.host.udp import parse_target, send_stream
 
-    address, port = parse_target(to)
-    stream = _stream(file, derivatives, rate)
-    with UdpSender(address, port) as sender:
-        sent = sender.play(stream)
+    target = parse_target(to)
+    sent = send_stream(_stream(file, derivatives, rate), *target)
     show(
         f"{sent.frames} frames in {sent.duration:.3f} s, late by "
         f"{1e3 * sent.mean_lateness:.2f} ms on average, {1e3 * sent.worst_lateness:.2f} at most"

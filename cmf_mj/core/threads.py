@@ -17,16 +17,11 @@ def on_threads(
     jobs: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Result]:
-    """Results of all cases, in their order, whichever is finished first.
+    """Results of all cases, in their order, whichever is finished first, on `jobs` threads.
 
-    Args:
-        work: what is done for a case; it must share nothing that it changes with other cases.
-        cases: one call each.
-        jobs: threads; default one a core.
-        progress: called with (cases done, cases in all) after each, from the calling thread.
-
-    Raises:
-        InputError: fewer than one thread; nothing has been run then.
+    The work on a case must share nothing that it changes with other cases. The default is a thread
+    a core. `progress` is called with (cases done, cases in all) after each, from the calling
+    thread.
     """
     if jobs is not None and jobs < 1:
         raise InputError(f"jobs: {jobs} must be at least 1")
@@ -34,10 +29,10 @@ def on_threads(
     def numbered(index: int) -> tuple[int, Result]:
         return index, work(cases[index])
 
-    found: dict[int, Result] = {}
+    results: dict[int, Result] = {}
     pool = Parallel(n_jobs=jobs or -1, backend="threading", return_as="generator_unordered")
     for index, result in pool(delayed(numbered)(index) for index in range(len(cases))):
-        found[index] = result
+        results[index] = result
         if progress is not None:
-            progress(len(found), len(cases))
-    return [found[index] for index in range(len(cases))]
+            progress(len(results), len(cases))
+    return [results[index] for index in range(len(cases))]

@@ -125,20 +125,10 @@ def operate(
     seconds: float | None = None,
     **options: Unpack[OperationOptions],
 ) -> Operation:
-    """Run the facility on host frames.
+    """Run the facility on a host's stream, or on frames with the control frame they arrive in.
 
-    Args:
-        plant: the hexapod.
-        law: name, TOML file or loaded `Law`.
-        frames: a `HostStream`, or frames with the control frame they arrive in.
-        seconds: length of the run; default until the last frame has had its turn. The host's
-            silence trips the host watchdog soon after.
-        **options: `begin`, `requests`, `events`, `facility`, `record_every` and `progress`; see
-            `OperationOptions`.
-
-    Raises:
-        InputError: an argument out of range, named.
-        OutOfBounds: the state left its physical bounds; leg, time and value are named.
+    The run lasts some `seconds`, by default until the last frame has had its turn. The host's
+    silence trips the host watchdog soon after.
     """
     arrivals = arrivals_of(frames) if isinstance(frames, HostStream) else frames
     if not arrivals.frame.size:
@@ -163,19 +153,9 @@ def serve(
 ) -> Operation:
     """Run the facility in real time on frames that a receiver puts into a ring.
 
-    Compiles and warms up first; the clock starts after that.
-
-    Args:
-        plant: the hexapod.
-        law: name, TOML file or loaded `Law`.
-        ring: of `UdpReceiver`, or filled by `put`.
-        seconds: length of the run.
-        **options: as for `operate`; the pose at the start is neutral.
-
-    Raises:
-        InputError: an argument out of range, named.
-        OSError: no monotonic clock to keep time by.
-        OutOfBounds: the state left its physical bounds; leg, time and value are named.
+    Compiles and warms up first; the clock starts after that. The ring is that of a `UdpReceiver`,
+    or filled by `put`; the pose at the start is neutral. Raises `OSError` on systems without a
+    monotonic clock to keep time by.
     """
     settings, loaded = options.get("facility") or FacilitySettings(), load_law(law)
     start = _start(options, np.zeros(6))
@@ -251,19 +231,8 @@ def facility_session(
 ) -> Session:
     """A session of the whole chain from host to valves.
 
-    Args:
-        plant: the hexapod.
-        law: loaded law.
-        arrivals: host frames, or with a ring a log to collect them in.
-        settings: everything between host and valves.
-        start: how it begins, and the operator's requests.
-        options: of the run, with its `frames`; start, protection and electronics are those of
-            `start` and `settings`.
-        ring: hand-over of live frames.
-        pace: real time; default as fast as possible.
-
-    Raises:
-        InputError: an argument out of range, named.
+    With a ring of live frames `arrivals` is the log they are collected in. Start, protection and
+    electronics of the `options` are those of `start` and `settings`.
     """
     options.check()
     limits = load_motion_limits(settings.limits)
@@ -331,15 +300,8 @@ def account(
         received = early + lost + after the end + at the DCU
         at the DCU = accepted + refused, by reason + the one that waits for confirmation at the end
 
-    Args:
-        operation: the run.
-        received: frames the receiver put into its ring, counted after it was closed; default those
-            that came to the DCU.
-        datagrams: datagrams the receiver dropped, by reason.
-
-    Returns:
-        Counts by name: `received`, `early`, `lost`, `after_end`, `accepted`, `waiting`, each reason
-        of the DCU and each of the receiver, then `late`, `missing`, `resynchronised`, `silent`.
+    `received` counts what the receiver put into its ring until it was closed, by default what came
+    to the DCU; `datagrams` counts what it dropped, by reason.
     """
     counts, refused = dict(operation.counts), dict(operation.rejections)
     arrived = operation.session.arrivals.frame.size

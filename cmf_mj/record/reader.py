@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -70,12 +69,8 @@ def read_facility_csv(path: str | Path) -> Record:
     What a file does not carry cannot be checked: without TIME the rate is taken for 128 Hz, and
     without the line `# cmf_mj` a column filled from another one is not noticed.
 
-    Returns:
-        Channels in SI at 128 Hz. In the metadata `command` is the writer's, or of the kind
-        `recording`; `recording` names the file and says how its columns were identified.
-
-    Raises:
-        InputError: the file is not a whole recording; row, column and value are named.
+    The record is in SI at 128 Hz. In its metadata `command` is the writer's, or of the kind
+    `recording`; `recording` names the file and says how its columns were identified.
     """
     table = _cut(Path(path))
     column = _values(table)
@@ -329,15 +324,7 @@ def _letters(column: int) -> str:
 
 
 def read_recording(path: Path) -> Record:
-    """Read a recording by its ending: .csv (facility) or .parquet.
-
-    Raises:
-        InputError: another ending, or a broken file.
-    """
-    readers: dict[str, Callable[[Path], Record]] = {
-        ".csv": read_facility_csv,
-        ".parquet": Record.load,
-    }
-    if path.suffix not in readers:
-        raise InputError(f"{path}: ending {path.suffix!r} is not one of {', '.join(readers)}")
-    return readers[path.suffix](path)
+    """Read a recording by its ending: .csv (facility) or .parquet."""
+    if path.suffix not in (".csv", ".parquet"):
+        raise InputError(f"{path}: ending {path.suffix!r} is not one of .csv, .parquet")
+    return read_facility_csv(path) if path.suffix == ".csv" else Record.load(path)

@@ -29,17 +29,9 @@ from cmf_mj.record.record import Record
 def write_facility_csv(record: Record, path: str | Path, *, decimals: int = 6) -> Path:
     """Write a record as the facility's recorder would; the file appears only when complete.
 
-    Samples are picked, not filtered: every (rate / 128)-th, from the first. Channels without a
-    column in `LAYOUT` are left out.
-
-    Args:
-        record: six legs, sampled at a multiple of 128 Hz.
-        path: where to; folders are made.
-        decimals: digits after the point, 0 to 9, of all values but the time, which has 7 and is
-            exact.
-
-    Raises:
-        InputError: the record does not fit the layout; channel, sample, leg and value are named.
+    The record has six legs at a multiple of 128 Hz. Samples are picked, not filtered: every
+    (rate / 128)-th, from the first. Channels without a column in `LAYOUT` are left out. Values have
+    0 to 9 decimals; the time has 7 and is exact.
     """
     target = Path(path)
     if decimals not in range(10):

@@ -69,11 +69,7 @@ class Limits(NamedTuple):
 
 
 def peaks(command: Command) -> Peaks:
-    """Largest displacement, velocity and acceleration per degree of freedom and per leg.
-
-    Raises:
-        InputError: the command holds a pose that is not finite.
-    """
+    """Largest displacement, velocity and acceleration per degree of freedom and per leg."""
     legs = pose_to_legs(command.pose)
     velocity, acceleration = _rates(command.pose)
     leg_velocity, leg_acceleration = _rates(legs)
@@ -92,18 +88,9 @@ def peaks(command: Command) -> Peaks:
 
 
 def check_limits(command: Command, limits: Limits | None = None) -> Peaks:
-    """Refuse a command that leaves the limits; call it before the run.
+    """Peaks of a command within the limits; call it before the run.
 
-    Args:
-        command: to check.
-        limits: default the operational limits of Table 2-1 and the leg travel.
-
-    Returns:
-        The peaks of a command within the limits.
-
-    Raises:
-        InputError: the command leaves a limit; the message lists each quantity that does, with
-            its value and its limit.
+    Raises an `InputError` that lists each quantity beyond its limit, with both.
     """
     allowed = limits or Limits()
     largest = peaks(command)

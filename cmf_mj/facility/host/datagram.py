@@ -63,11 +63,7 @@ class DatagramError(InputError):
 
 
 def encode(frame: HostFrame) -> bytes:
-    """The datagram of a frame.
-
-    Raises:
-        InputError: the sequence number does not fit, or a vector is not (6,).
-    """
+    """The datagram of a frame."""
     if not 0 <= frame.sequence <= MOST_SEQUENCE:
         raise InputError(f"sequence: {frame.sequence} is refused; allowed: 0 to {MOST_SEQUENCE}")
     row = np.zeros((), dtype=LAYOUT)
@@ -83,11 +79,7 @@ def encode(frame: HostFrame) -> bytes:
 
 
 def decode(data: bytes) -> HostFrame:
-    """The frame of a datagram; its numbers are as sent, be they finite or not.
-
-    Raises:
-        DatagramError: the datagram is malformed; `reason` says how.
-    """
+    """The frame of a datagram; its numbers are as sent, be they finite or not."""
     if len(data) != SIZE:
         raise DatagramError("wrong_length", f"{len(data)} octets; allowed: {SIZE}")
     row = np.frombuffer(data, dtype=LAYOUT)[0]

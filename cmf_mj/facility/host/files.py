@@ -33,12 +33,8 @@ _SCHEMA_KEY = b"cmf_mj_host"
 def read_stream(path: str | Path, *, derivatives: str = "spline") -> HostStream:
     """Read a stream from a CSV or Parquet file.
 
-    Args:
-        path: ends in .csv or .parquet; columns by name in any order, others are ignored.
-        derivatives: how to make them where the file has only poses, as in `make_stream`.
-
-    Raises:
-        InputError: file, column or frame that cannot be taken, named.
+    Columns go by name in any order, others are ignored. `derivatives`, as in `make_stream`, says
+    how to make them where the file has only poses.
     """
     source = Path(path)
     table = read_table(source)
@@ -60,11 +56,7 @@ def read_stream(path: str | Path, *, derivatives: str = "spline") -> HostStream:
 
 
 def write_stream(stream: HostStream, path: str | Path) -> Path:
-    """Write a stream as CSV or Parquet, by the name's end; it reads back bit for bit.
-
-    Raises:
-        InputError: the name ends in neither.
-    """
+    """Write a stream as CSV or Parquet, by the name's end; it reads back bit for bit."""
     return write_table(_table(stream.sequence, stream.time, stream.values), Path(path))
 
 
@@ -97,11 +89,7 @@ class HostSession:
 
     @staticmethod
     def load(path: str | Path) -> "HostSession":
-        """Read a session written by `save`; numbers come back bit for bit.
-
-        Raises:
-            InputError: the file is not a host session.
-        """
+        """Read a session written by `save`; numbers come back bit for bit."""
         source = Path(path)
         table = read_table(source)
         raw = (table.schema.metadata or {}).get(_SCHEMA_KEY)

@@ -1,7 +1,7 @@
-"""Host frames over UDP: a receiving thread and a sender that keeps its time.
+"""Host frames over UDP: a receiving thread, and a sender that keeps its time.
 
-The receiver binds to the loopback address unless told otherwise and takes datagrams of one host
-only; all others are dropped and counted.
+The receiver binds to the loopback address by default and takes datagrams of one host only; all
+others are dropped and counted.
 """
 
 import socket
@@ -15,8 +15,7 @@ import numpy as np
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.datagram import DATAGRAM_REASONS, SIZE, DatagramError, decode, encode
 from cmf_mj.facility.host.handover import Ring, make_ring, put
-from cmf_mj.facility.host.stream import HostFrame, HostStream
-from cmf_mj.signals.signal import check_positive
+from cmf_mj.facility.host.stream import HostStream
 
 LOOPBACK = "127.0.0.1"
 
@@ -39,18 +38,10 @@ class UdpReceiver:
         bind: str = LOOPBACK,
         ring: Ring | None = None,
     ) -> None:
-        """Bind the socket and start the thread.
+        """Bind the socket to the IPv4 address `bind` and start the thread.
 
-        Args:
-            port: UDP port to listen on; 0 takes a free one, see `address`.
-            host: IPv4 address of the only host whose datagrams are taken.
-            host_port: port it must send from; default any.
-            bind: IPv4 address to listen on.
-            ring: where frames go; default a new one.
-
-        Raises:
-            InputError: a port out of range or an address that is not IPv4.
-            OSError: the port is taken or the address is not of this machine.
+        Port 0 takes a free one, see `address`. Only datagrams of `host`, and of `host_port` if
+        there is one, are taken. Raises `OSError` for a port that is taken.
         """
         for name, number in (("port", port), ("host_port", host_port or 0)):
             if not 0 <= number <= 65535:
@@ -126,83 +117,42 @@ class SendReport(NamedTuple):
     worst_lateness: float  #: Largest of it [s].
 
 
-class UdpSender:
-    """Sends host frames to one address. Use it as a context manager, or call `close`."""
+def send_stream(
+    stream: HostStream,
+    address: str,
+    port: int,
+    *,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> SendReport:
+    """Send a stream to one IPv4 address and port in real time, by its time stamps.
 
-    def __init__(self, address: str, port: int) -> None:
-        """Open a socket.
-
-        Raises:
-            InputError: port out of range or an address that is not IPv4.
-        """
-        if not 1 <= port <= 65535:
-            raise InputError(f"port: {port} is refused; allowed: 1 to 65535")
-        _check_address("address", address)
-        self._target = (address, port)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
-
-    def __enter__(self) -> "UdpSender":
-        """Return the sender."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close it."""
-        self.close()
-
-    def send(self, frame: HostFrame) -> None:
-        """Send one frame."""
-        self._socket.sendto(encode(frame), self._target)
-
-    def play(
-        self,
-        stream: HostStream,
-        *,
-        speed: float = 1.0,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> SendReport:
-        """Send a stream in real time by its own time stamps.
-
-        Each deadline is start + (time[k] - time[0]) / speed: absolute, so that no lateness adds up.
-
-        Args:
-            stream: frames.
-            speed: how many times faster than real time.
-            clock: monotonic clock [s].
-            sleep: waits for a number of seconds.
-
-        Raises:
-            InputError: the speed is not above 0.
-        """
-        check_positive(speed=speed)
-        datagrams = [encode(stream.row(index)) for index in range(stream.time.size)]
-        deadlines = (stream.time - stream.time[0]) / speed
-        lateness = np.zeros(stream.time.size)
+    Each deadline is start + time[k] - time[0]: absolute, so that no lateness adds up.
+    """
+    if not 1 <= port <= 65535:
+        raise InputError(f"port: {port} is refused; allowed: 1 to 65535")
+    _check_address("address", address)
+    datagrams = [encode(stream.row(index)) for index in range(stream.time.size)]
+    deadlines = stream.time - stream.time[0]
+    lateness = np.zeros(stream.time.size)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         start = clock()
         for index, datagram in enumerate(datagrams):
             deadline = start + float(deadlines[index])
             while (left := deadline - clock()) > 0.0:
                 sleep(left)
-            self._socket.sendto(datagram, self._target)
+            sender.sendto(datagram, (address, port))
             lateness[index] = clock() - deadline
-        return SendReport(
-            frames=len(datagrams),
-            duration=float(deadlines[-1] + lateness[-1] - lateness[0]),
-            mean_lateness=float(lateness.mean()),
-            worst_lateness=float(lateness.max()),
-        )
+    return SendReport(
+        frames=len(datagrams),
+        duration=float(deadlines[-1] + lateness[-1] - lateness[0]),
+        mean_lateness=float(lateness.mean()),
+        worst_lateness=float(lateness.max()),
+    )
 
 
 def parse_target(text: str) -> tuple[str, int]:
-    """Address and port of `127.0.0.1:2048`.
-
-    Raises:
-        InputError: the text is not of that form.
-    """
+    """Address and port of `127.0.0.1:2048`."""
     address, colon, port = text.rpartition(":")
     if not (colon and port.isascii() and port.isdigit()):
         raise InputError(f"to: {text!r} is refused; allowed: ADDRESS:PORT, e.g. 127.0.0.1:2048")

@@ -32,13 +32,7 @@ class Demand:
         self._layers = [_Layer(0, 0, motion)]
 
     def change(self, frame: int, motion: Motion, fade: int) -> None:
-        """Go over to another motion.
-
-        Args:
-            frame: control frame k0 it begins in, not before that of the last change.
-            motion: the new motion.
-            fade: frames F of the take-over.
-        """
+        """Go over to another motion from frame k0, not before that of the last change, in F."""
         self._layers.append(_Layer(frame, fade, motion))
 
     def poses(self, first: int, count: int) -> NDArray[np.float64]:

@@ -13,15 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control.law import Law, load_law
+from cmf_mj.control.states import Request
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME, RATE
 from cmf_mj.facility.scenario.demand import Demand
-from cmf_mj.facility.scenario.settings import (
-    Change,
-    Scenario,
-    changed_law,
-    request_code,
-)
+from cmf_mj.facility.scenario.settings import Change, Scenario, changed_law
 from cmf_mj.facility.scenario.signal import added
 from cmf_mj.facility.scenario.source import BLOCK, ChainSource, TableSource
 from cmf_mj.facility.session import FOREVER, Live
@@ -43,12 +39,7 @@ class ScenarioRun:
     def __init__(self, scenario: Scenario, *, keep: float = 600.0) -> None:
         """Build the plant, put it at rest at the first pose of the demand and engage the law.
 
-        Args:
-            scenario: what to run. Its changes happen as their frames come.
-            keep: of an `open` run, how much of the past the record keeps [s].
-
-        Raises:
-            InputError: an argument out of range, named.
+        Of an `open` run, the record keeps the last `keep` seconds.
         """
         self._begun = scenario
         self.plant = make_plant(scenario.plant, scenario.cab, scenario.hydraulics)
@@ -81,11 +72,7 @@ class ScenarioRun:
         return self.frame >= self._session.frames
 
     def advance(self, frames: int) -> None:
-        """Run a number of control frames, at most to the end of the duration.
-
-        Raises:
-            OutOfBounds: the state left its physical bounds; leg, time and value are named.
-        """
+        """Run a number of control frames, at most to the end of the duration."""
         session = self._session
         target = min(self.frame + frames, session.frames)
         while self.frame < target:
@@ -104,10 +91,8 @@ class ScenarioRun:
     def apply(self, change: Change) -> None:
         """Change something from the next frame on.
 
-        A law takes over as `control.engage` says, signals as `demand` says.
-
-        Raises:
-            InputError: the change has a time of its own, or something in it is refused.
+        A law takes over as `control.engage` says, signals as `demand` says. A change with a time
+        is refused.
         """
         for field in ("at", "frame"):
             if getattr(change, field) is not None:
@@ -165,8 +150,7 @@ class ScenarioRun:
     def _laws(self, coming: Sequence[_Due]) -> list[Law]:
         """The law after each of the coming changes, bound to the plant.
 
-        Raises:
-            InputError: one of them is refused; also where the change before made it impossible.
+        One of them may be refused because the change before made it impossible.
         """
         laws = [self._law]
         for due in coming:
@@ -191,7 +175,7 @@ class ScenarioRun:
             push = change.push
             self._pushes[session.body(push.body)] = (*push.force, *push.torque)
         if change.request is not None and isinstance(self._source, ChainSource):
-            self._source.request(self.frame, request_code(change.request))
+            self._source.request(self.frame, Request[change.request.upper()])
 
     def _fill(self, first: int) -> None:
         self._source.fill(first)

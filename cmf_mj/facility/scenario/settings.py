@@ -9,17 +9,16 @@ from pydantic import AfterValidator, Field, model_validator
 
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import load_protection
-from cmf_mj.control.states import Request, State
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_text
 from cmf_mj.core.rates import RATE
 from cmf_mj.core.settings import Settings, merged, parsed_toml, validated
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.operation import FacilitySettings
 from cmf_mj.facility.scenario.signal import Signal
 from cmf_mj.machine import models
 from cmf_mj.plant.events import Event, Kind
 from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.signals.signal import plain
 
 Gains = dict[str, Any]
 """Fields of a law to replace, as `laws.toml` names them: `{direct_gain = {velocity = -2.0}}`."""
@@ -92,11 +91,7 @@ class Change(Settings):
         return self
 
     def when(self) -> int:
-        """Control frame of the change.
-
-        Raises:
-            InputError: neither `at` nor `frame` is given.
-        """
+        """Control frame of the change."""
         if self.frame is not None:
             return self.frame
         if self.at is None:
@@ -110,10 +105,6 @@ class ElectronicsChoice(Settings):
     sensors: str = "noisy"  #: `ideal`, `noisy` or a file.
     converters: str = "sixteen_bit"  #: `off`, `sixteen_bit` or a file.
     servo: str | None = None  #: File of changes to the servo electronics.
-
-    def chosen(self, seed: int) -> ElectronicsSettings:
-        """The same for a run."""
-        return ElectronicsSettings(self.sensors, self.converters, self.servo, seed)
 
 
 class RequestAt(Settings):
@@ -133,21 +124,6 @@ class OperationChoice(Settings):
     dcu: str = "default"  #: Digital Control Unit, `default` or a file.
     limits: str | None = None  #: File of the limits of platform and legs.
     states: str | None = None  #: File of the operating states' times.
-
-    @property
-    def state(self) -> State:
-        """State to begin in."""
-        return State[self.begin.upper()]
-
-    def facility(self, scenario: "Scenario") -> FacilitySettings:
-        """The same for a run."""
-        return FacilitySettings(
-            dcu=self.dcu,
-            limits=self.limits,
-            states=self.states,
-            electronics=scenario.chosen_electronics(),
-            protection=scenario.protection,
-        )
 
 
 class VideoChoice(Settings):
@@ -219,11 +195,7 @@ class Scenario(Settings):
         return self.cab if self.plant == "hexapod" else self.plant
 
     def begun_law(self) -> Law:
-        """The law at the start, bound to the machine.
-
-        Raises:
-            InputError: the law is refused, or is not one for this machine.
-        """
+        """The law at the start, bound to the machine."""
         return overlaid_law(load_law(self.law), self.gains).bound_to(self.law_key)
 
     @property
@@ -233,15 +205,12 @@ class Scenario(Settings):
 
     def chosen_electronics(self) -> ElectronicsSettings | None:
         """Electronics of the run."""
-        return None if self.electronics is None else self.electronics.chosen(self.seed)
+        parts = self.electronics
+        return None if parts is None else ElectronicsSettings(**dict(parts), seed=self.seed)
 
 
 def overlaid_law(law: Law, gains: Mapping[str, Any]) -> Law:
-    """A law with some of its fields replaced, tables entry by entry.
-
-    Raises:
-        InputError: a field that is not one of a law, or is out of range.
-    """
+    """A law with some of its fields replaced, tables entry by entry."""
     return validated(Law, merged(law.model_dump(), gains), "gains") if gains else law
 
 
@@ -252,65 +221,33 @@ def changed_law(law: Law, change: Change, loaded: Law | None = None) -> Law:
     return overlaid_law(law, change.gains)
 
 
-def request_code(name: RequestName) -> Request:
-    """The request of a name."""
-    return Request[name.upper()]
-
-
 def read_scenario(text: str, where: str, folder: Path | None = None) -> Scenario:
-    """A scenario from TOML text.
-
-    Args:
-        text: TOML.
-        where: how it is called in errors.
-        folder: that relative file names count from; default the working folder.
-
-    Raises:
-        InputError: not TOML, or one line a refused key with what is allowed.
-    """
+    """A scenario from TOML text; arguments as of `scenario_of`."""
     return scenario_of(parsed_toml(text, where), where, folder)
 
 
 def scenario_of(table: Mapping[str, Any], where: str, folder: Path | None = None) -> Scenario:
     """A scenario from plain values, lists included, as TOML and JSON have them.
 
-    Args:
-        table: keys of a scenario.
-        where: how it is called in errors.
-        folder: that relative file names count from; default the working folder.
-
-    Raises:
-        InputError: one line a refused key with what is allowed.
+    Errors call it `where`; relative file names count from `folder`, default the working folder.
     """
-    scenario: Scenario = validated(
-        Scenario, _located(_frozen(table), (folder or Path()).resolve()), where
-    )
-    return scenario
+    return validated(Scenario, _located(plain(table), (folder or Path()).resolve()), where)
 
 
 def change_of(table: Mapping[str, Any], where: str = "change") -> Change:
-    """A change from plain values, lists included.
-
-    Raises:
-        InputError: one line a refused key with what is allowed.
-    """
-    change: Change = validated(Change, _frozen(table), where)
-    return change
+    """A change from plain values, lists included."""
+    return validated(Change, plain(table), where)
 
 
 def save_scenario(scenario: Scenario, path: str | Path) -> Path:
     """Write a scenario as TOML, defaults left out; it reads back equal."""
-    target = Path(path)
-    write_text(target, scenario_toml(scenario))
-    return target
+    return write_text(Path(path), scenario_toml(scenario))
 
 
 def scenario_toml(scenario: Scenario) -> str:
     """A scenario as TOML text, defaults left out."""
-    text: str = tomlkit.dumps(
-        scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
-    )
-    return text
+    table = scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
+    return tomlkit.dumps(table)
 
 
 _FILES = (
@@ -332,10 +269,3 @@ def _located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         return str(folder / value) if named or (key == "file" and value) else value
 
     return {key: one(key, value) for key, value in table.items()}
-
-
-def _frozen(value: Any) -> Any:
-    """Lists as tuples, all the way down."""
-    if isinstance(value, Mapping):
-        return {key: _frozen(entry) for key, entry in value.items()}
-    return tuple(_frozen(entry) for entry in value) if isinstance(value, list | tuple) else value

@@ -14,12 +14,18 @@ from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.control.demand import leg_demand
 from cmf_mj.control.law import Law
 from cmf_mj.control.protection import load_protection
+from cmf_mj.control.states import Request, State
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.facility.host.handover import make_log
-from cmf_mj.facility.operation import Start, facility_session, starting_pose
+from cmf_mj.facility.operation import (
+    FacilitySettings,
+    Start,
+    facility_session,
+    starting_pose,
+)
 from cmf_mj.facility.scenario.demand import Demand
-from cmf_mj.facility.scenario.settings import Scenario, request_code
+from cmf_mj.facility.scenario.settings import Scenario
 from cmf_mj.facility.session import FOREVER, Options, Session, Table
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
@@ -64,11 +70,7 @@ class ChainSource:
     """Host frames of the demand, sent to the DCU of the whole chain."""
 
     def __init__(self, demand: Demand, plant: Plant, law: Law, scenario: Scenario) -> None:
-        """Make the session of a scenario with the chain from host to valves.
-
-        Raises:
-            InputError: the plant is not the hexapod.
-        """
+        """Make the session of a scenario with the chain from host to valves."""
         operation = scenario.operation
         if operation is None or not isinstance(plant, Hexapod):
             raise InputError("operation: needs the hexapod")
@@ -77,16 +79,22 @@ class ChainSource:
         self._arrivals = make_log((scenario.frames or BLOCK) // self._every + BLOCK)
         self.fill(0)
         limits = load_motion_limits(operation.limits)
-        self._settings = operation.facility(scenario)
+        self._settings = FacilitySettings(
+            dcu=operation.dcu,
+            limits=operation.limits,
+            states=operation.states,
+            electronics=scenario.chosen_electronics(),
+            protection=scenario.protection,
+        )
         self.session = facility_session(
             plant,
             law,
             self._arrivals,
             self._settings,
             Start(
-                operation.state,
+                State[operation.begin.upper()],
                 starting_pose(self._arrivals.values[0, 0], limits),
-                [(one.at, request_code(one.request)) for one in operation.request],
+                [(one.at, Request[one.request.upper()]) for one in operation.request],
             ),
             _options(scenario),
         )
@@ -100,11 +108,8 @@ class ChainSource:
         at = frames - first + 1
         before, here, after = poses[at - 1], poses[at], poses[at + 1]
         log = self._arrivals
-        log.frame[numbers], log.sequence[numbers], log.time[numbers] = (
-            frames,
-            numbers,
-            frames * FRAME,
-        )
+        log.frame[numbers], log.sequence[numbers] = frames, numbers
+        log.time[numbers] = frames * FRAME
         log.values[numbers, 0] = here
         log.values[numbers, 1] = (after - before) / (2.0 * FRAME)
         log.values[numbers, 2] = (after - 2.0 * here + before) / FRAME**2
