@@ -1,6 +1,7 @@
 # Two commands on a fresh machine with Python 3.11 and make:
 #   make compare   set up and run the main job
-#   make test      set up and check everything
+#   make test      set up and check what guards a change, within ten minutes
+#   make test-all  that, and what is slow by nature: browser, films, whole studies, long searches
 #   make site      the documentation as a site in build/site
 #   make video     set up and film the machine in motion: out/video.mp4
 #   make studio    set up and open the machine in a web page
@@ -11,8 +12,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 WORKERS ?= auto
+PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --durations 40 --durations-min 1
 
-.PHONY: compare report video studio test lint types imports links tests site constraints clean
+.PHONY: compare report video studio test test-all lint types imports links tests slow site constraints clean
 
 compare: $(VENV)/ready
 	$(BIN)/cmf compare
@@ -28,6 +30,8 @@ studio: $(VENV)/ready-studio
 
 test: lint types imports links tests
 
+test-all: test slow
+
 lint: $(VENV)/ready-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -39,8 +43,11 @@ imports: $(VENV)/ready-dev
 	$(BIN)/lint-imports
 
 tests: $(VENV)/ready-dev
-	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal tests
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile README.md docs models
+	$(PYTEST) --dist worksteal -m "not slow" tests
+	$(PYTEST) --dist loadfile README.md docs models
+
+slow: $(VENV)/ready-dev
+	$(PYTEST) --dist worksteal -m "slow or fuzz" --hypothesis-profile long tests
 
 # Afresh each time, so that no page or module that is gone can satisfy a link. The check resolves
 # every link and reference as the site does and writes no pages.

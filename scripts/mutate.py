@@ -60,7 +60,9 @@ def noticed_by(mutant: Mutant) -> str:
         source = tree / mutant.file
         text = source.read_text(encoding="utf-8")
         if text.count(mutant.line) != 1:
-            raise ValueError(f"{mutant.file}: {mutant.line!r} stands there {text.count(mutant.line)} times")
+            raise ValueError(
+                f"{mutant.file}: {mutant.line!r} stands there {text.count(mutant.line)} times"
+            )
         source.write_text(text.replace(mutant.line, mutant.becomes), encoding="utf-8")
         files = [f"tests/{name}" for name in mutant.tests]
         options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "--tb=no"]

@@ -99,6 +99,7 @@ def fed_back(seed: int, samples: int = 3000) -> Experiment:
     return series(r - 0.5 * y, y, reference=r)
 
 
+@pytest.mark.slow
 def test_under_feedback_only_the_reference_is_an_unbiased_instrument() -> None:
     """Static gain 1 of the leg, 40 experiments in closed loop under coloured noise."""
     estimates = {"oe": [], "input": [], "reference": []}

@@ -1,8 +1,10 @@
 """Whatever a host sends: the demand is finite, bounded, smooth, and every frame accounted for."""
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from lengths import examples
 from numpy.typing import NDArray
 
 from cmf_mj.control import dcu
@@ -107,7 +109,8 @@ def check(arrivals: dcu.Arrivals, frames: int) -> dcu.DcuState:
     return state
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@pytest.mark.fuzz
+@settings(max_examples=examples(150), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @example(kinds=["edge"] * 8, seed=0)
 @example(kinds=["metre_step"] * 8, seed=1)
 @example(kinds=["smooth", "huge", "smooth", "not_finite", "smooth", "silence", "smooth"], seed=2)
@@ -121,7 +124,8 @@ def test_the_demand_is_bounded_and_every_frame_is_accounted_for(
     check(*stream(kinds, seed))
 
 
-@settings(max_examples=60, deadline=None)
+@pytest.mark.fuzz
+@settings(max_examples=examples(60), deadline=None)
 @given(
     values=st.lists(
         st.tuples(

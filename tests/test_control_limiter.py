@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lengths import examples
 
 from cmf_mj.control import limiter as block
 from cmf_mj.control.limiter import limit_history, make_leg_limiter, make_limiter, make_pose_limiter
@@ -103,14 +104,16 @@ def test_demand_beyond_the_range_is_met_on_the_limit_at_rest():
 # Bounds, whatever comes
 
 
-@settings(max_examples=150, deadline=None)
+@pytest.mark.fuzz
+@settings(max_examples=examples(150), deadline=None)
 @given(limiters(1), violence())
 def test_every_limit_holds_for_any_demand(limiter, demand):
     found = limit_history(limiter, column(demand))
     assert_within(limiter, found, np.clip(demand[:1], limiter.low, limiter.high))
 
 
-@settings(max_examples=100, deadline=None)
+@pytest.mark.fuzz
+@settings(max_examples=examples(100), deadline=None)
 @given(limiters(3), st.lists(violence(600), min_size=3, max_size=3))
 def test_every_limit_holds_on_one_scale(limiter, demands):
     demand = np.array(demands).T
@@ -146,7 +149,8 @@ def test_demanded_rates_out_of_range_are_clamped_beside_an_admissible_position()
 # Pass-through
 
 
-@settings(max_examples=100, deadline=None)
+@pytest.mark.fuzz
+@settings(max_examples=examples(100), deadline=None)
 @given(
     limiters(2),
     st.lists(st.tuples(st.floats(0.05, 60.0), st.floats(0.0, 6.3)), min_size=1, max_size=5),
@@ -199,7 +203,8 @@ def longest_return(limiter, speed):
     return int((3.0 * slow / weak + 2.0 * span / (slow - speed)) / T) + 50
 
 
-@settings(max_examples=60, deadline=None)
+@pytest.mark.fuzz
+@settings(max_examples=examples(60), deadline=None)
 @given(violence(), st.floats(-0.9, 0.9), st.floats(0.2, 1.0), st.booleans())
 def test_a_held_demand_is_rejoined_in_finite_time(demand, hold, rejoin, together):
     """Whatever came before: no wind-up, equal to the bit at the end, and no chatter: from there no
@@ -216,7 +221,8 @@ def test_a_held_demand_is_rejoined_in_finite_time(demand, hold, rejoin, together
     assert np.count_nonzero(np.diff(signs)) <= 3
 
 
-@settings(max_examples=60, deadline=None)
+@pytest.mark.fuzz
+@settings(max_examples=examples(60), deadline=None)
 @given(violence(), st.floats(0.1, 2.0), st.floats(0.0, 6.3))
 def test_a_moving_demand_is_rejoined_in_finite_time(demand, frequency, phase):
     """Half the speed and 0.45 of the acceleration, where the other half closes in."""

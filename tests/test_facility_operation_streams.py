@@ -4,8 +4,10 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lengths import examples
 from numpy.typing import NDArray
 from test_control_dcu_streams import KINDS, stream
 
@@ -151,7 +153,8 @@ def check_account(outcome: Outcome, garbage: bool) -> None:
     assert reached == outcome.sent if not lost else set(reached) <= set(outcome.sent)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@pytest.mark.fuzz
+@settings(max_examples=examples(60), deadline=None, derandomize=True)
 @given(
     kinds=st.lists(st.sampled_from(KINDS), min_size=1, max_size=10),
     seed=st.integers(0, 2**32 - 1),
@@ -170,7 +173,8 @@ def test_whatever_comes_in_the_leg_reference_keeps_its_limits_and_all_is_counted
         assert outcome.chain.progress[0].state in (State.FAULT, State.OFF)
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@pytest.mark.fuzz
+@settings(max_examples=examples(25), deadline=None, derandomize=True)
 @given(
     kinds=st.lists(st.sampled_from(KINDS), min_size=1, max_size=8),
     seed=st.integers(0, 2**32 - 1),

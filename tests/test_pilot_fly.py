@@ -213,6 +213,7 @@ def run(*arguments: str) -> str:
     return result.output
 
 
+@pytest.mark.slow
 def test_cmf_flight_records_and_cmf_fly_compares(failing: PilotMotion, tmp_path: Path) -> None:
     flight = load_flight("engine_failure")
     short = Flight(cut(failing, 2.0, 5.0), flight.origin).save(tmp_path / "short.csv")
@@ -246,6 +247,7 @@ def test_a_ride_without_aircraft_has_traces_of_what_was_asked(direct: FlightResu
     assert labels == ["asked of the platform", "cab"]
 
 
+@pytest.mark.slow
 def test_cmf_fly_films_the_laws_side_by_side(failing: PilotMotion, tmp_path: Path) -> None:
     """Two laws, 1.5 s at 4 pictures a second from 0.5 s on; the record of one is a film too."""
     origin = load_flight("engine_failure").origin

@@ -43,7 +43,9 @@ def check(record: Record, proof: float) -> None:
     assert np.abs(record["leg_velocity"]).max() < 3.0  # runs away nowhere: full speed is 0.9 m/s
 
 
-@pytest.mark.parametrize("chunk", range(20))
+@pytest.mark.parametrize(
+    "chunk", [pytest.param(c, marks=pytest.mark.slow) if c > 2 else c for c in range(20)]
+)
 def test_noise_keeps_the_state_within_its_bounds(chunk: int) -> None:
     """200 seeds of 10 000 frames, held 1, 20 or 200 frames, on both plants, with and without
     losses. Every frame is checked by the run itself, every 4th here."""

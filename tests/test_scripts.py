@@ -30,6 +30,7 @@ def run(script: str, *arguments: str, cwd: Path) -> str:
     return result.stdout
 
 
+@pytest.mark.slow
 def test_compare_rotational_covers_rotation_on_both_plants(tmp_path: Path) -> None:
     run("compare_rotational.py", "--quick", "--no-records", "--out", "rotation", cwd=tmp_path)
     with (tmp_path / "rotation" / "comparison.csv").open(newline="") as file:
@@ -44,6 +45,7 @@ def test_compare_rotational_covers_rotation_on_both_plants(tmp_path: Path) -> No
     assert not (tmp_path / "rotation" / "records").exists()
 
 
+@pytest.mark.slow
 def test_compare_model_reference_draws_the_adaptation(tmp_path: Path) -> None:
     laws = ("--laws", "model_following", "model_reference_adaptive")
     run(
@@ -63,6 +65,7 @@ def test_compare_model_reference_draws_the_adaptation(tmp_path: Path) -> None:
     assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
 
 
+@pytest.mark.slow
 def test_bench_prints_json_with_a_ratio(tmp_path: Path) -> None:
     figures = json.loads(run("bench.py", "--seconds", "2", "--repeat", "2", cwd=tmp_path))
     least = figures["frame_us"] / figures["bare_us"]
@@ -72,6 +75,7 @@ def test_bench_prints_json_with_a_ratio(tmp_path: Path) -> None:
     assert figures["speed_up_two_threads"] > 0.0
 
 
+@pytest.mark.slow
 def test_bench_study_prints_json_with_the_efficiency_of_two_processes(tmp_path: Path) -> None:
     arguments = ("--machines", "2", "--repeat", "1")
     figures = json.loads(run("bench_study.py", *arguments, cwd=tmp_path))
@@ -99,6 +103,7 @@ def test_update_docs_takes_tables_and_figures_of_studies(tmp_path: Path) -> None
     assert (root / "docs" / "studies.md").read_text() == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [["--cab", c] for c in ("gfd", "rfd", "ifd")] + [["--excavator"]])
 def test_render_model_draws_each_machine(model: list[str], tmp_path: Path) -> None:
     """Off-screen, in software: the picture is neither empty nor of one colour."""
@@ -109,6 +114,7 @@ def test_render_model_draws_each_machine(model: list[str], tmp_path: Path) -> No
     assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
 
 
+@pytest.mark.slow
 def test_render_model_films_a_scenario(tmp_path: Path) -> None:
     """Half a second at ten pictures a second, and they differ."""
     arguments = ("--motion", "tour", "--seconds", "0.5", "--out", "motion.gif")
@@ -131,6 +137,7 @@ def test_show_limits_draws_its_figure(tmp_path: Path) -> None:
     assert np.abs(shipped - slow).max() > 0.5
 
 
+@pytest.mark.slow
 def test_excavator_digs_and_obeys_a_lever(tmp_path: Path) -> None:
     text = run("excavator.py", "--out", "dig", cwd=tmp_path)
     assert "supply 320 bar, least 279 bar; pump at most 368 l/min" in text
@@ -144,6 +151,7 @@ def test_excavator_digs_and_obeys_a_lever(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "excavator" / "excavator.png").is_file()
 
 
+@pytest.mark.slow
 def test_runs_of_the_facility_draw_their_figures(tmp_path: Path) -> None:
     told = run("show_lurch.py", "--wait", "1", "--out", "lurch.png", cwd=tmp_path)
     assert "with the trigger" in told
@@ -153,6 +161,7 @@ def test_runs_of_the_facility_draw_their_figures(tmp_path: Path) -> None:
         assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
 
 
+@pytest.mark.slow
 def test_electronics_effect_writes_its_table(tmp_path: Path) -> None:
     arguments = ("--laws", "velocity", "--dofs", "heave", "--quick", "--out", "effect")
     run("electronics_effect.py", *arguments, cwd=tmp_path)
@@ -164,6 +173,7 @@ def test_electronics_effect_writes_its_table(tmp_path: Path) -> None:
     assert 0.0 < abs(real / ideal - 1.0) < 0.05
 
 
+@pytest.mark.slow
 def test_update_docs_takes_tables_from_studies_and_data(tmp_path: Path) -> None:
     """On a copy of the pages: a study's table goes in, the ledger comes from the data."""
     source = SCRIPTS.parent
@@ -181,6 +191,7 @@ def test_update_docs_takes_tables_from_studies_and_data(tmp_path: Path) -> None:
     assert "<!-- table: calibrate/report -->\n\n| a table |\n\n<!-- end -->" in page
 
 
+@pytest.mark.slow
 def test_fuzz_flights_breaks_nothing(tmp_path: Path) -> None:
     text = run("fuzz_flights.py", "--count", "8", "--seconds", "1.5", cwd=tmp_path)
     told = json.loads(text)
@@ -188,6 +199,7 @@ def test_fuzz_flights_breaks_nothing(tmp_path: Path) -> None:
     assert 0.0 < told["largest_leg_use"] < 1.05
 
 
+@pytest.mark.slow
 def test_bench_flight_compares_with_bare_steps(tmp_path: Path) -> None:
     told = json.loads(run("bench_flight.py", "--seconds", "2", "--repeat", "2", cwd=tmp_path))
     assert told["seconds"] == pytest.approx(2.03, abs=0.02)
@@ -195,6 +207,7 @@ def test_bench_flight_compares_with_bare_steps(tmp_path: Path) -> None:
     assert told["real_time_factor"] > 0.0
 
 
+@pytest.mark.slow
 def test_sweep_plan_rate_counts_limit_cycles(tmp_path: Path) -> None:
     told = run(
         "sweep_plan_rate.py", "--factors", "1/1", "--flights", "", "--streams", "2", cwd=tmp_path

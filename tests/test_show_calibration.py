@@ -82,6 +82,7 @@ def test_text_marks_what_is_outside_and_what_is_missing(examined: Examination) -
     assert "largest swing left 40.00 % (ifd, surge)" in text
 
 
+@pytest.mark.slow
 def test_command_writes_a_folder_a_study(
     examined: Examination, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -52,6 +52,7 @@ def frames_of(path: Path) -> list[np.ndarray]:
         return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
 
 
+@pytest.mark.slow
 def test_a_film_of_two_runs_has_real_speed_and_both_in_it(
     record: Record, single: Record, tmp_path: Path
 ) -> None:
@@ -84,6 +85,7 @@ def test_slow_motion_has_more_pictures(single: Record, tmp_path: Path) -> None:
         assert picture.info["duration"] == 100
 
 
+@pytest.mark.slow
 def test_a_gif_keeps_its_pace_though_it_counts_hundredths(single: Record, tmp_path: Path) -> None:
     """Fifteen pictures at 30 a second last 0.5 s; 15 times 0.03 s would be 0.45 s."""
     path = film([single], tmp_path / "pace.gif", SMALL._replace(fps=30, strip=0))
@@ -134,6 +136,7 @@ def test_a_film_ends_in_mp4_or_gif(single: Record, tmp_path: Path) -> None:
         film([single], tmp_path / "x.avi")
 
 
+@pytest.mark.slow
 def test_a_part_of_a_run_is_filmed_from_its_row_on(record: Record, tmp_path: Path) -> None:
     """From 0.2 to 0.4 s at 10 pictures a second: three pictures, the whole film's third to fifth;
     with the last seconds missing it goes to the end."""
@@ -203,6 +206,7 @@ def test_traces_grow_from_left_to_right(record: Record) -> None:
     assert cursors[0] < cursors[1]
 
 
+@pytest.mark.slow
 def test_the_video_command_compares_laws(tmp_path: Path) -> None:
     path = scenario.save_scenario(quick(duration=0.2), tmp_path / "short.toml")
     out = tmp_path / "laws.gif"
@@ -216,6 +220,7 @@ def test_the_video_command_compares_laws(tmp_path: Path) -> None:
         assert picture.size == (320, 100)
 
 
+@pytest.mark.slow
 def test_a_scenario_s_video_is_among_its_outputs(tmp_path: Path) -> None:
     outputs = {"record": False, "plot": False, "video": {"file": "run.gif", "fps": 4}}
     path = scenario.save_scenario(quick(duration=0.2, outputs=outputs), tmp_path / "s.toml")
@@ -254,6 +259,7 @@ def test_the_backend_of_the_tests_is_found_by_trying() -> None:
     assert not stage._works("no_such_backend")
 
 
+@pytest.mark.slow
 def test_a_stage_draws_what_the_model_does() -> None:
     model = hexapod_spec("rfd").compile()
     with Stage(model, 160, 100) as drawn:

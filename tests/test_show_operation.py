@@ -109,6 +109,7 @@ def test_cmf_serve_refuses_bad_arguments() -> None:
         assert message in result.output
 
 
+@pytest.mark.slow
 def test_cmf_serve_against_cmf_host_accounts_for_every_frame(tmp_path: Path) -> None:
     """Two processes on loopback; a stranger and garbage between. Counts only, no times."""
     path = write_stream(stream(2.0), tmp_path / "flight.csv")

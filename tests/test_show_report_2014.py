@@ -78,6 +78,7 @@ def test_captions_say_where_the_machine_is_a_stand_in(content: Content) -> None:
         assert ("stand-in" in caption) == on_machine, figure.number
 
 
+@pytest.mark.slow
 def test_page_is_the_same_for_any_number_of_jobs(content: Content) -> None:
     chosen: Any = (["3-14", "2-4"], [])
     first, second = (render(make_content(*chosen, jobs=jobs, quick=True)) for jobs in (1, 2))
@@ -172,6 +173,7 @@ def tables_of(content: Content) -> dict[str, PageTable]:
     }
 
 
+@pytest.mark.slow
 def test_all_sections_have_rows_as_wide_as_their_headers(studied: Content) -> None:
     sections = sections_of(studied)
     assert [section.anchor for section in sections if section.anchor in OWN] == list(OWN)
@@ -186,6 +188,7 @@ def test_studies_are_left_out_of_a_part(content: Content) -> None:
     assert {"ledger", "parameters", "provenance"} <= anchors
 
 
+@pytest.mark.slow
 def test_ledger_and_calibration_are_shown_whole(studied: Content) -> None:
     page = tables_of(studied)
     assert len(page["ledger-table"].rows) == len(load_ledger())
@@ -200,6 +203,7 @@ def test_ledger_and_calibration_are_shown_whole(studied: Content) -> None:
     assert {row.cells[4] for row in original if row.cells[1] == "-90 deg [Hz]"} == {f"{phase:.2f}"}
 
 
+@pytest.mark.slow
 def test_force_table_ends_with_what_the_report_prints(studied: Content) -> None:
     rows = tables_of(studied)["force-readings"].rows
     assert len(rows) == len(FORCE_READINGS) + 1
@@ -330,6 +334,7 @@ def test_report_without_plotly_says_what_to_install(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_report_command_writes_the_page_and_counts_verdicts(tmp_path: Path) -> None:
     arguments = ["report", "--quick", "--figures", "3-14", "--tables", "section 3.2.2"]
     result = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path)])

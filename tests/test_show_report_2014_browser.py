@@ -10,6 +10,8 @@ from playwright.sync_api import Page, sync_playwright
 
 from cmf_mj.show.report_2014.page import make_content, save_page
 
+pytestmark = pytest.mark.slow
+
 FIGURES = ["3-14", "3-17"]
 
 

@@ -313,6 +313,7 @@ def test_first_scenario_is_a_file_too() -> None:
     assert read_scenario(scenario_toml(begun), "again") == begun
 
 
+@pytest.mark.slow
 def test_script_draws_the_page(tmp_path: Path) -> None:
     path = tmp_path / "studio.png"
     command = [sys.executable, "scripts/show_studio.py", "--out", str(path), "--seconds", "1"]

@@ -120,6 +120,7 @@ class Watched(swing.Stage):
         return super().picture(qpos)
 
 
+@pytest.mark.slow
 def test_the_film_shows_each_mode_with_its_own_period(
     plant: Hexapod, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,6 +148,7 @@ def test_the_film_shows_each_mode_with_its_own_period(
         assert picture.n_frames == count
 
 
+@pytest.mark.slow
 def test_an_mp4_is_whole_and_says_what_it_shows(plant: Hexapod, tmp_path: Path) -> None:
     modes = plant.hydraulic_modes(LEANING)
     path = swing_film(plant, modes, tmp_path / "m.mp4", SMALL._replace(speed=0.02, periods=0.1))
@@ -198,6 +200,7 @@ def test_what_a_film_of_modes_cannot_do_is_named(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_the_command_films_the_pose_and_the_worst(tmp_path: Path) -> None:
     cheap = ["--samples", "90", "--points", "3", "--rounds", "2", "--out", str(tmp_path)]
     looks = ["--fps", "4", "--speed", "0.02", "--width", "64", "--height", "50"]

@@ -12,6 +12,7 @@ from cmf_mj.studies.journal import read_results
 from cmf_mj.studies.variants import LADDER
 
 
+@pytest.mark.slow
 def test_heave_keeps_its_single_leg_all_the_way_up(tmp_path: Path) -> None:
     """One degree of freedom, one law: the -90 deg bandwidth of every rung within 4 % of the first.
 

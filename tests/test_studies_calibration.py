@@ -61,6 +61,7 @@ def small() -> Study:
 # -- what the shipped sets must meet --------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_report_set_meets_the_non_linear_rows() -> None:
     """-90 deg within 10 %, -3 dB within 15 %, damping within 0.1 of the later table of each law."""
     study = load_study("report")
@@ -71,6 +72,7 @@ def test_report_set_meets_the_non_linear_rows() -> None:
     assert not [row for row in later.values() if not row.within]
 
 
+@pytest.mark.slow
 def test_hardware_set_meets_the_hardware_rows() -> None:
     """Tables 2-4 and 2-6, hexapod in heave: bandwidths within 10 %, damping within 0.1."""
     study = load_study("hardware")
@@ -149,6 +151,7 @@ def test_payload_of_the_hexapod_adds_in_proportion() -> None:
 # -- the fit -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_fit_finds_known_parameters_through_a_biased_linear_model(
     small: Study, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -179,6 +182,7 @@ def test_fit_finds_known_parameters_through_a_biased_linear_model(
     np.testing.assert_allclose(np.diag(calibration.correlation), 1.0)
 
 
+@pytest.mark.slow
 def test_stability_holds_the_leg_speed_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """Asked for bandwidths out of reach, the fit stops where the loop with the IFD would ring."""
     study = load_study("hardware")

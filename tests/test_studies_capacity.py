@@ -269,6 +269,7 @@ def test_constant_supply_is_bound_by_the_valves_where_the_pump_would_be():
     assert asymptotes(plant, "heave").pump_flow == np.inf
 
 
+@pytest.mark.slow
 def test_envelope_does_not_depend_on_the_threads(tmp_path):
     one, two = (
         performance_envelope(dofs=["yaw"], frequencies=[2.5, 6.3], jobs=jobs) for jobs in (1, 2)
@@ -372,6 +373,7 @@ def run(*arguments: str) -> tuple[int, str]:
     return result.exit_code, result.output
 
 
+@pytest.mark.slow
 def test_command_writes_tables_and_figures(tmp_path: Path) -> None:
     out = tmp_path / "out"
     code, output = run(
@@ -403,6 +405,7 @@ def test_command_says_no_and_takes_a_file(tmp_path: Path) -> None:
     assert not (tmp_path / "out" / "envelope.png").exists()
 
 
+@pytest.mark.slow
 def test_command_draws_a_constant_supply(tmp_path: Path) -> None:
     code, output = run(
         *("--signal", "step", "--hydraulics", "report", "--no-envelope"), "--out", str(tmp_path)

@@ -20,6 +20,7 @@ def test_columns_are_the_promised_ones() -> None:
     assert list(comparison.COLUMNS) == COLUMNS
 
 
+@pytest.mark.slow
 def test_results_are_bit_identical_whatever_the_jobs(tmp_path: Path) -> None:
     comparisons = {
         jobs: compare(
@@ -46,6 +47,7 @@ def test_results_are_bit_identical_whatever_the_jobs(tmp_path: Path) -> None:
             assert one[channel].tobytes() == two[channel].tobytes(), (name, channel)
 
 
+@pytest.mark.slow
 def test_quick_sweep_reads_the_same_bandwidths() -> None:
     """A sweep three times as fast: within 2 % on a damped response, as the docstring says."""
     quick, full = (

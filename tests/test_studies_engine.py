@@ -94,6 +94,7 @@ def test_a_case_that_fails_is_a_row_with_its_error(finished: Path) -> None:
     assert len(rows) - len(failed) == 6 * CASES // 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("backend", "jobs"), [("threading", 2), ("loky", 2)])
 def test_threads_and_processes_give_the_same_bits(
     backend: engine.Backend, jobs: int, study: Study, finished: Path, tmp_path: Path
@@ -105,6 +106,7 @@ def test_threads_and_processes_give_the_same_bits(
     assert seen[-1] == (CASES, CASES)
 
 
+@pytest.mark.slow
 def test_a_killed_process_of_the_pool_loses_nothing(
     study: Study, finished: Path, tmp_path: Path
 ) -> None:
@@ -132,6 +134,7 @@ def deadly(cases: Sequence[StudyCase]) -> list[tuple[int, list[StudyRow]]]:
     return engine.attempt(cases)
 
 
+@pytest.mark.slow
 def test_a_case_that_kills_every_worker_is_a_row_with_an_error(
     study: Study, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -175,6 +178,7 @@ def cluster() -> Iterator[tuple[str, list[int]]]:
             part.wait()
 
 
+@pytest.mark.slow
 def test_a_dask_cluster_that_loses_a_worker_loses_nothing(
     study: Study, finished: Path, tmp_path: Path
 ) -> None:
@@ -208,6 +212,7 @@ def begin(specification: Path, folder: Path) -> subprocess.Popen[str]:
     return process
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_where_it_was(
     study: Study, specification: Path, finished: Path, tmp_path: Path
 ) -> None:

@@ -48,6 +48,7 @@ def test_hexapod_with_the_hardware_set_reproduces_the_hardware_rows(table: str, 
     assert widths.gain_hz == pytest.approx(row.gain_bandwidth_hz, rel=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cab", CABS)
 @pytest.mark.parametrize("dof", DOFS)
 def test_velocity_law_is_stable_as_flown(cab: str, dof: str) -> None:
@@ -61,6 +62,7 @@ def test_velocity_law_is_stable_as_flown(cab: str, dof: str) -> None:
         assert record["gimbal_error"].max() < 10e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["original", "velocity", "position_error_rate", "acceleration"])
 def test_heave_of_hexapod_and_single_legs_agree_at_29920_lbm(law: str) -> None:
     """The GFD's payload is the one whose heave effective mass is 7200 lbm: within 5 %."""
@@ -69,6 +71,7 @@ def test_heave_of_hexapod_and_single_legs_agree_at_29920_lbm(law: str) -> None:
     assert hexapod.phase_hz == pytest.approx(single.phase_hz, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dof", ["surge", "sway"])
 def test_surge_and_sway_of_the_hexapod_do_not_follow_the_single_legs(dof: str) -> None:
     """The reflected mass of the pair at 4.8 Hz: less phase bandwidth and a far higher peak."""
@@ -79,6 +82,7 @@ def test_surge_and_sway_of_the_hexapod_do_not_follow_the_single_legs(dof: str) -
         assert hexapod.peak_db > single.peak_db + peak
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dof", ["heave", "surge", "roll"])
 def test_halving_the_step_moves_no_bandwidth_by_more_than_1_percent(dof: str) -> None:
     coarse = measured(Hexapod(), "velocity", dof)

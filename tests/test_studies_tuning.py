@@ -86,6 +86,7 @@ def test_every_form_starts_within_its_bounds_and_makes_a_law_that_is_stable(form
     assert performance.phase_hz.min() > 1.0
 
 
+@pytest.mark.slow
 def test_limits_cost() -> None:
     """A law that breaks the limits costs more than the same with wider ones."""
     template = make_template("mine", "Mine", ("ifd",))
@@ -107,6 +108,7 @@ def test_bad_requests_are_named() -> None:
     assert models.cab_path("gfd").is_file()
 
 
+@pytest.mark.slow
 def test_tune_command(tmp_path: Path) -> None:
     out = tmp_path / "law.toml"
     arguments = ["tune", "--cabs", "gfd", "--evaluations", "1", "--file", str(out)]
@@ -115,6 +117,7 @@ def test_tune_command(tmp_path: Path) -> None:
     assert "--evaluations 1 --seed 1" in load_law(out).source
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("script", "arguments", "written"),
     [
@@ -143,6 +146,7 @@ def test_scripts(
         assert (tmp_path / name).stat().st_size > 50
 
 
+@pytest.mark.slow
 def test_ablation_script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "ablation.md"
     monkeypatch.setattr(sys, "argv", ["ablate", "--cabs", "gfd", "--out", str(out)])
