@@ -1,5 +1,7 @@
 """Tables and figures of capacity studies."""
 
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
-from numpy.typing import NDArray
 
 from cmf_mj.core import units
 from cmf_mj.core.files import write_text
@@ -23,10 +24,10 @@ from cmf_mj.show.look import (
     ORANGE,
     PURPLE,
     SKY,
-    grid,
     legend,
     new_figure,
-    save_figure,
+    save_files,
+    stack,
 )
 from cmf_mj.show.overview import plot_motion
 from cmf_mj.show.table import Table, number
@@ -34,7 +35,7 @@ from cmf_mj.studies.capacity.asymptotes import Asymptotes
 from cmf_mj.studies.capacity.envelope import Envelope, EnvelopePoint
 from cmf_mj.studies.capacity.verdict import CapacityResult, relief_flow
 
-_GALLON, _GPM, _PSI = units.GALLON, units.GALLON_PER_MINUTE, units.PSI
+_GPM, _PSI = units.GALLON_PER_MINUTE, units.PSI
 
 _BINDING = {
     "displacement": ("operational displacement", "s", BLUE),
@@ -65,48 +66,37 @@ def _gpm(value: float) -> str:
 
 
 def _gallons(value: float) -> str:
-    return number(value / _GALLON, ".1f gal")
+    return number(value / units.GALLON, ".1f gal")
 
 
 def capacity_table(result: CapacityResult) -> Table:
     """Every measure of a manoeuvre: name, value with unit, definition."""
-    worst = int(result.peak_command.argmax())
-    lowest, oil = f"at {result.least_pressure.time:.2f} s", _gallons(result.charged_oil)
-    margin = f"leg {result.least_margin.leg} at {result.least_margin.time:.2f} s"
+    worst, verdict = int(result.peak_command.argmax()), "yes" if result.holds else "NO"
+    lowest, margin = result.least_pressure, result.least_margin
+    empty, saturated = number(result.empty_time, ".3g"), 100.0 * result.saturation.max()
+    demand = f"{100.0 * result.peak_command[worst]:.0f} %"
+    over = f"manifold over stall, leg {margin.leg} at {margin.time:.2f} s"
+    limit = f"over the run; limit {_gpm(result.pump_flow_limit)}"
     rows = [
+        ("supply holds", verdict, f"manifold never below {_psi(result.allowed_pressure)}"),
+        ("least manifold pressure", _psi(lowest.value), f"at {lowest.time:.2f} s"),
         (
-            *("supply holds", "yes" if result.holds else "NO"),
-            f"manifold never below {_psi(result.allowed_pressure)}",
+            *("least oil in accumulators", _gallons(result.least_oil)),
+            f"of {_gallons(result.charged_oil)} charged",
         ),
-        ("least manifold pressure", _psi(result.least_pressure.value), lowest),
-        ("least oil in accumulators", _gallons(result.least_oil), f"of {oil} charged"),
         ("least gas pressure", _psi(result.least_gas_pressure), "of the accumulators"),
-        ("accumulators empty", f"{number(result.empty_time, '.3g')} s", "in all"),
-        (
-            *("mean pump flow", _gpm(result.pump_flow.mean)),
-            f"over the run; limit {_gpm(result.pump_flow_limit)}",
-        ),
+        ("accumulators empty", f"{empty} s", "in all"),
+        ("mean pump flow", _gpm(result.pump_flow.mean), limit),
         ("peak pump flow", _gpm(result.pump_flow.peak), ""),
         ("mean relief flow", _gpm(result.relief_flow.mean), "over the run"),
         ("peak relief flow", _gpm(result.relief_flow.peak), ""),
-        (
-            *("valve saturation", f"{100.0 * result.saturation.max():.2f} %"),
-            "of the run, worst leg",
-        ),
-        (
-            *("peak valve demand", f"{100.0 * result.peak_command[worst]:.0f} %"),
-            f"leg {worst + 1}, before the clamp at 100 %",
-        ),
-        (
-            "least pressure margin",
-            _psi(result.least_margin.value),
-            f"manifold over stall, {margin}",
-        ),
+        ("valve saturation", f"{saturated:.2f} %", "of the run, worst leg"),
+        ("peak valve demand", demand, f"leg {worst + 1}, before the clamp at 100 %"),
+        ("least pressure margin", _psi(margin.value), over),
     ]
     about = result.record.metadata
     words = [about["law"], about["cab"], f"{about['hydraulics']} hydraulics"]
-    title = f"capacity: {', '.join(filter(None, words))}"
-    return Table(title, ("measure", "value", ""), rows)
+    return Table(f"capacity: {', '.join(filter(None, words))}", ("measure", "value", ""), rows)
 
 
 def envelope_table(envelope: Envelope) -> Table:
@@ -146,12 +136,11 @@ def _scales(dof: str) -> tuple[float, float]:
 
 def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Figure:
     """A manoeuvre over time: motion, pressures, flows, oil in the accumulators, valves."""
-    record = result.record
-    time = record.time
-    network = parameters.supply == "network"
-    count = 5 if network else 3
-    figure = new_figure(8.5, 1.9 * count)
-    motion, pressure, *between, valve = figure.subplots(count, 1, sharex=True)
+    record, time = result.record, result.record.time
+    network = ("flow [gpm]", "oil in accumulators\n[gal]") if parameters.supply == "network" else ()
+    labels = ("", "pressure [psi]", *network, "valve command\nof the busiest leg [%]")
+    figure, axes = stack(8.5, 1.9 * len(labels), *labels)
+    motion, pressure, *between, valve = axes
     verdict = "holds" if result.holds else "does NOT hold"
     motion.set_title(
         f"the supply {verdict}: least manifold pressure {_psi(result.least_pressure.value)}, "
@@ -160,27 +149,21 @@ def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Fi
     plot_motion(motion, record)
     pressure.plot(time, record["supply_pressure"] / _PSI, color=BLUE, label="supply manifold")
     pressure.axhline(result.allowed_pressure / _PSI, color=ORANGE, label="least allowed")
-    pressure.set_ylabel("pressure [psi]")
-    largest = 100.0 * np.abs(record["valve_command"]).max(axis=1)
-    valve.plot(time, largest, color=DARK, label="largest valve command")
+    valve.plot(time, 100.0 * np.abs(record["valve_command"]).max(axis=1), color=DARK)
     valve.axhline(100.0, color=GREY, linestyle=":")
-    valve.set(ylabel="valve command\nof the busiest leg [%]", ylim=(0.0, 110.0), xlabel="time [s]")
+    valve.set_ylim(0.0, 110.0)
     if network:
-        flow, oil = between
-        _network(pressure, flow, oil, result, parameters)
+        _network((pressure, *between), result, parameters)
     for axis in (motion, pressure, *between[:1]):
+        axis.margins(y=0.2)
         legend(axis, loc="upper right", ncols=4, framealpha=0.9)
-        low, high = axis.get_ylim()
-        axis.set_ylim(low, high + 0.3 * (high - low))
-    grid(motion, pressure, *between, valve)
     motion.set_xlim(time[0], time[-1])
     return figure
 
 
-def _network(
-    pressure: Axes, flow: Axes, oil: Axes, result: CapacityResult, parameters: HydraulicParameters
-) -> None:
+def _network(axes: Sequence[Axes], result: CapacityResult, parameters: HydraulicParameters) -> None:
     """Pump, accumulators and relief over time."""
+    pressure, flow, oil = axes
     record, time = result.record, result.record.time
     gas = record["accumulator_pressure"] / _PSI
     pressure.plot(time, gas, "--", color=AMBER, label="accumulator gas")
@@ -194,22 +177,20 @@ def _network(
     if result.relief_flow.peak > 0.0:
         relief = relief_flow(parameters, record) / _GPM
         flow.plot(time, relief, color=PURPLE, label="relief")
-    flow.set_ylabel("flow [gpm]")
-    oil.plot(time, bank / _GALLON, color=AMBER)
-    oil.set(ylabel="oil in accumulators\n[gal]", ylim=(0.0, 1.1 * float(bank.max()) / _GALLON))
+    oil.plot(time, bank / units.GALLON, color=AMBER)
+    oil.set_ylim(0.0, 1.1 * float(bank.max()) / units.GALLON)
 
 
 def envelope_figure(envelope: Envelope) -> Figure:
     """Velocity over frequency, log-log, with diagonals of displacement and acceleration."""
-    count = len(envelope.asymptotes)
-    columns = min(count, 3)
-    rows = -(-count // columns)
+    columns = min(len(envelope.asymptotes), 3)
+    rows = -(-len(envelope.asymptotes) // columns)
     figure = new_figure(4.6 * columns + 0.4, 4.4 * rows + 1.0)
     for place, closed in enumerate(envelope.asymptotes, start=1):
         axis = figure.add_subplot(rows, columns, place)
         _envelope_panel(axis, envelope.of(closed.dof), closed)
     bindings = {point.binding for point in envelope.points}
-    handles = [Line2D([], [], color="0.15", linewidth=1.8, label="largest sine that holds")]
+    handles = [Line2D([], [], color=DARK, linewidth=1.8, label="largest sine that holds")]
     handles += [
         Line2D([], [], color=colour, marker=marker, linestyle="", label=f"bound by {title}")
         for name, (title, marker, colour) in _BINDING.items()
@@ -235,78 +216,32 @@ def _envelope_panel(axis: Axes, points: list[EnvelopePoint], closed: Asymptotes)
     highest = max(max(point.frequency for point in points), 2.0 * lowest)
     frequency = np.geomspace(lowest, highest, 200)
     curves = [closed.velocities(float(f)) for f in frequency]
-    least = np.array([closed.velocity(float(f)) for f in frequency]) / length
-    speeds = [point.velocity / length for point in reached] or list(least)
-    bottom = 0.4 * min(*speeds, least.min())
-    top = 3.0 * max(*speeds, least.max())
-    axis.set(xscale="log", yscale="log", xlim=(lowest / 1.1, highest * 1.1), ylim=(bottom, top))
-    _diagonals(axis, unit, length, turn)
+    least = np.array([min(curve.values()) for curve in curves]) / length
+    speeds = [point.velocity / length for point in reached]
+    across = (lowest / 1.1, highest * 1.1)
+    both = [*speeds, *least]
+    up = (0.4 * min(both), 3.0 * max(both))
+    axis.set(xscale="log", yscale="log", xlim=across, ylim=up)
+    # Of constant displacement (rising) and of constant acceleration (falling).
+    f, v = np.meshgrid(np.geomspace(*across, 60), np.geomspace(*up, 60))
+    rate, levels = 2.0 * np.pi * f, 10.0 ** np.arange(-6, 7)
+    per = by_kind(closed.dof, "g", "deg/s²")
+    for size, label in ((v / rate, unit), (v * rate * length / turn, per)):
+        lines = axis.contour(f, v, size, levels, colors="0.82", linewidths=0.7, zorder=0)
+        axis.clabel(lines, fmt=f"%g {label}", fontsize=6.5, colors="0.45")
     for name, (_, line, colour) in _CLOSED.items():
         values = np.array([curve[name] for curve in curves]) / length
         if np.isfinite(values).all():
             axis.plot(frequency, values, linestyle=line, color=colour, linewidth=1.0)
-    axis.plot(
-        [point.frequency for point in reached], speeds[: len(reached)], color="0.15", linewidth=1.8
-    )
-    for point in reached:
+    axis.plot([point.frequency for point in reached], speeds, color=DARK, linewidth=1.8)
+    for point, speed in zip(reached, speeds, strict=True):
         _, marker, colour = _BINDING[point.binding]
-        axis.plot(
-            point.frequency, point.velocity / length, marker, color=colour, markersize=6, zorder=4
-        )
+        axis.plot(point.frequency, speed, marker, color=colour, markersize=6, zorder=4)
     axis.set(xlabel="frequency [Hz]", ylabel=f"velocity amplitude [{unit}/s]", title=closed.dof)
     for ticks in (axis.xaxis, axis.yaxis):
         ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         ticks.set_major_formatter("{x:g}")
     axis.minorticks_off()
-
-
-def _diagonals(axis: Axes, unit: str, length: float, turn: float) -> None:
-    """Grid of constant displacement (rising) and acceleration (falling), labelled at the edges."""
-    (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
-    axis.grid(True, color="0.93", linewidth=0.6)
-    ends = np.array([left, right])
-    per = "g" if unit == "in" else "deg/s²"
-    for exponent in range(-6, 7):
-        size = 10.0**exponent
-        rising = 2.0 * np.pi * ends * size
-        falling = size * turn / length / (2.0 * np.pi * ends)
-        for values, label, above in (
-            (rising, f"{size:g} {unit}", True),
-            (falling, f"{size:g} {per}", False),
-        ):
-            if values.max() < bottom or values.min() > top:
-                continue
-            axis.plot(ends, values, color="0.82", linewidth=0.7, zorder=0)
-            _label(axis, values, label, rising=above)
-
-
-def _label(axis: Axes, values: NDArray[np.float64], label: str, *, rising: bool) -> None:
-    """Write along a diagonal near its upper end: right for a rising one, left for a falling."""
-    left, right = np.log(axis.get_xlim())
-    bottom, top = np.log(axis.get_ylim())
-    slope = 1.0 if rising else -1.0
-    start = np.log(values[0]) - slope * left  # log v = start + slope log f
-    if rising:
-        x = min(right, top - start) - 0.14 * (right - left)
-    else:
-        x = max(left, start - top) + 0.12 * (right - left)
-    y = start + slope * x
-    if not (left < x < right and bottom < y < top):
-        return
-    axis.text(
-        float(np.exp(x)),
-        float(np.exp(y)),
-        label,
-        fontsize=6.5,
-        color="0.45",
-        rotation=float(np.degrees(np.arctan2(slope * np.exp(y), np.exp(x)))),
-        rotation_mode="anchor",
-        transform_rotates_text=True,
-        ha="center",
-        va="center",
-        zorder=1,
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8},
-    )
 
 
 def save_capacity(
@@ -315,17 +250,15 @@ def save_capacity(
     """Write `capacity.csv` (measures in the field's units), `supply.png` and `capacity.parquet`."""
     lines = [",".join(f'"{cell}"' for cell in row) for row in capacity_table(result).cells]
     text = "\n".join(["measure,value,definition", *lines, ""])
-    return [
-        write_text(folder / "capacity.csv", text),
-        save_figure(supply_figure(result, parameters), folder / "supply.png"),
-        result.record.save(folder / "capacity.parquet"),
-    ]
+    files = {
+        "capacity.csv": partial(write_text, text=text),
+        "supply.png": supply_figure(result, parameters),
+        "capacity.parquet": result.record.save,
+    }
+    return save_files(files, folder)
 
 
 def save_envelope(envelope: Envelope, folder: Path) -> list[Path]:
     """Write `envelope.csv` (SI) and `envelope.png`."""
-    folder.mkdir(parents=True, exist_ok=True)
-    return [
-        envelope.save_csv(folder / "envelope.csv"),
-        save_figure(envelope_figure(envelope), folder / "envelope.png"),
-    ]
+    files = {"envelope.csv": envelope.save_csv, "envelope.png": envelope_figure(envelope)}
+    return save_files(files, folder)

@@ -11,17 +11,7 @@ from matplotlib.lines import Line2D
 from cmf_mj.analysis.frequency_response import dof_history
 from cmf_mj.core import units
 from cmf_mj.machine.dof import dof_unit
-from cmf_mj.show.look import (
-    COLOURS,
-    DARK,
-    GREY,
-    bode_axes,
-    grid,
-    legend,
-    new_figure,
-    plot_bode,
-    save_figures,
-)
+from cmf_mj.show.look import COLOURS, DARK, GREY, bode_axes, legend, plot_bode, save_files, stack
 from cmf_mj.show.table import Cell, Column, Table
 from cmf_mj.signals.single import Step
 from cmf_mj.studies.case import CaseResult
@@ -48,20 +38,16 @@ def comparison_table(results: Sequence[CaseResult]) -> Table:
         columns += [(f"{name}\n-90", ".2f"), ("\n-3 dB", ".2f")]
         columns += [] if name == "published" else [("\npeak", ".1f")]
         columns += [("\nzeta", ".2f")]
-    groups: dict[tuple[str, str], dict[str, CaseResult]] = {}
-    for result in results:
-        key = (result.case.law.name, result.case.dof)
-        groups.setdefault(key, {})[result.case.plant] = result
+    by_case = {(r.case.law.name, r.case.dof, r.case.plant): r for r in results}
     cells = []
-    for key, by_plant in groups.items():
-        line: list[Cell] = [*key]
+    for law, dof in dict.fromkeys(key[:2] for key in by_case):
+        line: list[Cell] = [law, dof]
         for plant in plants:
-            measures = by_plant[plant].measures
-            line += measures[:3]
-            line.append(measures.damping_ratio if measures.stable else "unstable")
-        printed = published_result(next(iter(by_plant.values())))
+            measures = by_case[law, dof, plant].measures
+            line += [*measures[:3], measures.damping_ratio if measures.stable else "unstable"]
+        printed = published_result(by_case[law, dof, plants[0]])
         line += [getattr(printed, name, None) for name in PUBLISHED]
-        of = "" if printed is None else {"hardware": "h", "nonlinear": "m"}.get(printed.of, "")
+        of = {"hardware": "h", "nonlinear": "m"}.get(printed.of, "") if printed else ""
         cells.append([*line, of])
     title = f"hydraulics: {first.hydraulics.name}" + (f", cab: {cab}" if cab else "")
     return Table(title, [*columns, ("\nof", "")], cells, LEGEND, grouped=True)
@@ -120,15 +106,15 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
     """Step responses of one degree of freedom, and what the law asked of the first leg's valve."""
     dof = results[0].case.dof
     unit, colours = dof_unit(dof), _colours(results)
-    figure = new_figure(8.0, 7.0)
-    response, command = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    labels, under = (f"{dof} [{unit}]", "valve 1 [%]"), "time after the step [s]"
+    figure, (response, command) = stack(8.0, 7.0, *labels, x=under, ratios=(2, 1))
     reference = results[0].step
     demanded = units.from_si(unit, dof_history(reference, "leg_reference", dof))
     begin, step = reference.signal_as(Step).at, reference.signal_as(Step).size
     response.plot(reference.time - begin, demanded, color=GREY, linewidth=1.0)
     for result in results:
         case, record = result.case, result.step
-        style = {"color": colours[case.law.name], "linestyle": _LINES[case.plant], "linewidth": 1.2}
+        style: dict[str, Any] = {"color": colours[case.law.name], "linestyle": _LINES[case.plant]}
         try:
             history = dof_history(record, "leg_position", dof)
         except ValueError:
@@ -136,25 +122,18 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
         response.plot(record.time - begin, units.from_si(unit, history), **style)
         command.plot(record.time - begin, 100.0 * record["valve_command"][:, 0], **style)
     size = float(demanded[-1])
-    response.set(ylabel=f"{dof} [{unit}]", title=_title(dof, step, results))
-    response.set_ylim(-0.5 * size, 2.0 * size)
-    command.set(xlabel="time after the step [s]", ylabel="valve 1 [%]")
+    response.set(title=_title(dof, step, results), ylim=(-0.5 * size, 2.0 * size))
     command.set(xlim=(-0.2, 3.0), ylim=(-105, 105))
-    grid(response, command)
     _legend(response, results, "lower right", circles=False)
     return figure
 
 
 def save_comparison(comparison: Comparison, folder: Path) -> list[Path]:
     """Write `comparison.csv`, `comparison.md`, and `bode_<dof>.png` and `step_<dof>.png`."""
-    figures: dict[str, Figure] = {}
+    table = comparison_table(comparison.results)
+    files: dict[str, Any] = {"comparison.csv": comparison.save_csv, "comparison.md": table.save}
     for dof in dict.fromkeys(result.case.dof for result in comparison.results):
         chosen = [result for result in comparison.results if result.case.dof == dof]
-        figures |= {f"bode_{dof}": bode_figure(chosen), f"step_{dof}": step_figure(chosen)}
-    table = comparison_table(comparison.results)
-    comparison.save_csv(folder / "comparison.csv")
-    return [
-        folder / "comparison.csv",
-        table.save(folder / "comparison.md"),
-        *save_figures(figures, folder),
-    ]
+        files[f"bode_{dof}.png"] = bode_figure(chosen)
+        files[f"step_{dof}.png"] = step_figure(chosen)
+    return save_files(files, folder)

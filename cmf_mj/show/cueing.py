@@ -1,12 +1,12 @@
 """Tables, figures and files of a flight in the simulator."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cmf_mj.core.files import write_csv
 from cmf_mj.core.units import DEGREE, INCH
 from cmf_mj.facility.host.files import write_stream
 from cmf_mj.machine.dof import by_kind
@@ -14,15 +14,14 @@ from cmf_mj.machine.kinematics import DOFS, pose_to_legs
 from cmf_mj.pilot.cueing.envelope import LIMITS, Excursion
 from cmf_mj.pilot.cueing.flight import Cue, Tuned
 from cmf_mj.pilot.perception.error import QUANTITIES
-from cmf_mj.show.look import BLUE, GREY, ORANGE, legend, save_figures
+from cmf_mj.show.look import BLUE, GREY, legend, save_files, shade
 from cmf_mj.show.station import SCALE, Motion, motion_axes, perceived_figure
 from cmf_mj.show.table import Table
 
-ERROR_LEGEND = (
+_ERROR_LEGEND = (
     "sensed in flight less sensed in the simulator, machine ideal; thresholds are settings, not "
     "verdicts"
 )
-"""What the table of errors holds."""
 
 
 def error_table(flown: Cue) -> Table:
@@ -38,7 +37,7 @@ def error_table(flown: Cue) -> Table:
     ]
     sizes = (("threshold", ".3f"), ("peak", ".3f"), ("rms", ".3f"))
     columns = ("sensed", ("unit", ""), *sizes, ("above", ".1f %"))
-    return Table(f"cueing error, washout {flown.settings.name}", columns, rows, ERROR_LEGEND)
+    return Table(f"cueing error, washout {flown.settings.name}", columns, rows, _ERROR_LEGEND)
 
 
 def excursion_table(excursion: Excursion, changed_frames: int = 0) -> Table:
@@ -83,11 +82,7 @@ def motion_figure(flown: Cue) -> Figure:
     legend(*axes[3:].flat, ncols=3)
     if flown.limited.any():
         for axis in axes[3:].flat:
-            low, high = axis.get_ylim()
-            axis.fill_between(
-                time, low, high, where=flown.limited.tolist(), color=ORANGE, alpha=0.15
-            )
-            axis.set_ylim(low, high)
+            shade(axis, time, flown.limited)
         axes[3, 0].set_title("shaded: held back by the limits", fontsize=9)
     return figure
 
@@ -97,17 +92,14 @@ def save_cue(flown: Cue, folder: Path) -> list[Path]:
 
     `host.csv`, `simulator.csv`, `error.csv` (SI), `motion.png`, `senses.png`.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     error = flown.error
     columns = (QUANTITIES, error.threshold, error.peak, error.rms, error.share_above)
     header = ("sensed", "threshold_si", "peak_si", "rms_si", "share_above")
-    figures = {
-        "motion": motion_figure(flown),
-        "senses": perceived_figure(error, "sensed in flight", "in the simulator"),
+    files = {
+        "host.csv": partial(write_stream, flown.stream),
+        "simulator.csv": flown.simulator.save,
+        "error.csv": (header, zip(*columns, strict=True)),
+        "motion.png": motion_figure(flown),
+        "senses.png": perceived_figure(error, "sensed in flight", "in the simulator"),
     }
-    return [
-        write_stream(flown.stream, folder / "host.csv"),
-        flown.simulator.save(folder / "simulator.csv"),
-        write_csv(folder / "error.csv", header, zip(*columns, strict=True)),
-        *save_figures(figures, folder, 90),
-    ]
+    return save_files(files, folder, 90)

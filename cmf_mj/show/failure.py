@@ -7,8 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cmf_mj.core import units
-from cmf_mj.core.files import write_csv
-from cmf_mj.show.look import DARK, ORANGE, PURPLE, grid, legend, new_figure, save_figures
+from cmf_mj.show.look import COLOURS, DARK, ORANGE, PURPLE, legend, save_files, stack
 from cmf_mj.show.table import Column, Table
 from cmf_mj.studies.failure.measures import FailureResult
 
@@ -69,23 +68,14 @@ def failure_table(results: Sequence[FailureResult]) -> Table:
 
 def _columns(result: FailureResult) -> dict[str, object]:
     """One line of `failures.csv`, SI; missing measures are empty."""
-    event, about = result.event, result.record.metadata
-    row: dict[str, object] = {
-        "event": event.kind,
-        "leg": event.leg,
-        "valve": event.valve,
-        "size_si": event.magnitude,
-        "at_s": event.at,
-        "law": about["law"],
-        "cab": about["cab"],
-        "hydraulics": about["hydraulics"],
-        "dof": result.dof,
-        "protected": result.protected,
-    }
+    event = result.event
+    about = {name: result.record.metadata[name] for name in ("law", "cab", "hydraulics")}
+    row: dict[str, object] = {"event": event.kind, "leg": event.leg, "valve": event.valve}
+    row |= {"size_si": event.magnitude, "at_s": event.at} | about
+    row |= {"dof": result.dof, "protected": result.protected}
     for name in ("before", "free", "after"):
         load = getattr(result.load, name)
-        row[f"load_{name}_n"] = load.value
-        row[f"load_{name}_multiple"] = result.multiple(load)
+        row |= {f"load_{name}_n": load.value, f"load_{name}_multiple": result.multiple(load)}
         row[f"load_{name}_leg"] = load.leg
     for name, peak in (
         ("crew_acceleration_before_m_s2", result.acceleration.before),
@@ -99,64 +89,51 @@ def _columns(result: FailureResult) -> dict[str, object]:
         ("stop_speed_first_m_s", result.contact_speed),
         ("stop_speed_fastest_m_s", result.impact_speed),
     ):
-        row[name] = None if peak is None else peak.value
-    return row | {
-        "detected_by": result.detected_by,
-        "detection_time_s": result.detection_time,
-        "state": result.state,
-        "message": result.message,
-    }
+        row[name] = peak and peak.value
+    row |= {"detected_by": result.detected_by, "detection_time_s": result.detection_time}
+    return row | {"state": result.state, "message": result.message}
 
 
 def save_failures(results: Sequence[FailureResult], folder: Path) -> list[Path]:
     """Write `failures.csv`, `failures.md` and a figure an event."""
     rows = [_columns(result) for result in results]
-    return [
-        write_csv(folder / "failures.csv", rows[0], [row.values() for row in rows]),
-        failure_table(results).save(folder / "failures.md"),
-        *save_figures({label(result): failure_figure(result) for result in results}, folder),
-    ]
+    files = {
+        "failures.csv": (rows[0], [row.values() for row in rows]),
+        "failures.md": failure_table(results).save,
+    }
+    figures = {f"{label(result)}.png": failure_figure(result) for result in results}
+    return save_files(files | figures, folder)
 
 
 def failure_figure(result: FailureResult) -> Figure:
     """Extensions, axial loads, crew acceleration and pressures, with event and detection."""
     record = result.record
     time = record.time - result.event.at
-    figure = new_figure(9.0, 11.0)
-    axes = legs, loads, crew, pressures = figure.subplots(4, 1, sharex=True)
-    reference, extension = (record[f"leg_{n}"] / units.INCH for n in ("reference", "extension"))
-    for leg in range(extension.shape[1]):
-        (line,) = legs.plot(time, extension[:, leg], label=f"leg {leg + 1}")
-        colour = line.get_color()
-        legs.plot(time, reference[:, leg], color=colour, linewidth=0.6, alpha=0.5)
-        loads.plot(time, 1e-3 * record["axial_load"][:, leg], color=colour)
+    labels = ("extension [in]", "axial leg load [kN]", "crew acceleration [g]", "pressure [psi]")
+    figure, axes = stack(9.0, 11.0, *labels, x="time after the event [s]")
+    legs, loads, crew, pressures = axes
+    legs.plot(time, record["leg_reference"] / units.INCH, linewidth=0.6, alpha=0.5)
+    numbers = [f"leg {leg}" for leg in range(1, 7)]
+    legs.set_prop_cycle(color=COLOURS)
+    legs.plot(time, record["leg_extension"] / units.INCH, label=numbers)
+    loads.plot(time, 1e-3 * record["axial_load"])
     felt = record["crew_acceleration"] / units.STANDARD_GRAVITY
-    for name, values in zip("xyz", felt.T, strict=True):
-        crew.plot(time, values, linewidth=0.8, label=name)
+    crew.plot(time, felt, linewidth=0.8, label=["x", "y", "z"])
     crew.plot(time, np.linalg.norm(felt, axis=1), color=DARK, linewidth=0.8, label="size")
-    for name, values in (
-        ("largest cap", record["cap_pressure"].max(axis=1)),
-        ("least cap", record["cap_pressure"].min(axis=1)),
-        ("largest rod", record["rod_pressure"].max(axis=1)),
-        ("least rod", record["rod_pressure"].min(axis=1)),
-        ("supply", record["supply_pressure"]),
-    ):
-        pressures.plot(time, values / units.PSI, label=name, linewidth=0.9)
+    for side in ("cap", "rod"):
+        values = record[f"{side}_pressure"] / units.PSI
+        for name, extreme in (("largest", values.max(axis=1)), ("least", values.min(axis=1))):
+            pressures.plot(time, extreme, label=f"{name} {side}", linewidth=0.9)
+    pressures.plot(time, record["supply_pressure"] / units.PSI, label="supply", linewidth=0.9)
     about, state = record.metadata, result.state.replace("_", " ")
     legs.set(
-        ylabel="extension [in]",
         title=f"{label(result).replace('-', ' ')}: {state}\n{about['law']} in {result.dof}, "
         f"{about['cab']}, {about['hydraulics']}, {_setting(result)}",
         xlim=(max(time[0], -4.0), time[-1]),
     )
-    loads.set(ylabel="axial leg load [kN]")
-    crew.set(ylabel="crew acceleration [g]")
-    pressures.set(ylabel="pressure [psi]", xlabel="time after the event [s]")
     for axis in axes:
         axis.axvline(0.0, color=ORANGE, linestyle="--", linewidth=1.0, label="event")
-        if result.detection_time is not None:
-            style = {"color": PURPLE, "linestyle": ":", "linewidth": 1.4, "label": "detected"}
-            axis.axvline(result.detection_time, **style)
-    grid(*axes)
+        if (at := result.detection_time) is not None:
+            axis.axvline(at, color=PURPLE, linestyle=":", linewidth=1.4, label="detected")
     legend(legs, crew, pressures, fontsize=7, ncols=2, loc="upper right")
     return figure

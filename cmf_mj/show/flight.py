@@ -23,11 +23,10 @@ from cmf_mj.show.look import (
     DARK,
     GREY,
     ORANGE,
-    grid,
     legend,
     new_figure,
-    save_figure,
-    save_figures,
+    save_files,
+    stack,
 )
 from cmf_mj.show.station import SCALE, Motion, motion_axes, perceived_figure, six
 from cmf_mj.show.table import Cell, Column, Table
@@ -46,17 +45,11 @@ def flight_traces(ride: FlightResult) -> Traces:
     """Specific force and angular rate at the pilot's station as traces of a film."""
     lines = [(six(m), label, colour, width) for m, label, colour, width in _motions(ride)]
     time = ride.asked.time - ride.asked.time[0]
-    panels = tuple(
-        Panel(
-            f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]",
-            tuple(
-                Curve(label, time, values[:, index], colour, width=width)
-                for values, label, colour, width in lines
-            ),
-        )
-        for index, name in enumerate(_NAMES)
-    )
-    return Traces(panels, columns=2)
+    panels = []
+    for index, name in enumerate(_NAMES):
+        curves = (Curve(label, time, y[:, index], c, width=width) for y, label, c, width in lines)
+        panels.append(Panel(f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]", tuple(curves)))
+    return Traces(tuple(panels), columns=2)
 
 
 def motion_figure(ride: FlightResult) -> Figure:
@@ -79,32 +72,28 @@ def sensed_figure(ride: FlightResult) -> Figure:
 def envelope_figure(ride: FlightResult) -> Figure:
     """Legs and degrees of freedom over their limits."""
     record, limits = ride.operation.record, load_motion_limits()
-    figure = new_figure(9.0, 6.5)
-    legs, pose = figure.subplots(2, 1, sharex=True)
+    figure, (legs, pose) = stack(9.0, 6.5, "leg extension [in]", "operational limit used [%]")
     stroke = units.from_si("in", limits.leg.position.si)
-    for leg, values in enumerate(record["leg_extension"].T):
-        legs.plot(record.time, values / units.INCH, linewidth=0.9, label=f"leg {leg + 1}")
+    numbers = [f"leg {leg}" for leg in range(1, 7)]
+    legs.plot(record.time, record["leg_extension"] / units.INCH, linewidth=0.9, label=numbers)
     for side in (-stroke, stroke):
         legs.axhline(side, color=DARK, linestyle=":")
     title = f"working stroke ±{stroke:g} in (dotted); largest use {ride.use.leg_position:.0%}"
-    legs.set(ylabel="leg extension [in]", title=title, ylim=(-1.35 * stroke, 1.35 * stroke))
+    legs.set(title=title, ylim=(-1.35 * stroke, 1.35 * stroke))
     low, high = limits.operational.T
     used = 100.0 * np.maximum(record["platform_pose"] / low, record["platform_pose"] / high)
-    for dof, values, colour in zip(DOFS, used.T, COLOURS, strict=False):
-        pose.plot(record.time, values, color=colour, linewidth=0.9, label=dof)
+    pose.plot(record.time, used, linewidth=0.9, label=DOFS)
     pose.axhline(100.0, color=DARK, linestyle=":")
-    pose.set(ylabel="operational limit used [%]", xlabel="time [s]", ylim=(0.0, 125.0))
-    grid(legs, pose)
+    pose.set_ylim(0.0, 125.0)
     legend(legs, pose, ncols=6, loc="upper center")
     return figure
 
 
 def comparison_figure(rides: Sequence[FlightResult]) -> Figure:
     """Spectra of the machine's error at the pilot's station and its perceived size, law by law."""
-    figure = new_figure(12.0, 10.5)
-    rows = figure.add_gridspec(2, 1, height_ratios=(2.1, 1.0))
-    above, below = figure.add_subfigure(rows[0]), figure.add_subfigure(rows[1])
-    panels, first = above.subplots(2, 3, sharex=True).ravel(), rides[0]
+    figure, first = new_figure(12.0, 10.5), rides[0]
+    axes = figure.subplot_mosaic([[*"aabbcc"], [*"ddeeff"], [*"ggghhh"]])
+    *panels, machine, flight = axes.values()
     curves: list[tuple[PilotMotion, PilotMotion, str, str, float]] = []
     if first.aircraft is not None:
         curves.append((first.aircraft, first.asked, "washout: aircraft less asked", GREY, 2.5))
@@ -112,24 +101,21 @@ def comparison_figure(rides: Sequence[FlightResult]) -> Figure:
         curves.append((ride.asked, ride.simulator, ride.law, colour, 1.2))
     for reference, motion, label, colour, width in curves:
         frequency, density = error_spectra(reference, motion)
-        for axes, size in zip(panels, np.sqrt(density[1:].T) / SCALE[:, None], strict=True):
-            axes.loglog(frequency[1:], size, color=colour, linewidth=width, label=label)
-    for index, axes in enumerate(panels):
+        for axis, size in zip(panels, np.sqrt(density[1:].T) / SCALE[:, None], strict=True):
+            axis.loglog(frequency[1:], size, color=colour, linewidth=width, label=label)
+    for index, axis in enumerate(panels):
         unit = by_kind(index, "m/s²/√Hz", "deg/s/√Hz")
-        axes.set_title(f"error of {_NAMES[index]} [{unit}]", fontsize=10)
-        axes.set(xlim=(frequency[1], 30.0), xlabel="frequency [Hz]" if index > 2 else "")
-    grid(*panels)
+        axis.set_title(f"error of {_NAMES[index]} [{unit}]", fontsize=10)
+        axis.set(xlim=(frequency[1], 30.0), xlabel="frequency [Hz]" if index > 2 else "")
     legend(panels[0], loc="lower left")
-    machine, flight = below.subplots(1, 2)
     colours = list(zip(rides, COLOURS, strict=False))
     _bars(machine, "of the machine: asked less cab", [(r.law, c, r.machine) for r, c in colours])
     bars = [(r.law, c, r.cueing) for r, c in colours if r.cueing is not None]
     if first.washout_error is not None:
         bars.insert(0, ("machine that follows at once", GREY, first.washout_error))
     _bars(flight, "of the flight: aircraft less cab", bars)
-    above.suptitle(
-        f"pilot's station, cab {first.cab}: error spectra (asked of the platform less cab)"
-    )
+    title = "error spectra (asked of the platform less cab)"
+    figure.suptitle(f"pilot's station, cab {first.cab}: {title}")
     return figure
 
 
@@ -142,7 +128,6 @@ def _bars(axes: Axes, title: str, bars: Sequence[tuple[str, str, CueingError]]) 
     axes.set_xticks(range(6), _NAMES)
     axes.set(yscale="log", ylabel="perceived rms error / threshold")
     axes.set_title(f"perceived error {title}", fontsize=10)
-    grid(axes)
     if bars:
         least = min(float((error.rms / error.threshold).min()) for *_, error in bars)
         axes.set_ylim(bottom=0.5 * max(least, 1e-4))
@@ -189,16 +174,16 @@ def delay_table(delay: TransportDelay) -> Table:
 
 def save_ride(ride: FlightResult, folder: Path) -> list[Path]:
     """Write `motion.png`, `perceived.png` and `envelope.png`."""
-    figures = {
-        "motion": motion_figure(ride),
-        "perceived": sensed_figure(ride),
-        "envelope": envelope_figure(ride),
+    files = {
+        "motion.png": motion_figure(ride),
+        "perceived.png": sensed_figure(ride),
+        "envelope.png": envelope_figure(ride),
     }
-    return save_figures(figures, folder)
+    return save_files(files, folder)
 
 
 def save_comparison(rides: Sequence[FlightResult], folder: Path) -> list[Path]:
     """Write `comparison.csv`, `comparison.md` and `comparison.png`."""
-    table = comparison_table(rides)
-    paths = [table.save(folder / f"comparison.{kind}") for kind in ("csv", "md")]
-    return [*paths, save_figure(comparison_figure(rides), folder / "comparison.png", 80)]
+    save = comparison_table(rides).save
+    files = {"comparison.csv": save, "comparison.md": save}
+    return save_files(files | {"comparison.png": comparison_figure(rides)}, folder, 80)

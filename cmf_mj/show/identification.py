@@ -1,6 +1,7 @@
 """Tables, figures and files of an identification."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,17 +12,18 @@ from scipy import stats
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.identification.model import PolynomialModel, Root
 from cmf_mj.analysis.identification.validation import Residuals, fit_percentage, simulated
-from cmf_mj.core.files import write_json
 from cmf_mj.show.look import (
     BLUE,
     DARK,
     GREY,
     ORANGE,
     bode_axes,
-    grid,
     legend,
     new_figure,
-    save_figures,
+    plot_band,
+    plot_bode,
+    save_files,
+    stack,
 )
 from cmf_mj.show.table import Table
 from cmf_mj.studies.identification import Identified, MatrixStudy
@@ -44,9 +46,8 @@ def orders_table(result: Identified) -> Table:
     """The best ARX orders of the grid by validation fit, with AIC and BIC."""
     candidates = []
     if result.selection is not None:
-        candidates = sorted(result.selection.candidates, key=lambda c: -c.fit)[:_LISTED]
-        if (chosen := result.selection.best()) not in candidates:
-            candidates.append(chosen)
+        best = sorted(result.selection.candidates, key=lambda c: -c.fit)[:_LISTED]
+        candidates = list(dict.fromkeys([*best, result.selection.best()]))
     rows = [(*c.orders, c.parameters, c.loss, c.aic, c.bic, c.fit) for c in candidates]
     counts = ((name, "d") for name in ("na", "nb", "nk", "parameters"))
     quality = (("loss", ".3g"), ("AIC", ".0f"), ("BIC", ".0f"), ("validation fit", ".2f %"))
@@ -89,19 +90,18 @@ def model_table(result: Identified) -> Table:
     misfit = f"{100.0 * result.continuous.misfit:.2f} %"
     rows.append(("continuous model", misfit, "", "misfit to the discrete"))
     if loop is not None:
-        for label, kind in (("-90 deg", "phase"), ("-3 dB", "gain")):
-            mine, theirs = (getattr(side, f"{kind}_bandwidth_hz") for side in loop)
-            off = 100.0 * getattr(loop, f"{kind}_error")
-            note = f"measured {theirs:.3f} Hz, error {off:+.1f} %, law {result.law}"
-            rows.append((f"closed loop, {label}", f"{mine:.3f} Hz", "", note))
-    if loop is not None and not np.isnan(loop.measured.rise_time):
-        for label, name, unit in (
-            ("damping ratio", "damping_ratio", ""),
-            ("rise time", "rise_time", " s"),
-        ):
+        width = f" Hz, error {{:+.1f}} %, law {result.law}"
+        lines = [
+            ("-90 deg", "phase_bandwidth_hz", " Hz", width.format(100.0 * loop.phase_error)),
+            ("-3 dB", "gain_bandwidth_hz", " Hz", width.format(100.0 * loop.gain_error)),
+        ]
+        if not np.isnan(loop.measured.rise_time):
+            lines.append(("damping ratio", "damping_ratio", "", ", of the step"))
+            lines.append(("rise time", "rise_time", " s", " s, of the step"))
+        for label, name, unit, note in lines:
             mine, theirs = (getattr(side, name) for side in loop)
-            note = f"measured {theirs:.3f}{unit}, of the step"
-            rows.append((f"closed loop, {label}", f"{mine:.3f}{unit}", "", note))
+            text = f"measured {theirs:.3f}{note}"
+            rows.append((f"closed loop, {label}", f"{mine:.3f}{unit}", "", text))
     title = f"{result.axis}: {model.method}, orders {tuple(model.orders)}"
     return Table(title, ("quantity", "value", "standard error", "note"), rows)
 
@@ -123,29 +123,26 @@ def matrix_table(study: MatrixStudy) -> Table:
 
 def fit_figure(result: Identified) -> Figure:
     """Measured and simulated output of the validation run, and their difference."""
-    figure = new_figure(9.0, 5.5)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     run = result.validation
+    unit = run.output_units[0]
+    labels = (f"{run.output_names[0]} [{unit}]", f"difference [{unit}]")
+    figure, (top, bottom) = stack(9.0, 5.5, *labels, ratios=(3, 1))
     time = np.arange(run.samples) * run.step
     modelled, measured = simulated(result.model, run)[:, 0], run.output[:, 0]
     middle = max(0.5 * (time[-1] - _WINDOW), 0.0)
     inside = (time >= middle) & (time <= middle + _WINDOW)
-    unit = run.output_units[0]
     fit = float(fit_percentage(measured, modelled)[0])
     top.plot(time[inside], measured[inside], color=DARK, label="measured")
     top.plot(time[inside], modelled[inside], "--", color=ORANGE, label=f"model, {fit:.1f} %")
     bottom.plot(time[inside], (measured - modelled)[inside], color=BLUE)
-    top.set(ylabel=f"{run.output_names[0]} [{unit}]", title=f"validation: {result.axis}")
-    bottom.set(xlabel="time [s]", ylabel=f"difference [{unit}]")
+    top.set_title(f"validation: {result.axis}")
     legend(top, loc="upper right")
-    grid(top, bottom)
     return figure
 
 
 def residual_figure(residuals: Residuals, step: float) -> Figure:
     """Auto- and cross-correlation of the residuals with their 99 % bounds."""
-    figure = new_figure(9.0, 5.5)
-    auto, cross = figure.subplots(2, 1, sharex=True)
+    figure, (auto, cross) = stack(9.0, 5.5, "correlation", "correlation", x="lag [s]")
     for axis, values, bound, title in (
         (auto, residuals.auto, residuals.auto_bound, "residual with itself"),
         (cross, residuals.cross[0], residuals.cross_bound[0], "residual with past command"),
@@ -153,10 +150,8 @@ def residual_figure(residuals: Residuals, step: float) -> Figure:
         axis.axhspan(-bound, bound, color=BLUE, alpha=0.15, label="99 % of a right model")
         axis.vlines(residuals.lags * step, 0.0, values, color=DARK, linewidth=1.2)
         axis.axhline(0.0, color=DARK, linewidth=0.8)
-        axis.set(title=title, ylabel="correlation")
-    cross.set(xlabel="lag [s]")
+        axis.set_title(title)
     legend(auto, cross, loc="upper right")
-    grid(auto, cross)
     return figure
 
 
@@ -194,11 +189,9 @@ def roots_figure(model: PolynomialModel) -> Figure:
             _ellipse(axis, root, colour)
             reach = max(reach, 1.1 * abs(root.value))
     axis.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
-    axis.set(xlabel="real", ylabel="imaginary")
-    orders, rate = tuple(model.orders), 1.0 / model.step
-    axis.set_title(f"{model.method} {orders} at {rate:g} Hz, 95 % ellipses")
+    title = f"{model.method} {tuple(model.orders)} at {1.0 / model.step:g} Hz, 95 % ellipses"
+    axis.set(xlabel="real", ylabel="imaginary", title=title)
     legend(axis)
-    grid(axis)
     return figure
 
 
@@ -208,6 +201,7 @@ def bode_figure(model: PolynomialModel, response: FrequencyResponse | None) -> F
     highest = 0.4 / model.step if response is None else float(response.frequency[-1])
     frequency = np.geomspace(0.1, min(highest, 0.45 / model.step), 300)
     g = model.response(frequency)[:, 0, 0]
+    curve = FrequencyResponse(g, 2.0 * np.pi * frequency, np.ones(g.size))
     covariance = model.response_covariance(frequency)
     # Along and across the response: gain and phase.
     unit = g / np.abs(g)
@@ -218,22 +212,15 @@ def bode_figure(model: PolynomialModel, response: FrequencyResponse | None) -> F
         point * np.sqrt(np.clip(np.einsum("ki,kij,kj->k", v, covariance, v), 0.0, None)) / np.abs(g)
         for v in (along, across)
     )
-    level = 20.0 * np.log10(np.abs(g))
-    angle = np.degrees(np.unwrap(np.angle(g)))
     if response is not None:
         measured, at = response.phase_deg, response.frequency
-        turns = np.round((np.interp(1.0, at, measured) - np.interp(1.0, frequency, angle)) / 360.0)
-        gain.plot(at, response.gain_db, ".", color=GREY, markersize=3)
-        phase.plot(at, measured - 360.0 * turns, ".", color=GREY, markersize=3, label="measured")
-    gain.plot(frequency, level, color=ORANGE)
-    phase.plot(frequency, angle, color=ORANGE, label=model.method)
-    near = 20.0 * np.log10(np.clip(1.0 - wide, 1e-3, None))
-    far = 20.0 * np.log10(1.0 + wide)
-    gain.fill_between(frequency, level + near, level + far, color=ORANGE, alpha=0.25)
-    half = np.degrees(np.minimum(turn, np.pi))
-    phase.fill_between(
-        frequency, angle - half, angle + half, color=ORANGE, alpha=0.25, label="95 % band"
-    )
+        ahead = np.interp(1.0, at, measured) - np.interp(1.0, frequency, curve.phase_deg)
+        style: dict[str, Any] = {"color": GREY, "markersize": 3, "label": "measured"}
+        gain.plot(at, response.gain_db, ".", **style)
+        phase.plot(at, measured - 360.0 * np.round(ahead / 360.0), ".", **style)
+    plot_bode(gain, phase, curve, color=ORANGE, label=model.method)
+    band = np.minimum(turn, np.pi)
+    plot_band(gain, phase, curve, wide, band, color=ORANGE, label="95 % band")
     legend(phase)
     return figure
 
@@ -261,9 +248,8 @@ def _summary(result: Identified) -> dict[str, object]:
             "denominator": rational.den[0][0].tolist(),
             "misfit": result.continuous.misfit,
         },
-        "closed_loop": None
-        if loop is None
-        else {
+        "closed_loop": loop
+        and {
             "law": result.law,
             "model": loop.model._asdict(),
             "measured": loop.measured._asdict(),
@@ -275,11 +261,11 @@ def _summary(result: Identified) -> dict[str, object]:
 
 def save_identification(result: Identified, folder: Path) -> list[Path]:
     """Write `model.json`, `fit.png`, `residuals.png`, `roots.png` and `bode.png`."""
-    figures = {
-        "fit": fit_figure(result),
-        "residuals": residual_figure(result.residuals, result.model.step),
-        "roots": roots_figure(result.model),
-        "bode": bode_figure(result.model, result.response),
+    files = {
+        "model.json": plain(_summary(result)),
+        "fit.png": fit_figure(result),
+        "residuals.png": residual_figure(result.residuals, result.model.step),
+        "roots.png": roots_figure(result.model),
+        "bode.png": bode_figure(result.model, result.response),
     }
-    path = write_json(folder / "model.json", plain(_summary(result)))
-    return [path, *save_figures(figures, folder)]
+    return save_files(files, folder)

@@ -1,6 +1,6 @@
-"""How every figure looks: one palette, one pair of Bode axes, one way to a file."""
+"""How every figure looks: one palette, one grid, one pair of Bode axes, one way to a file."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.core import units
-from cmf_mj.core.files import whole_file
+from cmf_mj.core.files import whole_file, write_csv, write_json
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 
@@ -43,17 +43,39 @@ def pose_text(pose: NDArray[np.float64], form: str = ".4g") -> str:
 
 
 class _Figure(Figure):
-    """A figure whose axes draw in the palette."""
+    """A figure whose axes draw in the palette, on a grid."""
+
+    gridded = True
 
     def add_subplot(self, *args: Any, **options: Any) -> Axes:
         axes = super().add_subplot(*args, **options)
         axes.set_prop_cycle(color=COLOURS)
+        if self.gridded:
+            grid(axes)
         return axes
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """An empty figure [in] whose axes and labels do not overlap."""
-    return _Figure(figsize=(width, height), layout="constrained")
+def new_figure(width: float, height: float, *, gridded: bool = True) -> Figure:
+    """An empty figure [in] whose axes and labels do not overlap; `gridded` but for images."""
+    figure = _Figure(figsize=(width, height), layout="constrained")
+    figure.gridded = gridded
+    return figure
+
+
+def stack(
+    width: float,
+    height: float,
+    *labels: str,
+    x: str = "time [s]",
+    ratios: Sequence[float] | None = None,
+) -> tuple[Figure, list[Axes]]:
+    """A figure of axes above each other, one for each label of y, all over the same `x`."""
+    figure = new_figure(width, height)
+    axes = list(figure.subplots(len(labels), 1, sharex=True, height_ratios=ratios))
+    for axis, label in zip(axes, labels, strict=True):
+        axis.set_ylabel(label)
+    axes[-1].set_xlabel(x)
+    return figure, axes
 
 
 def grid(*axes: Axes, which: str = "major") -> None:
@@ -61,6 +83,13 @@ def grid(*axes: Axes, which: str = "major") -> None:
     for axis in axes:
         axis.grid(True, which=which, color=PALE, linewidth=0.6)  # type: ignore[arg-type]
         axis.set_axisbelow(True)
+
+
+def shade(axis: Axes, time: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
+    """Shade the stretches of time where something holds."""
+    over_all = axis.get_xaxis_transform()
+    style: dict[str, Any] = {"color": ORANGE, "alpha": 0.2, "transform": over_all}
+    axis.fill_between(time, 0.0, 1.0, where=where.tolist(), **style)
 
 
 def legend(*axes: Axes, **options: Any) -> None:
@@ -96,6 +125,23 @@ def plot_bode(gain: Axes, phase: Axes, response: FrequencyResponse, **style: Any
     return style["color"]
 
 
+def plot_band(
+    gain: Axes,
+    phase: Axes,
+    response: FrequencyResponse,
+    share: NDArray[np.float64],
+    angle: NDArray[np.float64],
+    **style: Any,
+) -> None:
+    """Shade gains within a share of the response, and phases within an angle [rad]."""
+    ends = 20.0 * np.log10(np.clip([1.0 - share, 1.0 + share], 1e-3, None))
+    for axis, middle, (low, high) in (
+        (gain, response.gain_db, ends),
+        (phase, response.phase_deg, np.degrees([-angle, angle])),
+    ):
+        axis.fill_between(response.frequency, middle + low, middle + high, alpha=0.25, **style)
+
+
 def plot_roots(axis: Axes, system: control.lti.LTI) -> None:
     """Draw poles and zeros [rad/s], the real axis linear about the origin, logarithmic beyond."""
     for roots, marker in ((system.poles(), "x"), (system.zeros(), "o")):
@@ -123,4 +169,25 @@ def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
 
 def save_figures(figures: Mapping[str, Figure], folder: Path, dpi: int = 110) -> list[Path]:
     """Write figures to NAME.png in a folder."""
-    return [save_figure(figure, folder / f"{name}.png", dpi) for name, figure in figures.items()]
+    return save_files({f"{name}.png": figure for name, figure in figures.items()}, folder, dpi)
+
+
+def save_files(files: Mapping[str, Any], folder: Path, dpi: int = 110) -> list[Path]:
+    """Write to each name in a folder what it stands for.
+
+    That is a figure, (header, rows) for CSV, a mapping for JSON, or a function that writes it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, content in files.items():
+        path = folder / name
+        if isinstance(content, Figure):
+            save_figure(content, path, dpi)
+        elif isinstance(content, Mapping):
+            write_json(path, content)
+        elif isinstance(content, tuple):
+            write_csv(path, *content)
+        else:
+            content(path)
+        paths.append(path)
+    return paths

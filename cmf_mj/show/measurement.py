@@ -1,6 +1,7 @@
 """Tables, figures and files of a measuring session and of measured responses."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -8,10 +9,9 @@ from matplotlib.figure import Figure
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.metrics import SecondOrder
 from cmf_mj.core import units
-from cmf_mj.core.files import write_csv, write_json
 from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.show.look import dress_bode, grid, legend, new_figure, plot_bode, save_figure
+from cmf_mj.show.look import dress_bode, legend, new_figure, plot_band, plot_bode, save_files, stack
 from cmf_mj.show.table import Table
 from cmf_mj.studies.measurement import Measurement, plain
 from cmf_mj.studies.recordings import RecordingMeasures
@@ -82,29 +82,24 @@ def measurement_table(measured: Measurement) -> Table:
 
 def response_figure(title: str, name: str, response: FrequencyResponse) -> Figure:
     """Gain and phase of a measured response with their 95 % bounds, and its coherence."""
-    figure = new_figure(8.0, 8.0)
-    gain, phase, coherence = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1))
+    labels, ratios = ("gain [dB]", "phase [deg]", "coherence"), (3, 3, 1)
+    figure, axes = stack(8.0, 8.0, *labels, x="frequency [Hz]", ratios=ratios)
+    gain, phase, coherence = axes
     dress_bode(gain, phase, title, limits=True)
-    frequency = response.frequency
-    colour = plot_bode(gain, phase, response, label=name)
-    coherence.plot(frequency, response.coherence, color=colour)
-    share = np.minimum(response.bound / np.abs(response.response), 0.99)
-    far, near = (response.gain_db + 20.0 * np.log10(1.0 + sign * share) for sign in (1, -1))
-    gain.fill_between(frequency, near, far, color=colour, alpha=0.2)
-    half = np.degrees(np.arcsin(share))
-    low, high = response.phase_deg - half, response.phase_deg + half
-    phase.fill_between(frequency, low, high, color=colour, alpha=0.2)
     phase.set_xlabel("")
-    coherence.set(ylabel="coherence", xlabel="frequency [Hz]", ylim=(0.0, 1.05))
-    grid(coherence, which="both")
+    colour = plot_bode(gain, phase, response, label=name)
+    coherence.plot(response.frequency, response.coherence, color=colour)
+    coherence.set_ylim(0.0, 1.05)
+    share = np.minimum(response.bound / np.abs(response.response), 0.99)
+    plot_band(gain, phase, response, share, np.arcsin(share), color=colour)
     legend(gain)
     return figure
 
 
 def measures_figure(measured: Measurement) -> Figure:
-    """Describing function, half-hertz noise, dynamic threshold and crosstalk of a session."""
-    figure = new_figure(10.0, 7.0)
-    (gain, noise), (threshold, cross) = figure.subplots(2, 2)
+    """Describing function, half-hertz noise and dynamic threshold of a session."""
+    figure = new_figure(12.0, 4.0)
+    gain, noise, threshold = figure.subplots(1, 3)
     unit, turn = dof_unit(measured.case.dof), by_kind(measured.case.dof, "m/s^2", "deg/s^2")
     for frequency in dict.fromkeys(point.frequency_hz for point in measured.describing_function):
         points = [p for p in measured.describing_function if p.frequency_hz == frequency]
@@ -122,44 +117,32 @@ def measures_figure(measured: Measurement) -> Figure:
     threshold.semilogx(steps, times, "o-")
     threshold.set(title="dynamic threshold", xlabel=f"step [{turn}]", ylabel="time to 63 % [ms]")
     threshold.set_ylim(0.0, 1.2 * max(times, default=1e3))
-    image = cross.imshow(np.log10(np.maximum(measured.crosstalk, 1e-6)), vmin=-3, vmax=0)
-    cross.set_xticks(range(6), DOFS, fontsize=8)
-    cross.set_yticks(range(6), DOFS, fontsize=8)
-    cross.set(title="crosstalk at 1 Hz", xlabel="moved", ylabel="driven")
-    figure.colorbar(image, ax=cross, label="log10 acceleration ratio [SI]")
     for axis, ticks in ((gain, sizes), (noise, sizes), (threshold, steps)):
         axis.set_xticks(ticks, [f"{tick:.3g}" for tick in ticks])
         axis.minorticks_off()
-    grid(gain, noise, threshold)
     legend(gain, noise)
     return figure
 
 
-def write_response(response: FrequencyResponse, path: Path) -> Path:
-    """Write a response as CSV: frequency, gain, phase, coherence, radius of the 95 % circle."""
+def _response_files(response: FrequencyResponse, figure: Figure) -> dict[str, Any]:
+    """`response.csv`, with the radius of the 95 % circle, and `response.png`."""
     curves = (response.frequency, response.gain_db, response.phase_deg)
     columns = (*curves, response.coherence, response.bound)
     header = ("frequency_hz", "gain_db", "phase_deg", "coherence", "radius_95")
-    return write_csv(path, header, zip(*columns, strict=True))
+    return {"response.csv": (header, zip(*columns, strict=True)), "response.png": figure}
 
 
 def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
     """Write `response.csv`, `response.png` and `summary.json`."""
     figure = response_figure(measures.dof, measures.files[0].stem, measures.response)
-    return [
-        write_response(measures.response, folder / "response.csv"),
-        save_figure(figure, folder / "response.png"),
-        write_json(folder / "summary.json", plain(measures.summary())),
-    ]
+    files = _response_files(measures.response, figure)
+    return save_files(files | {"summary.json": plain(measures.summary())}, folder)
 
 
 def save_measurement(measured: Measurement, folder: Path) -> list[Path]:
     """Write `response.csv`, `response.png`, `measures.png` and `summary.json`."""
     title = f"{measured.case.law.name}, {measured.case.dof}"
     figure = response_figure(title, measured.case.plant, measured.response)
-    return [
-        write_response(measured.response, folder / "response.csv"),
-        save_figure(figure, folder / "response.png"),
-        save_figure(measures_figure(measured), folder / "measures.png"),
-        write_json(folder / "summary.json", measured.summary()),
-    ]
+    files = _response_files(measured.response, figure)
+    files |= {"measures.png": measures_figure(measured), "summary.json": measured.summary()}
+    return save_files(files, folder)

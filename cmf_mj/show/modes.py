@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from cmf_mj.analysis.modes import PlaneMap, Range, Sweep
 from cmf_mj.core import units
-from cmf_mj.core.files import write_csv
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.hexapod import HydraulicModes
-from cmf_mj.show.look import COLOURS, DARK, grid, new_figure, pose_text, save_figures
+from cmf_mj.show.look import COLOURS, DARK, new_figure, pose_text, save_files
 from cmf_mj.show.table import Table
 
 PLANES = (("surge", "pitch"), ("sway", "roll"), ("heave", "yaw"))
@@ -78,7 +77,6 @@ def sweep_figure(cabs: Sequence[str], sweeps: Sequence[Sequence[Sweep]]) -> Figu
     for axis in panels.flat:
         axis.set_yticks([4, 5, 6, 8, 10, 15, 20, 30], labels="4 5 6 8 10 15 20 30".split())
         axis.minorticks_off()
-    grid(*panels.flat)
     for axis in panels[:, 0]:
         axis.set_ylabel("frequency [Hz]")
     entries = [Line2D([], [], color=COLOURS[i - 1], label=f"mode {i}") for i in _SIX]
@@ -97,14 +95,11 @@ def _axis_text(dof: str) -> str:
 
 def map_figure(cabs: Sequence[str], maps: Sequence[Sequence[PlaneMap]]) -> Figure:
     """Lowest mode over planes of the envelope, a row a cab, a scale a plane; white outside."""
-    figure = new_figure(11.0, 3.0 * len(cabs) + 1.0)
+    figure = new_figure(11.0, 3.0 * len(cabs) + 1.0, gridded=False)
     panels = figure.subplots(len(cabs), len(maps[0]), squeeze=False, sharex="col", sharey="col")
     for column, planes in zip(panels.T, zip(*maps, strict=True), strict=True):
         lowest = [one.frequency_hz[..., 0] for one in planes]
-        levels = MaxNLocator(14).tick_values(
-            min(float(values.min()) for values in lowest),
-            max(float(values.max()) for values in lowest),
-        )
+        levels = MaxNLocator(14).tick_values(float(np.min(lowest)), float(np.max(lowest)))
         for cab, axis, one, values in zip(cabs, column, planes, lowest, strict=True):
             first, second = (
                 units.from_si(dof_unit(dof), along)
@@ -152,12 +147,13 @@ def save_envelope(
         for each in ranges
         for modes in (*each.modes, each.worst)
     )
-    figures = {"modes_sweep": sweep_figure(cabs, sweeps), "modes_map": map_figure(cabs, maps)}
-    return [
-        *save_figures(figures, folder, 100),
-        write_csv(folder / "modes.csv", header, rows),
-        range_table(ranges).save(folder / "modes.md"),
-    ]
+    files = {
+        "modes_sweep.png": sweep_figure(cabs, sweeps),
+        "modes_map.png": map_figure(cabs, maps),
+        "modes.csv": (header, rows),
+        "modes.md": range_table(ranges).save,
+    }
+    return save_files(files, folder, 100)
 
 
 def save_modes(modes: Iterable[HydraulicModes], folder: Path) -> list[Path]:
@@ -173,13 +169,13 @@ def save_modes(modes: Iterable[HydraulicModes], folder: Path) -> list[Path]:
         for one in each
         for leg, row in enumerate(units.from_si("lbm", one.reflected_mass), 1)
     )
-    header = [*_POSE_HEADER, "leg", *(f"leg_{i}_lbm" for i in _SIX)]
-    first = write_csv(folder / "reflected_mass.csv", header, masses)
-    header = [*_POSE_HEADER, "mode", "frequency_hz", "leg_mass_lbm"]
-    header += [*(f"share_{dof}" for dof in DOFS), *(f"leg_{i}" for i in _SIX)]
-    header += [f"{dof}_{dof_unit(dof)}_per_in" for dof in DOFS]
+    of_masses = [*_POSE_HEADER, "leg", *(f"leg_{i}_lbm" for i in _SIX)]
+    of_shapes = [*_POSE_HEADER, "mode", "frequency_hz", "leg_mass_lbm"]
+    of_shapes += [*(f"share_{dof}" for dof in DOFS), *(f"leg_{i}" for i in _SIX)]
+    of_shapes += [f"{dof}_{dof_unit(dof)}_per_in" for dof in DOFS]
     shapes = ([*_pose_cells(m), *_mode_cells(m, mode)] for m in each for mode in range(6))
-    return [first, write_csv(folder / "mode_shapes.csv", header, shapes)]
+    files = {"reflected_mass.csv": (of_masses, masses), "mode_shapes.csv": (of_shapes, shapes)}
+    return save_files(files, folder)
 
 
 def _mode_cells(modes: HydraulicModes, mode: int) -> list[str]:

@@ -9,10 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
-from cmf_mj.core.files import write_csv
 from cmf_mj.core.units import DEGREE, STANDARD_GRAVITY
 from cmf_mj.pilot.omct import STAGES, TESTS, Omct
-from cmf_mj.show.look import COLOURS, GREY, grid, new_figure, save_figure
+from cmf_mj.show.look import COLOURS, GREY, grid, new_figure, save_files
 from cmf_mj.show.table import Table, number
 
 LEGEND = (
@@ -22,11 +21,6 @@ LEGEND = (
     "boundary of acceptance is known."
 )
 """What the numbers mean."""
-
-_HEADER = (
-    *("test", "stage", "frequency_rad_s", "modulus_si", "phase_deg"),
-    *("remainder", "share_modulus", "share_phase_deg"),
-)
 
 UP_TO = 2.0 * np.pi + 0.1
 """Highest frequency of the table of shares [rad/s]: 1 Hz, which is 6.31 rad/s of the test."""
@@ -39,9 +33,7 @@ def unit(place: int) -> tuple[str, float]:
     driven, output = TESTS[place]
     if (driven in _ROTATIONS) == (output in _ROTATIONS):
         return "", 1.0
-    if driven in _ROTATIONS:
-        return "m/s^2/deg", 1.0 / DEGREE
-    return "deg/(m/s^2)", DEGREE
+    return ("m/s^2/deg", 1.0 / DEGREE) if driven in _ROTATIONS else ("deg/(m/s^2)", DEGREE)
 
 
 def title(stage: str) -> str:
@@ -51,8 +43,7 @@ def title(stage: str) -> str:
 
 def phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
     """Phase [deg] unwrapped along the frequencies that have a response, (K,)."""
-    known = np.isfinite(response)
-    angle = np.full(response.shape, np.nan)
+    known, angle = np.isfinite(response), np.full(response.shape, np.nan)
     angle[known] = np.degrees(np.unwrap(np.angle(response[known])))
     return angle
 
@@ -124,12 +115,8 @@ def omct_figure(result: Omct) -> Figure:
         modulus, angle = axes[row, 2 * side], axes[row, 2 * side + 1]
         name, scale = unit(place)
         for index, (stage, responses) in enumerate(result.responses.items()):
-            style: dict[str, Any] = {
-                "color": colours[index % len(colours)],
-                "linestyle": "--" if stage == "washout" else "-",
-                "label": title(stage),
-            }
-            style |= {"marker": "o", "markersize": 3.0, "linewidth": 1.2}
+            style: dict[str, Any] = {"color": colours[index % len(colours)], "label": title(stage)}
+            style |= {"linestyle": "--" if stage == "washout" else "-", "marker": ".", "lw": 1.2}
             modulus.plot(result.frequency, np.abs(responses[place]) / scale, **style)
             angle.plot(result.frequency, phase(responses[place]), **style)
         if any(np.isfinite(responses[place]).any() for responses in result.responses.values()):
@@ -155,12 +142,14 @@ def omct_figure(result: Omct) -> Figure:
 
 def save_omct(result: Omct, folder: Path) -> list[Path]:
     """Write `omct.csv` (SI), `omct.md`, `share.md` (laws over an ideal machine) and `omct.png`."""
-    return [
-        write_csv(folder / "omct.csv", _HEADER, _rows(result)),
-        omct_table(result).save(folder / "omct.md"),
-        share_table(result).save(folder / "share.md"),
-        save_figure(omct_figure(result), folder / "omct.png", 70),
-    ]
+    header = ["test", "stage", "frequency_rad_s", "modulus_si", "phase_deg", "remainder"]
+    files = {
+        "omct.csv": ([*header, "share_modulus", "share_phase_deg"], _rows(result)),
+        "omct.md": omct_table(result).save,
+        "share.md": share_table(result).save,
+        "omct.png": omct_figure(result),
+    }
+    return save_files(files, folder, 70)
 
 
 def _rows(result: Omct) -> Iterator[list[str]]:

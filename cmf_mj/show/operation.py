@@ -2,19 +2,16 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from cmf_mj.core.files import write_csv
 from cmf_mj.core.rates import FRAME
 from cmf_mj.facility.operation import Operation, Timing, account
-from cmf_mj.show.look import BLUE, DARK, ORANGE, grid, legend, new_figure, save_figure
+from cmf_mj.show.look import BLUE, DARK, ORANGE, legend, new_figure, save_files
 from cmf_mj.show.overview import overview_figure
 from cmf_mj.show.table import Table
-
-PERCENTILES = (50.0, 90.0, 99.0, 99.9)
-"""Shares of the frames that are printed [%]."""
 
 _MEANINGS = {
     "received": "good datagrams of the host",
@@ -46,11 +43,9 @@ def account_table(
 def timing_table(timing: Timing) -> Table:
     """Computing time and lateness of the frames."""
     frames, us = timing.busy.size, 1e6
+    shares = ((share, us * timing.percentile(share)) for share in (50.0, 90.0, 99.0, 99.9))
     rows = [
-        *(
-            (f"{share:g} % of frames below", f"{us * timing.percentile(share):.1f} us")
-            for share in PERCENTILES
-        ),
+        *((f"{share:g} % of frames below", f"{time:.1f} us") for share, time in shares),
         ("largest", f"{us * timing.busy.max():.1f} us"),
         (f"over {us * FRAME:.0f} us of computing", f"{timing.over} of {frames}"),
         ("largest lateness", f"{1e3 * timing.late.max():.3f} ms"),
@@ -78,7 +73,6 @@ def timing_figure(timing: Timing) -> Figure:
     busy.axvline(share, color=DARK, linestyle="--", label=f"99.9 % below {share:.0f} us")
     title = f"{timing.busy.size} control frames, {timing.over} over {frame:.0f} us of computing"
     busy.set_title(title)
-    grid(busy, late)
     legend(busy, late, loc="upper right")
     return figure
 
@@ -94,14 +88,13 @@ def save_operation(
     `record.parquet`, `host.parquet`, `account.csv` and `operation.png`; in real time also
     `timing.csv` (all percentiles in steps of 0.1) and `timing.png`.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     counts = account(operation, received, datagrams)
-    paths = [
-        operation.record.save(folder / "record.parquet"),
-        operation.session.save(folder / "host.parquet"),
-        write_csv(folder / "account.csv", ("name", "count"), counts.items()),
-        save_figure(overview_figure(operation.record), folder / "operation.png"),
-    ]
+    files: dict[str, Any] = {
+        "record.parquet": operation.record.save,
+        "host.parquet": operation.session.save,
+        "account.csv": (("name", "count"), counts.items()),
+        "operation.png": overview_figure(operation.record),
+    }
     timing = operation.timing
     if timing is not None:
         shares = np.linspace(0.0, 100.0, 1001)
@@ -109,7 +102,6 @@ def save_operation(
         lines = (
             (f"{s:.1f}", f"{b:.9f}", f"{a:.9f}") for s, b, a in zip(shares, *columns, strict=True)
         )
-        header = ("percentile", "computing_s", "lateness_s")
-        paths.append(write_csv(folder / "timing.csv", header, lines))
-        paths.append(save_figure(timing_figure(timing), folder / "timing.png"))
-    return paths
+        files["timing.csv"] = (("percentile", "computing_s", "lateness_s"), lines)
+        files["timing.png"] = timing_figure(timing)
+    return save_files(files, folder)

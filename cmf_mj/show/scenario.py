@@ -21,9 +21,6 @@ def save_run(
     """Write what a scenario asks for under `outputs`, and the scenario itself.
 
     The scenario goes to `scenario.toml`, with absolute names of the files in it.
-
-    Raises:
-        InputError: a film that cannot be made; the message says why.
     """
     outputs, paths = scenario.outputs, [save_scenario(scenario, folder / "scenario.toml")]
     if outputs.record:

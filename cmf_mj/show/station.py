@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from cmf_mj.core.units import DEGREE
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception.error import CueingError
-from cmf_mj.show.look import BLUE, GREY, ORANGE, grid, new_figure
+from cmf_mj.show.look import BLUE, GREY, ORANGE, new_figure
 
 SCALE = np.array([1.0, 1.0, 1.0, DEGREE, DEGREE, DEGREE])
 """Plotted units in SI."""
@@ -48,7 +48,6 @@ def motion_axes(*motions: Motion, rows: int = 3) -> tuple[Figure, NDArray[Any]]:
         axis.set_ylabel(title)
     for axis in axes[-1]:
         axis.set_xlabel("time [s]")
-    grid(*axes.flat)
     _finish(figure, panels)
     return figure, axes
 

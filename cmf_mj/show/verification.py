@@ -1,11 +1,11 @@
 """Table, data and figure of the cross-verification."""
 
 from pathlib import Path
+from typing import Any
 
 from matplotlib.figure import Figure
 
-from cmf_mj.core.files import write_csv
-from cmf_mj.show.look import BLUE, GREY, ORANGE, grid, legend, new_figure, save_figure
+from cmf_mj.show.look import BLUE, GREY, ORANGE, legend, new_figure, save_files
 from cmf_mj.show.table import Table
 from cmf_mj.studies.verification import ENGINES, Run, Verification
 
@@ -49,17 +49,9 @@ def work_precision_figure(result: Verification) -> Figure:
             (by_cost, [run.cpu_time for run in runs]),
         ):
             axis.loglog(along, errors, color=colour, marker=marker, label=_TITLES[engine])
-        for run, following in zip(runs, [*runs[1:], None], strict=True):
-            # Below the point where the line goes on level, at its side where it falls.
-            falls = following and following.extension_error < 0.5 * run.extension_error
-            by_cost.annotate(
-                f"{_parts(run)} s",
-                (run.cpu_time, run.extension_error * _MICRO),
-                xytext=(6, 4) if falls else (0, -14),
-                textcoords="offset points",
-                ha="left" if falls else "center",
-                fontsize=8,
-            )
+        for run, error in zip(runs, errors, strict=True):
+            place: dict[str, Any] = {"xytext": (6, 4), "textcoords": "offset points"}
+            by_cost.annotate(f"{_parts(run)} s", (run.cpu_time, error), fontsize=8, **place)
     first, steps = result.runs[0], sorted({run.step for run in result.runs})
     ends = [first.step, steps[0]]
     order_2 = [0.5 * first.extension_error * _MICRO * (step / first.step) ** 2 for step in ends]
@@ -69,19 +61,18 @@ def work_precision_figure(result: Verification) -> Figure:
     by_step.set(xlabel="mechanical step [s]", ylabel="largest leg error [um]")
     by_cost.set(xlabel="CPU time [s]")
     by_cost.margins(x=0.15)
-    grid(by_step, by_cost)
     legend(by_step)
-    figure.suptitle(
-        f"Two engines on the same valve commands, {result.seconds:g} s, {result.cab.upper()}"
-    )
+    where = f"{result.seconds:g} s, {result.cab.upper()}"
+    figure.suptitle(f"Two engines on the same valve commands, {where}")
     return figure
 
 
 def save_verification(result: Verification, folder: Path) -> list[Path]:
     """Write `work_precision.png`, `work_precision.csv` (SI) and `work_precision.md`."""
     header = ["engine", "step_s", "leg_error_m", "pressure_error_pa", "cpu_time_s"]
-    return [
-        save_figure(work_precision_figure(result), folder / "work_precision.png", 100),
-        write_csv(folder / "work_precision.csv", header, result.runs),
-        verification_table(result).save(folder / "work_precision.md"),
-    ]
+    files = {
+        "work_precision.png": work_precision_figure(result),
+        "work_precision.csv": (header, result.runs),
+        "work_precision.md": verification_table(result).save,
+    }
+    return save_files(files, folder, 100)
