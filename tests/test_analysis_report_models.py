@@ -10,8 +10,8 @@ from cmf_mj.analysis.linear.catalogue import (
     report_model,
     report_models,
 )
+from cmf_mj.analysis.linear.plants import UnitTransferFunction
 from cmf_mj.analysis.linear.second_order import FeedbackLoop
-from cmf_mj.analysis.linear.transfer import UnitTransferFunction
 from cmf_mj.core import units
 
 NUMBERS = [entry.number for entry in report_models()]

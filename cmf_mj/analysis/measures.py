@@ -144,8 +144,6 @@ def measure_records(
 
 def measure_loop(
     loop: control.StateSpace,
-    output: int = 0,
-    input: int = 0,
     *,
     frequencies: ArrayLike = FREQUENCIES,
     duration: float = STEP_DURATION,
@@ -165,10 +163,10 @@ def measure_loop(
     poles = np.asarray(loop.poles(), dtype=complex)
     step = None
     if inside_unit_circle(poles):
-        static = float(np.real(np.atleast_2d(control.dcgain(loop))[output, input]))
-        _, reached = loop_step(loop, duration, output, input)
+        static = float(np.real(np.atleast_2d(control.dcgain(loop))[0, 0]))
+        _, reached = loop_step(loop, duration)
         step = measure_step(reached, 1.0 / FRAME, final=static)
-    widths = bandwidths(loop_response(loop, lines, output, input))
+    widths = bandwidths(loop_response(loop, lines))
     return joined(widths, step, slowest_mode(poles))
 
 

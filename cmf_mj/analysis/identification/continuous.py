@@ -17,7 +17,7 @@ from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.identification.model import PolynomialModel
 from cmf_mj.analysis.identification.response_fit import ResponseFit, fit_response
 from cmf_mj.analysis.linear.loop import closed_loop
-from cmf_mj.analysis.linear.transfer import UnitTransferFunction
+from cmf_mj.analysis.linear.plants import UnitTransferFunction
 from cmf_mj.analysis.measures import Measures, joined, measure_loop
 from cmf_mj.analysis.step_response import StepMetrics
 from cmf_mj.control.law import Law

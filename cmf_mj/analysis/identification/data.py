@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import interpolate, signal
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import RATE as FRAMES
 from cmf_mj.machine.kinematics import DOFS, legs_to_pose
 from cmf_mj.machine.leg_motion import leg_motion_to_pose
@@ -117,8 +117,7 @@ class Experiment:
 
     def detrended(self, kind: Literal["constant", "linear"] = "constant") -> "Experiment":
         """Take the mean or the straight line of least squares out of every series."""
-        if kind not in ("constant", "linear"):
-            raise InputError(f"kind: {kind!r} is not one of constant, linear")
+        check_name("kind", kind, ("constant", "linear"))
         return self._mapped(lambda x: signal.detrend(x, axis=0, type=kind))
 
     def between(self, start: float = 0.0, stop: float = float("inf")) -> "Experiment":
@@ -157,10 +156,7 @@ def decimated(values: Real, factor: int) -> Real:
 def _indices(field: str, have: tuple[str, ...], names: Sequence[str] | None) -> list[int]:
     if names is None:
         return list(range(len(have)))
-    for name in names:
-        if name not in have:
-            raise InputError(f"{field}: {name!r} is not one of {', '.join(have)}")
-    return [have.index(name) for name in names]
+    return [have.index(check_name(field, name, have)) for name in names]
 
 
 def _along(legs: Mapping[str, Real], channel: str, axes: Sequence[str]) -> Real:

@@ -75,18 +75,14 @@ def linearize(
         Inputs `command_1` and on, fractions; outputs `leg_position` [m], `leg_velocity`,
         `leg_acceleration`, `cap_pressure` and `rod_pressure` [Pa] of all legs, name by name as
         `linear.loop.closed_loop` reads them, and of a supply that is no constant one
-        `supply_pressure` and `return_pressure` [Pa]. States `drive`, `spool`, `leg_position`,
-        `leg_velocity`, `cap_pressure`, `rod_pressure`, each with the leg's number, and of the
-        supply `supply_pressure`, `return_pressure`, `accumulator_oil`, `pump_flow`. A single leg
-        has bare names.
+        `supply_pressure` and `return_pressure` [Pa]. A single leg has bare names.
 
     Raises:
         InputError: what has no linearisation (overlap, hysteresis, dry friction), named with the
             set and the actuator; a configuration on a stop or beyond what the supply can hold.
 
-    >>> model = cmf_mj.linearize(cmf_mj.SingleLegs(hydraulics="report"))
-    >>> model.input_labels[0], bool(model.poles().real.max() < 1e-6)
-    ('command_1', True)
+    >>> model = cmf_mj.linearize(cmf_mj.SingleLegs(hydraulics="report")) >>> model.input_labels[0],
+    bool(model.poles().real.max() < 1e-6) ('command_1', True)
     """
     point = at if at is not None else operating_point(plant, pose, excitation=excitation)
     legs = plant.legs

@@ -6,10 +6,10 @@ from typing import get_args
 
 from pydantic import Field
 
+from cmf_mj.analysis.linear.plants import UnitTransferFunction
 from cmf_mj.analysis.linear.second_order import FeedbackLoop, Variant, feedback_model
-from cmf_mj.analysis.linear.transfer import UnitTransferFunction
 from cmf_mj.analysis.published import Numbers
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.settings import Settings, read_toml, validated
 
 _FILE = Path(__file__).with_name("report_models.toml")
@@ -69,34 +69,19 @@ def report_models() -> tuple[ReportModel, ...]:
 
 
 def report_entry(number: str, variant: Variant = "corrected") -> ReportModel:
-    """The entry of an equation; `corrected` is the print where nothing is wrong with it.
-
-    Raises:
-        InputError: no such equation or variant.
-    """
-    if variant not in get_args(Variant):
-        raise InputError(f"variant: {variant!r} is not one of {', '.join(get_args(Variant))}")
+    """The entry of an equation; `corrected` is the print where nothing is wrong with it."""
+    check_name("variant", variant, get_args(Variant))
     entries = {entry.number: entry for entry in report_models()}
-    if number not in entries:
-        raise InputError(f"number: {number!r} is not one of {', '.join(entries)}")
-    return entries[number].read(variant)
+    return entries[check_name("number", number, entries)].read(variant)
 
 
 def report_model(
     number: str, variant: Variant = "corrected", loop: FeedbackLoop | None = None
 ) -> UnitTransferFunction:
-    """A transfer function of the report, in the report's units.
+    """A transfer function of the report, e.g. `4.12`, in the report's units; `to_si` converts.
 
-    Args:
-        number: of the equation, e.g. `4.12`.
-        variant: `printed`, or `corrected`: with a misprint put right, else as printed.
-        loop: plant and gains, for Eqs 3.1 to 3.4 and only for them.
-
-    Returns:
-        With its labels and units; `to_si` converts. Eq 3.6 is discrete at 2048 Hz.
-
-    Raises:
-        InputError: no such equation or variant, or `loop` missing or out of place.
+    `corrected` has a misprint put right and is else as printed. `loop` gives plant and gains for
+    Eqs 3.1 to 3.4 and only for them. Eq 3.6 is discrete at 2048 Hz.
     """
     entry = report_entry(number, variant)
     if entry.formula:
@@ -122,11 +107,7 @@ HARDWARE_MODELS = {1: "4.12", 2: "4.15", 3: "4.18"}
 
 
 def hardware_velocity(number: int) -> UnitTransferFunction:
-    """Leg velocity per command [in/s per %] of the report's linear model 1, 2 or 3.
-
-    Raises:
-        InputError: there is no such model.
-    """
+    """Leg velocity per command [in/s per %] of the report's linear model 1, 2 or 3."""
     if number not in HARDWARE_MODELS:
         raise InputError(f"number: {number} is not one of {', '.join(map(str, HARDWARE_MODELS))}")
     return report_model(HARDWARE_MODELS[number])

@@ -15,12 +15,12 @@ so that the valve is open longer, or further, to the side where it changes the o
 the slopes with f = 1/2 would have the leg drift; at 610 psi of 1500 the share is 0.41.
 """
 
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from scipy import optimize, special
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 
 Excitation = Literal["noise", "sine", "mean"]
 """What moves the valves: Gaussian, as a multisine of many lines nearly is, or one sine; `mean` is
@@ -31,19 +31,10 @@ _FARTHEST = 8.0
 
 
 def outward_share(ratio: float, excitation: Excitation = "noise") -> float:
-    """Share f of the slopes to e > 0.
-
-    Args:
-        ratio: <e+> / <e-> = S- / S+, greater than 0.
-        excitation: `noise`, `sine` or `mean`.
-
-    Raises:
-        InputError: a ratio that is not greater than 0, or another excitation.
-    """
+    """Share f of the slopes to e > 0, for `ratio` = <e+> / <e-> = S- / S+, greater than 0."""
     if not 0.0 < ratio < np.inf:
         raise InputError(f"ratio: {ratio} must be greater than 0 and finite")
-    if excitation not in ("noise", "sine", "mean"):
-        raise InputError(f"excitation: {excitation!r} is not one of noise, sine, mean")
+    check_name("excitation", excitation, get_args(Excitation))
     if excitation == "mean":
         return 0.5
     if excitation == "sine":

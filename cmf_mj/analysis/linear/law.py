@@ -53,17 +53,10 @@ def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
 
     The compiled law is asked with one state or input at a time. Of the states of each leg or mode
     those are kept that can act on the command. An adapting law is linear while its factor stands
-    still: this is the law with the factor at 1.
+    still: this is the law with the factor at 1. A law in hydraulic modes must be `bound_to` a cab.
 
-    Args:
-        law: name, TOML file or loaded law; one in hydraulic modes must be `bound_to` a cab.
-        legs: number of legs.
-
-    Returns:
-        Inputs `DCL_INPUTS`, output `command` [fraction]; with several legs `reference_1` and so on.
-
-    Raises:
-        InputError: the law is refused, or less than one leg.
+    Inputs are `DCL_INPUTS`, the output `command` [fraction]; with several legs `reference_1` and so
+    on.
     """
     if legs < 1:
         raise InputError(f"legs: {legs} must be at least 1")

@@ -21,7 +21,7 @@ swing the largest mass, they slow it by about 2 %: models of the pressures belon
 """
 
 import re
-from typing import Literal
+from typing import Literal, get_args
 
 import control
 import numpy as np
@@ -29,10 +29,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space, labels
-from cmf_mj.analysis.linear.plants import leg_plant
-from cmf_mj.analysis.linear.transfer import UnitTransferFunction
+from cmf_mj.analysis.linear.plants import UnitTransferFunction, leg_plant
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import FRAME
 
 OUTPUTS = (*FEEDBACK, "command")
@@ -58,30 +57,21 @@ def closed_loop(
 ) -> control.StateSpace:
     """Close the loop of a law around a linear plant; the clamps do not act.
 
-    Args:
-        law: name, TOML file or loaded law.
-        plant: a transfer function as for `leg_plant`, or a state space, continuous or discrete at
-            2048 Hz, in SI units. A single input may have any name. Of its outputs, position must be
-            there, velocity and acceleration where the law reads them.
-        command_delay: frames between the DCL's output and the plant, at least 1.
-        pressures: `zero` hides the plant's pressures from the law, as in the report.
-        outputs: some of `OUTPUTS`.
+    `plant` is a transfer function as for `leg_plant`, or a state space in SI units, continuous or
+    discrete at 2048 Hz; a single input may have any name. Of its outputs, position must be there,
+    velocity and acceleration where the law reads them. `command_delay` counts frames between the
+    DCL's output and the plant, at least 1. With `zero` pressures the law does not see the plant's,
+    as in the report. `outputs` are some of `OUTPUTS`.
 
-    Returns:
-        Discrete at 2048 Hz, SI: from `reference` [m] to the outputs; with several legs from
-        `reference_1` and on to `leg_position_1` and on, leg by leg within an output.
-
-    Raises:
-        InputError: the law is refused, the delay is less than a frame, or the plant or an output
-            has other names, another rate, or lacks what the law reads.
+    The loop is discrete at 2048 Hz, SI: from `reference` [m] to the outputs; with several legs from
+    `reference_1` and on to `leg_position_1` and on, leg by leg within an output. Raises
+    `InputError` for a plant that has other names, another rate, or lacks what the law reads.
     """
     if command_delay < 1:
         raise InputError(f"command_delay: {command_delay} frames must be at least 1")
     for name in outputs:
-        if name not in OUTPUTS:
-            raise InputError(f"outputs: {name!r} is not one of {', '.join(OUTPUTS)}")
-    if pressures not in ("modelled", "zero"):
-        raise InputError(f"pressures: {pressures!r} is not one of modelled, zero")
+        check_name("outputs", name, OUTPUTS)
+    check_name("pressures", pressures, get_args(Pressures))
     loaded = load_law(law)
     sampled = _at_frames(plant)
     legs = _legs(sampled)
@@ -189,39 +179,30 @@ def _delayed(matrices: tuple[Matrix, ...], frames: int) -> tuple[Matrix, ...]:
     )
 
 
-def loop_response(
-    loop: control.StateSpace, frequency: NDArray[np.float64], output: int = 0, input: int = 0
-) -> FrequencyResponse:
-    """The exact frequency response of a closed loop, in the form of measured ones.
+def loop_response(loop: control.StateSpace, frequency: NDArray[np.float64]) -> FrequencyResponse:
+    """The exact response of a SISO loop or other linear system at `frequency` [Hz], (K,).
 
-    Args:
-        loop: of `closed_loop`, or any other linear system.
-        frequency: [Hz], ascending, (K,).
-        output: index of the output.
-        input: index of the input.
-
-    Returns:
-        With coherence 1 and bound 0.
+    It has the form of measured ones, with coherence 1 and bound 0.
     """
     omega = 2.0 * np.pi * np.asarray(frequency, dtype=float)
-    response = control.frequency_response(loop, omega).frdata[output, input]
+    response = control.frequency_response(loop, omega).frdata[0, 0]
     ones = np.ones(omega.size)
     return FrequencyResponse(
         response,
         omega,
         ones,
         0.0 * ones,
-        inputs=[loop.input_labels[input]],
-        outputs=[loop.output_labels[output]],
+        inputs=[loop.input_labels[0]],
+        outputs=[loop.output_labels[0]],
     )
 
 
 def loop_step(
-    loop: control.StateSpace, duration: float = STEP_DURATION, output: int = 0, input: int = 0
+    loop: control.StateSpace, duration: float = STEP_DURATION
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Time [s] and response of a closed loop to a unit step at 2048 Hz, both (N,)."""
+    """Time [s] and response of a SISO loop to a unit step at 2048 Hz, both (N,)."""
     time = np.arange(round(duration / FRAME)) * FRAME
-    response = control.step_response(loop, time, input=input, output=output)
+    response = control.step_response(loop, time)
     return np.asarray(time, dtype=np.float64), np.asarray(response.outputs).reshape(-1)
 
 
@@ -231,23 +212,16 @@ def closed_loop_response(
     frequency: ArrayLike,
     *,
     pressures: tuple[ArrayLike, ArrayLike] | None = None,
-    command_delay: int = 1,
     legs_of_axes: ArrayLike | None = None,
 ) -> Complex:
     """Response (K, n, n) from leg or axis references to positions with a law around a plant.
 
-    Args:
-        law: name, TOML file or loaded law; one in hydraulic modes must be `bound_to` a cab.
-        velocity: plant response from commands at the valves to velocities, (K, n, n) or (K,)
-            [m/s per full command]: with neither computing delay nor hold, as `experiment` gives it.
-        frequency: lines [Hz], (K,), above 0.
-        pressures: responses to cap and rod pressures likewise [Pa per full command]; default zero.
-        command_delay: frames from the DCL to the valves.
-        legs_of_axes: legs of a unit along each axis, (n, n), for a law in hydraulic modes; default
-            axes that are the legs.
-
-    Raises:
-        InputError: shapes that do not match, a line at 0 Hz, a refused law.
+    `velocity` is the plant's response from commands at the valves to velocities, (K, n, n) or (K,)
+    [m/s per full command], with neither computing delay nor hold, as `experiment` gives it;
+    `pressures` those to cap and rod pressures [Pa per full command], default zero. `frequency`
+    [Hz], (K,), lies above 0; the command is one frame late. A law in hydraulic modes is `bound_to`
+    a cab and needs `legs_of_axes`, the legs of a unit along each axis, (n, n); default axes that
+    are the legs.
     """
     f = np.asarray(frequency, dtype=float)
     if not (f > 0.0).all():
@@ -256,7 +230,7 @@ def closed_loop_response(
     s = 2j * np.pi * f[:, None, None]
     turn = np.eye(v.shape[1]) if legs_of_axes is None else np.asarray(legs_of_axes, dtype=float)
     gain = _law_gains(load_law(law), f, turn)
-    hold = (1.0 - np.exp(-s * FRAME)) / (s * FRAME) * np.exp(-s * FRAME * command_delay)
+    hold = (1.0 - np.exp(-s * FRAME)) / (s * FRAME) * np.exp(-s * FRAME)
     late = s * np.exp(-s * FRAME)
     back = (gain["leg_position"] / s + gain["leg_velocity"] + gain["leg_acceleration"] * late) @ v
     if pressures is not None:

@@ -35,15 +35,10 @@ class Mechanics(NamedTuple):
 
 
 def linear_mechanics(plant: Plant, pose: ArrayLike | None = None) -> Mechanics:
-    """Linearise the mechanics at rest in a configuration; the plant is left there.
+    """Linearise the mechanics at rest in a configuration, default neutral; the plant is left there.
 
-    Args:
-        plant: any plant whose cylinders determine its motion.
-        pose: configuration as `plant.place` takes it; default neutral.
-
-    Raises:
-        InputError: dry friction in the model, a stop or contact that bears in this configuration,
-            a leg on its stop, or cylinders that do not determine the motion.
+    Raises `InputError` for dry friction in the model, a stop or contact that bears there, a leg on
+    its stop, or cylinders that do not determine the motion.
     """
     mass = plant.reflected_mass(pose)
     _check_smooth(plant)

@@ -53,17 +53,11 @@ class OperatingPoint(NamedTuple):
 def operating_point(
     plant: Plant, pose: ArrayLike | None = None, *, excitation: Excitation = "noise"
 ) -> OperatingPoint:
-    """Find the rest of a plant in a configuration; the plant is left there.
+    """Find the rest of a plant in a configuration, default neutral; the plant is left there.
 
-    Args:
-        plant: any plant.
-        pose: configuration as `plant.place` takes it; default neutral.
-        excitation: what moves the valves, `noise`, `sine` or `mean`, see `describing`.
-
-    Raises:
-        InputError: what has no linearisation (overlap, hysteresis, dry friction), named with the
-            set and the actuator; a load or a flow the supply cannot hold; a configuration on a
-            stop.
+    `excitation` is what moves the valves, see `describing`. Raises `InputError` for what has no
+    linearisation (overlap, hysteresis, dry friction), named with the set and the actuator; a load
+    or a flow the supply cannot hold; a configuration on a stop.
     """
     _check_linear(plant)
     mechanics = linear_mechanics(plant, pose)
@@ -98,7 +92,8 @@ def operating_point(
         if moved < 1e-6:
             break
     _check_supply(plant, supply, high, low)
-    oil = _accumulator_oil(supply, high)
+    ratio = (supply.precharge + ATMOSPHERE) / (high + ATMOSPHERE)
+    oil = float(supply.gas_volume * (1.0 - ratio ** (1.0 / supply.exponent)))
     outward = np.array([outward_share(rest.ratio, excitation) for rest in rests])
     return OperatingPoint(mechanics, command, spool, pressure, high, low, drawn, oil, outward)
 
@@ -165,11 +160,6 @@ def _hold(plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float)
         )
     rod = min(balanced, key=lambda p: abs(command_at(p) + float(bias.mean())))
     return _Rest(command_at(rod), pressures(rod)[:2])
-
-
-def _accumulator_oil(supply: Supply, pressure: float) -> float:
-    ratio = (supply.precharge + ATMOSPHERE) / (pressure + ATMOSPHERE)
-    return float(supply.gas_volume * (1.0 - ratio ** (1.0 / supply.exponent)))
 
 
 def _check_linear(plant: Plant) -> None:

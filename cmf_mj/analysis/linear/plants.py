@@ -6,7 +6,8 @@ or the other way round the derivative. Commands are constant over a frame: the d
 exact.
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import control
 import numpy as np
@@ -14,11 +15,55 @@ from numpy.typing import NDArray
 from scipy import linalg, signal
 
 from cmf_mj.analysis.linear.law import FEEDBACK
-from cmf_mj.analysis.linear.transfer import UnitTransferFunction
+from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 
 _POSITION, _VELOCITY, _ACCELERATION = FEEDBACK[:3]
+
+
+class UnitTransferFunction(control.TransferFunction):  # type: ignore[misc]
+    """A SISO transfer function with units; arithmetic gives plain transfer functions.
+
+    Its gain counts in `output_unit` per `input_unit`, units of `cmf_mj.core.units`.
+    """
+
+    def __init__(
+        self,
+        numerator: Sequence[float],
+        denominator: Sequence[float],
+        dt: float = 0.0,
+        *,
+        input_unit: str,
+        output_unit: str,
+        **keywords: Any,
+    ) -> None:
+        """Wrap polynomials of s, or of z with a sampling time `dt` [s], highest power first.
+
+        `keywords` are `inputs`, `outputs` and `name` of python-control.
+        """
+        units.factor(input_unit), units.factor(output_unit)
+        super().__init__(list(numerator), list(denominator), dt, **keywords)
+        self.input_unit = input_unit
+        """Unit of the input."""
+        self.output_unit = output_unit
+        """Unit of the output."""
+
+    @property
+    def si_factor(self) -> float:
+        """What the gain is multiplied with to count in SI units and command fractions."""
+        return units.factor(self.output_unit) / units.factor(self.input_unit)
+
+    def to_si(self) -> control.TransferFunction:
+        """The same system in SI units, commands as fractions; labels are kept."""
+        return control.tf(
+            self.num_array[0, 0] * self.si_factor,
+            self.den_array[0, 0],
+            self.dt,
+            inputs=self.input_labels,
+            outputs=self.output_labels,
+            name=self.name,
+        )
 
 
 class _System(NamedTuple):
@@ -30,22 +75,12 @@ class _System(NamedTuple):
 
 
 def leg_plant(*models: UnitTransferFunction) -> control.StateSpace:
-    """One leg from models of some of its outputs.
+    """One leg from continuous models of different outputs of `FEEDBACK`: at 2048 Hz, SI.
 
-    The derivative of an output without a direct term is exact; with one it is the difference over a
-    frame, since a stepped command makes such an output jump. Pressures without a model are zero, as
-    in the report's loop.
-
-    Args:
-        models: continuous, each with an output of `FEEDBACK`; at least one of position, velocity
-            and acceleration.
-
-    Returns:
-        Discrete at 2048 Hz, SI: input `command` [fraction], outputs `FEEDBACK`.
-
-    Raises:
-        InputError: a model that is discrete, has another or the same output as one before, or no
-            model of motion.
+    At least one is of position, velocity or acceleration. The derivative of an output without a
+    direct term is exact; with one it is the difference over a frame, since a stepped command makes
+    such an output jump. Pressures without a model are zero, as in the report's loop. The input is
+    `command` [fraction], the outputs are `FEEDBACK`.
     """
     system = _joined(models)
     system = _integrated(system, _ACCELERATION, _VELOCITY, unless=_POSITION)

@@ -22,21 +22,13 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.plant.plant import Plant
 
 _FAMILIES = {
-    "drive": "drive",
-    "spool": "spool",
-    "leg_position": "motion",
-    "leg_velocity": "motion",
-    "cap_pressure": "oil",
-    "rod_pressure": "oil",
-    "supply_pressure": "supply",
-    "return_pressure": "supply",
-    "accumulator_oil": "supply",
-    "pump_flow": "supply",
+    "drive": ("drive",),
+    "spool": ("spool",),
+    "motion": ("leg_position", "leg_velocity"),
+    "oil": ("cap_pressure", "rod_pressure"),
+    "supply": ("supply_pressure", "return_pressure", "accumulator_oil", "pump_flow"),
 }
-"""Kinds of state, by the beginning of their names."""
-
-FAMILIES = tuple(dict.fromkeys(_FAMILIES.values()))
-"""Kinds of state."""
+"""Kinds of state, with the beginnings of their names."""
 
 _STILL = 1e-6
 """Pole [rad/s] of an integrator: round-off of the eigenvalues."""
@@ -48,7 +40,7 @@ class Mode(NamedTuple):
     pole: complex  #: [rad/s], of a pair the one above the real axis.
     frequency: float  #: Modulus of the pole [rad/s].
     damping_ratio: float  #: -Re / modulus; 1 for a stable real pole, NaN for an integrator.
-    shares: dict[str, float]  #: Shares of the `FAMILIES`, sum 1.
+    shares: dict[str, float]  #: Shares of drive, spool, motion, oil and supply, sum 1.
     leg_shape: NDArray[np.complex128]  #: Leg motion, (n,), the largest 1; zero where no leg moves.
     dof_shares: NDArray[np.float64]
     """Shares of the degrees of freedom in the leg motion, (6,); NaN where none are asked for."""
@@ -60,15 +52,8 @@ def modes(
     """All modes of a linearised plant, slowest first.
 
     Of poles that coincide, such as those of uncoupled equal legs, only the space of all is
-    determined, not the shape of one.
-
-    Args:
-        system: of `linearize`; its states have their names there.
-        plant: with the legs of the facility, for the shares of degrees of freedom.
-        pose: where `system` is; default neutral.
-
-    Raises:
-        InputError: a system with other states or a discrete one, or a plant with other legs.
+    determined, not the shape of one. `plant`, with the legs of the facility in the `pose` of
+    `system`, is for the shares of degrees of freedom.
     """
     if not system.isctime(strict=True):
         raise InputError("system: is discrete; a linearised plant, which is continuous, is needed")
@@ -97,7 +82,7 @@ def modes(
                 complex(poles[i]),
                 size,
                 float(-poles[i].real / size) if size > _STILL else float("nan"),
-                {name: float(sum(f for f, kind in parts if kind == name)) for name in FAMILIES},
+                {name: float(sum(f for f, kind in parts if kind == name)) for name in _FAMILIES},
                 shape,
                 _dof_shares(shape, jacobian),
             )
@@ -106,8 +91,8 @@ def modes(
 
 
 def _family(state: str) -> str:
-    for start, family in _FAMILIES.items():
-        if state == start or state.startswith(f"{start}_"):
+    for family, starts in _FAMILIES.items():
+        if state.startswith(starts):
             return family
     raise InputError(f"system: its state {state!r} is none of a linearised plant")
 

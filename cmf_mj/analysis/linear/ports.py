@@ -62,13 +62,9 @@ def port_slopes(
 ) -> Slopes:
     """Flows and slopes of one actuator.
 
-    Args:
-        hydraulics: parameters of all.
-        leg: index of the actuator.
-        spools: positions of its two spools, fractions, (2,).
-        pressures: of cap, rod, supply and return [Pa], (4,).
-        extension: from neutral [m].
-        outward: weight of the slopes to e > 0 where a valve is closed.
+    `spools` are the positions of its two spools, fractions, (2,), `pressures` those of cap, rod,
+    supply and return [Pa], (4,), `extension` is from neutral [m], `outward` the weight of the
+    slopes to e > 0 where a valve is closed.
     """
     cylinder, valves = hydraulics.cylinder[leg], hydraulics.valve[leg]
     # Gains of cap in, cap out, rod in, rod out, and what an opening adds to each.

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from cmf_mj.analysis.linear.law import FEEDBACK, labels
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import DOFS, pose_jacobian, read_geometry
 from cmf_mj.plant.plant import Plant
@@ -21,8 +21,6 @@ Matrix = NDArray[np.float64]
 
 _SAME = 1e-6
 """Distance of poles that coincide, over 1 rad/s and their size."""
-_RANK = 1e-9
-"""Singular value of a residue that counts, over the largest."""
 _DEFECTIVE = 1e12
 """Condition of the eigenvectors of a system with defective poles."""
 _AXIS = (1e-3, 1e5)
@@ -34,18 +32,10 @@ def reduced(
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
 ) -> control.StateSpace:
-    """A system between some of its signals, without the states that cannot matter there.
+    """A system between some of its signals, by name, without the states that cannot matter there.
 
-    A state is dropped where no chain of non-zero entries leads to it from an input or from it to
-    an output. The others are kept as they are, with their names.
-
-    Args:
-        system: continuous or discrete.
-        inputs: names of the inputs to keep; default all.
-        outputs: names of the outputs to keep; default all.
-
-    Raises:
-        InputError: a name that is not there, or none.
+    A state is dropped where no chain of non-zero entries leads to it from an input or from it to an
+    output. The others are kept as they are, with their names.
     """
     columns = _chosen("inputs", inputs, system.input_labels)
     rows = _chosen("outputs", outputs, system.output_labels)
@@ -73,10 +63,7 @@ def _chosen(field: str, names: Sequence[str] | None, there: list[str]) -> list[i
         return list(range(len(there)))
     if len(names) == 0:
         raise InputError(f"{field}: none is given; allowed: some of {', '.join(there)}")
-    for name in names:
-        if name not in there:
-            raise InputError(f"{field}: {name!r} is not one of {', '.join(there)}")
-    return [there.index(name) for name in names]
+    return [there.index(check_name(field, name, there)) for name in names]
 
 
 def _spread(links: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -92,65 +79,49 @@ def _spread(links: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bo
 def minimal(system: control.StateSpace, tolerance: float = 1e-4) -> control.StateSpace:
     """A system of the modes that matter, poles that coincide taken together.
 
-    H(s) = D + sum of M_i / (s - p_i): of coinciding poles only the rank of M_i remains, which is
-    one between one input and one output, and a mode is dropped that nowhere on the imaginary axis
-    makes up `tolerance` of any entry of H. For sums of like parts, such as six valves behind one
-    degree of freedom, which `reduced` cannot see through. The states lose their names.
-
-    Args:
-        system: continuous, without defective poles.
-        tolerance: share of the response at which a mode is worth keeping; 0 keeps all that are
-            reached and observed.
-
-    Raises:
-        InputError: a discrete system, or one whose poles are defective.
+    H(s) = D + sum of r_i / (s - p_i): coinciding poles are one, and a mode is dropped that nowhere
+    on the imaginary axis makes up `tolerance` of H; 0 keeps all that are reached and observed. For
+    sums of like parts, such as six valves behind one degree of freedom, which `reduced` cannot see
+    through. The system is continuous, with one input, one output and no defective poles; the states
+    lose their names.
     """
-    if not system.isctime():
-        raise InputError("system: is discrete; a continuous one is needed")
-    direct = np.asarray(system.D)
+    if not (system.isctime() and system.issiso()):
+        raise InputError("system: must be continuous, with one input and one output")
     matrix, (scale, _) = linalg.matrix_balance(np.asarray(system.A), permute=False, separate=True)
     poles, right = np.linalg.eig(matrix)
     if poles.size and np.linalg.cond(right) > _DEFECTIVE:
         raise InputError("system: has defective poles, which have no separate modes")
-    b = np.linalg.solve(right, np.asarray(system.B) / scale[:, None])
-    c = np.asarray(system.C) * scale @ right
-    omega = np.geomspace(*_AXIS, 2000)
+    b = np.linalg.solve(right, system.B[:, 0] / scale)
+    c = system.C[0] * scale @ right
+    s = 1j * np.geomspace(*_AXIS, 2000)
     groups = [np.flatnonzero(np.abs(poles - p) < _SAME * (1.0 + abs(p))) for p in poles]
     groups = [g for i, g in enumerate(groups) if g[0] == i and poles[i].imag > -_SAME]
-    parts = []
+    modes = []
     for group in groups:
-        pole, residue = poles[group].mean(), c[:, group] @ b[group]
+        pole, residue = poles[group].mean(), c[group] @ b[group]
         real = abs(pole.imag) < _SAME * (1.0 + abs(pole))
-        part = residue / (1j * omega[:, None, None] - pole)
+        part = residue / (s - pole)
         if not real:
-            part = part + np.conj(residue) / (1j * omega[:, None, None] - np.conj(pole))
-        parts.append((complex(pole), residue, real, part))
-    whole = np.abs(direct + sum((part for *_, part in parts), np.zeros(direct.shape)))
-    floor = np.finfo(float).tiny
-    blocks: list[tuple[Matrix, Matrix, Matrix]] = []
-    for pole, residue, real, part in parts:
-        if (np.abs(part) <= tolerance * whole + floor).all():
+            part = part + np.conj(residue) / (s - np.conj(pole))
+        modes.append((complex(pole), complex(residue), real, part))
+    whole = np.abs(system.D[0, 0] + sum(part for *_, part in modes)) + np.finfo(float).tiny
+    blocks: list[tuple[ArrayLike, ArrayLike, ArrayLike]] = []
+    for pole, residue, real, part in modes:
+        if (np.abs(part) <= tolerance * whole).all():
             continue
-        u, size, v = np.linalg.svd(residue.real if real else residue, full_matrices=False)
-        rank = int((size > _RANK * size[0]).sum())
-        root = np.sqrt(size[:rank])
-        seen, reached, eye = u[:, :rank] * root, root[:, None] * v[:rank], np.eye(rank)
+        root = np.sqrt(abs(residue))
+        seen = residue / root
         if real:
-            blocks.append((pole.real * eye, reached, seen))
-            continue
-        turn = np.array([[pole.real, -pole.imag], [pole.imag, pole.real]])
-        blocks.append(
-            (
-                np.kron(turn, eye),
-                np.vstack([reached.real, reached.imag]),
-                2.0 * np.hstack([seen.real, -seen.imag]),
-            )
-        )
+            blocks.append(([[pole.real]], [[root]], [[seen.real]]))
+        else:
+            turn = [[pole.real, -pole.imag], [pole.imag, pole.real]]
+            blocks.append((turn, [[root], [0.0]], [[2.0 * seen.real, -2.0 * seen.imag]]))
+    a, drive, read = zip(*blocks, strict=True)
     return control.ss(
-        linalg.block_diag(*(block[0] for block in blocks)),
-        np.vstack([block[1] for block in blocks]),
-        np.hstack([block[2] for block in blocks]),
-        direct,
+        linalg.block_diag(*a),
+        np.vstack(drive),
+        np.hstack(read),
+        system.D,
         inputs=system.input_labels,
         outputs=system.output_labels,
         name=system.name,
@@ -158,20 +129,11 @@ def minimal(system: control.StateSpace, tolerance: float = 1e-4) -> control.Stat
 
 
 def leg_model(system: control.StateSpace, leg: int) -> control.StateSpace:
-    """One leg of a linearised plant, the commands of all others constant.
+    """One leg, from 1 on, of a linearised plant, the commands of all others constant.
 
     The others' oil still gives way: a leg of the hexapod keeps the modes of the whole machine.
-
-    Args:
-        system: of `linearize`.
-        leg: number, from 1 on.
-
-    Returns:
-        Input `command`, outputs `FEEDBACK` with bare names; `reduced(..., outputs=[one])` of it is
-        a single output.
-
-    Raises:
-        InputError: no such leg.
+    Input `command`, outputs `FEEDBACK` with bare names; `reduced(..., outputs=[one])` of it is a
+    single output.
     """
     legs = int(system.ninputs)
     if leg not in range(1, legs + 1):
@@ -184,11 +146,7 @@ def leg_model(system: control.StateSpace, leg: int) -> control.StateSpace:
 
 
 def jacobian_of(plant: Plant, pose: ArrayLike | None = None) -> Matrix:
-    """d(legs)/d(pose), (6, 6), of a plant with the legs of the facility.
-
-    Raises:
-        InputError: a plant of another number of legs.
-    """
+    """d(legs)/d(pose), (6, 6), of a plant with the legs of the facility."""
     if plant.legs != len(DOFS):
         raise InputError(
             f"plant: has {plant.legs} legs; degrees of freedom need the facility's {len(DOFS)}"
@@ -203,21 +161,11 @@ def dof_model(
     """One degree of freedom of a linearised plant, moved by all legs and read from all legs.
 
     With J = d(legs)/d(pose) the commands are c = J_i w and the pose J^-1 l. A leg of full speed k
-    then makes a pose of speed k w while the oil does not give way. The motion the others make
-    along is left free.
+    then makes a pose of speed k w while the oil does not give way. The motion the others make along
+    is left free. `system` is of `linearize` for the plant in the pose (6,) [m, rad].
 
-    Args:
-        system: of `linearize` for the plant in the pose.
-        plant: with the legs of the facility.
-        pose: (6,) [m, rad], z down; None for neutral.
-        dof: degree of freedom.
-
-    Returns:
-        Input `<dof>_command`, fraction of full command per leg and unit of J [1 for m, 1/m for
-        rad]; outputs `<dof>` [m or rad], `<dof>_rate` and `<dof>_acceleration`.
-
-    Raises:
-        InputError: no such degree of freedom, or a plant with other legs.
+    The input `<dof>_command` is a fraction of full command per leg and unit of J [1 for m, 1/m for
+    rad]; outputs are `<dof>` [m or rad], `<dof>_rate` and `<dof>_acceleration`.
     """
     index = dof_index(dof)
     jacobian = jacobian_of(plant, pose)
@@ -247,19 +195,10 @@ def dof_model(
 def pose_loop(
     loop: control.StateSpace, plant: Plant, pose: ArrayLike | None = None
 ) -> control.StateSpace:
-    """A closed loop of six legs as one of the pose: J^-1 H J.
+    """A closed loop of six legs, with the output `leg_position`, as one of the pose: J^-1 H J.
 
-    Args:
-        loop: of `linear.loop.closed_loop` around all legs, with the output `leg_position`.
-        plant: with the legs of the facility.
-        pose: (6,) [m, rad], z down; default neutral.
-
-    Returns:
-        From `surge_demand` and on to `surge` and on, m and rad, as
-        `frequency_response.matrix_frequency_response` measures it.
-
-    Raises:
-        InputError: a plant with other legs, or a loop without its signals.
+    From `surge_demand` and on to `surge` and on, m and rad, as
+    `frequency_response.matrix_frequency_response` measures it.
     """
     jacobian = jacobian_of(plant, pose)
     legs = plant.legs

@@ -19,10 +19,10 @@ from typing import Literal, NamedTuple, cast
 import numpy as np
 from scipy import optimize
 
-from cmf_mj.analysis.linear.transfer import UnitTransferFunction
+from cmf_mj.analysis.linear.plants import UnitTransferFunction
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 
 Variant = Literal["printed", "corrected"]
 """Which reading of an equation: as printed, or with its misprint put right."""
@@ -69,17 +69,10 @@ def feedback_model(
 ) -> UnitTransferFunction:
     """Eq 3.1, 3.2, 3.3 or 3.4 with numbers; gains that the equation lacks are ignored.
 
-    Args:
-        number: of the equation.
-        loop: plant and gains.
-        variant: as printed, Eq 3.2 closes the loop with a gain of 1 whatever K_p is.
-
-    Raises:
-        InputError: no such equation, or a loop that is not of second order.
+    As printed, Eq 3.2 closes the loop with a gain of 1 whatever K_p is.
     """
-    if number not in _USED:
-        raise InputError(f"number: {number!r} is not one of {', '.join(_USED)}")
-    gains = {name: getattr(loop, name) for name in GAINS[: _USED[number]]}
+    used_gains = GAINS[: _USED[check_name("number", number, _USED)]]
+    gains = {name: getattr(loop, name) for name in used_gains}
     if number == "3.2" and variant == "printed":
         gains["position_gain"] = 1.0
     used = FeedbackLoop(loop.natural_frequency, loop.damping_ratio, **gains)
@@ -102,11 +95,8 @@ def characteristics(loop: FeedbackLoop) -> Measures:
 
     Bandwidths and peak count from the static gain, which K_p lowers; the mode is the loop's. With
     damping ratio z, natural frequency w, c = 1 - 2 z^2 and h = 10^(-3/20) the phase is -90 deg at
-    w, the gain is down by 3 dB at w sqrt(c + sqrt(c^2 + h^-2 - 1)), and it peaks by
-    1 / (2 z sqrt(1 - z^2)) below z = 0.707.
-
-    Raises:
-        InputError: a loop that is not of second order, or whose static gain is not positive.
+    w, the gain is down by 3 dB at w sqrt(c + sqrt(c^2 + h^-2 - 1)), and it peaks by 1 / (2 z sqrt(1
+    - z^2)) below z = 0.707.
     """
     a, b = _checked(loop)
     natural = loop.natural_frequency * np.sqrt(b / a)
@@ -140,13 +130,8 @@ class GainEffect(NamedTuple):
 
 
 def gain_effect(loop: FeedbackLoop, gain: Gain, values: Sequence[float]) -> tuple[GainEffect, ...]:
-    """The effect of one gain on frequency, damping and bandwidths, the others as in `loop`.
-
-    Raises:
-        InputError: no such gain, or a value that makes the loop not of second order.
-    """
-    if gain not in GAINS:
-        raise InputError(f"gain: {gain!r} is not one of {', '.join(GAINS)}")
+    """The effect of one gain on frequency, damping and bandwidths, the others as in `loop`."""
+    check_name("gain", gain, GAINS)
     loops = [loop._replace(**{gain: float(value)}) for value in values]
     return tuple(
         GainEffect(gain, float(value), varied, characteristics(varied))
@@ -163,22 +148,12 @@ def bandwidth_example(
 ) -> dict[str, FeedbackLoop]:
     """Three loops with the bandwidths of Figure 3-14, whose plant and gains are not printed.
 
-    Position feedback; rate feedback added to reach `loop_damping`; acceleration feedback added.
-    The plant's frequency puts the second at 1.08 Hz, K_a then the third at 1.06 Hz. The other
-    values are assumed.
+    `position`, `rate` and `acceleration`, each with the gains of those before it: rate feedback is
+    added to reach `loop_damping`, then acceleration feedback. The plant's frequency puts the second
+    at 1.08 Hz, K_a then the third at 1.06 Hz. The arguments' values are assumed.
 
-    Args:
-        plant_damping: damping ratio of the plant.
-        loop_damping: damping ratio with rate feedback, above that with position feedback alone and
-            below 0.706, where the -3 dB bandwidth is the natural frequency: from there on
-            acceleration feedback widens it at first.
-        position_gain: K_p.
-
-    Returns:
-        `position`, `rate` and `acceleration`, each with the gains of those before it.
-
-    Raises:
-        InputError: a loop damping out of that range.
+    `loop_damping` lies above that with position feedback alone and below 0.706, where the -3 dB
+    bandwidth is the natural frequency: from there on acceleration feedback widens it at first.
     """
     bare = characteristics(FeedbackLoop(units.HERTZ, plant_damping, position_gain))
     highest = 0.5 / _HALF_POWER

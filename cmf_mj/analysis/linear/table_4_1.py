@@ -25,11 +25,7 @@ class LawLoop(NamedTuple):
 
 
 def law_loops(laws: Sequence[str]) -> tuple[LawLoop, ...]:
-    """Every law around linear models 1 to 3, pressures zero, as in Figure 4-5.
-
-    Raises:
-        InputError: a law is refused.
-    """
+    """Every law around linear models 1 to 3, pressures zero, as in Figure 4-5."""
     loops = []
     for law in [load_law(name) for name in laws]:
         for number in HARDWARE_MODELS:

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from cmf_mj.analysis.identification.continuous import in_field_units
 from cmf_mj.analysis.linear.catalogue import hardware_velocity, report_model
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
-from cmf_mj.analysis.linear.plants import leg_plant
-from cmf_mj.analysis.linear.transfer import UnitTransferFunction
+from cmf_mj.analysis.linear.plants import UnitTransferFunction, leg_plant
 from cmf_mj.analysis.measures import measure_loop
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME
