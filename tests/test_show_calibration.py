@@ -4,17 +4,15 @@ import csv
 from pathlib import Path
 
 import matplotlib.image
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from cmf_mj.cli.common import app
 from cmf_mj.show import calibration as calibration_report
-from cmf_mj.studies.calibration import examination, fit
+from cmf_mj.studies.calibration import fit, sensitivity
 from cmf_mj.studies.calibration.definition import load_study
-from cmf_mj.studies.calibration.examination import Examination
 from cmf_mj.studies.calibration.fit import Calibration, Stage, residual_rows
-from cmf_mj.studies.calibration.sensitivity import sensitivity, spread
+from cmf_mj.studies.calibration.sensitivity import Examination, spread
 from cmf_mj.studies.calibration.trial import Verdict, least_damping, linear_results, starting_values
 
 
@@ -29,10 +27,10 @@ def examined() -> Examination:
     later = stage._replace(values=values | {"leg_speed": 0.3512})
     errors = {"leg_speed": 0.011, "leak_rate": 2.5}
     return Examination(
-        Calibration(study, (stage, later), errors, np.eye(2)),
-        sensitivity(study, values, ("velocity",)),
-        tuple(spread(study, values, samples=3)),
-        (Verdict("gfd", "sway", True, 0.001), Verdict("ifd", "surge", False, 0.4)),
+        Calibration(study, (stage, later), errors),
+        sensitivity.sensitivity(study, values, ("velocity",)),
+        spread(study, values, samples=3),
+        [Verdict("gfd", "sway", True, 0.001), Verdict("ifd", "surge", False, 0.4)],
     )
 
 
@@ -87,7 +85,7 @@ def test_command_writes_a_folder_a_study(
     examined: Examination, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fit, "calibrate", lambda *_, **__: examined.calibration)
-    monkeypatch.setattr(examination, "examine", lambda *_, **__: examined)
+    monkeypatch.setattr(sensitivity, "examine", lambda *_, **__: examined)
     arguments = ["calibrate", "hardware", "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output

@@ -4,11 +4,12 @@ import csv
 from pathlib import Path
 
 import matplotlib.image
+import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
 from cmf_mj.cli.common import app
-from cmf_mj.studies.journal import read_results
+from cmf_mj.studies.journal import RESULTS
 from cmf_mj.studies.variants import LADDER
 
 
@@ -22,7 +23,7 @@ def test_heave_keeps_its_single_leg_all_the_way_up(tmp_path: Path) -> None:
     arguments = ["ablation", "--laws", "velocity", "--dofs", "heave", "--out", str(tmp_path)]
     done = CliRunner().invoke(app, [*arguments, "--jobs", "2", "--backend", "threading"])
     assert done.exit_code == 0, done.output
-    rows = read_results(tmp_path).to_pylist()
+    rows = pq.read_table(tmp_path / RESULTS).to_pylist()
     assert [row["rung"] for row in rows] == [rung.name for rung in LADDER]
     for row in rows:
         assert row["stable"]

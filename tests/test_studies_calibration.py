@@ -179,7 +179,6 @@ def test_fit_finds_known_parameters_through_a_biased_linear_model(
         abs(row.deviation) < 2e-3 for row in residual_rows(small, calibration.after.simulated)
     )
     assert max(abs(r.deviation) for r in residual_rows(small, calibration.before.simulated)) > 0.05
-    np.testing.assert_allclose(np.diag(calibration.correlation), 1.0)
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from cmf_mj.electronics.sensors.settings import load_sensors
 from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.studies import effects, evaluation, intervals
+from cmf_mj.studies import effects, evaluation
 from cmf_mj.studies.evaluation import StudyRow, evaluate
 from cmf_mj.studies.mismatch import LIMIT, Mismatch, Spread, with_gain_errors
 from cmf_mj.studies.settings import NOMINAL, load_study
@@ -187,14 +187,12 @@ def test_the_linear_method_agrees_with_the_simulation_on_a_drawn_machine(
 
 def test_shares_have_wilsons_interval() -> None:
     """(p + z^2/2n +- z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n), 8 of 10."""
-    interval = intervals.share([True] * 8 + [False] * 2)
+    interval = effects.share([True] * 8 + [False] * 2)
     z, n, p = stats.norm.ppf(0.975), 10, 0.8
     middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
     assert interval == pytest.approx((0.8, middle - half, middle + half, 10))
-    exact = intervals.share([True] * 10, "exact")
-    assert exact.low == pytest.approx(0.025 ** (1 / 10))
-    assert intervals.share([]).machines == 0
+    assert effects.share([]).machines == 0
 
 
 def test_the_interval_of_a_mean_holds_it_as_often_as_it_says() -> None:
@@ -202,13 +200,13 @@ def test_the_interval_of_a_mean_holds_it_as_often_as_it_says() -> None:
     generator = np.random.default_rng(0)
     covered = 0
     for _ in range(400):
-        interval = intervals.mean(generator.normal(3.0, 2.0, 10))
+        interval = effects.mean(generator.normal(3.0, 2.0, 10))
         covered += interval.low <= 3.0 <= interval.high
     assert covered / 400 == pytest.approx(0.95, abs=3.0 * np.sqrt(0.95 * 0.05 / 400))
-    assert intervals.mean([1.0, np.nan, 3.0])[:1] == (2.0,)
-    assert np.isnan(intervals.mean([np.nan]).value)
-    assert intervals.mean([2.0, 2.0])[:3] == (2.0, 2.0, 2.0)
-    assert np.isnan(intervals.mean([2.0]).low)
+    assert effects.mean([1.0, np.nan, 3.0])[:1] == (2.0,)
+    assert np.isnan(effects.mean([np.nan]).value)
+    assert effects.mean([2.0, 2.0])[:3] == (2.0, 2.0, 2.0)
+    assert np.isnan(effects.mean([2.0]).low)
 
 
 def test_damped_counts_the_overshoot_of_a_damping_ratio_of_three_tenths() -> None:

@@ -18,10 +18,8 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.case import AMPLITUDE, make_case, run_case
 from cmf_mj.studies.mismatch import with_valve_gains
 from cmf_mj.studies.tuning.evaluation import evaluate, linear_cab
-from cmf_mj.studies.tuning.files import law_text, save_law
-from cmf_mj.studies.tuning.forms import FORMS, Form, candidate, form_named, make_template
-from cmf_mj.studies.tuning.nominal import nominal_modes
-from cmf_mj.studies.tuning.search import Limits, search
+from cmf_mj.studies.tuning.forms import FORMS, Form, candidate, make_template, nominal_modes
+from cmf_mj.studies.tuning.search import Limits, save_law, search
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 
@@ -43,7 +41,7 @@ def test_the_shipped_law_keeps_the_targets_with_valves_off(
 
 
 def test_the_shipped_law_is_where_its_form_starts() -> None:
-    form, law = form_named("modal_plan"), load_law("modal_plan")
+    form, law = FORMS["modal_plan"], load_law("modal_plan")
     begun = candidate(form, make_template("modal_plan", law.title), form.start)
     assert (begun.plan, begun.load_feedback) == (law.plan, law.load_feedback)
     assert begun.direct_gain == law.direct_gain
@@ -66,13 +64,14 @@ def test_a_search_repeats_and_its_file_is_the_law(tmp_path: Path) -> None:
     template = make_template("mine", "Mine", ("gfd",))
     first, second = (search(template, seeds=(None,), evaluations=1) for _ in range(2))
     assert first.law == second.law and first.evaluations == 12
-    form = form_named("modal_plan")
+    form = FORMS["modal_plan"]
     begun = evaluate(candidate(form, template, form.start), template.cabs, (None,))
     assert first.performance.phase_hz.min() > 0.95 * begun.phase_hz.min()
     path = save_law(first.law, tmp_path / "laws" / "mine.toml", "By a test.")
     back = load_law(path)
     assert back.plan == first.law.plan and back.load_feedback == first.law.load_feedback
-    assert law_text(back) == law_text(load_law(save_law(back, path)))
+    text = path.read_text()
+    assert save_law(back, path, "By a test.").read_text() == text
     assert [p.name for p in path.parent.iterdir()] == ["mine.toml"]
 
 

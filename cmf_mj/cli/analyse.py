@@ -156,8 +156,7 @@ def measure_command(
     """Measure recordings (several are rounds of one), or a simulated session."""
     from cmf_mj.show import measurement as report
     from cmf_mj.studies.case import make_case
-    from cmf_mj.studies.measurement import measure
-    from cmf_mj.studies.recordings import measure_recordings
+    from cmf_mj.studies.measurement import measure, measure_recordings
 
     names_or_files(files, simulate)
     if simulate:

@@ -117,9 +117,8 @@ def tune_command(
     ),
 ) -> None:
     """Search the gains of a form of law over all cabs and degrees of freedom."""
-    from cmf_mj.studies.tuning.files import save_law
     from cmf_mj.studies.tuning.forms import make_template
-    from cmf_mj.studies.tuning.search import Limits, search
+    from cmf_mj.studies.tuning.search import Limits, save_law, search
 
     with progress_bar() as update:
         result = search(
@@ -164,8 +163,8 @@ def calibrate_command(
     """Fit the free parameters to the published tables: values, residuals and uncertainty."""
     from cmf_mj.show import calibration as report
     from cmf_mj.studies.calibration.definition import load_study
-    from cmf_mj.studies.calibration.examination import examine
     from cmf_mj.studies.calibration.fit import calibrate
+    from cmf_mj.studies.calibration.sensitivity import examine
 
     def say(line: str) -> None:
         typer.echo(line, err=True)

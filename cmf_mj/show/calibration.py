@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from cmf_mj.core.files import write_csv, write_text
 from cmf_mj.show.look import BLUE, GREY, ORANGE, new_figure, save_figures
 from cmf_mj.show.table import Table, number
-from cmf_mj.studies.calibration.examination import Examination
+from cmf_mj.studies.calibration.definition import MEASURES
 from cmf_mj.studies.calibration.fit import Calibration, Residual, residual_rows
-from cmf_mj.studies.calibration.sensitivity import Sensitivity, Spread
+from cmf_mj.studies.calibration.sensitivity import Examination, Sensitivity, Spread
 from cmf_mj.studies.calibration.trial import Verdict
 
 _MEASURE = {"phase": "-90 deg", "gain": "-3 dB", "damping": "zeta"}
@@ -134,7 +134,7 @@ def residual_figure(calibration: Calibration) -> Figure:
 
 def sensitivity_figure(result: Sensitivity, name: str) -> Figure:
     """Heat map of the normalised derivatives."""
-    labels = [f"{law} {_MEASURE[m]}" for law in result.laws for m in result.measures]
+    labels = [f"{law} {_MEASURE[m]}" for law in result.laws for m in MEASURES]
     values = result.derivative.reshape(len(labels), len(result.parameters))
     known = ~np.all(np.isnan(values), axis=1)
     labels, values = [label for label, k in zip(labels, known, strict=True) if k], values[known]
@@ -165,7 +165,7 @@ def save_calibration(result: Examination, folder: Path) -> list[Path]:
     derivatives = [
         (law, measure, parameter, sensitivity.derivative[i, j, k])
         for i, law in enumerate(sensitivity.laws)
-        for j, measure in enumerate(sensitivity.measures)
+        for j, measure in enumerate(MEASURES)
         for k, parameter in enumerate(sensitivity.parameters)
     ]
     values = [

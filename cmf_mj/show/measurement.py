@@ -13,8 +13,7 @@ from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.show.look import dress_bode, legend, new_figure, plot_band, plot_bode, save_files, stack
 from cmf_mj.show.table import Table
-from cmf_mj.studies.measurement import Measurement, plain
-from cmf_mj.studies.recordings import RecordingMeasures
+from cmf_mj.studies.measurement import Measurement, RecordingMeasures, plain
 
 _COLUMNS = ("measure", "value", "definition")
 

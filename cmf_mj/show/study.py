@@ -16,6 +16,7 @@ from cmf_mj.show.look import BLUE, COLOURS, grid, new_figure, save_figures
 from cmf_mj.show.table import Cell, Table, number
 from cmf_mj.studies.effects import (
     ENOUGH_DAMPING,
+    Interval,
     Row,
     agreement,
     climb,
@@ -26,7 +27,6 @@ from cmf_mj.studies.effects import (
     rates,
     rows_of,
 )
-from cmf_mj.studies.intervals import Interval
 from cmf_mj.studies.settings import NOMINAL
 
 REFERENCES = {"rotation": "position_error_rate", "rotation_flown": "velocity"}

@@ -6,7 +6,7 @@ both on a machine built for the case, so that cases share nothing and may run an
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +119,15 @@ class Case:
     def step(self) -> Command:
         """The report's step, in proportion to the chirp."""
         return signals.step(self.dof, self.size * STEP_PER_AMPLITUDE)
+
+
+class CaseOptions(TypedDict, total=False):
+    """What the cases of a comparison share, see `make_case`."""
+
+    cab: str
+    hydraulics: str | Path | HydraulicParameters
+    quick: bool
+    electronics: ElectronicsSettings | None
 
 
 def make_case(

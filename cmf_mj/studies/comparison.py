@@ -8,7 +8,7 @@ loop releases the interpreter lock) and their results do not depend on how many 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -17,12 +17,16 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_csv
 from cmf_mj.core.threads import on_threads
-from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.build import PLANTS
-from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
-from cmf_mj.studies.case import AMPLITUDE, CaseResult, dof_amplitude, make_case, run_case
+from cmf_mj.studies.case import (
+    AMPLITUDE,
+    CaseOptions,
+    CaseResult,
+    dof_amplitude,
+    make_case,
+    run_case,
+)
 
 DEFAULT_LAWS = ("velocity", "position_error_rate", "acceleration")
 """The law flown, and the report's two advances on it."""
@@ -82,14 +86,11 @@ def compare(
     dofs: Sequence[str] = DOFS,
     *,
     plants: Sequence[str] = PLANTS,
-    cab: str = "gfd",
-    hydraulics: str | Path | HydraulicParameters = "hardware",
     amplitude: float = AMPLITUDE,
     jobs: int | None = None,
-    quick: bool = False,
     records: str | Path | None = None,
-    electronics: ElectronicsSettings | None = None,
     progress: Callable[[int, int], None] | None = None,
+    **options: Unpack[CaseOptions],
 ) -> Comparison:
     """Compare control laws in several degrees of freedom on both plants.
 
@@ -97,15 +98,15 @@ def compare(
         laws: names, TOML files or loaded laws.
         dofs: degrees of freedom.
         plants: `hexapod`, `single_legs` or both; both get the same hydraulics.
-        cab: `gfd`, `rfd` or `ifd`, for the hexapod.
-        hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
         amplitude: of the chirp in translation [m]; rotations and steps keep the report's
             proportions to it, 0.2 deg and 1 in to 0.33 in.
         jobs: threads; default one per core. Results do not depend on it.
-        quick: shorter sweeps.
         records: folder for the records of all runs.
-        electronics: sensors, converters and servo electronics; default ideal.
         progress: called with (cases done, cases in all) after each case.
+        **options: `cab` of the hexapod, `gfd`, `rfd` or `ifd`, by default the GFD; `hydraulics`,
+            `report`, `hardware`, `lossy`, a TOML file or a loaded set, by default `hardware`;
+            `quick` for shorter sweeps; `electronics`, sensors, converters and servo electronics,
+            by default ideal.
 
     Raises:
         InputError: an argument out of range, named; nothing has been run or written then.
@@ -124,18 +125,8 @@ def compare(
         raise InputError("laws: is empty; name at least one law")
     if not (np.isfinite(amplitude) and 0.0 < amplitude <= 0.5):
         raise InputError(f"amplitude: {amplitude} m must be greater than 0 and at most 0.5")
-    parameters = load_hydraulics(hydraulics)
     cases = [
-        make_case(
-            law,
-            dof,
-            plant,
-            cab,
-            parameters,
-            amplitude=dof_amplitude(dof, amplitude),
-            quick=quick,
-            electronics=electronics,
-        )
+        make_case(law, dof, plant, amplitude=dof_amplitude(dof, amplitude), **options)
         for plant in plants
         for law in loaded
         for dof in dofs

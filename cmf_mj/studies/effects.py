@@ -1,6 +1,8 @@
 """What a finished study says: shares, effects and agreement, as plain rows.
 
-Each function takes the table of results and gives named tuples, one a line of a table.
+Each function takes the table of results and gives named tuples, one a line of a table. Machines are
+drawn once and run with every law: a share of machines has Wilson's score interval, a difference of
+two laws is the mean over the machines both ran on, with Student's t interval.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -9,20 +11,32 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
 
 from cmf_mj.core.errors import check_name
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.studies.intervals import Interval, mean, share
 from cmf_mj.studies.settings import NOMINAL
 
 ENOUGH_DAMPING = 0.3
 """Damping ratio that counts as damped: an overshoot of 37 %."""
 
+LEVEL = 0.95
+"""Confidence of all intervals."""
+
 _MOST_OVERSHOOT = float(np.exp(-np.pi * ENOUGH_DAMPING / np.sqrt(1.0 - ENOUGH_DAMPING**2)))
 
 Row = dict[str, Any]
 Pair = tuple[Row, Row]
+
+
+class Interval(NamedTuple):
+    """A value with its confidence interval; NaN where there is nothing to estimate from."""
+
+    value: float
+    low: float
+    high: float
+    machines: int  #: How many it rests on.
 
 
 class Rate(NamedTuple):
@@ -72,7 +86,26 @@ class Climb(NamedTuple):
     peak_gain_db: float
     damping_ratio: float
     crosstalk: float  #: Of the largest crosstalk out of this degree of freedom.
-    laws: int  #: Laws stable on this rung and the one before.
+
+
+def share(outcomes: ArrayLike) -> Interval:
+    """Share of true outcomes, (n,), with its interval."""
+    flags = np.asarray(outcomes, dtype=bool)
+    if flags.size == 0:
+        return Interval(float("nan"), 0.0, 1.0, 0)
+    bounds = stats.binomtest(int(flags.sum()), flags.size).proportion_ci(LEVEL, method="wilson")
+    return Interval(float(flags.mean()), float(bounds.low), float(bounds.high), flags.size)
+
+
+def mean(values: ArrayLike) -> Interval:
+    """Mean of values (n,), those that are NaN left out; no interval from fewer than two."""
+    known = np.asarray(values, dtype=float)
+    known = known[~np.isnan(known)]
+    middle = float(known.mean()) if known.size else float("nan")
+    half = float("nan")
+    if known.size > 1:
+        half = float(stats.t.ppf(0.5 + 0.5 * LEVEL, known.size - 1) * stats.sem(known))
+    return Interval(middle, middle - half, middle + half, known.size)
 
 
 def rows_of(table: pa.Table, **equal: object) -> list[Row]:
@@ -94,33 +127,26 @@ def damped(row: Row) -> bool:
     return bool(row["stable"] and row["overshoot"] <= _MOST_OVERSHOOT)
 
 
-def _values(rows: Iterable[Row], name: str) -> NDArray[np.float64]:
-    return np.array([row[name] for row in rows], dtype=float)
-
-
 def _drawn(table: pa.Table) -> list[Row]:
     return [row for row in rows_of(table, method="linear") if row["draw"] != NOMINAL]
 
 
 def rates(table: pa.Table) -> list[Rate]:
     """How often each law stays stable and damped, by cab, over the machines drawn."""
-    rows = _drawn(table)
-    return [
-        _rate(cab, law, [row for row in rows if (row["cab"], row["law"]) == (cab, law)])
-        for cab, law in product(in_order(rows, "cab"), in_order(rows, "law"))
-    ]
-
-
-def _rate(cab: str, law: str, rows: Sequence[Row]) -> Rate:
-    by_dof = {dof: [row for row in rows if row["dof"] == dof] for dof in DOFS}
-    machines = by_dof[DOFS[0]]
-    return Rate(
-        cab,
-        law,
-        share([row["stable"] for row in machines]),
-        {dof: share([damped(row) for row in part]) for dof, part in by_dof.items()},
-        mean(_values(machines, "mode_damping_ratio")),
-    )
+    rows, every = _drawn(table), []
+    for cab, law in product(in_order(rows, "cab"), in_order(rows, "law")):
+        chosen = [row for row in rows if (row["cab"], row["law"]) == (cab, law)]
+        machines = [row for row in chosen if row["dof"] == DOFS[0]]
+        every.append(
+            Rate(
+                cab,
+                law,
+                share([row["stable"] for row in machines]),
+                {dof: share([damped(r) for r in chosen if r["dof"] == dof]) for dof in DOFS},
+                mean([row["mode_damping_ratio"] for row in machines]),
+            )
+        )
+    return every
 
 
 def law_effects(
@@ -216,14 +242,13 @@ def climb(table: pa.Table) -> list[Climb]:
             for name in ("phase_bandwidth_hz", "peak_gain_db", "damping_ratio")
         )
         worst = np.array([largest_crosstalk(a) - largest_crosstalk(b) for a, b in both])
-        steps.append(Climb(rung, dof, phase, peak, damping, _median(worst), len(both)))
+        steps.append(Climb(rung, dof, phase, peak, damping, _median(worst)))
     return steps
 
 
 def largest_crosstalk(row: Row) -> float:
     """Largest crosstalk out of the degree of freedom of a row."""
-    values = np.array([row[f"crosstalk_{dof}"] for dof in DOFS if dof != row["dof"]])
-    return float(values.max())
+    return float(np.max([row[f"crosstalk_{dof}"] for dof in DOFS if dof != row["dof"]]))
 
 
 def crosstalk_matrix(
@@ -234,7 +259,7 @@ def crosstalk_matrix(
     for column, driven in enumerate(DOFS):
         part = [row for row in rows if row["dof"] == driven and row["stable"]]
         for line, moved in enumerate(DOFS):
-            values = _values(part, f"crosstalk_{moved}")
+            values = np.array([row[f"crosstalk_{moved}"] for row in part], dtype=float)
             if moved != driven and values.size:
                 matrix[line, column] = reduce(values)
     return matrix

@@ -7,7 +7,7 @@ on a grid of ARX models by their fit to the validation run; the model is then re
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -112,7 +112,8 @@ def identify(
     model = _fit(estimation, Orders(*orders), method)
     continuous = to_continuous(model)
     broad = [r for r in records if r.signal.kind in _BROAD]
-    name = law if law is not None else _named_law(records[-1])
+    recorded = records[-1].metadata.get("law")
+    name = law if law is not None else (str(recorded) if recorded in law_names() else None)
     loop = None
     if broad and name is not None:
         measured = frequency_response(broad[-1], axis)
@@ -141,11 +142,6 @@ def _fit(runs: list[Experiment], orders: Orders, method: Method) -> PolynomialMo
     return output_error(runs, orders)
 
 
-def _named_law(record: Record) -> str | None:
-    name = record.metadata.get("law")
-    return str(name) if name in law_names() else None
-
-
 def excitation(kind: Signal, dof: str, amplitude: float | None = None, *, seed: int = 0) -> Command:
     """A command to identify from, along one degree of freedom.
 
@@ -154,17 +150,13 @@ def excitation(kind: Signal, dof: str, amplitude: float | None = None, *, seed: 
     """
     check_name("signal", kind, get_args(Signal))
     size = dof_amplitude(dof) if amplitude is None else amplitude
-    if kind == "multisine":
-        return signals.multisine(
-            dof, size, stop=HIGHEST, spectrum="acceleration", fade=1.0, seed=seed
-        )
-    if kind == "chirp":
-        return signals.chirp(dof, size)
-    if kind == "noise":
-        return signals.noise(dof, size, stop=HIGHEST, duration=60.0, seed=seed)
-    if kind == "pulse":
-        return signals.pulse(dof, size)
-    return signals.sine(dof, size, 1.0)
+    options: dict[str, dict[str, Any]] = {
+        "multisine": {"stop": HIGHEST, "spectrum": "acceleration", "fade": 1.0, "seed": seed},
+        "noise": {"stop": HIGHEST, "duration": 60.0, "seed": seed},
+        "sine": {"frequency": 1.0},
+    }
+    command: Command = getattr(signals, kind)(dof, size, **options.get(kind, {}))
+    return command
 
 
 def simulated_records(case: Case, kind: Signal = "multisine") -> list[Record]:

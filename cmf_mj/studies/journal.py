@@ -10,7 +10,8 @@ the journal to the bit: JSON holds the shortest digits that read back the same.
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +49,17 @@ class Journal:
         self.study = study
         folder.mkdir(parents=True, exist_ok=True)
         self._identify()
-        self.results = _lines(folder / JOURNAL)
+        self.results: dict[int, list[dict[str, Any]]] = {}
         """Rows of the finished cases, by number."""
+        path = folder / JOURNAL
+        content = path.read_bytes() if path.exists() else b""
+        if content and not content.endswith(b"\n"):  # the next line starts on its own
+            with path.open("ab") as file:
+                file.write(b"\n")
+        for line in content.splitlines():
+            with suppress(ValueError):  # torn, or no text at all
+                entry = json.loads(line)
+                self.results[entry["case"]] = entry["rows"]
 
     def _identify(self) -> None:
         path = self.folder / SPECIFICATION
@@ -59,7 +69,9 @@ class Journal:
                 raise InputError(f"{self.folder}: holds a journal without its {SPECIFICATION}")
             write_text(path, json.dumps(identity, indent=1))
             return
-        differing = _differences(json.loads(path.read_text(encoding="utf-8")), identity)
+        there, here = _entries(json.loads(path.read_text(encoding="utf-8"))), _entries(identity)
+        names = sorted(there.keys() | here.keys())
+        differing = [name for name in names if there.get(name) != here.get(name)]
         if differing:
             raise InputError(
                 f"{self.folder}: holds a study that differs in {', '.join(differing)}; "
@@ -73,16 +85,10 @@ class Journal:
 
     def add(self, number: int, rows: Sequence[StudyRow]) -> None:
         """Keep what a case gave."""
-        entry = {"case": number, "rows": [row.columns for row in rows]}
-        text = json.dumps(entry) + "\n"
-        path = self.folder / JOURNAL
-        torn = path.exists() and path.stat().st_size > 0 and not _ends_a_line(path)
-        handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-        try:
-            os.write(handle, (("\n" if torn else "") + text).encode())
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+        text = json.dumps({"case": number, "rows": [row.columns for row in rows]}) + "\n"
+        with (self.folder / JOURNAL).open("ab", buffering=0) as file:
+            file.write(text.encode())
+            os.fsync(file.fileno())
         self.results[number] = json.loads(text)["rows"]
 
     def table(self) -> pa.Table:
@@ -96,52 +102,17 @@ class Journal:
         return pa.table(columns, schema=SCHEMA.with_metadata({"study": identity}))
 
     def consolidate(self) -> pa.Table:
-        """Write the finished table; what is there already is the same."""
+        """Write the finished table."""
         table = self.table()
         with whole_file(self.folder / RESULTS) as partial:
             pq.write_table(table, partial)
         return table
 
 
-def read_results(folder: str | Path) -> pa.Table:
-    """The results of a finished study."""
-    place = Path(folder)
-    if (place / RESULTS).is_file():
-        return pq.read_table(place / RESULTS)
-    if (place / JOURNAL).is_file():
-        count = len(_lines(place / JOURNAL))
-        raise InputError(f"{place}: is not finished: {count} cases are; run the study to its end")
-    raise InputError(f"{place}: holds no study")
-
-
-def _lines(path: Path) -> dict[int, list[dict[str, Any]]]:
-    results: dict[int, list[dict[str, Any]]] = {}
-    if not path.exists():
-        return results
-    for line in path.read_bytes().split(b"\n"):
-        try:
-            entry = json.loads(line)
-        except ValueError:  # torn, or no text at all
-            continue
-        results[entry["case"]] = entry["rows"]
-    return results
-
-
-def _ends_a_line(path: Path) -> bool:
-    with path.open("rb") as file:
-        file.seek(-1, os.SEEK_END)
-        return file.read(1) == b"\n"
-
-
-def _differences(there: Mapping[str, Any], here: Mapping[str, Any], before: str = "") -> list[str]:
-    """Paths of the entries that differ, at most two levels deep."""
-    names = []
-    for name in sorted(set(there) | set(here)):
-        one, other = there.get(name), here.get(name)
-        if one == other:
-            continue
-        if not before and isinstance(one, dict) and isinstance(other, dict):
-            names += _differences(one, other, f"{name}.")
-        else:
-            names.append(f"{before}{name}")
-    return names
+def _entries(identity: dict[str, Any]) -> dict[str, Any]:
+    """What an identity says, the entries of its tables by path."""
+    return {
+        f"{name}.{key}" if key else name: entry
+        for name, value in identity.items()
+        for key, entry in (value.items() if isinstance(value, dict) else [("", value)])
+    }

@@ -1,25 +1,67 @@
-"""A plant linearised in a configuration: modes, responses, minimal models, loops of a law."""
+"""A plant linearised in a configuration: modes, responses, minimal models, loops of a law.
+
+A loop, from demand to position, may be compared with the simulation, sine by sine. Both are at rest
+in the same configuration; each sine is small, has settled, and is fitted over whole cycles. What is
+left over falls with the amplitude: the valves' mean opening damps what the linearisation, about
+closed valves, leaves undamped. A loop magnifies an error of the plant by its resonance.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import control
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.analysis.frequency_response import FrequencyResponse
+from cmf_mj.analysis.frequency_response import FrequencyResponse, dof_history
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.loop import loop_response
+from cmf_mj.analysis.linear.loop import closed_loop, loop_response
 from cmf_mj.analysis.linear.operating_point import OperatingPoint, operating_point
 from cmf_mj.analysis.linear.poles import Mode, modes
-from cmf_mj.analysis.linear.reduction import dof_model, leg_model, minimal, reduced
-from cmf_mj.control.law import load_law
-from cmf_mj.core.errors import InputError
+from cmf_mj.analysis.linear.reduction import dof_model, leg_model, minimal, pose_loop, reduced
+from cmf_mj.analysis.response.periodic import sine_response
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.core import units
+from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.rates import RATE
+from cmf_mj.facility.simulation import simulate
+from cmf_mj.machine.dof import by_kind, dof_index
+from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.plant import Plant
-from cmf_mj.studies.linear_agreement import Comparison, compare_with_simulation, loop_between
+from cmf_mj.record.record import Record
+from cmf_mj.signals import composite
+from cmf_mj.signals.signal import Command
 
 FREQUENCIES = np.geomspace(0.1, 20.0, 400)
 """Lines of the responses [Hz]."""
+
+SINES = (0.5, 1.0, 1.7, 2.4, 3.0, 3.7, 4.5, 5.5, 6.5, 8.0)
+"""Sines of a comparison with the simulation [Hz]."""
+
+SMALL = (0.004 * units.INCH, 0.0024 * units.DEGREE)
+"""Amplitudes at which the machine is as good as linear [m, rad]."""
+
+
+class Comparison(NamedTuple):
+    """A closed loop measured and computed."""
+
+    frequency: NDArray[np.float64]  #: [Hz], (K,).
+    measured: NDArray[np.complex128]  #: Position over demand of the simulation, (K,).
+    linear: NDArray[np.complex128]  #: The same of the linearised loop, (K,).
+    record: Record  #: The simulation, a row a frame.
+    rows: tuple[
+        slice, ...
+    ]  #: Of the record, from the first to after the last of each sine's cycles.
+
+    @property
+    def gain_error(self) -> NDArray[np.float64]:
+        """Measured over linear [dB], (K,)."""
+        return 20.0 * np.log10(np.abs(self.measured / self.linear))
+
+    @property
+    def phase_error(self) -> NDArray[np.float64]:
+        """Measured less linear [deg], (K,)."""
+        return np.degrees(np.angle(self.measured / self.linear))
 
 
 class LinearizationStudy(NamedTuple):
@@ -38,17 +80,6 @@ class LinearizationStudy(NamedTuple):
     """The loops compared with the simulation, where that was asked for."""
 
 
-def signal_model(
-    system: control.StateSpace, plant: Plant, pose: NDArray[np.float64], signal: str
-) -> control.StateSpace:
-    """Position per command of a degree of freedom, or of a leg, `leg_1` and so on; SISO."""
-    if not signal.startswith("leg_"):
-        return reduced(dof_model(system, plant, pose, signal), outputs=[signal])
-    if not signal[4:].isdecimal():
-        raise InputError(f"dof: {signal!r} is not one of leg_1 to leg_{plant.legs}")
-    return reduced(leg_model(system, int(signal[4:])), outputs=["leg_position"])
-
-
 def linearization_study(
     plant: Plant,
     law: str,
@@ -65,7 +96,7 @@ def linearization_study(
     load_law(law)
     point = operating_point(plant, pose)
     system = linearize(plant, at=point)
-    systems = {name: signal_model(system, plant, pose, name) for name in signals}
+    systems = {name: _signal_model(system, plant, pose, name) for name in signals}
     loops = {name: loop_between(plant, system, law, pose, name) for name in signals}
     return LinearizationStudy(
         plant,
@@ -77,7 +108,87 @@ def linearization_study(
         {name: loop_response(model, FREQUENCIES) for name, model in systems.items()},
         {name: minimal(model) for name, model in systems.items()},
         {name: loop_response(loop, FREQUENCIES) for name, loop in loops.items()},
-        {name: compare_with_simulation(plant, law, pose, name) for name in signals}
-        if measure
-        else {},
+        {n: compare_with_simulation(plant, law, pose, n) for n in (signals if measure else ())},
     )
+
+
+def _signal_model(
+    system: control.StateSpace, plant: Plant, pose: NDArray[np.float64], signal: str
+) -> control.StateSpace:
+    """Position per command of a degree of freedom, or of a leg, `leg_1` and so on; SISO."""
+    if not signal.startswith("leg_"):
+        return reduced(dof_model(system, plant, pose, signal), outputs=[signal])
+    if not signal[4:].isdecimal():
+        raise InputError(f"dof: {signal!r} is not one of leg_1 to leg_{plant.legs}")
+    return reduced(leg_model(system, int(signal[4:])), outputs=["leg_position"])
+
+
+def loop_between(
+    plant: Plant, system: control.StateSpace, law: str | Law, pose: ArrayLike | None, signal: str
+) -> control.StateSpace:
+    """The loop of a law around a linearised plant, from a demand to its position.
+
+    `system` is the plant linearised in `pose`; `signal` is a degree of freedom, or a leg, `leg_1`
+    and so on. The loop has one input and one output, at 2048 Hz; all other demands are zero.
+    """
+    loop = closed_loop(load_law(law).bound_to(plant.law_key), system)
+    legs = [f"leg_{leg + 1}" for leg in range(plant.legs)]
+    if not signal.startswith("leg_"):
+        index = dof_index(signal)
+        loop = pose_loop(loop, plant, pose)
+    else:
+        index = legs.index(check_name("dof", signal, legs))
+    return loop[index, index]
+
+
+def compare_with_simulation(
+    plant: Plant,
+    law: str | Law,
+    pose: ArrayLike | None = None,
+    signal: str = "heave",
+    *,
+    frequencies: Sequence[float] = SINES,
+    cycles: int = 4,
+    transient: float = 2.0,
+) -> Comparison:
+    """Run single sines through the simulation and the linearised loop.
+
+    The loop must be stable in `pose` (as `plant.place` takes it), and the mechanical step divide
+    the control frame. `signal` is a degree of freedom, or a leg, `leg_1` and so on. After 4 s of
+    rest each sine runs `transient` s at full amplitude, then `cycles` whole ones are fitted.
+    """
+    leg = signal.startswith("leg_")
+    size = SMALL[0] if leg else by_kind(signal, *SMALL)
+    loop = loop_between(plant, linearize(plant, pose, excitation="sine"), law, pose, signal)
+    fastest = float(np.abs(loop.poles()).max())
+    if fastest > 1.0 + 1e-9:
+        raise InputError(f"law: its loop is unstable there, with a pole at {fastest:.6f}")
+    command = composite.stepped_sines(
+        "heave" if leg else signal,
+        frequencies,
+        [size],
+        cycles=cycles,
+        transient=transient,
+        fade=0.5,
+        settle=0.5,
+    )
+    rest = round(4.0 * RATE)
+    dwells = [d._replace(start=rest + d.start) for d in command.signal.dwells]
+    pose_demand = np.pad(command.pose, ((rest, 0), (0, 0)))
+    if leg:
+        plant.start(pose)
+        demand = np.tile(plant.extensions(), (pose_demand.shape[0], 1))
+        demand[:, int(signal[4:]) - 1] += pose_demand[:, DOFS.index("heave")]
+        record = simulate(plant, law, demand, start=pose, legs=True)
+    else:
+        centre = np.zeros(6) if pose is None else np.asarray(pose, dtype=float)
+        record = simulate(plant, law, Command(pose_demand + centre), start=pose)
+    x, y = (dof_history(record, name, signal) for name in ("leg_reference", "leg_position"))
+    frequency = np.asarray(frequencies, dtype=float)
+    linear = control.frequency_response(loop, 2.0 * np.pi * frequency).frdata[0, 0]
+    rows = tuple(slice(d.start, d.start + d.frames + 1) for d in dwells)
+    measured = [
+        sine_response(x[part], y[part], record.rate, f).response[0]
+        for part, f in zip(rows, frequency, strict=True)
+    ]
+    return Comparison(frequency, np.array(measured), np.asarray(linear), record, rows)

@@ -1,4 +1,4 @@
-"""A measuring session on a plant: the field's measures of one law in one degree of freedom.
+"""A measuring session on a plant, and recordings, in the field's measures.
 
 Each measure is one or more runs of the closed loop and one function of `metrics`. Everything is
 taken from DCL leg demand to leg sensors, mapped to the degree of freedom; host and DCU are outside.
@@ -8,7 +8,8 @@ Accelerations are those of the platform centroid, from the leg sensors through t
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, NamedTuple, cast
+from pathlib import Path
+from typing import Any, NamedTuple, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,14 +23,18 @@ from cmf_mj.analysis.frequency_response import (
     bandwidths,
     dof_history,
     frequency_response,
+    rounds_response,
 )
+from cmf_mj.analysis.response.estimate import Estimator
 from cmf_mj.analysis.step_response import StepMetrics, step_metrics
 from cmf_mj.core import units
+from cmf_mj.core.errors import check_name
 from cmf_mj.core.threads import on_threads
 from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.kinematics import DOFS, legs_to_pose
 from cmf_mj.machine.leg_motion import leg_motion_to_pose
 from cmf_mj.plant.plant import Plant
+from cmf_mj.record.reader import read_recording
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.signals.peaks import check_limits
@@ -232,3 +237,36 @@ def _crosstalk(case: Case, plant: Plant, driven: str) -> NDArray[np.float64]:
     record = case.run(signals.sine(driven, size, CROSSTALK, cycles=10.0), plant)
     moved = dof_accelerations(record)[_whole_cycles(record, CROSSTALK, 6)]
     return metrics.crosstalk(moved, DOFS.index(driven))
+
+
+class RecordingMeasures(NamedTuple):
+    """The response of a degree of freedom in one recording or several rounds."""
+
+    files: tuple[Path, ...]
+    dof: str
+    estimator: str
+    response: FrequencyResponse
+    second_order: metrics.SecondOrder
+
+    def summary(self) -> dict[str, Any]:
+        """Files, settings and measures."""
+        return {
+            "files": [str(path) for path in self.files],
+            "dof": self.dof,
+            "estimator": self.estimator,
+            "bandwidths": bandwidths(self.response)._asdict(),
+            "second_order": self.second_order._asdict(),
+            "coherence_least": float(self.response.coherence.min()),
+        }
+
+
+def measure_recordings(files: Sequence[Path], dof: str, estimator: str) -> RecordingMeasures:
+    """Measure the response in recordings; several, or one of single sines, are rounds of one."""
+    check_name("estimator", estimator, get_args(Estimator))
+    records = [read_recording(path) for path in files]
+    if len(records) > 1 or records[0].signal.dwells:
+        response = rounds_response(records, dof)
+    else:
+        response = frequency_response(records[0], dof, estimator=cast("Estimator", estimator))
+    fit = metrics.fit_second_order(response.frequency, response.response)
+    return RecordingMeasures(tuple(files), dof, estimator, response, fit)

@@ -20,7 +20,7 @@ this order.
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
@@ -122,10 +122,8 @@ class Study:
     @property
     def cases(self) -> list[StudyCase]:
         """All cases, numbered from 0."""
-        return [StudyCase(number, *case) for number, case in enumerate(self._cases())]
-
-    def _cases(self) -> Iterator[tuple[Method, str, int, Case, StudySettings]]:
         study = self.settings
+        cases: list[StudyCase] = []
         machines = product(study.rungs, study.cabs, study.poses, range(NOMINAL, study.draws))
         for rung, cab, pose, draw in machines:
             at = tuple(units.to_si(dof_unit(i), value) for i, value in enumerate(pose))
@@ -135,12 +133,10 @@ class Study:
             for method, law in product(methods, self.laws):
                 for dof in study.dofs if method == "sweep" else [""]:
                     size = dof_amplitude(dof, study.amplitude * units.INCH) if dof else None
-                    case = Case(
-                        *("hexapod", cab, self.hydraulics, law, dof, size),
-                        quick=study.quick,
-                        pose=at,
-                    )
-                    yield method, rung, draw, case, study
+                    machine = ("hexapod", cab, self.hydraulics, law, dof, size)
+                    case = Case(*machine, quick=study.quick, pose=at)
+                    cases.append(StudyCase(len(cases), method, rung, draw, case, study))
+        return cases
 
     def identity(self) -> dict[str, Any]:
         """What two runs must share for their results to stand in one table, as JSON values."""
@@ -169,32 +165,31 @@ def load_study(
     `source` is the name of a shipped specification, a TOML file or a table; `laws` stand in for its
     laws, `changes` replace its fields.
     """
-    where = "study"
     if isinstance(source, dict):
-        table = dict(source)
-    elif str(source) in ready_studies():
-        table = read_toml(_READY / f"{source}.toml")
-        where = str(source)
-    elif str(source).endswith(".toml"):
-        table = read_toml(Path(source))
-        where = str(source)
+        where, table = "study", dict(source)
     else:
-        raise unknown_name("study", str(source), ready_studies(), " nor a .toml file")
+        where, table = str(source), _table("study", str(source), " nor a .toml file")
     if "base" in table:
-        base = str(table.pop("base"))
-        if base not in ready_studies():
-            raise unknown_name(f"{where}: base", base, ready_studies())
-        table = read_toml(_READY / f"{base}.toml") | table
+        table = _table(f"{where}: base", str(table.pop("base"))) | table
     table |= changes or {}
     loaded = None if laws is None else tuple(load_law(law) for law in laws)
     if loaded is not None:
         table["laws"] = [law.name for law in loaded]
     settings = validated(StudySettings, table, where)
     _check(settings)
-    chosen = loaded if loaded is not None else tuple(load_law(law) for law in settings.laws)
+    chosen = tuple(load_law(law) for law in settings.laws) if loaded is None else loaded
     if len({law.name for law in chosen}) < len(chosen):
         raise InputError(f"laws: {', '.join(law.name for law in chosen)} must differ in name")
     return Study(settings, chosen, load_hydraulics(settings.hydraulics))
+
+
+def _table(field: str, name: str, more: str = "") -> dict[str, Any]:
+    """A shipped specification, or where `more` allows it that of a file."""
+    if name in ready_studies():
+        return read_toml(_READY / f"{name}.toml")
+    if more and name.endswith(".toml"):
+        return read_toml(Path(name))
+    raise unknown_name(field, name, ready_studies(), more)
 
 
 def _check(settings: StudySettings) -> None:
@@ -211,7 +206,7 @@ def _check(settings: StudySettings) -> None:
     if settings.simulate_every and settings.method != "linear":
         raise InputError(f"simulate_every: needs method linear, not {settings.method}")
     for name in settings.rungs:
-        if settings.method == "linear" and not rung_named(name).linear:
+        if not rung_named(name).linear and settings.method == "linear":
             raise InputError(
                 f"rungs: {name!r} has no linearisation; friction, electronics and a delay of 0 "
                 "frames need the method sweep or matrix"

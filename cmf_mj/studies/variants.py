@@ -21,7 +21,7 @@ tensor (rotational modes near 100 Hz) and of the legs' inertia (their pins then 
 micrometres, a tenth of that mass by 35).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -103,25 +103,22 @@ class Rung:
     """One plant and what stands between it and the law."""
 
     name: str
-    adds: str  #: The effect it adds to the rung before, for tables and figures.
-    single_legs: bool = False
-    payload_inertia: bool = True
-    centre_of_mass: bool = True
-    leg_inertia: bool = True
-    network: bool = True  #: Supply of the hydraulic set; otherwise a constant one.
-    friction: bool = False
-    electronics: bool = False
-    command_delay: int = 1  #: Frames.
+    effects: tuple[str, ...]  #: Some of `EFFECTS`.
 
     @property
     def linear(self) -> bool:
         """Whether a linearisation of it exists."""
-        return not (self.friction or self.electronics) and self.command_delay > 0
+        return not {"friction", "electronics"} & set(self.effects) and self.command_delay > 0
+
+    @property
+    def command_delay(self) -> int:
+        """Frames from the control law to the valves."""
+        return int("delay" in self.effects)
 
     def hydraulics(self, base: HydraulicParameters) -> HydraulicParameters:
         """The hydraulic set of the rung."""
-        changes: dict[str, object] = {} if self.network else {"supply": "constant"}
-        if self.friction:
+        changes: dict[str, object] = {} if "supply" in self.effects else {"supply": "constant"}
+        if "friction" in self.effects:
             lossy = load_hydraulics("lossy")
             changes |= {field: getattr(lossy, field) for field in _FRICTION}
         return base.model_copy(update=changes)
@@ -129,61 +126,44 @@ class Rung:
     def build(self, cab: str, hydraulics: HydraulicParameters) -> Plant:
         """The plant of the rung with a cab and a hydraulic set."""
         parameters = self.hydraulics(hydraulics)
-        if self.single_legs:
+        if "point_mass" not in self.effects:
             return SingleLegs(parameters)
-        if self.payload_inertia and self.centre_of_mass and self.leg_inertia:
+        if "leg_inertia" in self.effects:
             return Hexapod(cab, parameters)
         spec = payload_spec(
             cab,
-            inertia=1.0 if self.payload_inertia else SMALL,
-            centre_of_mass=self.centre_of_mass,
-            leg_inertia=1.0 if self.leg_inertia else SMALL,
+            inertia=1.0 if "payload_inertia" in self.effects else SMALL,
+            centre_of_mass="centre_of_mass" in self.effects,
+            leg_inertia=SMALL,
         )
         return Hexapod(cab, parameters, spec=spec)
 
     def electronics_settings(self, seed: int = 0) -> ElectronicsSettings | None:
         """Sensors and electronics of the rung."""
-        return ElectronicsSettings(seed=seed) if self.electronics else None
+        return ElectronicsSettings(seed=seed) if "electronics" in self.effects else None
 
 
-_BARE = Rung(
+EFFECTS = (
     "single_legs",
-    "single legs",
-    single_legs=True,
-    payload_inertia=False,
-    centre_of_mass=False,
-    leg_inertia=False,
-    network=False,
-    command_delay=0,
+    "point_mass",
+    "payload_inertia",
+    "centre_of_mass",
+    "leg_inertia",
+    "supply",
+    "friction",
+    "electronics",
+    "delay",
 )
-_STEPS: tuple[tuple[str, str, dict[str, object]], ...] = (
-    ("point_mass", "geometry, point mass", {"single_legs": False}),
-    ("payload_inertia", "payload inertia", {"payload_inertia": True}),
-    ("centre_of_mass", "centre of mass", {"centre_of_mass": True}),
-    ("leg_inertia", "leg inertia", {"leg_inertia": True}),
-    ("supply", "shared supply", {"network": True}),
-    ("friction", "friction", {"friction": True}),
-    ("electronics", "electronics", {"electronics": True}),
-    ("delay", "command delay", {"command_delay": 1}),
-)
+"""What each rung adds to the one before, which is also its name."""
 
-
-def _ladder() -> tuple[Rung, ...]:
-    rungs = [_BARE]
-    for name, adds, changes in _STEPS:
-        rungs.append(replace(rungs[-1], name=name, adds=adds, **changes))  # type: ignore[arg-type]
-    return tuple(rungs)
-
-
-LADDER = _ladder()
+LADDER = tuple(Rung(name, EFFECTS[: i + 1]) for i, name in enumerate(EFFECTS))
 """All rungs, in the order of climbing."""
 
-MACHINE = Rung("machine", "the machine as compared")
+MACHINE = Rung("machine", (*EFFECTS[:6], "delay"))
 """The hexapod as `cmf compare` runs it: ideal sensors, no friction, one frame of delay."""
-
-_RUNGS = {rung.name: rung for rung in (*LADDER, MACHINE)}
 
 
 def rung_named(name: str) -> Rung:
     """A rung of the ladder, or `machine`."""
-    return _RUNGS[check_name("rungs", name, _RUNGS)]
+    rungs = {rung.name: rung for rung in (*LADDER, MACHINE)}
+    return rungs[check_name("rungs", name, rungs)]

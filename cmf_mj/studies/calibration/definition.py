@@ -136,11 +136,6 @@ class Study(Settings):
         """Laws of all rows, once each."""
         return tuple(dict.fromkeys(row.law for row in self.rows))
 
-    @property
-    def fitted_laws(self) -> tuple[str, ...]:
-        """Laws of the rows that have something to fit."""
-        return tuple(dict.fromkeys(row.law for row in self.rows if row.fitted))
-
 
 @lru_cache
 def load_studies() -> dict[str, Study]:
@@ -151,9 +146,7 @@ def load_studies() -> dict[str, Study]:
     }
 
 
-def load_study(source: str | Study) -> Study:
-    """A study by name."""
-    if isinstance(source, Study):
-        return source
+def load_study(name: str) -> Study:
+    """A shipped study by name."""
     studies = load_studies()
-    return studies[check_name("study", source, studies)]
+    return studies[check_name("study", name, studies)]

@@ -13,6 +13,7 @@ its linear loop and m the one asked for. Solved by scipy.optimize.least_squares 
 """
 
 from collections.abc import Callable, Mapping
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from scipy import optimize
 
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core.errors import InputError
-from cmf_mj.studies.calibration.definition import MEASURES, Measure, Row, Study, computed
+from cmf_mj.studies.calibration.definition import MEASURES, Measure, Study, computed
 from cmf_mj.studies.calibration.trial import (
     Values,
     least_damping,
@@ -67,8 +68,7 @@ class Calibration(NamedTuple):
     study: Study
     stages: tuple[Stage, ...]  #: As shipped, then after each round.
     standard_errors: dict[str, float]
-    """Of the free parameters, from the scatter of the fitted residuals; in their units."""
-    correlation: NDArray[np.float64]  #: Of the free parameters' errors.
+    """Of the free parameters in their units, from s^2 (J' J)^-1, s^2 the mean squared residual."""
 
     @property
     def before(self) -> Stage:
@@ -83,26 +83,23 @@ class Calibration(NamedTuple):
 
 def residual_rows(study: Study, results: Results) -> list[Residual]:
     """Every printed number of a study with the computed one."""
-    return [
-        _residual(study, row, measure, results[row.law])
-        for row in study.rows
-        for measure in MEASURES
-        if measure in (*row.fitted, *row.predicted)
-    ]
-
-
-def _residual(study: Study, row: Row, measure: Measure, result: Measures) -> Residual:
-    printed, value = row.printed(measure), computed(result, measure)
-    off = value - printed if measure == "damping" else value / printed - 1.0
-    tolerance = float(getattr(study.tolerance, measure))
-    role = "fitted" if measure in row.fitted else "predicted"
-    numbers = (printed, value, off, tolerance, abs(off) <= tolerance)
-    return Residual(row.table, row.law, row.of, measure, role, *numbers)
+    rows = []
+    for row, measure in product(study.rows, MEASURES):
+        if measure not in (*row.fitted, *row.predicted):
+            continue
+        printed, value = row.printed(measure), computed(results[row.law], measure)
+        off = value - printed if measure == "damping" else value / printed - 1.0
+        tolerance = float(getattr(study.tolerance, measure))
+        role = "fitted" if measure in row.fitted else "predicted"
+        numbers = (printed, value, off, tolerance, abs(off) <= tolerance)
+        rows.append(Residual(row.table, row.law, row.of, measure, role, *numbers))
+    return rows
 
 
 def _cost_vector(study: Study, values: Values, shift: Shift) -> NDArray[np.float64]:
+    fitted = {row.law: None for row in study.rows if row.fitted}
     stepped = any("damping" in row.fitted for row in study.rows)
-    linear = linear_results(study, values, study.fitted_laws, damping=stepped)
+    linear = linear_results(study, values, tuple(fitted), damping=stepped)
     cost = []
     for row in study.rows:
         for measure in row.fitted:
@@ -170,18 +167,6 @@ def calibrate(
         )
         fitted = (low + solved.x * scale).tolist()
         stages.append(stage(last.values | dict(zip(names, fitted, strict=True))))
-    errors, correlation = _uncertainty(solved.jac, solved.fun, scale)
-    named_errors = dict(zip(names, errors.tolist(), strict=True))
-    return Calibration(study, tuple(stages), named_errors, correlation)
-
-
-def _uncertainty(
-    jacobian: NDArray[np.float64], residuals: NDArray[np.float64], scale: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Standard errors and correlation: s^2 (J' J)^-1 with s^2 the mean squared residual."""
-    freedom = max(1, residuals.size - scale.size)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(residuals @ residuals) / freedom
-    errors = np.sqrt(np.diag(covariance))
-    outer = np.outer(errors, errors)
-    correlation = np.divide(covariance, outer, out=np.zeros_like(covariance), where=outer > 0.0)
-    return errors * scale, correlation
+    square = float(solved.fun @ solved.fun) / max(1, solved.fun.size - scale.size)
+    errors = np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac) * square)) * scale
+    return Calibration(study, tuple(stages), dict(zip(names, errors.tolist(), strict=True)))

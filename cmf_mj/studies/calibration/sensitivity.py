@@ -1,4 +1,4 @@
-"""What a result owes to each parameter, and how far the ranges of all carry it.
+"""A calibration examined: what a result owes to each parameter, how far their ranges carry it.
 
     S = d ln(result) / d ln(parameter),    central difference of the linear loop over +-2 %
 
@@ -16,7 +16,8 @@ from scipy.stats import qmc
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.studies.calibration.definition import MEASURES, Measure, Study, computed
-from cmf_mj.studies.calibration.trial import Values, linear_results
+from cmf_mj.studies.calibration.fit import Calibration
+from cmf_mj.studies.calibration.trial import Values, Verdict, linear_results, simulated_stability
 
 STEP = 0.02
 """Relative half width of the central difference."""
@@ -29,10 +30,9 @@ class Sensitivity(NamedTuple):
     """Normalised derivatives of the results of a study."""
 
     laws: tuple[str, ...]
-    measures: tuple[Measure, ...]
     parameters: tuple[str, ...]
     derivative: NDArray[np.float64]
-    """(laws, measures, parameters); NaN where the loop has no such result."""
+    """(laws, `MEASURES`, parameters); NaN where the loop has no such result."""
 
 
 class Spread(NamedTuple):
@@ -44,6 +44,28 @@ class Spread(NamedTuple):
     low: float  #: 5 % of the samples lie below.
     high: float  #: 95 % of the samples lie below.
     unstable: float  #: Share of samples whose loop is unstable.
+
+
+class Examination(NamedTuple):
+    """A calibration with its sensitivities, the spread of the velocity law, stability runs."""
+
+    calibration: Calibration
+    sensitivity: Sensitivity  #: At the shipped values.
+    spread: list[Spread]  #: About the shipped values.
+    verdicts: list[Verdict]  #: Step runs with the fitted values.
+
+
+def examine(
+    calibration: Calibration, *, samples: int = 128, jobs: int | None = None
+) -> Examination:
+    """Add sensitivities, uncertainty and the stability runs of a study that asks for them."""
+    study, shipped = calibration.study, calibration.before.values
+    return Examination(
+        calibration,
+        sensitivity(study, shipped),
+        spread(study, shipped, ("original", "velocity"), samples=samples),
+        simulated_stability(study, calibration.after.values, jobs=jobs),
+    )
 
 
 def sensitivity(study: Study, values: Values, laws: tuple[str, ...] = ()) -> Sensitivity:
@@ -59,7 +81,7 @@ def sensitivity(study: Study, values: Values, laws: tuple[str, ...] = ()) -> Sen
             ends.append([[computed(results[law], m) for m in MEASURES] for law in chosen])
         lower, upper = (np.log(np.array(end)) for end in ends)
         slopes[:, :, k] = (upper - lower) / np.log((1.0 + STEP) / (1.0 - STEP))
-    return Sensitivity(chosen, MEASURES, names, slopes)
+    return Sensitivity(chosen, names, slopes)
 
 
 def spread(

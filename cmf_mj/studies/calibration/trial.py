@@ -33,7 +33,7 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import EFFECTIVE_MASS, STATIC_LOAD, SingleLegs
 from cmf_mj.studies.calibration.definition import Study
 from cmf_mj.studies.case import make_case, run_case
-from cmf_mj.studies.linear_agreement import loop_between
+from cmf_mj.studies.linearization import loop_between
 
 Values = Mapping[str, float]
 """Parameter values by name, in the units of the study."""

@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cmf_mj.analysis.sine import fit_sines
 from cmf_mj.control.law import Law, load_law
@@ -74,6 +73,9 @@ _SMALLEST = 1e-3
 """Share of the closed-form limit below which nothing holds."""
 
 
+_NAN = float("nan")
+
+
 class EnvelopePoint(NamedTuple):
     """The largest sine that holds at one frequency; NaN where none does.
 
@@ -83,16 +85,18 @@ class EnvelopePoint(NamedTuple):
     dof: str  #: Degree of freedom.
     frequency: float  #: [Hz].
     command: float  #: Amplitude of the demand [m, rad].
-    displacement: float  #: Amplitude of the response [m, rad].
-    velocity: float  #: Amplitude of the response [m/s, rad/s].
-    acceleration: float  #: Amplitude of the response [m/s^2, rad/s^2].
-    binding: str  #: The limit that binds, one of `LIMITS`.
-    ratio: float  #: How far it is used.
-    distortion: float
+    displacement: float = _NAN  #: Amplitude of the response [m, rad].
+    velocity: float = _NAN  #: Amplitude of the response [m/s, rad/s].
+    acceleration: float = _NAN  #: Amplitude of the response [m/s^2, rad/s^2].
+    binding: str = ""  #: The limit that binds, one of `LIMITS`.
+    ratio: float = _NAN  #: How far it is used.
+    distortion: float = _NAN
     """Rms of what is not the fundamental, over rms of the fundamental, of the displacement."""
-    least_pressure: float  #: Least manifold pressure over the cycles [Pa].
-    drawn_flow: float  #: Mean flow drawn from the supply [m^3/s]; NaN with a constant supply.
-    runs: int  #: Simulations it took.
+    least_pressure: float = _NAN  #: Least manifold pressure over the cycles [Pa].
+    drawn_flow: float = (
+        _NAN  #: Mean flow drawn from the supply [m^3/s]; NaN with a constant supply.
+    )
+    runs: int = 0  #: Simulations it took.
 
 
 @dataclass(frozen=True)
@@ -170,15 +174,9 @@ def largest_sine(
             break
     if below is None:
         binding = "physical_bounds" if above is None else above.binding
-        return _nothing(dof, frequency, float("nan"))._replace(binding=binding, runs=runs)
+        return EnvelopePoint(dof, frequency, _NAN, binding=binding, runs=runs)
     binding = above.binding if above is not None and below.largest < _CLOSE else below.binding
     return below.point._replace(binding=binding, ratio=below.largest, runs=runs)
-
-
-def _nothing(dof: str, frequency: float, command: float) -> EnvelopePoint:
-    """A point without a response."""
-    nan = float("nan")
-    return EnvelopePoint(dof, frequency, command, nan, nan, nan, "", nan, nan, nan, nan, 0)
 
 
 def _next(below: _Run | None, above: _Run | None, *, halve: bool) -> float:
@@ -217,7 +215,7 @@ def _run(
     try:
         record = simulate(plant, law, command, record_every=every)
     except FloatingPointError:
-        return _Run({"physical_bounds": 2.0}, _nothing(dof, frequency, amplitude))
+        return _Run({"physical_bounds": 2.0}, EnvelopePoint(dof, frequency, amplitude))
     rows = slice(-(-judged.start // every), None)
     index = dof_index(dof)
     pose, demand = record["platform_pose"][rows], command.pose[judged]
@@ -233,11 +231,12 @@ def _run(
         "valve_command": float(np.abs(record["compensator_output"][rows]).max()),
         "supply_pressure": float((supply.pressure - pressure.min()) / (supply.pressure - allowed)),
     }
-    drawn = float("nan")
+    drawn = _NAN
     if not supply.constant:
         drawn, ratios["pump_flow"] = _flow(plant, record, rows)
-    reached, distortion = _fundamental(record.time[rows], pose[:, index], frequency)
     rate = 2.0 * np.pi * frequency
+    fit = fit_sines(pose[:, index], rate * record.time[rows])
+    reached = float(np.abs(fit.amplitude[0]))
     point = EnvelopePoint(
         dof=dof,
         frequency=frequency,
@@ -245,12 +244,9 @@ def _run(
         displacement=reached,
         velocity=reached * rate,
         acceleration=reached * rate**2,
-        binding="",
-        ratio=float("nan"),
-        distortion=distortion,
+        distortion=float(np.sqrt(2.0 * np.mean(fit.remainder**2)) / reached),
         least_pressure=float(pressure.min()),
         drawn_flow=drawn,
-        runs=0,
     )
     return _Run(ratios, point)
 
@@ -267,15 +263,6 @@ def _flow(plant: Hexapod, record: Record, rows: slice) -> tuple[float, float]:
     if lost > _PERIODIC * supply.pump_flow:
         ratio = max(ratio, 1.0 + lost / supply.pump_flow - _PERIODIC)
     return drawn, ratio
-
-
-def _fundamental(
-    time: NDArray[np.float64], history: NDArray[np.float64], frequency: float
-) -> tuple[float, float]:
-    """Amplitude of the fundamental, and rms of the remainder over that of the fundamental."""
-    fit = fit_sines(history, 2.0 * np.pi * frequency * time)
-    amplitude = float(np.abs(fit.amplitude[0]))
-    return amplitude, float(np.sqrt(2.0 * np.mean(fit.remainder**2)) / amplitude)
 
 
 def performance_envelope(

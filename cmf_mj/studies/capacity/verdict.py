@@ -27,7 +27,7 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.peaks import check_limits
 from cmf_mj.signals.signal import Command
-from cmf_mj.studies.failure.measures import Peak, least
+from cmf_mj.studies.failure.measures import Peak, extreme
 
 LEAST_PRESSURE = 0.8
 """Least manifold pressure, as a share of the set pressure."""
@@ -124,17 +124,13 @@ def capacity(
     machine = Hexapod(cab, hydraulics) if plant is None else plant
     allowed = least_allowed(machine.parameters, least_pressure)
     record = simulate(machine, law, demanded, record_every=_FRAMES)
-    return judge(machine, record, allowed)
-
-
-def judge(plant: Plant, record: Record, allowed: float) -> CapacityResult:
-    """What a run that has been made took out of the supply."""
-    supply = plant.hydraulics.supply
+    supply = machine.hydraulics.supply
     pressure, pump, oil = (
         record[name] for name in ("supply_pressure", "pump_flow", "accumulator_oil")
     )
     known = np.nan if supply.constant else 1.0
     output = np.abs(record["compensator_output"])
+    margin = pressure_margin(machine.hydraulics, record)
     whole = np.full(record.time.size, True)
 
     def flow(history: NDArray[np.float64]) -> Flow:
@@ -143,16 +139,16 @@ def judge(plant: Plant, record: Record, allowed: float) -> CapacityResult:
     return CapacityResult(
         holds=bool(pressure.min() >= allowed),
         allowed_pressure=allowed,
-        least_pressure=least(record.time, pressure, whole),
+        least_pressure=extreme(record.time, pressure, whole, np.negative),
         least_oil=known * supply.accumulators * float(oil.min()),
         charged_oil=known * supply.accumulators * float(oil[0]),
         least_gas_pressure=known * float(record["accumulator_pressure"].min()),
         empty_time=known * np.count_nonzero(oil <= 1e-6 * oil[0]) / record.rate,
         pump_flow=flow(pump),
         pump_flow_limit=known * supply.pump_flow,
-        relief_flow=flow(relief_flow(plant.parameters, record)),
+        relief_flow=flow(relief_flow(machine.parameters, record)),
         saturation=(output >= _SATURATED).mean(axis=0),
         peak_command=output.max(axis=0),
-        least_margin=least(record.time, pressure_margin(plant.hydraulics, record), whole),
+        least_margin=extreme(record.time, margin, whole, np.negative),
         record=record,
     )

@@ -19,6 +19,7 @@ The final state is one of `STATES`:
     out_of_bounds  the state left its physical bounds; the message tells which and where
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +31,12 @@ from cmf_mj.core.rates import FRAME
 from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
-from cmf_mj.studies.failure.manoeuvre import FADE, REST
+
+REST = 2.0
+"""Rest after the manoeuvre [s]."""
+
+FADE = 1.0
+"""Fade of the manoeuvre at both ends [s]."""
 
 FALL_SPEED = 10.0 * units.INCH
 """Speed of the first leg at a stop above which the platform has fallen, not settled [m/s]; assumed,
@@ -128,7 +134,8 @@ def measure(
     free = after & (time < contact.time) if contact is not None else after
 
     def phases(values: NDArray[np.float64]) -> Phases:
-        return Phases(*(_largest(time, values, where) for where in (~after, after, free)))
+        parts = (~after, after, free)
+        return Phases(*(extreme(time, values, where, np.abs) for where in parts))
 
     state = "out_of_bounds" if message else _final_state(record, event.at, half, contact)
     return FailureResult(
@@ -136,18 +143,16 @@ def measure(
         dof=dof,
         protected=protected,
         static_load=record["leg_force"][0].copy(),
-        load=Phases(
-            *(peak._replace(value=_signed(peak, time, load)) for peak in phases(np.abs(load)))
-        ),
+        load=phases(load),
         acceleration=phases(np.linalg.norm(acceleration, axis=1)),
         specific_force=phases(np.linalg.norm(force, axis=1)),
         detected_by=fault and fault["name"],
         detection_time=fault and fault["time"] - event.at,
         state=state,
         message=message,
-        pressure_peak=_largest(time, chambers.max(axis=2), after),
-        pressure_least=least(time, chambers.min(axis=2), after),
-        supply_least=least(time, record["supply_pressure"][:-1], after),
+        pressure_peak=extreme(time, chambers.max(axis=2), after),
+        pressure_least=extreme(time, chambers.min(axis=2), after, np.negative),
+        supply_least=extreme(time, record["supply_pressure"][:-1], after, np.negative),
         contact_speed=contact,
         impact_speed=impact,
         record=_thinned(record, load, acceleration),
@@ -163,30 +168,20 @@ def _without_gravity(
     return turn.apply(force.copy()) + plant.model.opt.gravity
 
 
-def _signed(peak: Peak, time: NDArray[np.float64], load: NDArray[np.float64]) -> float:
-    """The load (N, n) at a peak of its size."""
-    if peak.leg is None:
-        return peak.value
-    return float(load[np.searchsorted(time, peak.time), peak.leg - 1])
-
-
-def _largest(
-    time: NDArray[np.float64], values: NDArray[np.float64], where: NDArray[np.bool_]
+def extreme(
+    time: NDArray[np.float64],
+    values: NDArray[np.float64],
+    where: NDArray[np.bool_],
+    rank: Callable[[NDArray[np.float64]], NDArray[np.float64]] = np.positive,
 ) -> Peak:
-    """The largest of (N,) or (N, n) values where asked; NaN if nowhere."""
+    """The value of the largest rank of (N,) or (N, n) where asked; NaN if nowhere."""
     rows = np.flatnonzero(where)
     if rows.size == 0:
         return Peak(float("nan"), float("nan"))
     chosen = values[rows]
-    place = np.unravel_index(int(np.argmax(chosen)), chosen.shape)
+    place = np.unravel_index(int(np.argmax(rank(chosen))), chosen.shape)
     leg = int(place[1]) + 1 if len(place) > 1 else None
     return Peak(float(chosen[place]), float(time[rows[place[0]]]), leg)
-
-
-def least(time: NDArray[np.float64], values: NDArray[np.float64], where: NDArray[np.bool_]) -> Peak:
-    """The least of (N,) or (N, n) values where asked; NaN if nowhere."""
-    peak = _largest(time, -values, where)
-    return peak._replace(value=-peak.value)
 
 
 def _contacts(
@@ -201,7 +196,7 @@ def _contacts(
     speed = np.where(met, np.abs(extension[1:-1] - extension[:-2]) / FRAME, -1.0)
     every = np.ones(met.shape[0], dtype=bool)
     first = np.arange(met.shape[0]) == frames[0]
-    return _largest(time[2:], speed, first), _largest(time[2:], speed, every)
+    return extreme(time[2:], speed, first), extreme(time[2:], speed, every)
 
 
 def _final_state(record: Record, at: float, half: NDArray[np.float64], contact: Peak | None) -> str:

@@ -1,20 +1,53 @@
-"""Runs of one event each, on a new machine."""
+"""Runs of one event each, on a new machine that moves in a sine from rest to rest."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from cmf_mj.control.protection import ProtectionSettings, load_protection
+from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.simulation import OutOfBounds, simulate
+from cmf_mj.machine.dof import by_kind
 from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.signals.signal import Command
+from cmf_mj.signals.peaks import check_limits
+from cmf_mj.signals.signal import Command, check_not_negative, check_positive
+from cmf_mj.signals.single import sine
 from cmf_mj.studies.case import Case, make_case
-from cmf_mj.studies.failure.manoeuvre import AFTER, FREQUENCY, manoeuvre, size_of
-from cmf_mj.studies.failure.measures import FailureResult, measure
+from cmf_mj.studies.failure.measures import FADE, REST, FailureResult, measure
+
+AMPLITUDES = (6.0 * units.INCH, 4.0 * units.DEGREE)
+"""Default amplitude of the manoeuvre in translation [m] and rotation [rad]."""
+
+FREQUENCY = 0.5
+"""Default frequency of the manoeuvre [Hz]; 6 in then move a leg at 16 in/s."""
+
+AT = 4.0
+"""Default time of the event [s]: after the fade-in, at the largest speed of the default sine."""
+
+AFTER = 26.0
+"""Default length of the run after the event [s]: pump lost, noticed after 11 s, and settled."""
+
+
+def manoeuvre(
+    dof: str, amplitude: float, frequency: float, *, at: float, after: float = AFTER
+) -> Command:
+    """The sine of a failure run, faded in and out, and two seconds of rest.
+
+    `amplitude` is in m or rad, `frequency` in Hz; the event comes `at`, the run ends `after` it, at
+    least 4 s later [s].
+    """
+    check_positive(frequency=frequency)
+    check_not_negative(at=at)
+    if not after >= 2.0 * REST:
+        raise InputError(f"after: {after} s must be at least {2.0 * REST:g} s")
+    cycles = (at + after - REST) * frequency
+    command = sine(dof, amplitude, frequency, cycles=cycles, fade=FADE, rest=REST)
+    check_limits(command)
+    return command
 
 
 def run_failure(
@@ -35,7 +68,7 @@ def run_failure(
     """
     chosen = make_case("velocity") if case is None else case
     machine = Hexapod(chosen.cab, chosen.hydraulics)
-    size = size_of(chosen.dof, chosen.amplitude)
+    size = by_kind(chosen.dof, *AMPLITUDES) if chosen.amplitude is None else chosen.amplitude
     if command is None:
         command = manoeuvre(chosen.dof, size, frequency, at=event.at, after=after)
     frames = command.pose.shape[0]

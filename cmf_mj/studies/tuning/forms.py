@@ -19,20 +19,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control.coordinates import Modes
+from cmf_mj.control.coordinates import MODES, Modes
 from cmf_mj.control.law import Gains, Law, ReferenceModel, load_law
 from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.control.plan import Plan
 from cmf_mj.core import units
-from cmf_mj.core.errors import check_name
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.models import CABS
-from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.cylinder import stiffness
+from cmf_mj.plant.hexapod import Hexapod, oil_modes
 from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.studies.case import REPORT_AMPLITUDES
 from cmf_mj.studies.tuning.evaluation import LinearCab, linear_cab
-from cmf_mj.studies.tuning.nominal import nominal_modes
 
 HEAVY = 2
 """Modes of the pair of surge and sway, which have separate gains."""
@@ -74,6 +75,32 @@ class Form(NamedTuple):
     spread: float = 0.1  #: Deviation of the first candidates, as a share of the bounds.
     reach: Callable[[Values], float] = lambda _: np.inf
     """Frequency to which its reference can follow the chirp [Hz]."""
+
+
+def nominal_modes(plant: Plant) -> Modes:
+    """Hydraulic modes of a plant at neutral: orthonormal shapes of its reflected mass.
+
+    The plant has six legs, whose oil springs are alike there.
+    """
+    if plant.legs != MODES:
+        raise InputError(f"plant: {plant.name} has {plant.legs} legs; hydraulic modes need {MODES}")
+    hydraulics = plant.hydraulics
+    springs = stiffness(hydraulics.cylinder, hydraulics.oil.bulk_modulus, np.zeros(MODES))
+    if np.ptp(springs) > 1e-9 * springs.max():
+        raise InputError(
+            f"hydraulics: springs of {plant.parameters.name} are {springs.min():.6g} to "
+            f"{springs.max():.6g} N/m; they must be alike"
+        )
+    frequency, shapes = oil_modes(plant.reflected_mass(), springs)
+    mass = 1.0 / np.sum(shapes**2, axis=0)
+    shapes = shapes * np.sqrt(mass)
+    shapes = shapes * np.sign(shapes[np.abs(shapes).argmax(axis=0), range(MODES)])
+    return Modes(
+        source=f"{plant.name} {plant.cab}".strip() + f", {plant.parameters.name} set, at neutral",
+        frequency=tuple((frequency / (2.0 * np.pi)).tolist()),
+        mass=tuple((mass / units.POUND_MASS).tolist()),
+        shape=tuple(tuple(row) for row in shapes.T.tolist()),
+    )
 
 
 def make_template(name: str, title: str, cabs: Sequence[str] = CABS) -> Template:
@@ -261,8 +288,3 @@ FORMS: Mapping[str, Form] = {
     ),
 }
 """All forms by name."""
-
-
-def form_named(name: str) -> Form:
-    """A form."""
-    return FORMS[check_name("form", name, FORMS)]

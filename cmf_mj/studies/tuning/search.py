@@ -13,15 +13,18 @@ by `FASTER`.
 
 import warnings
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import tomlkit
 from numpy.typing import NDArray
 
 from cmf_mj.control.law import Law
-from cmf_mj.core.errors import InputError, require
+from cmf_mj.core.errors import InputError, check_name, require
+from cmf_mj.core.files import write_text
 from cmf_mj.studies.tuning.evaluation import Performance, evaluate
-from cmf_mj.studies.tuning.forms import Form, Template, candidate, form_named, named
+from cmf_mj.studies.tuning.forms import FORMS, Form, Template, candidate, named
 
 FASTER = 1.5
 """Factor on all valve gains at which the loop must still be well damped."""
@@ -93,7 +96,7 @@ def search(
     """
     if evaluations < 1:
         raise InputError(f"evaluations: {evaluations} must be at least 1")
-    limits, chosen = limits or Limits(), form_named(form)
+    limits, chosen = limits or Limits(), FORMS[check_name("form", form, FORMS)]
     first = np.array(chosen.start if start is None else start)
     low, high = np.array(list(chosen.free.values())).T
 
@@ -118,3 +121,17 @@ def search(
             progress(min(tried, evaluations), evaluations)
     law = candidate(chosen, template, best[1])
     return SearchResult(law, evaluate(law, template.cabs, seeds), best[0], tried)
+
+
+def save_law(law: Law, path: str | Path, heading: str = "") -> Path:
+    """Write a law file whole or not at all, below some comment lines; `load_law` reads it back.
+
+    Frequencies and masses of modes have six digits, shapes twelve: they have to be orthonormal.
+    """
+    table = law.model_dump(mode="json", exclude_defaults=True, exclude={"name"})
+    for modes in table.get("modes", {}).values():
+        for name in ("frequency", "mass"):
+            modes[name] = [float(f"{value:.6g}") for value in modes[name]]
+        modes["shape"] = [[round(value, 12) + 0.0 for value in row] for row in modes["shape"]]
+    comment = "".join(f"# {line}".rstrip() + "\n" for line in heading.splitlines())
+    return write_text(Path(path), comment + tomlkit.dumps({law.name: table}))
