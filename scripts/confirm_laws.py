@@ -24,16 +24,11 @@ from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.record.record import Record
 from cmf_mj.show.table import Table
 from cmf_mj.signals.composite import orthogonal_multisines
-from cmf_mj.studies.case import (
-    REPORT_AMPLITUDES,
-    Case,
-    CaseResult,
-    dof_amplitude,
-    make_case,
-    run_case,
-)
+from cmf_mj.signals.single import Chirp
+from cmf_mj.studies.case import REPORT_AMPLITUDES, Case, dof_amplitude, make_case
 from cmf_mj.studies.mismatch import with_valve_gains
 
 HEADER = (
@@ -57,7 +52,8 @@ class Outcome(NamedTuple):
     """A trial and its result."""
 
     trial: Trial
-    result: CaseResult
+    measures: measures.Measures
+    clamped: float  #: Part of the sweep's frames to the -90 deg bandwidth with a command clamped.
 
 
 def make_machine(seed: int | None) -> HydraulicParameters:
@@ -67,7 +63,18 @@ def make_machine(seed: int | None) -> HydraulicParameters:
 
 def run_trial(trial: Trial) -> Outcome:
     """Run chirp and step of a trial."""
-    return Outcome(trial, run_case(trial.case))
+    sweep, step = trial.case.sweep_and_step()
+    result = measures.measure_records(sweep, step, segment=trial.case.segment)
+    return Outcome(trial, result, clamped_part(sweep, result.phase_bandwidth_hz))
+
+
+def clamped_part(sweep: Record, highest_hz: float) -> float:
+    """Part of the frames of a chirp, up to a frequency or 10 Hz, in which a command is clamped."""
+    command = sweep.signal_as(Chirp)
+    rate = command.band[1] / command.duration
+    until = command.settle + np.nan_to_num(highest_hz, nan=10.0) / rate
+    full = np.any(np.abs(sweep["valve_command"]) >= 1.0, axis=1)[sweep.time < until]
+    return float(full.mean())
 
 
 def crosstalk(law: Law, cab: str, seed: int | None = None) -> NDArray[np.float64]:
@@ -93,8 +100,8 @@ def crosstalk(law: Law, cab: str, seed: int | None = None) -> NDArray[np.float64
 
 def row(outcome: Outcome) -> list[object]:
     """One line of `trials.csv`."""
-    trial, result = outcome
-    case, values = trial.case, result.measures
+    trial, values, clamped = outcome
+    case = trial.case
     numbers = (
         *(values.phase_bandwidth_hz, values.gain_bandwidth_hz, values.peak_gain_db),
         *(values.damping_ratio, values.overshoot),
@@ -105,7 +112,7 @@ def row(outcome: Outcome) -> list[object]:
         case.electronics is not None,
         *(f"{value:.4f}" for value in numbers),
         values.stable,
-        f"{result.clamped:.4f}",
+        f"{clamped:.4f}",
     ]
 
 
@@ -121,7 +128,7 @@ class Worst(NamedTuple):
 
 def worst_of(members: list[Outcome]) -> Worst:
     """Worst of each measure."""
-    results = [member.result.measures for member in members]
+    results = [member.measures for member in members]
     phase, gain, peak, over = (
         np.array([getattr(result, name) for result in results])
         for name in ("phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db", "overshoot")

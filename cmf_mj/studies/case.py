@@ -29,7 +29,6 @@ from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, check_positive
-from cmf_mj.signals.single import Chirp
 
 AMPLITUDE = 0.33 * units.INCH
 """Translational amplitude of the report's frequency responses [m]."""
@@ -163,9 +162,6 @@ class CaseResult(NamedTuple):
     measures: Measures
     step: Record  #: The step run at 256 Hz.
     gimbal_error: float  #: Largest gap of a closed gimbal over both runs [m].
-    clamped: float
-    """Part of the sweep's frames, up to the -90 deg bandwidth, in which a leg's command is
-    clamped."""
 
 
 def run_case(case: Case, records: Path | None = None) -> CaseResult:
@@ -181,14 +177,4 @@ def run_case(case: Case, records: Path | None = None) -> CaseResult:
     response = sweep_response(sweep, segment=case.segment)
     measures = joined(bandwidths(response) if response else None, step_metrics(step))
     gap = max(float(run["gimbal_error"].max()) for run in (sweep, step))
-    clamped = clamped_part(sweep, measures.phase_bandwidth_hz)
-    return CaseResult(case, response, measures, step, gap, clamped)
-
-
-def clamped_part(sweep: Record, highest_hz: float) -> float:
-    """Part of the frames of a chirp, up to a frequency or 10 Hz, in which a command is clamped."""
-    command = sweep.signal_as(Chirp)
-    rate = command.band[1] / command.duration
-    until = command.settle + np.nan_to_num(highest_hz, nan=10.0) / rate
-    full = np.any(np.abs(sweep["valve_command"]) >= 1.0, axis=1)[sweep.time < until]
-    return float(full.mean())
+    return CaseResult(case, response, measures, step, gap)

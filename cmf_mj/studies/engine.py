@@ -7,12 +7,13 @@ kills its worker every time is a row with an error too.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import pyarrow as pa
+from control import StateSpace
 from joblib import Parallel, delayed, parallel_config
 from threadpoolctl import threadpool_limits
 
@@ -33,15 +34,16 @@ class WorkerDied(RuntimeError):
 
 
 def attempt(cases: Sequence[StudyCase]) -> list[tuple[int, list[StudyRow]]]:
-    """Run cases one after the other; what one raises becomes its row.
+    """Run cases of one machine one after the other; what one raises becomes its row.
 
     With one thread of linear algebra, since sums in another order have other bits.
     """
     results = []
+    shared: dict[str, StateSpace] = {}
     for case in cases:
         try:
             with threadpool_limits(limits=1):
-                rows = evaluate(case)
+                rows = evaluate(case, shared)
         except Exception as error:  # whatever it is, the study goes on
             rows = [failed(error)]
         results.append((case.number, rows))
@@ -70,36 +72,34 @@ def run_study(
     if scheduler is not None and backend != "dask":
         raise InputError(f"scheduler: {scheduler} needs the backend dask, not {backend}")
     journal = Journal(Path(folder), study)
-    total = len(study.cases)
 
     def keep(number: int, rows: Sequence[StudyRow]) -> None:
         journal.add(number, rows)
+        report()
+
+    def report() -> None:
         if progress is not None:
-            progress(len(journal.results), total)
+            progress(len(journal.results), len(study.cases))
 
-    if progress is not None:
-        progress(len(journal.results), total)
-    if journal.pending:
-        with _workers(backend, jobs, scheduler) as count:
-            _run_all(journal, count, keep)
-    return journal.consolidate()
-
-
-def _run_all(journal: Journal, jobs: int, keep: Callable[[int, Sequence[StudyRow]], None]) -> None:
+    report()
+    if not journal.pending:
+        return journal.consolidate()
     alone = False
-    while journal.pending:
-        before = len(journal.results)
-        cases = journal.pending[:1] if alone else journal.pending
-        try:
-            for number, rows in _results(cases, jobs):
-                keep(number, rows)
-            alone = False
-        except _deaths() as error:
-            if alone:
-                text = f"its worker died again, running nothing else: {type(error).__name__}"
-                keep(cases[0].number, [failed(WorkerDied(text))])
-            # A death that let nothing finish: find the case that brings it.
-            alone = not alone and len(journal.results) == before
+    with _workers(backend, jobs, scheduler) as count:
+        while journal.pending:
+            before = len(journal.results)
+            cases = journal.pending[:1] if alone else journal.pending
+            try:
+                for number, rows in _results(cases, count):
+                    keep(number, rows)
+                alone = False
+            except _deaths() as error:
+                if alone:
+                    text = f"its worker died again, running nothing else: {type(error).__name__}"
+                    keep(cases[0].number, [failed(WorkerDied(text))])
+                # A death that let nothing finish: find the case that brings it.
+                alone = not alone and len(journal.results) == before
+    return journal.consolidate()
 
 
 def _results(
@@ -139,20 +139,14 @@ def _deaths() -> tuple[type[BaseException], ...]:
 @contextmanager
 def _workers(backend: Backend, jobs: int, scheduler: str | None) -> Iterator[int]:
     """Choose what runs joblib's tasks; gives their number."""
-    with ExitStack() as stack:
-        options: dict[str, Any] = {}
-        if backend == "dask":
-            client = stack.enter_context(_client(jobs, scheduler))
-            jobs = max(1, sum(client.nthreads().values()))
-            options["client"] = client
-        elif backend == "loky":
-            options["inner_max_num_threads"] = 1
-        stack.enter_context(parallel_config(backend=backend, n_jobs=jobs, **options))
-        yield jobs
-
-
-def _client(jobs: int, scheduler: str | None) -> Any:
-    client = require("distributed", "cluster").Client
-    if scheduler is not None:
-        return client(scheduler)
-    return client(n_workers=jobs, threads_per_worker=1, processes=True, dashboard_address=None)
+    options: dict[str, Any] = {"inner_max_num_threads": 1} if backend == "loky" else {}
+    if backend != "dask":
+        with parallel_config(backend=backend, n_jobs=jobs, **options):
+            yield jobs
+        return
+    local = {"n_workers": jobs, "threads_per_worker": 1, "processes": True}
+    options = {"address": scheduler} if scheduler else {**local, "dashboard_address": None}
+    with require("distributed", "cluster").Client(**options) as client:
+        count = max(1, sum(client.nthreads().values()))
+        with parallel_config(backend=backend, n_jobs=count, client=client):
+            yield count

@@ -12,7 +12,6 @@ was asked for. A `sweep` and a `matrix` see a narrow peak only where they have a
 lines at the poles.
 """
 
-import threading
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -108,8 +107,10 @@ class StudyRow(NamedTuple):
         return dict(zip(ROW_COLUMNS, row, strict=True))
 
 
-def evaluate(study_case: StudyCase) -> list[StudyRow]:
-    """Run a case.
+def evaluate(
+    study_case: StudyCase, shared: dict[str, control.StateSpace] | None = None
+) -> list[StudyRow]:
+    """Run a case; `shared` keeps the linearised machine for further cases of the same one.
 
     Raises FloatingPointError where a run leaves its physical bounds.
     """
@@ -122,7 +123,7 @@ def evaluate(study_case: StudyCase) -> list[StudyRow]:
         plant = rung.build(case.cab, drawn)
         errors = mismatch.draw_gain_errors(plant.legs, *key)
     if study_case.method == "linear":
-        return _linear(study_case, plant, errors)
+        return _linear(study_case, plant, errors, {} if shared is None else shared)
     case = replace(
         case,
         electronics=with_gain_errors(errors) or rung.electronics_settings(study.seed),
@@ -165,27 +166,16 @@ def _sweep_crosstalk(sweep: Record, case: Case) -> Gains:
     return np.asarray(gains)
 
 
-class _Machine(threading.local):
-    """The machine a worker linearised last: the laws of a study meet it one after the other."""
-
-    key: object = None
-    system: control.StateSpace = None
-
-
-_LAST = _Machine()
-
-
-def _linearised(study_case: StudyCase, plant: Plant) -> control.StateSpace:
+def _linear(
+    study_case: StudyCase,
+    plant: Plant,
+    errors: dict[str, Gains],
+    shared: dict[str, control.StateSpace],
+) -> list[StudyRow]:
     case = study_case.case
-    machine = (case.cab, case.pose, case.hydraulics)
-    key = (study_case.rung, study_case.draw, study_case.study, *machine)
-    if key != _LAST.key:
-        _LAST.system, _LAST.key = linearize(plant, case.pose), key
-    return _LAST.system.copy()
-
-
-def _linear(study_case: StudyCase, plant: Plant, errors: dict[str, Gains]) -> list[StudyRow]:
-    case, system = study_case.case, _linearised(study_case, plant)
+    if "system" not in shared:
+        shared["system"] = linearize(plant, case.pose)
+    system = shared["system"].copy()
     for channel, error in errors.items():
         for name, part in zip(labels((channel,), plant.legs), error, strict=True):
             system.C[system.output_labels.index(name)] *= 1.0 + part
@@ -196,7 +186,9 @@ def _linear(study_case: StudyCase, plant: Plant, errors: dict[str, Gains]) -> li
     mode = least_damped_mode(poles)
     if not np.abs(poles).max() < 1.0:  # there is no response to measure
         return [StudyRow(dof, joined(mode=mode), _NONE) for dof in DOFS]
-    omega = 2.0 * np.pi * _lines(poles)
+    modes = np.abs(oscillations(poles)) / (2.0 * np.pi)
+    lines = np.union1d(FREQUENCIES, modes[(modes > BAND[0]) & (modes < BAND[1])])
+    omega = 2.0 * np.pi * lines
     response = np.asarray(control.frequency_response(loop, omega).frdata)
     # What the legs do is what their sensors read over its gain.
     jacobian = jacobian_of(plant, case.pose)
@@ -233,12 +225,6 @@ def _steps(loop: control.StateSpace) -> NDArray[np.float64]:
         blocks.append((reader @ state).reshape(_BLOCK, c.shape[0], inputs))
         state = stride @ state
     return np.concatenate(blocks)
-
-
-def _lines(poles: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Frequencies [Hz] of a response, among them those of all poles in the band."""
-    modes = np.abs(oscillations(poles)) / (2.0 * np.pi)
-    return np.union1d(FREQUENCIES, modes[(modes > BAND[0]) & (modes < BAND[1])])
 
 
 def _matrix(case: Case, plant: Plant, sizes: Gains, seed: int) -> list[StudyRow]:

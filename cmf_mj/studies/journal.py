@@ -48,7 +48,20 @@ class Journal:
         self.folder = folder
         self.study = study
         folder.mkdir(parents=True, exist_ok=True)
-        self._identify()
+        identity, path = json.loads(json.dumps(study.identity())), folder / SPECIFICATION
+        if path.exists():
+            there, here = _entries(json.loads(path.read_text(encoding="utf-8"))), _entries(identity)
+            names = sorted(there.keys() | here.keys())
+            differing = [name for name in names if there.get(name) != here.get(name)]
+            if differing:
+                raise InputError(
+                    f"{folder}: holds a study that differs in {', '.join(differing)}; "
+                    "allowed: the same study, or another folder"
+                )
+        elif (folder / JOURNAL).exists():
+            raise InputError(f"{folder}: holds a journal without its {SPECIFICATION}")
+        else:
+            write_text(path, json.dumps(identity, indent=1))
         self.results: dict[int, list[dict[str, Any]]] = {}
         """Rows of the finished cases, by number."""
         path = folder / JOURNAL
@@ -60,23 +73,6 @@ class Journal:
             with suppress(ValueError):  # torn, or no text at all
                 entry = json.loads(line)
                 self.results[entry["case"]] = entry["rows"]
-
-    def _identify(self) -> None:
-        path = self.folder / SPECIFICATION
-        identity = json.loads(json.dumps(self.study.identity()))
-        if not path.exists():
-            if (self.folder / JOURNAL).exists():
-                raise InputError(f"{self.folder}: holds a journal without its {SPECIFICATION}")
-            write_text(path, json.dumps(identity, indent=1))
-            return
-        there, here = _entries(json.loads(path.read_text(encoding="utf-8"))), _entries(identity)
-        names = sorted(there.keys() | here.keys())
-        differing = [name for name in names if there.get(name) != here.get(name)]
-        if differing:
-            raise InputError(
-                f"{self.folder}: holds a study that differs in {', '.join(differing)}; "
-                "allowed: the same study, or another folder"
-            )
 
     @property
     def pending(self) -> list[StudyCase]:

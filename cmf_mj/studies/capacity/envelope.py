@@ -49,16 +49,6 @@ FREQUENCIES = (0.1, 0.16, 0.25, 0.4, 0.63, 1.0, 1.6, 2.5, 4.0, 6.3, 10.0)
 QUICK_FREQUENCIES = (0.1, 0.4, 1.6, 6.3)
 """Frequencies of a quick envelope [Hz]."""
 
-LIMITS = (
-    "displacement",
-    "leg_stroke",
-    "valve_command",
-    "supply_pressure",
-    "pump_flow",
-    "physical_bounds",
-)
-"""What may bind."""
-
 _CLOSE = 0.98
 """A largest ratio above this ends the search."""
 _AIM = 0.993
@@ -88,7 +78,7 @@ class EnvelopePoint(NamedTuple):
     displacement: float = _NAN  #: Amplitude of the response [m, rad].
     velocity: float = _NAN  #: Amplitude of the response [m/s, rad/s].
     acceleration: float = _NAN  #: Amplitude of the response [m/s^2, rad/s^2].
-    binding: str = ""  #: The limit that binds, one of `LIMITS`.
+    binding: str = ""  #: The limit that binds, a name of the list above.
     ratio: float = _NAN  #: How far it is used.
     distortion: float = _NAN
     """Rms of what is not the fundamental, over rms of the fundamental, of the displacement."""
@@ -193,9 +183,11 @@ def _next(below: _Run | None, above: _Run | None, *, halve: bool) -> float:
     return float(np.exp(low + share * (high - low)))
 
 
-def _sine(dof: str, frequency: float, amplitude: float) -> tuple[Command, slice]:
-    """A sustained sine without its end, and the frames of the whole cycles to judge."""
-    cycles = max(1, int(np.ceil(2.0 * frequency)))
+def _run(
+    plant: Hexapod, law: Law, dof: str, frequency: float, amplitude: float, allowed: float
+) -> _Run:
+    """A sustained sine without its end, judged over whole cycles."""
+    cycles, every = max(1, int(np.ceil(2.0 * frequency))), 4
     before = {
         "settle": 0.125,
         "fade": 1.0 + 0.25 / frequency,
@@ -204,21 +196,14 @@ def _sine(dof: str, frequency: float, amplitude: float) -> tuple[Command, slice]
     whole = stepped_sines(dof, [frequency], [amplitude], cycles=cycles, **before)
     start = sum(round(part * RATE) for part in before.values())
     end = start + round(cycles / frequency * RATE)
-    return Command(whole.pose[:end], whole.signal), slice(start, end)
-
-
-def _run(
-    plant: Hexapod, law: Law, dof: str, frequency: float, amplitude: float, allowed: float
-) -> _Run:
-    command, judged = _sine(dof, frequency, amplitude)
-    every = 4
+    command = Command(whole.pose[:end], whole.signal)
     try:
         record = simulate(plant, law, command, record_every=every)
     except FloatingPointError:
         return _Run({"physical_bounds": 2.0}, EnvelopePoint(dof, frequency, amplitude))
-    rows = slice(-(-judged.start // every), None)
+    rows = slice(-(-start // every), None)
     index = dof_index(dof)
-    pose, demand = record["platform_pose"][rows], command.pose[judged]
+    pose, demand = record["platform_pose"][rows], command.pose[start:end]
     pressure = record["supply_pressure"][rows]
     supply = plant.hydraulics.supply
     legs = max(float(np.abs(record[n][rows]).max()) for n in ("leg_reference", "leg_extension"))

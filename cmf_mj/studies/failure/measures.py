@@ -7,7 +7,7 @@ Before and after the event, at the full frame rate:
     crew specific force  f at the crew's heads, what an accelerometer there reads
     crew acceleration    a = R f + g: rotation of the platform included, gravity removed
 
-The final state is one of `STATES`:
+The final state is one of these:
 
     running        legs follow the demand to the end, at most twice as far off as before the event
     degraded       legs follow it within `FOLLOWING`
@@ -44,18 +44,6 @@ two and a half times the settle speed."""
 
 FOLLOWING = 6.0 * units.INCH
 """Distance of a leg from its demand at which it no longer follows [m]; the default protection's."""
-
-STATES = (
-    "running",
-    "degraded",
-    "holding",
-    "moving",
-    "settled",
-    "fallen",
-    "against_stop",
-    "out_of_bounds",
-)
-"""How a run may end."""
 
 _STILL = 1e-3
 """Swing of a leg over the last second, or distance from its demand, that counts as none [m]."""
@@ -94,7 +82,7 @@ class FailureResult(NamedTuple):
     detected_by: str | None  #: First fault detected; None if there was none.
     detection_time: float | None
     """Time from the event to the fault [s]; negative for a false alarm."""
-    state: str  #: One of `STATES`.
+    state: str  #: How it ends, see the module.
     message: str  #: What left its bounds; empty otherwise.
     pressure_peak: Peak  #: Largest chamber pressure from the event on [Pa].
     pressure_least: Peak  #: Least chamber pressure from the event on [Pa], gauge.
@@ -125,7 +113,10 @@ def measure(
     stop = record["stop_force"][1:]
     load = record["leg_force"][:-1] - np.sign(extension) * stop
     force = record["crew_accelerometer"][1:]
-    acceleration = _without_gravity(plant, record["generalised_position"][:-1], force)
+    start = plant.model.joint("platform").qposadr[0] + 3
+    position = record["generalised_position"][:-1, start : start + 4]
+    turn = Rotation.from_quat(position, scalar_first=True)
+    acceleration = turn.apply(force.copy()) + plant.model.opt.gravity
     time = record.time[:-1]
     after = time >= event.at
     chambers = np.stack([record["cap_pressure"][:-1], record["rod_pressure"][:-1]], axis=2)
@@ -157,15 +148,6 @@ def measure(
         impact_speed=impact,
         record=_thinned(record, load, acceleration),
     )
-
-
-def _without_gravity(
-    plant: Hexapod, position: NDArray[np.float64], force: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """A = R f + g in the world's axes, (N, 3)."""
-    start = plant.model.joint("platform").qposadr[0] + 3
-    turn = Rotation.from_quat(position[:, start : start + 4], scalar_first=True)
-    return turn.apply(force.copy()) + plant.model.opt.gravity
 
 
 def extreme(
@@ -200,7 +182,7 @@ def _contacts(
 
 
 def _final_state(record: Record, at: float, half: NDArray[np.float64], contact: Peak | None) -> str:
-    """One of `STATES` for a run that stayed in bounds."""
+    """How a run that stayed in bounds ends."""
     time, extension = record.time, record["leg_extension"]
     end = extension[-1]
     last = extension[time >= time[-1] - 1.0]
