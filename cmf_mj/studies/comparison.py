@@ -46,12 +46,7 @@ PUBLISHED = ("phase_bandwidth_hz", "gain_bandwidth_hz", "damping_ratio")
 """Published values in `comparison.csv`."""
 
 COLUMNS = (
-    "plant",
-    "cab",
-    "hydraulics",
-    "law",
-    "dof",
-    *MEASURED,
+    *("plant", "cab", "hydraulics", "law", "dof", *MEASURED),
     *(f"published_{name}" for name in PUBLISHED),
 )
 """Header of `comparison.csv`."""

@@ -5,8 +5,9 @@ the model closed with the law and compared with the measured loop as in Table 4-
 on a grid of ARX models by their fit to the validation run; the model is then refined.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -109,7 +110,12 @@ def identify(
     if orders is None:
         selection = select_orders(estimation, validation, **_GRID)
         orders = selection.best().orders
-    model = _fit(estimation, Orders(*orders), method)
+    fits: dict[Method, Callable[..., PolynomialModel]] = {
+        "arx": arx,
+        "iv": partial(instrumental_variable, instrument="reference"),
+        "oe": output_error,
+    }
+    model = fits[method](estimation, Orders(*orders))
     continuous = to_continuous(model)
     broad = [r for r in records if r.signal.kind in _BROAD]
     recorded = records[-1].metadata.get("law")
@@ -132,14 +138,6 @@ def identify(
         plant_response(broad[-1], axis) if broad else None,
         loop,
     )
-
-
-def _fit(runs: list[Experiment], orders: Orders, method: Method) -> PolynomialModel:
-    if method == "arx":
-        return arx(runs, orders)
-    if method == "iv":
-        return instrumental_variable(runs, orders, instrument="reference")
-    return output_error(runs, orders)
 
 
 def excitation(kind: Signal, dof: str, amplitude: float | None = None, *, seed: int = 0) -> Command:

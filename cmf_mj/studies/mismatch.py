@@ -25,7 +25,6 @@ from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Settings, validated
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.electronics.sensors.settings import CHANNELS, SensorSettings, load_sensors
-from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.parameters.hydraulics import (
     ACTUATOR_FIELDS,
     VALVE_FIELDS,
@@ -115,18 +114,15 @@ class Mismatch(Settings):
         }
 
 
-def valve_gains(seed: int | None, actuators: int = len(DOFS)) -> NDArray[np.float64]:
-    """Valve gain of each actuator over the nominal, uniform within `VALVE_GAINS`; ones for None."""
+def valve_gains(seed: int | None) -> NDArray[np.float64]:
+    """Valve gains of six actuators over the nominal, uniform within `VALVE_GAINS`; 1 for None."""
     if seed is None:
-        return np.ones(actuators)
-    return 1.0 + VALVE_GAINS * np.random.default_rng(seed).uniform(-1.0, 1.0, actuators)
+        return np.ones(6)
+    return 1.0 + VALVE_GAINS * np.random.default_rng(seed).uniform(-1.0, 1.0, 6)
 
 
 def with_valve_gains(parameters: HydraulicParameters, seed: int | None) -> HydraulicParameters:
-    """A hydraulic set whose legs 1 to 6 have the speeds of `valve_gains`.
-
-    The nominal set where `seed` is None.
-    """
+    """A hydraulic set whose legs 1 to 6 have the speeds of `valve_gains`; for None itself."""
     if seed is None:
         return parameters
     speed = parameters.leg_speed
@@ -146,12 +142,8 @@ def with_gain_errors(errors: dict[str, NDArray[np.float64]]) -> ElectronicsSetti
         return None
     table = load_sensors("ideal").model_dump(exclude_none=True)
     for name, values in errors.items():
-        table[name] = {
-            "gain_errors": [
-                {"value": float(e), "unit": "1", "status": "assumed", "source": "drawn"}
-                for e in values
-            ]
-        }
+        known = {"unit": "1", "status": "assumed", "source": "drawn"}
+        table[name] = {"gain_errors": [{"value": float(error), **known} for error in values]}
     sensors = validated(SensorSettings, table | {"name": "mismatched"}, "mismatched")
     return ElectronicsSettings(sensors=sensors, converters="off")
 
@@ -162,10 +154,7 @@ def _stream(seed: int, draw: int, name: str) -> np.random.Generator:
 
 
 def _changed(nominal: Quantity, spread: Spread, x: float, draw: int) -> dict[str, object]:
+    known = {"status": spread.status, "source": f"draw {draw}"}
     if spread.effect == "offset":
-        return {"value": 100.0 * x, "unit": "%", "status": spread.status, "source": f"draw {draw}"}
-    return nominal.model_dump() | {
-        "value": nominal.value * (1.0 + x),
-        "status": spread.status,
-        "source": f"draw {draw}",
-    }
+        return {"value": 100.0 * x, "unit": "%", **known}
+    return nominal.model_dump() | {"value": nominal.value * (1.0 + x), **known}

@@ -2,7 +2,7 @@
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -16,13 +16,12 @@ _FILE = Path(__file__).with_name("studies.toml")
 Measure = Literal["phase", "gain", "damping"]
 """Frequency of -90 deg, of -3 dB from absolute 0 dB, damping ratio from a step's overshoot."""
 
-MEASURES: tuple[Measure, ...] = get_args(Measure)
-
-_FIELDS: dict[Measure, str] = {
+MEASURES: dict[Measure, str] = {
     "phase": "phase_bandwidth_hz",
     "gain": "gain_bandwidth_hz",
     "damping": "damping_ratio",
 }
+"""Fields of `Measures` and `Published` by measure."""
 
 ParameterName = Literal[
     "leg_speed",
@@ -40,7 +39,7 @@ _Measures = Annotated[tuple[Measure, ...], Field(strict=False)]
 
 def computed(measures: Measures, measure: Measure) -> float:
     """One of the `MEASURES`."""
-    return float(getattr(measures, _FIELDS[measure]))
+    return float(getattr(measures, MEASURES[measure]))
 
 
 class Parameter(Settings):
@@ -82,7 +81,7 @@ class Row(Settings):
 
     def printed(self, measure: Measure) -> float:
         """A printed number, NaN where there is none."""
-        value = getattr(self.published, _FIELDS[measure])
+        value = getattr(self.published, MEASURES[measure])
         return float("nan") if value is None else float(value)
 
 

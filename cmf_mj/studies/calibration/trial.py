@@ -15,14 +15,13 @@ import numpy as np
 
 from cmf_mj.analysis.frequency_response import bandwidths
 from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.loop import closed_loop, loop_response, loop_step
+from cmf_mj.analysis.linear.loop import closed_loop, loop_response
 from cmf_mj.analysis.linear.reduction import leg_model
-from cmf_mj.analysis.measures import Measures, joined, least_damped_mode
-from cmf_mj.analysis.step_response import measure_step, step_metrics
+from cmf_mj.analysis.measures import Measures, joined, least_damped_mode, measure_loop
+from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import validated
 from cmf_mj.core.threads import on_threads
 from cmf_mj.machine.kinematics import DOFS
@@ -113,13 +112,9 @@ def linear_results(
 
 
 def _measure(loop: control.StateSpace, step: bool) -> Measures:
-    widths = bandwidths(loop_response(loop, _LINES))
-    stable = bool(np.all(np.abs(loop.poles()) < 1.0 + 1e-9))
-    if not (stable and step):
-        return joined(widths)._replace(stable=stable)
-    _, reached = loop_step(loop, _STEP)
-    static = float(np.real(np.squeeze(loop.dcgain())))
-    return joined(widths, measure_step(reached, 1.0 / FRAME, final=static))
+    if step:
+        return measure_loop(loop, frequencies=_LINES, duration=_STEP)
+    return joined(bandwidths(loop_response(loop, _LINES)))
 
 
 def least_damping(study: Study, values: Values) -> dict[str, float]:

@@ -6,6 +6,7 @@ which neither overshoots nor jumps in velocity, and sampled at 2048 Hz.
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -52,16 +53,15 @@ def manoeuvre(
             raise InputError(f"frequency: {frequency:g} Hz is not allowed; a step has none")
         return signals.step(dof, size)
     rate = _FREQUENCIES[kind] if frequency is None else frequency
+    options: dict[str, Any] = {"stop": rate}
     if kind == "sine":
         signals.check_positive(frequency=rate)
-        return signals.sine(
-            dof, size, rate, cycles=max(_CYCLES, np.ceil(_SECONDS * rate)), fade=1.0 / rate
-        )
-    if kind == "chirp":
-        return signals.chirp(dof, size, stop=rate, fade=1.0)
-    if kind == "noise":
-        return signals.noise(dof, size, stop=rate)
-    return signals.multisine(dof, size, stop=rate, fade=2.0)
+        cycles = max(_CYCLES, np.ceil(_SECONDS * rate))
+        options = {"frequency": rate, "cycles": cycles, "fade": 1.0 / rate}
+    elif kind != "noise":
+        options["fade"] = 1.0 if kind == "chirp" else 2.0
+    command: Command = getattr(signals, kind)(dof, size, **options)
+    return command
 
 
 def read_poses(path: str | Path) -> Command:
