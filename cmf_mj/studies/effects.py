@@ -5,7 +5,7 @@ drawn once and run with every law: a share of machines has Wilson's score interv
 two laws is the mean over the machines both ran on, with Student's t interval.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise, product
 from typing import Any, NamedTuple
 
@@ -14,7 +14,6 @@ import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from cmf_mj.core.errors import check_name
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.studies.settings import NOMINAL
 
@@ -149,20 +148,13 @@ def rates(table: pa.Table) -> list[Rate]:
     return every
 
 
-def law_effects(
-    table: pa.Table,
-    laws: Sequence[str],
-    *,
-    against: str = "position_error_rate",
-    dofs: Sequence[str] = DOFS[3:],
-) -> list[Effect]:
-    """What laws change against another, machine by machine."""
+def law_effects(table: pa.Table, against: str) -> list[Effect]:
+    """What all other laws change in rotation against one, machine by machine."""
     rows = _drawn(table)
-    for law in (against, *laws):
-        check_name("laws", law, in_order(rows, "law"))
+    laws = [law for law in in_order(rows, "law") if law != against]
     by_case = {(r["cab"], r["law"], r["dof"], r["draw"]): r for r in rows}
     effects = []
-    for cab, law, dof in product(in_order(rows, "cab"), laws, dofs):
+    for cab, law, dof in product(in_order(rows, "cab"), laws, DOFS[3:]):
         pairs = [
             (row, by_case[cab, against, dof, draw])
             for (*case, draw), row in by_case.items()
@@ -200,20 +192,16 @@ def agreement(table: pa.Table) -> list[Agreement]:
     keys = [key for key in simulated if key in linear]
     rows = []
     for law in dict.fromkeys(key[0] for key in keys):
+        pairs = {key: (simulated[key], linear[key]) for key in keys if key[0] == law}
         machines: dict[tuple[Any, ...], list[Pair]] = {}
-        for key in keys:
-            if key[0] == law:
-                machines.setdefault(key[:-1], []).append((simulated[key], linear[key]))
-        same = sum(
-            all(one["stable"] for one, _ in pairs) == pairs[0][1]["stable"]
-            for pairs in machines.values()
-        )
-        both = _stable(pair for pairs in machines.values() for pair in pairs)
+        for key, pair in pairs.items():
+            machines.setdefault(key[:-1], []).append(pair)
+        same = [all(one["stable"] for one, _ in p) == p[0][1]["stable"] for p in machines.values()]
         phase, damping = (
-            _median(np.abs(_differences(both, name)))
+            _median(np.abs(_differences(_stable(pairs.values()), name)))
             for name in ("phase_bandwidth_hz", "damping_ratio")
         )
-        rows.append(Agreement(law, len(machines), same, phase, damping))
+        rows.append(Agreement(law, len(same), sum(same), phase, damping))
     return rows
 
 
@@ -251,15 +239,12 @@ def largest_crosstalk(row: Row) -> float:
     return float(np.max([row[f"crosstalk_{dof}"] for dof in DOFS if dof != row["dof"]]))
 
 
-def crosstalk_matrix(
-    rows: Sequence[Row], reduce: Callable[[NDArray[np.float64]], float]
-) -> NDArray[np.float64]:
-    """Crosstalk (6, 6), moved in rows and driven in columns, reduced over the machines."""
+def crosstalk_matrix(rows: Sequence[Row], quantile: float) -> NDArray[np.float64]:
+    """A quantile over the machines of the crosstalk, (6, 6), moved in rows, driven in columns."""
     matrix = np.full((len(DOFS), len(DOFS)), np.nan)
     for column, driven in enumerate(DOFS):
         part = [row for row in rows if row["dof"] == driven and row["stable"]]
-        for line, moved in enumerate(DOFS):
-            values = np.array([row[f"crosstalk_{moved}"] for row in part], dtype=float)
-            if moved != driven and values.size:
-                matrix[line, column] = reduce(values)
+        if part:
+            gains = [[row[f"crosstalk_{moved}"] for moved in DOFS] for row in part]
+            matrix[:, column] = np.quantile(np.array(gains, dtype=float), quantile, axis=0)
     return matrix

@@ -25,9 +25,6 @@ from cmf_mj.studies.settings import Study, StudyCase
 Backend = Literal["threading", "loky", "dask"]
 """Threads, for compiled simulation releases the interpreter lock; processes; a Dask cluster."""
 
-Work = Callable[[Sequence[StudyCase]], list[tuple[int, list[StudyRow]]]]
-"""What a worker does with cases."""
-
 
 class WorkerDied(RuntimeError):
     """The process that ran a case ended: killed, out of memory, or crashed."""
@@ -103,7 +100,7 @@ def run_study(
 
 
 def _results(
-    cases: list[StudyCase], jobs: int, work: Work = attempt
+    cases: list[StudyCase], jobs: int, work: Callable[..., Any] = attempt
 ) -> Iterator[tuple[int, list[StudyRow]]]:
     """What cases give, as they finish.
 

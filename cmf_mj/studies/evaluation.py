@@ -58,15 +58,8 @@ MULTISINE_PERIOD = 30.0
 """Of the orthogonal multisines [s]: a line every 0.4 Hz a degree of freedom."""
 
 MEASURED = (
-    "stable",
-    "phase_bandwidth_hz",
-    "gain_bandwidth_hz",
-    "peak_gain_db",
-    "overshoot",
-    "damping_ratio",
-    "steady_state_error",
-    "mode_damping_ratio",
-    "mode_frequency_hz",
+    *("stable", "phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db", "overshoot"),
+    *("damping_ratio", "steady_state_error", "mode_damping_ratio", "mode_frequency_hz"),
 )
 ROW_COLUMNS = (
     "dof",

@@ -175,12 +175,10 @@ class MatrixStudy:
     """Of the 6 by 6 model closed with the law, pressures identified too."""
 
 
-def identify_matrix(
-    case: Case, *, orders: Orders | tuple[int, int, int] = MATRIX_ORDERS, shared: str = "heave"
-) -> MatrixStudy:
+def identify_matrix(case: Case) -> MatrixStudy:
     """Identify all degrees of freedom at once on orthogonal multisines and score the models.
 
-    `shared` is the degree of freedom whose model is tried everywhere.
+    The model of heave is tried everywhere.
     """
     sizes = REPORT_AMPLITUDES.tolist()
     first, second = (
@@ -191,22 +189,15 @@ def identify_matrix(
         )
         for seed in (1, 2)
     )
-    comparison = compare_dofs(
-        experiment(first, DOFS), experiment(second, DOFS), orders, shared=shared
-    )
-    whole = arx(experiment(first, DOFS, outputs=_CHANNELS), orders)
+    series = experiment(first, DOFS), experiment(second, DOFS)
+    comparison = compare_dofs(*series, MATRIX_ORDERS, shared="heave")
+    whole = arx(experiment(first, DOFS, outputs=_CHANNELS), MATRIX_ORDERS)
     shared_hz, matrix_hz = loop_bandwidths(case, comparison.model, whole)
     measured = []
     for dof, size in zip(DOFS, sizes, strict=True):
         record = case.run(signals.multisine(dof, size, periods=2))
         measured.append(bandwidths(frequency_response(record)).phase_hz)
-    return MatrixStudy(
-        first.metadata["law"],
-        comparison,
-        tuple(measured),
-        shared_hz,
-        matrix_hz,
-    )
+    return MatrixStudy(first.metadata["law"], comparison, tuple(measured), shared_hz, matrix_hz)
 
 
 def loop_bandwidths(

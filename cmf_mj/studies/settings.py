@@ -7,12 +7,6 @@
     draws = 100                        # machines with mismatch, and the nominal one
     simulate_every = 50                # every 50th is also simulated, by `matrix`
 
-    [mismatch.hydraulics.leak_rate]
-    distribution = "lognormal"
-    deviation = 30.0
-    status = "assumed"
-    source = "wear of the seals"
-
 A file may begin with `base = "mismatch"`, the name of a shipped specification, and repeat only what
 it changes. The cases are the product of rungs, cabs, poses, draws, laws and degrees of freedom, in
 this order.

@@ -144,15 +144,8 @@ class Rung:
 
 
 EFFECTS = (
-    "single_legs",
-    "point_mass",
-    "payload_inertia",
-    "centre_of_mass",
-    "leg_inertia",
-    "supply",
-    "friction",
-    "electronics",
-    "delay",
+    *("single_legs", "point_mass", "payload_inertia", "centre_of_mass", "leg_inertia"),
+    *("supply", "friction", "electronics", "delay"),
 )
 """What each rung adds to the one before, which is also its name."""
 

@@ -16,7 +16,7 @@ import time as clock
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,21 +90,6 @@ def in_mujoco(
     return Trajectory(step, record.time, record["leg_extension"], pressure, cpu_time)
 
 
-def exudyn_machine(plant: Hexapod) -> Any:
-    """The machine of a plant in Exudyn, `Machine` of `tests/crosscheck/machine.py`.
-
-    Raises `MissingExtraError` without exudyn or outside a checkout of the repository.
-    """
-    if not (_TESTS / "crosscheck").is_dir():
-        raise MissingExtraError(
-            "the cross-verification needs a checkout of the repository: the installed package "
-            "does not hold tests/crosscheck"
-        )
-    if str(_TESTS) not in sys.path:
-        sys.path.append(str(_TESTS))
-    return import_module("crosscheck.machine").Machine(plant)
-
-
 def extrapolated(coarse: Trajectory, fine: Trajectory) -> Trajectory:
     """Richardson's extrapolation, order 2, of two runs of which one has half the step."""
     return fine._replace(
@@ -134,7 +119,7 @@ def verify(
 
     The hydraulic set must have a constant supply and no losses. `parts` are mechanical steps to a
     control frame, at least three, each twice the one before; `progress` is called with (runs done,
-    runs in all). Raises `MissingExtraError` as `exudyn_machine`.
+    runs in all). Raises `MissingExtraError` without exudyn or outside a checkout.
     """
     pairs = zip(parts, parts[1:], strict=False)
     if len(parts) < 3 or parts[0] < 1 or any(b != 2 * a for a, b in pairs):
@@ -145,7 +130,14 @@ def verify(
         raise InputError(f"seconds: {seconds} must be at least {2 / RATE} s, two frames")
     parameters = load_hydraulics(hydraulics)
     valves = valve_sines(seconds)
-    machine = exudyn_machine(Hexapod(cab, parameters))
+    if not (_TESTS / "crosscheck").is_dir():
+        raise MissingExtraError(
+            "the cross-verification needs a checkout of the repository: the installed package "
+            "does not hold tests/crosscheck"
+        )
+    if str(_TESTS) not in sys.path:
+        sys.path.append(str(_TESTS))
+    machine = import_module("crosscheck.machine").Machine(Hexapod(cab, parameters))
     report = progress or (lambda done, total: None)
     trajectories: dict[str, list[Trajectory]] = {engine: [] for engine in ENGINES}
     total = 2 * len(parts)

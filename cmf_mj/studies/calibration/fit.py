@@ -112,14 +112,6 @@ def _cost_vector(study: Study, values: Values, shift: Shift) -> NDArray[np.float
     return np.asarray(cost, dtype=float)
 
 
-def _shift(stage: Stage) -> Shift:
-    """What linearisation misses at the parameters of a stage, by law and measure."""
-    return {
-        law: {m: computed(simulated, m) - computed(stage.linear[law], m) for m in MEASURES}
-        for law, simulated in stage.simulated.items()
-    }
-
-
 def calibrate(
     study: Study,
     *,
@@ -153,7 +145,11 @@ def calibrate(
     for number in range(1, rounds + 1):
         report(f"{study.name}: round {number} of {rounds}")
         last = stages[-1]
-        shift = _shift(last)
+        # What linearisation misses at the parameters of the last stage, by law and measure.
+        shift = {
+            law: {m: computed(simulated, m) - computed(last.linear[law], m) for m in MEASURES}
+            for law, simulated in last.simulated.items()
+        }
 
         def cost(
             share: NDArray[np.float64], last: Stage = last, shift: Shift = shift

@@ -5,10 +5,8 @@ pressure. A leg that carries the load F moves at a speed in proportion to the ro
 
     d = (A_cap Ps - F) / (A_cap + A_rod)
 
-across its ports. At 0.8 of 1500 psi and 7200 lbf the root has fallen by 13 %, and the loop gain
-with it: as much as the DC gains of the report's fits to its hardware, 0.286 to 0.352 in/s per
-%, differ from their middle (Eqs 4.4, 4.12, 4.15, 4.18). Laws are tuned to no better than that.
-The accumulators then still hold half of their oil, and the relief and pilot stages are far away.
+across its ports. At 0.8 of 1500 psi and 7200 lbf the root, and the loop gain, has fallen by 13 %,
+as far as the report's fits to its hardware differ (Eqs 4.4, 4.12, 4.15, 4.18).
 """
 
 from pathlib import Path

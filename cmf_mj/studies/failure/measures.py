@@ -128,6 +128,11 @@ def measure(
         parts = (~after, after, free)
         return Phases(*(extreme(time, values, where, np.abs) for where in parts))
 
+    rows = slice(0, load.shape[0], _KEEP)
+    channels = {name: values[rows] for name, values in record.channels.items()}
+    channels |= {"axial_load": load[rows], "crew_acceleration": acceleration[rows]}
+    named = {**record.units, "axial_load": "N", "crew_acceleration": "m/s^2"}
+    metadata = {**record.metadata, "sample_rate": record.rate / _KEEP}
     state = "out_of_bounds" if message else _final_state(record, event.at, half, contact)
     return FailureResult(
         event=event,
@@ -146,7 +151,7 @@ def measure(
         supply_least=extreme(time, record["supply_pressure"][:-1], after, np.negative),
         contact_speed=contact,
         impact_speed=impact,
-        record=_thinned(record, load, acceleration),
+        record=Record(record.time[rows], channels, named, metadata),
     )
 
 
@@ -201,15 +206,3 @@ def _final_state(record: Record, at: float, half: NDArray[np.float64], contact: 
     if final <= FOLLOWING:
         return "degraded"
     return "holding" if still else "moving"
-
-
-def _thinned(
-    record: Record, load: NDArray[np.float64], acceleration: NDArray[np.float64]
-) -> Record:
-    """A record of fewer rows, with the channels of this study."""
-    rows = slice(0, load.shape[0], _KEEP)
-    channels = {name: values[rows] for name, values in record.channels.items()}
-    channels |= {"axial_load": load[rows], "crew_acceleration": acceleration[rows]}
-    named = {**record.units, "axial_load": "N", "crew_acceleration": "m/s^2"}
-    metadata = {**record.metadata, "sample_rate": record.rate / _KEEP}
-    return Record(record.time[rows], channels, named, metadata)

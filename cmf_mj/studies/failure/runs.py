@@ -1,10 +1,10 @@
 """Runs of one event each, on a new machine that moves in a sine from rest to rest."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from cmf_mj.control.protection import ProtectionSettings, load_protection
+from cmf_mj.control.protection import ProtectionSettings
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
@@ -24,9 +24,6 @@ AMPLITUDES = (6.0 * units.INCH, 4.0 * units.DEGREE)
 
 FREQUENCY = 0.5
 """Default frequency of the manoeuvre [Hz]; 6 in then move a leg at 16 in/s."""
-
-AT = 4.0
-"""Default time of the event [s]: after the fade-in, at the largest speed of the default sine."""
 
 AFTER = 26.0
 """Default length of the run after the event [s]: pump lost, noticed after 11 s, and settled."""
@@ -89,22 +86,7 @@ def run_failure(
 
 
 def run_failures(
-    events: Sequence[Event],
-    case: Case | None = None,
-    *,
-    frequency: float = FREQUENCY,
-    after: float = AFTER,
-    protection: str | Path | ProtectionSettings | None = "default",
-    jobs: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    events: Sequence[Event], case: Case | None = None, *, jobs: int | None = None, **options: Any
 ) -> list[FailureResult]:
-    """Run several events, each on a new machine, on threads.
-
-    Arguments as for `run_failure`; `progress` is called with (runs done, runs in all) after each.
-    """
-    guard = None if protection is None else load_protection(protection)
-
-    def one(event: Event) -> FailureResult:
-        return run_failure(event, case, frequency=frequency, after=after, protection=guard)
-
-    return on_threads(one, events, jobs, progress)
+    """Run several events with the options of `run_failure`, each on a new machine, on threads."""
+    return on_threads(lambda event: run_failure(event, case, **options), events, jobs)

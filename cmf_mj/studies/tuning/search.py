@@ -86,18 +86,17 @@ def search(
     seeds: Seeds = (None, 1),
     evaluations: int = 24,
     seed: int = 1,
-    start: Sequence[float] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> SearchResult:
     """Search the gains of a law by CMA-ES.
 
-    `seeds` are sets of valve gains (`valve_gains`); about `evaluations` laws are tried, from
-    `start` or else the values of the form. `progress` is called with (laws tried, laws in all).
+    `seeds` are sets of valve gains (`valve_gains`); about `evaluations` laws are tried. `progress`
+    is called with (laws tried, laws in all).
     """
     if evaluations < 1:
         raise InputError(f"evaluations: {evaluations} must be at least 1")
     limits, chosen = limits or Limits(), FORMS[check_name("form", form, FORMS)]
-    first = np.array(chosen.start if start is None else start)
+    first = np.array(chosen.start)
     low, high = np.array(list(chosen.free.values())).T
 
     def values_of(point: NDArray[np.float64]) -> list[float]:
