@@ -20,13 +20,8 @@ def correlation_delay(
 ) -> float:
     """Delay of the response [s]: lag of the largest cross-correlation, parabola through the peak.
 
-    Means are removed.
-
-    Args:
-        demand: (N,).
-        response: (N,).
-        rate: sampling rate [Hz].
-        longest: largest delay looked for [s], less than the period of a periodic demand.
+    Means are removed. `longest` is the largest delay looked for [s], less than the period of a
+    periodic demand.
     """
     x, y = demand - demand.mean(), response - response.mean()
     correlation = signal.correlate(y, x, method="fft")
@@ -48,11 +43,7 @@ def transient_delay(
 ) -> float:
     """Delay that brings a demand closest to its response, offset and gain left free [s].
 
-    Args:
-        demand: (N,), at rest at the start.
-        response: (N,).
-        rate: sampling rate [Hz].
-        longest: largest delay looked for [s].
+    The demand is at rest at the start; `longest` is the largest delay looked for [s].
     """
     time = np.arange(demand.size) / rate
     spline = interpolate.make_interp_spline(time, demand, k=3)

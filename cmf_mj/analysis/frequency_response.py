@@ -95,13 +95,7 @@ class Bandwidths(NamedTuple):
 
 
 def dof_history(record: Record, channel: str, dof: str) -> NDArray[np.float64]:
-    """A leg channel (N, 6) transformed to one degree of freedom, or one leg of it, (N,) [m or rad].
-
-    Args:
-        record: holding the channel.
-        channel: name of a channel of leg positions.
-        dof: degree of freedom, or `leg_1` and so on.
-    """
+    """A leg channel (N, 6) along a degree of freedom, or of one leg, `leg_1` and so on, (N,)."""
     if not dof.startswith("leg_"):
         index = dof_index(dof)
         return legs_to_pose(record[channel])[:, index]
@@ -169,18 +163,10 @@ def excited_response(
     command: Signal,
     segment: float = SEGMENT,
 ) -> Estimate:
-    """Response from x to y by H1, over whole periods of a multisine, by Welch's method otherwise.
+    """Response by H1, over whole periods of a multisine, by Welch's method otherwise.
 
-    Args:
-        x: input, (N,).
-        y: output, (N,).
-        rate: samples a second [Hz].
-        command: the excitation, `Record.signal`.
-        segment: length of Welch's segments [s].
-
-    Raises:
-        InputError: a period that is not a whole number of samples, or a record shorter than a
-            segment.
+    x and y are (N,), `command` is the excitation, `Record.signal`. Raises `InputError` for a period
+    that is not a whole number of samples, or a record shorter than a segment.
     """
     if not isinstance(command, Multisine):
         band = _band(command, rate, segment)
@@ -209,15 +195,8 @@ def rounds_response(
 
     Where a record carries its dwells, each is fitted by least squares over whole cycles. Records
     without are put end to end, as the report does, estimated by Welch's method, and of its lines
-    those are kept that the demand drives.
-
-    Args:
-        records: of one degree of freedom.
-        dof: degree of freedom, or a leg; default the one the first command moved.
-        segment: length of Welch's segments [s].
-
-    Raises:
-        InputError: no records, different rates, or no demand in this degree of freedom.
+    those are kept that the demand drives. `dof` is a degree of freedom or a leg, default the one
+    the first command moved.
     """
     if not records:
         raise InputError("records: none given; at least one is needed")
@@ -256,14 +235,9 @@ def rounds_response(
 def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
     """The full 6 by 6 response from pose demand to pose feedback, of one run.
 
-    Each column is measured at its lines and interpolated to the lines of all, NaN outside
-    them; m and rad per m and rad, outputs in rows.
-
-    Args:
-        record: of `signals.orthogonal_multisines` in all six degrees of freedom.
-
-    Raises:
-        InputError: another excitation, or a degree of freedom at rest.
+    The record is of `signals.orthogonal_multisines` in all six degrees of freedom. Each column is
+    measured at its lines and interpolated to the lines of all, NaN outside them; m and rad per m
+    and rad, outputs in rows.
     """
     command = record.signal_as(OrthogonalMultisines)
     whole = slice(round(command.period * record.rate) * command.periods)

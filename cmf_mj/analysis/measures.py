@@ -93,10 +93,7 @@ def joined(
 ) -> Measures:
     """Measures from those of a response, of a step and of a mode; what is absent is NaN.
 
-    Args:
-        widths: of `bandwidths`.
-        step: of `step_metrics` or `measure_step`.
-        mode: damping ratio and frequency [Hz] of a pair of poles.
+    `mode` is the damping ratio and the frequency [Hz] of a pair of poles.
     """
     values: dict[str, Any] = dict(zip(Measures._fields, widths or (), strict=False))
     values |= step._asdict() if step is not None else {}
@@ -111,11 +108,6 @@ def sweep_response(
     """Response of a sweep, or None where the legs go so far apart that no platform joins them.
 
     Single legs can; the verdict on the step then says unstable.
-
-    Args:
-        sweep: of a chirp or another broad excitation.
-        dof: degree of freedom or leg; default the degree of freedom the command moved.
-        segment: length of Welch's segments [s].
     """
     try:
         return frequency_response(sweep, dof, segment=segment)
@@ -126,17 +118,7 @@ def sweep_response(
 def measure_records(
     sweep: Record, step: Record, dof: str | None = None, *, segment: float = SEGMENT
 ) -> Measures:
-    """Measure a law on records of a sweep and of a step.
-
-    Args:
-        sweep: of a chirp or another broad excitation.
-        step: of a step that goes on for at least five seconds.
-        dof: degree of freedom; default the one that each command moved.
-        segment: length of Welch's segments [s].
-
-    Raises:
-        InputError: `step` is not of a step, or too short.
-    """
+    """Measure a law on records of a sweep and of a step of at least five seconds."""
     response = sweep_response(sweep, dof, segment=segment)
     widths = bandwidths(response) if response is not None else None
     return joined(widths, step_metrics(step, dof))
@@ -148,16 +130,10 @@ def measure_loop(
     frequencies: ArrayLike = FREQUENCIES,
     duration: float = STEP_DURATION,
 ) -> Measures:
-    """Measure a closed loop from one reference to one output.
+    """Measure a closed loop of one reference and one output, discrete at 2048 Hz.
 
-    Its mode is the slowest that oscillates.
-
-    Args:
-        loop: of `closed_loop`, discrete at 2048 Hz.
-        output: index of the output.
-        input: index of the input.
-        frequencies: lines the bandwidths are read from [Hz], ascending.
-        duration: length of the step [s].
+    Its mode is the slowest that oscillates. `frequencies` [Hz] are the lines the bandwidths are
+    read from, `duration` is the length of the step [s].
     """
     lines = np.asarray(frequencies, dtype=np.float64)
     poles = np.asarray(loop.poles(), dtype=complex)
@@ -208,12 +184,9 @@ def _mode(pairs: NDArray[np.complex128], rank: NDArray[np.float64]) -> tuple[flo
 def crosstalk(response: NDArray[np.complex128], unit: ArrayLike) -> NDArray[np.float64]:
     """Largest gains from the demand of one axis to the motion of another, (n, n).
 
-    Rows are moved by columns and count in `unit`: 1 is as much as was asked for. The diagonal is
-    NaN.
-
-    Args:
-        response: (n, n, K), outputs in rows; lines that are NaN are passed over.
-        unit: what motion of each axis counts alike, such as 0.33 in and 0.2 deg, (n,).
+    `response` is (n, n, K), outputs in rows; lines that are NaN are passed over. Rows are moved by
+    columns and count in `unit`, what motion of each axis counts alike, such as 0.33 in and 0.2 deg,
+    (n,): 1 is as much as was asked for. The diagonal is NaN.
     """
     size = np.asarray(unit, dtype=float)
     gains = np.nanmax(np.abs(response), axis=-1) * size[None, :] / size[:, None]

@@ -5,7 +5,6 @@ what its docstring says and no more. Nothing here passes or fails: no acceptance
 Amplitudes are peak values, `rms` is root mean square over whole cycles.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -46,14 +45,7 @@ class Noise(NamedTuple):
 def harmonics(samples: Signal, rate: float, frequency: float, count: int) -> Harmonics:
     """Fit offset + sum a_k sin(2 pi k f t + phi_k), k = 1..count, by least squares.
 
-    Args:
-        samples: (N,), at least one cycle.
-        rate: sampling rate [Hz].
-        frequency: of the fundamental [Hz].
-        count: number of harmonics.
-
-    Raises:
-        InputError: less than a cycle, or a harmonic at or above half the sampling rate.
+    The samples (N,) at `rate` [Hz] hold at least one cycle of `frequency` [Hz].
     """
     if frequency <= 0.0 or samples.size < rate / frequency:
         raise InputError(
@@ -80,16 +72,9 @@ def acceleration_noise(
 ) -> Noise:
     """Split the acceleration of a sinusoidal motion into fundamental, harmonics and noise.
 
-    Cut to whole cycles from the end. Half-hertz noise is this at 0.5 Hz over amplitude.
-
-    Args:
-        acceleration: (N,).
-        rate: sampling rate [Hz].
-        frequency: of the motion [Hz].
-        highest: highest harmonic counted, less where the sampling rate allows less.
-
-    Raises:
-        InputError: less than a cycle, or too low a rate for the third harmonic.
+    Cut to whole cycles of `frequency` [Hz] from the end. Half-hertz noise is this at 0.5 Hz over
+    amplitude. `highest` is the highest harmonic counted, less where the sampling rate allows less;
+    it must allow the third.
     """
     cycles = int(np.floor(acceleration.size * frequency / rate + 1e-9))
     if cycles < 1:
@@ -117,37 +102,19 @@ def acceleration_noise(
     )
 
 
-def describing_function(
-    demand: Sequence[Signal], response: Sequence[Signal], rate: float, frequency: Sequence[float]
-) -> NDArray[np.complex128]:
-    """Fundamental gain and phase of sinusoidal runs, response over demand, (runs,).
-
-    Each run is fitted with its fundamental alone: N(A, f) = (fundamental of the response) /
-    (fundamental of the demand). Gather runs over amplitude and frequency into a table.
-
-    Args:
-        demand: one signal a run.
-        response: one signal a run, of the same lengths.
-        rate: sampling rate [Hz].
-        frequency: of each run [Hz].
-    """
-    points = []
-    for x, y, f in zip(demand, response, frequency, strict=True):
-        into, out = (harmonics(s, rate, f, 1) for s in (x, y))
-        turn = np.exp(1j * (out.phase[0] - into.phase[0]))
-        points.append(out.amplitude[0] / into.amplitude[0] * turn)
-    return np.array(points)
+def describing_function(demand: Signal, response: Signal, rate: float, frequency: float) -> complex:
+    """Fundamental of a sinusoidal response over that of its demand, complex."""
+    into, out = (harmonics(s, rate, frequency, 1) for s in (demand, response))
+    turn = np.exp(1j * (out.phase[0] - into.phase[0]))
+    return out.amplitude[0] / into.amplitude[0] * turn
 
 
 def crosstalk(accelerations: NDArray[np.float64], driven: int) -> Signal:
-    """Undriven over driven acceleration, rms over rms, (6,); the driven entry is 1.
+    """Undriven over driven acceleration of a run (N, 6), rms over rms, (6,); the driven entry is 1.
 
     Between translations the figure is a ratio; between a rotation and a translation it is in
-    rad/s^2 per m/s^2 or the reverse. Six runs, one a row, make the crosstalk matrix.
-
-    Args:
-        accelerations: (N, 6) of one run, means removed here.
-        driven: index of the driven degree of freedom.
+    rad/s^2 per m/s^2 or the reverse. Six runs, one a row, make the crosstalk matrix. Means are
+    removed.
     """
     moving = accelerations - accelerations.mean(axis=0)
     rms = np.sqrt(np.mean(moving**2, axis=0))
@@ -161,13 +128,7 @@ def hysteresis(demand: Signal, response: Signal, rate: float, frequency: float) 
 
     The response is folded on one cycle by its harmonics and the widest gap between the rising and
     the falling branch taken. A linear delay d opens the loop too, by sin(2 pi f d): take a
-    frequency at which that is negligible.
-
-    Args:
-        demand: (N,) sinusoidal, at least one cycle.
-        response: (N,).
-        rate: sampling rate [Hz].
-        frequency: of the sine [Hz].
+    frequency at which that is negligible. Demand and response are (N,), of at least one cycle.
     """
     count = min(40, int(np.ceil(rate / 2 / frequency)) - 1)
     into, out = harmonics(demand, rate, frequency, 1), harmonics(response, rate, frequency, count)
@@ -215,10 +176,8 @@ def fit_second_order(
 ) -> SecondOrder:
     """Fit a second-order system with delay to a response by least squares on the complex misfit.
 
-    Args:
-        frequency: [Hz], (K,).
-        response: (K,).
-        highest: last frequency used [Hz]; default 1.5 times the first fall through -90 deg.
+    Lines [Hz] and response are (K,); `highest` is the last line used [Hz], default 1.5 times the
+    first fall through -90 deg.
     """
     phase = np.degrees(np.unwrap(np.angle(response)))
     late = np.flatnonzero(phase < -90.0)

@@ -25,7 +25,7 @@ from scipy.stats import qmc
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE, legs_to_pose, pose_to_legs
-from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
+from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod, HydraulicModes
 
 
@@ -66,40 +66,18 @@ class Range(NamedTuple):
 
 
 def reserve(pose: ArrayLike, plant: Hexapod) -> NDArray[np.float64]:
-    """Stroke left to the leg nearest its working limit [m], negative beyond it.
-
-    Args:
-        pose: (..., 6) [m, rad], z down.
-        plant: the hexapod.
-
-    Returns:
-        (...).
-    """
+    """Stroke left to the leg nearest its working limit [m] at poses (..., 6), < 0 beyond it."""
     return WORKING_STROKE - np.abs(pose_to_legs(pose, plant.geometry)).max(axis=-1)
 
 
-def _excursions(plant: Hexapod, dof: int, limits: MotionLimits, count: int) -> NDArray[np.float64]:
-    """Excursions over the envelope of one degree of freedom: neutral, and denser to the ends."""
-    reach = kinematics.excursion_envelope(WORKING_STROKE, plant.geometry)[dof]
-    low = max(reach[0], limits.operational[dof, 0])
-    high = min(reach[1], limits.operational[dof, 1])
-    along = np.sin(0.5 * np.pi * np.linspace(-1.0, 1.0, 2 * (count // 2) + 1))
-    return np.where(along < 0.0, -low, high) * along
-
-
-def sweep(
-    plant: Hexapod, dof: str, *, count: int = 21, limits: MotionLimits | None = None
-) -> Sweep:
-    """Frequencies along one degree of freedom, neutral included.
-
-    Args:
-        plant: the hexapod.
-        dof: degree of freedom.
-        count: excursions, odd.
-        limits: of motion; default the shipped ones.
-    """
+def sweep(plant: Hexapod, dof: str, *, count: int = 21) -> Sweep:
+    """Frequencies along one degree of freedom, neutral included, denser to the ends."""
     index = DOFS.index(dof)
-    excursions = _excursions(plant, index, limits or load_motion_limits(), count)
+    reach = kinematics.excursion_envelope(WORKING_STROKE, plant.geometry)[index]
+    allowed = load_motion_limits().operational[index]
+    low, high = max(reach[0], allowed[0]), min(reach[1], allowed[1])
+    along = np.sin(0.5 * np.pi * np.linspace(-1.0, 1.0, 2 * (count // 2) + 1))
+    excursions = np.where(along < 0.0, -low, high) * along
     poses = np.zeros((excursions.size, 6))
     poses[:, index] = excursions
     return Sweep(
@@ -107,9 +85,9 @@ def sweep(
     )
 
 
-def _reach(plant: Hexapod, direction: NDArray[np.float64], limits: MotionLimits) -> float:
+def _reach(plant: Hexapod, direction: NDArray[np.float64]) -> float:
     """How many times a direction (6,) leads from neutral to the end of the envelope."""
-    low, high = limits.operational.T
+    low, high = load_motion_limits().operational.T
     moved = np.flatnonzero(direction)
     end = float((np.where(direction > 0.0, high, low)[moved] / direction[moved]).min())
     tried = np.linspace(0.0, end, 65)
@@ -120,29 +98,17 @@ def _reach(plant: Hexapod, direction: NDArray[np.float64], limits: MotionLimits)
     return float(optimize.brentq(lambda far: reserve(far * direction, plant), inner, outer))
 
 
-def plane_map(
-    plant: Hexapod,
-    dofs: tuple[str, str],
-    *,
-    count: int = 21,
-    limits: MotionLimits | None = None,
-) -> PlaneMap:
+def plane_map(plant: Hexapod, dofs: tuple[str, str], *, count: int = 21) -> PlaneMap:
     """Frequencies over two degrees of freedom, on rays from neutral to the end of the envelope.
 
-    Args:
-        plant: the hexapod.
-        dofs: two different degrees of freedom.
-        count: poses along each axis, odd, at least 3; there are four times as many rays, less 4.
-        limits: of motion; default the shipped ones.
-
-    Raises:
-        InputError: twice the same or an unknown degree of freedom, or too few poses.
+    `count` are the poses along each axis, odd, at least 3; there are four times as many rays, less
+    4.
     """
     if dofs[0] == dofs[1] or not set(dofs) <= set(DOFS):
         raise InputError(f"dofs: {dofs} must be two different ones of {', '.join(DOFS)}")
     if count < 3:
         raise InputError(f"count: {count} poses along each axis must be at least 3")
-    allowed = limits or load_motion_limits()
+    operational = load_motion_limits().operational
     indices = [DOFS.index(dof) for dof in dofs]
     rays, rings = 4 * (count - 1), count // 2 + 1
     poses = np.zeros((rays + 1, rings, 6))
@@ -150,8 +116,8 @@ def plane_map(
         # Whole quarters are the axes themselves.
         angle = np.array([np.cos(2.0 * np.pi * ray / rays), np.sin(2.0 * np.pi * ray / rays)])
         direction = np.zeros(6)
-        direction[indices] = np.ptp(allowed.operational[indices], axis=1) * angle.round(12)
-        far = np.linspace(0.0, _reach(plant, direction, allowed), rings)
+        direction[indices] = np.ptp(operational[indices], axis=1) * angle.round(12)
+        far = np.linspace(0.0, _reach(plant, direction), rings)
         poses[ray] = far[:, None] * direction
     poses[rays] = poses[0]
     frequencies = np.empty(poses.shape)
@@ -162,18 +128,9 @@ def plane_map(
     return PlaneMap(dofs, poses[..., indices[0]], poses[..., indices[1]], frequencies)
 
 
-def envelope_poses(
-    plant: Hexapod, count: int, *, seed: int = 0, limits: MotionLimits | None = None
-) -> NDArray[np.float64]:
-    """Neutral, and poses spread over the envelope by a scrambled Sobol sequence, (count, 6).
-
-    Args:
-        plant: the hexapod.
-        count: poses.
-        seed: of the scrambling.
-        limits: of motion; default the shipped ones.
-    """
-    low, high = (limits or load_motion_limits()).operational.T
+def envelope_poses(plant: Hexapod, count: int, *, seed: int = 0) -> NDArray[np.float64]:
+    """Neutral, and poses spread over the envelope by a scrambled Sobol sequence, (count, 6)."""
+    low, high = load_motion_limits().operational.T
     source = qmc.Sobol(6, seed=seed)
     poses = [np.zeros(6)]
     while len(poses) < count:
@@ -188,29 +145,17 @@ def over_envelope(
     samples: int = 1000,
     rounds: int = 200,
     seed: int = 0,
-    limits: MotionLimits | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Range:
     """Modes over the whole envelope, and the pose where the lowest mode is lowest.
 
-    The worst pose is sought by differential evolution from the lowest of the sampled poses, the
-    stroke of the legs a constraint.
-
-    Args:
-        plant: the hexapod.
-        samples: poses looked at, at least 90.
-        rounds: generations of the search, at most; with 200 the frequency is within 1e-4.
-        seed: of samples and search.
-        limits: of motion; default the shipped ones.
-        progress: called with (done, in all) now and then.
-
-    Raises:
-        InputError: fewer than 90 samples.
+    The worst pose is sought by differential evolution from the lowest of the sampled poses, at
+    least 90, the stroke of the legs a constraint; with 200 generations (`rounds`) the frequency is
+    within 1e-4. `progress` is called with (done, in all) now and then.
     """
     if samples < 90:
         raise InputError(f"samples: {samples} must be at least 90")
-    allowed = limits or load_motion_limits()
-    poses = envelope_poses(plant, samples, seed=seed, limits=allowed)
+    poses = envelope_poses(plant, samples, seed=seed)
     looked_at = tuple(plant.hydraulic_modes(pose) for pose in poses)
     lowest_ones = np.array([modes.frequency_hz[0] for modes in looked_at])
     tell = progress or (lambda done, total: None)
@@ -230,7 +175,7 @@ def over_envelope(
 
     search = optimize.differential_evolution(
         lowest,
-        list(zip(*allowed.operational.T, strict=True)),
+        list(zip(*load_motion_limits().operational.T, strict=True)),
         init=poses[np.argsort(lowest_ones)[:90]],
         maxiter=rounds,
         tol=1e-6,
@@ -243,16 +188,7 @@ def over_envelope(
 
 
 def within_stroke(plant: Hexapod, modes: HydraulicModes, clearance: float) -> HydraulicModes:
-    """Modes at a pose, or as far on the way there from neutral as all legs keep some stroke.
-
-    Args:
-        plant: the hexapod.
-        modes: modes at the pose.
-        clearance: working stroke to be left to every leg [m].
-
-    Raises:
-        InputError: not even neutral leaves that much.
-    """
+    """Modes at a pose, or as far on the way there from neutral as all legs keep `clearance` [m]."""
     if not 0.0 <= clearance < (most := float(reserve(np.zeros(6), plant))):
         raise InputError(f"clearance: {clearance} m must be at least 0 and less than {most:.4f} m")
     if reserve(modes.pose, plant) >= clearance:
@@ -262,18 +198,10 @@ def within_stroke(plant: Hexapod, modes: HydraulicModes, clearance: float) -> Hy
 
 
 def largest_stroke(plant: Hexapod, modes: HydraulicModes, mode: int) -> float:
-    """Largest leg motion [m] of a mode about its pose that the working stroke allows.
+    """Largest leg motion [m] of a mode, 0 the lowest, that the working stroke allows at its pose.
 
-    With extensions l and a leg shape s whose largest part is 1 it is min_j (L - |l_j|) / |s_j|,
-    L the working stroke.
-
-    Args:
-        plant: the hexapod.
-        modes: modes at the pose about which it swings.
-        mode: index of the mode, 0 the lowest.
-
-    Raises:
-        InputError: a leg is at the end of its working stroke or beyond.
+    With extensions l and a leg shape s whose largest part is 1 it is min_j (L - |l_j|) / |s_j|, L
+    the working stroke.
     """
     left = WORKING_STROKE - np.abs(pose_to_legs(modes.pose, plant.geometry))
     least = int(left.argmin())
@@ -292,20 +220,9 @@ def swinging(
     """Configurations of a mode swinging from its pose, l(t) = l + stroke s sin(2 pi f t).
 
     The legs swing, as in the equation of the modes; the platform follows through the forward
-    kinematics, so that all gimbals stay closed however large the stroke.
-
-    Args:
-        plant: the hexapod; it is left in the last configuration.
-        modes: modes at the pose about which it swings.
-        mode: index of the mode, 0 the lowest.
-        time: (n,) [s].
-        stroke: largest leg motion [m], at most `largest_stroke`.
-
-    Returns:
-        MuJoCo's qpos, (n, nq).
-
-    Raises:
-        InputError: a leg would leave its working stroke.
+    kinematics, so that all gimbals stay closed however large the stroke. `mode` is 0 for the
+    lowest, `time` (n,) [s], `stroke` the largest leg motion [m], at most `largest_stroke`. The
+    result is MuJoCo's qpos, (n, nq); the plant is left in the last one.
     """
     largest = largest_stroke(plant, modes, mode)
     if not 0.0 < stroke <= largest:

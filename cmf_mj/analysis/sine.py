@@ -18,10 +18,8 @@ class SineFit(NamedTuple):
 def fit_sines(values: ArrayLike, angle: ArrayLike, *, drift: bool = False) -> SineFit:
     """Fit offset + sum_k Re(a_k e^(j angle_k)) by least squares.
 
-    Args:
-        values: one signal (N,), or several (N, n).
-        angle: 2 pi f t of each sine [rad], (N,) or (N, K).
-        drift: fit a straight line too.
+    `values` are one signal (N,), or several (N, n), `angle` 2 pi f t of each sine [rad], (N,) or
+    (N, K); `drift` fits a straight line too.
     """
     y = np.asarray(values, dtype=np.float64)
     angles = np.asarray(angle, dtype=np.float64).reshape(y.shape[0], -1)

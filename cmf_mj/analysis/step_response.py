@@ -74,13 +74,9 @@ def resonant_damping(peak: float) -> float:
 def measure_step(
     reached: NDArray[np.float64], rate: float, *, final: float, demanded: float = 1.0
 ) -> StepMetrics:
-    """Measure a step response that ends, one of a stable system.
+    """Measure a step response of a stable system, one that ends, at `final`.
 
-    Args:
-        reached: motion from rest, sampled from the step on, (N,).
-        rate: samples a second [Hz].
-        final: where it ends.
-        demanded: the step.
+    `reached` is the motion from rest, sampled from the step on, (N,); `demanded` is the step.
     """
     shape = reached / final
     overshoot = float(shape.max() - 1.0)

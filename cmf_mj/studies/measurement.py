@@ -204,7 +204,7 @@ def _describe(case: Case, plant: Plant, frequency: float, size: float) -> Descri
     record = case.run(command, plant)
     part = _whole_cycles(record, frequency, max(1, int(2.0 * frequency)))
     demand, position = _demand_and_position(record, case.dof, part)
-    value = metrics.describing_function([demand], [position], record.rate, [frequency])[0]
+    value = metrics.describing_function(demand, position, record.rate, frequency)
     gain, phase = 20.0 * np.log10(abs(value)), np.degrees(np.angle(value))
     return Described(frequency, size, float(gain), float(phase))
 
