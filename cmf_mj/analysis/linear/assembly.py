@@ -81,8 +81,9 @@ def linearize(
         InputError: what has no linearisation (overlap, hysteresis, dry friction), named with the
             set and the actuator; a configuration on a stop or beyond what the supply can hold.
 
-    >>> model = cmf_mj.linearize(cmf_mj.SingleLegs(hydraulics="report")) >>> model.input_labels[0],
-    bool(model.poles().real.max() < 1e-6) ('command_1', True)
+    >>> model = cmf_mj.linearize(cmf_mj.SingleLegs(hydraulics="report"))
+    >>> model.input_labels[0], bool(model.poles().real.max() < 1e-6)
+    ('command_1', True)
     """
     point = at if at is not None else operating_point(plant, pose, excitation=excitation)
     legs = plant.legs
