@@ -23,7 +23,7 @@ from cmf_mj.analysis.response.estimate import SEGMENT, Estimate, Estimator
 from cmf_mj.analysis.response.matrix import matrix_response, stitch
 from cmf_mj.analysis.response.periodic import periodic_response, sine_response
 from cmf_mj.analysis.response.welch import from_h1, report_response, welch_response
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import DOFS, legs_to_pose
@@ -100,8 +100,7 @@ def dof_history(record: Record, channel: str, dof: str) -> NDArray[np.float64]:
         index = dof_index(dof)
         return legs_to_pose(record[channel])[:, index]
     legs = [f"leg_{i + 1}" for i in range(record[channel].shape[1])]
-    if dof not in legs:
-        raise InputError(f"dof: {dof!r} is not one of {', '.join(legs)}")
+    check_name("dof", dof, legs)
     return record[channel][:, legs.index(dof)]
 
 

@@ -32,7 +32,7 @@ from cmf_mj.control.dcu.arrivals import upsample
 from cmf_mj.control.dcu.settings import load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import RATE
 from cmf_mj.core.threads import on_threads
 from cmf_mj.core.units import DEGREE
@@ -178,8 +178,7 @@ def omct(
     station = pilot_station(cab)
     known = {dof for dof, _ in TESTS}
     for dof in dofs:
-        if dof not in known:
-            raise InputError(f"dofs: {dof!r} is not one of {', '.join(sorted(known))}")
+        check_name("dofs", dof, sorted(known))
     if not frequencies:
         raise InputError("frequencies: is empty; at least one is needed")
     for frequency in frequencies:

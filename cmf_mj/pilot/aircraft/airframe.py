@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError, require, unknown_name
+from cmf_mj.core.errors import InputError, check_name, require, unknown_name
 
 RATE = 240
 """Steps of the flight mechanics a second [Hz]: three a host frame of 80 Hz."""
@@ -158,8 +158,7 @@ class Airframe:
         7, above.
         """
         kinds = {"milspec": 3.0, "tustin": 4.0}
-        if model not in kinds:
-            raise InputError(f"model: {model!r} is not one of {', '.join(kinds)}")
+        check_name("model", model, kinds)
         speed = units.from_si("ft", wind)
         self["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = speed
         self["atmosphere/turbulence/milspec/severity"] = severity

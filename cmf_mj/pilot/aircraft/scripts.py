@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import check_name
 from cmf_mj.core.units import DEGREE, FOOT, KNOT
 from cmf_mj.pilot.aircraft.airframe import RATE, Airframe, Controls, State
 from cmf_mj.pilot.aircraft.flight import Flight, Origin
@@ -266,8 +266,7 @@ class ScriptedFlight:
 
     def __init__(self, name: str, *, aircraft: str = "737", seed: int = 1) -> None:
         """Choose one of `SCRIPTS` and the turbulence's seed; the first sample starts the flight."""
-        if name not in SCRIPTS:
-            raise InputError(f"flight: {name!r} is not one of {', '.join(SCRIPTS)}")
+        check_name("flight", name, SCRIPTS)
         self.name, self.aircraft, self.seed = name, aircraft, seed
 
     def states(self) -> Iterator[State]:

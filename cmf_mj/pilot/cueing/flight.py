@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
@@ -115,9 +115,8 @@ def tune(
         if not (np.isfinite(value) and value > 0.0):
             raise InputError(f"{name}: {value} must be greater than 0")
     settings = load_washout(washout)
-    unknown = [dof for dof in dofs if dof not in DOFS]
-    if unknown:
-        raise InputError(f"dofs: {unknown[0]!r} is not one of {', '.join(DOFS)}")
+    for dof in dofs:
+        check_name("dofs", dof, DOFS)
     scaled = np.array([dof in dofs for dof in DOFS])
     if not (settings.gains[scaled] > 0.0).any():
         raise InputError(f"dofs: {', '.join(dofs)} have no gain above 0 to scale")

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 
 BACKENDS = ("egl", "osmesa")
 """Off-screen OpenGL, in the order in which they are tried."""
@@ -89,8 +89,7 @@ class Stage:
             if not 16 <= value <= most:
                 raise InputError(f"{name}: {value} pixels must be between 16 and {most}")
         cameras = [model.camera(i).name for i in range(model.ncam)]
-        if camera not in cameras:
-            raise InputError(f"camera: {camera!r} is not one of {', '.join(cameras)}")
+        check_name("camera", camera, cameras)
         # Software OpenGL pays for vertices, for the shadow map and, most of all, for
         # multisampling: twice the pixels each way, averaged, look as good for 60 % of the time.
         model = copy.copy(model)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import check_name
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.record.record import Record
@@ -59,8 +59,7 @@ def traces_of(record: Record, dof: str | None = None) -> Traces:
     if dof is None:
         scale = np.array([units.factor(dof_unit(name)) for name in DOFS])
         dof = DOFS[int(np.ptp(record["demand_pose"] / scale, axis=0).argmax())]
-    elif dof not in DOFS:
-        raise InputError(f"dof: {dof!r} is not one of {', '.join(DOFS)}")
+    check_name("dof", dof, DOFS)
     leg = int(np.ptp(record["cap_pressure"], axis=0).argmax())
 
     def line(

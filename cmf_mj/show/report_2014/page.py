@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import cast
 
-from cmf_mj.core.errors import InputError, require
+from cmf_mj.core.errors import check_name, require
 from cmf_mj.core.files import write_text
 from cmf_mj.show.chart import Chart
 from cmf_mj.show.report_2014 import figures_of_laws, figures_of_models
@@ -40,8 +40,7 @@ STUDY_NEEDS = (*FORCE_NEEDS, *STATEMENT_NEEDS, *REST_NEEDS, *CALIBRATION_NEEDS)
 def _chosen(name: str, numbers: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:
     """Those of `known` that are in `numbers`; all for None."""
     for number in numbers or ():
-        if number not in known:
-            raise InputError(f"{name}: {number!r} is not one of {', '.join(known)}")
+        check_name(name, number, known)
     return tuple(number for number in known if numbers is None or number in numbers)
 
 
