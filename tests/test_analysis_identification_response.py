@@ -8,10 +8,7 @@ from identified_systems import RATE, SIXTH, lag, noisy, pair, series
 from cmf_mj.analysis.identification.arx import arx
 from cmf_mj.analysis.identification.continuous import in_field_units, to_continuous
 from cmf_mj.analysis.identification.refinement import output_error
-from cmf_mj.analysis.identification.response_fit import (
-    fit_response,
-    response_deviation,
-)
+from cmf_mj.analysis.identification.response_fit import fit_response
 
 FREQUENCY = np.linspace(0.1, 16.0, 160)
 LEG = lag(3.0) * pair(11.0, 0.11) * control.tf([1.0 / 1.2, 1.0], [1.0 / 1.1, 1.0])
@@ -71,19 +68,6 @@ def test_weights_let_a_bad_line_pass_by() -> None:
     assert believed.misfit > 0.05
 
 
-def test_deviation_from_coherence_is_the_scatter_of_h1() -> None:
-    """Bendat and Piersol's formula against 400 averages of Gaussian lines with 20 % noise."""
-    rng = np.random.default_rng(1)
-    averages, draws = 16, 400
-    x, v = (rng.standard_normal((2, draws, averages, 2)).view(complex)[..., 0] for _ in range(2))
-    x, v = x[0], 0.2 * v[0]
-    y = 3.0 * x + v
-    h1 = np.mean(x.conj() * y, axis=1) / np.mean(np.abs(x) ** 2, axis=1)
-    coherence = 9.0 / (9.0 + 0.04)
-    sigma = response_deviation([3.0], [coherence], [averages])[0]
-    assert np.std(h1.real) == pytest.approx(sigma, rel=0.1)
-
-
 def test_orders_are_found_by_bic() -> None:
     rng = np.random.default_rng(3)
     noise = rng.standard_normal((2, FREQUENCY.size)) * 0.005
@@ -137,7 +121,5 @@ def test_bad_lines_are_named() -> None:
         fit_response([1.0, 1.0], [1.0, 1.0], 1, 0)
     with pytest.raises(ValueError, match="response: is not finite at 2.0 Hz"):
         fit_response([1.0, 2.0], [1.0, np.nan], 1, 0)
-    with pytest.raises(ValueError, match="coherence: must be above 0"):
-        response_deviation([1.0], [1.2], [3])
     with pytest.raises(ValueError, match="band: 1.0 to 40.0 Hz"):
         to_continuous(arx(noisy(SIXTH, 0), (2, 2, 1)), band=(1.0, 40.0))

@@ -165,11 +165,12 @@ def slowest_mode(poles: NDArray[np.complex128]) -> tuple[float, float]:
 
 
 def least_damped_mode(
-    poles: NDArray[np.complex128], highest_hz: float = 50.0
+    poles: NDArray[np.complex128], highest_hz: float = 50.0, lowest_hz: float = 0.0
 ) -> tuple[float, float]:
-    """Damping ratio and frequency [Hz] of the least damped pair of a loop below a frequency."""
+    """Damping ratio and frequency [Hz] of the least damped pair of a loop between frequencies."""
     pairs = oscillations(poles)
-    pairs = pairs[np.abs(pairs) < 2.0 * np.pi * highest_hz]
+    size = np.abs(pairs)
+    pairs = pairs[(size < 2.0 * np.pi * highest_hz) & (size > 2.0 * np.pi * lowest_hz)]
     return _mode(pairs, -pairs.real / np.abs(pairs))
 
 

@@ -50,10 +50,9 @@ def as_experiments(experiments: Experiment | Sequence[Experiment]) -> list[Exper
     return runs
 
 
-def regressors(experiment: Experiment, row: int, orders: Orders, lag: int) -> Real:
-    """Regressors phi of one row from sample `lag` on, (N - lag, p)."""
-    y, u = experiment.output[:, row], experiment.input
-    end = experiment.samples
+def regressors(y: Real, u: Real, orders: Orders, lag: int) -> Real:
+    """Regressors phi of an output (N,) and inputs (N, nu) from sample `lag` on, (N - lag, p)."""
+    end = y.size
     past = [-y[lag - i : end - i] for i in range(1, orders.na + 1)]
     drive = [
         u[lag - i : end - i, j]
@@ -95,7 +94,7 @@ def _factor(runs: list[Experiment], row: int, orders: Orders, lag: int) -> _Fact
     for run in runs:
         if run.samples <= lag:
             raise InputError(f"orders: reach back {lag} samples; the experiment has {run.samples}")
-    phi = np.concatenate([regressors(run, row, orders, lag) for run in runs])
+    phi = np.concatenate([regressors(run.output[:, row], run.input, orders, lag) for run in runs])
     y = np.concatenate([run.output[lag:, row] for run in runs])
     if y.size <= phi.shape[1]:
         raise InputError(

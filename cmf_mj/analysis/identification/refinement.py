@@ -29,7 +29,6 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, optimize, signal
 
 from cmf_mj.analysis.identification.arx import arx, as_experiments, regressors
@@ -156,22 +155,12 @@ def _filtered(
     lag = model.orders.lag
     phis, ys, zs = [], [], []
     for run, drive in zip(runs, drives, strict=True):
-        x = model.simulate(drive)
-        thin = replace(
-            run,
-            input=signal.lfilter([1.0], a, run.input, axis=0),
-            output=signal.lfilter([1.0], a, run.output[:, [row]], axis=0),
-            output_names=model.output_names,
-            output_units=model.output_units,
-        )
-        clean = replace(
-            thin,
-            input=signal.lfilter([1.0], a, drive, axis=0),
-            output=signal.lfilter([1.0], a, x, axis=0),
-        )
-        phis.append(regressors(thin, 0, model.orders, lag))
-        zs.append(regressors(clean, 0, model.orders, lag))
-        ys.append(thin.output[lag:, 0])
+        measured = run.output[:, row], run.input
+        clean = model.simulate(drive)[:, 0], drive
+        (y, u), (x, w) = ([_filter(a, part) for part in pair] for pair in (measured, clean))
+        phis.append(regressors(y, u, model.orders, lag))
+        zs.append(regressors(x, w, model.orders, lag))
+        ys.append(y[lag:])
     phi, z = np.concatenate(phis), np.concatenate(zs)
     if phi.shape[1] != count or phi.shape[0] <= count:
         raise InputError(f"orders: {count} parameters; the experiments give {phi.shape[0]} samples")
@@ -254,14 +243,10 @@ class _OutputError:
         start = free @ (free.T @ missing)
         if not jacobian:
             return np.asarray((missing - start) / self.size)
-        na, nb, nk = model.orders
-        back = signal.lfilter([1.0], a, y + start)
-        drives = signal.lfilter([1.0], a, run.input, axis=0)
-        columns = [-_late(back, i) for i in range(1, na + 1)]
-        columns += [
-            _late(drives[:, j], i) for j in range(drives.shape[1]) for i in range(nk, nk + nb)
-        ]
-        slope = np.column_stack(columns)
+        lag = model.orders.lag
+        back = np.pad(_filter(a, y + start), (lag, 0))
+        drives = np.pad(_filter(a, run.input), ((lag, 0), (0, 0)))
+        slope = regressors(back, drives, model.orders, lag)
         return np.asarray((free @ (free.T @ slope) - slope) / self.size)
 
     def solve(self, evaluations: int) -> FittedRow:
@@ -287,5 +272,6 @@ class _OutputError:
         )
 
 
-def _late(series: NDArray[np.float64], samples: int) -> Real:
-    return np.concatenate([np.zeros(samples), series[: series.size - samples]])
+def _filter(a: Real, series: Real) -> Real:
+    """Series (N, ...) filtered by 1/A."""
+    return np.asarray(signal.lfilter([1.0], a, series, axis=0))

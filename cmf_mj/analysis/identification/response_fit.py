@@ -10,12 +10,8 @@ the exact Jacobian. Poles are second-order sections
 s^2 + a1 s + a0 in the logarithms of a1 and a0 and so remain stable whether they are complex or
 real; zeros are free.
 
-sigma is the standard deviation of each line's response: from coherence c and n averages (Bendat and
-Piersol, Random Data)
-
-    sigma = |H| sqrt((1 - c) / (2 c n))
-
-Without it the misfit counts relative to |H|.
+sigma is the standard deviation of each line's response, such as a multiple of an `Estimate`'s
+radius; without it the misfit counts relative to |H|.
 """
 
 from typing import NamedTuple
@@ -57,16 +53,6 @@ class ResponseFit(NamedTuple):
         return np.asarray(value * np.exp(-s * self.delay))
 
 
-def response_deviation(response: ArrayLike, coherence: ArrayLike, averages: ArrayLike) -> Real:
-    """Standard deviation sigma of each line of a response, (K,)."""
-    c, n = np.asarray(coherence, dtype=float), np.asarray(averages, dtype=float)
-    if not ((c > 0.0) & (c <= 1.0)).all():
-        raise InputError("coherence: must be above 0 and at most 1 at every line")
-    if not (n >= 1.0).all():
-        raise InputError("averages: must be at least 1 at every line")
-    return np.asarray(np.abs(response) * np.sqrt((1.0 - c) / (2.0 * c * n)))
-
-
 def fit_response(
     frequency: ArrayLike,
     response: ArrayLike,
@@ -80,7 +66,7 @@ def fit_response(
     """Fit a stable rational transfer function, with a pure delay on demand, to a response.
 
     Lines [Hz], (K,), rise and lie above 0, `response` is complex, (K,); there are at most as many
-    zeros as poles. `deviation` is the standard deviation of each line, e.g. `response_deviation` or
+    zeros as poles. `deviation` is the standard deviation of each line, such as
     an `Estimate`'s radius, default |response|: a relative fit. `delay` [s] is fixed, or with
     `fit_delay` where to start it; it stays at or above 0. Raises `InputError` for bad lines, orders
     out of range, too few lines.

@@ -18,10 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.core.errors import InputError
 from cmf_mj.plant.plant import Plant
 
-_TRAVEL = 1e-3
-"""Displacement of the central differences of static forces [m]; their error is below 1e-6."""
-_SPEED = 1e-3
-"""Speed of the central differences of damping [m/s]."""
+_STEP = 1e-3
+"""Displacement [m] and speed [m/s] of the central differences; their error is below 1e-6."""
 
 
 class Mechanics(NamedTuple):
@@ -47,22 +45,18 @@ def linear_mechanics(plant: Plant, pose: ArrayLike | None = None) -> Mechanics:
     rest = data.qpos.copy()
     stiffness, damping = np.empty_like(mass), np.empty_like(mass)
     for leg, direction in enumerate(motion.T):
-        sides = []
-        for sign in (1.0, -1.0):
+        along = np.ascontiguousarray(direction)
+        static, moving = [], []
+        for step in (_STEP, -_STEP):
             data.qpos[:] = rest
-            mujoco.mj_integratePos(
-                model, data.qpos, np.ascontiguousarray(direction), sign * _TRAVEL
-            )
-            sides.append(plant.static_load())
-        stiffness[:, leg] = (sides[0] - sides[1]) / (2.0 * _TRAVEL)
-        data.qpos[:] = rest
-        sides = []
-        for sign in (1.0, -1.0):
-            data.qvel[:] = sign * _SPEED * direction
+            mujoco.mj_integratePos(model, data.qpos, along, step)
+            static.append(plant.static_load())
+            data.qpos[:], data.qvel[:] = rest, step * direction
             mujoco.mj_forward(model, data)
-            sides.append(motion.T @ (data.qfrc_bias - data.qfrc_passive))
-        damping[:, leg] = (sides[0] - sides[1]) / (2.0 * _SPEED)
-    data.qvel[:] = 0.0
+            moving.append(motion.T @ (data.qfrc_bias - data.qfrc_passive))
+            data.qvel[:] = 0.0
+        stiffness[:, leg] = (static[0] - static[1]) / (2.0 * _STEP)
+        damping[:, leg] = (moving[0] - moving[1]) / (2.0 * _STEP)
     mujoco.mj_forward(model, data)
     return Mechanics(extension, load, mass, damping, stiffness)
 

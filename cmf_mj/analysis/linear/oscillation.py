@@ -18,6 +18,7 @@ from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.reduction import leg_model
+from cmf_mj.analysis.measures import least_damped_mode
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME
@@ -26,7 +27,6 @@ from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.record.record import Record
 
 _FREQUENCY = np.geomspace(2.0, 100.0, 4000)
-_HIGHEST = 200.0
 _TAIL = 4.0
 """Length of the steady oscillation examined [s]."""
 
@@ -55,20 +55,15 @@ def open_loop(law: Law, leg: control.StateSpace, f: NDArray[np.float64]) -> NDAr
 def oscillation(law: Law, parameters: HydraulicParameters) -> Oscillation:
     """Least damped poles and phase crossover of one leg under a law."""
     leg = leg_model(linearize(SingleLegs(parameters)), 1)
-    poles = np.log(closed_loop(law, leg).poles().astype(complex)) / FRAME
-    poles = poles[(poles.imag > 0.0) & (np.abs(poles) < 2.0 * np.pi * _HIGHEST)]
-    # Pairs that are all but real belong to the law's integrator, not to an oscillation.
-    damping = -poles.real / np.abs(poles)
-    oscillating = (damping < 0.9) & (np.abs(poles) > 2.0 * np.pi * 4.0)
-    worst = poles[oscillating][np.argmin(damping[oscillating])]
+    # Slower pairs belong to the law's integrator, not to an oscillation.
+    damping, frequency = least_damped_mode(closed_loop(law, leg).poles(), 200.0, lowest_hz=4.0)
     loop = open_loop(law, leg, _FREQUENCY)
     turns = np.flatnonzero((loop.imag[1:] * loop.imag[:-1] < 0.0) & (loop.real[1:] > 0.0))
     crossover, gain = float("nan"), float("nan")
     if turns.size:
         at = turns[np.argmax(np.abs(loop[turns]))]
         crossover, gain = float(_FREQUENCY[at]), float(np.abs(loop[at]))
-    size = float(np.abs(worst))
-    return Oscillation(size / (2.0 * np.pi), float(-worst.real / size), crossover, gain)
+    return Oscillation(frequency, damping, crossover, gain)
 
 
 def limit_cycle(record: Record) -> tuple[float, float, float]:
