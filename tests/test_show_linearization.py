@@ -36,7 +36,7 @@ def test_linearize_prints_the_tables_and_writes_the_files(tmp_path: Path) -> Non
         rows = list(csv.DictReader(file))
     poles = [complex(float(row["real"]), float(row["imaginary"])) for row in rows]
     assert sum(1 if p.imag == 0.0 else 2 for p in poles) == expected.nstates
-    for name in ("bode", "loop", "poles_zeros"):
+    for name in ("bode", "loop"):
         assert matplotlib.image.imread(out / f"{name}.png").std() > 0.01
     assert not (out / "comparison.csv").exists()
 

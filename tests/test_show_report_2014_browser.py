@@ -115,12 +115,9 @@ def test_links_of_the_contents_lead_somewhere(visit: Visit) -> None:
     assert height is not None and -1.0 <= top < height["height"]
 
 
-def test_print_shows_pictures_instead_of_plots(visit: Visit) -> None:
-    still = visit.page.locator("#figure-3-14 .still")
-    plot = visit.page.locator("#figure-3-14 .plot")
-    assert plot.is_visible() and not still.is_visible()
-    visit.page.emulate_media(media="print")
-    assert still.is_visible() and not plot.is_visible()
-    width = still.locator("img").evaluate("image => image.decode().then(() => image.naturalWidth)")
-    assert width > 100
-    visit.page.emulate_media(media="screen")
+def test_printing_draws_every_figure_as_wide_as_the_paper(visit: Visit) -> None:
+    widths = "plots => plots.map(plot => plot._fullLayout.width)"
+    visit.page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert visit.page.locator(".plot").evaluate_all(widths) == [680] * len(FIGURES)
+    visit.page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert min(visit.page.locator(".plot").evaluate_all(widths)) > 680

@@ -53,25 +53,17 @@ class LedgerEntry(Settings):
     figures: Annotated[tuple[Evidence, ...], Field(strict=False)] = ()  #: What the test computes.
 
     def figure(self, name: str) -> float:
-        """The value of a figure.
-
-        Raises:
-            InputError: the entry has none of this name.
-        """
-        for figure in self.figures:
-            if figure.name == name:
-                return figure.value
-        known = ", ".join(figure.name for figure in self.figures) or "none"
-        raise InputError(f"figure: {name!r} is not one of entry {self.number}'s: {known}")
+        """The value of a figure; a name that the entry lacks is refused."""
+        values = {figure.name: figure.value for figure in self.figures}
+        if name not in values:
+            known = ", ".join(values) or "none"
+            raise InputError(f"figure: {name!r} is not one of entry {self.number}'s: {known}")
+        return values[name]
 
 
 @lru_cache
 def load_ledger() -> tuple[LedgerEntry, ...]:
-    """All entries, in the order of the report.
-
-    Raises:
-        InputError: an entry is refused, out of order, or shares its demonstration with another.
-    """
+    """All entries, in the order of the report; each must have a demonstration of its own."""
     rows = read_toml(_FILE)["entry"]
     entries = tuple(
         validated(LedgerEntry, row | {"number": i}, f"{_FILE.name}: entry {i}")
@@ -89,11 +81,7 @@ def load_ledger() -> tuple[LedgerEntry, ...]:
 
 
 def ledger_entry(number: int) -> LedgerEntry:
-    """The entry of a number.
-
-    Raises:
-        InputError: no such entry.
-    """
+    """The entry of a number; one that is not there is refused."""
     entries = load_ledger()
     if not 1 <= number <= len(entries):
         raise InputError(f"number: {number} is not one of 1 to {len(entries)}")

@@ -4,10 +4,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, model_validator
+from pydantic import BeforeValidator
 
 from cmf_mj.control.coordinates import as_tuples
-from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import Settings, read_toml, validated
 
 _FILE = Path(__file__).with_name("published.toml")
@@ -43,15 +42,6 @@ class PublishedGains(Settings):
     c: float
     d: Numbers  #: D, a column a signal.
     signals: Annotated[tuple[str, ...], BeforeValidator(as_tuples)]  #: What the columns act on.
-
-    @model_validator(mode="after")
-    def _columns(self) -> "PublishedGains":
-        if not len(self.b) == len(self.d) == len(self.signals):
-            raise InputError(
-                f"signals: {len(self.signals)} for {len(self.b)} columns of B and {len(self.d)} "
-                "of D"
-            )
-        return self
 
 
 @lru_cache

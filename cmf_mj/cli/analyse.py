@@ -48,7 +48,7 @@ def linearize_command(
     ] = False,
     out: options.Out = Path("out/linearize"),
 ) -> None:
-    """Linearise a plant: modes, Bode diagrams, poles and zeros, a law around it."""
+    """Linearise a plant: modes, Bode diagrams, a law around it."""
     from cmf_mj.plant.build import make_plant
     from cmf_mj.show import linearization as report
     from cmf_mj.studies.linearization import linearization_study

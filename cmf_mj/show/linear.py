@@ -15,8 +15,6 @@ from cmf_mj.analysis.linear.catalogue import (
 from cmf_mj.analysis.linear.loop import loop_response, loop_step
 from cmf_mj.analysis.linear.second_order import (
     GAINS,
-    GainEffect,
-    feedback_model,
     gain_effects,
 )
 from cmf_mj.analysis.linear.table_4_1 import LawLoop, TableRow
@@ -25,7 +23,6 @@ from cmf_mj.core.files import write_csv
 from cmf_mj.show.look import (
     GREY,
     bode_axes,
-    dress_bode,
     grid,
     legend,
     new_figure,
@@ -50,11 +47,6 @@ _EFFECT_COLUMNS = {
     "overshoot": "overshoot",
 }
 _READINGS = {"damping_ratio": "step_damping_ratio"}
-_GAIN_TITLES = {
-    "position_gain": ("position gain", "$K_p$"),
-    "rate_gain": ("rate gain", "$K_r\\omega$"),
-    "acceleration_gain": ("acceleration gain", "$K_a\\omega^2$"),
-}
 
 
 def roots_text(roots: Sequence[complex]) -> str:
@@ -167,39 +159,10 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
     return bode, step
 
 
-def _relative(effect: GainEffect) -> float:
-    """A gain times the power of w that makes it a number."""
-    return effect.value * effect.loop.natural_frequency ** GAINS.index(effect.gain)
-
-
-def gain_figure(effects: Sequence[GainEffect]) -> Figure:
-    """The effect of each gain on the Bode diagram, the bandwidths and the damping ratio."""
-    figure, lines = new_figure(12.0, 10.0), np.geomspace(0.1, 10.0, 400)
-    for (gain, phase, width), name in zip(figure.subplots(3, 3).T, GAINS, strict=True):
-        title, symbol = _GAIN_TITLES[name]
-        chosen = [effect for effect in effects if effect.gain == name]
-        for effect in chosen[:: max((len(chosen) - 1) // 4, 1)]:
-            response = loop_response(feedback_model("3.4", effect.loop), lines)
-            plot_bode(gain, phase, response, label=f"{symbol} = {_relative(effect):.2f}")
-        dress_bode(gain, phase, f"effect of the {title}")
-        gain.set_ylim(-40.0, 20.0)
-        values = [_relative(effect) for effect in chosen]
-        results = [effect.result for effect in chosen]
-        width.plot(values, [r.phase_bandwidth_hz for r in results], label="-90 deg")
-        width.plot(values, [r.gain_bandwidth_hz for r in results], label="-3 dB from static gain")
-        width.set(xlabel=symbol, ylabel="bandwidth [Hz]", ylim=(0.0, None))
-        damping = width.twinx()
-        damping.plot(values, [r.mode_damping_ratio for r in results], "k--")
-        damping.set(ylabel="damping ratio (dashed)", ylim=(0.0, None))
-        grid(width)
-        legend(gain, width, fontsize=7, loc="lower left")
-    return figure
-
-
 def save_linear(loops: Sequence[LawLoop], rows: Sequence[TableRow], folder: Path) -> list[Path]:
     """Write the tables as CSV and all figures as PNG."""
     effects = gain_effects()
-    figures = {"gain_effects": gain_figure(effects)}
+    figures = {}
     for law in dict.fromkeys(item.law.name for item in loops):
         bode, step = loop_figures([item for item in loops if item.law.name == law])
         figures |= {f"bode_{law}": bode, f"step_{law}": step}

@@ -14,9 +14,7 @@ from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.show.look import (
     bode_axes,
     legend,
-    new_figure,
     plot_bode,
-    plot_roots,
     pose_text,
     save_figures,
 )
@@ -125,22 +123,6 @@ def loop_figure(study: LinearizationStudy) -> Figure:
     return figure
 
 
-def pole_zero_figure(study: LinearizationStudy) -> Figure:
-    """Poles and zeros of the minimal models, position per command."""
-    columns = min(len(study.models), 3)
-    rows = -(-len(study.models) // columns)
-    figure = new_figure(4.0 * columns, 3.8 * rows)
-    for place, (name, model) in enumerate(study.models.items(), start=1):
-        axis = figure.add_subplot(rows, columns, place)
-        plot_roots(axis, model)
-        # Poles lie from 0.1 to 500 rad/s.
-        highest = 1.3 * max(float(np.abs(model.poles().imag).max(initial=0.0)), 1.0)
-        axis.set(xlim=(-2e3, 2.0), ylim=(-highest, highest), title=name)
-        axis.set_xticks([-1e3, -1e2, -1e1, -1.0, 0.0, 1.0])
-    figure.suptitle(f"poles (x) and zeros (o), position per command\n{_title(study)}", fontsize=10)
-    return figure
-
-
 def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
     """Write the state space as JSON, modes and comparison as CSV, all figures as PNG."""
     point = study.point
@@ -158,9 +140,11 @@ def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     paths = [save_system(study.system, folder / "state_space.json", description)]
     first = study.modes[0]
-    header = ["real", "imaginary", "frequency", "damping_ratio"]
-    header += [f"share_{name}" for name in (*first.shares, *DOFS)]
-    header += [f"leg_{i + 1}" for i in range(first.leg_shape.size)]
+    header = [
+        *("real", "imaginary", "frequency", "damping_ratio"),
+        *(f"share_{name}" for name in (*first.shares, *DOFS)),
+        *(f"leg_{i + 1}" for i in range(first.leg_shape.size)),
+    ]
     rows = [
         (
             *(m.pole.real, m.pole.imag, m.frequency, m.damping_ratio, *m.shares.values()),
@@ -170,17 +154,13 @@ def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
     ]
     paths.append(write_csv(folder / "modes.csv", header, rows))
     if study.comparisons:
-        header = ["dof", "frequency", "measured_gain_db", "measured_phase_deg"]
+        measured = ("measured_gain_db", "measured_phase_deg", "gain_error_db", "phase_error_deg")
         lines = []
         for name, c in study.comparisons.items():
             level, angle = 20.0 * np.log10(np.abs(c.measured)), np.degrees(np.angle(c.measured))
             columns = (c.frequency, level, angle, c.gain_error, c.phase_error)
             lines += [(name, *map(float, values)) for values in zip(*columns, strict=True)]
-        header += ["gain_error_db", "phase_error_deg"]
+        header = ["dof", "frequency", *measured]
         paths.append(write_csv(folder / "comparison.csv", header, lines))
-    figures = {
-        "bode": bode_figure(study),
-        "loop": loop_figure(study),
-        "poles_zeros": pole_zero_figure(study),
-    }
+    figures = {"bode": bode_figure(study), "loop": loop_figure(study)}
     return paths + save_figures(figures, folder)

@@ -1,36 +1,26 @@
 """What the page is made of: its texts, captions and heads of tables, read from `contents.toml`."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from cmf_mj.core.settings import read_toml
-from cmf_mj.show.chart import Chart, Panel
+from cmf_mj.show.chart import Panel
 from cmf_mj.show.report_2014.runs import Runs, RunSpec
+from cmf_mj.show.table import Table
 
 CONTENTS: Mapping[str, Any] = read_toml(Path(__file__).with_suffix(".toml"))
 """The tables of `contents.toml`."""
 
-Verdict = Literal["within", "outside", "reported", ""]
-VERDICTS: Mapping[bool | None, Verdict] = {True: "within", False: "outside", None: "reported"}
-
-
-class TableRow(NamedTuple):
-    """Cells of a line and its verdict, which colours it."""
-
-    cells: tuple[str, ...]
-    verdict: Verdict = ""
+VERDICTS = {True: "within", False: "outside", None: "reported"}
 
 
 class PageTable(NamedTuple):
-    """A table of the page."""
+    """A table of the page; the verdict of a row stands in the column of this name."""
 
     anchor: str
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[TableRow, ...]
-    note: str = ""
+    table: Table
 
 
 class PageFigure(NamedTuple):
@@ -38,16 +28,13 @@ class PageFigure(NamedTuple):
 
     anchor: str
     title: str
-    chart: Chart
+    panels: tuple[Panel, ...]
+    caption: str
 
 
-class Text(NamedTuple):
-    """A paragraph."""
+Block = PageTable | PageFigure | str
+"""A string is a paragraph."""
 
-    text: str
-
-
-Block = PageTable | PageFigure | Text
 Drawing = tuple[Sequence[Panel], dict[str, Any]]
 """Panels of a figure, and what its caption fills in."""
 
@@ -75,10 +62,12 @@ class ReportFigure(NamedTuple):
         """Laws of its runs."""
         return tuple(dict.fromkeys(need.law for need in self.needs))
 
-    def draw(self, runs: Runs) -> Chart:
+    def draw(self, runs: Runs) -> PageFigure:
         """The figure with its caption."""
         panels, values = self.drawing(runs, self)
-        return captioned(self.drawing.__name__, panels, values)
+        title = f"Figure {self.number}: {self.title}"
+        name = self.options.get("caption", self.drawing.__name__)
+        return figure(f"figure-{self.number}", title, name, panels, **values)
 
 
 class Content(NamedTuple):
@@ -91,35 +80,25 @@ class Content(NamedTuple):
     """Whether the page has its sections on force feedback, steady states and the text's numbers."""
 
 
-def captioned(name: str, panels: Sequence[Panel], values: Mapping[str, Any]) -> Chart:
-    """A chart with the caption of this name."""
-    caption = CONTENTS["caption"][name].format(**(CONTENTS["words"] | dict(values)))
-    return Chart(tuple(panels), caption)
+def figure(
+    anchor: str, title: str, name: str, panels: Sequence[Panel], **values: Any
+) -> PageFigure:
+    """A figure with the caption of this name."""
+    caption = CONTENTS["caption"][name].format(**(CONTENTS["words"] | values))
+    return PageFigure(anchor, title, tuple(panels), caption)
 
 
-def texts(name: str, **values: Any) -> list[Text]:
+def texts(name: str, **values: Any) -> list[str]:
     """The paragraphs of this name."""
-    return [Text(paragraph.format(**values)) for paragraph in CONTENTS["text"][name]]
+    return [paragraph.format(**values) for paragraph in CONTENTS["text"][name]]
 
 
 def table(
-    name: str,
-    rows: Sequence[TableRow | tuple[str, ...]],
-    *,
-    anchor: str = "",
-    title: str = "",
-    note: str = "",
+    name: str, rows: Collection[Sequence[Any]], anchor: str = "", title: str = "", note: str = ""
 ) -> PageTable:
-    """A table with the head of this name; `anchor`, `title` and `note` take the place of its."""
-    head = CONTENTS["table"][name]
-    lines = tuple(row if isinstance(row, TableRow) else TableRow(row) for row in rows)
-    return PageTable(
-        anchor or name,
-        title or head["title"],
-        tuple(head["header"]),
-        lines,
-        note or head.get("note", ""),
-    )
+    """A table with the head of this name; `title` and `note` are for heads that have none."""
+    head = {"title": title, "note": note} | CONTENTS["table"][name]
+    return PageTable(anchor or name, Table(head["title"], head["header"], rows, head["note"]))
 
 
 def specs(*lines: str) -> tuple[RunSpec, ...]:

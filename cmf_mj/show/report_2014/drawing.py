@@ -1,39 +1,62 @@
-"""Charts as plotly figures for the screen and as SVG pictures for print."""
+"""Panels as plotly figures."""
 
-import io
 import math
+from collections.abc import Sequence
 from typing import Any
 
-from matplotlib import rc_context
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
+import numpy as np
+from numpy.typing import NDArray
 
 from cmf_mj.core.errors import require
-from cmf_mj.show.chart import Chart, Curve, plot_curves
+from cmf_mj.show.chart import Curve, Panel
+
+MOST = 1200
+"""Largest number of points a curve keeps."""
 
 _PANEL, _MARGIN = 230, 96
 """Height of a panel and of what surrounds all [px]."""
 
+XY = tuple[NDArray[np.floating], NDArray[np.floating]]
 
-def chart_height(chart: Chart) -> int:
+
+def figure_height(panels: Sequence[Panel]) -> int:
     """Height on the screen [px]."""
-    return _MARGIN + round(sum(panel.height for panel in chart.panels) * _PANEL)
+    return _MARGIN + round(sum(panel.height for panel in panels) * _PANEL)
 
 
-def _log_ticks(limits: tuple[float, float]) -> list[float]:
-    """1, 2 and 5 of each decade within the limits."""
-    low, high = math.floor(math.log10(limits[0])), math.ceil(math.log10(limits[1]))
-    ticks = [float(f"{m}e{e}") for e in range(low, high + 1) for m in (1, 2, 5)]
-    return [tick for tick in ticks if limits[0] <= tick <= limits[1]]
+def thinned(x: NDArray[np.floating], y: NDArray[np.floating]) -> XY:
+    """At most `MOST` points: of each of equal stretches the lowest and the highest.
+
+    Peaks survive, as they would not if every n-th point were kept.
+    """
+    if x.size <= MOST:
+        return x, y
+    edges = np.linspace(0, x.size, MOST // 2 + 1).astype(int)
+    kept: set[int] = {0, x.size - 1}
+    for first, last in zip(edges[:-1], edges[1:], strict=True):
+        part = y[first:last]
+        kept |= {first + int(np.argmin(part)), first + int(np.argmax(part))}
+    chosen = np.array(sorted(kept)[:MOST])
+    return x[chosen], y[chosen]
 
 
-def _trace(line: Curve) -> dict[str, Any]:
+def drawn(line: Curve, x_range: tuple[float, float] | None = None) -> XY:
+    """What can be drawn of a curve within a range, thinned, in single precision."""
+    x, y = np.asarray(line.x, dtype=float), np.asarray(line.y, dtype=float)
+    low, high = x_range or (-math.inf, math.inf)
+    inside = np.isfinite(x) & np.isfinite(y) & (x >= low) & (x <= high)
+    x, y = thinned(x[inside], y[inside])
+    return x.astype(np.float32), y.astype(np.float32)
+
+
+def _trace(line: Curve, x_range: tuple[float, float] | None) -> dict[str, Any]:
+    x, y = drawn(line, x_range)
     colour = {"color": line.colour}
     return {
         "name": line.name,
         "legendgroup": line.name,
-        "x": line.x,
-        "y": line.y,
+        "x": x,
+        "y": y,
         "mode": "markers" if line.marks else "lines",
         "line": {**colour, "width": line.width, "dash": line.dash, "simplify": False},
         "marker": {**colour, "size": 9, "symbol": "circle-open", "line": {"width": 2}},
@@ -41,82 +64,40 @@ def _trace(line: Curve) -> dict[str, Any]:
     }
 
 
-def plotly_json(chart: Chart) -> str:
-    """The chart as JSON of a plotly figure; the same bytes for the same chart."""
-    panels = chart.panels
+def plotly_json(panels: Sequence[Panel]) -> str:
+    """The panels as JSON of a plotly figure; the same bytes for the same panels."""
     figure = require("plotly.subplots", "report").make_subplots(
         rows=len(panels),
         shared_xaxes=True,
         row_heights=[panel.height for panel in panels],
         vertical_spacing=0.08 / len(panels),
     )
+    last = panels[-1]
     names: set[str] = set()
     for row, panel in enumerate(panels, start=1):
         where = {"row": row, "col": 1}
         for line in panel.curves:
-            figure.add_scatter(**_trace(line), showlegend=line.name not in names, **where)
+            trace = _trace(line, last.x_range)
+            figure.add_scatter(**trace, showlegend=line.name not in names, **where)
             names.add(line.name)
         for level in panel.guides:
             figure.add_hline(level, line={"color": "#999999", "width": 1, "dash": "dot"}, **where)
         figure.update_yaxes(range=panel.y_range, dtick=panel.y_tick, title=panel.y_title, **where)
-    limits, log = panels[-1].x_range, panels[-1].x_log
-    figure.update_xaxes(type="log" if log else "linear", range=limits)
-    if log and limits is not None:
-        ends = [math.log10(value) for value in limits]
-        figure.update_xaxes(range=ends, tickvals=_log_ticks(limits))
-    title = {"text": panels[-1].x_title, "standoff": 6}
-    figure.update_xaxes(title=title, row=len(panels), col=1)
+    figure.update_xaxes(range=last.x_range)
+    if last.x_log and last.x_range is not None:
+        low, high = (math.log10(value) for value in last.x_range)
+        decades = range(math.floor(low), math.ceil(high) + 1)
+        ticks = [float(f"{digit}e{decade}") for decade in decades for digit in (1, 2, 5)]
+        figure.update_xaxes(type="log", range=[low, high], tickvals=ticks)
+    figure.update_xaxes(title={"text": last.x_title, "standoff": 6}, row=len(panels), col=1)
     for update in (figure.update_xaxes, figure.update_yaxes):
         update(gridcolor="#e5e5e5", zeroline=False)
     figure.update_layout(
         template="none",
-        height=chart_height(chart),
+        height=figure_height(panels),
         margin={"l": 62, "r": 12, "t": 44, "b": 52},
         hovermode="closest",
         legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0.0},
         font={"family": "system-ui, sans-serif", "size": 12},
     )
     return str(figure.to_json())
-
-
-def still(chart: Chart) -> str:
-    """The chart as an SVG picture, texts as outlines; the same bytes for the same chart."""
-    panels = chart.panels
-    # Random ids and the date would change every file; texts must not need the reader's fonts.
-    with rc_context({"svg.hashsalt": "cmf-mj", "svg.fonttype": "path"}):
-        figure = Figure(figsize=(7.2, chart_height(chart) / 105.0), layout="constrained")
-        heights = [panel.height for panel in panels]
-        options: dict[str, Any] = {"sharex": True, "height_ratios": heights}
-        every = figure.subplots(len(panels), 1, squeeze=False, **options)[:, 0]
-        handles: dict[str, Any] = {}
-        for axes, panel in zip(every, panels, strict=True):
-            handles = plot_curves(axes, panel.curves, scale=0.7) | handles
-            axes.set_ylabel(panel.y_title, fontsize=8)
-            if panel.y_range is not None:
-                axes.set_ylim(*panel.y_range)
-            if panel.y_tick is not None:
-                axes.yaxis.set_major_locator(MultipleLocator(panel.y_tick))
-            for level in panel.guides:
-                axes.axhline(level, color="0.6", linewidth=0.7, linestyle=":")
-            axes.grid(True, color="0.9", linewidth=0.5)
-            axes.tick_params(labelsize=7)
-        last = every[-1]
-        last.set_xlabel(panels[-1].x_title, fontsize=8)
-        last.set_xlim(panels[-1].x_range)
-        if panels[-1].x_log:
-            last.set_xscale("log")
-            last.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            last.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            last.xaxis.set_minor_formatter(NullFormatter())
-        names = list(dict.fromkeys(curve.name for panel in panels for curve in panel.curves))
-        figure.legend(
-            [handles[name] for name in names],
-            names,
-            loc="outside upper left",
-            ncols=2,
-            fontsize=7,
-            frameon=False,
-        )
-        buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()

@@ -16,13 +16,12 @@ from cmf_mj.analysis.measures import measure_loop
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME
 from cmf_mj.record.record import Record
-from cmf_mj.show.chart import GREY, Dash
+from cmf_mj.show.chart import GREY, Curve, Dash
 from cmf_mj.show.look import COLOURS
 from cmf_mj.show.report_2014.contents import Drawing, ReportFigure
-from cmf_mj.show.report_2014.curves import History, Response, after_step, bode, motion, printed
-from cmf_mj.show.report_2014.runs import IDENTIFIED_ON, Runs, RunSpec, Signal, leg_motion
+from cmf_mj.show.report_2014.curves import after_step, bode, motion, printed, response
+from cmf_mj.show.report_2014.runs import IDENTIFIED_ON, Runs, Signal, leg_motion
 
-_LINES = np.geomspace(0.1, 10.0, 300)
 _EQUATIONS = {1: ("4.11", "4.12", "4.13"), 2: ("4.14", "4.15", "4.16"), 3: ("4.17", "4.18", "4.19")}
 """Position, velocity and acceleration of linear models 1 to 3."""
 
@@ -31,26 +30,23 @@ _SIGNAL_TITLES = {
     2: "a sine of 1 in at 1 Hz",
     3: "the third round of Table 2-3, 3.4 to 5.4 Hz",
 }
-_EXTENSION = "extension of leg 1 [in]"
 _DASHES: tuple[Dash, Dash] = ("solid", "dash")
 """Of the report's model and of ours."""
 
 _HARDWARE, _REPORT, _OURS = "hardware stand-in", "report's model", "our model"
-
-
-def _our_velocity(runs: Runs, number: int) -> UnitTransferFunction:
-    return in_field_units(runs.identified[number].continuous.rational)
+_EXTENSION = "extension of leg 1 [in]"
+_LEG = ("position [in]", "velocity [in/s]", "acceleration [g]")
 
 
 def _velocities(runs: Runs, number: int) -> dict[str, UnitTransferFunction]:
     return {
         f"{_REPORT} #{number}": hardware_velocity(number),
-        f"{_OURS} #{number}": _our_velocity(runs, number),
+        f"{_OURS} #{number}": in_field_units(runs.identified[number].continuous.rational),
     }
 
 
 def _driven(
-    system: control.TransferFunction, command: NDArray[np.float64], step: float = FRAME
+    system: control.TransferFunction, command: NDArray[np.floating], step: float = FRAME
 ) -> NDArray[np.float64]:
     """Response from rest to a command with samples `step` seconds apart, (N,)."""
     even = np.arange(command.size) * step
@@ -62,8 +58,7 @@ def _measured(runs: Runs, signal: Signal) -> tuple[NDArray[np.float64], ...]:
 
     Of the sweep its third round, 3.4 to 5.4 Hz, the band chapter 4 aims at.
     """
-    result = runs.results[RunSpec("machine", "velocity", "heave", signal)]
-    record: Record = result[2] if signal == "rounds" else result
+    record = runs.records("machine", "velocity", signal)[2 if signal == "rounds" else 0]
     return (
         record.time - record.time[0],
         100.0 * (record["valve_command"][:, 0] - record["valve_command"][:, 0].mean()),
@@ -73,26 +68,20 @@ def _measured(runs: Runs, signal: Signal) -> tuple[NDArray[np.float64], ...]:
     )
 
 
-def _demand_and_leg(record: Record, time: NDArray[np.float64]) -> list[History]:
-    return [
-        History("demand", time, leg_motion(record, "leg_reference", "in"), GREY),
-        History(_HARDWARE, time, leg_motion(record, "leg_position", "in"), COLOURS[1]),
-    ]
+def _demand_and_leg(record: Record) -> tuple[Curve, Curve]:
+    time = after_step(record)
+    return (
+        Curve("demand", time, leg_motion(record, "leg_reference", "in"), GREY),
+        Curve(_HARDWARE, time, leg_motion(record, "leg_position", "in"), COLOURS[1]),
+    )
 
 
 def pulse_data(runs: Runs, figure: ReportFigure) -> Drawing:
     """What linear model 1 was fitted to."""
-    time, *values = _measured(runs, "pulse")
-    titles = ("command [%]", "position [in]", "velocity [in/s]", "acceleration [g]")
+    time, *histories = _measured(runs, "pulse")
     return [
-        motion(
-            [History(_HARDWARE, time, history, COLOURS[1])],
-            title,
-            (0.5, 4.0),
-            x_title="time [s]",
-            height=0.7,
-        )
-        for title, history in zip(titles, values, strict=True)
+        motion(title, [Curve(_HARDWARE, time, y, COLOURS[1])], (0.5, 4.0), "time [s]", 0.7)
+        for title, y in zip(("command [%]", *_LEG), histories, strict=True)
     ], {}
 
 
@@ -106,38 +95,31 @@ def _fit(measured: NDArray[np.float64], modelled: NDArray[np.float64]) -> str:
 def open_loop(runs: Runs, figure: ReportFigure) -> Drawing:
     """A model driven from rest at `begin` [s] by the recorded command."""
     number, begin, span = (figure.options[name] for name in ("number", "begin", "span"))
-    time, command, *measured = _measured(runs, IDENTIFIED_ON[number])
+    time, *histories = _measured(runs, IDENTIFIED_ON[number])
     driven = (time >= begin) & (time <= span[1])
-    time, command = time[driven], command[driven]
+    time, command, *measured = (values[driven] for values in (time, *histories))
     step = time[1] - time[0]
-    velocity = _our_velocity(runs, number)
+    _, velocity = _velocities(runs, number).values()
     # The same model integrated and differentiated, the derivative in g.
     slope = control.tf([1.0 / units.from_si("in", units.STANDARD_GRAVITY), 0.0], [1.0])
     plain = control.tf(velocity.num_array[0, 0], velocity.den_array[0, 0])
     ours = (plain * control.tf([1.0], [1.0, 0.0]), plain, plain * slope)
     panels, fits = [], []
-    for title, history, equation, model in zip(
-        ("position [in]", "velocity [in/s]", "acceleration [g]"),
-        *(measured, _EQUATIONS[number], ours),
-        strict=True,
+    for title, values, equation, model in zip(
+        _LEG, measured, _EQUATIONS[number], ours, strict=True
     ):
-        values = history[driven]
-        printed_model, our_model = (
-            _driven(system, command, step) for system in (report_model(equation), model)
+        theirs, our = (_driven(system, command, step) for system in (report_model(equation), model))
+        curves = (
+            Curve(_HARDWARE, time, values, GREY),
+            Curve(_REPORT, time, theirs, COLOURS[1]),
+            Curve(_OURS, time, our, COLOURS[0], "dash"),
         )
-        histories = [
-            History(_HARDWARE, time, values, GREY),
-            History(_REPORT, time, printed_model, COLOURS[1]),
-            History(_OURS, time, our_model, COLOURS[0], "dash"),
-        ]
         margin = 0.3 * float(np.ptp(values))
         limits = (float(values.min()) - margin, float(values.max()) + margin)
-        panels.append(
-            motion(histories, title, span, x_title="time [s]", y_range=limits, height=0.9)
-        )
+        panels.append(motion(title, curves, span, "time [s]", 0.9)._replace(y_range=limits))
         fits.append(
-            f"{title.split()[0]} {_fit(values, printed_model)} (Eq {equation}) and "
-            f"{_fit(values, our_model)} (ours)"
+            f"{title.split()[0]} {_fit(values, theirs)} (Eq {equation}) and "
+            f"{_fit(values, our)} (ours)"
         )
     return panels, {
         **{"number": number, "begin": begin, "signal": _SIGNAL_TITLES[number]},
@@ -145,65 +127,55 @@ def open_loop(runs: Runs, figure: ReportFigure) -> Drawing:
     }
 
 
-def closed_step(runs: Runs, figure: ReportFigure) -> Drawing:
-    """A step with velocity feedback closed around a model."""
-    number = figure.options["number"]
-    record = runs.record("machine", "velocity", "rise")
-    histories = _demand_and_leg(record, after_step(record))
-    demand, leg = histories
-    peaks = []
-    for (name, velocity), colour, dash in zip(
-        _velocities(runs, number).items(), (COLOURS[0], COLOURS[2]), _DASHES, strict=True
-    ):
-        reached = _driven(closed_loop("velocity", velocity), demand.values)
-        histories.append(History(name, demand.time, reached, colour, dash))
-        peaks.append(f"{name} peaks at {reached.max():.2f} in")
-    values = {"number": number, "numbers": "; ".join(peaks), "peak": leg.values.max()}
-    return [motion(histories, _EXTENSION, (-0.1, 2.0))], values
-
-
-def fast_sine(runs: Runs, figure: ReportFigure) -> Drawing:
-    """5 Hz with velocity feedback closed around model 1."""
-    record = runs.record("machine", "velocity", "sine_5_hz")
-    histories = _demand_and_leg(record, record.time)
-    demand, leg = histories
-    middle = (record.time > 1.5) & (record.time < 2.5)
-    sizes = [f"stand-in {np.ptp(leg.values[middle]) / 2:.3f} in"]
-    for (name, velocity), colour in zip(
-        _velocities(runs, 1).items(), (COLOURS[0], COLOURS[2]), strict=True
-    ):
-        reached = _driven(closed_loop("velocity", velocity), demand.values)
-        histories.append(History(name, record.time, reached, colour, "dash"))
-        sizes.append(f"{name} {np.ptp(reached[middle]) / 2:.3f} in")
-    panel = motion(histories, _EXTENSION, (1.5, 2.5), x_title="time [s]")
-    return [panel], {"sizes": "; ".join(sizes)}
+def closed_loops(runs: Runs, figure: ReportFigure) -> Drawing:
+    """A step or sine with velocity feedback closed around the report's model and ours."""
+    number, signal, span = (figure.options[name] for name in ("number", "signal", "span"))
+    demand, leg = _demand_and_leg(runs.record("machine", "velocity", signal))
+    models = [
+        Curve(name, demand.x, _driven(closed_loop("velocity", velocity), demand.y), colour, dash)
+        for (name, velocity), colour, dash in zip(
+            _velocities(runs, number).items(), (COLOURS[0], COLOURS[2]), _DASHES, strict=True
+        )
+    ]
+    inside = (demand.x > span[0]) & (demand.x < span[1])
+    sizes = (
+        f"{line.name.removeprefix('hardware ')} {np.ptp(line.y[inside]) / 2:.3f} in"
+        for line in (leg, *models)
+    )
+    x_title = "time after the step [s]" if signal == "rise" else "time [s]"
+    return [motion(_EXTENSION, (demand, leg, *models), span, x_title)], {
+        "number": number,
+        "numbers": "; ".join(f"{line.name} peaks at {line.y.max():.2f} in" for line in models),
+        "peak": leg.y.max(),
+        "sizes": "; ".join(sizes),
+    }
 
 
 def linear_responses(runs: Runs, figure: ReportFigure) -> Drawing:
     """Frequency responses with velocity feedback closed around models."""
-    lines = [Response(_HARDWARE, runs.case("machine", "velocity").response, GREY, "dot")]
+    frequencies = np.geomspace(0.1, 10.0, 300)
+    lines = [response(_HARDWARE, runs.case("machine", "velocity").response, GREY, "dot")]
     marks = []
     for number, colour in zip(figure.options["numbers"], COLOURS, strict=False):
         for (name, velocity), dash in zip(_velocities(runs, number).items(), _DASHES, strict=True):
-            response = loop_response(closed_loop("velocity", velocity), _LINES)
-            lines.append(Response(name, response, colour, dash))
+            closed = loop_response(closed_loop("velocity", velocity), frequencies)
+            lines.append(response(name, closed, colour, dash))
         marks.append(printed("velocity", "heave", f"linear_{number}", colour, table="4-1"))
-    return bode(lines, marks, gain_range=(-20.0, 10.0)), {}
+    return bode([*lines, *marks], (-20.0, 10.0)), {}
 
 
 def linear_model_a(runs: Runs, figure: ReportFigure) -> Drawing:
     """A step with velocity feedback closed around Eqs 4.4 to 4.6."""
     loop = closed_loop("velocity", leg_plant(*map(report_model, ("4.4", "4.5", "4.6"))))
     measures = measure_loop(loop)
-    record, model = runs.record("machine", "velocity", "rise"), runs.case("model", "velocity").step
-    histories = _demand_and_leg(record, after_step(record))
-    demand = histories[0]
+    model = runs.case("model", "velocity").step
+    demand, leg = _demand_and_leg(runs.record("machine", "velocity", "rise"))
     turned_over = -leg_motion(model, "leg_position", "in")
-    histories += [
-        History("non-linear model", after_step(model), turned_over, COLOURS[2]),
-        History("linear model A", demand.time, _driven(loop, demand.values), COLOURS[0], "dash"),
+    curves = [
+        *(demand, leg, Curve("non-linear model", after_step(model), turned_over, COLOURS[2])),
+        Curve("linear model A", demand.x, _driven(loop, demand.y), COLOURS[0], "dash"),
     ]
-    return [motion(histories, _EXTENSION, (-0.1, 2.0))], {
+    return [motion(_EXTENSION, curves, (-0.1, 2.0))], {
         "phase": measures.phase_bandwidth_hz,
         "gain": measures.gain_bandwidth_hz,
         "damping": measures.damping_ratio,

@@ -1,21 +1,19 @@
 """The page: one HTML file with everything in it."""
 
-import base64
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import cast
 
 from cmf_mj.core.errors import check_name, require
 from cmf_mj.core.files import write_text
-from cmf_mj.show.chart import Chart
+from cmf_mj.show.chart import Panel
 from cmf_mj.show.report_2014 import figures_of_laws, figures_of_models
 from cmf_mj.show.report_2014.contents import CONTENTS, Content, ReportFigure, specs
-from cmf_mj.show.report_2014.drawing import chart_height, plotly_json, still
+from cmf_mj.show.report_2014.drawing import figure_height, plotly_json
 from cmf_mj.show.report_2014.force import FORCE_NEEDS
-from cmf_mj.show.report_2014.ledger_section import CALIBRATION_NEEDS
 from cmf_mj.show.report_2014.runs import perform
-from cmf_mj.show.report_2014.sections import sections_of
-from cmf_mj.show.report_2014.statements import REST_NEEDS, STATEMENT_NEEDS
+from cmf_mj.show.report_2014.sections import CALIBRATION_NEEDS, sections_of
+from cmf_mj.show.report_2014.statements import STATEMENT_NEEDS
 from cmf_mj.show.report_2014.tables import TITLES, table_needs
 
 _DRAWINGS = vars(figures_of_laws) | vars(figures_of_models)
@@ -33,7 +31,7 @@ FIGURES = tuple(
 TABLES = tuple(TITLES)
 """All result tables; those of gains, limits and parameters need no run and are always there."""
 
-STUDY_NEEDS = (*FORCE_NEEDS, *STATEMENT_NEEDS, *REST_NEEDS, *CALIBRATION_NEEDS)
+STUDY_NEEDS = (*FORCE_NEEDS, *STATEMENT_NEEDS, *CALIBRATION_NEEDS)
 """Runs of the sections that come only with all figures and tables."""
 
 
@@ -53,19 +51,10 @@ def make_content(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Content:
-    """Make all runs of the chosen figures and tables.
+    """Make all runs of the figures and result tables with these numbers; see `perform`.
 
-    Args:
-        figures: numbers; default all.
-        tables: numbers of result tables; default all. With all figures and tables the page also
-            has its studies of force feedback, of steady states and of the numbers in the text.
-        jobs: threads; default one per core. The page does not depend on it.
-        quick: shorter sweeps, bandwidths within about 2 %.
-        seed: of sensor noise and of validation runs.
-        progress: called with (runs done, runs in all).
-
-    Raises:
-        InputError: an argument out of range, named; nothing has been run then.
+    With all of both, the default, the page also has its studies of force feedback, of steady states
+    and of the numbers in the text. An argument out of range is refused before anything runs.
     """
     numbers = _chosen("figures", figures, [figure.number for figure in FIGURES])
     chosen = tuple(figure for figure in FIGURES if figure.number in numbers)
@@ -86,30 +75,22 @@ def make_content(
 
 
 def render(content: Content) -> str:
-    """The page as text: the same bytes for the same content.
-
-    Raises:
-        MissingExtraError: plotly or Jinja2 is not installed.
-    """
+    """The page as text: the same bytes for the same content."""
     jinja = require("jinja2", "report")
     library = require("plotly.offline", "report").get_plotlyjs()
     markup = require("markupsafe", "report").Markup
 
-    def picture(chart: Chart) -> str:
-        return base64.b64encode(still(chart).encode()).decode()
-
-    def data(chart: Chart) -> str:
+    def data(panels: Sequence[Panel]) -> str:
         # In a script element only the end tag must not occur; JSON may escape the slash.
-        return cast("str", markup(plotly_json(chart).replace("</", "<\\/")))
+        return cast("str", markup(plotly_json(panels).replace("</", "<\\/")))
 
     environment = jinja.Environment(autoescape=True, undefined=jinja.StrictUndefined)
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
     page = template.render(
         title=CONTENTS["title"],
         sections=sections_of(content),
-        height=chart_height,
+        height=figure_height,
         plotly=data,
-        still=picture,
         library=markup(library),
     )
     return cast("str", page)

@@ -28,7 +28,7 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.studies.accelerometer_filter import FilterEffect, filter_effect
-from cmf_mj.studies.case import Case, CaseResult, dof_amplitude, run_case
+from cmf_mj.studies.case import RECORD_EVERY, Case, CaseResult, dof_amplitude, run_case
 from cmf_mj.studies.identification import Identified, identify
 
 On = Literal["model", "machine"]
@@ -58,18 +58,9 @@ ORDERS = Orders(4, 3, 1)
 LEG = "leg_1"
 """The leg whose motion figures show."""
 
-_EVERY: Mapping[Signal, int] = {"rise": 1, "sine": 16, "sine_5_hz": 1}
-"""Frames between samples; others are recorded at the facility's 128 Hz."""
-
-_RECORDER = 16
-
 
 class RunSpec(NamedTuple):
-    """One run: on which plant, under which law, along which degree of freedom, which signal.
-
-    `case` is the chirp and step of `studies.run_case`; the others are single records, `rounds` the
-    five of Table 2-3.
-    """
+    """One run; `case` is the chirp and step of a case, `rounds` the five of Table 2-3."""
 
     on: On
     law: str
@@ -121,58 +112,59 @@ class Runs:
         """Chirp and step."""
         return cast("CaseResult", self.results[RunSpec(on, law, dof)])
 
-    def record(self, on: On, law: str, signal: Signal, dof: str = "heave") -> Record:
+    def records(self, on: On, law: str, signal: Signal) -> tuple[Record, ...]:
+        """The records of a signal in heave: one, of `rounds` five."""
+        return cast("tuple[Record, ...]", self.results[RunSpec(on, law, "heave", signal)])
+
+    def record(self, on: On, law: str, signal: Signal) -> Record:
         """A single record."""
-        return cast("Record", self.results[RunSpec(on, law, dof, signal)])
+        return self.records(on, law, signal)[0]
 
     def rounds(self, law: str) -> FrequencyResponse:
         """The machine's response in heave from the five rounds of sines."""
-        return rounds_response(self.results[RunSpec("machine", law, "heave", "rounds")])
+        return rounds_response(self.records("machine", law, "rounds"))
 
     @cached_property
     def identified(self) -> dict[int, Identified]:
         """Our linear models 1 to 3 of the machine's leg, made as the report made its models."""
         validation = self.record("machine", "velocity", "multisine")
-        models = {}
-        for number, signal in IDENTIFIED_ON.items():
-            result = self.results[RunSpec("machine", "velocity", "heave", signal)]
-            records = [*result] if signal == "rounds" else [result]
-            models[number] = identify(
-                [*records, validation], LEG, method="arx", orders=ORDERS, law="velocity"
+        options: dict[str, Any] = {"method": "arx", "orders": ORDERS, "law": "velocity"}
+        return {
+            number: identify(
+                [*self.records("machine", "velocity", signal), validation], LEG, **options
             )
-        return models
+            for number, signal in IDENTIFIED_ON.items()
+        }
 
 
-def _command(spec: RunSpec, seed: int) -> signals.Command:
+def _commands(spec: RunSpec, quick: bool, seed: int) -> list[signals.Command]:
     dof, size = spec.dof, dof_amplitude(spec.dof)
-    if spec.signal == "rise":
-        return signals.step(dof, -STEP)
-    if spec.signal == "sine":
-        return signals.sine(dof, STEP, SLOW, cycles=5.0)
-    if spec.signal == "pulse":
-        return signals.pulse(dof, STEP)
-    if spec.signal == "sine_1_hz":
-        return signals.sine(dof, STEP, FIRST)
-    if spec.signal == "sine_5_hz":
-        return signals.sine(dof, size, FAST, cycles=20.0)
-    return signals.multisine(dof, size, stop=16.0, spectrum="acceleration", fade=1.0, seed=seed)
+    shorter: dict[str, Any] = {"cycles": 3, "settle": 1.0} if quick else {}
+    if spec.signal == "rounds":
+        numbers = range(1, len(composite.ROUNDS) + 1)
+        return [composite.seven_sines(dof, size, number, **shorter) for number in numbers]
+    makers: dict[Signal, Callable[[], signals.Command]] = {
+        "rise": lambda: signals.step(dof, -STEP),
+        "sine": lambda: signals.sine(dof, STEP, SLOW, cycles=5.0),
+        "pulse": lambda: signals.pulse(dof, STEP),
+        "sine_1_hz": lambda: signals.sine(dof, STEP, FIRST),
+        "sine_5_hz": lambda: signals.sine(dof, size, FAST, cycles=20.0),
+        "multisine": lambda: signals.multisine(
+            dof, size, stop=16.0, spectrum="acceleration", fade=1.0, seed=seed
+        ),
+    }
+    return [makers[spec.signal]()]
 
 
-def _perform(spec: RunSpec, quick: bool, seed: int) -> CaseResult | Record | tuple[Record, ...]:
+def _perform(spec: RunSpec, quick: bool, seed: int) -> CaseResult | tuple[Record, ...]:
     law, size = law_of(spec.law), dof_amplitude(spec.dof)
     if spec.signal == "case":
         cab = "" if spec.on == "model" else CAB
         parameters = hydraulics_of(spec.on)
         return run_case(Case(PLANTS[spec.on], cab, parameters, law, spec.dof, size, quick))
-    plant, every = plant_of(spec.on), _EVERY.get(spec.signal, _RECORDER)
-    if spec.signal != "rounds":
-        return simulate(plant, law, _command(spec, seed), record_every=every)
-    shorter: dict[str, Any] = {"cycles": 3, "settle": 1.0} if quick else {}
-    sines = (
-        composite.seven_sines(spec.dof, size, number, **shorter)
-        for number in range(1, len(composite.ROUNDS) + 1)
-    )
-    return tuple(simulate(plant, law, command, record_every=every) for command in sines)
+    plant, every = plant_of(spec.on), 1 if spec.signal in ("rise", "sine_5_hz") else RECORD_EVERY
+    commands = _commands(spec, quick, seed)
+    return tuple(simulate(plant, law, command, record_every=every) for command in commands)
 
 
 def perform(
@@ -188,9 +180,6 @@ def perform(
 
     Results do not depend on the number of threads, `jobs`. With `sensors` the accelerometers of
     Figures 3-15 and 3-16 are read too; `quick` sweeps 30 s for 100 s and shortens the rounds.
-
-    Raises:
-        InputError: an argument out of range, named.
     """
     if seed < 0:
         raise InputError(f"seed: {seed} must be at least 0")

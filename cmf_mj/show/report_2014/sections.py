@@ -5,31 +5,41 @@ A new section is an entry there; a new kind of block is a function and its entry
 
 from collections.abc import Callable, Mapping, Sequence
 
-from cmf_mj.show.report_2014 import force, ledger_section, provenance
+from cmf_mj.analysis.ledger import load_ledger
+from cmf_mj.show.listing import figures_text
+from cmf_mj.show.report_2014 import force, provenance
 from cmf_mj.show.report_2014.contents import (
     CONTENTS,
     VERDICTS,
     Block,
     Content,
-    PageFigure,
     PageTable,
     Section,
-    TableRow,
-    Text,
     table,
     texts,
 )
-from cmf_mj.show.report_2014.runs import Runs
-from cmf_mj.show.report_2014.statements import rest_rows, statements
-from cmf_mj.show.report_2014.tables import (
-    TITLES,
-    TOLERANCES,
-    ResultRow,
-    gain_rows,
-    limit_rows,
-    printed_number,
-    result_rows,
+from cmf_mj.show.report_2014.curves import law_title
+from cmf_mj.show.report_2014.runs import HYDRAULICS, On, Runs, RunSpec
+from cmf_mj.show.report_2014.statements import rest_rows, statement_rows
+from cmf_mj.show.report_2014.tables import TITLES, TOLERANCES, gain_rows, limit_rows, result_rows
+from cmf_mj.show.table import number
+from cmf_mj.studies.calibration.definition import Study, load_studies
+from cmf_mj.studies.calibration.fit import residual_rows
+from cmf_mj.studies.calibration.trial import starting_values
+
+_PLANTS: dict[str, On] = {name: on for on, name in HYDRAULICS.items()}
+_STUDIES = tuple(study for study in load_studies().values() if study.hydraulics in _PLANTS)
+_MEASURES = {"phase": "-90 deg [Hz]", "gain": "-3 dB [Hz]", "damping": "damping ratio"}
+
+CALIBRATION_NEEDS = tuple(
+    RunSpec(_PLANTS[study.hydraulics], law) for study in _STUDIES for law in study.laws
 )
+"""Runs that the residuals are read from."""
+
+
+def _share(value: float, relative: bool, sign: str = "+") -> str:
+    """A deviation: relative in %, absolute as it is."""
+    return number(100.0 * value, f"{sign}.1f %") if relative else number(value, f"{sign}.2f")
 
 
 def result_table(runs: Runs, name: str) -> PageTable:
@@ -40,40 +50,22 @@ def result_table(runs: Runs, name: str) -> PageTable:
     for row in result_rows(runs, name):
         again = len(row.note) > 40 and row.note in seen
         seen.add(row.note)
-        rows.append(_result_cells(row._replace(note="as above") if again else row, appendix))
+        relative = row.unit == "Hz"
+        hexapod = number(row.hexapod, ".2f")
+        rows.append(
+            (
+                *(row.label, row.of, f"{row.quantity} [Hz]" if relative else row.quantity),
+                row.printed if row.printed == row.printed else "N/A",
+                row.computed if row.computed == row.computed else "none below 10 Hz",
+                *(_share(row.deviation, relative), _share(row.tolerance, relative, "")),
+                VERDICTS[row.within],
+                *([hexapod if relative or hexapod != "-" else "unstable"] if appendix else []),
+                "as above" if again else row.note,
+            )
+        )
     title = f"Table {name}" if name[0] != "s" else name.capitalize()
-    return table(
-        "results-hexapod" if appendix else "results",
-        rows,
-        anchor=f"table-{name.replace(' ', '-')}",
-        title=f"{title}: {TITLES[name]}",
-        note=TOLERANCES,
-    )
-
-
-def _result_cells(row: ResultRow, appendix: bool) -> TableRow:
-    relative = row.unit == "Hz"
-
-    def share(value: float, sign: str) -> str:
-        if value != value:
-            return "–"
-        return f"{100.0 * value:{sign}.1f} %" if relative else f"{value:{sign}.2f}"
-
-    verdict = VERDICTS[row.within]
-    cells = [
-        row.label,
-        row.of,
-        f"{row.quantity} [{row.unit}]" if row.unit else row.quantity,
-        "N/A" if row.printed != row.printed else f"{row.printed:g}",
-        f"{row.computed:.2f}" if row.computed == row.computed else "none below 10 Hz",
-        share(row.deviation, "+"),
-        share(row.tolerance, ""),
-        verdict,
-    ]
-    if appendix:
-        missing = "–" if relative else "unstable"
-        cells.append(f"{row.hexapod:.2f}" if row.hexapod == row.hexapod else missing)
-    return TableRow((*cells, row.note), verdict)
+    head, anchor = "results-hexapod" if appendix else "results", f"table-{name.replace(' ', '-')}"
+    return table(head, rows, anchor, f"{title}: {TITLES[name]}", TOLERANCES)
 
 
 def _results(content: Content, number: str) -> list[PageTable]:
@@ -82,82 +74,91 @@ def _results(content: Content, number: str) -> list[PageTable]:
 
 def _gains(content: Content, number: str) -> list[PageTable]:
     """A gain table and the shipped law."""
-    rows = []
-    for row in gain_rows():
-        if row.table == number:
-            verdict = VERDICTS[True if row.same else None if row.note else False]
-            printed = "not printed here" if row.printed != row.printed else f"{row.printed:g}"
-            same = "same" if row.same else "differs"
-            cells = (row.law, row.gain, printed, f"{row.shipped:g}", same, row.note)
-            rows.append(TableRow(cells, verdict))
-    return [table("gains", rows, anchor=f"table-{number}", title=f"Table {number}: gains")]
+    rows = [
+        (
+            *(row.law, row.gain, row.printed if row.printed == row.printed else "not printed here"),
+            *(row.shipped, "same" if row.same else "differs", row.note),
+        )
+        for row in gain_rows()
+        if row.table == number
+    ]
+    return [table("gains", rows, f"table-{number}", f"Table {number}: gains")]
 
 
 def _limits(content: Content, argument: str) -> list[PageTable]:
     """Table 2-1 and the geometry."""
     rows = [
-        TableRow(
-            (
-                row.dof,
-                f"{row.mechanical:+g} {row.unit}",
-                f"{row.operational:+g} {row.unit}",
-                f"{row.computed:+.1f} {row.unit}",
-                f"{100.0 * row.deviation:+.1f} %",
-                row.note,
-            ),
-            "reported",
+        (
+            *(r.dof, f"{r.mechanical:+g} {r.unit}", f"{r.operational:+g} {r.unit}"),
+            *(f"{r.computed:+.1f} {r.unit}", 100.0 * r.deviation, r.note),
         )
-        for row in limit_rows()
+        for r in limit_rows()
     ]
     return [table("table-2-1", rows)]
 
 
-def _figures(content: Content, prefix: str) -> list[PageFigure]:
-    return [
-        PageFigure(f"figure-{f.number}", f"Figure {f.number}: {f.title}", f.draw(content.runs))
-        for f in content.figures
-        if f.number.startswith(prefix)
-    ]
-
-
-def _about(content: Content, argument: str) -> list[Text]:
-    """What the page is, and how the plants are read."""
-    quick = texts("quick") if content.runs.quick else []
-    return [*texts("about"), Text(TOLERANCES), *quick]
-
-
-def _steady_states(content: Content, argument: str) -> list[PageTable]:
-    """The velocity law's offset, and the integral that removes it."""
-    rows = [
-        (row.law, row.formula or "integral", *(f"{value:.3f}" for value in row[2:]))
-        for row in rest_rows(content.runs)
-    ]
-    return [table("steady-states", rows)]
-
-
-def _statements(content: Content, argument: str) -> list[PageTable]:
+def _ledger(content: Content, argument: str) -> list[PageTable]:
+    """Misprints and contradictions."""
     rows = [
         (
-            *(s.section, s.what, f"{s.printed} {s.unit}"),
-            *(f"{printed_number(s.computed)} {s.unit}", s.remark),
+            f"{entry.number}. {entry.title}",
+            *(entry.where, entry.printed, entry.finding, figures_text(entry), entry.project),
         )
-        for s in statements(content.runs)
+        for entry in load_ledger()
     ]
-    return [table("text-numbers", rows)]
+    return [table("ledger-table", rows)]
+
+
+def _fitted(study: Study) -> PageTable:
+    values = starting_values(study)
+    rows = [
+        (
+            *(p.name.replace("_", " "), "fitted" if p.free else "held"),
+            number(values[p.name], "g" if p.unit == "1" else f"g {p.unit}"),
+            *(f"{p.low:g} to {p.high:g}", p.source),
+        )
+        for p in study.parameters
+    ]
+    anchor, title = f"calibration-{study.name}-parameters", f"{study.name.capitalize()} set"
+    return table("calibration-parameters", rows, anchor, f"{title}: parameters")
+
+
+def _residuals(runs: Runs, study: Study) -> PageTable:
+    measures = {law: runs.case(_PLANTS[study.hydraulics], law).measures for law in study.laws}
+    rows = [
+        (
+            *(f"{row.table}, {law_title(row.law)}", _MEASURES[row.measure], row.role),
+            *(row.printed, row.computed, _share(row.deviation, row.measure != "damping")),
+            VERDICTS[row.within],
+        )
+        for row in residual_rows(study, measures)
+    ]
+    anchor, title = f"calibration-{study.name}-residuals", f"{study.name.capitalize()} set"
+    return table("calibration-residuals", rows, anchor, f"{title}: residuals at the shipped values")
+
+
+def _calibration(content: Content, argument: str) -> list[PageTable]:
+    """What was fitted to which printed numbers, and what was only predicted."""
+    return [t for study in _STUDIES for t in (_fitted(study), _residuals(content.runs, study))]
 
 
 BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
-    "about": _about,
+    "about": lambda content, _: [
+        *(*texts("about"), TOLERANCES),
+        *(texts("quick") if content.runs.quick else []),
+    ],
     "text": lambda content, name: texts(name),
     "limits": _limits,
     "gains": _gains,
     "results": _results,
-    "figures": _figures,
-    "steady_states": _steady_states,
-    "statements": _statements,
+    "figures": lambda content, prefix: [
+        figure.draw(content.runs) for figure in content.figures if figure.number.startswith(prefix)
+    ],
+    "steady_states": lambda content, _: [table("steady-states", rest_rows(content.runs))],
+    "statements": lambda content, _: [table("text-numbers", statement_rows(content.runs))],
     "force": lambda content, _: force.blocks(content.runs),
-    "ledger": lambda content, _: [ledger_section.ledger_table()],
-    "calibration": lambda content, _: ledger_section.calibration(content.runs),
+    "ledger": _ledger,
+    "calibration": _calibration,
     "parameters": lambda content, _: provenance.parameters(),
     "provenance": lambda content, _: [provenance.provenance(content.runs)],
 }

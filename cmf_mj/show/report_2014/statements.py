@@ -1,6 +1,6 @@
 """Numbers that the report's text states outside its tables, and the error at rest of its laws."""
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.show.report_2014.contents import CONTENTS, specs
 from cmf_mj.show.report_2014.runs import Runs, leg_motion
+from cmf_mj.show.report_2014.tables import printed_number
 from cmf_mj.signals.single import Step
 
 INTEGRAL_LAWS = ("original", "velocity", "velocity_integral", "position_error_rate")
@@ -20,29 +21,9 @@ STATEMENT_NEEDS = specs(
     "model original,velocity_integral,force",
     "machine original,velocity_integral",
     "machine velocity heave rise",
+    f"model,machine {','.join(INTEGRAL_LAWS)}",
 )
-REST_NEEDS = specs(f"model,machine {','.join(INTEGRAL_LAWS)}")
-
-
-class Statement(NamedTuple):
-    """One number of the text and ours."""
-
-    section: str
-    what: str
-    unit: str
-    printed: str
-    computed: float
-    remark: str
-
-
-class RestRow(NamedTuple):
-    """Where a step ends, over the demand."""
-
-    law: str
-    formula: str  #: Gains it follows from; empty with the integral.
-    dc_gain: float
-    model: float
-    machine: float
+"""Runs of the numbers and of the errors at rest."""
 
 
 def _net_gain(law_name: str) -> float:
@@ -63,18 +44,17 @@ def dc_gain(law_name: str) -> float:
     return -law.direct_gain.of_legs("reference") / _net_gain(law_name)
 
 
-def rest_rows(runs: Runs) -> list[RestRow]:
-    """Steady states of the steps of 1 in."""
+def rest_rows(runs: Runs) -> list[tuple[Any, ...]]:
+    """Where steps of 1 in end, over the demand: by the gains, on the model, on the machine."""
     rows = []
     for name in INTEGRAL_LAWS:
-        law = load_law(name)
-        formula = ""
+        law, formula = load_law(name), "integral"
         if not law.uses_integral:
             formula = f"{law.direct_gain.of_legs('reference'):g}/{-_net_gain(name):.2f}"
         model, machine = (
             1.0 - runs.case(on, name).measures.steady_state_error for on in ("model", "machine")
         )
-        rows.append(RestRow(law.title, formula, dc_gain(name), model, machine))
+        rows.append((law.title, formula, dc_gain(name), model, machine))
     return rows
 
 
@@ -110,13 +90,14 @@ def _values(runs: Runs) -> dict[str, float]:
     return values
 
 
-def statements(runs: Runs) -> list[Statement]:
+def statement_rows(runs: Runs) -> list[tuple[str, ...]]:
     """All numbers of the text that a run or a formula gives."""
     values = _values(runs)
     return [
-        Statement(
-            *(entry["section"], entry["what"], entry["unit"], entry["printed"]),
-            *(values[entry["value"]], entry["remark"]),
+        (
+            *(entry["section"], entry["what"], f"{entry['printed']} {entry['unit']}"),
+            f"{printed_number(values[entry['value']])} {entry['unit']}",
+            entry["remark"],
         )
         for entry in CONTENTS["statement"]
         if entry["value"] in values

@@ -1,6 +1,5 @@
 """Result tables: printed and computed values side by side, judged by a stated tolerance."""
 
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -22,9 +21,9 @@ PHASE, GAIN, DAMPING, HARDWARE = 0.10, 0.15, 0.1, 0.10
 """Tolerances: relative in -90 deg and -3 dB of non-linear rows, absolute in damping ratio, relative
 in both bandwidths of hardware rows."""
 
-TOLERANCES = texts(
+(TOLERANCES,) = texts(
     "tolerances", phase=100 * PHASE, gain=100 * GAIN, hardware=100 * HARDWARE, damping=DAMPING
-)[0].text
+)
 """The tolerances in words."""
 
 REPORTED = ("combined_rate", "force")
@@ -34,9 +33,9 @@ _NAN = float("nan")
 _ON: dict[str, On] = {"hardware": "machine", "nonlinear": "model"}
 _OF = {"hardware": "hardware", "nonlinear": "non-linear model"}
 _QUANTITIES = (
-    ("phase_bandwidth_hz", "-90 deg", "Hz"),
-    ("gain_bandwidth_hz", "-3 dB", "Hz"),
-    ("damping_ratio", "damping ratio", ""),
+    ("phase_bandwidth_hz", "-90 deg", "Hz", PHASE),
+    ("gain_bandwidth_hz", "-3 dB", "Hz", GAIN),
+    ("damping_ratio", "damping ratio", "", DAMPING),
 )
 _REMARKS: dict[tuple[str, str, str], str] = {
     (entry["law"], entry["table"], entry["quantity"]): entry["text"] for entry in CONTENTS["remark"]
@@ -46,7 +45,6 @@ _REMARKS: dict[tuple[str, str, str], str] = {
 class ResultRow(NamedTuple):
     """One printed number and the computed one."""
 
-    table: str
     label: str  #: Law or degree of freedom, or linear model.
     of: str  #: What was measured.
     quantity: str
@@ -66,43 +64,32 @@ def _remark(law: str, table: str, quantity: str) -> str:
     return _REMARKS.get((law, table, quantity), _REMARKS.get((law, table, ""), ""))
 
 
-def _value(runs: Runs, on: On, row: Published, field: str) -> float:
-    return float(getattr(runs.case(on, row.law, row.dof).measures, field))
-
-
-def _tolerance(of: str, field: str) -> float:
-    if field == "damping_ratio":
-        return DAMPING
-    if of == "hardware":
-        return HARDWARE
-    return PHASE if field == "phase_bandwidth_hz" else GAIN
-
-
 def _judged(runs: Runs, row: Published) -> list[ResultRow]:
     rows = []
     appendix = row.table.startswith("D-")
     label = row.dof if appendix else law_title(row.law)
-    for field, quantity, unit in _QUANTITIES:
+    measures = runs.case(_ON[row.of], row.law, row.dof).measures
+    machine = runs.case("machine", row.law, row.dof).measures if appendix else None
+    for field, quantity, unit, tolerance in _QUANTITIES:
         value, damping = getattr(row, field), field == "damping_ratio"
-        if value is None and not (row.table == "D-2" and field == "gain_bandwidth_hz"):
+        if value is None and (row.table, quantity) != ("D-2", "-3 dB"):
             continue
-        stated = _NAN if value is None else float(value)
-        computed = _value(runs, _ON[row.of], row, field)
-        deviation = computed - stated if damping else (computed - stated) / stated
+        printed, computed = _NAN if value is None else value, float(getattr(measures, field))
+        deviation = computed - printed if damping else (computed - printed) / printed
         judged = value is not None and row.law not in REPORTED
-        tolerance = _tolerance(row.of, field) if judged else _NAN
+        if row.of == "hardware" and not damping:
+            tolerance = HARDWARE
         # Round-off of the subtraction is no deviation.
         within = bool(abs(deviation) <= tolerance + 1e-9) if judged else None
         note = "" if within else _remark(row.law, row.table, quantity)
-        if damping and not note and not runs.case(_ON[row.of], row.law, row.dof).measures.stable:
+        if damping and not note and not measures.stable:
             note = "of the first overshoot; the legs then ring on undiminished"
-        hexapod = _NAN
-        if appendix and (not damping or runs.case("machine", row.law, row.dof).measures.stable):
-            hexapod = _value(runs, "machine", row, field)
+        known = machine is not None and (machine.stable or not damping)
+        hexapod = float(getattr(machine, field)) if known else _NAN
         rows.append(
             ResultRow(
-                *(row.table, label, _OF[row.of], quantity, unit, stated, computed, deviation),
-                *(tolerance, within, hexapod, note),
+                *(label, _OF[row.of], quantity, unit, printed, computed, deviation),
+                *(tolerance if judged else _NAN, within, hexapod, note),
             )
         )
     return rows
@@ -115,7 +102,7 @@ def _linear_rows() -> list[ResultRow]:
         note = "the report does not say how it read the damping ratio; the peak fits all three"
         rows.append(
             ResultRow(
-                *("4-1", f"linear model #{row.model}", f"Eq {row.equation}", row.quantity, unit),
+                *(f"linear model #{row.model}", f"Eq {row.equation}", row.quantity, unit),
                 *(row.published, row.computed, row.deviation / scale, row.tolerance / scale),
                 *(row.within, _NAN, "" if row.within else note),
             )
@@ -159,8 +146,8 @@ def gain_rows() -> list[GainRow]:
     rows = []
     for entry in published_gains():
         law = load_law(entry.law)
-        named = {
-            matrix: [
+        b, d = (
+            [
                 (f"{matrix}, {name.replace('_', ' ')}", value, getattr(gains, name))
                 for name, value in zip(entry.signals, values, strict=True)
             ]
@@ -168,12 +155,10 @@ def gain_rows() -> list[GainRow]:
                 ("B", entry.b, law.input_gain),
                 ("D", entry.d, law.direct_gain),
             )
-        }
+        )
         gains = [
-            ("A", entry.a, law.state_gain),
-            *(row for row in named["B"] if row[1] != 0.0 or row[2] != 0.0),
-            ("C", entry.c, law.output_gain),
-            *named["D"],
+            *[("A", entry.a, law.state_gain), *(row for row in b if row[1:] != (0.0, 0.0))],
+            *[("C", entry.c, law.output_gain), *d],
         ]
         for gain, value, shipped in gains:
             same = shipped == value
@@ -209,24 +194,15 @@ def limit_rows() -> list[LimitRow]:
         ("yaw", "low"): "the operational limit is printed in inches; degrees are meant",
     }
     rows = []
-    for index, dof in enumerate(DOFS):
+    for dof, ends in zip(DOFS, reach, strict=True):
         axis = getattr(limits, dof)
         unit = axis.mechanical.unit
-        for side, column in (("low", 0), ("high", 1)):
-            stated = getattr(axis.mechanical, side)
-            computed = units.from_si(unit, float(reach[index, column]))
-            rows.append(
-                LimitRow(
-                    *(dof, unit, side, stated, getattr(axis.operational, side)),
-                    *(computed, computed / stated - 1.0, notes.get((dof, side), "")),
-                )
-            )
+        for side, end in zip(("low", "high"), ends, strict=True):
+            stated, computed = getattr(axis.mechanical, side), units.from_si(unit, float(end))
+            allowed, note = getattr(axis.operational, side), notes.get((dof, side), "")
+            numbers = (stated, allowed, computed, computed / stated - 1.0)
+            rows.append(LimitRow(dof, unit, side, *numbers, note))
     return rows
-
-
-def outside(rows: Iterable[ResultRow]) -> list[ResultRow]:
-    """Rows beyond their tolerance."""
-    return [row for row in rows if row.within is False]
 
 
 def printed_number(value: float, digits: int = 3) -> str:
