@@ -162,7 +162,7 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
 def save_linear(loops: Sequence[LawLoop], rows: Sequence[TableRow], folder: Path) -> list[Path]:
     """Write the tables as CSV and all figures as PNG."""
     effects = gain_effects()
-    figures = {}
+    figures: dict[str, Figure] = {}
     for law in dict.fromkeys(item.law.name for item in loops):
         bode, step = loop_figures([item for item in loops if item.law.name == law])
         figures |= {f"bode_{law}": bode, f"step_{law}": step}

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import control
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -140,17 +139,6 @@ def plot_band(
         (phase, response.phase_deg, np.degrees([-angle, angle])),
     ):
         axis.fill_between(response.frequency, middle + low, middle + high, alpha=0.25, **style)
-
-
-def plot_roots(axis: Axes, system: control.lti.LTI) -> None:
-    """Draw poles and zeros [rad/s], the real axis linear about the origin, logarithmic beyond."""
-    for roots, marker in ((system.poles(), "x"), (system.zeros(), "o")):
-        axis.plot(roots.real, roots.imag, marker, color=BLUE, fillstyle="none")
-    axis.axvline(0.0, color=GREY, linewidth=0.8)
-    axis.set_xscale("symlog", linthresh=1.0)
-    axis.set(xlabel="real [rad/s]", ylabel="imaginary [rad/s]")
-    axis.tick_params(labelsize=7)
-    grid(axis)
 
 
 def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:

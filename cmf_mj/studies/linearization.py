@@ -1,4 +1,4 @@
-"""A plant linearised in a configuration: modes, responses, minimal models, loops of a law.
+"""A plant linearised in a configuration: modes, responses, loops of a law.
 
 A loop, from demand to position, may be compared with the simulation, sine by sine. Both are at rest
 in the same configuration; each sine is small, has settled, and is fitted over whole cycles. What is
@@ -18,7 +18,7 @@ from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
 from cmf_mj.analysis.linear.operating_point import OperatingPoint, operating_point
 from cmf_mj.analysis.linear.poles import Mode, modes
-from cmf_mj.analysis.linear.reduction import dof_model, leg_model, minimal, pose_loop, reduced
+from cmf_mj.analysis.linear.reduction import dof_model, leg_model, pose_loop, reduced
 from cmf_mj.analysis.response.periodic import sine_response
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
@@ -74,7 +74,6 @@ class LinearizationStudy(NamedTuple):
     system: control.StateSpace
     modes: tuple[Mode, ...]
     responses: dict[str, FrequencyResponse]  #: Position per command, by degree of freedom or leg.
-    models: dict[str, control.StateSpace]  #: The same as minimal systems.
     loops: dict[str, FrequencyResponse]  #: Demand to position under the law.
     comparisons: dict[str, Comparison]
     """The loops compared with the simulation, where that was asked for."""
@@ -106,7 +105,6 @@ def linearization_study(
         system,
         modes(system, plant, pose),
         {name: loop_response(model, FREQUENCIES) for name, model in systems.items()},
-        {name: minimal(model) for name, model in systems.items()},
         {name: loop_response(loop, FREQUENCIES) for name, loop in loops.items()},
         {n: compare_with_simulation(plant, law, pose, n) for n in (signals if measure else ())},
     )
