@@ -9,6 +9,7 @@ from cmf_mj.core.hold import Held, history, hold
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.pilot.cueing.classical import (
+    follow,
     low_pass_filter,
     rotation_filter,
     side_by_side,
@@ -16,7 +17,6 @@ from cmf_mj.pilot.cueing.classical import (
 )
 from cmf_mj.pilot.cueing.flight import cue
 from cmf_mj.pilot.cueing.settings import load_washout
-from cmf_mj.pilot.cueing.tilt import follow
 from cmf_mj.pilot.cueing.washout import Washout
 from cmf_mj.pilot.motion import PilotMotion, pilot_station
 

@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 from flights import G, level, pushed, sustained, turned
 
-from cmf_mj.pilot.perception.error import cueing_error, oscillation
-from cmf_mj.pilot.perception.models import canal_response, otolith_response, sense, state_space
-from cmf_mj.pilot.perception.settings import load_senses
+from cmf_mj.pilot.perception import (
+    canal_response,
+    cueing_error,
+    load_senses,
+    oscillation,
+    otolith_response,
+    sense,
+    state_space,
+)
 
 SENSES = load_senses()
 

@@ -28,10 +28,9 @@ from cmf_mj.pilot import host as pilot_host
 from cmf_mj.pilot.cueing.envelope import within_limits
 from cmf_mj.pilot.cueing.flight import cue
 from cmf_mj.pilot.cueing.settings import WashoutSettings
-from cmf_mj.pilot.cueing.washout import HOST_RATE
+from cmf_mj.pilot.host import MOST_RATE
 from cmf_mj.pilot.motion import PilotMotion, pilot_station
-from cmf_mj.pilot.perception.error import CueingError, cueing_error
-from cmf_mj.pilot.perception.settings import Senses
+from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.record.record import Record
@@ -100,21 +99,10 @@ def fly(
     senses: Senses | str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> FlightResult:
-    """Fly a host in the cab.
+    """Fly a host, a recorded or live flight, a motion at a pilot's station, or platform frames.
 
-    Args:
-        host: a recorded or live flight, a motion at a pilot's station, or platform frames.
-        law: name, TOML file or loaded `Law`.
-        cab: `gfd`, `rfd` or `ifd`.
-        cueing: washout by name, TOML file or loaded parameters; not used in direct mode.
-        hydraulics: set by name, TOML file or loaded parameters.
-        facility: everything between host and valves.
-        senses: canals, otoliths and thresholds.
-        progress: called with the seconds flown, about once a second of them.
-
-    Raises:
-        InputError: an argument that is refused, named.
-        OutOfBounds: the state left its physical bounds; leg, time and value are named.
+    Law, washout (unused in direct mode) and hydraulics are names, TOML files or loaded; `progress`
+    is called with the seconds flown, about once a second of them.
     """
     settings = facility or FacilitySettings()
     limits = load_motion_limits(settings.limits)
@@ -233,7 +221,7 @@ def _even(stream: HostStream) -> HostStream:
     """Frames that the limiters can take: evenly spaced, at most 80 Hz."""
     step = np.diff(stream.time)
     if step.size and np.ptp(step) > 1e-6 * step.mean():
-        return resample(stream, HOST_RATE)
+        return resample(stream, MOST_RATE)
     return stream
 
 

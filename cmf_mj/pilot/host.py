@@ -56,11 +56,7 @@ def pilot_samples(motion: PilotMotion) -> Iterator[PilotSample]:
 
 
 def pilot_motion(host: AircraftHost) -> PilotMotion:
-    """All samples of a host in aircraft mode.
-
-    Raises:
-        InputError: none, faster than 80 Hz, or a sample that is refused, named.
-    """
+    """All samples of a host in aircraft mode."""
     samples = list(host.samples())
     if not samples:
         raise InputError("samples: the host sends none; give at least one")
@@ -70,11 +66,7 @@ def pilot_motion(host: AircraftHost) -> PilotMotion:
 
 
 def host_stream(host: PlatformHost) -> HostStream:
-    """All frames of a host in direct mode.
-
-    Raises:
-        InputError: none, faster than 80 Hz, or a frame that is refused, named.
-    """
+    """All frames of a host in direct mode."""
     frames = list(host.frames())
     if not frames:
         raise InputError("frames: the host sends none; give at least one")

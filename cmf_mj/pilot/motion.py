@@ -16,8 +16,10 @@ the platform of the simulator or a record of a run.
 """
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -31,16 +33,10 @@ from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import FLIP
 from cmf_mj.record.record import Record
 
-AXES = ("x", "y", "z")
-"""Body axes: forward, right, down."""
-
-ANGLES = ("roll", "pitch", "yaw")
-"""Euler angles, turned in the order yaw, pitch, roll."""
-
 COLUMNS = {
-    "specific_force": tuple(f"specific_force_{axis}" for axis in AXES),
-    "angular_rate": tuple(f"angular_rate_{axis}" for axis in AXES),
-    "attitude": ANGLES,
+    "specific_force": tuple(f"specific_force_{axis}" for axis in "xyz"),
+    "angular_rate": tuple(f"angular_rate_{axis}" for axis in "xyz"),
+    "attitude": ("roll", "pitch", "yaw"),
 }
 """Names of the columns of each channel in files."""
 
@@ -57,11 +53,7 @@ class PilotMotion:
     attitude: NDArray[np.float64]  #: Roll, pitch, yaw [rad], (N, 3).
 
     def __post_init__(self) -> None:
-        """Take copies, check them and freeze them.
-
-        Raises:
-            InputError: a shape, an order in time or a number that is not finite, named.
-        """
+        """Take copies and freeze them; shapes, unordered times and infinities are refused."""
         stamps = np.array(self.time, dtype=float)
         if stamps.ndim != 1 or stamps.size < 1:
             raise InputError(f"time: shape is {stamps.shape}; allowed: (N,)")
@@ -83,11 +75,7 @@ class PilotMotion:
 
     @property
     def rate(self) -> float:
-        """Samples a second [Hz].
-
-        Raises:
-            InputError: the samples are not evenly spaced.
-        """
+        """Samples a second [Hz]; samples that are not evenly spaced are refused."""
         if self.time.size < 2:
             raise InputError(f"time: {self.time.size} samples have no rate; give at least 2")
         step = float(self.time[-1] - self.time[0]) / (self.time.size - 1)
@@ -97,18 +85,13 @@ class PilotMotion:
         return 1.0 / step
 
     def resampled(self, rate: float) -> "PilotMotion":
-        """The same motion at another rate, straight lines between samples; yaw may not wrap.
-
-        Raises:
-            InputError: the rate is not above 0.
-        """
+        """The same motion at another rate [Hz], straight between samples; yaw may not wrap."""
         if not (np.isfinite(rate) and rate > 0.0):
             raise InputError(f"rate: {rate} Hz must be greater than 0")
         span = self.time[-1] - self.time[0]
         time = self.time[0] + np.arange(int(np.floor(span * rate + 1e-9)) + 1) / rate
-        return PilotMotion(
-            time, *(_interpolated(time, self.time, getattr(self, name)) for name in COLUMNS)
-        )
+        channels = (getattr(self, name) for name in COLUMNS)
+        return PilotMotion(time, *(interpolated(time, self.time, values) for values in channels))
 
     @staticmethod
     def from_centre_of_gravity(
@@ -123,18 +106,8 @@ class PilotMotion:
     ) -> "PilotMotion":
         """The motion at a station of a rigid aircraft, from that of its centre of gravity.
 
-        Args:
-            time: sample times [s], (N,).
-            angular_rate: body axes [rad/s], (N, 3).
-            angular_acceleration: its derivative, body axes [rad/s^2], (N, 3).
-            attitude: roll, pitch, yaw [rad], (N, 3).
-            lever_arm: from the centre of gravity to the station, body axes [m], (3,).
-            specific_force: of the centre of gravity, body axes [m/s^2], (N, 3).
-            acceleration: instead, of the centre of gravity against inertial space, body axes
-                [m/s^2], (N, 3).
-
-        Raises:
-            InputError: shapes, or not exactly one of specific force and acceleration.
+        All in SI and body axes, (N, 3); the lever arm from the centre of gravity to the station is
+        (3,). Takes either the specific force or the acceleration against inertial space.
         """
         if (specific_force is None) == (acceleration is None):
             raise InputError("specific_force, acceleration: give exactly one of them")
@@ -143,11 +116,10 @@ class PilotMotion:
         if specific_force is not None:
             force = _rows("specific_force", specific_force, count)
         else:
-            assert acceleration is not None
             force = _rows("acceleration", acceleration, count) - gravity_in_body(turned)
         rates = _rows("angular_rate", angular_rate, count)
-        accelerations = _rows("angular_acceleration", angular_acceleration, count)
-        moved = force + at_lever_arm(rates, accelerations, lever_arm)
+        changes = _rows("angular_acceleration", angular_acceleration, count)
+        moved = force + at_lever_arm(rates, changes, lever_arm)
         return PilotMotion(np.asarray(time, dtype=float), moved, rates, turned)
 
     @staticmethod
@@ -160,15 +132,8 @@ class PilotMotion:
     ) -> "PilotMotion":
         """The motion at a station on the simulator's platform.
 
-        Args:
-            time: sample times [s], (N,).
-            pose: surge, sway, heave [m], roll, pitch, yaw [rad], z down, (N, 6).
-            velocity: first derivative of the pose, Euler rates, (N, 6).
-            acceleration: second derivative of the pose, (N, 6).
-            station: from the platform's centroid, platform axes [m], (3,); `pilot_station`.
-
-        Raises:
-            InputError: shapes or numbers that are refused, named.
+        Pose, velocity (Euler rates) and acceleration are (N, 6), z down, in SI; the station, such
+        as `pilot_station`, counts from the platform's centroid in platform axes [m], (3,).
         """
         count = np.size(time)
         poses = _rows("pose", pose, count, 6)
@@ -187,60 +152,46 @@ class PilotMotion:
 
         The accelerometer of an instant stands in the record one mechanical step after it, so the
         motion is stamped that much earlier; gyro and attitude are interpolated to these times.
-
-        Args:
-            record: of a hexapod, by `simulate`, `operate` or `serve`.
-
-        Raises:
-            InputError: a channel is missing, or there are fewer than two rows.
         """
         force, gyro = record["crew_accelerometer"] * FLIP, record["platform_gyro"] * FLIP
         attitude = record["platform_pose"][:, 3:]
         if record.time.size < 2:
             raise InputError(f"record: {record.time.size} rows; at least 2 are needed")
         time = record.time[1:] - float(record.metadata["mechanical_step"])
-        at = [_interpolated(time, record.time, values) for values in (gyro, attitude)]
+        at = [interpolated(time, record.time, values) for values in (gyro, attitude)]
         return PilotMotion(time, force[1:], *at)
 
-    def save(self, path: str | Path) -> Path:
-        """Write as CSV or Parquet, by the name's end; it reads back bit for bit.
-
-        Columns: time, specific_force_x ..., angular_rate_x ..., roll, pitch, yaw, in SI.
-
-        Raises:
-            InputError: the name ends in neither.
-        """
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Time and each axis of each channel by the names of `COLUMNS`, in SI, (N,) each."""
         columns = {"time": self.time}
-        for name, titles in COLUMNS.items():
-            columns |= dict(zip(titles, getattr(self, name).T, strict=True))
-        table = pa.table({name: np.ascontiguousarray(v) for name, v in columns.items()})
-        return write_table(table, Path(path))
+        for channel, names in COLUMNS.items():
+            columns |= zip(names, np.ascontiguousarray(getattr(self, channel).T), strict=True)
+        return columns
+
+    @staticmethod
+    def from_columns(column: Callable[[str], NDArray[np.float64]], where: Path) -> "PilotMotion":
+        """The motion whose columns in SI a function reads from a file; refusals name the file."""
+        channels = [np.column_stack([column(name) for name in names]) for names in COLUMNS.values()]
+        time = column("time")
+        try:
+            return PilotMotion(time, *channels)
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from error
+
+    def save(self, path: str | Path) -> Path:
+        """Write `columns` as CSV or Parquet, by the name's end; it reads back bit for bit."""
+        return write_table(pa.table(self.columns()), Path(path))
 
     @staticmethod
     def load(path: str | Path) -> "PilotMotion":
-        """Read what `save` wrote, or any CSV or Parquet table with its columns.
-
-        Raises:
-            InputError: file, column or number that cannot be taken, named.
-        """
+        """Read what `save` wrote, or any CSV or Parquet table with its columns."""
         source = Path(path)
         table = read_table(source)
-        parts = [
-            np.column_stack([read_column(source, table, title) for title in titles])
-            for titles in COLUMNS.values()
-        ]
-        try:
-            return PilotMotion(read_column(source, table, "time"), *parts)
-        except ValueError as error:
-            raise InputError(f"{source}: {error}") from error
+        return PilotMotion.from_columns(lambda name: read_column(source, table, name), source)
 
 
 def pilot_station(cab: str = "gfd") -> NDArray[np.float64]:
-    """Site `crew` of a cab from the platform's centroid, platform axes, z down [m], (3,).
-
-    Raises:
-        InputError: unknown cab.
-    """
+    """Site `crew` of a cab from the platform's centroid, platform axes, z down [m], (3,)."""
     root = ElementTree.parse(models.cab_path(cab)).getroot()
     site = next(element for element in root.iter("site") if element.get("name") == "crew")
     return np.array(site.get("pos", "0 0 0").split(), dtype=float) * FLIP
@@ -258,16 +209,7 @@ def at_lever_arm(
     angular_acceleration: NDArray[np.float64],
     lever_arm: ArrayLike,
 ) -> NDArray[np.float64]:
-    """dw/dt x r + w x (w x r), body axes [m/s^2], (N, 3).
-
-    Args:
-        angular_rate: w [rad/s], (N, 3).
-        angular_acceleration: dw/dt [rad/s^2], (N, 3).
-        lever_arm: r [m], (3,).
-
-    Raises:
-        InputError: the lever arm is not three finite numbers.
-    """
+    """dw/dt x r + w x (w x r) of rates and their derivatives (N, 3), body axes [m/s^2], (N, 3)."""
     arm = np.asarray(lever_arm, dtype=float)
     if arm.shape != (3,) or not np.isfinite(arm).all():
         raise InputError(f"lever_arm: {arm} is refused; allowed: three finite numbers [m]")
@@ -281,12 +223,7 @@ def body_rates(angles, rates, accelerations, omega, alpha):  # type: ignore[no-u
 
     p = R' - Y' sin P,  q = P' cos R + Y' sin R cos P,  r = -P' sin R + Y' cos R cos P
 
-    Args:
-        angles: R, P, Y: roll, pitch, yaw [rad], (3,).
-        rates: their first derivatives [rad/s], (3,).
-        accelerations: their second derivatives [rad/s^2], (3,).
-        omega: (3,) overwritten [rad/s].
-        alpha: (3,) overwritten [rad/s^2].
+    with R, P, Y roll, pitch, yaw; all vectors (3,).
     """
     cr, sr = np.cos(angles[0]), np.sin(angles[0])
     cp, sp = np.cos(angles[1]), np.sin(angles[1])
@@ -320,9 +257,10 @@ def _platform_motion(poses, rates, accelerations, omega, alpha, centroid):  # ty
         turn_to_body(angles, accelerations[row, :3], centroid[row])
 
 
-def _interpolated(
+def interpolated(
     at: NDArray[np.float64], time: NDArray[np.float64], values: NDArray[np.float64]
 ) -> NDArray[np.float64]:
+    """Columns of `values` (N, n) on straight lines between their times, (K, n)."""
     return np.column_stack([np.interp(at, time, column) for column in values.T])
 
 
@@ -333,7 +271,7 @@ def _finite(name: str, values: NDArray[np.float64]) -> None:
         raise InputError(f"{name}: row {row}: {values[row]} is refused; allowed: finite numbers")
 
 
-def _rows(name: str, values: ArrayLike, count: int, width: int = 3) -> NDArray[np.float64]:
+def _rows(name: str, values: ArrayLike | None, count: int, width: int = 3) -> NDArray[np.float64]:
     array = np.array(values, dtype=float, order="C")
     if array.shape != (count, width):
         raise InputError(f"{name}: shape is {array.shape}; allowed: ({count}, {width})")

@@ -40,7 +40,8 @@ from cmf_mj.facility.host.stream import HostStream, arrivals
 from cmf_mj.facility.operation import FacilitySettings, operate
 from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.pilot.cueing.settings import WashoutSettings, load_washout
-from cmf_mj.pilot.cueing.washout import HOST_RATE, Washout
+from cmf_mj.pilot.cueing.washout import Washout
+from cmf_mj.pilot.host import MOST_RATE
 from cmf_mj.pilot.motion import PilotMotion, gravity_in_body, pilot_station
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -118,15 +119,12 @@ def amplitude(dof: str, frequency: float) -> float:
 def aircraft_motion(dof: str, frequency: float, size: float) -> tuple[PilotMotion, float]:
     """The aircraft's motion of one run, and when its measured cycles begin [s].
 
-    Args:
-        dof: input.
-        frequency: [rad/s].
-        size: amplitude [m/s^2 or rad].
+    The frequency is in rad/s, the size an amplitude [m/s^2 or rad].
     """
     period = 2.0 * np.pi / frequency
     begin = max(period, _SETTLE)
     end = begin + period * np.ceil(_MEASURE / period)
-    time = np.arange(int(np.ceil((end + 0.5) * HOST_RATE))) / HOST_RATE
+    time = np.arange(int(np.ceil((end + 0.5) * MOST_RATE))) / MOST_RATE
     span = min(period, _FADE)
     inside = np.clip(time / span, 0.0, 1.0)
     fade = 0.5 * (1.0 - np.cos(np.pi * inside))
@@ -160,18 +158,9 @@ def omct(
 ) -> Omct:
     """Run the tests, without a machine and on the machine under each law.
 
-    Args:
-        laws: names, TOML files or loaded laws; may be empty.
-        washout: name, TOML file or loaded parameters.
-        cab: `gfd`, `rfd` or `ifd`.
-        hydraulics: set of the machine.
-        frequencies: [rad/s]; runs last from 25 s to two periods of the lowest.
-        dofs: inputs to drive; tests of others are NaN.
-        jobs: threads; default one a core.
-        progress: called with runs done and in all.
-
-    Raises:
-        InputError: an argument out of range, named; nothing has been run then.
+    Laws, which may be none, washout and hydraulics are names, TOML files or loaded; frequencies in
+    rad/s, whose runs last from 25 s to two periods of the lowest. `dofs` are the inputs to drive;
+    the tests of others are NaN. `progress` is called with runs done and in all.
     """
     settings, parameters = load_washout(washout), load_hydraulics(hydraulics)
     loaded = [load_law(law) for law in laws]
@@ -183,9 +172,9 @@ def omct(
         raise InputError("frequencies: is empty; at least one is needed")
     for frequency in frequencies:
         check_positive(frequencies=frequency)
-        if frequency > 0.25 * np.pi * HOST_RATE:
+        if frequency > 0.25 * np.pi * MOST_RATE:
             raise InputError(
-                f"frequencies: {frequency} rad/s must be at most {0.25 * np.pi * HOST_RATE:.4g}"
+                f"frequencies: {frequency} rad/s must be at most {0.25 * np.pi * MOST_RATE:.4g}"
             )
     names = [*STAGES, *(law.name for law in loaded)]
     shape = len(TESTS), len(frequencies)

@@ -67,17 +67,8 @@ def transport_delay(
 ) -> TransportDelay:
     """Measure the delay from host to pilot and its parts.
 
-    Args:
-        law: name, TOML file or loaded `Law`.
-        cab: `gfd`, `rfd` or `ifd`.
-        dof: degree of freedom of the sine.
-        frequency: of the sine [Hz], a whole number of control frames a period.
-        amplitude: of the sine [m, rad]; default 10 mm or 0.5 deg.
-        hydraulics: set by name, TOML file or loaded parameters.
-        facility: everything between host and valves.
-
-    Raises:
-        InputError: an argument that is refused, named.
+    The sine has a whole number of control frames a period, `frequency` in Hz, and by default an
+    amplitude of 10 mm or 0.5 deg [m, rad].
     """
     index = dof_index(dof)
     signals.check_positive(frequency=frequency)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.units import DEGREE
 from cmf_mj.pilot.motion import PilotMotion
-from cmf_mj.pilot.perception.error import CueingError
+from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show.look import BLUE, GREY, ORANGE, new_figure
 
 SCALE = np.array([1.0, 1.0, 1.0, DEGREE, DEGREE, DEGREE])

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import pyarrow as pa
@@ -36,9 +36,9 @@ _KEY = "cmf_mj_flight"
 _HEADER = re.compile(r"^(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]+)\])?$")
 _UNITS = {
     "time": "s",
-    "specific_force": "m/s^2",
-    "angular_rate": "rad/s",
-    "attitude": "rad",
+    **dict.fromkeys(COLUMNS["specific_force"], "m/s^2"),
+    **dict.fromkeys(COLUMNS["angular_rate"], "rad/s"),
+    **dict.fromkeys(COLUMNS["attitude"], "rad"),
     "airspeed": "m/s",
     "height": "m",
 }
@@ -66,11 +66,7 @@ class Flight:
     """More columns by name, such as `airspeed` [m/s] and `height` [m], (N,) each."""
 
     def __post_init__(self) -> None:
-        """Freeze the other columns and check their lengths.
-
-        Raises:
-            InputError: a column of another length or with a number that is not finite.
-        """
+        """Freeze the other columns; lengths and numbers that are not finite are refused by name."""
         others = {name: np.array(values, dtype=float) for name, values in self.others.items()}
         for name, values in others.items():
             if values.shape != self.motion.time.shape:
@@ -90,28 +86,18 @@ class Flight:
     def save(self, path: str | Path, *, single: bool = False) -> Path:
         """Write as CSV or Parquet, by the name's end; the file appears when it is complete.
 
-        Args:
-            path: where to.
-            single: round all but the time to single precision, which halves a Parquet file and
-                changes a specific force by at most 1e-6 m/s^2.
-
-        Raises:
-            InputError: the name ends in neither.
+        `single` rounds all but the time to single precision, which halves a Parquet file and
+        changes a specific force by at most 1e-6 m/s^2.
         """
         target = Path(path)
-        kind = np.float32 if single else np.float64
-        columns: dict[str, NDArray[Any]] = {"time": self.motion.time}
-        column_units = {"time": "s"}
-        for channel, names in COLUMNS.items():
-            for name, values in zip(names, getattr(self.motion, channel).T, strict=True):
-                columns[name], column_units[name] = values.astype(kind), _UNITS[channel]
-        for name, values in self.others.items():
-            columns[name], column_units[name] = values.astype(kind), _UNITS.get(name, "1")
+        columns = {**self.motion.columns(), **self.others}
+        if single:
+            columns |= {n: v.astype(np.float32) for n, v in columns.items() if n != "time"}
+        column_units = {name: _UNITS.get(name, "1") for name in columns}
         origin = self.origin.model_dump(mode="json")
         if target.suffix == ".parquet":
-            table = pa.table({name: np.ascontiguousarray(v) for name, v in columns.items()})
             header = json.dumps({"units": column_units, "origin": origin})
-            return write_parquet(table.replace_schema_metadata({_KEY: header}), target)
+            return write_parquet(pa.table(columns).replace_schema_metadata({_KEY: header}), target)
         if target.suffix != ".csv":
             raise InputError(f"{target}: must end in .csv or .parquet")
         titled = {f"{name} [{column_units[name]}]": values for name, values in columns.items()}
@@ -122,15 +108,9 @@ class Flight:
 
     @staticmethod
     def load(path: str | Path) -> "Flight":
-        """Read a flight.
-
-        Raises:
-            InputError: file, header, column, unit or number that cannot be taken, named.
-        """
+        """Read a flight; what is refused in file, header, columns and units is named."""
         source = Path(path)
         table, column_units, origin = _parts(source)
-        named = {name: name for names in COLUMNS.values() for name in names}
-        others = [n for n in table.column_names if n not in named and n != "time"]
 
         def column(name: str) -> NDArray[np.float64]:
             values = read_column(source, table, name)
@@ -139,13 +119,11 @@ class Flight:
             except ValueError as error:
                 raise InputError(f"{source}: {name}: {error}") from error
 
-        parts = [np.column_stack([column(name) for name in names]) for names in COLUMNS.values()]
+        motion = PilotMotion.from_columns(column, source)
+        others = {n: column(n) for n in table.column_names if n not in motion.columns()}
         try:
-            motion = PilotMotion(column("time"), *parts)
-            return Flight(motion, origin, {name: column(name) for name in others})
-        except ValueError as error:
-            if str(error).startswith(str(source)):
-                raise
+            return Flight(motion, origin, others)
+        except InputError as error:
             raise InputError(f"{source}: {error}") from error
 
 
@@ -155,14 +133,7 @@ def flight_names() -> list[str]:
 
 
 def load_flight(source: str | Path) -> Flight:
-    """Load a flight.
-
-    Args:
-        source: name of a shipped flight, or a CSV or Parquet file.
-
-    Raises:
-        InputError: unknown name, or a file that is refused.
-    """
+    """Load a shipped flight by its name, or a CSV or Parquet file."""
     if Path(source).suffix:
         return Flight.load(source)
     if str(source) not in flight_names():

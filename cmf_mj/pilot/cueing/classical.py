@@ -18,6 +18,19 @@ T f1 + g lacks what the tilt already gives, so that translation and tilt add up 
 in surge and sway for small angles, H and L the filters: 1 at both ends. The filters are written
 with displacement and velocity, or angle, as states, so that position, velocity and acceleration
 belong together exactly; `cmf_mj.core.hold` puts them on samples.
+
+The demand A_d of the tilt has the derivatives
+
+    A_d = asin(f / g),    A_d' = f' / (g cos A_d),    A_d'' = (f'' / g + A_d'^2 sin A_d) / cos A_d
+
+with f, f', f'' of the low-pass, which knows its own derivatives. The tilt follows at the rate
+
+    A' = sat(A_d' + (A_d - A) / tau),    |A'| <= R
+
+While sat does not bind, A stays on A_d without lag; a tilt that was held back closes in at the
+rate R and joins with the time constant tau. A and A' are continuous; A'' jumps where sat begins or
+ends to bind. Over a sample without saturation A comes out exact, e[k+1] = e[k] exp(-T / tau) with
+e = A_d - A; with saturation sat's argument is taken as a straight line, an error of the order T^3.
 """
 
 from typing import NamedTuple
@@ -31,35 +44,62 @@ from cmf_mj.core.hold import Held, advance, hold, read, settled
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.kinematics import rotation
 from cmf_mj.pilot.cueing.settings import ClassicalSettings, HighPass, ThirdOrder, Tilted
-from cmf_mj.pilot.cueing.tilt import follow, tilt_demand
 
 Matrices = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 """A, B, C, D."""
 
 
-class Classical(NamedTuple):
-    """Compiled parameters."""
+_ITERATIONS = 8
+"""Of the implicit step of the tilt, which contracts by at most T / (2 tau) each."""
 
-    rotation: Held  #: Euler rates (3) and their slopes (3) to angles, rates and accelerations (9).
-    low_pass: Held  #: Specific force x, y (2) to its low-passed part and two derivatives (6).
-    translation: Held  #: T f1 + g (3) to displacement, velocity and acceleration (9).
+
+class Filter(NamedTuple):
+    """A linear filter at work; its arrays are overwritten by each sample."""
+
+    system: Held
+    state: NDArray[np.float64]  #: (n,).
+    inputs: NDArray[np.float64]  #: Of the last sample, (m,).
+
+
+def at_work(system: Held) -> Filter:
+    """A filter with nothing in it."""
+    states, inputs = system.earlier.shape
+    return Filter(system, np.zeros(states), np.zeros(inputs))
+
+
+def settle(filtering: Filter, inputs: NDArray[np.float64]) -> None:
+    """Put a filter into the state after a long time at constant inputs (m,)."""
+    filtering.state[:] = settled(filtering.system, inputs)
+    filtering.inputs[:] = inputs
+
+
+@compiled
+def push(filtering, inputs):  # type: ignore[no-untyped-def]
+    """Move a filter to the next sample, with inputs (m,)."""
+    work = np.empty(filtering.state.size)
+    advance(filtering.system, filtering.state, filtering.inputs, inputs, work)
+    filtering.inputs[:] = inputs
+
+
+@compiled
+def outputs(filtering, out):  # type: ignore[no-untyped-def]
+    """Write the outputs (p,) of a filter."""
+    read(filtering.system, filtering.state, filtering.inputs, out)
+
+
+class Classical(NamedTuple):
+    """The algorithm at work; its arrays are overwritten by each sample."""
+
+    rotation: Filter
+    """Euler rates (3) and their slopes (3) to angles, rates and accelerations (9)."""
+    low_pass: Filter  #: Specific force x, y (2) to its low-passed part and two derivatives (6).
+    translation: Filter  #: T f1 + g (3) to displacement, velocity and acceleration (9).
+    tilt: NDArray[np.float64]  #: Pitch and roll tilt with two derivatives, (2, 3).
+    demand: NDArray[np.float64]  #: Their demands, (2, 3).
     tilt_force: float  #: Limit before the low-pass [m/s^2].
     tilt_rate: float  #: R [rad/s].
     recovery: float  #: tau [s].
     interval: float  #: T [s].
-
-
-class ClassicalState(NamedTuple):
-    """State, overwritten by each step."""
-
-    rotation: NDArray[np.float64]
-    low_pass: NDArray[np.float64]
-    translation: NDArray[np.float64]
-    tilt: NDArray[np.float64]  #: Pitch and roll tilt with two derivatives, (2, 3).
-    demand: NDArray[np.float64]  #: Their demands, (2, 3).
-    turning: NDArray[np.float64]  #: Euler rates and slopes of the last step, (6,).
-    pushing: NDArray[np.float64]  #: Low-pass input of the last step, (2,).
-    moving: NDArray[np.float64]  #: Translation input of the last step, (3,).
 
 
 def rotation_filter(axis: HighPass) -> Matrices:
@@ -101,13 +141,18 @@ def side_by_side(systems: list[Matrices], interval: float) -> Held:
 
 
 def make_classical(settings: ClassicalSettings, interval: float) -> Classical:
-    """Compiled parameters at samples `interval` [s] apart."""
+    """The algorithm at samples `interval` [s] apart; `settle_classical` starts it."""
     turns = (settings.roll, settings.pitch, settings.yaw)
-    moves = (settings.surge, settings.sway, settings.heave)
+    tilts = (settings.surge, settings.sway)
+    rotations = side_by_side([rotation_filter(axis) for axis in turns], interval)
+    low_pass = side_by_side([low_pass_filter(axis) for axis in tilts], interval)
+    moves = [translation_filter(axis) for axis in (*tilts, settings.heave)]
     return Classical(
-        side_by_side([rotation_filter(axis) for axis in turns], interval),
-        side_by_side([low_pass_filter(axis) for axis in (settings.surge, settings.sway)], interval),
-        side_by_side([translation_filter(axis) for axis in moves], interval),
+        at_work(rotations),
+        at_work(low_pass),
+        at_work(side_by_side(moves, interval)),
+        np.zeros((2, 3)),
+        np.zeros((2, 3)),
         settings.inputs.tilt_force_limit.si,
         settings.inputs.tilt_rate.si,
         settings.inputs.tilt_recovery.si,
@@ -115,81 +160,102 @@ def make_classical(settings: ClassicalSettings, interval: float) -> Classical:
     )
 
 
-def start_classical(
+def settle_classical(
     classical: Classical, euler_rates: NDArray[np.float64], force: NDArray[np.float64]
-) -> ClassicalState:
-    """State after a long time at constant Euler rates (3,) and specific force f1 (3,)."""
-    pushing = np.clip(force[:2], -classical.tilt_force, classical.tilt_force)
-    low_pass = settled(classical.low_pass, pushing)
-    demand = np.zeros((2, 3))
-    _tilt_demands(classical, low_pass, pushing, demand)
-    attitude = np.array([-demand[1, 0], demand[0, 0], 0.0])
-    moving = rotation(*attitude) @ force + np.array([0.0, 0.0, STANDARD_GRAVITY])
-    turning = np.concatenate([euler_rates, np.zeros(3)])
-    return ClassicalState(
-        settled(classical.rotation, turning),
-        low_pass,
-        settled(classical.translation, moving),
-        demand.copy(),
-        demand,
-        turning,
-        pushing,
-        moving,
-    )
+) -> None:
+    """Settle on Euler rates (3,) and a specific force f1 (3,), constant for a long time."""
+    settle(classical.low_pass, np.clip(force[:2], -classical.tilt_force, classical.tilt_force))
+    _tilt_demands(classical.low_pass, classical.demand)
+    classical.tilt[:] = classical.demand
+    turn = rotation(-classical.tilt[1, 0], classical.tilt[0, 0], 0.0)
+    settle(classical.translation, turn @ force + np.array([0.0, 0.0, STANDARD_GRAVITY]))
+    settle(classical.rotation, np.concatenate([euler_rates, np.zeros(3)]))
 
 
 @compiled
-def _tilt_demands(classical, low_pass, pushing, demand):  # type: ignore[no-untyped-def]
+def tilt_demand(force, out):  # type: ignore[no-untyped-def]
+    """Write A_d, A_d', A_d'' (3,) of f, f', f'' (3,) [m/s^2, m/s^3, m/s^4]; |f| below 1 g."""
+    sine = force[0] / STANDARD_GRAVITY
+    cosine = np.sqrt(1.0 - sine * sine)
+    out[0] = np.arcsin(sine)
+    out[1] = force[1] / (STANDARD_GRAVITY * cosine)
+    out[2] = (force[2] / STANDARD_GRAVITY + out[1] * out[1] * sine) / cosine
+
+
+@compiled
+def _tilt_demands(low_pass, demand):  # type: ignore[no-untyped-def]
     passed = np.empty(6)
-    read(classical.low_pass, low_pass, pushing, passed)
+    outputs(low_pass, passed)
     for axis in range(2):
         tilt_demand(passed[axis::2], demand[axis])
 
 
 @compiled
-def move_classical(classical, state, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
-    """One sample.
+def _area(value, limit):  # type: ignore[no-untyped-def]
+    """Integral of sat from 0 to `value`."""
+    size = abs(value)
+    return 0.5 * value * value if size <= limit else limit * size - 0.5 * limit * limit
 
-    Args:
-        classical: `Classical`.
-        state: `ClassicalState`, overwritten.
-        euler_rates: e (3,) [rad/s].
-        slopes: their change over the last interval [rad/s^2], (3,).
-        force: f1 (3,) [m/s^2].
-        angular: attitude and two derivatives, (3, 3), overwritten.
-        linear: displacement of the pilot's station and two derivatives, inertial axes, (3, 3),
-            overwritten.
+
+@compiled
+def _mean(first, last, limit):  # type: ignore[no-untyped-def]
+    """Mean of sat along the straight line from `first` to `last`."""
+    if abs(last - first) <= 1e-9 * limit:
+        return min(max(0.5 * (first + last), -limit), limit)
+    return (_area(last, limit) - _area(first, limit)) / (last - first)
+
+
+@compiled
+def follow(tilt, demand, new_demand, limit, recovery, interval):  # type: ignore[no-untyped-def]
+    """Move the tilt A, A', A'' (3,) in place by one sample of T = `interval` [s].
+
+    `demand` is A_d and its derivatives (3,) at the sample before, `limit` R [rad/s], `recovery` tau
+    [s].
     """
-    work = np.empty(9)
+    error = demand[0] - tilt[0]
+    wish = demand[1] + error / recovery
+    angle = new_demand[0] - error * np.exp(-interval / recovery)
+    left = new_demand[0] - angle
+    new_wish = new_demand[1] + left / recovery
+    if max(abs(wish), abs(new_wish)) > limit:
+        for _ in range(_ITERATIONS):
+            angle = tilt[0] + interval * _mean(wish, new_wish, limit)
+            left = new_demand[0] - angle
+            new_wish = new_demand[1] + left / recovery
+    tilt[0] = angle
+    if abs(new_wish) > limit:
+        tilt[1], tilt[2] = np.copysign(limit, new_wish), 0.0
+    else:
+        tilt[1], tilt[2] = new_wish, new_demand[2] - left / recovery**2
+
+
+@compiled
+def move_classical(classical, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
+    """One sample of Euler rates e, their change over the last interval and f1, (3,) each, SI.
+
+    Overwrites the attitude and the displacement of the pilot's station, inertial axes, each with
+    two derivatives, (3, 3).
+    """
     turning = np.empty(6)
     turning[:3], turning[3:] = euler_rates, slopes
-    advance(classical.rotation, state.rotation, state.turning, turning, work)
-    read(classical.rotation, state.rotation, turning, angular.reshape(9))
-    state.turning[:] = turning
+    push(classical.rotation, turning)
+    outputs(classical.rotation, angular.reshape(9))
 
     pushing = np.empty(2)
     demand = np.empty((2, 3))
     for axis in range(2):
         pushing[axis] = min(max(force[axis], -classical.tilt_force), classical.tilt_force)
-    advance(classical.low_pass, state.low_pass, state.pushing, pushing, work)
-    _tilt_demands(classical, state.low_pass, pushing, demand)
+    push(classical.low_pass, pushing)
+    _tilt_demands(classical.low_pass, demand)
+    limits = (classical.tilt_rate, classical.recovery, classical.interval)
     for axis in range(2):
-        follow(
-            state.tilt[axis],
-            state.demand[axis],
-            demand[axis],
-            classical.tilt_rate,
-            classical.recovery,
-            classical.interval,
-        )
-    state.pushing[:] = pushing
-    state.demand[:] = demand
+        follow(classical.tilt[axis], classical.demand[axis], demand[axis], *limits)
+    classical.demand[:] = demand
     for order in range(3):
-        angular[order, 1] += state.tilt[0, order]
-        angular[order, 0] -= state.tilt[1, order]
+        angular[order, 1] += classical.tilt[0, order]
+        angular[order, 0] -= classical.tilt[1, order]
 
     moving = rotation(angular[0, 0], angular[0, 1], angular[0, 2]) @ force
     moving[2] += STANDARD_GRAVITY
-    advance(classical.translation, state.translation, state.moving, moving, work)
-    read(classical.translation, state.translation, moving, linear.reshape(9))
-    state.moving[:] = moving
+    push(classical.translation, moving)
+    outputs(classical.translation, linear.reshape(9))

@@ -59,12 +59,7 @@ class LimitedMotion(NamedTuple):
 
 
 def excursion(stream: HostStream, limits: MotionLimits | None = None) -> Excursion:
-    """Peaks of a motion over the limits of platform and legs.
-
-    Args:
-        stream: host frames.
-        limits: default Table 2-1 and the rates assumed with it.
-    """
+    """Peaks of host frames over the limits of platform and legs, by default those of Table 2-1."""
     bounds = limits or load_motion_limits()
     low, high = bounds.operational.T
     legs = pose_to_legs(stream.pose)
@@ -84,22 +79,13 @@ def excursion(stream: HostStream, limits: MotionLimits | None = None) -> Excursi
 
 
 def within_limits(stream: HostStream, limits: MotionLimits | None = None) -> LimitedMotion:
-    """A motion held back where it would leave the limits of platform or legs.
-
-    Args:
-        stream: evenly spaced host frames; the motion begins at rest.
-        limits: default Table 2-1 and the rates assumed with it.
-    """
+    """Evenly spaced frames, held back where they would leave the limits; they begin at rest."""
     if stream.time.size < 2:
         return LimitedMotion(stream, np.zeros(stream.time.size, dtype=bool))
     bounds = limits or load_motion_limits()
     frame = float(stream.time[-1] - stream.time[0]) / (stream.time.size - 1)
-    platform = limit_history(
-        make_pose_limiter(bounds)._replace(frame=frame),
-        stream.pose,
-        stream.velocity,
-        stream.acceleration,
-    )
+    demand = (stream.pose, stream.velocity, stream.acceleration)
+    platform = limit_history(make_pose_limiter(bounds)._replace(frame=frame), *demand)
     pose, velocity, acceleration = (values.copy() for values in platform[:3])
     legs = pose_to_legs(pose)
     rates = pose_motion_to_legs(pose, velocity, acceleration)

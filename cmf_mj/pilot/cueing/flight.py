@@ -11,10 +11,10 @@ from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
 from cmf_mj.pilot.cueing.envelope import Excursion, excursion, within_limits
 from cmf_mj.pilot.cueing.settings import WashoutSettings, load_washout
-from cmf_mj.pilot.cueing.washout import HOST_RATE, Washout
+from cmf_mj.pilot.cueing.washout import Washout
+from cmf_mj.pilot.host import MOST_RATE
 from cmf_mj.pilot.motion import PilotMotion, pilot_station
-from cmf_mj.pilot.perception.error import CueingError, cueing_error
-from cmf_mj.pilot.perception.settings import Senses
+from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
 
 _HALVINGS = 20
 """Bisections for the factor on the gains, which resolve it to 1e-6."""
@@ -39,20 +39,11 @@ def cue(
     cab: str = "gfd",
     limits: MotionLimits | None = None,
     senses: Senses | str | None = None,
-    rate: float = HOST_RATE,
+    rate: float = MOST_RATE,
 ) -> Cue:
-    """Fly a motion in the simulator, the machine taken as ideal.
+    """Fly a motion at a pilot's station in the simulator, the machine taken as ideal.
 
-    Args:
-        motion: at the pilot's station in flight.
-        washout: name, TOML file or loaded parameters.
-        cab: whose pilot's station.
-        limits: of the machine; default Table 2-1 and the rates assumed with it.
-        senses: canals, otoliths and thresholds.
-        rate: frames a second [Hz].
-
-    Raises:
-        InputError: an argument that is refused, named.
+    Takes a washout by name, TOML file or loaded parameters, and the frames a second `rate` [Hz].
     """
     algorithm = Washout(washout, station=pilot_station(cab), rate=rate)
     flown = algorithm.flown(motion)
@@ -90,26 +81,13 @@ def tune(
     share: float = 1.0,
     largest_gain: float = 1.0,
     limits: MotionLimits | None = None,
-    rate: float = HOST_RATE,
+    rate: float = MOST_RATE,
 ) -> Tuned:
     """Scale gains by one factor so that a flight just uses its share of the machine's limits.
 
     Bisection on the largest share of any limit, which mostly grows with the gains; where it does
-    not, the result is a factor at which it crosses, not always the largest.
-
-    Args:
-        motion: at the pilot's station in flight.
-        washout: name, TOML file or loaded parameters; their gains set the proportions.
-        cab: whose pilot's station.
-        dofs: degrees of freedom whose gains are scaled.
-        share: of the limits to use, above 0.
-        largest_gain: no gain that is scaled goes above it.
-        limits: of the machine; default Table 2-1 and the rates assumed with it.
-        rate: frames a second [Hz].
-
-    Raises:
-        InputError: an argument out of range, no gain to scale, or gains that are left alone and
-            use more than the share already.
+    not, the result is a factor at which it crosses, not always the largest. Only the gains of
+    `dofs` are scaled, and none of them above `largest_gain`. Refuses what cannot reach the share.
     """
     for name, value in (("share", share), ("largest_gain", largest_gain)):
         if not (np.isfinite(value) and value > 0.0):

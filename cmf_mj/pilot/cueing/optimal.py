@@ -30,16 +30,22 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.hold import Held, advance, hold, read, settled
+from cmf_mj.core.hold import hold
 from cmf_mj.core.units import STANDARD_GRAVITY
+from cmf_mj.pilot.cueing.classical import Filter, Matrices, at_work, outputs, push, settle
 from cmf_mj.pilot.cueing.settings import (
     OptimalSettings,
     RotationSizes,
     TiltingSizes,
     TranslationSizes,
 )
-from cmf_mj.pilot.perception.models import canal_response, otolith_response, state_space
-from cmf_mj.pilot.perception.settings import Senses, load_senses
+from cmf_mj.pilot.perception import (
+    Senses,
+    canal_response,
+    load_senses,
+    otolith_response,
+    state_space,
+)
 
 Matrix = NDArray[np.float64]
 
@@ -51,7 +57,7 @@ class Mode(NamedTuple):
     cost: tuple[Matrix, Matrix, Matrix]  #: Q, N, R of x Q x + 2 x N u + u R u.
     riccati: Matrix  #: P of the algebraic Riccati equation.
     feedback: Matrix  #: F of u = -F x.
-    filter: tuple[Matrix, Matrix, Matrix, Matrix]
+    filter: Matrices
     """A, B, C, D from the aircraft's inputs to the simulator's motion; states (x_v, x_d)."""
 
     @property
@@ -64,19 +70,12 @@ class Mode(NamedTuple):
 
 
 class Optimal(NamedTuple):
-    """Compiled parameters."""
+    """The algorithm at work; its arrays are overwritten by each sample."""
 
-    filter: Held
+    filter: Filter
     """Euler rates (3), specific force less that of level rest (3) and slopes of the Euler rates
     and the force (6) to angles and displacements with two derivatives (18)."""
     interval: float  #: T [s].
-
-
-class OptimalState(NamedTuple):
-    """State, overwritten by each step."""
-
-    filter: Matrix
-    inputs: Matrix  #: Of the last step, (12,).
 
 
 def _solve(
@@ -87,16 +86,10 @@ def _solve(
     corners: list[float],
     motion: tuple[Matrix, Matrix],
 ) -> Mode:
-    """Solve one mode.
+    """Solve one mode, whose filter's outputs are the rows `motion` of x_d and u.
 
-    Args:
-        vestibular: from v to what is sensed.
-        tilt: specific force of the last input of `vestibular` per last state of the chain.
-        chain: A_d and B_d.
-        sizes: of errors, of x_d, of u.
-        corners: b of the aircraft's inputs [rad/s].
-        motion: rows of x_d and u that make up displacement or angle, rate and acceleration; see
-            `_outputs`.
+    `vestibular` leads from v to what is sensed, `tilt` is the specific force of its last input per
+    last state of the chain A_d, B_d; sizes are of errors, of x_d, of u, corners b [rad/s].
     """
     av, bv, cv, dv = (
         np.asarray(m) for m in (vestibular.A, vestibular.B, vestibular.C, vestibular.D)
@@ -224,7 +217,7 @@ _PLACES = {
 def make_optimal(
     settings: OptimalSettings, interval: float, senses: Senses | str | None = None
 ) -> Optimal:
-    """Compiled parameters at samples `interval` [s] apart."""
+    """The algorithm at samples `interval` [s] apart; `settle_optimal` starts it."""
     by_name = modes(settings, senses)
     a = linalg.block_diag(*(mode.filter[0] for mode in by_name.values()))
     b, c, d = np.zeros((len(a), 12)), np.zeros((18, len(a))), np.zeros((18, 12))
@@ -243,29 +236,27 @@ def make_optimal(
             c[rate + 3, states] = mode_c[row] @ mode_a
             d[rate + 3, inputs] = mode_c[row] @ mode_b
             d[rate + 3, inputs + 6] = mode_d[row]
-    return Optimal(hold(a, b, c, d, interval), interval)
+    return Optimal(at_work(hold(a, b, c, d, interval)), interval)
 
 
-def start_optimal(optimal: Optimal, euler_rates: Matrix, force: Matrix) -> OptimalState:
-    """State after a long time at constant Euler rates (3,) and specific force f1 (3,)."""
+def settle_optimal(optimal: Optimal, euler_rates: Matrix, force: Matrix) -> None:
+    """Settle on Euler rates (3,) and a specific force f1 (3,), constant for a long time."""
     beyond = force + [0.0, 0.0, STANDARD_GRAVITY]
-    inputs = np.concatenate([euler_rates, beyond, np.zeros(6)])
-    return OptimalState(settled(optimal.filter, inputs), inputs)
+    settle(optimal.filter, np.concatenate([euler_rates, beyond, np.zeros(6)]))
 
 
 @compiled
-def move_optimal(optimal, state, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
+def move_optimal(optimal, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
     """One sample; arguments as for `move_classical`."""
-    inputs, work, out = np.empty(12), np.empty(state.filter.shape[0]), np.empty(18)
+    inputs, out = np.empty(12), np.empty(18)
     for axis in range(3):
         inputs[axis] = euler_rates[axis]
         inputs[3 + axis] = force[axis]
         inputs[6 + axis] = slopes[axis]
     inputs[5] += STANDARD_GRAVITY
     for axis in range(3):
-        inputs[9 + axis] = (inputs[3 + axis] - state.inputs[3 + axis]) / optimal.interval
-    advance(optimal.filter, state.filter, state.inputs, inputs, work)
-    read(optimal.filter, state.filter, inputs, out)
-    state.inputs[:] = inputs
+        inputs[9 + axis] = (inputs[3 + axis] - optimal.filter.inputs[3 + axis]) / optimal.interval
+    push(optimal.filter, inputs)
+    outputs(optimal.filter, out)
     angular[:] = out[:9].reshape(3, 3)
     linear[:] = out[9:].reshape(3, 3)

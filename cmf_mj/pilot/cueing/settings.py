@@ -4,9 +4,8 @@ A set is a table with `kind`, `classical` or `optimal`; its numbers have unit, s
 """
 
 import json
-from abc import abstractmethod
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,23 +81,27 @@ class _Set(Settings):
     title: str = Field(min_length=1)
     source: str = Field(min_length=1)
 
+    _gains: ClassVar[tuple[tuple[str, str], ...]]
+    """Table and key of the gains of surge to yaw."""
+
     @property
-    @abstractmethod
     def gains(self) -> NDArray[np.float64]:
         """Gains of surge to yaw, (6,)."""
+        return np.array([getattr(getattr(self, table), key).si for table, key in self._gains])
 
-    @abstractmethod
-    def with_gains(self, gains: NDArray[np.float64]) -> "WashoutSettings":
+    def with_gains(self, gains: NDArray[np.float64]) -> Self:
         """The set with other gains (6,); their status is `derived`."""
-
-
-def _tuned(value: float) -> dict[str, Any]:
-    return {"value": value, "unit": "1", "status": "derived", "source": "set by hand or tuning"}
+        tables = self.model_dump()
+        origin = {"unit": "1", "status": "derived", "source": "set by hand or tuning"}
+        for (table, key), gain in zip(self._gains, gains, strict=True):
+            tables[table][key] = {"value": float(gain), **origin}
+        return validated(type(self), tables, self.name)
 
 
 class ClassicalSettings(_Set):
     """A classical washout."""
 
+    _gains: ClassVar = tuple((dof, "gain") for dof in DOFS)
     kind: Literal["classical"]
     inputs: TiltInputs
     surge: Tilted
@@ -124,25 +127,9 @@ class ClassicalSettings(_Set):
                 )
         return self
 
-    @property
-    def gains(self) -> NDArray[np.float64]:
-        """Gains of surge to yaw, (6,)."""
-        return np.array([getattr(self, dof).gain.si for dof in DOFS])
 
-    def with_gains(self, gains: NDArray[np.float64]) -> "ClassicalSettings":
-        """The set with other gains (6,); their status is `derived`."""
-        table = self.model_dump()
-        for dof, gain in zip(DOFS, gains, strict=True):
-            table[dof]["gain"] = _tuned(float(gain))
-        return validated(ClassicalSettings, table, self.name)
-
-
-class Sizes(Settings):
-    """Sizes at which each part of an optimal washout's cost counts one (Bryson's rule)."""
-
-
-class RotationSizes(Sizes):
-    """Cost of yaw."""
+class RotationSizes(Settings):
+    """Sizes at which each part of the cost of yaw counts one (Bryson's rule)."""
 
     gain: Gain  #: Share of the aircraft's angular rate.
     rate_error: Rate  #: Error of the rate sensed.
@@ -153,8 +140,8 @@ class RotationSizes(Sizes):
     """Corner of the first-order noise that the aircraft's rate is taken for."""
 
 
-class TranslationSizes(Sizes):
-    """Cost of heave."""
+class TranslationSizes(Settings):
+    """Sizes of heave, likewise."""
 
     gain: Gain  #: Share of the aircraft's specific force, less that of level rest.
     force_error: Force  #: Error of the specific force sensed.
@@ -167,7 +154,7 @@ class TranslationSizes(Sizes):
 
 
 class TiltingSizes(TranslationSizes):
-    """Cost of surge with pitch, or sway with roll."""
+    """Sizes of surge with pitch, or sway with roll, likewise."""
 
     rate_gain: Gain  #: Share of the aircraft's angular rate.
     rate_error: Rate  #: Error of the rate sensed.
@@ -180,6 +167,10 @@ class TiltingSizes(TranslationSizes):
 class OptimalSettings(_Set):
     """An optimal washout."""
 
+    _gains: ClassVar = (
+        *(("pitch_surge", "gain"), ("roll_sway", "gain"), ("heave", "gain")),
+        *(("roll_sway", "rate_gain"), ("pitch_surge", "rate_gain"), ("yaw", "gain")),
+    )
     kind: Literal["optimal"]
     inputs: Inputs
     pitch_surge: TiltingSizes
@@ -187,70 +178,39 @@ class OptimalSettings(_Set):
     yaw: RotationSizes
     heave: TranslationSizes
 
-    @property
-    def gains(self) -> NDArray[np.float64]:
-        """Gains of surge to yaw, (6,)."""
-        surge, sway = self.pitch_surge, self.roll_sway
-        order = (surge.gain, sway.gain, self.heave.gain, sway.rate_gain, surge.rate_gain)
-        return np.array([gain.si for gain in (*order, self.yaw.gain)])
-
-    def with_gains(self, gains: NDArray[np.float64]) -> "OptimalSettings":
-        """The set with other gains (6,); their status is `derived`."""
-        table = self.model_dump()
-        fields = ("gain", "gain", "gain", "rate_gain", "rate_gain", "gain")
-        modes = ("pitch_surge", "roll_sway", "heave", "roll_sway", "pitch_surge", "yaw")
-        for mode, field, gain in zip(modes, fields, gains, strict=True):
-            table[mode][field] = _tuned(float(gain))
-        return validated(OptimalSettings, table, self.name)
-
 
 WashoutSettings = ClassicalSettings | OptimalSettings
 """Parameters of any washout."""
-
-_KINDS: dict[str, type[ClassicalSettings] | type[OptimalSettings]] = {
-    "classical": ClassicalSettings,
-    "optimal": OptimalSettings,
-}
 
 
 def load_washout(source: str | Path | WashoutSettings = "simona") -> WashoutSettings:
     """Load the parameters of a washout.
 
-    Args:
-        source: `simona`, `reid_nahon`, `optimal`; a TOML file with `base` naming one of them and
-            one table of changes, merged table by table; or parameters already loaded.
-
-    Raises:
-        InputError: unknown set, unreadable file or a refused field; each is named.
+    `source` is `simona`, `reid_nahon` or `optimal`; a TOML file with `base` naming one of them and
+    one table of changes, merged table by table; or parameters already loaded.
     """
     if isinstance(source, ClassicalSettings | OptimalSettings):
         return source
     table, where = named_set("washout", WASHOUTS, _FILE, source, fixed=("kind",))
-    return validated(_KINDS[table["kind"]], table, where)
+    if table["kind"] == "optimal":
+        return validated(OptimalSettings, table, where)
+    return validated(ClassicalSettings, table, where)
 
 
 def save_washout(settings: WashoutSettings, path: str | Path) -> Path:
     """Write parameters as a TOML file that `load_washout` reads back."""
-    target = Path(path)
-    base = "optimal" if settings.kind == "optimal" else "simona"
-    lines = [f'base = "{base}"', "", f"[{_quoted(settings.name)}]"]
+
+    def text(value: str | float) -> str:
+        return json.dumps(value, ensure_ascii=False)
+
+    base, name = "optimal" if settings.kind == "optimal" else "simona", text(settings.name)
+    lines = [f'base = "{base}"', "", f"[{name}]"]
     tables = settings.model_dump(exclude={"name", "kind"})
-    lines += [f"{key} = {_quoted(text)}" for key, text in tables.items() if isinstance(text, str)]
+    lines += [f"{key} = {text(value)}" for key, value in tables.items() if isinstance(value, str)]
     for key, table in tables.items():
         if isinstance(table, dict):
-            lines += ["", f"[{_quoted(settings.name)}.{key}]"]
-            lines += [f"{name} = {_inline(quantity)}" for name, quantity in table.items()]
-    write_text(target, "\n".join(lines) + "\n")
-    return target
-
-
-def _quoted(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)
-
-
-def _inline(quantity: dict[str, Any]) -> str:
-    parts = (
-        f"{key} = {_quoted(part) if isinstance(part, str) else repr(part)}"
-        for key, part in quantity.items()
-    )
-    return f"{{ {', '.join(parts)} }}"
+            lines += ["", f"[{name}.{key}]"]
+            for field, quantity in table.items():
+                parts = (f"{part} = {text(value)}" for part, value in quantity.items())
+                lines.append(f"{field} = {{ {', '.join(parts)} }}")
+    return write_text(Path(path), "\n".join(lines) + "\n")

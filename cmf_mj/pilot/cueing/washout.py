@@ -26,27 +26,18 @@ from cmf_mj.facility.host.stream import HostFrame, HostStream, make_stream
 from cmf_mj.machine.kinematics import rotation
 from cmf_mj.pilot.cueing.classical import (
     Classical,
-    ClassicalState,
     make_classical,
     move_classical,
-    start_classical,
+    settle_classical,
 )
-from cmf_mj.pilot.cueing.optimal import (
-    Optimal,
-    OptimalState,
-    make_optimal,
-    move_optimal,
-    start_optimal,
-)
+from cmf_mj.pilot.cueing.optimal import Optimal, make_optimal, move_optimal, settle_optimal
 from cmf_mj.pilot.cueing.settings import ClassicalSettings, WashoutSettings, load_washout
+from cmf_mj.pilot.host import MOST_RATE
 from cmf_mj.pilot.motion import PilotMotion, body_rates, pilot_station
-
-HOST_RATE = 80.0
-"""Frames a second of the facility's host [Hz], section 2.3.1."""
 
 
 class Cueing(NamedTuple):
-    """Compiled parameters."""
+    """A washout at work; arrays of its state are overwritten by each frame."""
 
     gain: NDArray[np.float64]  #: Gains of specific force and angular rate, (6,).
     force_limit: float  #: [m/s^2].
@@ -54,28 +45,22 @@ class Cueing(NamedTuple):
     station: NDArray[np.float64]  #: r [m], (3,).
     interval: float  #: T [s].
     algorithm: Classical | Optimal
-
-
-class CueingState(NamedTuple):
-    """State, overwritten by each step."""
-
     angular: NDArray[np.float64]  #: Attitude of the simulator and two derivatives, (3, 3).
     linear: NDArray[np.float64]  #: Displacement of the pilot's station and two derivatives, (3, 3).
-    euler_rates: NDArray[np.float64]  #: Of the last step [rad/s], (3,).
-    algorithm: ClassicalState | OptimalState
+    euler_rates: NDArray[np.float64]  #: Of the last frame [rad/s], (3,).
 
 
-def move(algorithm, state, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
+def move(algorithm, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
     """One sample of either algorithm; arguments as for `move_classical`."""
     chosen = move_classical if isinstance(algorithm, Classical) else move_optimal
-    chosen(algorithm, state, euler_rates, slopes, force, angular, linear)
+    chosen(algorithm, euler_rates, slopes, force, angular, linear)
 
 
 @overload(move)
-def _compiled_move(algorithm, state, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
+def _compiled_move(algorithm, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
     chosen = move_classical if algorithm.instance_class is Classical else move_optimal
-    return lambda algorithm, state, euler_rates, slopes, force, angular, linear: chosen(
-        algorithm, state, euler_rates, slopes, force, angular, linear
+    return lambda algorithm, euler_rates, slopes, force, angular, linear: chosen(
+        algorithm, euler_rates, slopes, force, angular, linear
     )
 
 
@@ -100,8 +85,9 @@ def euler_rates_of(roll, pitch, rate, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def place(station, angular, linear, motion):  # type: ignore[no-untyped-def]
+def place(cueing, motion):  # type: ignore[no-untyped-def]
     """Write pose, velocity and acceleration of the centroid, (3, 6)."""
+    station, angular, linear = cueing.station, cueing.angular, cueing.linear
     omega, alpha = np.empty(3), np.empty(3)
     body_rates(angular[0], angular[1], angular[2], omega, alpha)
     turn = rotation(angular[0, 0], angular[0, 1], angular[0, 2])
@@ -117,35 +103,30 @@ def place(station, angular, linear, motion):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def step(cueing, state, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
-    """One host frame.
+def step(cueing, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
+    """One host frame of the specific force and angular rate at the pilot's station, (3,) each.
 
-    Args:
-        cueing: `Cueing`.
-        state: `CueingState`, overwritten.
-        specific_force: (3,) at the pilot's station [m/s^2].
-        angular_rate: (3,) [rad/s].
-        motion: pose, velocity, acceleration of the platform, (3, 6), overwritten.
+    Overwrites pose, velocity and acceleration of the platform, (3, 6).
     """
     force, rate, euler_rates, slopes = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     scaled(cueing, specific_force, angular_rate, force, rate)
     # The attitude at this frame, but for terms of third order in the interval.
-    span, angular = cueing.interval, state.angular
+    span, angular = cueing.interval, cueing.angular
     roll = angular[0, 0] + span * (angular[1, 0] + 0.5 * span * angular[2, 0])
     pitch = angular[0, 1] + span * (angular[1, 1] + 0.5 * span * angular[2, 1])
     euler_rates_of(roll, pitch, rate, euler_rates)
     for axis in range(3):
-        slopes[axis] = (euler_rates[axis] - state.euler_rates[axis]) / span
-    state.euler_rates[:] = euler_rates
-    move(cueing.algorithm, state.algorithm, euler_rates, slopes, force, angular, state.linear)
-    place(cueing.station, angular, state.linear, motion)
+        slopes[axis] = (euler_rates[axis] - cueing.euler_rates[axis]) / span
+    cueing.euler_rates[:] = euler_rates
+    move(cueing.algorithm, euler_rates, slopes, force, angular, cueing.linear)
+    place(cueing, motion)
 
 
 @compiled
-def _run(cueing, state, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
-    place(cueing.station, state.angular, state.linear, motion[0])
+def _run(cueing, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
+    place(cueing, motion[0])
     for row in range(1, specific_force.shape[0]):
-        step(cueing, state, specific_force[row], angular_rate[row], motion[row])
+        step(cueing, specific_force[row], angular_rate[row], motion[row])
 
 
 class Washout:
@@ -160,29 +141,36 @@ class Washout:
         settings: str | WashoutSettings = "simona",
         *,
         station: ArrayLike | None = None,
-        rate: float = HOST_RATE,
+        rate: float = MOST_RATE,
     ) -> None:
-        """Discretise the filters.
+        """Discretise the filters of a set by name, TOML file or loaded parameters.
 
-        Args:
-            settings: name, TOML file or loaded parameters, see `load_washout`.
-            station: pilot's station from the platform's centroid [m], (3,); default that of the
-                `gfd` cab, `pilot_station`.
-            rate: frames a second [Hz].
-
-        Raises:
-            InputError: a parameter that is refused, named.
+        The pilot's station counts from the platform's centroid [m], (3,), and is that of the `gfd`
+        cab by default; `rate` is in frames a second [Hz].
         """
         self.settings = load_washout(settings)
-        arm = np.array(pilot_station() if station is None else station, dtype=float)
-        if arm.shape != (3,) or not np.isfinite(arm).all():
-            raise InputError(f"station: {arm} is refused; allowed: three finite numbers [m]")
+        self.station = np.array(pilot_station() if station is None else station, dtype=float)
+        _refuse_unless_vector("station", self.station, " [m]")
         if not (np.isfinite(rate) and rate > 0.0):
             raise InputError(f"rate: {rate} Hz must be greater than 0")
-        self.station, self.rate = arm, rate
-        self._cueing = _compile(self.settings, arm, 1.0 / rate)
-        self._state: CueingState | None = None
-        self._sequence = 0
+        self.rate, limits = rate, self.settings.inputs
+        algorithm: Classical | Optimal
+        if isinstance(self.settings, ClassicalSettings):
+            algorithm = make_classical(self.settings, 1.0 / rate)
+        else:
+            algorithm = make_optimal(self.settings, 1.0 / rate)
+        self._cueing = Cueing(
+            self.settings.gains,
+            limits.force_limit.si,
+            limits.rate_limit.si,
+            self.station,
+            1.0 / rate,
+            algorithm,
+            np.empty((3, 3)),
+            np.empty((3, 3)),
+            np.empty(3),
+        )
+        self._sequence: int | None = None
 
     def run(self, motion: PilotMotion) -> HostStream:
         """The host's frames of a flight, one a sample; `motion` is resampled to the rate.
@@ -192,7 +180,7 @@ class Washout:
         flown = self.flown(motion)
         self.start(flown.specific_force[0], flown.angular_rate[0])
         out = np.empty((flown.time.size, 3, 6))
-        _run(self._cueing, self._state, flown.specific_force, flown.angular_rate, out)
+        _run(self._cueing, flown.specific_force, flown.angular_rate, out)
         return make_stream(flown.time, out[:, 0], out[:, 1], out[:, 2])
 
     def flown(self, motion: PilotMotion) -> PilotMotion:
@@ -204,66 +192,43 @@ class Washout:
 
     def start(self, specific_force: ArrayLike, angular_rate: ArrayLike) -> HostFrame:
         """Settle on a specific force (3,) and an angular rate (3,); the first frame."""
-        self._state = _start(self._cueing, *_inputs(specific_force, angular_rate))
+        cueing, force, rate = self._cueing, np.empty(3), np.empty(3)
+        scaled(cueing, *_inputs(specific_force, angular_rate), force, rate)
+        # The attitude depends on the force only, the Euler rates on the attitude.
+        for roll, pitch in ((0.0, 0.0), cueing.angular[0, :2]):
+            euler_rates_of(roll, pitch, rate, cueing.euler_rates)
+            if isinstance(cueing.algorithm, Classical):
+                settle_classical(cueing.algorithm, cueing.euler_rates, force)
+            else:
+                settle_optimal(cueing.algorithm, cueing.euler_rates, force)
+            # At rest a step with the same inputs changes nothing; it reads the outputs.
+            rest = (cueing.euler_rates, np.zeros(3), force)
+            move(cueing.algorithm, *rest, cueing.angular, cueing.linear)
         self._sequence = 0
         motion = np.empty((3, 6))
-        place(self.station, self._state.angular, self._state.linear, motion)
+        place(cueing, motion)
         return HostFrame(0, 0.0, *motion)
 
     def frame(self, specific_force: ArrayLike, angular_rate: ArrayLike) -> HostFrame:
         """The next frame, for a live aircraft; the first call starts.
 
-        Args:
-            specific_force: at the pilot's station, body axes [m/s^2], (3,).
-            angular_rate: body axes [rad/s], (3,).
-
-        Raises:
-            InputError: shapes or numbers that are refused.
+        Specific force [m/s^2] and angular rate [rad/s] are at the pilot's station, body axes, (3,).
         """
-        if self._state is None:
+        if self._sequence is None:
             return self.start(specific_force, angular_rate)
         motion = np.empty((3, 6))
-        step(self._cueing, self._state, *_inputs(specific_force, angular_rate), motion)
+        step(self._cueing, *_inputs(specific_force, angular_rate), motion)
         self._sequence += 1
         return HostFrame(self._sequence, self._sequence / self.rate, *motion)
 
 
 def _inputs(*inputs: ArrayLike) -> list[NDArray[np.float64]]:
-    vectors = []
-    for name, values in zip(("specific_force", "angular_rate"), inputs, strict=True):
-        array = np.array(values, dtype=float)
-        if array.shape != (3,) or not np.isfinite(array).all():
-            raise InputError(f"{name}: {array} is refused; allowed: three finite numbers")
-        vectors.append(array)
+    vectors = [np.array(values, dtype=float) for values in inputs]
+    for name, vector in zip(("specific_force", "angular_rate"), vectors, strict=True):
+        _refuse_unless_vector(name, vector)
     return vectors
 
 
-def _compile(settings: WashoutSettings, station: NDArray[np.float64], interval: float) -> Cueing:
-    algorithm: Classical | Optimal
-    if isinstance(settings, ClassicalSettings):
-        algorithm = make_classical(settings, interval)
-    else:
-        algorithm = make_optimal(settings, interval)
-    limits = settings.inputs
-    return Cueing(
-        settings.gains, limits.force_limit.si, limits.rate_limit.si, station, interval, algorithm
-    )
-
-
-def _start(
-    cueing: Cueing, specific_force: NDArray[np.float64], angular_rate: NDArray[np.float64]
-) -> CueingState:
-    force, rate, euler_rates = np.empty(3), np.empty(3), np.empty(3)
-    scaled(cueing, specific_force, angular_rate, force, rate)
-    # The attitude depends on the force only, the Euler rates on the attitude.
-    angular, linear, zero = np.empty((3, 3)), np.empty((3, 3)), np.zeros(3)
-    for guess in (np.zeros(3), angular[0]):
-        euler_rates_of(guess[0], guess[1], rate, euler_rates)
-        state: ClassicalState | OptimalState
-        if isinstance(cueing.algorithm, Classical):
-            state = start_classical(cueing.algorithm, euler_rates, force)
-        else:
-            state = start_optimal(cueing.algorithm, euler_rates, force)
-        # At rest a step with the same inputs changes nothing; it reads the outputs.
-        move(cueing.algorithm, state, euler_rates, zero, force, angular, linear)
-    return CueingState(angular, linear, euler_rates, state)
+def _refuse_unless_vector(name: str, values: NDArray[np.float64], unit: str = "") -> None:
+    if values.shape != (3,) or not np.isfinite(values).all():
+        raise InputError(f"{name}: {values} is refused; allowed: three finite numbers{unit}")

@@ -1,0 +1,228 @@
+"""What canals and otoliths make of a motion, and the cueing error of the simulator.
+
+    canals      T1 T2 s^2 (T3 s + 1) / ((T1 s + 1) (T2 s + 1) (T4 s + 1))      of angular rate
+    otoliths    K (Ta s + 1) / ((Tl s + 1) (Ts s + 1))                         of specific force
+
+Both have the input's unit. The canals tell rates between about 1 / T1 and 1 / T3 rad/s as they are
+and forget a steady one; the otoliths tell a steady specific force by K and a changing one by up to
+K Ta / Tl. On samples the inputs run straight between them (`cmf_mj.core.hold`).
+
+Senses of both motions, in flight and in the simulator, are computed alike, and their difference is
+compared with the thresholds. A threshold is a setting, not a verdict: whether an error matters
+depends on the task.
+"""
+
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import control
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import AfterValidator, Field, model_validator
+
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.hold import history, hold, settled
+from cmf_mj.core.quantity import Kind, Quantity, positive_in
+from cmf_mj.core.settings import Loader, Settings
+from cmf_mj.core.units import STANDARD_GRAVITY
+from cmf_mj.pilot.motion import PilotMotion
+
+QUANTITIES = ("x", "y", "z", "roll", "pitch", "yaw")
+"""Specific force along, angular rate about the body axes."""
+
+Time = Annotated[Quantity, positive_in("s")]
+Lead = Annotated[Quantity, AfterValidator(Kind(("s",), zero=True).check)]
+Gain = Annotated[Quantity, positive_in("1")]
+Force = Annotated[Quantity, positive_in("m/s^2", "g")]
+Rate = Annotated[Quantity, positive_in("rad/s", "deg/s")]
+
+
+class Canals(Settings):
+    """Semicircular canals."""
+
+    time_constant: Time  #: T1, of cupula and central processing.
+    adaptation: Time  #: T2.
+    lead: Lead  #: T3; 0 leaves lead and lag out.
+    lag: Time  #: T4.
+
+
+class Otoliths(Settings):
+    """Otoliths."""
+
+    gain: Gain  #: Sensed over true at rest.
+    lead: Time
+    long_lag: Time
+    short_lag: Time
+
+
+class Thresholds(Settings):
+    """Smallest motion noticed, along and about each body axis."""
+
+    x: Force
+    y: Force
+    z: Force
+    roll: Rate
+    pitch: Rate
+    yaw: Rate
+
+    @property
+    def si(self) -> NDArray[np.float64]:
+        """Along x, y, z [m/s^2] and about them [rad/s], (6,)."""
+        return np.array([getattr(self, name).si for name in QUANTITIES])
+
+
+class TiltThreshold(Settings):
+    """Smallest pitch tilt noticed at a frequency."""
+
+    frequency: Annotated[Quantity, positive_in("Hz", "rad/s")]
+    angle: Annotated[Quantity, positive_in("deg", "rad")]
+
+
+class Senses(Settings):
+    """All parameters of the senses."""
+
+    canals: Canals
+    otoliths: Otoliths
+    thresholds: Thresholds
+    tilt: tuple[TiltThreshold, ...] = Field(strict=False)
+
+    @model_validator(mode="after")
+    def _apart(self) -> "Senses":
+        if self.canals.time_constant.si == self.canals.adaptation.si:
+            raise InputError("canals.adaptation: must differ from time_constant")
+        return self
+
+
+load_senses = Loader(Senses, Path(__file__).with_suffix(".toml"))
+"""Loads the parameters of the senses."""
+
+
+def canal_response(canals: Canals) -> control.TransferFunction:
+    """Transfer function from angular rate to the rate sensed."""
+    slow = np.polymul([canals.time_constant.si, 1.0], [canals.adaptation.si, 1.0])
+    whole = [canals.time_constant.si * canals.adaptation.si, 0.0, 0.0]
+    if canals.lead.si == 0.0:
+        return control.TransferFunction(whole, slow)
+    return control.TransferFunction(
+        np.polymul(whole, [canals.lead.si, 1.0]), np.polymul(slow, [canals.lag.si, 1.0])
+    )
+
+
+def otolith_response(otoliths: Otoliths) -> control.TransferFunction:
+    """Transfer function from specific force to the specific force sensed."""
+    lags = np.polymul([otoliths.long_lag.si, 1.0], [otoliths.short_lag.si, 1.0])
+    return control.TransferFunction(otoliths.gain.si * np.array([otoliths.lead.si, 1.0]), lags)
+
+
+def state_space(response: control.TransferFunction) -> control.StateSpace:
+    """Balanced state space of a transfer function with simple poles: its partial fractions."""
+    poles = np.sort(np.real(response.poles()))
+    numerator, denominator = response.num[0][0], response.den[0][0]
+    slope = np.polyval(np.polyder(denominator), poles)
+    direct = numerator[0] / denominator[0] if len(numerator) == len(denominator) else 0.0
+    residues = np.polyval(np.polysub(numerator, direct * denominator), poles) / slope
+    size = np.sqrt(np.abs(residues))
+    return control.StateSpace(
+        np.diag(poles), size[:, None], (np.sign(residues) * size)[None, :], [[direct]]
+    )
+
+
+class Sensed(NamedTuple):
+    """What the senses tell, body axes."""
+
+    time: NDArray[np.float64]  #: [s], (N,).
+    angular_rate: NDArray[np.float64]  #: By the canals [rad/s], (N, 3).
+    specific_force: NDArray[np.float64]  #: By the otoliths [m/s^2], (N, 3).
+
+
+def sense(motion: PilotMotion, senses: Senses | str | None = None) -> Sensed:
+    """What canals and otoliths tell of an evenly sampled motion.
+
+    They start as if the first sample had lasted for a long time: rates forgotten, gravity known.
+    """
+    loaded = load_senses(senses)
+    parts = []
+    for response, inputs in (
+        (canal_response(loaded.canals), motion.angular_rate),
+        (otolith_response(loaded.otoliths), motion.specific_force),
+    ):
+        model = state_space(response)
+        system = hold(model.A, model.B, model.C, model.D, 1.0 / motion.rate)
+        outputs = np.empty_like(inputs)
+        for axis in range(3):
+            column = np.ascontiguousarray(inputs[:, axis : axis + 1])
+            sensed = np.empty_like(column)
+            history(system, settled(system, column[0]), column, sensed)
+            outputs[:, axis] = sensed[:, 0]
+        parts.append(outputs)
+    return Sensed(motion.time, *parts)
+
+
+class CueingError(NamedTuple):
+    """Senses of both motions and their difference."""
+
+    aircraft: Sensed
+    simulator: Sensed
+    error: NDArray[np.float64]
+    """Aircraft less simulator: specific force [m/s^2] and angular rate [rad/s], (N, 6)."""
+    threshold: NDArray[np.float64]  #: In the same units, (6,).
+
+    @property
+    def peak(self) -> NDArray[np.float64]:
+        """Largest magnitudes, (6,)."""
+        return np.asarray(np.abs(self.error).max(axis=0))
+
+    @property
+    def rms(self) -> NDArray[np.float64]:
+        """Root mean squares, (6,)."""
+        return np.asarray(np.sqrt(np.mean(self.error**2, axis=0)))
+
+    @property
+    def share_above(self) -> NDArray[np.float64]:
+        """Share of the time above the threshold, (6,)."""
+        return np.asarray(np.mean(np.abs(self.error) > self.threshold, axis=0))
+
+
+def cueing_error(
+    aircraft: PilotMotion, simulator: PilotMotion, senses: Senses | str | None = None
+) -> CueingError:
+    """Compare what is sensed at the pilot's stations of aircraft and simulator, at equal times."""
+    if aircraft.time.shape != simulator.time.shape or not np.allclose(
+        aircraft.time, simulator.time, rtol=0.0, atol=1e-6
+    ):
+        raise InputError(
+            f"simulator: {simulator.time.size} samples from {simulator.time[0]:.6g} s; the "
+            f"aircraft has {aircraft.time.size} from {aircraft.time[0]:.6g} s"
+        )
+    loaded = load_senses(senses)
+    flown, felt = sense(aircraft, loaded), sense(simulator, loaded)
+    error = np.hstack(
+        [flown.specific_force - felt.specific_force, flown.angular_rate - felt.angular_rate]
+    )
+    return CueingError(flown, felt, error, loaded.thresholds.si)
+
+
+class Oscillation(NamedTuple):
+    """A sine of specific force before the otoliths and the thresholds; arrays over frequency."""
+
+    frequency: NDArray[np.float64]  #: [Hz], (K,).
+    amplitude: float  #: [m/s^2].
+    sensed: NDArray[np.float64]  #: Amplitude of what the otoliths tell [m/s^2], (K,).
+    over_threshold: NDArray[np.float64]  #: `sensed` over the thresholds along x, y, z, (K, 3).
+    input_over_threshold: NDArray[np.float64]
+    """`amplitude` over them, (3,): the threshold read as one of the true specific force."""
+
+
+def oscillation(
+    amplitude: float = 0.1 * STANDARD_GRAVITY,
+    frequency: ArrayLike = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0),
+    senses: Senses | str | None = None,
+) -> Oscillation:
+    """What the otoliths make of a sine of specific force [m/s^2] at frequencies [Hz], (K,)."""
+    loaded = load_senses(senses)
+    hertz = np.atleast_1d(np.asarray(frequency, dtype=float))
+    gain = np.abs(otolith_response(loaded.otoliths)(2j * np.pi * hertz))
+    limits = loaded.thresholds.si[:3]
+    return Oscillation(
+        hertz, amplitude, amplitude * gain, amplitude * gain[:, None] / limits, amplitude / limits
+    )

@@ -1,1 +1,0 @@
-"""Perception: semicircular canals and otoliths, cueing errors and thresholds."""
