@@ -19,7 +19,7 @@ from cmf_mj.facility.operation import FacilitySettings, operate
 from cmf_mj.machine.models import CABS
 from cmf_mj.pilot import host as pilot_host
 from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
-from cmf_mj.pilot.cueing.envelope import within_limits
+from cmf_mj.pilot.cueing.flight import within_limits
 from cmf_mj.pilot.fly import fly
 from cmf_mj.show.table import Table
 from cmf_mj.studies.mismatch import with_valve_gains

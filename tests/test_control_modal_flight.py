@@ -8,7 +8,7 @@ from cmf_mj import Hexapod, Law, load_law, simulate
 from cmf_mj.core import units
 from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.facility.operation import FacilitySettings, Operation, operate
-from cmf_mj.pilot.cueing.envelope import within_limits
+from cmf_mj.pilot.cueing.flight import within_limits
 
 PLAN, FLIGHT = load_law("modal_plan"), load_law("modal_plan_flight")
 

@@ -158,9 +158,7 @@ def test_tilt_on_its_demand_stays_there_to_the_bit_and_catches_up_in_closed_form
 def simulated(motion: PilotMotion, **options) -> tuple[HostStream, PilotMotion]:
     washout = Washout(**options)
     stream = washout.run(motion)
-    return stream, PilotMotion.from_platform(
-        stream.time, stream.pose, stream.velocity, stream.acceleration, washout.station
-    )
+    return stream, PilotMotion.from_platform(stream, washout.station)
 
 
 def test_sustained_surge_is_reached_by_tilt_within_its_rate_limit():
@@ -261,9 +259,7 @@ def test_the_platform_turns_about_the_pilot():
     _, about_head = simulated(motion)
     station = pilot_station()
     stream = Washout(station=np.zeros(3)).run(motion)
-    about_centroid = PilotMotion.from_platform(
-        stream.time, stream.pose, stream.velocity, stream.acceleration, station
-    )
+    about_centroid = PilotMotion.from_platform(stream, station)
     early = slice(80, 120)
     lost = about_head.specific_force[early, 0] - about_centroid.specific_force[early, 0]
     np.testing.assert_allclose(

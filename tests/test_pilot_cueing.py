@@ -10,8 +10,7 @@ from cmf_mj.facility.host.files import read_stream
 from cmf_mj.machine.kinematics import WORKING_STROKE, pose_to_legs
 from cmf_mj.machine.leg_motion import pose_motion_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.cueing.envelope import excursion, within_limits
-from cmf_mj.pilot.cueing.flight import cue, tune
+from cmf_mj.pilot.cueing.flight import cue, excursion, tune, within_limits
 from cmf_mj.pilot.cueing.settings import WASHOUTS, load_washout, save_washout
 from cmf_mj.pilot.cueing.washout import Washout
 
@@ -76,28 +75,28 @@ def test_unknown_set_is_refused():
 def test_a_motion_within_the_limits_passes_to_the_bit():
     stream = Washout().run(turn_entry())
     assert excursion(stream).largest < 1.0
-    kept = within_limits(stream)
-    assert not kept.limited.any()
+    kept, limited = within_limits(stream)
+    assert not limited.any()
     for name in ("pose", "velocity", "acceleration"):
-        np.testing.assert_array_equal(getattr(kept.stream, name), getattr(stream, name))
+        np.testing.assert_array_equal(getattr(kept, name), getattr(stream, name))
 
 
 def test_a_motion_beyond_them_is_held_within_travel_and_leg_rates():
     stream = Washout().run(PUSH)
     assert excursion(stream).largest > 1.2
     assert "leg_displacement" in excursion(stream).binding
-    kept = within_limits(stream)
-    assert kept.limited.any() and not kept.limited.all()
-    legs = pose_to_legs(kept.stream.pose)
+    kept, limited = within_limits(stream)
+    assert limited.any() and not limited.all()
+    legs = pose_to_legs(kept.pose)
     assert np.abs(legs).max() <= WORKING_STROKE * (1 + 1e-12)
     low, high = LIMITS.operational.T
     # Legs have the last word: on their way the platform may go a little beyond its own limits.
-    assert (kept.stream.pose <= 1.01 * high).all() and (kept.stream.pose >= 1.01 * low).all()
+    assert (kept.pose <= 1.01 * high).all() and (kept.pose >= 1.01 * low).all()
     speed = np.abs(np.diff(legs, axis=0)).max() * 80.0
     assert speed <= LIMITS.leg.velocity.si * (1 + 1e-9)
     push = np.abs(np.diff(legs, n=2, axis=0)).max() * 80.0**2
     assert push <= LIMITS.leg.acceleration.si * (1 + 1e-6)
-    rates = pose_motion_to_legs(kept.stream.pose, kept.stream.velocity, kept.stream.acceleration)
+    rates = pose_motion_to_legs(kept.pose, kept.velocity, kept.acceleration)
     differenced = (legs[2:] - legs[:-2]) * 40.0
     assert (
         np.abs(rates.velocity[1:-1] - differenced).max() < 0.6 * LIMITS.leg.acceleration.si / 80.0

@@ -23,9 +23,15 @@ from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot import host as pilot_host
 from cmf_mj.pilot.aircraft.flight import Flight, load_flight
 from cmf_mj.pilot.cueing.settings import load_washout
-from cmf_mj.pilot.fly import FlightResult, crew_motion, envelope_use, error_spectra, fly
+from cmf_mj.pilot.fly import (
+    FlightResult,
+    crew_motion,
+    envelope_use,
+    error_spectra,
+    fly,
+    transport_delay,
+)
 from cmf_mj.pilot.motion import PilotMotion
-from cmf_mj.pilot.transport import transport_delay
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.show import flight as flight_report
 
@@ -86,7 +92,7 @@ def test_the_machines_error_is_that_of_the_flight_less_that_of_the_washout(
 
 def test_a_washout_without_gain_leaves_the_pilot_at_rest(failing: PilotMotion) -> None:
     still = load_washout("simona").with_gains(np.zeros(6))
-    ride = fly(cut(failing, 0.0, 2.0), "velocity", cueing=still, facility=IDEAL)
+    ride = fly(cut(failing, 0.0, 2.0), "velocity", washout=still, facility=IDEAL)
     assert not ride.stream.pose.any()
     rest = np.tile([0.0, 0.0, -9.80665], (ride.asked.time.size, 1))
     np.testing.assert_allclose(ride.asked.specific_force, rest, atol=1e-12)
@@ -157,7 +163,7 @@ def test_the_use_of_the_envelope_is_that_of_a_pose_held() -> None:
     stream = make_stream(np.arange(80) / 80.0, np.tile(pose, (80, 1)))
     ride = fly(stream, "velocity_integral", facility=IDEAL)
     low, high = load_motion_limits().operational.T
-    use = envelope_use(ride.operation.record)
+    use = envelope_use(ride.operation.record, load_motion_limits())
     # The law's own offset moves the platform by an inch or so.
     np.testing.assert_allclose(use.pose, np.maximum(pose / low, pose / high), atol=0.06)
     legs = np.abs(kinematics.pose_to_legs(pose)).max() / kinematics.WORKING_STROKE

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cmf_mj import Hexapod, signals, simulate
+from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.machine.kinematics import rotation
 from cmf_mj.pilot.motion import (
     PilotMotion,
@@ -111,7 +112,7 @@ def test_motion_on_the_platform_against_differenced_positions():
     step, arm = 1e-3, np.array([0.6, 0.2, -2.3])
     time = 1.0 + step * np.arange(-2, 3)
     pose, velocity, acceleration = motion(time)
-    result = PilotMotion.from_platform(time, pose, velocity, acceleration, arm)
+    result = PilotMotion.from_platform(make_stream(time, pose, velocity, acceleration), arm)
     turn = np.array([rotation(*row[3:]) for row in pose])
     place = pose[:, :3] + turn @ arm
     inertial = (place[3] - 2 * place[2] + place[1]) / step**2 - [0.0, 0.0, G]
@@ -146,9 +147,8 @@ def test_record_of_a_run_agrees_with_the_platforms_own_motion():
     step = 1.0 / 2048.0
     velocity = np.gradient(pose, step, axis=0)
     acceleration = (pose[2:] - 2 * pose[1:-1] + pose[:-2]) / step**2
-    computed = PilotMotion.from_platform(
-        record.time[1:-1], pose[1:-1], velocity[1:-1], acceleration, pilot_station()
-    )
+    stream = make_stream(record.time[1:-1], pose[1:-1], velocity[1:-1], acceleration)
+    computed = PilotMotion.from_platform(stream, pilot_station())
     np.testing.assert_allclose(felt.time[1:-1], record.time[1:-2], atol=1e-12)
     inside = slice(200, -200)
     apart = felt.specific_force[1:][: computed.time.size] - computed.specific_force

@@ -89,9 +89,7 @@ def test_sway_mirrors_surge_with_equal_sizes():
 def felt(motion):
     washout = Washout("optimal")
     stream = washout.run(motion)
-    return stream, PilotMotion.from_platform(
-        stream.time, stream.pose, stream.velocity, stream.acceleration, washout.station
-    )
+    return stream, PilotMotion.from_platform(stream, washout.station)
 
 
 def test_heave_and_yaw_wash_to_zero_and_surge_is_held_by_tilt():

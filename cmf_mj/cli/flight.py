@@ -53,8 +53,7 @@ def fly_command(
     from cmf_mj.control.law import load_law
     from cmf_mj.facility.operation import FacilitySettings
     from cmf_mj.pilot.aircraft.flight import load_flight
-    from cmf_mj.pilot.fly import fly
-    from cmf_mj.pilot.transport import transport_delay
+    from cmf_mj.pilot.fly import fly, transport_delay
     from cmf_mj.plant.hexapod import hexapod_spec
     from cmf_mj.show import flight as report
     from cmf_mj.show.film.film import FilmSettings, check_film, film
@@ -74,7 +73,7 @@ def fly_command(
                 flown,
                 law,
                 cab=cab,
-                cueing=washout,
+                washout=washout,
                 hydraulics=hydraulics,
                 facility=facility,
                 progress=lambda done, bar=bar: bar(done, length),  # type: ignore[misc]

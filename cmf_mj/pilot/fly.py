@@ -6,6 +6,16 @@
 after the washout, and compares three motions at the pilot's station, all at the host's times: that
 of the aircraft, that which the host's frames ask of the platform, and the true one of the cab. The
 first two differ by the washout, the last two by delay, law and machine.
+
+`transport_delay` says where the time from host to pilot goes, at one frequency. A slow sine in one
+degree of freedom runs through the whole facility. With c the complex amplitude of a signal at w, a
+stage from x to y takes the phase delay
+
+    d = -arg(c_y / c_x) / w
+
+which adds up along the chain exactly; where a stage turns position into velocity, c_x is multiplied
+by jw first. A stage of the closed loop is what is measured between its ends, so that a control law
+that leads shows a negative delay. Legs are projected on the pattern of the degree of freedom.
 """
 
 from collections.abc import Callable
@@ -16,20 +26,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from cmf_mj.analysis.delay import transient_delay
+from cmf_mj import signals
+from cmf_mj.analysis import metrics
+from cmf_mj.analysis.delay import phase_delay, transient_delay
+from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.control.law import Law
 from cmf_mj.control.states import State
 from cmf_mj.core.errors import InputError
-from cmf_mj.facility.host.stream import HostStream, resample
+from cmf_mj.core.rates import RATE
+from cmf_mj.facility.host.stream import HostStream, from_command, resample
 from cmf_mj.facility.operation import FacilitySettings, Operation, operate
 from cmf_mj.machine import kinematics
-from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.machine.dof import by_kind, dof_index
+from cmf_mj.machine.kinematics import FLIP
+from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
 from cmf_mj.pilot import host as pilot_host
-from cmf_mj.pilot.cueing.envelope import within_limits
-from cmf_mj.pilot.cueing.flight import cue
+from cmf_mj.pilot.cueing.flight import cue, within_limits
 from cmf_mj.pilot.cueing.settings import WashoutSettings
 from cmf_mj.pilot.host import MOST_RATE
-from cmf_mj.pilot.motion import PilotMotion, pilot_station
+from cmf_mj.pilot.motion import COLUMNS, PilotMotion, interpolated, pilot_station
 from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -41,6 +56,9 @@ RECORD_EVERY = 8
 _CORNER = 30.0
 """Of the zero-phase low-pass before 80 Hz samples are taken of the cab's motion [Hz]: rows of the
 record hold vibration beyond half the host's rate."""
+
+_SETTLE, _CYCLES = 4, 4
+"""Of the sine whose delay is measured."""
 
 
 class EnvelopeUse(NamedTuple):
@@ -93,7 +111,7 @@ def fly(
     law: str | Path | Law = "velocity",
     *,
     cab: str = "gfd",
-    cueing: str | WashoutSettings = "simona",
+    washout: str | WashoutSettings = "simona",
     hydraulics: str | HydraulicParameters = "hardware",
     facility: FacilitySettings | None = None,
     senses: Senses | str | None = None,
@@ -109,24 +127,16 @@ def fly(
     aircraft = None
     if isinstance(host, PilotMotion | pilot_host.AircraftHost):
         flown = host if isinstance(host, PilotMotion) else pilot_host.pilot_motion(host)
-        cued = cue(flown, cueing, cab=cab, limits=limits, senses=senses)
+        cued = cue(flown, washout, cab=cab, limits=limits, senses=senses)
         aircraft, stream, limited, asked = cued.aircraft, cued.stream, cued.limited, cued.simulator
     else:
         stream, limited = within_limits(_even(pilot_host.host_stream(host)), limits)
-        motion = (stream.time, stream.pose, stream.velocity, stream.acceleration)
-        asked = PilotMotion.from_platform(*motion, pilot_station(cab))
-    operation = operate(
-        Hexapod(cab, hydraulics),
-        law,
-        stream,
-        facility=settings,
-        record_every=RECORD_EVERY,
-        progress=progress,
-    )
+        asked = PilotMotion.from_platform(stream, pilot_station(cab))
+    plant, rows = Hexapod(cab, hydraulics), RECORD_EVERY
+    operation = operate(plant, law, stream, facility=settings, record_every=rows, progress=progress)
     record = operation.record
     simulator = crew_motion(record, asked.time)
     legs = kinematics.pose_to_legs(resample(stream, record.rate).pose)
-    host_delay, loop_delay = _delays(legs, record)
     return FlightResult(
         str(record.metadata["law"]),
         cab,
@@ -137,45 +147,27 @@ def fly(
         simulator,
         None if aircraft is None else cueing_error(aircraft, simulator, senses),
         cueing_error(asked, simulator, senses),
-        envelope_use(record, settings),
-        host_delay,
-        loop_delay,
+        envelope_use(record, limits),
+        *_delays(legs, record),
         operation,
     )
 
 
 def crew_motion(record: Record, time: NDArray[np.float64]) -> PilotMotion:
-    """The crew's motion of a record at some times [s], without what lies beyond 30 Hz.
-
-    Raises:
-        InputError: a record too slow to have anything there.
-    """
+    """The crew's motion of a record at some times [s], without what lies beyond 30 Hz."""
     if record.rate <= 2.0 * _CORNER:
         raise InputError(
             f"record: {record.rate:g} rows a second; allowed: more than {2 * _CORNER:g}"
         )
     motion = PilotMotion.from_record(record)
     sections = signal.butter(4, _CORNER, fs=record.rate, output="sos")
-    columns = (
-        signal.sosfiltfilt(sections, values, axis=0)
-        for values in (motion.specific_force, motion.angular_rate, motion.attitude)
-    )
+    channels = (signal.sosfiltfilt(sections, getattr(motion, name), axis=0) for name in COLUMNS)
     since = time - time[0]
-    taken = (
-        np.column_stack([np.interp(since, motion.time, column) for column in values.T])
-        for values in columns
-    )
-    return PilotMotion(time, *taken)
+    return PilotMotion(time, *(interpolated(since, motion.time, values) for values in channels))
 
 
-def envelope_use(record: Record, facility: FacilitySettings | None = None) -> EnvelopeUse:
-    """Largest shares of the limits in a run while engaged.
-
-    Args:
-        record: of `operate` or `serve`.
-        facility: whose limits; default Table 2-1 and the rates assumed with it.
-    """
-    limits = load_motion_limits((facility or FacilitySettings()).limits)
+def envelope_use(record: Record, limits: MotionLimits) -> EnvelopeUse:
+    """Largest shares of the limits in a run of the facility while engaged."""
     engaged = record["operating_state"] == State.ENGAGED
     low, high = limits.operational.T
     pose = record["platform_pose"][engaged]
@@ -190,29 +182,18 @@ def envelope_use(record: Record, facility: FacilitySettings | None = None) -> En
 
 
 def error_spectra(
-    reference: PilotMotion, motion: PilotMotion, *, segment: float = 8.0
+    reference: PilotMotion, motion: PilotMotion
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Spectral density of the difference of two motions at the same times.
 
-    Welch's method, Hann segments with half overlap, each without its mean; one-sided.
-
-    Args:
-        reference: what should be felt.
-        motion: what is felt.
-        segment: length of a segment [s], at most that of the motions.
-
-    Returns:
-        Frequencies [Hz], (K,), and densities of specific force [(m/s^2)^2/Hz] and angular rate
-        [(rad/s)^2/Hz], (K, 6).
+    Welch's method, Hann segments of 8 s with half overlap, each without its mean; one-sided.
+    Frequencies [Hz], (K,), and densities of specific force [(m/s^2)^2/Hz] and angular rate
+    [(rad/s)^2/Hz], (K, 6).
     """
-    difference = np.hstack(
-        [
-            reference.specific_force - motion.specific_force,
-            reference.angular_rate - motion.angular_rate,
-        ]
-    )
+    force = reference.specific_force - motion.specific_force
+    difference = np.hstack([force, reference.angular_rate - motion.angular_rate])
     rate = reference.rate
-    length = min(round(segment * rate), difference.shape[0])
+    length = min(round(8.0 * rate), difference.shape[0])
     frequency, density = signal.welch(difference, rate, nperseg=length, axis=0)
     return frequency, density
 
@@ -239,3 +220,86 @@ def _delays(sent: NDArray[np.float64], record: Record) -> tuple[float, float]:
         transient_delay(sent_rate, reference_rate, record.rate),
         transient_delay(reference_rate, leg_rate, record.rate),
     )
+
+
+class Stage(NamedTuple):
+    """A part of the way from host to pilot."""
+
+    name: str
+    delay: float  #: [s]; negative where it leads.
+    known: bool  #: Whether it is a setting; otherwise it is measured.
+
+
+class TransportDelay(NamedTuple):
+    """The way from the host's stamp to the pilot's station."""
+
+    dof: str
+    frequency: float  #: [Hz].
+    stages: tuple[Stage, ...]  #: In the order of the signal.
+    host_to_reference: float  #: Measured, to compare with the sum of the DCU's settings [s].
+    total: float
+    """Measured from host to pilot [s]; the stages add up to it but for what the DCU's settings
+    differ from `host_to_reference`."""
+
+
+def transport_delay(
+    law: str | Path | Law = "velocity",
+    *,
+    cab: str = "gfd",
+    dof: str = "heave",
+    frequency: float = 1.0,
+    hydraulics: str | HydraulicParameters = "hardware",
+    facility: FacilitySettings | None = None,
+) -> TransportDelay:
+    """Measure the delay from host to pilot and its parts.
+
+    The sine of 10 mm or 0.5 deg has a whole number of control frames a period, `frequency` in Hz.
+    """
+    index = dof_index(dof)
+    signals.check_positive(frequency=frequency)
+    if not (RATE / frequency).is_integer() or frequency > 8.0:
+        raise InputError(
+            f"frequency: {frequency} Hz; allowed: up to 8 Hz with whole control frames a period, "
+            "such as 0.5, 1 or 2"
+        )
+    settings = facility or FacilitySettings()
+    size = by_kind(dof, 0.01, np.radians(0.5))
+    command = signals.sine(dof, size, frequency, cycles=_SETTLE + _CYCLES + 2.0, fade=1.0)
+    stream = from_command(command, MOST_RATE)
+    record = operate(Hexapod(cab, hydraulics), law, stream, facility=settings).record
+    omega = 2.0 * np.pi * frequency
+    first = round(_SETTLE * RATE / frequency)
+    count = round(_CYCLES * RATE / frequency)
+
+    def fundamental(values: NDArray[np.float64]) -> complex:
+        fit = metrics.harmonics(values[first : first + count], RATE, frequency, 1)
+        return complex(fit.amplitude[0] * np.exp(1j * fit.phase[0]))
+
+    pattern = kinematics.pose_jacobian(np.zeros(6))[:, index]
+
+    def legs(name: str) -> complex:
+        return fundamental(record[name] @ pattern)
+
+    def late(before: complex, after: complex) -> float:
+        return phase_delay(before, after, frequency)
+
+    sent = fundamental(kinematics.pose_to_legs(command.pose) @ pattern)
+    reference, valve, opening = map(legs, ("leg_reference", "valve_command", "valve_opening"))
+    moved = legs("leg_extension")
+    if index < 3:  # an accelerometer's row is of one mechanical step before
+        since = omega * float(record.metadata["mechanical_step"])
+        force = fundamental(record["crew_accelerometer"][:, index] * FLIP[index])
+        felt = force * np.exp(1j * since) / -(omega**2)
+    else:
+        felt = fundamental(record["platform_gyro"][:, index - 3] * FLIP[index - 3]) / (1j * omega)
+    ahead = fundamental(command.pose[:, index])
+    dcu = load_dcu(settings.dcu).delay.parts()
+    measured = {
+        "control law: reference to valve command": late(1j * omega * reference, valve),
+        "servo drive and valve: command to opening": late(valve, opening),
+        "hydraulics and mechanics: opening to legs": late(opening, 1j * omega * moved),
+        "legs to pilot's station": late(moved / sent, felt / ahead),
+    }
+    stages = [Stage(f"DCU: {name.replace('_', ' ')}", delay, True) for name, delay in dcu.items()]
+    stages += [Stage(name, delay, False) for name, delay in measured.items()]
+    return TransportDelay(dof, frequency, tuple(stages), late(sent, reference), late(ahead, felt))

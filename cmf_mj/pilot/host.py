@@ -6,8 +6,8 @@ itself (section 2.3.1). Anything with the one method of a mode is a host of that
 flight, an aircraft flown now, a stream of frames.
 """
 
-from collections.abc import Iterator
-from typing import NamedTuple, Protocol, runtime_checkable
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,27 +57,20 @@ def pilot_samples(motion: PilotMotion) -> Iterator[PilotSample]:
 
 def pilot_motion(host: AircraftHost) -> PilotMotion:
     """All samples of a host in aircraft mode."""
-    samples = list(host.samples())
-    if not samples:
-        raise InputError("samples: the host sends none; give at least one")
-    motion = PilotMotion(*(np.array(column) for column in zip(*samples, strict=True)))
-    _check_rate(motion.time)
-    return motion
+    return PilotMotion(*_columns("samples", list(host.samples())))
 
 
 def host_stream(host: PlatformHost) -> HostStream:
     """All frames of a host in direct mode."""
-    frames = list(host.frames())
+    sequence, *columns = _columns("frames", list(host.frames()))
+    return make_stream(*columns, sequence=sequence)
+
+
+def _columns(name: str, frames: Sequence[PilotSample | HostFrame]) -> list[NDArray[Any]]:
     if not frames:
-        raise InputError("frames: the host sends none; give at least one")
-    sequence, *columns = (np.array(column) for column in zip(*frames, strict=True))
-    stream = make_stream(*columns, sequence=sequence)
-    _check_rate(stream.time)
-    return stream
-
-
-def _check_rate(time: NDArray[np.float64]) -> None:
-    if time.size > 1:
-        rate = (time.size - 1) / float(time[-1] - time[0])
-        if rate > MOST_RATE * (1.0 + 1e-6):
-            raise InputError(f"time: {rate:.5g} frames a second; allowed: at most {MOST_RATE:g}")
+        raise InputError(f"{name}: the host sends none; give at least one")
+    span = frames[-1].time - frames[0].time
+    if span > 0.0 and (len(frames) - 1) / span > MOST_RATE * (1.0 + 1e-6):
+        rate = (len(frames) - 1) / span
+        raise InputError(f"time: {rate:.5g} frames a second; allowed: at most {MOST_RATE:g}")
+    return [np.array(column) for column in zip(*frames, strict=True)]

@@ -29,6 +29,7 @@ from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import read_column, read_table, write_table
 from cmf_mj.core.units import STANDARD_GRAVITY
+from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import FLIP
 from cmf_mj.record.record import Record
@@ -57,7 +58,7 @@ class PilotMotion:
         stamps = np.array(self.time, dtype=float)
         if stamps.ndim != 1 or stamps.size < 1:
             raise InputError(f"time: shape is {stamps.shape}; allowed: (N,)")
-        _finite("time", stamps)
+        check_finite("time", stamps)
         late = np.diff(stamps) <= 0.0
         if late.any():
             row = int(late.argmax()) + 1
@@ -123,28 +124,18 @@ class PilotMotion:
         return PilotMotion(np.asarray(time, dtype=float), moved, rates, turned)
 
     @staticmethod
-    def from_platform(
-        time: ArrayLike,
-        pose: ArrayLike,
-        velocity: ArrayLike,
-        acceleration: ArrayLike,
-        station: ArrayLike,
-    ) -> "PilotMotion":
-        """The motion at a station on the simulator's platform.
+    def from_platform(stream: HostStream, station: ArrayLike) -> "PilotMotion":
+        """The motion at a station on the simulator's platform that follows host frames exactly.
 
-        Pose, velocity (Euler rates) and acceleration are (N, 6), z down, in SI; the station, such
-        as `pilot_station`, counts from the platform's centroid in platform axes [m], (3,).
+        The station, such as `pilot_station`, counts from the platform's centroid in platform axes,
+        z down [m], (3,).
         """
-        count = np.size(time)
-        poses = _rows("pose", pose, count, 6)
-        rates = _rows("velocity", velocity, count, 6)
-        changes = _rows("acceleration", acceleration, count, 6)
-        omega, alpha = np.empty((count, 3)), np.empty((count, 3))
-        force = np.empty((count, 3))
+        poses, rates, changes = (np.ascontiguousarray(values) for values in stream[2:])
+        omega, alpha, force = (np.empty((len(poses), 3)) for _ in range(3))
         _platform_motion(poses, rates, changes, omega, alpha, force)
         force -= gravity_in_body(poses[:, 3:])
         force += at_lever_arm(omega, alpha, station)
-        return PilotMotion(np.asarray(time, dtype=float), force, omega, poses[:, 3:])
+        return PilotMotion(stream.time, force, omega, poses[:, 3:])
 
     @staticmethod
     def from_record(record: Record) -> "PilotMotion":
@@ -210,9 +201,7 @@ def at_lever_arm(
     lever_arm: ArrayLike,
 ) -> NDArray[np.float64]:
     """dw/dt x r + w x (w x r) of rates and their derivatives (N, 3), body axes [m/s^2], (N, 3)."""
-    arm = np.asarray(lever_arm, dtype=float)
-    if arm.shape != (3,) or not np.isfinite(arm).all():
-        raise InputError(f"lever_arm: {arm} is refused; allowed: three finite numbers [m]")
+    arm = vector("lever_arm", lever_arm, " [m]")
     inward = np.cross(angular_rate, np.cross(angular_rate, arm))
     return np.asarray(np.cross(angular_acceleration, arm) + inward)
 
@@ -264,16 +253,25 @@ def interpolated(
     return np.column_stack([np.interp(at, time, column) for column in values.T])
 
 
-def _finite(name: str, values: NDArray[np.float64]) -> None:
+def vector(name: str, values: ArrayLike, unit: str = "") -> NDArray[np.float64]:
+    """Three finite numbers as an array; others are refused."""
+    array = np.array(values, dtype=float)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise InputError(f"{name}: {array} is refused; allowed: three finite numbers{unit}")
+    return array
+
+
+def check_finite(name: str, values: NDArray[np.float64]) -> None:
+    """Refuse rows of numbers that are not finite."""
     bad = ~np.isfinite(values.reshape(values.shape[0], -1)).all(axis=1)
     if bad.any():
         row = int(bad.argmax())
         raise InputError(f"{name}: row {row}: {values[row]} is refused; allowed: finite numbers")
 
 
-def _rows(name: str, values: ArrayLike | None, count: int, width: int = 3) -> NDArray[np.float64]:
+def _rows(name: str, values: ArrayLike | None, count: int) -> NDArray[np.float64]:
     array = np.array(values, dtype=float, order="C")
-    if array.shape != (count, width):
-        raise InputError(f"{name}: shape is {array.shape}; allowed: ({count}, {width})")
-    _finite(name, array)
+    if array.shape != (count, 3):
+        raise InputError(f"{name}: shape is {array.shape}; allowed: ({count}, 3)")
+    check_finite(name, array)
     return array

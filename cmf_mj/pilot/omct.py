@@ -21,6 +21,7 @@ units of the cross tests are this project's. No boundary of acceptance is known,
 """
 
 from collections.abc import Callable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -36,9 +37,11 @@ from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import RATE
 from cmf_mj.core.threads import on_threads
 from cmf_mj.core.units import DEGREE
-from cmf_mj.facility.host.stream import HostStream, arrivals
+from cmf_mj.facility.host.stream import HostStream, arrivals, make_stream
 from cmf_mj.facility.operation import FacilitySettings, operate
 from cmf_mj.facility.session import OutOfBounds
+from cmf_mj.machine.dof import by_kind, dof_index
+from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.pilot.cueing.settings import WashoutSettings, load_washout
 from cmf_mj.pilot.cueing.washout import Washout
 from cmf_mj.pilot.host import MOST_RATE
@@ -49,15 +52,8 @@ from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.signals.signal import check_positive
 
 TESTS = (
-    ("pitch", "pitch"),
-    ("pitch", "surge"),
-    ("roll", "roll"),
-    ("roll", "sway"),
-    ("yaw", "yaw"),
-    ("surge", "surge"),
-    ("surge", "pitch"),
-    ("sway", "sway"),
-    ("sway", "roll"),
+    *(("pitch", "pitch"), ("pitch", "surge"), ("roll", "roll"), ("roll", "sway"), ("yaw", "yaw")),
+    *(("surge", "surge"), ("surge", "pitch"), ("sway", "sway"), ("sway", "roll")),
     ("heave", "heave"),
 )
 """Input and output of the ten tests."""
@@ -86,8 +82,6 @@ _FADE = 5.0
 _EVERY = 16
 """Control frames per sample of the machine's response: 128 Hz."""
 
-_TRANSLATIONS, _ROTATIONS = ("surge", "sway", "heave"), ("roll", "pitch", "yaw")
-
 
 class Omct(NamedTuple):
     """Responses of all tests."""
@@ -111,9 +105,7 @@ class Omct(NamedTuple):
 
 def amplitude(dof: str, frequency: float) -> float:
     """Amplitude of an input [m/s^2 or rad] at a frequency [rad/s]."""
-    if dof in _TRANSLATIONS:
-        return FORCE
-    return min(ANGLE, ANGULAR_RATE / frequency)
+    return by_kind(dof, FORCE, min(ANGLE, ANGULAR_RATE / frequency))
 
 
 def aircraft_motion(dof: str, frequency: float, size: float) -> tuple[PilotMotion, float]:
@@ -131,12 +123,12 @@ def aircraft_motion(dof: str, frequency: float, size: float) -> tuple[PilotMotio
     slope = np.where(time < span, 0.5 * np.pi / span * np.sin(np.pi * inside), 0.0)
     sine, cosine = np.sin(frequency * time), np.cos(frequency * time)
     value, rate = size * fade * sine, size * (slope * sine + fade * frequency * cosine)
-    force, turning, attitude = (np.zeros((time.size, 3)) for _ in range(3))
-    if dof in _ROTATIONS:
-        axis = _ROTATIONS.index(dof)
-        attitude[:, axis], turning[:, axis] = value, rate
+    force, turning, attitude = np.zeros((3, time.size, 3))
+    axis = dof_index(dof) % 3
+    if dof in DOFS[:3]:
+        force[:, axis] = value
     else:
-        force[:, _TRANSLATIONS.index(dof)] = value
+        attitude[:, axis], turning[:, axis] = value, rate
     return PilotMotion(time, force - gravity_in_body(attitude), turning, attitude), begin
 
 
@@ -152,7 +144,7 @@ def omct(
     cab: str = "gfd",
     hydraulics: str | Path | HydraulicParameters = "hardware",
     frequencies: Sequence[float] = FREQUENCIES,
-    dofs: Sequence[str] = (*_TRANSLATIONS, *_ROTATIONS),
+    dofs: Sequence[str] = DOFS,
     jobs: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Omct:
@@ -165,9 +157,8 @@ def omct(
     settings, parameters = load_washout(washout), load_hydraulics(hydraulics)
     loaded = [load_law(law) for law in laws]
     station = pilot_station(cab)
-    known = {dof for dof, _ in TESTS}
     for dof in dofs:
-        check_name("dofs", dof, sorted(known))
+        check_name("dofs", dof, sorted(DOFS))
     if not frequencies:
         raise InputError("frequencies: is empty; at least one is needed")
     for frequency in frequencies:
@@ -180,12 +171,7 @@ def omct(
     shape = len(TESTS), len(frequencies)
     responses = {name: np.full(shape, np.nan + 0j) for name in names}
     remainders = {name: np.full(shape, np.nan) for name in names}
-    cases = [
-        (dof, column, law)
-        for dof in dofs
-        for column in range(len(frequencies))
-        for law in (None, *loaded)
-    ]
+    cases = list(product(dofs, range(len(frequencies)), (None, *loaded)))
 
     def run(case: tuple[str, int, Law | None]) -> None:
         dof, column, law = case
@@ -193,16 +179,18 @@ def omct(
         size = amplitude(dof, frequency)
         flown, begin = aircraft_motion(dof, frequency, size)
         stream = Washout(settings, station=station).run(flown)
-        if law is None:
-            felt = dict(zip(STAGES, _without_machine(stream, station), strict=True))
-        else:
-            moved = _on_machine(stream, law, cab, parameters)
-            felt = {} if moved is None else {law.name: moved}
+        felt = (
+            _without_machine(stream, station)
+            if law is None
+            else _on_machine(stream, law, Hexapod(cab, parameters))
+        )
         for name, motion in felt.items():
             for place in outputs_of(dof):
-                output = _output(motion, TESTS[place][1])
+                output = TESTS[place][1]
+                channel = by_kind(output, motion.specific_force, motion.attitude)
+                values = channel[:, dof_index(output) % 3]
                 responses[name][place, column], remainders[name][place, column] = _fundamental(
-                    motion.time, output, frequency, size, begin
+                    motion.time, values, frequency, size, begin
                 )
 
     on_threads(run, cases, jobs, progress)
@@ -210,41 +198,24 @@ def omct(
     return Omct(settings.name, cab, parameters.name, driven, responses, remainders)
 
 
-def _without_machine(
-    stream: HostStream, station: NDArray[np.float64]
-) -> tuple[PilotMotion, PilotMotion]:
+def _without_machine(stream: HostStream, station: NDArray[np.float64]) -> dict[str, PilotMotion]:
     """Pilot's motion by the host's frames, and by the DCU's demand at 128 Hz."""
     unit = make_dcu(load_dcu())
     frames = int(stream.time[-1] * RATE)
     played = upsample(unit, resting(unit, stream.pose[0]), arrivals(stream), frames)
-    pose, velocity, acceleration = np.swapaxes(played[::_EVERY], 0, 1)
-    time = np.arange(frames)[::_EVERY] / RATE
-    return (
-        PilotMotion.from_platform(
-            stream.time, stream.pose, stream.velocity, stream.acceleration, station
-        ),
-        PilotMotion.from_platform(time, pose, velocity, acceleration, station),
-    )
+    demand = make_stream(np.arange(frames)[::_EVERY] / RATE, *np.swapaxes(played[::_EVERY], 0, 1))
+    motions = (PilotMotion.from_platform(frames, station) for frames in (stream, demand))
+    return dict(zip(STAGES, motions, strict=True))
 
 
-def _on_machine(
-    stream: HostStream, law: Law, cab: str, parameters: HydraulicParameters
-) -> PilotMotion | None:
-    """Pilot's motion on the machine; None where it left its bounds."""
+def _on_machine(stream: HostStream, law: Law, plant: Hexapod) -> dict[str, PilotMotion]:
+    """Pilot's motion on the machine by the law's name; none where it left its bounds."""
     facility = FacilitySettings(electronics=None, protection=None)
     try:
-        operation = operate(
-            Hexapod(cab, parameters), law, stream, facility=facility, record_every=_EVERY
-        )
+        operation = operate(plant, law, stream, facility=facility, record_every=_EVERY)
     except OutOfBounds:
-        return None
-    return PilotMotion.from_record(operation.record)
-
-
-def _output(motion: PilotMotion, name: str) -> NDArray[np.float64]:
-    if name in _ROTATIONS:
-        return motion.attitude[:, _ROTATIONS.index(name)]
-    return motion.specific_force[:, _TRANSLATIONS.index(name)]
+        return {}
+    return {law.name: PilotMotion.from_record(operation.record)}
 
 
 def _fundamental(

@@ -17,14 +17,13 @@ from typing import Annotated, NamedTuple
 
 import control
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.hold import history, hold, settled
 from cmf_mj.core.quantity import Kind, Quantity, positive_in
 from cmf_mj.core.settings import Loader, Settings
-from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.pilot.motion import PilotMotion
 
 QUANTITIES = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -146,8 +145,8 @@ def sense(motion: PilotMotion, senses: Senses | str | None = None) -> Sensed:
         (canal_response(loaded.canals), motion.angular_rate),
         (otolith_response(loaded.otoliths), motion.specific_force),
     ):
-        model = state_space(response)
-        system = hold(model.A, model.B, model.C, model.D, 1.0 / motion.rate)
+        a, b, c, d = control.ssdata(state_space(response))
+        system = hold(a, b, c, d, 1.0 / motion.rate)
         outputs = np.empty_like(inputs)
         for axis in range(3):
             column = np.ascontiguousarray(inputs[:, axis : axis + 1])
@@ -200,29 +199,3 @@ def cueing_error(
         [flown.specific_force - felt.specific_force, flown.angular_rate - felt.angular_rate]
     )
     return CueingError(flown, felt, error, loaded.thresholds.si)
-
-
-class Oscillation(NamedTuple):
-    """A sine of specific force before the otoliths and the thresholds; arrays over frequency."""
-
-    frequency: NDArray[np.float64]  #: [Hz], (K,).
-    amplitude: float  #: [m/s^2].
-    sensed: NDArray[np.float64]  #: Amplitude of what the otoliths tell [m/s^2], (K,).
-    over_threshold: NDArray[np.float64]  #: `sensed` over the thresholds along x, y, z, (K, 3).
-    input_over_threshold: NDArray[np.float64]
-    """`amplitude` over them, (3,): the threshold read as one of the true specific force."""
-
-
-def oscillation(
-    amplitude: float = 0.1 * STANDARD_GRAVITY,
-    frequency: ArrayLike = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0),
-    senses: Senses | str | None = None,
-) -> Oscillation:
-    """What the otoliths make of a sine of specific force [m/s^2] at frequencies [Hz], (K,)."""
-    loaded = load_senses(senses)
-    hertz = np.atleast_1d(np.asarray(frequency, dtype=float))
-    gain = np.abs(otolith_response(loaded.otoliths)(2j * np.pi * hertz))
-    limits = loaded.thresholds.si[:3]
-    return Oscillation(
-        hertz, amplitude, amplitude * gain, amplitude * gain[:, None] / limits, amplitude / limits
-    )

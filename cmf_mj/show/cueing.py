@@ -11,8 +11,7 @@ from cmf_mj.core.units import DEGREE, INCH
 from cmf_mj.facility.host.files import write_stream
 from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.kinematics import DOFS, pose_to_legs
-from cmf_mj.pilot.cueing.envelope import LIMITS, Excursion
-from cmf_mj.pilot.cueing.flight import Cue, Tuned
+from cmf_mj.pilot.cueing.flight import LIMITS, Cue, Excursion, Tuned
 from cmf_mj.pilot.perception import QUANTITIES
 from cmf_mj.show.look import BLUE, GREY, legend, save_files, shade
 from cmf_mj.show.station import SCALE, Motion, motion_axes, perceived_figure

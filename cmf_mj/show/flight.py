@@ -11,10 +11,9 @@ from cmf_mj.core import units
 from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.fly import FlightResult, error_spectra
+from cmf_mj.pilot.fly import FlightResult, TransportDelay, error_spectra
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import CueingError
-from cmf_mj.pilot.transport import TransportDelay
 from cmf_mj.show.chart import Curve, Panel
 from cmf_mj.show.film.strip import Traces
 from cmf_mj.show.look import (

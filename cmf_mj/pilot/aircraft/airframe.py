@@ -97,10 +97,10 @@ class Airframe:
         """Set a property of JSBSim, in its units."""
         self._fdm[name] = float(value)
 
-    def on_ground(self, controls: Controls, *, settle: float = 12.0) -> None:
-        """Stand on the ground with idling engines, after `settle` seconds of coming to rest."""
+    def on_ground(self, controls: Controls) -> None:
+        """Stand on the ground with idling engines, after 12 s of coming to rest."""
         self._begin({"h-agl-ft": 8.0, "vc-kts": 0.0}, controls)
-        for _ in range(round(settle * RATE)):
+        for _ in range(12 * RATE):
             self.step(controls)
 
     def in_air(self, controls: Controls, *, height: float, airspeed: float, path: float) -> float:
@@ -151,17 +151,17 @@ class Airframe:
             self[f"atmosphere/cosine-gust/{axis}-velocity-ft_sec"] = part
         self["atmosphere/cosine-gust/start"] = 1.0
 
-    def turbulence(self, wind: float, model: str = "tustin", severity: int = 3) -> None:
+    def turbulence(self, wind: float, model: str) -> None:
         """Turn on Dryden turbulence after MIL-F-8785C, in one of JSBSim's two discretisations.
 
-        The mean wind 20 ft above the ground [m/s] sets its size below 2000 ft, the severity, 1 to
-        7, above.
+        The mean wind 20 ft above the ground [m/s] sets its size below 2000 ft; above, it is of the
+        third of seven severities.
         """
         kinds = {"milspec": 3.0, "tustin": 4.0}
         check_name("model", model, kinds)
         speed = units.from_si("ft", wind)
         self["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = speed
-        self["atmosphere/turbulence/milspec/severity"] = severity
+        self["atmosphere/turbulence/milspec/severity"] = 3.0
         self["atmosphere/turb-type"] = kinds[model]
 
     def fail_engine(self, engine: int) -> None:

@@ -30,7 +30,7 @@ from cmf_mj.core.errors import InputError, unknown_name
 from cmf_mj.core.files import read_column, read_table, whole_file, write_parquet
 from cmf_mj.core.settings import Settings, validated
 from cmf_mj.pilot.host import PilotSample, pilot_samples
-from cmf_mj.pilot.motion import COLUMNS, PilotMotion
+from cmf_mj.pilot.motion import COLUMNS, PilotMotion, check_finite
 
 _KEY = "cmf_mj_flight"
 _HEADER = re.compile(r"^(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]+)\])?$")
@@ -73,9 +73,7 @@ class Flight:
                 raise InputError(
                     f"{name}: shape is {values.shape}; allowed: {self.motion.time.shape}"
                 )
-            if not np.isfinite(values).all():
-                row = int(np.argmin(np.isfinite(values)))
-                raise InputError(f"{name}: row {row}: {values[row]}; allowed: finite numbers")
+            check_finite(name, values)
             values.setflags(write=False)
         object.__setattr__(self, "others", MappingProxyType(others))
 

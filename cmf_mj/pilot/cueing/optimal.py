@@ -31,21 +31,11 @@ from scipy import linalg
 
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.hold import hold
+from cmf_mj.core.settings import Settings
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.pilot.cueing.classical import Filter, Matrices, at_work, outputs, push, settle
-from cmf_mj.pilot.cueing.settings import (
-    OptimalSettings,
-    RotationSizes,
-    TiltingSizes,
-    TranslationSizes,
-)
-from cmf_mj.pilot.perception import (
-    Senses,
-    canal_response,
-    load_senses,
-    otolith_response,
-    state_space,
-)
+from cmf_mj.pilot.cueing.settings import OptimalSettings, TiltingSizes
+from cmf_mj.pilot.perception import canal_response, load_senses, otolith_response, state_space
 
 Matrix = NDArray[np.float64]
 
@@ -91,9 +81,7 @@ def _solve(
     `vestibular` leads from v to what is sensed, `tilt` is the specific force of its last input per
     last state of the chain A_d, B_d; sizes are of errors, of x_d, of u, corners b [rad/s].
     """
-    av, bv, cv, dv = (
-        np.asarray(m) for m in (vestibular.A, vestibular.B, vestibular.C, vestibular.D)
-    )
+    av, bv, cv, dv = control.ssdata(vestibular)
     ad, bd = chain
     nv, nd, nn = len(av), len(ad), len(corners)
     # v_S = S u + G x_d: tilt adds to the specific force.
@@ -127,6 +115,7 @@ def _solve(
 
 
 def _pick(count: int, *places: int | None) -> Matrix:
+    """Rows that pick each one of `count` variables, or none of them."""
     rows = np.zeros((len(places), count))
     for row, place in enumerate(places):
         if place is not None:
@@ -134,74 +123,58 @@ def _pick(count: int, *places: int | None) -> Matrix:
     return rows
 
 
-def _translation(sizes: TranslationSizes) -> tuple[Matrix, Matrix, list[float]]:
-    """A_d and B_d of int p, p, dp/dt, and their sizes."""
-    a = np.diag([1.0, 1.0], 1)
-    b = np.array([[0.0], [0.0], [1.0]])
-    return a, b, [sizes.position_integral.si, sizes.position.si, sizes.velocity.si]
+def _si(sizes: Settings, *names: str) -> list[float]:
+    return [getattr(sizes, name).si for name in names]
 
 
-def tilting_mode(sizes: TiltingSizes, senses: Senses, sign: float) -> Mode:
-    """Surge with pitch (sign 1) or sway with roll (sign -1).
+_TRAVEL = ("position_integral", "position", "velocity")
 
-    Filter inputs: Euler rate, specific force; outputs: angle, its rate, displacement, velocity,
-    acceleration.
+
+def modes(settings: OptimalSettings) -> dict[str, Mode]:
+    """All four modes by name.
+
+    Inputs of a filter are Euler rate and specific force, outputs angle, its rate, displacement,
+    velocity and acceleration, as far as the mode has them.
     """
-    vestibular = control.append(_canals(senses), state_space(otolith_response(senses.otoliths)))
-    a, b, kept = _translation(sizes)
-    chain = (linalg.block_diag(a, [[0.0]]), linalg.block_diag(b, [[1.0]])[:, ::-1])
-    return _solve(
-        vestibular,
-        sign * STANDARD_GRAVITY,
-        chain,
-        (
-            [sizes.rate_error.si, sizes.force_error.si],
-            [*kept, sizes.angle.si],
-            [sizes.rate.si, sizes.acceleration.si],
-        ),
-        [sizes.rate_bandwidth.si, sizes.force_bandwidth.si],
-        (_pick(4, 3, None, 1, 2, None), _pick(2, None, 0, None, None, 1)),
-    )
+    senses = load_senses()
+    proper = {"lead": senses.canals.lead.model_copy(update={"value": 0.0})}
+    canals = state_space(canal_response(senses.canals.model_copy(update=proper)))
+    otoliths = state_space(otolith_response(senses.otoliths))
+    path, pushed = np.diag([1.0, 1.0], 1), np.array([[0.0], [0.0], [1.0]])
+    turn, turned = np.diag([1.0], 1), np.array([[0.0], [1.0]])
 
+    def tilting(sizes: TiltingSizes, sign: float) -> Mode:
+        chain = (linalg.block_diag(path, [[0.0]]), linalg.block_diag(pushed, [[1.0]])[:, ::-1])
+        kept = (
+            _si(sizes, "rate_error", "force_error"),
+            _si(sizes, *_TRAVEL, "angle"),
+            _si(sizes, "rate", "acceleration"),
+        )
+        corners = _si(sizes, "rate_bandwidth", "force_bandwidth")
+        motion = (_pick(4, 3, None, 1, 2, None), _pick(2, None, 0, None, None, 1))
+        both = control.append(canals, otoliths)
+        return _solve(both, sign * STANDARD_GRAVITY, chain, kept, corners, motion)
 
-def heave_mode(sizes: TranslationSizes, senses: Senses) -> Mode:
-    """Heave; filter input: specific force; outputs: displacement, velocity, acceleration."""
-    a, b, kept = _translation(sizes)
-    return _solve(
-        state_space(otolith_response(senses.otoliths)),
-        0.0,
-        (a, b),
-        ([sizes.force_error.si], kept, [sizes.acceleration.si]),
-        [sizes.force_bandwidth.si],
-        (_pick(3, 1, 2, None), _pick(1, None, None, 0)),
-    )
-
-
-def yaw_mode(sizes: RotationSizes, senses: Senses) -> Mode:
-    """Yaw; filter input: Euler rate; outputs: angle, rate."""
-    return _solve(
-        _canals(senses),
-        0.0,
-        (np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])),
-        ([sizes.rate_error.si], [sizes.angle_integral.si, sizes.angle.si], [sizes.rate.si]),
-        [sizes.rate_bandwidth.si],
-        (_pick(2, 1, None), _pick(1, None, 0)),
-    )
-
-
-def _canals(senses: Senses) -> control.StateSpace:
-    proper = senses.canals.lead.model_copy(update={"value": 0.0})
-    return state_space(canal_response(senses.canals.model_copy(update={"lead": proper})))
-
-
-def modes(settings: OptimalSettings, senses: Senses | str | None = None) -> dict[str, Mode]:
-    """All four modes by name."""
-    loaded = load_senses(senses)
+    yaw, heave = settings.yaw, settings.heave
     return {
-        "pitch_surge": tilting_mode(settings.pitch_surge, loaded, 1.0),
-        "roll_sway": tilting_mode(settings.roll_sway, loaded, -1.0),
-        "yaw": yaw_mode(settings.yaw, loaded),
-        "heave": heave_mode(settings.heave, loaded),
+        "pitch_surge": tilting(settings.pitch_surge, 1.0),
+        "roll_sway": tilting(settings.roll_sway, -1.0),
+        "yaw": _solve(
+            canals,
+            0.0,
+            (turn, turned),
+            (_si(yaw, "rate_error"), _si(yaw, "angle_integral", "angle"), _si(yaw, "rate")),
+            _si(yaw, "rate_bandwidth"),
+            (_pick(2, 1, None), _pick(1, None, 0)),
+        ),
+        "heave": _solve(
+            otoliths,
+            0.0,
+            (path, pushed),
+            (_si(heave, "force_error"), _si(heave, *_TRAVEL), _si(heave, "acceleration")),
+            _si(heave, "force_bandwidth"),
+            (_pick(3, 1, 2, None), _pick(1, None, None, 0)),
+        ),
     }
 
 
@@ -214,11 +187,9 @@ _PLACES = {
 """Inputs and outputs of each mode among those of `Optimal.filter`."""
 
 
-def make_optimal(
-    settings: OptimalSettings, interval: float, senses: Senses | str | None = None
-) -> Optimal:
+def make_optimal(settings: OptimalSettings, interval: float) -> Optimal:
     """The algorithm at samples `interval` [s] apart; `settle_optimal` starts it."""
-    by_name = modes(settings, senses)
+    by_name = modes(settings)
     a = linalg.block_diag(*(mode.filter[0] for mode in by_name.values()))
     b, c, d = np.zeros((len(a), 12)), np.zeros((18, len(a))), np.zeros((18, 12))
     begin = 0

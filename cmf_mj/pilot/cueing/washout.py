@@ -33,7 +33,7 @@ from cmf_mj.pilot.cueing.classical import (
 from cmf_mj.pilot.cueing.optimal import Optimal, make_optimal, move_optimal, settle_optimal
 from cmf_mj.pilot.cueing.settings import ClassicalSettings, WashoutSettings, load_washout
 from cmf_mj.pilot.host import MOST_RATE
-from cmf_mj.pilot.motion import PilotMotion, body_rates, pilot_station
+from cmf_mj.pilot.motion import PilotMotion, body_rates, pilot_station, vector
 
 
 class Cueing(NamedTuple):
@@ -50,18 +50,15 @@ class Cueing(NamedTuple):
     euler_rates: NDArray[np.float64]  #: Of the last frame [rad/s], (3,).
 
 
-def move(algorithm, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
+def move(algorithm, *sample):  # type: ignore[no-untyped-def]
     """One sample of either algorithm; arguments as for `move_classical`."""
-    chosen = move_classical if isinstance(algorithm, Classical) else move_optimal
-    chosen(algorithm, euler_rates, slopes, force, angular, linear)
+    (move_classical if isinstance(algorithm, Classical) else move_optimal)(algorithm, *sample)
 
 
 @overload(move)
-def _compiled_move(algorithm, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
+def _compiled_move(algorithm, *sample):  # type: ignore[no-untyped-def]
     chosen = move_classical if algorithm.instance_class is Classical else move_optimal
-    return lambda algorithm, euler_rates, slopes, force, angular, linear: chosen(
-        algorithm, euler_rates, slopes, force, angular, linear
-    )
+    return lambda algorithm, *sample: chosen(algorithm, *sample)
 
 
 @compiled
@@ -149,8 +146,7 @@ class Washout:
         cab by default; `rate` is in frames a second [Hz].
         """
         self.settings = load_washout(settings)
-        self.station = np.array(pilot_station() if station is None else station, dtype=float)
-        _refuse_unless_vector("station", self.station, " [m]")
+        self.station = vector("station", pilot_station() if station is None else station, " [m]")
         if not (np.isfinite(rate) and rate > 0.0):
             raise InputError(f"rate: {rate} Hz must be greater than 0")
         self.rate, limits = rate, self.settings.inputs
@@ -175,7 +171,7 @@ class Washout:
     def run(self, motion: PilotMotion) -> HostStream:
         """The host's frames of a flight, one a sample; `motion` is resampled to the rate.
 
-        The algorithm's frames: `envelope.within_limits` brings them within the machine's limits.
+        The algorithm's frames: `within_limits` brings them within the machine's limits.
         """
         flown = self.flown(motion)
         self.start(flown.specific_force[0], flown.angular_rate[0])
@@ -193,7 +189,8 @@ class Washout:
     def start(self, specific_force: ArrayLike, angular_rate: ArrayLike) -> HostFrame:
         """Settle on a specific force (3,) and an angular rate (3,); the first frame."""
         cueing, force, rate = self._cueing, np.empty(3), np.empty(3)
-        scaled(cueing, *_inputs(specific_force, angular_rate), force, rate)
+        felt = vector("specific_force", specific_force), vector("angular_rate", angular_rate)
+        scaled(cueing, *felt, force, rate)
         # The attitude depends on the force only, the Euler rates on the attitude.
         for roll, pitch in ((0.0, 0.0), cueing.angular[0, :2]):
             euler_rates_of(roll, pitch, rate, cueing.euler_rates)
@@ -217,18 +214,7 @@ class Washout:
         if self._sequence is None:
             return self.start(specific_force, angular_rate)
         motion = np.empty((3, 6))
-        step(self._cueing, *_inputs(specific_force, angular_rate), motion)
+        felt = vector("specific_force", specific_force), vector("angular_rate", angular_rate)
+        step(self._cueing, *felt, motion)
         self._sequence += 1
         return HostFrame(self._sequence, self._sequence / self.rate, *motion)
-
-
-def _inputs(*inputs: ArrayLike) -> list[NDArray[np.float64]]:
-    vectors = [np.array(values, dtype=float) for values in inputs]
-    for name, vector in zip(("specific_force", "angular_rate"), vectors, strict=True):
-        _refuse_unless_vector(name, vector)
-    return vectors
-
-
-def _refuse_unless_vector(name: str, values: NDArray[np.float64], unit: str = "") -> None:
-    if values.shape != (3,) or not np.isfinite(values).all():
-        raise InputError(f"{name}: {values} is refused; allowed: three finite numbers{unit}")
