@@ -48,8 +48,6 @@ COPIES = {
     "ablation/ladder.png": "images/ladder.png",
     "ablation/measures.csv": "data/ablation_measures.csv",
     "ablation/effects.csv": "data/ablation_effects.csv",
-    "mismatch/rates.png": "images/mismatch_rates.png",
-    "mismatch/crosstalk_velocity.png": "images/mismatch_crosstalk_velocity.png",
     "mismatch/rates.csv": "data/mismatch_rates.csv",
     "rotation/rotation.csv": "data/rotation.csv",
     "rotation/rotation_flown.csv": "data/rotation_flown.csv",

@@ -230,7 +230,7 @@ def test_cmf_flight_records_and_cmf_fly_compares(failing: PilotMotion, tmp_path:
     with (out / "comparison.csv").open(newline="") as file:
         rows = list(csv.reader(file))
     assert [row[0] for row in rows[1:]] == ["machine that follows at once", *laws.split(",")]
-    names = {"motion.png", "perceived.png", "envelope.png", "record.parquet", "host.parquet"}
+    names = {"motion.png", "perceived.png", "record.parquet", "host.parquet"}
     for law in laws.split(","):
         assert names <= {path.name for path in (out / law).iterdir()}
     assert (out / "comparison.png").stat().st_size > 10_000

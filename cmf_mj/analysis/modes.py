@@ -187,16 +187,6 @@ def over_envelope(
     return Range(looked_at, plant.hydraulic_modes(search.x))
 
 
-def within_stroke(plant: Hexapod, modes: HydraulicModes, clearance: float) -> HydraulicModes:
-    """Modes at a pose, or as far on the way there from neutral as all legs keep `clearance` [m]."""
-    if not 0.0 <= clearance < (most := float(reserve(np.zeros(6), plant))):
-        raise InputError(f"clearance: {clearance} m must be at least 0 and less than {most:.4f} m")
-    if reserve(modes.pose, plant) >= clearance:
-        return modes
-    share = optimize.brentq(lambda part: reserve(part * modes.pose, plant) - clearance, 0.0, 1.0)
-    return plant.hydraulic_modes(share * modes.pose)
-
-
 def largest_stroke(plant: Hexapod, modes: HydraulicModes, mode: int) -> float:
     """Largest leg motion [m] of a mode, 0 the lowest, that the working stroke allows at its pose.
 

@@ -4,33 +4,23 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 from typer import Option
 
 from cmf_mj.cli import options
-from cmf_mj.cli.common import (
-    app,
-    in_si,
-    names_or_files,
-    noise_choice,
-    pose_option,
-    progress_bar,
-    show,
-    written,
-)
+from cmf_mj.cli.common import app, in_si, noise_choice, pose_option, progress_bar, show, written
 from cmf_mj.cli.options import choice
 from cmf_mj.core.errors import InputError
-
-if TYPE_CHECKING:
-    from cmf_mj.plant.hexapod import Hexapod, HydraulicModes
 
 command = partial(app.command, rich_help_panel="Analyse")
 
 _NEUTRAL = "0,0,0,0,0,0"
 
-_ROOM = 0.25
-"""Part of the leg motion asked for that a film near the worst pose can show of every mode."""
+_METHODS = "arx (least squares), iv (instruments) or oe (output error)"
+_SIGNALS = "multisine, chirp, noise, pulse or sine"
+_METHOD, _SIGNAL = "studies.identification:Method", "studies.identification:Signal"
+_ESTIMATOR = "analysis.response.estimate:Estimator"
 
 
 @command("linearize")
@@ -40,12 +30,8 @@ def linearize_command(
     hydraulics: options.Hydraulics = "hardware",
     law: options.Law = "velocity",
     pose: options.Pose = _NEUTRAL,
-    dofs: Annotated[
-        list[str], choice(options.DOFS, "DOFS", "degrees of freedom or legs, or `all`", free=True)
-    ] = options.ALL,
-    measure: Annotated[
-        bool, Option("--measure", help="simulate each loop as well, about 5 s each")
-    ] = False,
+    dofs: options.AnyDofs = options.ALL,
+    measure: Annotated[bool, Option("--measure", help="simulate each loop too, 5 s each")] = False,
     out: options.Out = Path("out/linearize"),
 ) -> None:
     """Linearise a plant: modes, Bode diagrams, a law around it."""
@@ -75,13 +61,11 @@ def modes_command(
     camera: options.Camera = "overview",
     width: options.Width = 320,
     height: options.Height = 260,
-    stroke: Annotated[
-        float, Option(help="largest leg motion of a film [in]; less where a leg has less")
-    ] = 12.0,
+    stroke: Annotated[float, Option(help="largest leg motion of a film [in]")] = 12.0,
     periods: Annotated[float, Option(help="length of a film, in periods of the lowest mode")] = 1.0,
 ) -> None:
     """Reflected mass, hydraulic modes at a pose and over the envelope, and the worst pose."""
-    from cmf_mj.analysis.modes import over_envelope, plane_map, sweep, within_stroke
+    from cmf_mj.analysis.modes import over_envelope, plane_map, sweep
     from cmf_mj.core import units
     from cmf_mj.machine.kinematics import DOFS
     from cmf_mj.plant.hexapod import Hexapod
@@ -93,21 +77,13 @@ def modes_command(
     at_pose = [plant.hydraulic_modes(here) for plant in plants]
     looks = SwingSettings(fps, speed, camera, width, height, units.to_si("in", stroke), periods)
 
-    def filmed(
-        plant: Hexapod, modes: HydraulicModes, suffix: str = "", where: str = ""
-    ) -> list[Path]:
-        if video is None:
-            return []
-        name = Path(video)
-        path = out / f"{name.stem}_{plant.cab}{suffix}{name.suffix}"
-        title = report.title_of(modes, where)
-        with progress_bar("drawing") as progress:
-            return [swing_film(plant, modes, path, looks, title=title, progress=progress)]
-
     # The search takes longest: what the rest refuses is refused before it.
     paths = []
-    for plant, modes in zip(plants, at_pose, strict=True):
-        paths += filmed(plant, modes)
+    name = Path(video or "")
+    for plant, modes in zip(plants, at_pose, strict=True) if video else ():
+        path, title = out / f"{name.stem}_{plant.cab}{name.suffix}", report.title_of(modes)
+        with progress_bar("drawing") as progress:
+            paths.append(swing_film(plant, modes, path, looks, title=title, progress=progress))
     sweeps = [[sweep(plant, dof, count=points) for dof in DOFS] for plant in plants]
     maps = [[plane_map(p, pair, count=points) for pair in report.PLANES] for p in plants]
     with progress_bar() as progress:
@@ -124,12 +100,12 @@ def modes_command(
         show(report.mass_table(modes), report.mode_table(modes))
     for one in ranges:
         show(report.mode_table(one.worst, "worst pose"))
-    show(report.range_table(ranges))
-    for plant, one in zip(plants, ranges, strict=True):
-        near = within_stroke(plant, one.worst, _ROOM * looks.stroke) if video else one.worst
-        where = "worst pose" if near is one.worst else "near the worst pose"
-        paths += filmed(plant, near, "_worst", where)
-    show(written(paths, out))
+    show(report.range_table(ranges), written(paths, out))
+
+
+def _files_or(simulate: bool, files: list[Path] | None) -> None:
+    if simulate == bool(files):
+        raise InputError("files: name recordings, or use --simulate, not both and not neither")
 
 
 @command("measure")
@@ -143,14 +119,7 @@ def measure_command(
     hydraulics: options.Hydraulics = "hardware",
     amplitude: options.Amplitude = None,
     noise: options.Noise = False,
-    estimator: Annotated[
-        str,
-        choice(
-            "analysis.response.estimate:Estimator",
-            "ESTIMATOR",
-            "h1, h2, hv or report; of one recording",
-        ),
-    ] = "h1",
+    estimator: Annotated[str, choice(_ESTIMATOR, "ESTIMATOR", "h1, h2, hv or report")] = "h1",
     out: options.Out = Path("out/measure"),
 ) -> None:
     """Measure recordings (several are rounds of one), or a simulated session."""
@@ -158,7 +127,7 @@ def measure_command(
     from cmf_mj.studies.case import make_case
     from cmf_mj.studies.measurement import measure, measure_recordings
 
-    names_or_files(files, simulate)
+    _files_or(simulate, files)
     if simulate:
         sensors, size = noise_choice(noise), in_si(dof, amplitude)
         machine = (plant, cab, hydraulics)
@@ -172,14 +141,8 @@ def measure_command(
     show(table, written(paths))
 
 
-def parse_orders(text: str | None) -> tuple[int, int, int] | None:
-    """Orders of the command line, `na,nb,nk`.
-
-    Raises:
-        InputError: not three whole numbers.
-    """
-    if text is None:
-        return None
+def parse_orders(text: str) -> tuple[int, int, int]:
+    """Orders of the command line, `na,nb,nk`."""
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 3 or not all(part.isdigit() for part in parts):
         raise InputError(f"orders: {text!r} is refused; allowed: na,nb,nk such as 4,3,1")
@@ -191,32 +154,16 @@ def parse_orders(text: str | None) -> tuple[int, int, int] | None:
 def identify_command(
     files: options.Recordings = None,
     simulate: options.Simulate = False,
-    law: Annotated[
-        str | None, choice(options.LAWS, "LAW", "default velocity, or the file's", free=True)
-    ] = None,
+    law: options.OtherLaw = None,
     dof: options.AnyDof = "heave",
-    matrix: Annotated[
-        bool, Option("--matrix", help="all degrees of freedom at once, 6 by 6")
-    ] = False,
+    matrix: Annotated[bool, Option("--matrix", help="all degrees of freedom, 6 by 6")] = False,
     plant: options.PlantName = "hexapod",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     amplitude: options.Amplitude = None,
-    signal: Annotated[
-        str,
-        choice("studies.identification:Signal", "SIGNAL", "multisine, chirp, noise, pulse or sine"),
-    ] = "multisine",
-    method: Annotated[
-        str,
-        choice(
-            "studies.identification:Method",
-            "METHOD",
-            "arx (least squares), iv (instruments) or oe (output error)",
-        ),
-    ] = "oe",
-    orders: Annotated[
-        str | None, Option(metavar="NA,NB,NK", help="default by validation fit on a grid")
-    ] = None,
+    signal: Annotated[str, choice(_SIGNAL, "SIGNAL", _SIGNALS)] = "multisine",
+    method: Annotated[str, choice(_METHOD, "METHOD", _METHODS)] = "oe",
+    orders: Annotated[str | None, Option(metavar="NA,NB,NK", help="default by search")] = None,
     out: options.Out = Path("out/identify"),
 ) -> None:
     """Identify a linear model of leg velocity per valve command; the last file validates."""
@@ -225,8 +172,8 @@ def identify_command(
     from cmf_mj.studies import identification as studies
     from cmf_mj.studies.case import make_case
 
-    names_or_files(files, simulate)
-    chosen = parse_orders(orders)
+    _files_or(simulate, files)
+    chosen = None if orders is None else parse_orders(orders)
     name, machine = law or "velocity", (plant, cab, hydraulics)
     if matrix:
         if not simulate:
@@ -241,14 +188,8 @@ def identify_command(
         step = case.run(case.step())
     else:
         records = [read_recording(path) for path in files or []]
-    model = studies.identify(
-        records,
-        dof,
-        method=method,  # type: ignore[arg-type]
-        orders=chosen,
-        law=law,
-        step=step,
-    )
+    options: dict[str, Any] = {"method": method, "orders": chosen, "law": law, "step": step}
+    model = studies.identify(records, dof, **options)
     paths = report.save_identification(model, out)
     show(report.orders_table(model), report.model_table(model), written(paths))
 
@@ -258,9 +199,7 @@ def verify_command(
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "report",
     seconds: Annotated[float, Option(help="simulated time [s]")] = 4.0,
-    finest: Annotated[
-        int, Option(help="mechanical steps to a control frame at the finest: 4, 8, 16, ...")
-    ] = 8,
+    finest: Annotated[int, Option(help="most mechanical steps to a frame: 4, 8, 16, ...")] = 8,
     out: options.Out = Path("out/verification"),
 ) -> None:
     """Compare the plant with Exudyn, from a checkout: error and CPU time over step sizes."""

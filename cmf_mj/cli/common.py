@@ -33,11 +33,7 @@ class Commands(TyperGroup):
     """Commands whose errors of use are one line; a defect keeps its traceback."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a command.
-
-        Args:
-            ctx: of the command line.
-        """
+        """Run a command."""
         try:
             return super().invoke(ctx)
         except (CmfError, OSError) as error:
@@ -53,22 +49,18 @@ app = typer.Typer(
 )
 
 
-def show(*parts: RenderableType, width: int = TEXT_WIDTH) -> None:
-    """Print tables and text, never narrower than `width`."""
+def show(*parts: RenderableType, width: int = TEXT_WIDTH, unfolded: bool = False) -> None:
+    """Print tables and text, never narrower than `width`, or so wide that no cell is folded."""
     from rich.console import Console
 
     console = Console()
+    if unfolded:
+        tables = [part for part in parts if not isinstance(part, str)]
+        width = max(Console(width=1000).measure(table).maximum for table in tables)
     if console.width < width:
         console = Console(width=width)
     for part in parts:
         console.print(part)
-
-
-def unfolded(table: RenderableType) -> int:
-    """Width at which no cell of a table is folded."""
-    from rich.console import Console
-
-    return Console(width=1000).measure(table).maximum
 
 
 def written(paths: Sequence[Path], folder: Path | None = None) -> str:
@@ -82,53 +74,30 @@ def written(paths: Sequence[Path], folder: Path | None = None) -> str:
 def progress_bar(
     work: str = "running", *, seconds: bool = False
 ) -> Iterator[Callable[[float, float], None]]:
-    """A bar on the error stream; call what it gives with (done, in all).
-
-    Args:
-        work: what is done, once compiled.
-        seconds: whether seconds are counted, not cases.
-    """
+    """A bar on the error stream; call what it gives with (done, in all): cases, or `seconds`."""
     from rich import progress
     from rich.console import Console
 
-    counts = [progress.MofNCompleteColumn(), progress.TimeRemainingColumn()]
-    columns = [progress.TimeElapsedColumn()] if seconds else counts
-    bar = progress.Progress(
-        progress.TextColumn("{task.description}"),
-        progress.BarColumn(),
-        *columns,
-        console=Console(stderr=True),
-    )
-    with bar:
+    counts = (progress.MofNCompleteColumn(), progress.TimeRemainingColumn())
+    columns = (progress.TimeElapsedColumn(),) if seconds else counts
+    text, console = progress.TextColumn("{task.description}"), Console(stderr=True)
+    with progress.Progress(text, progress.BarColumn(), *columns, console=console) as bar:
         task = bar.add_task(f"compiling and {work}", total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total, description=work)
 
 
 def quantity(field: str, text: str) -> tuple[float, str]:
-    """A number and its unit, such as `1 in^2`.
-
-    Args:
-        field: how it is called in errors.
-        text: of the command line.
-
-    Raises:
-        InputError: it is not that.
-    """
+    """A number and its unit, such as `1 in^2`; `field` is its name in errors."""
     number, _, unit = text.strip().partition(" ")
     try:
         return float(number), unit.strip() or "1"
     except ValueError:
-        raise InputError(
-            f"{field}: {text!r} is not a number and a unit, such as '0.33 in'"
-        ) from None
+        message = f"{field}: {text!r} is not a number and a unit, such as '0.33 in'"
+        raise InputError(message) from None
 
 
 def in_si(dof: str, amplitude: str | None) -> float | None:
-    """An amplitude of the command line, such as `3 deg`, in SI.
-
-    Raises:
-        InputError: not a number and a unit that the degree of freedom has.
-    """
+    """An amplitude of the command line, such as `3 deg`, in SI."""
     from cmf_mj.core import units
     from cmf_mj.machine.dof import by_kind
 
@@ -140,11 +109,7 @@ def in_si(dof: str, amplitude: str | None) -> float | None:
 
 
 def pose_option(text: str) -> NDArray[np.float64]:
-    """A pose of the command line, six numbers in in and deg, in SI.
-
-    Raises:
-        InputError: not six numbers.
-    """
+    """A pose of the command line, six numbers in in and deg, in SI."""
     import numpy as np
 
     from cmf_mj.core import units
@@ -164,9 +129,3 @@ def noise_choice(noise: bool) -> ElectronicsSettings | None:
     from cmf_mj.electronics.chain import ElectronicsSettings
 
     return ElectronicsSettings() if noise else None
-
-
-def names_or_files(files: Sequence[Path] | None, simulate: bool) -> None:
-    """Refuse recordings together with `--simulate`, or neither."""
-    if simulate == bool(files):
-        raise InputError("files: name recordings, or use --simulate, not both and not neither")

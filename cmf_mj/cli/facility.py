@@ -21,22 +21,13 @@ command = partial(app.command, rich_help_panel="Facility")
 BEGIN = {"engaged": "ENGAGED", "settled": "OFF"}
 """Operating states in which a run may begin."""
 
-Begin = Annotated[
-    str,
-    choice(
-        "cli.facility:BEGIN",
-        "STATE",
-        "engaged, or settled: off on the stops, raised and engaged at once",
-    ),
-]
+_BEGIN = "engaged, or settled: off on the stops, raised and engaged at once"
+_DERIVATIVES, _VELOCITIES = "facility.host.stream:DERIVATIVES", "of poses alone: spline or zero"
+
+Begin = Annotated[str, choice("cli.facility:BEGIN", "STATE", _BEGIN)]
 StreamFile = Annotated[Path, Argument(help="CSV or Parquet with time and six poses, SI")]
 FrameRate = Annotated[float | None, Option(help="frames a second; default as stamped in the file")]
-Derivatives = Annotated[
-    str,
-    choice(
-        "facility.host.stream:DERIVATIVES", "KIND", "velocities of a file without: spline or zero"
-    ),
-]
+Derivatives = Annotated[str, choice(_DERIVATIVES, "KIND", _VELOCITIES)]
 
 
 def _start(begin: str, noise: bool) -> dict[str, Any]:
@@ -76,7 +67,7 @@ def _stream(file: Path, derivatives: str, rate: float | None) -> HostStream:
 def serve_command(
     port: Annotated[int, Option(help="UDP port; 0 takes a free one")] = 2048,
     bind: Annotated[str, Option(help="IPv4 address to listen on")] = "127.0.0.1",
-    host: Annotated[str, Option(help="the only host whose datagrams are taken")] = ("127.0.0.1"),
+    host: Annotated[str, Option(help="the only host whose datagrams are taken")] = "127.0.0.1",
     seconds: Annotated[float, Option(help="length of the run [s]")] = 60.0,
     law: options.Law = "velocity",
     cab: options.Cab = "gfd",
@@ -115,9 +106,7 @@ def operate_command(
     file: StreamFile,
     rate: FrameRate = None,
     derivatives: Derivatives = "spline",
-    seconds: Annotated[
-        float | None, Option(help="length of the run [s]; default to the last frame")
-    ] = None,
+    seconds: options.Seconds = None,
     law: options.Law = "velocity",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
@@ -193,9 +182,7 @@ def record_command(
 @command("replay")
 def replay_command(
     recording: Annotated[Path, Argument(help="Parquet or facility CSV")],
-    law: Annotated[
-        str | None, choice(options.LAWS, "LAW", "default the recording's", free=True)
-    ] = None,
+    law: options.OtherLaw = None,
     out: options.Out = Path("out/replay"),
 ) -> None:
     """Run the control law open loop on recorded feedback; compare the compensator's output."""

@@ -4,33 +4,26 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer import Argument, Option
 
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, noise_choice, progress_bar, show, unfolded, written
-from cmf_mj.cli.options import argument
+from cmf_mj.cli.common import app, noise_choice, progress_bar, show, written
+from cmf_mj.cli.options import argument, file
 
 _PANEL = "Flight"
 command = partial(app.command, rich_help_panel=_PANEL)
 
+_FLIGHTS = "pilot.aircraft.flight:flight_names"
 _QUICK = (0.631, 2.512, 10.0)
 """Frequencies of a quick test [rad/s]."""
 
 
 @command("fly")
 def fly_command(
-    flight: Annotated[
-        str,
-        argument(
-            "pilot.aircraft.flight:flight_names",
-            "FLIGHT",
-            "shipped flight by name, or a CSV or Parquet file",
-            free=True,
-        ),
-    ],
+    flight: Annotated[str, argument(_FLIGHTS, "FLIGHT", "name, CSV or Parquet file", free=True)],
     laws: options.Laws = options.VELOCITY,
     cab: options.Cab = "gfd",
     washout: options.Washout = "simona",
@@ -65,19 +58,13 @@ def fly_command(
     if video is not None:
         check_film(hexapod_spec(cab).compile(), out / video, look)
     facility = FacilitySettings(electronics=noise_choice(noise))
+    machine: dict[str, Any] = {"cab": cab, "hydraulics": hydraulics, "facility": facility}
     length = float(flown.motion.time[-1])
     rides, paths = [], []
     for law in loaded:
         with progress_bar(f"flying {law.name}", seconds=True) as bar:
-            ride = fly(
-                flown,
-                law,
-                cab=cab,
-                washout=washout,
-                hydraulics=hydraulics,
-                facility=facility,
-                progress=lambda done, bar=bar: bar(done, length),  # type: ignore[misc]
-            )
+            timed = lambda done, bar=bar: bar(done, length)  # noqa: E731
+            ride = fly(flown, law, washout=washout, progress=timed, **machine)
         rides.append(ride)
         paths += save_operation(ride.operation, out / ride.law)
         paths += report.save_ride(ride, out / ride.law)
@@ -89,13 +76,9 @@ def fly_command(
             traces = [report.flight_traces(ride) for ride in rides]
             film(records, out / video, look, titles=titles, traces=traces, progress=update)
         paths.append(out / video)
-    table = report.comparison_table(rides)
-    show(flown.origin.title, table, width=unfolded(table))
+    show(flown.origin.title, report.comparison_table(rides), unfolded=True)
     if delay:
-        measured = transport_delay(
-            loaded[0], cab=cab, dof=dof, hydraulics=hydraulics, facility=facility
-        )
-        show(report.delay_table(measured))
+        show(report.delay_table(transport_delay(loaded[0], dof=dof, **machine)))
     for ride in rides:
         kept = "kept within" if ride.use.within else "LEFT"
         show(
@@ -132,18 +115,13 @@ def flight_command(
 cues = typer.Typer(no_args_is_help=True, help="A flight in the simulator: washout and gains.")
 app.add_typer(cues, name="cue", rich_help_panel=_PANEL)
 
-Motion = Annotated[
-    Path,
-    Argument(
-        metavar="FLIGHT",
-        help="CSV or Parquet: time, specific_force_x.. [m/s^2], angular_rate_x.. [rad/s], "
-        "roll, pitch, yaw [rad] at the pilot's station",
-    ),
-]
+_MOTION = (
+    "CSV or Parquet: time, specific_force_x.. [m/s^2], angular_rate_x.. [rad/s], "
+    "roll, pitch, yaw [rad] at the pilot's station"
+)
+Motion = Annotated[Path, Argument(metavar="FLIGHT", help=_MOTION)]
 Rate = Annotated[float, Option(help="host frames a second")]
-LimitsFile = Annotated[
-    Path | None, Option(metavar="FILE", help="TOML changes to the machine's limits")
-]
+LimitsFile = Annotated[Path | None, file(help="TOML changes to the machine's limits")]
 
 
 @cues.command("run")
@@ -153,9 +131,7 @@ def run_command(
     cab: options.Cab = "gfd",
     rate: Rate = 80.0,
     limits: LimitsFile = None,
-    senses: Annotated[
-        Path | None, Option(metavar="FILE", help="TOML changes to canals, otoliths, thresholds")
-    ] = None,
+    senses: Annotated[Path | None, file(help="TOML changes to canals, otoliths")] = None,
     out: options.Out = Path("out/cue"),
 ) -> None:
     """Turn a flight into host frames and report what the pilot senses of it."""
@@ -164,14 +140,9 @@ def run_command(
     from cmf_mj.pilot.motion import PilotMotion
     from cmf_mj.show import cueing as report
 
-    flown = cue(
-        PilotMotion.load(flight),
-        washout,
-        cab=cab,
-        limits=load_motion_limits(limits),
-        senses=None if senses is None else str(senses),
-        rate=rate,
-    )
+    motion, bounds = PilotMotion.load(flight), load_motion_limits(limits)
+    thresholds = None if senses is None else str(senses)
+    flown = cue(motion, washout, cab=cab, limits=bounds, senses=thresholds, rate=rate)
     paths = report.save_cue(flown, out)
     excursion = report.excursion_table(flown.excursion, int(flown.limited.sum()))
     show(report.error_table(flown), excursion, written(paths))
@@ -196,17 +167,10 @@ def tune_command(
     from cmf_mj.pilot.motion import PilotMotion
     from cmf_mj.show import cueing as report
 
-    before = load_washout(washout)
-    tuned = tune(
-        PilotMotion.load(flight),
-        before,
-        cab=cab,
-        dofs=tuple(dofs),
-        share=share,
-        largest_gain=largest_gain,
-        limits=load_motion_limits(limits),
-        rate=rate,
-    )
+    before, motion = load_washout(washout), PilotMotion.load(flight)
+    use: dict[str, Any] = {"share": share, "largest_gain": largest_gain, "rate": rate}
+    bounds = load_motion_limits(limits)
+    tuned = tune(motion, before, cab=cab, dofs=tuple(dofs), limits=bounds, **use)
     path = save_washout(tuned.settings, out / "washout.toml")
     gains = report.tuned_table(tuned, before.gains)
     show(gains, report.excursion_table(tuned.excursion), f"written: {path}")
@@ -227,16 +191,10 @@ def omct_command(
     from cmf_mj.pilot.omct import FREQUENCIES, omct
     from cmf_mj.show import omct as report
 
+    machine: dict[str, Any] = {"washout": washout, "cab": cab, "hydraulics": hydraulics}
+    frequencies, tested = _QUICK if quick else FREQUENCIES, [] if laws == ["none"] else laws
     with progress_bar() as update:
-        result = omct(
-            [] if laws == ["none"] else laws,
-            washout=washout,
-            cab=cab,
-            hydraulics=hydraulics,
-            frequencies=_QUICK if quick else FREQUENCIES,
-            dofs=dofs,
-            jobs=jobs,
-            progress=update,
-        )
+        machine |= {"frequencies": frequencies, "dofs": dofs, "jobs": jobs, "progress": update}
+        result = omct(tested, **machine)
     paths = report.save_omct(result, out)
     show(report.omct_table(result), written(paths))

@@ -15,11 +15,7 @@ from cmf_mj.core.errors import check_name
 
 
 def names_in(source: str) -> list[str]:
-    """Names that an option takes.
-
-    Args:
-        source: where they stand, as in `machine.models:CABS`: names, a literal or a function.
-    """
+    """Names, a literal or what a function returns, at a place such as `machine.models:CABS`."""
     names = resolve_name(f"cmf_mj.{source}")
     return list(get_args(names) or (names() if callable(names) else names))
 
@@ -35,21 +31,15 @@ def choice(
     source: str,
     metavar: str,
     text: str,
-    *options: str,
+    *,
     free: bool = False,
     every: str = "",
     make: Callable[..., Any] = Option,
 ) -> Any:
     """An option that takes a name, or several with commas between; `all` stands for every one.
 
-    Args:
-        source: of the names, for `names_in`.
-        metavar: what stands for a value in the help.
-        text: of the help.
-        options: spellings; default the parameter's name.
-        free: whether it takes files and other names too, which the command then checks.
-        every: source of the names that `all` stands for; default `source`.
-        make: `typer.Option` or `typer.Argument`.
+    `source` has the names, `every` those that `all` stands for. A `free` option takes files and
+    other names too, which the command then checks.
     """
 
     def complete(incomplete: str) -> list[str]:
@@ -68,65 +58,59 @@ def choice(
             check_name(param.name or "", name, names_in(source))
         return names if several else value
 
-    return make(*options, help=text, metavar=metavar, autocompletion=complete, callback=checked)
+    return make(help=text, metavar=metavar, autocompletion=complete, callback=checked)
 
+
+name_or_file = partial(choice, free=True)
+"""As `choice`, for names and files."""
 
 argument = partial(choice, make=Argument)
 """As `choice`, for an argument."""
 
+size, file = partial(Option, metavar="SIZE"), partial(Option, metavar="FILE")
+"""Options of a number with its unit, and of a file; `help` says of what."""
+
 ALL, VELOCITY = ["all"], ["velocity"]
 """Defaults of options that take several names."""
+
+CAMERAS = ("overview", "side", "front")
+"""Cameras of the machine."""
 
 DOFS, LAWS = "machine.kinematics:DOFS", "cli.options:shipped_laws"
 """Where names stand, for `names_in`."""
 CABS, _PLANTS = "machine.models:CABS", "plant.build:PLANTS"
 OIL, SENSORS = "plant.parameters.loading:HYDRAULICS", "electronics.sensors.settings:SENSOR_SETS"
 SCENARIOS = "facility.scenario.library:scenario_names"
-_WASHOUTS = "pilot.cueing.settings:WASHOUTS"
+_SETS, _REPORT = "report, hardware, lossy or TOML file", "control.law:law_names"
+_WASHOUTS, _SHIPPED = "pilot.cueing.settings:WASHOUTS", "simona, reid_nahon, optimal or TOML file"
+_MANY_LAWS = "laws by name or TOML file; `all` of the report"
 
 Dof = Annotated[str, choice(DOFS, "DOF", "surge, sway, heave, roll, pitch or yaw")]
-AnyDof = Annotated[str, choice(DOFS, "DOF", "degree of freedom, or leg_1 to leg_6", free=True)]
+AnyDof = Annotated[str, name_or_file(DOFS, "DOF", "degree of freedom, or leg_1 to leg_6")]
+AnyDofs = Annotated[list[str], name_or_file(DOFS, "DOFS", "degrees of freedom or legs, or `all`")]
 Dofs = Annotated[list[str], choice(DOFS, "DOFS", "degrees of freedom, or `all`")]
-Law = Annotated[str, choice(LAWS, "LAW", "law by name or TOML file", free=True)]
-Laws = Annotated[
-    list[str],
-    choice(
-        LAWS,
-        "LAWS",
-        "laws by name or TOML file; `all` of the report",
-        free=True,
-        every="control.law:law_names",
-    ),
-]
+Law = Annotated[str, name_or_file(LAWS, "LAW", "law by name or TOML file")]
+OtherLaw = Annotated[str | None, name_or_file(LAWS, "LAW", "default that of the file")]
+Laws = Annotated[list[str], name_or_file(LAWS, "LAWS", _MANY_LAWS, every=_REPORT)]
 Cab = Annotated[str, choice(CABS, "CAB", "gfd, rfd or ifd")]
 Cabs = Annotated[list[str], choice(CABS, "CABS", "gfd, rfd, ifd, or `all`")]
 PlantName = Annotated[str, choice(_PLANTS, "PLANT", "hexapod or single_legs")]
 Plants = Annotated[list[str], choice(_PLANTS, "PLANTS", "hexapod, single_legs, or `all`")]
-Hydraulics = Annotated[str, choice(OIL, "SET", "report, hardware, lossy or TOML file", free=True)]
-Washout = Annotated[
-    str, choice(_WASHOUTS, "WASHOUT", "simona, reid_nahon, optimal or TOML file", free=True)
-]
-Scenario = Annotated[
-    str, argument(SCENARIOS, "[SCENARIO]", "shipped scenario by name, or TOML file", free=True)
-]
-Pose = Annotated[
-    str, Option(metavar="POSE", help="surge,sway,heave [in],roll,pitch,yaw [deg], z down")
-]
-Amplitude = Annotated[
-    str | None, Option(metavar="SIZE", help="with its unit; default '0.33 in' or '0.2 deg'")
-]
+Hydraulics = Annotated[str, name_or_file(OIL, "SET", _SETS)]
+HydraulicSet = Annotated[str, argument(OIL, "[SET]", _SETS, free=True)]
+Washout = Annotated[str, name_or_file(_WASHOUTS, "WASHOUT", _SHIPPED)]
+Scenario = Annotated[str, argument(SCENARIOS, "[SCENARIO]", "name or TOML file", free=True)]
+Pose = Annotated[str, Option(metavar="POSE", help="x,y,z [in],roll,pitch,yaw [deg], z down")]
+Amplitude = Annotated[str | None, size(help="with its unit; default '0.33 in' or '0.2 deg'")]
 Jobs = Annotated[int | None, Option(help="threads or processes; default one a core")]
-Noise = Annotated[
-    bool, Option("--noise/--ideal", help="sensors, converters and servo electronics with noise")
-]
+Noise = Annotated[bool, Option("--noise/--ideal", help="sensors and electronics with noise")]
 Quick = Annotated[bool, Option("--quick", help="shorter: sweeps of 30 s, not 100 s")]
 Seed = Annotated[int, Option(help="of all random numbers")]
 Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results")]
+NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Simulate = Annotated[bool, Option("--simulate", help="simulate the recordings")]
 Recordings = Annotated[list[Path] | None, Argument(help="facility CSV or Parquet files")]
-FilmFile = Annotated[
-    str | None, Option("--video", metavar="NAME.mp4|NAME.gif", help="film in the folder")
-]
+FilmFile = Annotated[str | None, Option("--video", metavar="NAME.mp4|NAME.gif", help="film in out")]
 Fps = Annotated[int, Option(help="frame rate of a film [1/s]")]
 Speed = Annotated[float, Option(help="times real speed; below 1 is slow motion")]
 Camera = Annotated[str, choice("cli.options:CAMERAS", "CAMERA", "overview, side or front")]
@@ -134,9 +118,4 @@ Width = Annotated[int, Option(help="of the picture of one run or mode [pixels]")
 Height = Annotated[int, Option(help="of the picture of one run or mode [pixels]")]
 StripHeight = Annotated[int, Option("--strip", help="height of the traces [pixels]; 0: none")]
 Start = Annotated[float, Option(help="time of the run at which a film begins [s]")]
-Seconds = Annotated[
-    float | None, Option(help="time of the run that a film shows [s]; default to the end")
-]
-
-CAMERAS = ("overview", "side", "front")
-"""Cameras of the machine."""
+Seconds = Annotated[float | None, Option(help="length of a run or film [s]; default to the end")]

@@ -20,6 +20,13 @@ command = partial(app.command, rich_help_panel="The report")
 listing = partial(app.command, rich_help_panel="Show")
 
 
+_NUMBERS = "by number with commas between, `all` or `none`"
+
+Figures = Annotated[str, Option(metavar="NUMBERS", help=f"figures {_NUMBERS}")]
+Tables = Annotated[str, Option(metavar="NUMBERS", help=f"result tables {_NUMBERS}")]
+Sensors = Annotated[str, argument(options.SENSORS, "[SET]", "ideal, noisy or TOML", free=True)]
+
+
 def _numbers(text: str) -> list[str] | None:
     """Numbers of a comma-separated option; None for all."""
     if text == "all":
@@ -29,12 +36,8 @@ def _numbers(text: str) -> list[str] | None:
 
 @command("report")
 def report_command(
-    figures: Annotated[
-        str, Option(metavar="NUMBERS", help="figures by number, `all` or `none`")
-    ] = "all",
-    tables: Annotated[
-        str, Option(metavar="NUMBERS", help="result tables by number, `all` or `none`")
-    ] = "all",
+    figures: Figures = "all",
+    tables: Tables = "all",
     jobs: options.Jobs = None,
     seed: options.Seed = 0,
     out: options.Out = Path("out/report"),
@@ -99,9 +102,7 @@ def laws_command() -> None:
 
 @listing("parameters")
 def parameters_command(
-    hydraulics: Annotated[
-        str, argument(options.OIL, "[SET]", "report, hardware, lossy or TOML file", free=True)
-    ] = "hardware",
+    hydraulics: options.HydraulicSet = "hardware",
 ) -> None:
     """Show a hydraulic parameter set: value, unit, status and source of every number."""
     from cmf_mj.plant.parameters.loading import load_hydraulics
@@ -112,9 +113,7 @@ def parameters_command(
 
 @listing("sensors")
 def sensors_command(
-    sensors: Annotated[
-        str, argument(options.SENSORS, "[SET]", "ideal, noisy or TOML file", free=True)
-    ] = "noisy",
+    sensors: Sensors = "noisy",
     law: options.Law = "acceleration_opposing",
     seed: options.Seed = 0,
 ) -> None:

@@ -10,17 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from cmf_mj.cli import options
-from cmf_mj.cli.common import (
-    app,
-    in_si,
-    noise_choice,
-    progress_bar,
-    quantity,
-    show,
-    unfolded,
-    written,
-)
-from cmf_mj.cli.options import argument, choice
+from cmf_mj.cli.common import app, in_si, noise_choice, progress_bar, quantity, show, written
+from cmf_mj.cli.options import argument, file, name_or_file, size
 from cmf_mj.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,21 +21,25 @@ if TYPE_CHECKING:
 command = partial(app.command, rich_help_panel="Simulate")
 
 _DEFAULT_LAWS = ["velocity", "position_error_rate", "acceleration"]
+_MOTIONS = (
+    "sine, step, chirp, noise, multisine, or a CSV or Parquet file with columns "
+    "time [s], surge, sway, heave [in], roll, pitch, yaw [deg]"
+)
+_SIGNALS = "studies.capacity.manoeuvre:SIGNALS"
+_SIZE = "of translations; rotations 0.2 deg and steps 1 in to 0.33 in"
 
 
 @command("run")
 def run_command(
     scenario: options.Scenario = "",
-    out: Annotated[Path | None, Option(help="folder; default out/run/NAME")] = None,
-    schema: Annotated[
-        bool, Option("--schema", help="print the JSON schema of a scenario and end")
-    ] = False,
+    out: options.NamedOut = None,
+    schema: Annotated[bool, Option("--schema", help="print a scenario's JSON schema")] = False,
 ) -> None:
     """Run a scenario: plant, law, signals, failures and changes; without one, list them."""
     from cmf_mj.facility.scenario.library import load_scenario, scenario_names
     from cmf_mj.facility.scenario.run import run_scenario
     from cmf_mj.facility.scenario.settings import Scenario
-    from cmf_mj.show import scenario as scenario_report
+    from cmf_mj.show import scenario as report
 
     if schema:
         print(json.dumps(Scenario.model_json_schema(), indent=2))
@@ -58,27 +53,22 @@ def run_command(
         record = run_scenario(chosen, progress=progress)
     folder = out or Path("out/run") / Path(scenario).stem
     with progress_bar("drawing") as progress:
-        paths = scenario_report.save_run(record, chosen, folder, progress=progress)
+        paths = report.save_run(record, chosen, folder, progress=progress)
     show(written(paths))
 
 
 def run_comparison(laws: list[str], dofs: list[str], out: Path, **options: Any) -> Comparison:
     """Compare with a progress bar, print the table and write all files.
 
-    Args:
-        laws: laws by name or TOML file.
-        dofs: degrees of freedom.
-        out: folder of the files.
-        options: others of `compare`; records are kept unless `records` is False.
+    `options` are others of `compare`; records are kept unless `records` is False.
     """
     from cmf_mj.show import comparison as report
     from cmf_mj.studies.comparison import compare
 
     kept = options.pop("records", True)
+    folder = out / "records" if kept else None
     with progress_bar() as update:
-        comparison = compare(
-            laws, dofs, records=out / "records" if kept else None, progress=update, **options
-        )
+        comparison = compare(laws, dofs, records=folder, progress=update, **options)
     paths = report.save_comparison(comparison, out)
     table = report.comparison_table(comparison.results)
     gap = max(result.gimbal_error for result in comparison.results)
@@ -87,7 +77,7 @@ def run_comparison(laws: list[str], dofs: list[str], out: Path, **options: Any) 
         f"largest gap of a closed gimbal: {gap * 1e6:.2f} micrometres",
         f"written to {out}: comparison.csv, comparison.md, {len(paths) - 2} figures"
         + (", records/" if kept else ""),
-        width=unfolded(table),
+        unfolded=True,
     )
     return comparison
 
@@ -99,10 +89,7 @@ def compare_command(
     cab: options.Cab = "gfd",
     plants: options.Plants = options.ALL,
     hydraulics: options.Hydraulics = "hardware",
-    amplitude: Annotated[
-        str,
-        Option(metavar="SIZE", help="of translations; rotations 0.2 deg and steps 1 in to 0.33 in"),
-    ] = "0.33 in",
+    amplitude: Annotated[str, size(help=_SIZE)] = "0.33 in",
     jobs: options.Jobs = None,
     out: options.Out = Path("out/compare"),
     quick: options.Quick = False,
@@ -110,29 +97,16 @@ def compare_command(
     noise: options.Noise = False,
 ) -> None:
     """Compare control laws in six degrees of freedom on the hexapod and on single legs."""
-    run_comparison(
-        laws,
-        dofs,
-        out,
-        plants=plants,
-        cab=cab,
-        hydraulics=hydraulics,
-        amplitude=in_si("heave", amplitude),
-        jobs=jobs,
-        quick=quick,
-        records=records,
-        electronics=noise_choice(noise),
-    )
+    machine = {"plants": plants, "cab": cab, "hydraulics": hydraulics}
+    changed = {"amplitude": in_si("heave", amplitude), "electronics": noise_choice(noise)}
+    how = {"jobs": jobs, "quick": quick, "records": records}
+    run_comparison(laws, dofs, out, **machine, **changed, **how)
 
 
 def events_of(
     kinds: list[str], at: float, leg: int | None, valve: int | None, size: str | None
 ) -> list[Event]:
-    """Events of the command line; of several kinds, valves once both and once the first.
-
-    Raises:
-        InputError: names what is refused.
-    """
+    """Events of the command line; of several kinds, valves once both and once the first."""
     from cmf_mj.plant.events import default_event
 
     amount = None if size is None else quantity("size", size)
@@ -154,77 +128,53 @@ def failure_command(
     dof: options.Dof = "heave",
     leg: Annotated[int | None, Option(help="leg of a valve or sensor; default 1")] = None,
     valve: Annotated[int | None, Option(help="1 or 2; default both")] = None,
-    size: Annotated[str | None, Option(metavar="SIZE", help="how much, such as '1 in^2'")] = None,
+    size: Annotated[str | None, size(help="how much, such as '1 in^2'")] = None,
     at: Annotated[float, Option(help="time of the event [s]")] = 4.0,
     after: Annotated[float, Option(help="length of the run after it [s]")] = 26.0,
     law: options.Law = "velocity",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
-    amplitude: Annotated[
-        str | None, Option(metavar="SIZE", help="of the sine; default '6 in' or '4 deg'")
-    ] = None,
+    amplitude: Annotated[str | None, size(help="of the sine; default '6 in' or '4 deg'")] = None,
     frequency: Annotated[float, Option(help="of the sine [Hz]")] = 0.5,
     protection: Annotated[bool, Option(help="whether a fault stops the machine")] = True,
-    thresholds: Annotated[
-        str, Option(metavar="FILE", help="of the protection: default or a TOML file")
-    ] = "default",
+    thresholds: Annotated[str, file(help="default or TOML, of the protection")] = "default",
     jobs: options.Jobs = None,
     out: options.Out = Path("out/failure"),
 ) -> None:
     """Let something fail during a manoeuvre: leg loads, what the crew feels, how it ends."""
     from cmf_mj.core import units
-    from cmf_mj.show import failure as failure_report
+    from cmf_mj.show import failure as report
     from cmf_mj.studies.case import make_case
     from cmf_mj.studies.failure.runs import run_failures
 
+    events, sine = events_of(event, at, leg, valve, size), in_si(dof, amplitude)
+    case = make_case(law, dof, cab=cab, hydraulics=hydraulics, amplitude=sine)
+    limits = thresholds if protection else None
     results = run_failures(
-        events_of(event, at, leg, valve, size),
-        make_case(law, dof, cab=cab, hydraulics=hydraulics, amplitude=in_si(dof, amplitude)),
-        frequency=frequency,
-        after=after,
-        protection=thresholds if protection else None,
-        jobs=jobs,
+        events, case, frequency=frequency, after=after, protection=limits, jobs=jobs
     )
-    paths = failure_report.save_failures(results, out)
-    table = failure_report.failure_table(results)
+    paths = report.save_failures(results, out)
     load = max(results, key=lambda result: abs(result.load.after.value)).load.after
     show(
-        table,
+        report.failure_table(results),
         *[result.message for result in results if result.message],
         f"largest load: {units.from_si('lbf', load.value):.0f} lbf in leg {load.leg}",
         f"written to {out}: failures.csv, failures.md, {len(paths) - 2} figures",
-        width=unfolded(table),
+        unfolded=True,
     )
 
 
 @command("capacity")
 def capacity_command(
-    signal: Annotated[
-        str,
-        choice(
-            "studies.capacity.manoeuvre:SIGNALS",
-            "SIGNAL",
-            "sine, step, chirp, noise, multisine, or a CSV or Parquet file with columns "
-            "time [s], surge, sway, heave [in], roll, pitch, yaw [deg]",
-            free=True,
-        ),
-    ] = "sine",
+    signal: Annotated[str, name_or_file(_SIGNALS, "SIGNAL", _MOTIONS)] = "sine",
     dof: options.Dof = "heave",
-    amplitude: Annotated[
-        str | None, Option(metavar="SIZE", help="with its unit; sine: default '15 in'")
-    ] = None,
-    frequency: Annotated[
-        float | None, Option(help="of the sine, highest of chirp, noise and multisine [Hz]")
-    ] = None,
+    amplitude: Annotated[str | None, size(help="with its unit; sine: default '15 in'")] = None,
+    frequency: Annotated[float | None, Option(help="of the sine, else the highest [Hz]")] = None,
     law: options.Law = "velocity",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
-    least_pressure: Annotated[
-        float | None, Option(help="least manifold pressure [psi]; default 80 % of the set pressure")
-    ] = None,
-    envelope: Annotated[
-        bool, Option(help="the largest sustained sine at each frequency, 0.1 to 10 Hz")
-    ] = True,
+    least_pressure: Annotated[float | None, Option(help="[psi]; default 80 % of the set's")] = None,
+    envelope: Annotated[bool, Option(help="the largest sustained sines, 0.1 to 10 Hz")] = True,
     dofs: options.Dofs = options.ALL,
     jobs: options.Jobs = None,
     quick: Annotated[bool, Option("--quick", help="envelope at 4 frequencies")] = False,
@@ -245,16 +195,11 @@ def capacity_command(
     paths = report.save_capacity(result, parameters, out)
     show(report.capacity_table(result))
     if envelope:
+        frequencies = envelopes.QUICK_FREQUENCIES if quick else envelopes.FREQUENCIES
+        limits: dict[str, Any] = {"least_pressure": least, "frequencies": frequencies}
         with progress_bar() as update:
             sines = envelopes.performance_envelope(
-                law,
-                cab,
-                parameters,
-                dofs=dofs,
-                frequencies=envelopes.QUICK_FREQUENCIES if quick else envelopes.FREQUENCIES,
-                least_pressure=least,
-                jobs=jobs,
-                progress=update,
+                law, cab, parameters, dofs=dofs, jobs=jobs, progress=update, **limits
             )
         paths += report.save_envelope(sines, out)
         show(report.envelope_table(sines), width=132)

@@ -13,27 +13,22 @@ from typer import Option
 
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, progress_bar, show, written
-from cmf_mj.cli.options import argument, choice
+from cmf_mj.cli.options import argument, choice, file, name_or_file
 
 command = partial(app.command, rich_help_panel="Studies")
 
-Laws = Annotated[
-    list[str] | None, choice(options.LAWS, "LAWS", "laws instead of the study's", free=True)
-]
-Workers = Annotated[
-    str, choice("studies.engine:Backend", "BACKEND", "threading, loky (processes) or dask")
-]
+_BACKEND, _FORMS = "studies.engine:Backend", "studies.tuning.forms:FORMS"
+_CALIBRATED, _TUNED = "report, hardware, hardware_lag, or `all`", Path("out/tune/law.toml")
+_READY, _TABLES = "studies.settings:ready_studies", "studies.calibration.definition:load_studies"
+
+Laws = Annotated[list[str] | None, name_or_file(options.LAWS, "LAWS", "instead of the study's")]
+SomeDofs = Annotated[list[str] | None, choice(options.DOFS, "DOFS", "instead of the study's")]
+Workers = Annotated[str, choice(_BACKEND, "BACKEND", "threading, loky (processes) or dask")]
 Address = Annotated[str | None, Option(help="address of a running Dask scheduler")]
 
 
 def _run(
-    specification: str,
-    out: Path,
-    laws: list[str] | None,
-    jobs: int | None,
-    backend: str,
-    scheduler: str | None,
-    **changes: Any,
+    specification: str, out: Path, laws: list[str] | None, how: dict[str, Any], **changes: Any
 ) -> None:
     """Run a study with some of its fields changed; None leaves a field."""
     from cmf_mj.show import study as report
@@ -42,21 +37,16 @@ def _run(
 
     changes = {name: value for name, value in changes.items() if value is not None}
     study = load_study(specification, laws=laws, changes=changes)
+    how["jobs"] = how["jobs"] if how["jobs"] is not None else os.cpu_count() or 1
+    how["backend"] = "dask" if how["scheduler"] else how["backend"]
     try:
         with progress_bar() as update:
-            table = run_study(
-                study,
-                out,
-                jobs=jobs if jobs is not None else os.cpu_count() or 1,
-                backend="dask" if scheduler else backend,  # type: ignore[arg-type]
-                scheduler=scheduler,
-                progress=update,
-            )
+            table = run_study(study, out, progress=update, **how)
         paths = report.save_report(table, out)
         show(report.summary_table(table), written(paths, out))
     except KeyboardInterrupt:
         typer.secho(f"cmf: interrupted; the same command goes on with {out}", err=True)
-        if backend == "threading":
+        if how["backend"] == "threading":
             sys.stderr.flush()
             os._exit(130)  # threads still compute: they would outlive what they compute on
         raise SystemExit(130) from None
@@ -64,16 +54,8 @@ def _run(
 
 @command("study")
 def study_command(
-    specification: Annotated[
-        str,
-        argument(
-            "studies.settings:ready_studies",
-            "STUDY",
-            "shipped study by name, or TOML file",
-            free=True,
-        ),
-    ],
-    out: Annotated[Path | None, Option(help="folder; default out/NAME")] = None,
+    specification: Annotated[str, argument(_READY, "STUDY", "name or TOML file", free=True)],
+    out: options.NamedOut = None,
     laws: Laws = None,
     draws: Annotated[int | None, Option(help="random samples of the machine")] = None,
     jobs: options.Jobs = None,
@@ -82,59 +64,50 @@ def study_command(
 ) -> None:
     """Run a study of many cases, or what is left of it; the same command resumes it."""
     folder = out or Path("out") / Path(specification).stem
-    _run(specification, folder, laws, jobs, backend, scheduler, draws=draws)
+    how = {"jobs": jobs, "backend": backend, "scheduler": scheduler}
+    _run(specification, folder, laws, how, draws=draws)
 
 
 @command("ablation")
 def ablation_command(
     out: options.Out = Path("out/ablation"),
     laws: Laws = None,
-    dofs: Annotated[
-        list[str] | None, choice(options.DOFS, "DOFS", "degrees of freedom, or `all`")
-    ] = None,
+    dofs: SomeDofs = None,
     jobs: options.Jobs = None,
     backend: Workers = "loky",
     scheduler: Address = None,
 ) -> None:
     """Climb from a single leg to the whole machine, one effect at a time."""
-    _run("ablation", out, laws, jobs, backend, scheduler, dofs=dofs)
+    how = {"jobs": jobs, "backend": backend, "scheduler": scheduler}
+    _run("ablation", out, laws, how, dofs=dofs)
 
 
 @command("tune")
 def tune_command(
     name: Annotated[str, Option(help="name of the law")] = "modal_plan",
-    form: Annotated[
-        str, choice("studies.tuning.forms:FORMS", "FORM", "law whose gains are searched")
-    ] = "modal_plan",
+    form: Annotated[str, choice(_FORMS, "FORM", "law whose gains to search")] = "modal_plan",
     title: Annotated[str, Option(help="its title")] = "Modal plan",
     peak: Annotated[float, Option(help="largest peak gain [dB]")] = 2.0,
     overshoot: Annotated[float, Option(help="largest overshoot of a step [%]")] = 18.0,
     cabs: options.Cabs = options.ALL,
     evaluations: Annotated[int, Option(help="laws to try, about")] = 24,
     seed: options.Seed = 1,
-    file: Annotated[Path, Option(metavar="FILE", help="law file to write")] = Path(
-        "out/tune/law.toml"
-    ),
+    target: Annotated[Path, file("--file", help="law file to write")] = _TUNED,
 ) -> None:
     """Search the gains of a form of law over all cabs and degrees of freedom."""
     from cmf_mj.studies.tuning.forms import make_template
     from cmf_mj.studies.tuning.search import Limits, save_law, search
 
+    template, limits = make_template(name, title, cabs), Limits(peak, overshoot / 100.0)
+    how: dict[str, Any] = {"form": form, "evaluations": evaluations, "seed": seed}
     with progress_bar() as update:
-        result = search(
-            make_template(name, title, cabs),
-            Limits(peak_db=peak, overshoot=overshoot / 100.0),
-            form=form,
-            evaluations=evaluations,
-            seed=seed,
-            progress=update,
-        )
+        result = search(template, limits, progress=update, **how)
     command_line = (
         f"cmf tune --form {form} --peak {peak:g} --overshoot {overshoot:g} "
         f"--cabs {','.join(cabs)} --evaluations {evaluations} --seed {seed}"
     )
     law = result.law.model_copy(update={"source": f"this project: {command_line}"})
-    target = save_law(law, file, f"Written by `{command_line}`.")
+    save_law(law, target, f"Written by `{command_line}`.")
     reached = result.performance
     show(
         f"linear plants, worst of all cabs, degrees of freedom and valve gains: "
@@ -146,14 +119,7 @@ def tune_command(
 
 @command("calibrate")
 def calibrate_command(
-    tables: Annotated[
-        list[str],
-        argument(
-            "studies.calibration.definition:load_studies",
-            "[TABLES]...",
-            "report, hardware, hardware_lag, or `all`",
-        ),
-    ] = options.ALL,
+    tables: Annotated[list[str], argument(_TABLES, "[TABLES]...", _CALIBRATED)] = options.ALL,
     rounds: Annotated[int, Option(help="fits, each followed by a simulation")] = 1,
     quick: options.Quick = False,
     samples: Annotated[int, Option(help="samples for the uncertainty")] = 128,
@@ -166,10 +132,8 @@ def calibrate_command(
     from cmf_mj.studies.calibration.fit import calibrate
     from cmf_mj.studies.calibration.sensitivity import examine
 
-    def say(line: str) -> None:
-        typer.echo(line, err=True)
-
     for chosen in [load_study(name) for name in tables]:
+        say = partial(typer.echo, err=True)
         fitted = calibrate(chosen, rounds=rounds, quick=quick, jobs=jobs, progress=say)
         result = examine(fitted, samples=samples, jobs=jobs)
         folder = out / chosen.name

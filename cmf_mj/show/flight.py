@@ -7,10 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cmf_mj.core import units
 from cmf_mj.machine.dof import by_kind
-from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.fly import FlightResult, TransportDelay, error_spectra
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import CueingError
@@ -25,7 +22,6 @@ from cmf_mj.show.look import (
     legend,
     new_figure,
     save_files,
-    stack,
 )
 from cmf_mj.show.station import SCALE, Motion, motion_axes, perceived_figure, six
 from cmf_mj.show.table import Cell, Column, Table
@@ -65,26 +61,6 @@ def sensed_figure(ride: FlightResult) -> Figure:
         error, reference = ride.cueing, "sensed in the aircraft"
     figure = perceived_figure(error, reference, "sensed in the cab")
     figure.suptitle(f"sensed by otoliths and canals: {ride.law}, cab {ride.cab}")
-    return figure
-
-
-def envelope_figure(ride: FlightResult) -> Figure:
-    """Legs and degrees of freedom over their limits."""
-    record, limits = ride.operation.record, load_motion_limits()
-    figure, (legs, pose) = stack(9.0, 6.5, "leg extension [in]", "operational limit used [%]")
-    stroke = units.from_si("in", limits.leg.position.si)
-    numbers = [f"leg {leg}" for leg in range(1, 7)]
-    legs.plot(record.time, record["leg_extension"] / units.INCH, linewidth=0.9, label=numbers)
-    for side in (-stroke, stroke):
-        legs.axhline(side, color=DARK, linestyle=":")
-    title = f"working stroke ±{stroke:g} in (dotted); largest use {ride.use.leg_position:.0%}"
-    legs.set(title=title, ylim=(-1.35 * stroke, 1.35 * stroke))
-    low, high = limits.operational.T
-    used = 100.0 * np.maximum(record["platform_pose"] / low, record["platform_pose"] / high)
-    pose.plot(record.time, used, linewidth=0.9, label=DOFS)
-    pose.axhline(100.0, color=DARK, linestyle=":")
-    pose.set_ylim(0.0, 125.0)
-    legend(legs, pose, ncols=6, loc="upper center")
     return figure
 
 
@@ -172,11 +148,10 @@ def delay_table(delay: TransportDelay) -> Table:
 
 
 def save_ride(ride: FlightResult, folder: Path) -> list[Path]:
-    """Write `motion.png`, `perceived.png` and `envelope.png`."""
+    """Write `motion.png` and `perceived.png`."""
     files = {
         "motion.png": motion_figure(ride),
         "perceived.png": sensed_figure(ride),
-        "envelope.png": envelope_figure(ride),
     }
     return save_files(files, folder)
 

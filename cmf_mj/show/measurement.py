@@ -11,7 +11,7 @@ from cmf_mj.analysis.metrics import SecondOrder
 from cmf_mj.core import units
 from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.show.look import dress_bode, legend, new_figure, plot_band, plot_bode, save_files, stack
+from cmf_mj.show.look import dress_bode, legend, plot_band, plot_bode, save_files, stack
 from cmf_mj.show.table import Table
 from cmf_mj.studies.measurement import Measurement, RecordingMeasures, plain
 
@@ -56,6 +56,10 @@ def measurement_table(measured: Measurement) -> Table:
         ("delay", f"{1e3 * measured.transport_delay:.1f} ms", "cross-correlation of the sweep"),
         ("hysteresis", _share(measured.hysteresis), "loop width at 0.01 Hz, over peak-to-peak"),
     ]
+    for at in measured.describing_function:
+        size = f"{at.frequency_hz:g} Hz, {units.from_si(unit, at.amplitude):.3g} {unit}"
+        value = f"{at.gain_db:.2f} dB, {at.phase_deg:.1f} deg"
+        rows.append((f"describing function, {size}", value, "fundamental over the demand"))
     for amplitude, noise in measured.half_hertz_noise:
         size = f"{units.from_si(unit, amplitude):.3g} {unit}"
         rows += [
@@ -95,34 +99,6 @@ def response_figure(title: str, name: str, response: FrequencyResponse) -> Figur
     return figure
 
 
-def measures_figure(measured: Measurement) -> Figure:
-    """Describing function, half-hertz noise and dynamic threshold of a session."""
-    figure = new_figure(12.0, 4.0)
-    gain, noise, threshold = figure.subplots(1, 3)
-    unit, turn = dof_unit(measured.case.dof), by_kind(measured.case.dof, "m/s^2", "deg/s^2")
-    for frequency in dict.fromkeys(point.frequency_hz for point in measured.describing_function):
-        points = [p for p in measured.describing_function if p.frequency_hz == frequency]
-        sizes = [units.from_si(unit, p.amplitude) for p in points]
-        gain.semilogx(sizes, [p.gain_db for p in points], "o-", label=f"{frequency:g} Hz")
-    gain.set(title="describing function", xlabel=f"amplitude [{unit}]", ylabel="gain [dB]")
-    sizes = [units.from_si(unit, amplitude) for amplitude, _ in measured.half_hertz_noise]
-    for field in ("low_harmonics", "high_harmonics", "stochastic", "peak"):
-        shares = [100.0 * getattr(item, field) for _, item in measured.half_hertz_noise]
-        noise.loglog(sizes, shares, "o-", label=field.replace("_", " "))
-    noise.set(title="half-hertz noise", xlabel=f"amplitude [{unit}]", ylabel="of A1 [%]")
-    scale = by_kind(measured.case.dof, 1.0, units.DEGREE)
-    steps = [point.acceleration / scale for point in measured.threshold]
-    times = [1e3 * point.time for point in measured.threshold]
-    threshold.semilogx(steps, times, "o-")
-    threshold.set(title="dynamic threshold", xlabel=f"step [{turn}]", ylabel="time to 63 % [ms]")
-    threshold.set_ylim(0.0, 1.2 * max(times, default=1e3))
-    for axis, ticks in ((gain, sizes), (noise, sizes), (threshold, steps)):
-        axis.set_xticks(ticks, [f"{tick:.3g}" for tick in ticks])
-        axis.minorticks_off()
-    legend(gain, noise)
-    return figure
-
-
 def _response_files(response: FrequencyResponse, figure: Figure) -> dict[str, Any]:
     """`response.csv`, with the radius of the 95 % circle, and `response.png`."""
     curves = (response.frequency, response.gain_db, response.phase_deg)
@@ -139,9 +115,8 @@ def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
 
 
 def save_measurement(measured: Measurement, folder: Path) -> list[Path]:
-    """Write `response.csv`, `response.png`, `measures.png` and `summary.json`."""
+    """Write `response.csv`, `response.png` and `summary.json`."""
     title = f"{measured.case.law.name}, {measured.case.dof}"
     figure = response_figure(title, measured.case.plant, measured.response)
     files = _response_files(measured.response, figure)
-    files |= {"measures.png": measures_figure(measured), "summary.json": measured.summary()}
-    return save_files(files, folder)
+    return save_files(files | {"summary.json": measured.summary()}, folder)

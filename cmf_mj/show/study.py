@@ -5,22 +5,16 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
-from numpy.typing import NDArray
 
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.show.look import BLUE, COLOURS, grid, new_figure, save_figures
+from cmf_mj.show.look import COLOURS, new_figure, save_files
 from cmf_mj.show.table import Cell, Table, number
 from cmf_mj.studies.effects import (
-    ENOUGH_DAMPING,
     Interval,
     Row,
     agreement,
     climb,
-    crosstalk_matrix,
     in_order,
     largest_crosstalk,
     law_effects,
@@ -123,16 +117,11 @@ def climb_table(table: pa.Table) -> Table:
     by_place = {(step.rung, step.dof): step for step in steps}
     dofs, rungs = (list(dict.fromkeys(getattr(s, name) for s in steps)) for name in ("dof", "rung"))
     forms = [(name, "+.1f" if name == "peak_gain_db" else "+.2f") for name, _ in _MEASURES]
-    rows = [
-        [
-            rung,
-            *(
-                " / ".join(number(getattr(by_place[rung, dof], name), form) for name, form in forms)
-                for dof in dofs
-            ),
-        ]
-        for rung in rungs
-    ]
+    rows = []
+    for rung in rungs:
+        line = (by_place[rung, dof] for dof in dofs)
+        changes = (" / ".join(number(getattr(s, name), form) for name, form in forms) for s in line)
+        rows.append([rung, *changes])
     return Table("", ("adds", *dofs), rows)
 
 
@@ -166,77 +155,10 @@ def ladder_figure(table: pa.Table) -> Figure:
                 axis.set_yscale("log")
                 axis.set_xticks(range(len(rungs)), rungs, rotation=90, fontsize=8)
         line[0].set_ylabel(title)
-    grid(*axes.flat)
     for dof, axis in zip(dofs, axes[0], strict=True):
         axis.set_title(dof)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
-    return figure
-
-
-def _matrix(axis: Axes, matrix: NDArray[np.float64], title: str) -> AxesImage:
-    image = axis.imshow(matrix, norm=LogNorm(1e-2, 1e1), cmap="viridis")
-    axis.set_xticks(range(6), DOFS, rotation=90, fontsize=7)
-    axis.set_yticks(range(6), DOFS, fontsize=7)
-    axis.set_title(title, fontsize=9)
-    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 6}
-    for (i, j), value in np.ndenumerate(matrix):
-        if not np.isnan(value):
-            text = f"{value:.2f}" if value < 9.95 else f"{value:.0f}"
-            axis.text(j, i, text, color="w" if value < 1.0 else "k", **style)
-    return image
-
-
-def crosstalk_figure(table: pa.Table, law: str) -> Figure:
-    """Crosstalk of a law: the nominal machine, then the median and 95 % of those drawn."""
-    rows = rows_of(table, method="linear", law=law)
-    cabs = in_order(rows, "cab")
-    figure = new_figure(9.6, 3.1 * len(cabs) + 0.4)
-    axes = figure.subplots(len(cabs), 3, squeeze=False)
-    for cab, line in zip(cabs, axes, strict=True):
-        of_cab = [row for row in rows if row["cab"] == cab]
-        nominal = [row for row in of_cab if row["draw"] == NOMINAL]
-        drawn = [row for row in of_cab if row["draw"] != NOMINAL]
-        stable = sum(row["stable"] for row in drawn if row["dof"] == DOFS[0])
-        image = _matrix(line[0], crosstalk_matrix(nominal, 0.5), f"{cab.upper()}, nominal")
-        _matrix(line[1], crosstalk_matrix(drawn, 0.5), f"median of {stable} machines")
-        _matrix(line[2], crosstalk_matrix(drawn, 0.95), "95 % stay below")
-        line[0].set_ylabel("moved")
-    for axis in axes[-1]:
-        axis.set_xlabel("driven")
-    figure.colorbar(image, ax=axes, label="largest gain, 0.1 to 10 Hz", shrink=0.6)
-    figure.suptitle(f"crosstalk, {law}", fontsize=10)
-    return figure
-
-
-def rate_figure(table: pa.Table) -> Figure:
-    """Shares of stable machines and of damped ones in each degree of freedom, with intervals."""
-    every = rates(table)
-    cabs, laws = (list(dict.fromkeys(getattr(r, name) for r in every)) for name in ("cab", "law"))
-    titles = ["stable", *DOFS]
-    figure = new_figure(11.0, 0.38 * len(laws) * len(cabs) + 1.6)
-    axes = figure.subplots(len(cabs), len(titles), sharex=True, sharey=True, squeeze=False)
-    for cab, line in zip(cabs, axes, strict=True):
-        of_cab = [rate for rate in every if rate.cab == cab]
-        for title, axis in zip(titles, line, strict=True):
-            shares = [r.stable if title == "stable" else r.damped[title] for r in of_cab]
-            middle = 100.0 * np.array([s.value for s in shares])
-            errors = np.array([[s.value - s.low, s.high - s.value] for s in shares]).T
-            spread = 100.0 * np.maximum(errors, 0.0)
-            axis.errorbar(
-                middle, range(len(of_cab)), xerr=spread, fmt="o", markersize=4.0, color=BLUE
-            )
-            axis.set_xlim(-5.0, 105.0)
-        line[0].set_yticks(range(len(of_cab)), [rate.law for rate in of_cab], fontsize=8)
-        line[0].set_ylim(len(of_cab) - 0.5, -0.5)
-        line[-1].yaxis.set_label_position("right")
-        line[-1].set_ylabel(cab.upper())
-    grid(*axes.flat)
-    for title, axis in zip(titles, axes[0], strict=True):
-        name = title if title == "stable" else f"{title}\nzeta > {ENOUGH_DAMPING:g}"
-        axis.set_title(name, fontsize=9)
-    for axis in axes[-1]:
-        axis.set_xlabel("machines [%]", fontsize=8)
     return figure
 
 
@@ -259,27 +181,16 @@ def tables_of(table: pa.Table) -> dict[str, Table]:
     return tables
 
 
-def figures_of(table: pa.Table) -> dict[str, Figure]:
-    """The figures a study has something for, by the name of their file."""
-    rows = rows_of(table)
-    figures: dict[str, Figure] = {}
-    if len(in_order(rows, "rung")) > 1:
-        figures["ladder"] = ladder_figure(table)
-    if any(row["method"] == "linear" and row["draw"] != NOMINAL for row in rows):
-        figures["rates"] = rate_figure(table)
-        for law in in_order(rows, "law"):
-            figures[f"crosstalk_{law}"] = crosstalk_figure(table, law)
-    return figures
-
-
 def save_report(table: pa.Table, folder: Path) -> list[Path]:
-    """Write every table as Markdown and CSV and every figure as PNG."""
-    paths = [
-        each.save(folder / f"{name}.{kind}")
+    """Write every table as Markdown and CSV, and of a ladder the figure `ladder.png`."""
+    files: dict[str, Any] = {
+        f"{name}.{kind}": each.save
         for name, each in tables_of(table).items()
         for kind in ("md", "csv")
-    ]
-    return paths + save_figures(figures_of(table), folder, 80)
+    }
+    if "effects.md" in files:
+        files["ladder.png"] = ladder_figure(table)
+    return save_files(files, folder, 80)
 
 
 def summary_table(table: pa.Table) -> Table:

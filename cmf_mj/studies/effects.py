@@ -5,7 +5,7 @@ drawn once and run with every law: a share of machines has Wilson's score interv
 two laws is the mean over the machines both ran on, with Student's t interval.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from itertools import pairwise, product
 from typing import Any, NamedTuple
 
@@ -236,15 +236,5 @@ def climb(table: pa.Table) -> list[Climb]:
 
 def largest_crosstalk(row: Row) -> float:
     """Largest crosstalk out of the degree of freedom of a row."""
-    return float(np.max([row[f"crosstalk_{dof}"] for dof in DOFS if dof != row["dof"]]))
-
-
-def crosstalk_matrix(rows: Sequence[Row], quantile: float) -> NDArray[np.float64]:
-    """A quantile over the machines of the crosstalk, (6, 6), moved in rows, driven in columns."""
-    matrix = np.full((len(DOFS), len(DOFS)), np.nan)
-    for column, driven in enumerate(DOFS):
-        part = [row for row in rows if row["dof"] == driven and row["stable"]]
-        if part:
-            gains = [[row[f"crosstalk_{moved}"] for moved in DOFS] for row in part]
-            matrix[:, column] = np.quantile(np.array(gains, dtype=float), quantile, axis=0)
-    return matrix
+    values = np.array([row[f"crosstalk_{dof}"] for dof in DOFS if dof != row["dof"]])
+    return float(values.max())
