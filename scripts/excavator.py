@@ -26,12 +26,14 @@ CYLINDERS = ("boom_cylinder", "stick_cylinder", "bucket_cylinder")
 def main() -> None:
     """Parse the arguments, run and report."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--hydraulics", type=Path, default=models.excavator_hydraulics_path())
-    parser.add_argument("--law", default=str(models.excavator_laws_path()))
+    parser.add_argument(
+        "--hydraulics", type=Path, default=models.model_path("excavator_hydraulics.toml")
+    )
+    parser.add_argument("--law", default=str(models.model_path("excavator_laws.toml")))
     parser.add_argument(
         "--cycle",
         type=Path,
-        default=models.excavator_cycle_path(),
+        default=models.model_path("excavator_cycle.csv"),
         help="CSV with a header: time [s] and the length of each cylinder [m]",
     )
     parser.add_argument(
@@ -43,7 +45,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/excavator"))
     options = parser.parse_args()
     try:
-        plant = attach_hydraulics(models.excavator_path(), CYLINDERS, options.hydraulics)
+        plant = attach_hydraulics(models.model_path("excavator.xml"), CYLINDERS, options.hydraulics)
         record = (
             pull(plant, options.lever, options.seconds) if options.lever else dig(plant, options)
         )

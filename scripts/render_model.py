@@ -42,7 +42,7 @@ def main() -> None:
         film([record], arguments.out, _MOTION, titles=[shown.title])
     else:
         if arguments.excavator:
-            model = mujoco.MjModel.from_xml_path(str(models.excavator_path()))
+            model = mujoco.MjModel.from_xml_path(str(models.model_path("excavator.xml")))
         else:
             model = hexapod_spec(arguments.cab).compile()
         data = mujoco.MjData(model)

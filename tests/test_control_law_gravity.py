@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from protected_records import fault_of
 
 from cmf_mj import Hexapod, Law, load_law, signals, simulate
 from cmf_mj.control import dcl as blocks
@@ -19,7 +20,7 @@ from cmf_mj.control.engage import engaged, handed_over
 from cmf_mj.control.feedback import LegFeedback, gravity_history
 from cmf_mj.control.protection import load_protection, make_protection
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.replay import replay, replay_protection
+from cmf_mj.facility.replay import replay
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.gravity import axial_gravity
 from cmf_mj.record.record import Record
@@ -108,13 +109,13 @@ def test_protection_watches_accelerations_without_gravity(feeling: ElectronicsSe
     record = simulate(Hexapod(), chosen, still, electronics=feeling, protection=strict)
     assert record["leg_acceleration"].min() > 0.8 * GRAVITY
     assert record.metadata["fault"] is None
-    assert replay_protection(record, make_protection(strict), 1e7) is None
+    assert fault_of(record, make_protection(strict), 1e7) is None
     jump = np.repeat([[0.0] * 6, [0.0, 0.0, -0.05, 0.0, 0.0, 0.0]], 200, axis=0)
     moved = simulate(Hexapod(), chosen, jump, electronics=feeling, protection=strict)
     assert moved.metadata["fault"]["name"] == "over_acceleration"
-    found = replay_protection(moved, make_protection(strict), 1e7)
-    assert found is not None
-    assert found.name == "over_acceleration"
+    fault = fault_of(moved, make_protection(strict), 1e7)
+    assert fault is not None
+    assert fault.name == "over_acceleration"
 
 
 @pytest.mark.parametrize("recorded", [True, False])

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from protected_records import fault_of
 
 from cmf_mj import Hexapod, Record, law_names, signals, simulate
 from cmf_mj.control.feedback import LegFeedback
@@ -20,7 +21,7 @@ from cmf_mj.control.protection import (
 )
 from cmf_mj.electronics.sensors.settings import load_sensors
 from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
-from cmf_mj.facility.replay import FEEDBACK, replay_protection
+from cmf_mj.facility.replay import FEEDBACK
 
 FRAME = 1.0 / 2048.0
 INCH, PSI, GRAVITY = 0.0254, 6894.757293168361, 9.80665
@@ -271,8 +272,8 @@ def test_no_alarm_in_nominal_sweeps(law: str, hexapod: Hexapod) -> None:
     command = signals.chirp("heave", 0.33 * INCH, duration=12.0)
     record = simulate(hexapod, law, command)
     assert np.abs(record["leg_velocity"]).max() > 2.0 * INCH
-    assert replay_protection(record, make_protection(SETTINGS), SUPPLY) is None
-    assert replay_protection(noisy(record), make_protection(SETTINGS), SUPPLY) is None
+    assert fault_of(record, make_protection(SETTINGS), SUPPLY) is None
+    assert fault_of(noisy(record), make_protection(SETTINGS), SUPPLY) is None
 
 
 def test_the_misprinted_law_is_stopped(hexapod: Hexapod) -> None:
@@ -280,10 +281,10 @@ def test_the_misprinted_law_is_stopped(hexapod: Hexapod) -> None:
     record = simulate(
         hexapod, "original_as_printed", signals.chirp("heave", 0.33 * INCH, duration=6.0)
     )
-    found = replay_protection(record, make_protection(SETTINGS), SUPPLY)
-    assert found is not None
-    assert found.name == "over_speed"
-    speed = np.abs(record["leg_velocity"][: found.frame + 1, found.leg - 1])
+    fault = fault_of(record, make_protection(SETTINGS), SUPPLY)
+    assert fault is not None
+    assert fault.name == "over_speed"
+    speed = np.abs(record["leg_velocity"][: fault.frame + 1, fault.leg - 1])
     assert speed[-4:].min() > 40.0 * INCH
     assert (speed[:-4] > 40.0 * INCH).sum() == 0
 

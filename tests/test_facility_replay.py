@@ -8,9 +8,8 @@ from typer.testing import CliRunner
 
 from cmf_mj import Hexapod, Record, SingleLegs, law_names, load_law, signals, simulate
 from cmf_mj.cli.common import app
-from cmf_mj.control.protection import load_protection, make_protection
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.replay import law_of, replay, replay_protection
+from cmf_mj.facility.replay import law_of, replay
 from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.record.writer import write_facility_csv
 
@@ -120,8 +119,6 @@ def test_refusals(run: Record) -> None:
         replay(run, "velocity", {"speed": "leg_velocity"})
     with pytest.raises(ValueError, match="gimbal_error: shape"):
         replay(run, "velocity", {"velocity": "gimbal_error"})
-    with pytest.raises(ValueError, match="allowed: 2048 Hz"):
-        replay_protection(without(run, rate=128.0), make_protection(load_protection()), 1e7)
     with pytest.raises(ValueError, match="does not say which law"):
         law_of(Record(run.time, {}, {}, {"sample_rate": 2048.0}))
 

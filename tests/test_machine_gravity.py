@@ -1,15 +1,13 @@
-"""Appendix C: gravity and specific force along the legs, against differences of site positions."""
+"""Appendix C: gravity along the legs."""
 
 import numpy as np
 import pytest
 
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.gravity import (
-    accelerometer_distance,
     axial_gravity,
     leg_axes_state,
     leg_directions,
-    leg_specific_force,
     make_leg_axes,
     projected_gravity,
     track,
@@ -67,27 +65,6 @@ def test_lengths_and_directions_are_those_of_the_kinematics() -> None:
         np.testing.assert_allclose(lengths - geometry.neutral, legs, rtol=0.0, atol=1e-12)
         jacobian = kinematics.leg_jacobian(pose)
         np.testing.assert_allclose(directions, jacobian[:, :3], rtol=0.0, atol=1e-12)
-
-
-def test_specific_force_is_the_axial_acceleration_of_the_site_plus_gravity() -> None:
-    """Oracle: central differences of the sensor's place B + n (L - d) in inertial axes."""
-    rng = np.random.default_rng(8)
-    geometry = kinematics.read_geometry()
-    tick = 2e-4
-
-    def site(pose: np.ndarray) -> np.ndarray:
-        lengths, directions = leg_directions(pose)
-        return geometry.lower + directions * (lengths - accelerometer_distance())[:, None]
-
-    for pose in some_poses(10, 0.6):
-        velocity = rng.normal(size=6) * [1, 1, 1, 0.5, 0.5, 0.5]
-        acceleration = rng.normal(size=6) * 3.0
-        after = pose + velocity * tick + acceleration * tick**2 / 2
-        before = pose - velocity * tick + acceleration * tick**2 / 2
-        moving = (site(after) - 2 * site(pose) + site(before)) / tick**2
-        reading = np.sum((moving + [0.0, 0.0, -GRAVITY]) * leg_directions(pose)[1], axis=1)
-        found = leg_specific_force(pose, velocity, acceleration)
-        np.testing.assert_allclose(found, reading, rtol=0.0, atol=1e-6)
 
 
 def test_the_tracker_contracts_everywhere_in_the_working_strokes() -> None:

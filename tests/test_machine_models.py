@@ -46,12 +46,12 @@ POUNDS = {"gfd": 29920.0, "rfd": 32500.0, "ifd": 35950.0}
 
 @pytest.fixture(scope="module")
 def hexapod():
-    return mujoco.MjModel.from_xml_path(str(models.hexapod_path()))
+    return mujoco.MjModel.from_xml_path(str(models.model_path("cmf_hexapod.xml")))
 
 
 @pytest.fixture(scope="module")
 def single_legs():
-    return mujoco.MjModel.from_xml_path(str(models.single_legs_path()))
+    return mujoco.MjModel.from_xml_path(str(models.model_path("single_legs.xml")))
 
 
 def at_keyframe(model):

@@ -130,16 +130,16 @@ def boom_force(lengths):
 
 def excavator(hydraulics=None):
     return attach_hydraulics(
-        models.excavator_path(),
+        models.model_path("excavator.xml"),
         CYLINDERS,
-        models.excavator_hydraulics_path() if hydraulics is None else hydraulics,
+        models.model_path("excavator_hydraulics.toml") if hydraulics is None else hydraulics,
         payload=["load"],
     )
 
 
 def leaking(tmp_path, **lines):
     """The shipped parameter file with leaks, each (value, unit), in the boom's cylinders only."""
-    text = models.excavator_hydraulics_path().read_text()
+    text = models.model_path("excavator_hydraulics.toml").read_text()
     text = text.replace("leak_rate = { value = 1.0", "leak_rate = { value = 0.0")
     table = "[excavator.actuators.boom_cylinder]\n"
     own = "".join(
@@ -158,14 +158,14 @@ def plant():
 
 @pytest.fixture(scope="module")
 def path(plant):
-    table = np.genfromtxt(models.excavator_cycle_path(), delimiter=",", names=True)
+    table = np.genfromtxt(models.model_path("excavator_cycle.csv"), delimiter=",", names=True)
     lengths = np.column_stack([table[name] for name in plant.actuators])
     return waypoints(table["time"], lengths - plant.neutral)
 
 
 @pytest.fixture(scope="module")
 def cycle(plant, path):
-    law = load_law(models.excavator_laws_path())
+    law = load_law(models.model_path("excavator_laws.toml"))
     return simulate(plant, law, path, legs=True, start=plant.configuration(path[0]))
 
 
@@ -217,7 +217,7 @@ def test_the_model_and_the_parameters_agree_on_strokes(plant):
 
 
 def test_locked_valves_hold_the_loaded_boom_for_a_minute():
-    text = models.excavator_hydraulics_path()
+    text = models.model_path("excavator_hydraulics.toml")
     tight = load_hydraulics(text)
     tight = tight.model_copy(
         update={"leak_rate": tight.leak_rate.model_copy(update={"value": 0.0})}

@@ -24,13 +24,13 @@ _IMPORT = re.compile(
 
 def _imported(source: str) -> set[Path]:
     """Files of the package, its root aside, that a source imports from."""
-    found = set()
+    paths = set()
     for module, names, plain in _IMPORT.findall(source):
         parts = (module or plain).split(".")[1:]
         for name in ["", *re.findall(r"\w+", names)]:
             path = _PACKAGE.joinpath(*parts, *([name] if name else []))
-            found |= {path.with_suffix(".py"), path / "__init__.py"}
-    return {path for path in found if path.is_file()} - {_PACKAGE / "__init__.py"}
+            paths |= {path.with_suffix(".py"), path / "__init__.py"}
+    return {path for path in paths if path.is_file()} - {_PACKAGE / "__init__.py"}
 
 
 def kernel_sources() -> list[Path]:
@@ -61,7 +61,7 @@ class UserProvided(_PackageStamp, caching.UserProvidedCacheLocator):  # type: ig
 
 
 class InTree(_PackageStamp, caching.InTreeCacheLocator):  # type: ignore[misc]
-    """Cache beside the sources."""
+    """Cache next to the sources."""
 
 
 class UserWide(_PackageStamp, caching.UserWideCacheLocator):  # type: ignore[misc]

@@ -56,15 +56,7 @@ class MissingExtraError(CmfError, ModuleNotFoundError):
 
 
 def require(package: str, extra: str) -> Any:
-    """Import a package that comes with an optional extra.
-
-    Args:
-        package: its import name.
-        extra: of this project, as in `pip install 'cmf-mj[extra]'`.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
+    """Import a package that comes with an optional extra of this project, or say which one."""
     try:
         return import_module(package)
     except ImportError as error:
@@ -75,11 +67,7 @@ def require(package: str, extra: str) -> Any:
 def unknown_name(field: str, name: object, known: Iterable[str], more: str = "") -> InputError:
     """The error for a name that is not known: it lists those that are, and the most similar.
 
-    Args:
-        field: what is named.
-        name: the unknown name.
-        known: the names allowed.
-        more: what else is allowed, e.g. ` nor a .toml file`.
+    `more` says what else is allowed, e.g. ` nor a .toml file`.
     """
     known = list(known)
     close = get_close_matches(str(name), known, 1)
@@ -88,11 +76,7 @@ def unknown_name(field: str, name: object, known: Iterable[str], more: str = "")
 
 
 def check_name(field: str, name: str, known: Iterable[str], more: str = "") -> str:
-    """The name, if it is known; arguments as of `unknown_name`.
-
-    Raises:
-        InputError: it is not.
-    """
+    """The name, if it is known, else `unknown_name`."""
     if name not in known:
         raise unknown_name(field, name, known, more)
     return name

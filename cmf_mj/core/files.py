@@ -56,18 +56,14 @@ def write_csv(
 
 
 def write_table(table: pa.Table, target: Path) -> Path:
-    """Write a table as CSV or Parquet, by the name's end; numbers read back bit for bit.
-
-    Raises:
-        InputError: the name ends in neither.
-    """
-    if target.suffix == ".csv":
-        with whole_file(target) as partial:
-            pyarrow.csv.write_csv(table, partial)
-        return target
+    """Write a table as CSV or Parquet, by the name's end; numbers read back bit for bit."""
     if target.suffix == ".parquet":
         return write_parquet(table, target)
-    raise InputError(f"{target}: must end in .csv or .parquet")
+    if target.suffix != ".csv":
+        raise InputError(f"{target}: must end in .csv or .parquet")
+    with whole_file(target) as partial:
+        pyarrow.csv.write_csv(table, partial)
+    return target
 
 
 def write_parquet(table: pa.Table, target: Path) -> Path:
@@ -78,11 +74,7 @@ def write_parquet(table: pa.Table, target: Path) -> Path:
 
 
 def read_table(path: Path) -> pa.Table:
-    """Read a CSV or Parquet file.
-
-    Raises:
-        InputError: it cannot be read, or its name ends in neither.
-    """
+    """Read a CSV or Parquet file, by the name's end."""
     try:
         if path.suffix == ".csv":
             return pyarrow.csv.read_csv(path)
@@ -96,14 +88,10 @@ def read_table(path: Path) -> pa.Table:
 def read_column(
     path: Path, table: pa.Table, name: str, kind: pa.DataType | None = None
 ) -> NDArray[Any]:
-    """A column of numbers of a table read from `path`; float64 unless `kind` says otherwise.
-
-    Raises:
-        InputError: the column is missing, twice, has gaps or holds no numbers.
-    """
+    """A column of numbers of a table read from `path`; float64 unless `kind` says otherwise."""
     if table.column_names.count(name) != 1:
-        found = "twice" if name in table.column_names else "missing"
-        raise InputError(f"{path}: {name}: column is {found}; it has {table.column_names}")
+        fault = "twice" if name in table.column_names else "missing"
+        raise InputError(f"{path}: {name}: column is {fault}; it has {table.column_names}")
     column = table[name]
     if column.null_count:
         row = column.is_null().to_pylist().index(True)

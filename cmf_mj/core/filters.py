@@ -19,16 +19,7 @@ from cmf_mj.core.errors import InputError
 
 
 def low_pass(order: int, corner: float, rate: float) -> NDArray[np.float64]:
-    """Second-order sections (s, 6) of a low-pass; none, (0, 6), for the order 0.
-
-    Args:
-        order: order of the Butterworth filter, 0 for none.
-        corner: -3 dB frequency [Hz], below half the rate.
-        rate: samples a second [Hz].
-
-    Raises:
-        InputError: an order below 0, or a corner that is not between 0 and half the rate.
-    """
+    """Second-order sections (s, 6) of a low-pass, -3 dB at the corner [Hz]; (0, 6) for order 0."""
     if order < 0:
         raise InputError(f"order: {order} must be at least 0")
     if order == 0:
@@ -47,13 +38,7 @@ def settled(sections: NDArray[np.float64], values: NDArray[np.float64]) -> NDArr
 
 @compiled
 def filtered(sections, state, value):  # type: ignore[no-untyped-def]
-    """Next output of a filter.
-
-    Args:
-        sections: (s, 6), of `low_pass`.
-        state: (s, 2), overwritten (direct form II, transposed).
-        value: input sample.
-    """
+    """Next output of a filter; its state (s, 2) is overwritten (direct form II, transposed)."""
     for i in range(sections.shape[0]):
         output = sections[i, 0] * value + state[i, 0]
         state[i, 0] = sections[i, 1] * value - sections[i, 4] * output + state[i, 1]

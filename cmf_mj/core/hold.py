@@ -35,27 +35,12 @@ class Held(NamedTuple):
 
 
 def hold(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, interval: float) -> Held:
-    """Discretise a system.
-
-    Args:
-        a: A, (n, n).
-        b: B, (n, m).
-        c: C, (p, n).
-        d: D, (p, m).
-        interval: T [s].
-
-    Raises:
-        InputError: matrices that do not fit each other, or an interval that is not above 0.
-    """
+    """Discretise A (n, n), B (n, m), C (p, n) and D (p, m) to samples of T = `interval` [s]."""
     system = [np.atleast_2d(np.array(matrix, dtype=float, order="C")) for matrix in (a, b, c, d)]
     states, inputs = system[1].shape
-    wanted = (
-        (states, states),
-        (states, inputs),
-        (len(system[2]), states),
-        (len(system[2]), inputs),
-    )
-    for name, matrix, shape in zip("abcd", system, wanted, strict=True):
+    outputs = len(system[2])
+    shapes = ((states, states), (states, inputs), (outputs, states), (outputs, inputs))
+    for name, matrix, shape in zip("abcd", system, shapes, strict=True):
         if matrix.shape != shape:
             raise InputError(f"{name}: shape is {matrix.shape}; allowed: {shape}")
     if not (np.isfinite(interval) and interval > 0.0):
@@ -64,10 +49,10 @@ def hold(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, interval: float
     joined[:states, :states] = interval * system[0]
     joined[:states, states : states + inputs] = interval * system[1]
     joined[states : states + inputs, states + inputs :] = np.eye(inputs)
-    found = linalg.expm(joined)
-    first, later = np.split(found[:states, states:], 2, axis=1)
+    exponential = linalg.expm(joined)
+    first, later = np.split(exponential[:states, states:], 2, axis=1)
     return Held(
-        np.ascontiguousarray(found[:states, :states]),
+        np.ascontiguousarray(exponential[:states, :states]),
         np.ascontiguousarray(first - later),
         np.ascontiguousarray(later),
         system[2],
@@ -110,14 +95,7 @@ def read(system, state, inputs, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def history(system, state, inputs, outputs):  # type: ignore[no-untyped-def]
-    """Outputs (N, p) of inputs (N, m); the state (n,) is that at the first row, then at the last.
-
-    Args:
-        system: `Held`.
-        state: (n,), overwritten.
-        inputs: (N, m).
-        outputs: (N, p), overwritten.
-    """
+    """Write outputs (N, p) of inputs (N, m); the state (n,) goes from that of the first row on."""
     work = np.empty(state.shape[0])
     for row in range(inputs.shape[0]):
         if row > 0:

@@ -51,11 +51,7 @@ class Kind(NamedTuple):
     at_most: float = float("inf")  #: Upper bound of the SI value.
 
     def check(self, quantity: Quantity) -> Quantity:
-        """The quantity, if it has the right dimension and lies in range.
-
-        Raises:
-            InputError: says what is allowed, in the quantity's own unit.
-        """
+        """The quantity, if it has the right dimension and lies in range."""
         unit = quantity.unit
         if unit not in self.units:
             raise InputError(f"{unit!r} is refused: unit must be one of {', '.join(self.units)}")

@@ -21,11 +21,7 @@ Model = TypeVar("Model", bound=Settings)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Raises:
-        InputError: the file is missing or is not TOML; the message gives line and column.
-    """
+    """Read a TOML file."""
     try:
         return parsed_toml(path.read_text(encoding="utf-8"), str(path))
     except OSError as error:
@@ -35,11 +31,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parsed_toml(text: str, where: str) -> dict[str, Any]:
-    """The tables of a TOML text, called `where` in errors.
-
-    Raises:
-        InputError: it is not TOML; the message gives line and column.
-    """
+    """The tables of a TOML text, called `where` in errors."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -47,15 +39,9 @@ def parsed_toml(text: str, where: str) -> dict[str, Any]:
 
 
 def validated(model: type[Model], table: object, where: str) -> Model:
-    """Build `model` from a table of a file.
+    """Build `model` from a table that errors call `where`, e.g. `my.toml: stiff`.
 
-    Args:
-        model: the settings class.
-        table: what the file holds there.
-        where: how the table is called in errors, e.g. `my.toml: stiff`.
-
-    Raises:
-        InputError: one line per fault, each naming field, value and what is allowed.
+    The `InputError` has one line per fault, each naming field, value and what is allowed.
     """
     try:
         return model.model_validate(table)
@@ -68,11 +54,8 @@ def merged(
 ) -> dict[str, Any]:
     """A table with the entries of another in their place.
 
-    Args:
-        base: a table.
-        changes: entries that replace those of the base.
-        levels: levels below these tables down to which two tables of one name are merged; deeper
-            tables are replaced whole. Default all the way down.
+    Two tables of one name are merged down to so many levels below these; deeper ones are replaced
+    whole.
     """
     table = dict(base)
     for name, change in changes.items():
@@ -94,42 +77,28 @@ def named_set(
     fixed: Sequence[str] = (),
     based: bool = True,
 ) -> tuple[dict[str, Any], str]:
-    """The table of one of several shipped sets, or of a user's own.
+    """The table, with its `name`, of a shipped set or a user's file, and what errors call it.
 
-    A shipped set has the entries of the table `[common]`, if there is one, and of its own table. A
-    user's file names a shipped set as `base` and holds one table, named after the new set, with
-    what it changes.
-
-    Args:
-        what: how such a set is called in errors.
-        names: the shipped sets.
-        shipped: file of the package that holds them.
-        source: one of the names, or a TOML file.
-        levels: as for `merged`.
-        fixed: fields that a file may not change.
-        based: whether a file has a `base`; without, its table holds every entry.
-
-    Returns:
-        The table with its `name`, and how it is called in errors.
-
-    Raises:
-        InputError: unknown set, unreadable file or a refused table; each is named.
+    A shipped set has the entries of the table `[common]`, if there is one, and of the table of its
+    name. A user's file names a shipped set as `base` (unless `based` is false: then it holds every
+    entry) and holds one table, named after the new set, with what it changes. It may not change the
+    `fixed` fields. Errors call a set `what`; `levels` are those of `merged`.
     """
     tables = read_toml(shipped)
     sets = {name: tables.get("common", {}) | tables[name] for name in names}
     if str(source) in sets:
         return sets[str(source)] | {"name": str(source)}, f"{shipped.name}: {source}"
-    path = _own_file(what, names, source)
-    own = read_toml(path)
+    path = _user_file(what, names, source)
+    content = read_toml(path)
     start: dict[str, Any] = {}
     if based:
-        base = own.pop("base", None)
+        base = content.pop("base", None)
         if base not in names:
             raise unknown_name(f"{path}: base", base, names)
         start = sets[base]
-    if len(own) != 1 or not isinstance(next(iter(own.values())), dict):
-        raise InputError(f"{path}: has the tables {sorted(own)}; exactly one is allowed")
-    name, changes = next(iter(own.items()))
+    if len(content) != 1 or not isinstance(next(iter(content.values())), dict):
+        raise InputError(f"{path}: has the tables {sorted(content)}; exactly one is allowed")
+    name, changes = next(iter(content.items()))
     for field in ("name", *fixed):
         if field in changes:
             origin = "the table" if field == "name" else "the base"
@@ -154,14 +123,7 @@ class Loader(Generic[Model]):
     based: bool = True  #: Whether a file of the user has a `base`.
 
     def __call__(self, source: str | Path | Model | None = None) -> Model:
-        """Load settings.
-
-        Args:
-            source: name of a shipped set, TOML file of the user, or settings already loaded.
-
-        Raises:
-            InputError: unknown set, unreadable file or a refused field; each is named.
-        """
+        """Load a shipped set by name or a user's TOML file, or pass on what is loaded."""
         if isinstance(source, self.model):
             return source
         chosen = self.default if source is None else str(source)
@@ -174,11 +136,11 @@ class Loader(Generic[Model]):
         if chosen == self.default:
             return validated(self.model, table, self.shipped.name)
         if self.what:
-            _own_file(self.what, (self.default,), chosen)
+            _user_file(self.what, (self.default,), chosen)
         return validated(self.model, merged(table, read_toml(Path(chosen)), self.levels), chosen)
 
 
-def _own_file(what: str, names: Sequence[str], source: str | Path) -> Path:
+def _user_file(what: str, names: Sequence[str], source: str | Path) -> Path:
     path = Path(source)
     if path.suffix != ".toml":
         raise unknown_name(what, str(source), names, " nor a .toml file")

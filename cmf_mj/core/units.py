@@ -28,23 +28,13 @@ GALLON_PER_MINUTE = constants.gallon / constants.minute
 LITRE_PER_MINUTE = constants.liter / constants.minute
 HERTZ = 2.0 * np.pi
 
+_SI = (
+    *("1", "m", "s", "kg", "N", "Pa", "V", "rad", "rad/s", "m^2", "m^3", "s^2"),
+    *("m s", "rad s", "N s", "Pa s", "rtHz"),
+)
+
 _FACTORS: dict[str, float] = {
-    "1": 1.0,
-    "m": 1.0,
-    "s": 1.0,
-    "kg": 1.0,
-    "N": 1.0,
-    "Pa": 1.0,
-    "V": 1.0,
-    "rad": 1.0,
-    "rad/s": 1.0,
-    "m s": 1.0,
-    "rad s": 1.0,
-    "m^3": 1.0,
-    "m^2": 1.0,
-    "s^2": 1.0,
-    "N s": 1.0,
-    "Pa s": 1.0,
+    **dict.fromkeys(_SI, 1.0),
     "lbf s": POUND_FORCE,
     "gal": GALLON,
     "gpm": GALLON_PER_MINUTE,
@@ -66,20 +56,15 @@ _FACTORS: dict[str, float] = {
     "g": STANDARD_GRAVITY,
     "%": PERCENT,
     "Hz": HERTZ,
-    "rtHz": 1.0,
 }
 
 Value = TypeVar("Value", float, np.ndarray)
 
 
 def factor(unit: str) -> float:
-    """Return what one `unit` is in SI (command fraction 0 to 1 for `%`, rad/s for `Hz`).
+    """What one `unit` is in SI; known units may be joined by `/`, as in `in/s/%`.
 
-    Args:
-        unit: a known unit, or known units joined by `/`, e.g. `in/s/%`.
-
-    Raises:
-        InputError: a part of the unit is not known; the message lists those that are.
+    That of `%` is a fraction, 0.01, and that of `Hz` 2 pi rad/s.
     """
     if unit in _FACTORS:
         return _FACTORS[unit]

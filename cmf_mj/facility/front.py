@@ -66,16 +66,10 @@ def make_chain(
     pose: NDArray[np.float64],
     ring: Ring | None = None,
 ) -> Chain:
-    """A chain that has been in an operating state for a long time.
+    """A chain that has been in the operating state `begin` for a long time.
 
-    Args:
-        blocks: compiled parameters.
-        arrivals: host frames, or an empty log for live ones.
-        requests: control frame and request, in order of time.
-        begin: operating state to begin in.
-        position: leg positions at the start [m], (6,).
-        pose: platform pose of the demand at the start, (6,).
-        ring: hand-over of live frames; default none.
+    Its legs are at `position` (6,) [m], and the demand's pose is `pose` (6,). Requests are control
+    frame and request in order of time. With a ring of live frames `arrivals` is an empty log.
     """
     operating = states.start(blocks.states, begin, position)
     reference = np.zeros((3, 6))
@@ -147,19 +141,9 @@ def _follow(chain, frame, position, fault, tripped, reference):  # type: ignore[
 
 @inlined
 def follow(chain, table, frame, position, fault, tripped, reference):  # type: ignore[no-untyped-def]
-    """The leg reference of a control frame.
+    """Write the leg reference (n,) [m] of a frame; returns the gain on the valve command, 0 to 1.
 
-    Args:
-        chain: `Chain`; None or an idle one to take the row of the table.
-        table: (N, n) references [m], taken again from the start after the last.
-        frame: number of the control frame.
-        position: what the position sensors read [m], (n,).
-        fault: code of the latched fault.
-        tripped: whether a limit switch has.
-        reference: (n,) overwritten [m].
-
-    Returns:
-        Gain on the valve command, 0 to 1.
+    Without chain, or with an idle one, it is a row of the table, which begins again after its last.
     """
     if chain is not None:
         if chain.active:

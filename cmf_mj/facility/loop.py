@@ -229,18 +229,9 @@ def _record(row, at, memory, work, feedback, state, qpos, closed):  # type: igno
 
 @compiled
 def run(machine, controller, memory, recorder, first, last):  # type: ignore[no-untyped-def]
-    """Run the control frames from `first` to before `last`.
+    """Run the control frames from `first` to before `last`; all states are overwritten.
 
-    Args:
-        machine: plant, its state overwritten.
-        controller: what commands the valves; its states are overwritten.
-        memory: of `make_memory`, or as the frames before left it.
-        recorder: what to record.
-        first: first frame.
-        last: frame after the last.
-
-    Returns:
-        (frame, bound, leg) where the state left its physical bounds; frame -1 if it did not.
+    Returns (frame, bound, leg) where the state left its physical bounds; frame -1 if it did not.
     """
     # Everything is taken out of the tuples here, once: in the loop it would be counted each frame.
     mechanics, hydraulics, state = machine.mechanics, machine.hydraulics, machine.state

@@ -54,7 +54,7 @@ class FacilitySettings(NamedTuple):
     limits: str | Path | MotionLimits | None = None
     """Limits of platform and legs; default Table 2-1 with the assumed rates."""
     states: str | Path | StateSettings | None = None  #: Operating states.
-    demand: Demand | None = None  #: Leg demand, with body flexibility if wanted; default rigid.
+    demand: Demand | None = None  #: Leg demand, with body flexibility or without; default rigid.
     electronics: ElectronicsSettings | None = ElectronicsSettings()
     """Sensors, converters, servo electronics; None for ideal ones."""
     protection: str | Path | ProtectionSettings | None = "default"

@@ -34,11 +34,7 @@ class Pace(NamedTuple):
 
 
 def make_pace(frames: int) -> Pace:
-    """Pace for a number of frames.
-
-    Raises:
-        OSError: the system has no clock_gettime.
-    """
+    """Pace for a number of frames."""
     if sys.platform == "win32":
         raise OSError("real time: needs a system with clock_gettime and nanosleep")
     library = ctypes.CDLL(None)

@@ -1,4 +1,4 @@
-"""Replay: the DCL and its fault detection run open loop on recorded feedback.
+"""Replay: the DCL runs open loop on recorded feedback.
 
     recorded reference, feedback -> DCL -> compensator output, to compare with the recorded one
 
@@ -19,9 +19,8 @@ from cmf_mj.control import dcl as control
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback, gravity_history
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.control.protection import Fault, Protection, latched, protect, protection_state
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import validated
 from cmf_mj.electronics.sensors.suite import at_frame
@@ -79,25 +78,12 @@ def _run(dcl, state, reference, feedback, output, factor):  # type: ignore[no-un
         output[frame] = dcl.workspace.output
 
 
-@compiled
-def _watch(protection, state, reference, feedback, supply_pressure):  # type: ignore[no-untyped-def]
-    for frame in range(reference.shape[0]):
-        now = at_frame(feedback, frame)
-        protect(protection, state, frame, reference[frame], now, supply_pressure[frame])
-
-
 def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = None) -> Replay:
     """Run a law on the recorded demand and feedback of a run.
 
-    Args:
-        record: with `leg_reference`, `leg_position` and whatever else the law reads, at the control
-            rate or a whole fraction of it.
-        law: name, TOML file or loaded `Law`.
-        feedback: recorded channel of each feedback in `FEEDBACK`, where it is another.
-
-    Raises:
-        InputError: a channel that the law reads is missing, its shape is another, or the rate does
-            not divide the control rate.
+    The record has `leg_reference`, `leg_position` and whatever else the law reads, at the control
+    rate or a whole fraction of it. `feedback` names the recorded channel of a feedback where it is
+    not that of `FEEDBACK`.
     """
     made = record.metadata
     loaded = load_law(law).bound_to(made.get("cab") or str(made.get("plant", "")))
@@ -118,32 +104,6 @@ def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = 
     recorded = _legs(record, "compensator_output") if known else None
     picked = np.ascontiguousarray(output[::every])
     return Replay(loaded.name, record.time, picked, recorded, every > 1, factor[::every])
-
-
-def replay_protection(
-    record: Record,
-    protection: Protection,
-    supply_pressure: float | NDArray[np.float64],
-) -> Fault | None:
-    """The fault that the protection finds in a record, or none.
-
-    Args:
-        record: at the control rate, with all channels of `FEEDBACK` and `leg_reference`.
-        protection: of `make_protection`.
-        supply_pressure: constant, or (N,) [Pa].
-
-    Raises:
-        InputError: a missing channel, or another rate.
-    """
-    if _every(record) != 1:
-        raise InputError(f"sample_rate: {record.rate} Hz is refused; allowed: {1 / FRAME:g} Hz")
-    reference = _legs(record, "leg_reference")
-    histories = LegFeedback(*(_legs(record, name) for name in FEEDBACK.values()))
-    histories.acceleration[:] -= _felt(record) * (not _compensated(record))
-    state = protection_state(histories.position[0])
-    supply = np.array(np.broadcast_to(supply_pressure, reference.shape[0]), dtype=float)
-    _watch(protection, state, reference, histories, supply)
-    return latched(state)
 
 
 def _begun(record: Record, law: Law, legs: int) -> control.DclState | None:
@@ -174,9 +134,8 @@ def _legs(record: Record, channel: str) -> NDArray[np.float64]:
 
 
 def _feedback(record: Record, law: Law, names: Mapping[str, str]) -> LegFeedback:
-    odd = sorted(set(names) - set(FEEDBACK))
-    if odd:
-        raise InputError(f"feedback: {odd[0]!r} is not one of {', '.join(FEEDBACK)}")
+    for name in names:
+        check_name("feedback", name, FEEDBACK)
     histories = []
     for field, channel in (FEEDBACK | dict(names)).items():
         acting = (
@@ -227,11 +186,7 @@ def _raised(values: NDArray[np.float64], every: int) -> NDArray[np.float64]:
 
 
 def law_of(record: Record) -> Law:
-    """The law a record was made with, gains and all.
-
-    Raises:
-        InputError: the record does not say.
-    """
+    """The law a record was made with, gains and all."""
     if "law_parameters" not in record.metadata:
         raise InputError("law: the recording does not say which law made it; name one")
     return validated(Law, record.metadata["law_parameters"], "law_parameters")

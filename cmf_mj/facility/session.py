@@ -19,7 +19,7 @@ from cmf_mj.control.protection import (
     protection_state,
 )
 from cmf_mj.control.states import State
-from cmf_mj.core.errors import InputError, RunError
+from cmf_mj.core.errors import InputError, RunError, check_name
 from cmf_mj.core.rates import FRAME
 from cmf_mj.electronics.chain import ElectronicsSettings, make_electronics, measure
 from cmf_mj.facility.front import Chain, idle_chain
@@ -86,11 +86,7 @@ class Options(NamedTuple):
     """Control frames to keep in the record; later ones overwrite the first. Default all."""
 
     def check(self) -> None:
-        """Refuse a number that is too small.
-
-        Raises:
-            InputError: the option, named.
-        """
+        """Refuse a number that is too small."""
         window = 1 if self.window is None else self.window
         for field, value, least in (
             ("record_every", self.record_every, 1),
@@ -141,15 +137,8 @@ class Session:
     ) -> None:
         """Put the plant at rest and engage the law there.
 
-        Args:
-            plant: any plant; its mechanical step must divide the control frame.
-            law: control law; None to take the table for valve commands.
-            source: where the reference comes from; a chain needs `options.frames`.
-            options: everything else.
-            pace: real time; default as fast as possible.
-
-        Raises:
-            InputError: an argument out of range, named.
+        Without law the table holds valve commands. A chain needs `options.frames`. Without pace the
+        run goes as fast as possible.
         """
         options.check()
         step = float(plant.model.opt.timestep)
@@ -211,11 +200,7 @@ class Session:
 
     @property
     def chain(self) -> Chain:
-        """The chain from the host to the leg reference.
-
-        Raises:
-            TypeError: the run takes its reference from a table.
-        """
+        """The chain from the host to the leg reference."""
         chain = self.controller.chain
         if chain is None or not chain.active:
             raise TypeError("session: runs on a table, not on a chain")
@@ -231,11 +216,7 @@ class Session:
         return present
 
     def run(self, frames: int | None = None) -> None:
-        """Run a number of control frames, by default all that are left.
-
-        Raises:
-            OutOfBounds: the state left its physical bounds; leg, time and value are named.
-        """
+        """Run a number of control frames, by default all that are left."""
         if self.frame == 0:
             state = self.controller.state.arrays()
             self._begun = {name: values.tolist() for name, values in state.items()}
@@ -336,18 +317,12 @@ class Session:
         self.controller = self.controller._replace(chain=self.chain._replace(**parts))
 
     def body(self, name: str = "") -> int:
-        """Number of a body of the model, by default the first that carries the payload.
-
-        Raises:
-            InputError: the model has no such body.
-        """
+        """Number of a body of the model, by default the first that carries the payload."""
         model = self.plant.model
         names = [model.body(i).name for i in range(1, model.nbody)]
         if not name:
             return int(self.machine.mechanics.payload_bodies[0])
-        if name not in names:
-            raise InputError(f"body: {name!r} is not one of {', '.join(names)}")
-        return int(model.body(name).id)
+        return int(model.body(check_name("body", name, names)).id)
 
     def push(self, wrenches: Mapping[int, Sequence[float]]) -> None:
         """Apply external forces and torques (6,) to bodies, by their numbers, besides an overload.
@@ -361,11 +336,7 @@ class Session:
                 forces[body, 2] -= self.machine.faults.plant[OVERLOAD] / loaded.size
 
     def inject(self, event: Event) -> None:
-        """Put one more event on the time line.
-
-        Raises:
-            InputError: it names a leg that is not there, or its time is past.
-        """
+        """Put one more event on the time line, not before the present frame."""
         if round(event.at / FRAME) < self.frame:
             raise InputError(
                 f"at: {event.at} s of {event.kind} is past; allowed: from {self.frame * FRAME} s"
@@ -382,12 +353,7 @@ class Session:
     def history(
         self, out: NDArray[np.float64] | None = None, first: int = 0
     ) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]], dict[str, str]]:
-        """Times, channels and units.
-
-        Args:
-            out: rows, as of `rows`; default those of all frames run so far.
-            first: number of their first one.
-        """
+        """Times, channels and units of rows from the `first` on, by default of all so far."""
         if out is None:
             out = self._recorder.out[: -(-self.frame // self.every)]
         channels = {channel.name: channel.of(out) for channel in self.layout.channels}

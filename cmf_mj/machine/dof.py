@@ -9,21 +9,12 @@ Choice = TypeVar("Choice")
 
 
 def dof_index(dof: str) -> int:
-    """Position of a degree of freedom in a pose.
-
-    Raises:
-        InputError: it is not one of the six.
-    """
+    """Position of a degree of freedom in a pose."""
     return DOFS.index(check_name("dof", dof, DOFS))
 
 
 def by_kind(dof: str | int, translation: Choice, rotation: Choice) -> Choice:
     """The first for surge, sway and heave, the second for roll, pitch and yaw.
-
-    Args:
-        dof: name, or position in a pose.
-        translation: for a translation.
-        rotation: for a rotation.
 
     >>> by_kind("pitch", "m/s^2", "deg/s^2")
     'deg/s^2'

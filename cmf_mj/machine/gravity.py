@@ -1,15 +1,10 @@
-"""Gravity along the legs (Appendix C), and what an accelerometer on a leg reads.
+"""Gravity along the legs (Appendix C), and the pose of legs in motion.
 
 With l_j the vector of leg j from lower to upper gimbal (Eq C.6, T of Eq C.7), L its length and
 n = l / L, in the report's axes (z down), up = -z:
 
     axial gravity     g_j = g n_j . up                           0.832 g at neutral
     Eq C.3            |(I - r/L P) g|,  P = I - n n'  (Eq C.1)   g_j for r = L, g for r = 0
-    specific force    f_j = d2l_j/dt2 + g_j - (L_j - d) |dn_j/dt|^2
-
-The specific force is exact for a sensor on the rod, on the leg's axis, at the distance d below the
-upper gimbal: the rod slides with l and swings about the lower gimbal. It points up the leg, so that
-a leg at rest reads +g_j.
 
 `track` follows the pose from leg extensions, one chord step of Newton's method a frame,
 
@@ -31,7 +26,6 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine import kinematics, models
 from cmf_mj.machine.kinematics import Geometry
-from cmf_mj.machine.leg_motion import pose_motion_to_legs
 
 
 class LegAxes(NamedTuple):
@@ -58,11 +52,7 @@ def make_leg_axes(geometry: Geometry | None = None) -> LegAxes:
 
 
 def leg_axes_state(axes: LegAxes, legs: NDArray[np.float64]) -> LegAxesState:
-    """State that has found the pose of the leg extensions (6,) [m].
-
-    Raises:
-        InputError: no pose has these legs.
-    """
+    """State at the pose of the leg extensions (6,) [m]."""
     pose = kinematics.legs_to_pose(legs, axes.geometry)
     state = LegAxesState(pose, np.empty((3, 3)), np.empty(6), np.empty((6, 3)))
     _evaluate(axes, state)
@@ -89,14 +79,9 @@ def _evaluate(axes, state):  # type: ignore[no-untyped-def]
 
 @compiled
 def track(axes, state, legs):  # type: ignore[no-untyped-def]
-    """Follow the legs by one chord step.
+    """Follow the leg extensions (6,) [m] by one chord step; the state is overwritten.
 
     A pose that has run away, for legs that no pose has, starts again from neutral.
-
-    Args:
-        axes: parameters.
-        state: overwritten.
-        legs: (6,) extensions of this frame [m].
     """
     for j in range(6):
         error = legs[j] + axes.geometry.neutral[j] - state.length[j]
@@ -128,15 +113,7 @@ def _directions(axes, state, poses, lengths, directions):  # type: ignore[no-unt
 def leg_directions(
     pose: ArrayLike, geometry: Geometry | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lengths (..., 6) [m] and unit vectors (..., 6, 3), report axes, of the legs, Eq C.6.
-
-    Args:
-        pose: (..., 6) [m, rad], z down.
-        geometry: gimbals; default the CMF's.
-
-    Raises:
-        InputError: another shape.
-    """
+    """Lengths (..., 6) [m] and unit vectors (..., 6, 3) of the legs at poses (..., 6), Eq C.6."""
     poses = np.asarray(pose, dtype=float)
     if poses.ndim == 0 or poses.shape[-1] != 6:
         raise InputError(f"pose: shape is {poses.shape}; the last axis must have length 6")
@@ -158,10 +135,7 @@ def projected_gravity(
 ) -> NDArray[np.float64]:
     """Magnitude of Eq C.3, |(I - r/L P) g| [m/s^2], (..., 6).
 
-    Args:
-        pose: (..., 6) [m, rad], z down.
-        distance: r [m], from the upper gimbal to the centre of mass of the leg's moving part.
-        geometry: gimbals; default the CMF's.
+    The distance r [m] is from the upper gimbal to the centre of mass of the leg's moving part.
     """
     length, direction = leg_directions(pose, geometry)
     gravity = np.array([0.0, 0.0, STANDARD_GRAVITY])
@@ -173,45 +147,6 @@ def projected_gravity(
 @lru_cache
 def accelerometer_distance() -> float:
     """Distance d [m] of the accelerometers below the upper gimbals, from the hexapod's MJCF."""
-    root = ElementTree.parse(models.hexapod_path()).getroot()
+    root = ElementTree.parse(models.model_path("cmf_hexapod.xml")).getroot()
     height = {e.get("name"): float(e.get("pos", "0 0 0").split()[2]) for e in root.iter("site")}
     return round(height["rod_end_1"] - height["rod_accelerometer_1"], 9)
-
-
-def leg_specific_force(
-    pose: ArrayLike,
-    velocity: ArrayLike,
-    acceleration: ArrayLike,
-    geometry: Geometry | None = None,
-) -> NDArray[np.float64]:
-    """Specific force f along the legs at the accelerometers [m/s^2], (..., 6).
-
-    Args:
-        pose: (..., 6) [m, rad], z down.
-        velocity: (..., 6) rates of the pose.
-        acceleration: (..., 6) second derivatives of the pose.
-        geometry: gimbals; default the CMF's.
-    """
-    shape = geometry or kinematics.read_geometry()
-    legs = pose_motion_to_legs(pose, velocity, acceleration, shape)
-    length, direction = leg_directions(pose, shape)
-    gimbal = _gimbal_velocity(np.asarray(pose, float), np.asarray(velocity, float), shape)
-    swing = gimbal - legs.velocity[..., None] * direction
-    turning = np.sum(swing**2, axis=-1) / length**2
-    up = -STANDARD_GRAVITY * direction[..., 2]
-    return legs.acceleration + up - (length - accelerometer_distance()) * turning
-
-
-def _gimbal_velocity(
-    pose: NDArray[np.float64], rate: NDArray[np.float64], geometry: Geometry
-) -> NDArray[np.float64]:
-    """Velocities v + omega x T A of the upper gimbals [m/s], (..., 6, 3)."""
-    found = np.empty((*pose.shape, 3))
-    rows = found.reshape(-1, 6, 3)
-    for row, (place, moving) in enumerate(
-        zip(pose.reshape(-1, 6), rate.reshape(-1, 6), strict=True)
-    ):
-        omega = kinematics.euler_rate_matrix(place[4], place[5]) @ moving[3:]
-        arm = geometry.upper @ kinematics.rotation(*place[3:]).T
-        rows[row] = moving[:3] + np.cross(omega, arm)
-    return found

@@ -71,7 +71,7 @@ def read_geometry(path: Path | None = None) -> Geometry:
     >>> cmf_mj.read_geometry().upper.shape
     (6, 3)
     """
-    root = ElementTree.parse(path or models.hexapod_path()).getroot()
+    root = ElementTree.parse(path or models.model_path("cmf_hexapod.xml")).getroot()
 
     def positions(tag: str, prefix: str) -> NDArray[np.float64]:
         elements = {e.get("name"): e.get("pos", "0 0 0") for e in root.iter(tag)}
@@ -83,7 +83,7 @@ def read_geometry(path: Path | None = None) -> Geometry:
 @lru_cache
 def half_stroke() -> float:
     """Mechanical travel of a leg from neutral either way [m], from the hexapod's MJCF."""
-    root = ElementTree.parse(models.hexapod_path()).getroot()
+    root = ElementTree.parse(models.model_path("cmf_hexapod.xml")).getroot()
     (slide,) = (e for e in root.iter("joint") if e.get("type") == "slide" and e.get("range"))
     return float(slide.get("range", "").split()[1])
 
@@ -157,16 +157,16 @@ def _legs_history(geometry, poses, legs):  # type: ignore[no-untyped-def]
 def _newton(geometry, legs, pose):  # type: ignore[no-untyped-def]
     """Newton iteration from `pose`, in place; whether it ended on the assembly of the pose zero.
 
-    The assemblies are separated by singular poses, so theirs is told by the determinant's sign.
+    The assemblies are separated by singular poses, so the determinant's sign tells theirs.
     """
-    found = np.empty(6)
+    tried = np.empty(6)
     jacobian = np.empty((6, 6))
     write_pose_jacobian(geometry, np.zeros(6), jacobian)
     sense = np.linalg.det(jacobian)
     error = legs.copy()
     for _ in range(_NEWTON_ITERATIONS):
-        _legs(geometry, pose, found)
-        error[:] = legs - found
+        _legs(geometry, pose, tried)
+        error[:] = legs - tried
         if np.max(np.abs(error)) < _NEWTON_TOLERANCE:
             break
         write_pose_jacobian(geometry, pose, jacobian)
@@ -208,11 +208,7 @@ def rows_of(name: str, values: ArrayLike) -> NDArray[np.float64]:
 
 
 def one_pose(values: ArrayLike) -> NDArray[np.float64]:
-    """A single pose (6,), checked.
-
-    Raises:
-        InputError: another shape, or a number that is not finite.
-    """
+    """A single pose (6,), checked."""
     pose = rows_of("pose", values)
     if pose.ndim != 1:
         raise InputError(f"pose: shape is {pose.shape}; one pose of shape (6,) is needed")
@@ -292,14 +288,9 @@ def pose_jacobian(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[
 def excursion_envelope(
     travel: float = WORKING_STROKE, geometry: Geometry | None = None
 ) -> NDArray[np.float64]:
-    """Single-axis excursions at which the first leg reaches its travel, (6, 2).
+    """Single-axis excursions at which the first leg reaches its travel [m] from neutral, (6, 2).
 
-    Args:
-        travel: largest leg extension and retraction from neutral [m].
-        geometry: gimbals; default the CMF's.
-
-    Returns:
-        Per degree of freedom the negative and the positive limit, m and rad, z down.
+    Per degree of freedom the negative and the positive limit, m and rad, z down.
     """
     if not travel > 0.0:
         raise InputError(f"travel: {travel} m must be greater than 0")

@@ -5,7 +5,7 @@
 with x the pose, J of `kinematics.pose_jacobian`, and c the centripetal and Euler terms.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -80,44 +80,33 @@ class Motion(NamedTuple):
     acceleration: NDArray[np.float64]  #: (..., 6): m/s^2, and rad/s^2 of the Euler angles.
 
 
-def _alike(**arrays: ArrayLike) -> list[NDArray[np.float64]]:
+def _converted(kernel: Any, geometry: Geometry | None, **arrays: ArrayLike) -> Motion:
+    """What a kernel makes of a pose and two derivatives, all of the pose's shape."""
     rows = {name: rows_of(name, values) for name, values in arrays.items()}
-    (first, reference), *others = rows.items()
-    for name, values in others:
-        if values.shape != reference.shape:
-            raise InputError(f"{name}: shape is {values.shape}; {first} has {reference.shape}")
-    return list(rows.values())
+    for name, values in rows.items():
+        if values.shape != rows["pose"].shape:
+            raise InputError(f"{name}: shape is {values.shape}; pose has {rows['pose'].shape}")
+    motion = Motion(np.empty(rows["pose"].shape), np.empty(rows["pose"].shape))
+    kernel(geometry or read_geometry(), *(a.reshape(-1, 6) for a in (*rows.values(), *motion)))
+    return motion
 
 
 def pose_motion_to_legs(
     pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike, geometry: Geometry | None = None
 ) -> Motion:
-    """Leg velocities and accelerations of a platform motion, exact with the Jacobian's change.
+    """Leg velocities and accelerations of poses (..., 6) and their derivatives, exact.
 
-    Args:
-        pose: (..., 6) [m, rad], z down.
-        velocity: (..., 6) rates of the pose.
-        acceleration: (..., 6) second derivatives of the pose.
-        geometry: gimbals; default the CMF's.
+    Poses are in m and rad, z down; default gimbals are the CMF's.
     """
-    arrays = _alike(pose=pose, velocity=velocity, acceleration=acceleration)
-    found = Motion(np.empty(arrays[0].shape), np.empty(arrays[0].shape))
-    _motion_to_legs(geometry or read_geometry(), *(a.reshape(-1, 6) for a in (*arrays, *found)))
-    return found
+    return _converted(
+        _motion_to_legs, geometry, pose=pose, velocity=velocity, acceleration=acceleration
+    )
 
 
 def leg_motion_to_pose(
     pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike, geometry: Geometry | None = None
 ) -> Motion:
-    """Platform motion of leg velocities and accelerations at known poses.
-
-    Args:
-        pose: (..., 6) [m, rad], z down, e.g. of `legs_to_pose`.
-        velocity: (..., 6) leg velocities [m/s].
-        acceleration: (..., 6) leg accelerations [m/s^2].
-        geometry: gimbals; default the CMF's.
-    """
-    arrays = _alike(pose=pose, velocity=velocity, acceleration=acceleration)
-    found = Motion(np.empty(arrays[0].shape), np.empty(arrays[0].shape))
-    _legs_to_motion(geometry or read_geometry(), *(a.reshape(-1, 6) for a in (*arrays, *found)))
-    return found
+    """Platform motion of leg velocities and accelerations (..., 6) at known poses (..., 6)."""
+    return _converted(
+        _legs_to_motion, geometry, pose=pose, velocity=velocity, acceleration=acceleration
+    )

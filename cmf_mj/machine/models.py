@@ -10,52 +10,21 @@ CABS = ("gfd", "rfd", "ifd")
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
-def directory() -> Path:
-    """Folder of the MJCF models: inside the wheel, or beside the package in a checkout."""
-    installed = _PACKAGE / "models"
-    return installed if installed.is_dir() else _PACKAGE.parent / "models"
+def directory(name: str = "models") -> Path:
+    """A folder of data files: inside the wheel, or next to the package in a checkout."""
+    installed = _PACKAGE / name
+    return installed if installed.is_dir() else _PACKAGE.parent / name
 
 
-def scenario_directory() -> Path:
-    """Folder of the shipped scenarios: inside the wheel, or beside the package in a checkout."""
-    installed = _PACKAGE / "scenarios"
-    return installed if installed.is_dir() else _PACKAGE.parent / "scenarios"
+def model_path(name: str) -> Path:
+    """A file of the models, by name: `cmf_hexapod.xml`, `single_legs.xml`, `excavator.xml` ...
 
-
-def hexapod_path() -> Path:
-    """The hexapod with its default cab."""
-    return directory() / "cmf_hexapod.xml"
-
-
-def single_legs_path() -> Path:
-    """Six uncoupled legs, the report's original mechanics."""
-    return directory() / "single_legs.xml"
-
-
-def excavator_path() -> Path:
-    """An excavator with boom, stick and bucket; no motors, see `attach_hydraulics`."""
-    return directory() / "excavator.xml"
-
-
-def excavator_hydraulics_path() -> Path:
-    """The excavator's hydraulic parameters."""
-    return directory() / "excavator_hydraulics.toml"
-
-
-def excavator_laws_path() -> Path:
-    """The excavator's control law."""
-    return directory() / "excavator_laws.toml"
-
-
-def excavator_cycle_path() -> Path:
-    """A digging cycle: time [s] and cylinder lengths [m] as CSV with a header."""
-    return directory() / "excavator_cycle.csv"
+    The excavator has its hydraulics and control law as TOML and a digging cycle, time [s] and
+    cylinder lengths [m], as CSV.
+    """
+    return directory() / name
 
 
 def cab_path(cab: str) -> Path:
-    """The MJCF of one cab.
-
-    Raises:
-        InputError: the cab is not one of `CABS`.
-    """
+    """The MJCF of one cab."""
     return directory() / "cabs" / f"{check_name('cab', cab, CABS)}.xml"

@@ -198,7 +198,7 @@ def hexapod_spec(cab: str = "gfd") -> mujoco.MjSpec:
     Raises:
         InputError: unknown cab.
     """
-    root = ElementTree.parse(models.hexapod_path()).getroot()
+    root = ElementTree.parse(models.model_path("cmf_hexapod.xml")).getroot()
     attached = root.find("asset/model")
     assert attached is not None
     attached.set("file", str(models.cab_path(cab)))

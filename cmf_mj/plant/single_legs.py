@@ -55,7 +55,7 @@ class SingleLegs(Plant):
         """
         if not effective_mass > 0.0:
             raise InputError(f"effective_mass: {effective_mass} kg must be greater than 0")
-        spec = mujoco.MjSpec.from_file(str(models.single_legs_path()))
+        spec = mujoco.MjSpec.from_file(str(models.model_path("single_legs.xml")))
         set_timestep(spec, timestep)
         # The load is the weight under a gravity of its own: MuJoCo ignores a negative `gravcomp`.
         spec.option.gravity[2] = -static_load / effective_mass

@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import whole_file
 from cmf_mj.signals.composite import signal_of
 from cmf_mj.signals.signal import Signal
@@ -66,9 +66,7 @@ class Record:
         Raises:
             InputError: no such channel; the message lists those there are.
         """
-        if name not in self.channels:
-            raise InputError(f"channel: {name!r} is not one of {', '.join(self.channels)}")
-        return self.channels[name]
+        return self.channels[check_name("channel", name, self.channels)]
 
     def __repr__(self) -> str:
         """What was run, for how long, and the channels."""

@@ -72,11 +72,7 @@ Amplitude = Annotated[
 
 
 def amplitude_in_si(dof: str, amplitude: float | tuple[float, str]) -> float:
-    """An amplitude in m or rad.
-
-    Raises:
-        InputError: a length for an angle, or an angle for a length.
-    """
+    """An amplitude in m or rad; a length for an angle is refused, or an angle for a length."""
     if not isinstance(amplitude, tuple):
         return amplitude
     value, unit = amplitude
@@ -112,11 +108,7 @@ class Signal(Settings):
 
     @abstractmethod
     def command(self, seed: int = 0) -> "Command":
-        """The signal as a table of poses at 2048 Hz.
-
-        Args:
-            seed: of random phases, where the signal has none in its settings.
-        """
+        """The signal at 2048 Hz; the seed is that of a signal with none in its settings."""
 
     def motion(self, seed: int = 0) -> Motion:
         """The signal as a function of the control frames since it began; holds its last pose."""
@@ -254,17 +246,14 @@ def command_of(signal: type[Signal]) -> Callable[..., Command]:
     """
     fields = {name: field for name, field in signal.model_fields.items() if name != "kind"}
     (kind,) = get_args(signal.model_fields["kind"].annotation)
-    required = [
+    parameters = [
         Parameter(name, Parameter.POSITIONAL_OR_KEYWORD)
-        for name, field in fields.items()
         if field.is_required()
-    ]
-    optional = [
-        Parameter(name, Parameter.KEYWORD_ONLY, default=field.default)
+        else Parameter(name, Parameter.KEYWORD_ONLY, default=field.default)
         for name, field in fields.items()
-        if not field.is_required()
     ]
-    signature = Signature([*required, *optional], return_annotation=Command)
+    parameters.sort(key=lambda parameter: parameter.kind)
+    signature = Signature(parameters, return_annotation=Command)
 
     def make(*args: object, **options: object) -> Command:
         settings = signature.bind(*args, **options).arguments

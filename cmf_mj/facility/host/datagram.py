@@ -57,7 +57,7 @@ class DatagramError(InputError):
     """A datagram that is refused."""
 
     def __init__(self, reason: str, explanation: str) -> None:
-        """Keep the reason, one of `DATAGRAM_REASONS`, beside the explanation."""
+        """Keep the reason, one of `DATAGRAM_REASONS`, and the explanation."""
         super().__init__(f"{reason}: {explanation}")
         self.reason = reason
 

@@ -35,11 +35,7 @@ class Ring(NamedTuple):
 
 
 def make_ring(slots: int = 256) -> Ring:
-    """An empty ring; 256 slots are three seconds of an 80 Hz host.
-
-    Raises:
-        InputError: fewer than two slots.
-    """
+    """An empty ring; 256 slots are three seconds of an 80 Hz host."""
     if slots < 2:
         raise InputError(f"slots: {slots} must be at least 2")
     counters = (np.zeros(1, dtype=np.int64) for _ in range(3))
@@ -53,11 +49,7 @@ def make_ring(slots: int = 256) -> Ring:
 
 
 def make_log(capacity: int) -> Arrivals:
-    """An empty log for `collect`, for a number of frames.
-
-    Raises:
-        InputError: the number is less than 1.
-    """
+    """An empty log for `collect`, for a number of frames."""
     if capacity < 1:
         raise InputError(f"capacity: {capacity} must be at least 1")
     return Arrivals(
@@ -86,16 +78,8 @@ def put(ring: Ring, frame: HostFrame) -> None:
 def collect(ring, log, filled, frame):  # type: ignore[no-untyped-def]
     """Move all new frames from the ring to the log, as arrived in this control frame.
 
-    The log is an `Arrivals`: hand it to `feed` afterwards, and keep it as the session.
-
-    Args:
-        ring: `Ring`.
-        log: `Arrivals` of `make_log`.
-        filled: places of the log in use.
-        frame: index of the present control frame.
-
-    Returns:
-        Places in use now.
+    `filled` places of the log were in use; returns how many are now. Hand the log to `feed`
+    afterwards, and keep it as the session.
     """
     slots = ring.mark.shape[0]
     end = ring.written[0]
@@ -122,9 +106,4 @@ def collect(ring, log, filled, frame):  # type: ignore[no-untyped-def]
 
 def logged(log: Arrivals, filled: int) -> Arrivals:
     """The part of a log that is in use, as copies."""
-    return Arrivals(
-        log.frame[:filled].copy(),
-        log.sequence[:filled].copy(),
-        log.time[:filled].copy(),
-        log.values[:filled].copy(),
-    )
+    return Arrivals._make(part[:filled].copy() for part in log)

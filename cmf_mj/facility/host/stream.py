@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BPoly, make_interp_spline
 
 from cmf_mj.control.dcu.arrivals import Arrivals
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.signals.signal import Command, check_positive
@@ -73,18 +73,10 @@ def make_stream(
     sequence: ArrayLike | None = None,
     derivatives: str = "spline",
 ) -> HostStream:
-    """Build a stream from arrays.
+    """Build a stream from rising host times (N,) [s] and poses (N, 6) [m, rad], z down.
 
-    Args:
-        time: host times [s], rising, (N,).
-        pose: (N, 6) [m, rad], z down.
-        velocity: (N, 6), or None with `acceleration` to make both.
-        acceleration: (N, 6), or None.
-        sequence: (N,) rising numbers; default 0, 1, 2 ...
-        derivatives: `spline` or `zero`, where they are to be made.
-
-    Raises:
-        InputError: shape, order or a number that is not finite; the frame is named.
+    Without velocity and acceleration (N, 6) both are made, by `spline` or `zero`. Sequence numbers
+    (N,) rise; default 0, 1, 2 ...
     """
     stamps, poses = np.array(time, dtype=float), np.array(pose, dtype=float)
     count = stamps.size
@@ -119,13 +111,8 @@ def differentiate(
 
     On a uniform grid h the spline's error is of the order h^5 f^(6) in velocity and h^4 f^(6) in
     acceleration.
-
-    Raises:
-        InputError: unknown way, or fewer than six frames for a spline.
     """
-    if derivatives not in DERIVATIVES:
-        raise InputError(f"derivatives: {derivatives!r} is not one of {', '.join(DERIVATIVES)}")
-    if derivatives == "zero":
+    if check_name("derivatives", derivatives, DERIVATIVES) == "zero":
         return np.zeros_like(pose), np.zeros_like(pose)
     if time.size < LEAST:
         raise InputError(f"pose: {time.size} frames; a spline needs at least {LEAST}")
@@ -137,16 +124,10 @@ def differentiate(
 def from_command(
     command: Command, rate: float = 80.0, *, derivatives: str = "spline"
 ) -> HostStream:
-    """The stream of a host that means a command.
+    """The stream of a host that means a command, at a rate of at most 2048 Hz.
 
-    Args:
-        command: poses at 2048 Hz.
-        rate: frames a second, at most 2048 Hz.
-        derivatives: `spline` samples the quintic spline through the command and its derivatives;
-            `zero` takes the newest pose of the command and sends no derivatives (steps, pulses).
-
-    Raises:
-        InputError: rate out of range, or a command the spline cannot take.
+    `spline` samples the quintic spline through the command and its derivatives; `zero` takes the
+    newest pose of the command and sends no derivatives (steps, pulses).
     """
     check_positive(rate=rate)
     if rate > RATE:
@@ -164,11 +145,7 @@ def from_command(
 
 
 def resample(stream: HostStream, rate: float) -> HostStream:
-    """The same motion in frames at another rate: quintic Hermite between the given frames.
-
-    Raises:
-        InputError: rate out of range, or fewer than two frames.
-    """
+    """The same motion in frames at another rate: quintic Hermite between those of the stream."""
     check_positive(rate=rate)
     if stream.time.size < 2:
         raise InputError(f"stream: {stream.time.size} frames; resampling needs at least 2")
@@ -180,12 +157,7 @@ def resample(stream: HostStream, rate: float) -> HostStream:
 
 
 def arrivals(stream: HostStream, *, delay: int = 0) -> Arrivals:
-    """The stream as it reaches a DCU whose control frame 0 is the first frame's time.
-
-    Args:
-        stream: what the host sends.
-        delay: whole control frames on the way, at least 0.
-    """
+    """The stream as it reaches a DCU, the first frame after `delay` whole control frames."""
     if delay < 0:
         raise InputError(f"delay: {delay} control frames must be at least 0")
     since = stream.time - stream.time[0]

@@ -24,7 +24,7 @@ _LONGEST_WAIT = 0.05
 
 
 class UdpReceiver:
-    """Receives host frames in a thread of its own and puts them into a ring.
+    """Receives host frames in a thread and puts them into a ring.
 
     Use it as a context manager, or call `close`.
     """

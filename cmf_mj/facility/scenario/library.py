@@ -10,7 +10,7 @@ from cmf_mj.machine import models
 
 def scenario_names() -> tuple[str, ...]:
     """Names of the shipped scenarios."""
-    return tuple(sorted(path.stem for path in models.scenario_directory().glob("*.toml")))
+    return tuple(sorted(path.stem for path in models.directory("scenarios").glob("*.toml")))
 
 
 def load_scenario(source: str | Path) -> Scenario:
@@ -30,5 +30,5 @@ def load_scenario(source: str | Path) -> Scenario:
     path = Path(source)
     if path.suffix != ".toml":
         check_name("scenario", str(source), scenario_names(), " nor a .toml file")
-        path = models.scenario_directory() / f"{source}.toml"
+        path = models.directory("scenarios") / f"{source}.toml"
     return scenario_of(read_toml(path), str(path), path.parent)

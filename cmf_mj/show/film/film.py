@@ -106,7 +106,7 @@ def model_of(record: Record) -> mujoco.MjModel:
     if plant == "hexapod":
         return hexapod_spec(str(record.metadata["cab"])).compile()
     if plant == "single_legs":
-        return mujoco.MjModel.from_xml_path(str(models.single_legs_path()))
+        return mujoco.MjModel.from_xml_path(str(models.model_path("single_legs.xml")))
     raise InputError(f"plant: {plant!r} of the record is not one of hexapod, single_legs")
 
 

@@ -1,0 +1,27 @@
+"""The protection run on the readings that a record holds."""
+
+from cmf_mj.control.feedback import LegFeedback
+from cmf_mj.control.protection import Fault, Protection, latched, protect, protection_state
+from cmf_mj.core.compiled import compiled
+from cmf_mj.electronics.sensors.suite import at_frame
+from cmf_mj.facility import replay
+from cmf_mj.record.record import Record
+
+
+@compiled
+def _watch(protection, state, reference, feedback, supply_pressure):  # type: ignore[no-untyped-def]
+    for frame in range(reference.shape[0]):
+        now = at_frame(feedback, frame)
+        protect(protection, state, frame, reference[frame], now, supply_pressure)
+
+
+def fault_of(record: Record, protection: Protection, supply_pressure: float) -> Fault | None:
+    """The fault that the protection detects in a record at 2048 Hz, or none."""
+    assert record.rate == 2048.0
+    reference = replay._legs(record, "leg_reference")
+    readings = (replay._legs(record, name) for name in replay.FEEDBACK.values())
+    histories = LegFeedback(*readings)
+    histories.acceleration[:] -= replay._felt(record) * (not replay._compensated(record))
+    state = protection_state(histories.position[0])
+    _watch(protection, state, reference, histories, supply_pressure)
+    return latched(state)
