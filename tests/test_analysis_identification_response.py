@@ -44,18 +44,6 @@ def test_rational_function_with_delay_is_recovered_exactly() -> None:
     )
 
 
-def test_errors_of_poles_are_those_of_repeated_measurements() -> None:
-    """One per cent of noise a line, 60 draws: stated deviations within a quarter of the scatter."""
-    rng = np.random.default_rng(0)
-    poles, stated = [], []
-    for _ in range(60):
-        noise = rng.standard_normal((2, FREQUENCY.size))
-        fit = fit_response(FREQUENCY, true(SIXTH) * (1.0 + 0.01 * (noise[0] + 1j * noise[1])), 6, 0)
-        poles.append(by_size(fit.poles)[[0, 1, 4]])
-        stated.append(fit.pole_errors[[0, 1, 4]])
-    np.testing.assert_allclose(np.mean(stated, axis=0), np.std(poles, axis=0), rtol=0.25)
-
-
 def test_weights_let_a_bad_line_pass_by() -> None:
     """A band spoilt by a tenfold gain hardly counts where its deviation says so."""
     spoilt = true(SIXTH).copy()

@@ -138,30 +138,20 @@ def measure_loop(
     lines = np.asarray(frequencies, dtype=np.float64)
     poles = np.asarray(loop.poles(), dtype=complex)
     step = None
-    if inside_unit_circle(poles):
+    if np.all(np.abs(poles) < _INSIDE):
         static = float(np.real(np.atleast_2d(control.dcgain(loop))[0, 0]))
         _, reached = loop_step(loop, duration)
         step = measure_step(reached, 1.0 / FRAME, final=static)
     widths = bandwidths(loop_response(loop, lines))
-    return joined(widths, step, slowest_mode(poles))
-
-
-def inside_unit_circle(poles: NDArray[np.complex128]) -> bool:
-    """Whether all poles of a discrete loop lie within the unit circle."""
-    return bool(np.all(np.abs(poles) < _INSIDE))
+    pairs = oscillations(poles)
+    pairs = pairs[-pairs.real < OSCILLATING * np.abs(pairs)]
+    return joined(widths, step, _mode(pairs, np.abs(pairs)))
 
 
 def oscillations(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Continuous poles [rad/s] above the real axis of a discrete loop at 2048 Hz."""
     upper: NDArray[np.complex128] = poles[poles.imag > 1e-9]
     return np.asarray(np.log(upper) / FRAME, dtype=complex)
-
-
-def slowest_mode(poles: NDArray[np.complex128]) -> tuple[float, float]:
-    """Damping ratio and frequency [Hz] of the slowest pair of a discrete loop that oscillates."""
-    pairs = oscillations(poles)
-    pairs = pairs[-pairs.real < OSCILLATING * np.abs(pairs)]
-    return _mode(pairs, np.abs(pairs))
 
 
 def least_damped_mode(

@@ -16,7 +16,6 @@ with the law like a model of a leg, and has its unit, m/s per command.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from math import ceil
 from typing import Literal
 
@@ -105,16 +104,6 @@ class Experiment:
             self, input=function(self.input), output=function(self.output), reference=reference
         )
 
-    def decimated(self, factor: int) -> "Experiment":
-        """Keep one sample in `factor` behind a zero-phase anti-alias filter.
-
-        The filter is SciPy's Chebyshev filter of eighth order, forwards and backwards, in stages of
-        at most 8; it passes 0.8 of the new Nyquist frequency within 0.1 dB a stage and is the same
-        for all series, so that ratios of them are not touched.
-        """
-        thin = self._mapped(partial(decimated, factor=factor))
-        return replace(thin, step=self.step * factor)
-
     def detrended(self, kind: Literal["constant", "linear"] = "constant") -> "Experiment":
         """Take the mean or the straight line of least squares out of every series."""
         check_name("kind", kind, ("constant", "linear"))
@@ -140,7 +129,11 @@ class Experiment:
 
 
 def decimated(values: Real, factor: int) -> Real:
-    """Series (N, ...) at a `factor` times lower rate; see `Experiment.decimated`."""
+    """Series (N, ...) at a `factor` times lower rate, behind a zero-phase anti-alias filter.
+
+    The filter is SciPy's Chebyshev filter of eighth order, forwards and backwards, in stages of at
+    most 8; it passes 0.8 of the new Nyquist frequency within 0.1 dB a stage.
+    """
     if factor != int(factor) or factor < 1:
         raise InputError(f"factor: {factor} must be a whole number, at least 1")
     if factor > 1 and values.shape[0] < _SHORTEST * factor:

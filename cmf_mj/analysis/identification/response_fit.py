@@ -39,7 +39,6 @@ class ResponseFit(NamedTuple):
     delay: float  #: tau [s].
     poles: Complex  #: [rad/s], by modulus.
     zeros: Complex  #: [rad/s], by modulus.
-    pole_errors: Real  #: Standard deviation of each pole, sqrt(var re + var im) [rad/s].
     misfit: float  #: Root of the mean of |H - H_k|^2 / |H_k|^2.
     loss: float  #: Sum of the squared weighted residuals.
     aic: float
@@ -101,14 +100,13 @@ def fit_response(
     gain, numerator, denominator, late = problem.parts(fitted.x)
     loss = 2.0 * float(fitted.cost)
     count = 2 * f.size
-    variance = loss / max(count - unknowns, 1)
     order = np.arange(poles, -1, -1)
     rational = control.tf(
         gain * numerator * scale ** (poles - np.arange(zeros, -1, -1.0)),
         denominator * scale ** (poles - order.astype(float)),
         name="response_fit",
     )
-    values, errors = _pole_errors(problem, fitted, variance)
+    values = np.concatenate([np.roots(section) for section, _ in problem.sections(fitted.x)])
     by_size = np.argsort(np.abs(values), kind="stable")
     nought = np.roots(numerator)
     modelled = problem.model(fitted.x)
@@ -117,7 +115,6 @@ def fit_response(
         late / scale,
         np.asarray(values[by_size] * scale, dtype=complex),
         np.asarray(nought[np.argsort(np.abs(nought), kind="stable")] * scale, dtype=complex),
-        errors[by_size] * scale,
         float(np.sqrt(np.mean(np.abs(modelled / h - 1.0) ** 2))),
         loss,
         float(count * np.log(loss / count) + 2.0 * unknowns),
@@ -161,27 +158,6 @@ def _linear_fit(s: Complex, h: Complex, sigma: Real, poles: int) -> tuple[Comple
         weight = 1.0 / (sigma * np.abs(powers @ below))
     outside = roots.real > 0.0
     return np.where(outside, -roots.conj(), roots), int(outside.sum())
-
-
-def _pole_errors(
-    problem: "_Refinement", fitted: optimize.OptimizeResult, variance: float
-) -> tuple[Complex, Real]:
-    """Standard deviations of the poles from the Jacobian of the residuals, by sections."""
-    size = np.linalg.norm(fitted.jac, axis=0)
-    size[size == 0.0] = 1.0
-    covariance = np.linalg.pinv((fitted.jac / size).T @ (fitted.jac / size)) / np.outer(size, size)
-    values, errors = [], []
-    for section, columns in problem.sections(fitted.x):
-        degree = section.size - 1
-        for p in np.roots(section):
-            steep = np.polyval(np.polyder(section), p)
-            powers = p ** np.arange(degree - 1, -1, -1)
-            slope = -powers / steep * section[1:] if steep != 0.0 else np.full(degree, np.inf)
-            part = covariance[np.ix_(columns, columns)] * variance
-            total = np.real(slope.conj() @ part @ slope) if steep != 0.0 else np.inf
-            values.append(p)
-            errors.append(np.sqrt(max(total, 0.0)))
-    return np.array(values, dtype=complex), np.array(errors)
 
 
 class _Refinement:

@@ -92,12 +92,18 @@ def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
 
 def _acting(a: Matrix, c: Matrix, legs: int) -> NDArray[np.int64]:
     """States that reach the output, of all legs where they do of one; the compensator always."""
-    reached = np.zeros((a.shape[0] // legs, legs), dtype=bool)
-    reached[0] = True
-    reached |= (c != 0.0).any(axis=0).reshape(reached.shape)
+    kinds = a.shape[0] // legs
+    links = (a != 0.0).reshape(kinds, legs, kinds, legs).any(axis=(1, 3))
+    seen = (c != 0.0).reshape(-1, kinds, legs).any(axis=(0, 2))
+    seen[0] = True
+    return np.flatnonzero(np.repeat(spread(links.T, seen), legs))
+
+
+def spread(links: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """All states that a chain of links, row from column, reaches."""
+    reached = start
     while True:
-        drives = (a[reached.ravel()] != 0.0).any(axis=0).reshape(reached.shape)
-        wider = np.repeat((reached | drives).any(axis=1, keepdims=True), legs, axis=1)
-        if (wider == reached).all():
-            return np.flatnonzero(reached)
-        reached = wider
+        after = reached | (links[:, reached].any(axis=1))
+        if (after == reached).all():
+            return reached
+        reached = after

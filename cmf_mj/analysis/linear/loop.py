@@ -74,10 +74,11 @@ def closed_loop(
     check_name("pressures", pressures, get_args(Pressures))
     loaded = load_law(law)
     sampled = _at_frames(plant)
-    legs = _legs(sampled)
+    columns = _commands(sampled)
+    legs = len(columns)
     law_system = dcl_state_space(loaded, legs)
-    c, d = _feedback_rows(sampled, legs, law_system, outputs)
-    a, b = np.asarray(sampled.A), np.asarray(sampled.B)[:, _commands(sampled, legs)]
+    c, d = _feedback_rows(sampled, columns, law_system, outputs)
+    a, b = np.asarray(sampled.A), np.asarray(sampled.B)[:, columns]
     a, b, c, d = _delayed((a, b, c, d), command_delay)
     # With reference r, feedback y and command u: y = C x, since the delay takes the direct term.
     ak, bk, ck, dk = (
@@ -123,32 +124,27 @@ def _at_frames(plant: UnitTransferFunction | control.StateSpace) -> control.Stat
     return plant
 
 
-def _legs(plant: control.StateSpace) -> int:
+def _commands(plant: control.StateSpace) -> list[int]:
+    """Places of the legs' commands among the inputs; a single one may have any name."""
     legs = int(plant.ninputs)
-    expected = set(labels(("command",), legs))
-    if legs > 1 and set(plant.input_labels) != expected:
+    expected = labels(("command",), legs)
+    if legs > 1 and set(plant.input_labels) != set(expected):
         raise InputError(
             f"plant: its inputs {', '.join(plant.input_labels)} must be command_1 to command_{legs}"
         )
-    return legs
-
-
-def _commands(plant: control.StateSpace, legs: int) -> list[int]:
-    if legs == 1:
-        return [0]
-    return [plant.input_labels.index(name) for name in labels(("command",), legs)]
+    return [0] if legs == 1 else [plant.input_labels.index(name) for name in expected]
 
 
 def _feedback_rows(
     plant: control.StateSpace,
-    legs: int,
+    columns: list[int],
     law_system: control.StateSpace,
     outputs: tuple[str, ...],
 ) -> tuple[Matrix, Matrix]:
     """C and D of all `FEEDBACK`, zero where the plant lacks an output that nothing reads."""
+    legs = len(columns)
     c = np.zeros((len(FEEDBACK) * legs, plant.nstates))
     d = np.zeros((len(FEEDBACK) * legs, legs))
-    columns = _commands(plant, legs)
     read = np.any(np.vstack([law_system.B, law_system.D])[:, legs:] != 0.0, axis=0)
     present = {label: i for i, label in enumerate(plant.output_labels)}
     for i, label in enumerate(labels(FEEDBACK, legs)):

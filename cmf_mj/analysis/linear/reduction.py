@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from cmf_mj.analysis.linear.law import FEEDBACK, labels
+from cmf_mj.analysis.linear.law import FEEDBACK, labels, spread
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import DOFS, pose_jacobian, read_geometry
@@ -43,7 +43,7 @@ def reduced(
     b, c, d = b[:, columns], c[rows], d[np.ix_(rows, columns)]
     links = a != 0.0
     kept = np.flatnonzero(
-        _spread(links, (b != 0.0).any(axis=1)) & _spread(links.T, (c != 0.0).any(axis=0))
+        spread(links, (b != 0.0).any(axis=1)) & spread(links.T, (c != 0.0).any(axis=0))
     )
     return control.ss(
         a[np.ix_(kept, kept)],
@@ -64,16 +64,6 @@ def _chosen(field: str, names: Sequence[str] | None, there: list[str]) -> list[i
     if len(names) == 0:
         raise InputError(f"{field}: none is given; allowed: some of {', '.join(there)}")
     return [there.index(check_name(field, name, there)) for name in names]
-
-
-def _spread(links: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """All states that a chain of links, row from column, reaches."""
-    reached = start
-    while True:
-        after = reached | (links[:, reached].any(axis=1))
-        if (after == reached).all():
-            return reached
-        reached = after
 
 
 def minimal(system: control.StateSpace, tolerance: float = 1e-4) -> control.StateSpace:
