@@ -19,6 +19,7 @@ that leads shows a negative delay. Legs are projected on the pattern of the degr
 """
 
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -130,7 +131,11 @@ def fly(
         cued = cue(flown, washout, cab=cab, limits=limits, senses=senses)
         aircraft, stream, limited, asked = cued.aircraft, cued.stream, cued.limited, cued.simulator
     else:
-        stream, limited = within_limits(_even(pilot_host.host_stream(host)), limits)
+        sent = pilot_host.host_stream(host)
+        step = np.diff(sent.time)
+        if step.size and np.ptp(step) > 1e-6 * step.mean():  # the limiters take even frames
+            sent = resample(sent, MOST_RATE)
+        stream, limited = within_limits(sent, limits)
         asked = PilotMotion.from_platform(stream, pilot_station(cab))
     plant, rows = Hexapod(cab, hydraulics), RECORD_EVERY
     operation = operate(plant, law, stream, facility=settings, record_every=rows, progress=progress)
@@ -155,10 +160,6 @@ def fly(
 
 def crew_motion(record: Record, time: NDArray[np.float64]) -> PilotMotion:
     """The crew's motion of a record at some times [s], without what lies beyond 30 Hz."""
-    if record.rate <= 2.0 * _CORNER:
-        raise InputError(
-            f"record: {record.rate:g} rows a second; allowed: more than {2 * _CORNER:g}"
-        )
     motion = PilotMotion.from_record(record)
     sections = signal.butter(4, _CORNER, fs=record.rate, output="sos")
     channels = (signal.sosfiltfilt(sections, getattr(motion, name), axis=0) for name in COLUMNS)
@@ -198,14 +199,6 @@ def error_spectra(
     return frequency, density
 
 
-def _even(stream: HostStream) -> HostStream:
-    """Frames that the limiters can take: evenly spaced, at most 80 Hz."""
-    step = np.diff(stream.time)
-    if step.size and np.ptp(step) > 1e-6 * step.mean():
-        return resample(stream, MOST_RATE)
-    return stream
-
-
 def _delays(sent: NDArray[np.float64], record: Record) -> tuple[float, float]:
     """Host to reference and reference to legs [s], by the leg that moves most."""
     reference, moved = record["leg_reference"], record["leg_extension"]
@@ -213,13 +206,9 @@ def _delays(sent: NDArray[np.float64], record: Record) -> tuple[float, float]:
     leg = int(np.ptp(reference, axis=0).argmax())
     if np.ptp(reference[:, leg]) == 0.0:
         return float("nan"), float("nan")
-    sent_rate, reference_rate, leg_rate = (
-        np.diff(values[:rows, leg]) for values in (sent, reference, moved)
-    )
-    return (
-        transient_delay(sent_rate, reference_rate, record.rate),
-        transient_delay(reference_rate, leg_rate, record.rate),
-    )
+    rates = [np.diff(values[:rows, leg]) for values in (sent, reference, moved)]
+    host_delay, loop_delay = (transient_delay(*pair, record.rate) for pair in pairwise(rates))
+    return host_delay, loop_delay
 
 
 class Stage(NamedTuple):
@@ -263,8 +252,8 @@ def transport_delay(
             "such as 0.5, 1 or 2"
         )
     settings = facility or FacilitySettings()
-    size = by_kind(dof, 0.01, np.radians(0.5))
-    command = signals.sine(dof, size, frequency, cycles=_SETTLE + _CYCLES + 2.0, fade=1.0)
+    size, cycles = by_kind(dof, 0.01, np.radians(0.5)), _SETTLE + _CYCLES + 2.0
+    command = signals.sine(dof, size, frequency, cycles=cycles, fade=1.0)
     stream = from_command(command, MOST_RATE)
     record = operate(Hexapod(cab, hydraulics), law, stream, facility=settings).record
     omega = 2.0 * np.pi * frequency

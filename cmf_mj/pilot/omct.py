@@ -111,7 +111,7 @@ def amplitude(dof: str, frequency: float) -> float:
 def aircraft_motion(dof: str, frequency: float, size: float) -> tuple[PilotMotion, float]:
     """The aircraft's motion of one run, and when its measured cycles begin [s].
 
-    The frequency is in rad/s, the size an amplitude [m/s^2 or rad].
+    The frequency is in rad/s, the amplitude `size` in m/s^2 or rad.
     """
     period = 2.0 * np.pi / frequency
     begin = max(period, _SETTLE)
@@ -179,12 +179,11 @@ def omct(
         size = amplitude(dof, frequency)
         flown, begin = aircraft_motion(dof, frequency, size)
         stream = Washout(settings, station=station).run(flown)
-        felt = (
-            _without_machine(stream, station)
-            if law is None
-            else _on_machine(stream, law, Hexapod(cab, parameters))
-        )
-        for name, motion in felt.items():
+        if law is None:
+            motions = _without_machine(stream, station)
+        else:
+            motions = _on_machine(stream, law, Hexapod(cab, parameters))
+        for name, motion in motions.items():
             for place in outputs_of(dof):
                 output = TESTS[place][1]
                 channel = by_kind(output, motion.specific_force, motion.attitude)

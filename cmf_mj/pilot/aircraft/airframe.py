@@ -128,10 +128,9 @@ class Airframe:
         """Langley's place on the Earth, heading north; systems where the controls want them."""
         for name, value in {"lat-geod-deg": 37.08, "long-gc-deg": -76.38, **start}.items():
             self[f"ic/{name}"] = value
-        for name in ("gear/gear-cmd-norm", "gear/gear-pos-norm"):
-            self[name] = controls.gear
-        for name in ("fcs/flap-cmd-norm", "fcs/flap-pos-norm"):
-            self[name] = controls.flaps
+        for part in ("cmd", "pos"):
+            self[f"gear/gear-{part}-norm"] = controls.gear
+            self[f"fcs/flap-{part}-norm"] = controls.flaps
         if not self._fdm.run_ic():
             raise InputError(f"aircraft: {self.aircraft} refuses the start {dict(start)}")
         self["propulsion/set-running"] = -1.0

@@ -177,26 +177,24 @@ def tune(
         raise InputError(f"dofs: {', '.join(dofs)} have no gain above 0 to scale")
     station, bounds = pilot_station(cab), limits or load_motion_limits()
 
-    def tried(factor: float) -> tuple[WashoutSettings, Excursion]:
-        gains = np.where(scaled, factor, 1.0) * settings.gains
-        changed = settings.with_gains(gains)
-        return changed, excursion(Washout(changed, station=station, rate=rate).run(motion), bounds)
+    def tried(factor: float) -> Tuned:
+        changed = settings.with_gains(np.where(scaled, factor, 1.0) * settings.gains)
+        use = excursion(Washout(changed, station=station, rate=rate).run(motion), bounds)
+        return Tuned(changed, factor, use, use.binding)
 
-    most = largest_gain / float(settings.gains[scaled].max())
-    top = tried(most)
-    if top[1].largest <= share:
-        return Tuned(top[0], most, top[1], "largest gain")
-    low, high, best = 0.0, most, tried(0.0)
-    if best[1].largest > share:
+    top = tried(largest_gain / float(settings.gains[scaled].max()))
+    if top.excursion.largest <= share:
+        return top._replace(binding="largest gain")
+    high, best = top.factor, tried(0.0)
+    if best.excursion.largest > share:
         raise InputError(
-            f"dofs: the gains left alone use {best[1].largest:.3g} of {best[1].binding}; "
+            f"dofs: the gains left alone use {best.excursion.largest:.3g} of {best.binding}; "
             f"allowed: {share}"
         )
     for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        now = tried(middle)
-        if now[1].largest <= share:
-            low, best = middle, now
+        middle = tried(0.5 * (best.factor + high))
+        if middle.excursion.largest <= share:
+            best = middle
         else:
-            high = middle
-    return Tuned(best[0], low, best[1], best[1].binding)
+            high = middle.factor
+    return best
