@@ -1,13 +1,21 @@
 """Fixtures of several test modules, and one compilation for all workers."""
 
+import os
+import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from figures import check_readable
 from hypothesis import settings
 from lengths import LONG
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from shared import FOLDER
 
 from cmf_mj.analysis.ledger import LedgerEntry, load_ledger
 
@@ -19,11 +27,18 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
     if hasattr(config, "workerinput") or config.option.collectonly:
         return
+    os.environ[FOLDER] = tempfile.mkdtemp(prefix="cmf-mj-")
     if config.getoption("numprocesses", default=None):
         warm = Path(__file__).with_name("warm.py")
         runs = [subprocess.Popen([sys.executable, warm, loop]) for loop in ("table", "chain")]
         if any([run.wait() for run in runs]):
             raise pytest.UsageError(f"{warm.name}: the loops could not be compiled")
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Throw away what workers shared."""
+    if not hasattr(session.config, "workerinput"):
+        shutil.rmtree(os.environ.pop(FOLDER, ""), ignore_errors=True)
 
 
 @pytest.fixture
@@ -41,3 +56,21 @@ def entry(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> It
     monkeypatch.setattr(LedgerEntry, "figure", tracked)
     yield found
     assert asked == {row.name for row in found.figures}
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, set[str]]]:
+    """Texts of the figures that the test saves, by file name; each figure must be readable."""
+    saved: dict[str, set[str]] = {}
+    save = Figure.savefig
+
+    def kept(figure: Figure, target: Any, **options: Any) -> None:
+        save(figure, target, **options)
+        if isinstance(target, Path):  # .NAME.PID.part, until it is whole
+            name = target.name.removeprefix(".").rsplit(".", 2)[0]
+            check_readable(figure, name)
+            saved[name] = {text.get_text() for text in figure.findobj(Text)}
+
+    monkeypatch.setattr(Figure, "savefig", kept)
+    yield saved
+    assert saved, "the test drew no figure"

@@ -220,7 +220,9 @@ def run(*arguments: str) -> str:
 
 
 @pytest.mark.slow
-def test_cmf_flight_records_and_cmf_fly_compares(failing: PilotMotion, tmp_path: Path) -> None:
+def test_cmf_flight_records_and_cmf_fly_compares(
+    failing: PilotMotion, tmp_path: Path, drawn: dict[str, set[str]]
+) -> None:
     flight = load_flight("engine_failure")
     short = Flight(cut(failing, 2.0, 5.0), flight.origin).save(tmp_path / "short.csv")
     out = tmp_path / "out"
@@ -233,7 +235,7 @@ def test_cmf_flight_records_and_cmf_fly_compares(failing: PilotMotion, tmp_path:
     names = {"motion.png", "perceived.png", "record.parquet", "host.parquet"}
     for law in laws.split(","):
         assert names <= {path.name for path in (out / law).iterdir()}
-    assert (out / "comparison.png").stat().st_size > 10_000
+    assert set(drawn) == {"motion.png", "perceived.png", "envelope.png", "comparison.png"}
 
 
 def test_traces_of_a_ride_are_what_the_pilots_are_subjected_to(ride: FlightResult) -> None:

@@ -3,8 +3,6 @@
 import csv
 from pathlib import Path
 
-import matplotlib.image
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -28,7 +26,9 @@ from cmf_mj.show.linear import (
 )
 
 
-def test_linear_prints_the_tables_and_writes_the_files(tmp_path: Path) -> None:
+def test_linear_prints_the_tables_and_writes_the_files(
+    tmp_path: Path, drawn: dict[str, set[str]]
+) -> None:
     out = tmp_path / "out"
     result = CliRunner().invoke(app, ["linear", "--laws", "velocity,original", "--out", str(out)])
     assert result.exit_code == 0, result.output
@@ -59,10 +59,7 @@ def test_linear_prints_the_tables_and_writes_the_files(tmp_path: Path) -> None:
     assert float(some["gain_bandwidth_hz"]) == pytest.approx(example.gain_bandwidth_hz, rel=1e-7)
     pictures = sorted(path.stem for path in out.glob("*.png"))
     assert pictures == ["bode_original", "bode_velocity", "step_original", "step_velocity"]
-    for name in pictures:
-        picture = matplotlib.image.imread(out / f"{name}.png")
-        assert picture.shape[0] > 500
-        assert np.ptp(picture) > 0.5
+    assert set(drawn) == {f"{name}.png" for name in pictures}
 
 
 def test_linear_refuses_in_one_line_and_writes_nothing(tmp_path: Path) -> None:

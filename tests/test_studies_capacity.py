@@ -8,7 +8,6 @@ import csv
 import math
 from pathlib import Path
 
-import matplotlib.image
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -374,7 +373,7 @@ def run(*arguments: str) -> tuple[int, str]:
 
 
 @pytest.mark.slow
-def test_command_writes_tables_and_figures(tmp_path: Path) -> None:
+def test_command_writes_tables_and_figures(tmp_path: Path, drawn: dict[str, set[str]]) -> None:
     out = tmp_path / "out"
     code, output = run(
         *("--signal", "step", "--dof", "pitch", "--amplitude", "5 deg", "--cab", "ifd", "--quick"),
@@ -387,9 +386,7 @@ def test_command_writes_tables_and_figures(tmp_path: Path) -> None:
     assert [float(row["frequency"]) for row in rows] == [0.1, 0.4, 1.6, 6.3]
     assert all(0.9 < float(row["ratio"]) <= 1.0 for row in rows)
     assert "yes" in (out / "capacity.csv").read_text()
-    for name in ("supply.png", "envelope.png"):
-        picture = matplotlib.image.imread(out / name)
-        assert picture.shape[0] > 400 and np.ptp(picture) > 0.5
+    assert set(drawn) == {"supply.png", "envelope.png"}
 
 
 def test_command_says_no_and_takes_a_file(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 import csv
 from pathlib import Path
 
-import matplotlib.image
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -394,7 +393,7 @@ def test_refusals(arguments: dict, message: str) -> None:
         run_failure(default_event("overload", 1.0), make_case("velocity", **arguments), **options)
 
 
-def test_command_writes_table_csv_and_figure(tmp_path: Path) -> None:
+def test_command_writes_table_csv_and_figure(tmp_path: Path, drawn: dict[str, set[str]]) -> None:
     out = tmp_path / "out"
     arguments = ["failure", "valve_hard_over", "--leg", "2", "--valve", "1", "--size", "-50 %"]
     arguments += ["--at", "1", "--after", "4", "--dof", "roll", "--no-protection"]
@@ -407,8 +406,7 @@ def test_command_writes_table_csv_and_figure(tmp_path: Path) -> None:
     assert float(row["size_si"]) == -0.5 and row["detected_by"] == ""
     assert row["protected"] == "False" and row["state"] in measures.__doc__
     assert "valve_hard_over leg_2 valve_1" in (out / "failures.md").read_text()
-    picture = matplotlib.image.imread(out / "valve_hard_over-leg_2-valve_1.png")
-    assert picture.shape[0] > 900 and np.ptp(picture) > 0.5
+    assert set(drawn) == {"valve_hard_over-leg_2-valve_1.png"}
 
 
 @pytest.mark.parametrize(

@@ -2,23 +2,13 @@
 
 import numpy as np
 import pytest
+from shared import chirp_bandwidths
 
-from cmf_mj import Hexapod, SingleLegs, bandwidths, frequency_response, signals, simulate
-from cmf_mj.analysis.frequency_response import Bandwidths
+from cmf_mj import Hexapod, signals, simulate
 from cmf_mj.analysis.published import Published, published_results
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.machine.models import CABS
-from cmf_mj.plant.plant import Plant
-from cmf_mj.studies.case import AMPLITUDE, ROTATION_PER_TRANSLATION
-
-
-def measured(plant: Plant, law: str, dof: str) -> Bandwidths:
-    """Bandwidths by the report's chirp: 0.33 in or 0.2 deg, 0.01 to 10 Hz in 100 s."""
-    scale = 1.0 if DOFS.index(dof) < 3 else ROTATION_PER_TRANSLATION
-    record = simulate(plant, law, signals.chirp(dof, AMPLITUDE * scale), record_every=16)
-    assert record["gimbal_error"].max() < 10e-6
-    return bandwidths(frequency_response(record))
 
 
 def printed(table: str, law: str, of: str) -> Published:
@@ -33,7 +23,7 @@ def printed(table: str, law: str, of: str) -> Published:
 @pytest.mark.parametrize("law", ["original", "velocity", "position_error_rate", "acceleration"])
 def test_single_legs_with_the_report_set_reproduce_table_3_5(law: str) -> None:
     """One set of parameters: -90 deg within 10 %, -3 dB within 15 %, force feedback excepted."""
-    widths = measured(SingleLegs("report"), law, "heave")
+    widths = chirp_bandwidths("single_legs", law, "heave", hydraulics="report")
     row = printed("3-5", law, "nonlinear")
     assert widths.phase_hz == pytest.approx(row.phase_bandwidth_hz, rel=0.10)
     assert widths.gain_hz == pytest.approx(row.gain_bandwidth_hz, rel=0.15)
@@ -42,7 +32,7 @@ def test_single_legs_with_the_report_set_reproduce_table_3_5(law: str) -> None:
 @pytest.mark.parametrize(("table", "law"), [("2-4", "original"), ("2-6", "velocity")])
 def test_hexapod_with_the_hardware_set_reproduces_the_hardware_rows(table: str, law: str) -> None:
     """Heave: -90 deg within 10 %, -3 dB within 15 % of the hardware rows."""
-    widths = measured(Hexapod(), law, "heave")
+    widths = chirp_bandwidths("hexapod", law, "heave")
     row = printed(table, law, "hardware")
     assert widths.phase_hz == pytest.approx(row.phase_bandwidth_hz, rel=0.10)
     assert widths.gain_hz == pytest.approx(row.gain_bandwidth_hz, rel=0.15)
@@ -66,8 +56,8 @@ def test_velocity_law_is_stable_as_flown(cab: str, dof: str) -> None:
 @pytest.mark.parametrize("law", ["original", "velocity", "position_error_rate", "acceleration"])
 def test_heave_of_hexapod_and_single_legs_agree_at_29920_lbm(law: str) -> None:
     """The GFD's payload is the one whose heave effective mass is 7200 lbm: within 5 %."""
-    hexapod = measured(Hexapod("gfd"), law, "heave")
-    single = measured(SingleLegs(), law, "heave")
+    hexapod = chirp_bandwidths("hexapod", law, "heave")
+    single = chirp_bandwidths("single_legs", law, "heave")
     assert hexapod.phase_hz == pytest.approx(single.phase_hz, rel=0.05)
 
 
@@ -76,8 +66,8 @@ def test_heave_of_hexapod_and_single_legs_agree_at_29920_lbm(law: str) -> None:
 def test_surge_and_sway_of_the_hexapod_do_not_follow_the_single_legs(dof: str) -> None:
     """The reflected mass of the pair at 4.8 Hz: less phase bandwidth and a far higher peak."""
     for law, peak in (("velocity", 5.0), ("position_error_rate", 5.0)):
-        hexapod = measured(Hexapod(), law, dof)
-        single = measured(SingleLegs(), law, dof)
+        hexapod = chirp_bandwidths("hexapod", law, dof)
+        single = chirp_bandwidths("single_legs", law, dof)
         assert hexapod.phase_hz < 0.95 * single.phase_hz
         assert hexapod.peak_db > single.peak_db + peak
 
@@ -85,7 +75,7 @@ def test_surge_and_sway_of_the_hexapod_do_not_follow_the_single_legs(dof: str) -
 @pytest.mark.slow
 @pytest.mark.parametrize("dof", ["heave", "surge", "roll"])
 def test_halving_the_step_moves_no_bandwidth_by_more_than_1_percent(dof: str) -> None:
-    coarse = measured(Hexapod(), "velocity", dof)
-    fine = measured(Hexapod(timestep=1.0 / 4096.0), "velocity", dof)
+    coarse = chirp_bandwidths("hexapod", "velocity", dof)
+    fine = chirp_bandwidths("hexapod", "velocity", dof, cuts=2)
     assert coarse.phase_hz == pytest.approx(fine.phase_hz, rel=0.01)
     assert coarse.gain_hz == pytest.approx(fine.gain_hz, rel=0.01)

@@ -11,6 +11,6 @@ from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.facility.scenario.run import ScenarioRun
 
 if sys.argv[1] == "table":
-    simulate(Hexapod(), "velocity", signals.step("heave", 0.01, at=0.0, duration=4 / 2048))
+    simulate(Hexapod(), "velocity", signals.step("heave", 0.01, at=1 / 2048, duration=4 / 2048))
 else:
     ScenarioRun(load_scenario("heave_sine")).advance(4)

@@ -1,0 +1,40 @@
+"""What a figure must do, whatever it shows: name its axes, and have its curves in view."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+
+def curves(axes: Axes) -> list[tuple[Any, Any]]:
+    """Points of every line with more than two, without guides drawn across the axes."""
+    lines = [line for line in axes.lines if line.get_transform() == axes.transData]
+    points = [np.asarray(line.get_xydata(), dtype=float).T for line in lines]
+    return [(x, y) for x, y in points if x.size > 2]
+
+
+def in_view(values: Any, limits: tuple[float, float]) -> float:
+    """Share of finite values within the limits."""
+    finite = values[np.isfinite(values)]
+    low, high = sorted(limits)
+    return float(np.mean((finite >= low) & (finite <= high))) if finite.size else 0.0
+
+
+def check_readable(figure: Figure, name: str) -> None:
+    """Every axes says what it shows; some curve of each lies mostly within its limits."""
+    drawn = [axes for axes in figure.axes if axes.axison and axes.has_data()]
+    assert drawn, f"{name}: holds no data"
+    for axes in drawn:
+        where = f"{name}: axes at {axes.get_position().bounds}"
+        siblings = axes.get_shared_y_axes().get_siblings(axes)
+        named = [sibling.get_ylabel() for sibling in siblings] + [figure.get_supylabel()]
+        assert any(named) or axes.get_title() or axes.get_xlabel(), (
+            f"{where}: nothing says what it shows"
+        )
+        shown = [
+            min(in_view(x, axes.get_xlim()), in_view(y, axes.get_ylim())) for x, y in curves(axes)
+        ]
+        assert not shown or max(shown) > 0.5, f"{where}: curves lie outside, shares {shown}"
+    labels = [axes.get_xlabel() for axes in drawn] + [figure.get_supxlabel()]
+    assert any(labels), f"{name}: no abscissa has a name"

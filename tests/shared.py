@@ -1,0 +1,56 @@
+"""Runs that several tests read: computed once a suite, by whichever worker needs one first."""
+
+import fcntl
+import os
+import pickle
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
+
+from cmf_mj import Hexapod, SingleLegs, bandwidths, frequency_response, signals, simulate
+from cmf_mj.analysis.frequency_response import Bandwidths
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.studies.case import AMPLITUDE, ROTATION_PER_TRANSLATION
+
+FOLDER = "CMF_MJ_SHARED_RUNS"
+"""Variable of the environment with the folder that all workers of a suite see."""
+
+Result = TypeVar("Result")
+
+
+def once(name: str, compute: Callable[[], Result]) -> Result:
+    """What `compute` gives, from the worker that computed it first."""
+    folder = os.environ.get(FOLDER)
+    if folder is None:
+        return compute()
+    target = Path(folder) / f"{name}.pickle"
+    with target.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not target.exists():
+            target.write_bytes(pickle.dumps(compute()))
+        result: Result = pickle.loads(target.read_bytes())
+    return result
+
+
+@cache
+def chirp_bandwidths(
+    plant: str, law: str, dof: str, cab: str = "gfd", hydraulics: str = "hardware", cuts: int = 1
+) -> Bandwidths:
+    """Bandwidths by the report's chirp: 0.33 in or 0.2 deg, 0.01 to 10 Hz in 100 s.
+
+    `cuts` mechanical steps make a frame; no gimbal opens by 10 um.
+    """
+
+    def compute() -> Bandwidths:
+        scale = 1.0 if DOFS.index(dof) < 3 else ROTATION_PER_TRANSLATION
+        machine = (
+            Hexapod(cab, hydraulics, timestep=1.0 / 2048.0 / cuts)
+            if plant == "hexapod"
+            else SingleLegs(hydraulics)
+        )
+        record = simulate(machine, law, signals.chirp(dof, AMPLITUDE * scale), record_every=16)
+        assert record["gimbal_error"].max() < 10e-6
+        return bandwidths(frequency_response(record))
+
+    return once(f"chirp-{plant}-{law}-{dof}-{cab}-{hydraulics}-{cuts}", compute)
