@@ -124,6 +124,13 @@ class Live(NamedTuple):
     fault: Fault | None  #: Fault detected.
 
 
+def _fixed(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A read-only view: whether the caller's array may be written makes no variant of the loop."""
+    view = np.ascontiguousarray(rows).view()
+    view.flags.writeable = False
+    return view
+
+
 class Session:
     """Plant, controller and record of one run."""
 
@@ -175,8 +182,8 @@ class Session:
             closed=law is not None,
             dcl=dcl,
             state=engaged(dcl, feedback.position if law is None else table.rows[0], feedback),
-            table=np.ascontiguousarray(table.rows),
-            poses=np.empty((1, 0)) if poses is None else np.ascontiguousarray(poses),
+            table=_fixed(table.rows),
+            poses=_fixed(np.empty((1, 0)) if poses is None else poses),
             delay=options.command_delay,
             guarded=options.protection is not None,
             protection=make_protection(options.protection or load_protection()),
