@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from cmf_mj import Record
 from cmf_mj.cli.common import app
 from cmf_mj.core import units
+from cmf_mj.core.errors import MissingExtraError
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility.scenario import settings as scenario
 from cmf_mj.facility.scenario.run import ScenarioRun, run_scenario
@@ -23,7 +24,7 @@ from cmf_mj.show.chart import Curve, Panel
 from cmf_mj.show.film import stage
 from cmf_mj.show.film.film import FilmSettings, check_film, film
 from cmf_mj.show.film.stage import Stage, choose_backend
-from cmf_mj.show.film.strip import Strip, Traces, traces_of
+from cmf_mj.show.film.strip import Strip, traces_of
 from cmf_mj.show.film.view import LiveView, show
 
 SMALL = FilmSettings(fps=10, width=160, height=100, strip=140)
@@ -106,7 +107,6 @@ def test_a_gif_keeps_its_pace_though_it_counts_hundredths(single: Record, tmp_pa
         ({"width": 161}, "width: 161 pixels must be even"),
         ({"camera": "roof"}, "camera: 'roof' is not one of overview, side"),
         ({"speed": 0.0}, "speed, fps: 0.0, 10 must be greater than 0"),
-        ({"dof": "up"}, "dof: 'up' is not one of surge"),
         ({"start": 0.5}, "start: 0.5 s; allowed: from 0 to below 0.49"),
         ({"seconds": 0.0}, "seconds: 0.0 must be greater than 0"),
     ],
@@ -114,7 +114,7 @@ def test_a_gif_keeps_its_pace_though_it_counts_hundredths(single: Record, tmp_pa
 def test_what_a_film_cannot_do_is_named(
     change: dict[str, Any], said: str, single: Record, tmp_path: Path
 ) -> None:
-    with pytest.raises(ValueError, match="pixels|camera|speed|dof|start|seconds") as refused:
+    with pytest.raises(ValueError, match="pixels|camera|speed|start|seconds") as refused:
         film([single], tmp_path / "x.mp4", SMALL._replace(**change))
     assert said in str(refused.value)
     assert not list(tmp_path.iterdir())
@@ -127,7 +127,9 @@ def test_what_a_film_will_lack_is_said_before_a_run(monkeypatch: pytest.MonkeyPa
         check_film(model, "x.mp4", SMALL._replace(camera="roof"))
     monkeypatch.setitem(sys.modules, "av", None)
     check_film(model, "x.gif", SMALL)
-    with pytest.raises(ValueError, match=r"PyAV, pip install 'cmf-mj\[video\]'"):
+    with pytest.raises(
+        MissingExtraError, match=r"av is not installed: pip install 'cmf-mj\[video\]'"
+    ):
         check_film(model, "x.mp4", SMALL)
 
 
@@ -161,18 +163,8 @@ def test_a_part_of_a_run_is_filmed_from_its_row_on(record: Record, tmp_path: Pat
         assert int(np.argmin(away)) == number + 2
 
 
-def test_traces_of_a_part_hold_it_and_the_end_of_a_run_that_was_over() -> None:
-    time = np.arange(5) / 10.0
-    traces = Traces((Panel("x", (Curve("a", time, time**2, "k"),)),))
-    part = traces.between(0.1, 0.3)
-    np.testing.assert_array_equal(part.time, time[1:4])
-    np.testing.assert_array_equal(part.panels[0].curves[0].y, time[1:4] ** 2)
-    np.testing.assert_array_equal(traces.between(1.0, 2.0).time, time[-1:])
-
-
 def test_traces_are_the_record_s(record: Record) -> None:
-    traces = traces_of(record)
-    motion, pressures = traces.panels
+    motion, pressures = traces_of(record)
     assert motion.y_title == "heave [in]"
     response = {curve.name: curve.y for curve in motion.curves}["response"]
     np.testing.assert_array_equal(response, record["platform_pose"][:, 2] / units.INCH)
@@ -187,8 +179,8 @@ def test_panels_stand_in_columns_each_with_its_own_cursor() -> None:
     time = np.linspace(0.0, 1.0, 50)
     sine, cosine = np.sin(time), np.cos(time)
     curves = Curve("a", time, sine, "#0072b2"), Curve("b", time, cosine, "#d55e00")
-    traces = Traces(tuple(Panel(f"q{i} [m]", curves) for i in range(6)), columns=2)
-    picture = Strip(traces, 600, 300).picture(0.5)
+    panels = [Panel(f"q{i} [m]", curves) for i in range(6)]
+    picture = Strip(panels, 600, 300, (0.0, 1.0)).picture(0.5)
     assert picture.shape == (300, 600, 3)
     red = (picture == (200, 30, 30)).all(axis=2)
     drawn = np.flatnonzero(red.any(axis=1))
@@ -199,7 +191,7 @@ def test_panels_stand_in_columns_each_with_its_own_cursor() -> None:
 
 
 def test_traces_grow_from_left_to_right(record: Record) -> None:
-    strip = Strip(traces_of(record), 400, 200)
+    strip = Strip(traces_of(record), 400, 200, (0.0, 0.5))
     ink = [(255 - strip.picture(time)[..., :2].astype(int)).sum() for time in (0.0, 0.25, 0.5)]
     assert ink[0] < ink[1] < ink[2]
     cursors = [np.argmax((strip.picture(t) == (200, 30, 30)).all(2)[60]) for t in (0.1, 0.3)]
@@ -213,11 +205,11 @@ def test_the_video_command_compares_laws(tmp_path: Path) -> None:
     result = CliRunner().invoke(
         app,
         ["video", str(path), "--laws", "velocity,original", "--file", str(out), "--fps", "5"]
-        + ["--width", "160", "--height", "100", "--strip", "0"],
+        + ["--width", "160", "--height", "100"],
     )
     assert result.exit_code == 0, result.output
     with Image.open(out) as picture:
-        assert picture.size == (320, 100)
+        assert picture.size == (320, 290)
 
 
 @pytest.mark.slow

@@ -70,20 +70,22 @@ def modes_command(
     from cmf_mj.machine.kinematics import DOFS
     from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import modes as report
-    from cmf_mj.show.film.swing import SwingSettings, swing_film
+    from cmf_mj.show.film.film import FilmSettings
+    from cmf_mj.show.film.swing import swing_film
 
     plants = [Hexapod(name, hydraulics) for name in cabs]
     here = pose_option(pose)
     at_pose = [plant.hydraulic_modes(here) for plant in plants]
-    looks = SwingSettings(fps, speed, camera, width, height, units.to_si("in", stroke), periods)
+    looks, legs = FilmSettings(fps, speed, camera, width, height), units.to_si("in", stroke)
 
     # The search takes longest: what the rest refuses is refused before it.
     paths = []
     name = Path(video or "")
     for plant, modes in zip(plants, at_pose, strict=True) if video else ():
-        path, title = out / f"{name.stem}_{plant.cab}{name.suffix}", report.title_of(modes)
+        path = out / f"{name.stem}_{plant.cab}{name.suffix}"
+        swings: dict[str, Any] = {"stroke": legs, "periods": periods}
         with progress_bar("drawing") as progress:
-            paths.append(swing_film(plant, modes, path, looks, title=title, progress=progress))
+            paths.append(swing_film(plant, modes, path, looks, **swings, progress=progress))
     sweeps = [[sweep(plant, dof, count=points) for dof in DOFS] for plant in plants]
     maps = [[plane_map(p, pair, count=points) for pair in report.PLANES] for p in plants]
     with progress_bar() as progress:

@@ -39,7 +39,6 @@ def fly_command(
     camera: options.Camera = "overview",
     width: options.Width = 720,
     height: options.Height = 450,
-    strip: options.StripHeight = 300,
     out: options.Out = Path("out/fly"),
 ) -> None:
     """Fly an aircraft in the cab, once for each law, and compare what the pilot feels."""
@@ -54,7 +53,7 @@ def fly_command(
 
     loaded = [load_law(name) for name in laws]
     flown = load_flight(flight)
-    look = FilmSettings(fps, speed, camera, width, height, strip, None, start, seconds)
+    look = FilmSettings(fps, speed, camera, width, height, 300, start, seconds)
     if video is not None:
         check_film(hexapod_spec(cab).compile(), out / video, look)
     facility = FacilitySettings(electronics=noise_choice(noise))

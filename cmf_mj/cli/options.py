@@ -116,6 +116,5 @@ Speed = Annotated[float, Option(help="times real speed; below 1 is slow motion")
 Camera = Annotated[str, choice("cli.options:CAMERAS", "CAMERA", "overview, side or front")]
 Width = Annotated[int, Option(help="of the picture of one run or mode [pixels]")]
 Height = Annotated[int, Option(help="of the picture of one run or mode [pixels]")]
-StripHeight = Annotated[int, Option("--strip", help="height of the traces [pixels]; 0: none")]
 Start = Annotated[float, Option(help="time of the run at which a film begins [s]")]
 Seconds = Annotated[float | None, Option(help="length of a run or film [s]; default to the end")]

@@ -91,10 +91,6 @@ def video_command(
     camera: options.Camera = "overview",
     width: options.Width = 720,
     height: options.Height = 450,
-    strip: options.StripHeight = 190,
-    dof: Annotated[
-        str | None, choice(options.DOFS, "DOF", "of the traces; default: moves most")
-    ] = None,
     start: options.Start = 0.0,
     seconds: options.Seconds = None,
 ) -> None:
@@ -119,7 +115,7 @@ def video_command(
                 one = _with(base, law=law, cab=cab)
                 records.append(run_scenario(one, progress=progress))
                 titles.append(one.law if laws else one.title or Path(source).stem)
-    settings = FilmSettings(fps, speed, camera, width, height, strip, dof, start, seconds)
+    settings = FilmSettings(fps, speed, camera, width, height, start=start, seconds=seconds)
     with progress_bar("drawing") as progress:
         path = film(records, file, settings, titles=titles, progress=progress)
     show(f"written: {path}")

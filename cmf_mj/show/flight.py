@@ -12,7 +12,7 @@ from cmf_mj.pilot.fly import FlightResult, TransportDelay, error_spectra
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show.chart import Curve, Panel
-from cmf_mj.show.film.strip import Traces
+from cmf_mj.show.film.strip import Panels
 from cmf_mj.show.look import (
     BLUE,
     COLOURS,
@@ -36,7 +36,7 @@ def _motions(ride: FlightResult) -> list[Motion]:
     return [*aircraft, asked, Motion(ride.simulator, "cab", ORANGE, 0.9)]
 
 
-def flight_traces(ride: FlightResult) -> Traces:
+def flight_traces(ride: FlightResult) -> Panels:
     """Specific force and angular rate at the pilot's station as traces of a film."""
     lines = [(six(m), label, colour, width) for m, label, colour, width in _motions(ride)]
     time = ride.asked.time - ride.asked.time[0]
@@ -44,7 +44,7 @@ def flight_traces(ride: FlightResult) -> Traces:
     for index, name in enumerate(_NAMES):
         curves = (Curve(label, time, y[:, index], c, width=width) for y, label, c, width in lines)
         panels.append(Panel(f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]", tuple(curves)))
-    return Traces(tuple(panels), columns=2)
+    return panels
 
 
 def motion_figure(ride: FlightResult) -> Figure:

@@ -2,21 +2,32 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
+from fractions import Fraction
+from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, require
+from cmf_mj.core.files import whole_file
 from cmf_mj.machine import models
 from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.record.record import Record
-from cmf_mj.show.film.encoding import check_format, mp4_codec, write_film
 from cmf_mj.show.film.stage import Stage
-from cmf_mj.show.film.strip import Strip, Traces, traces_of
+from cmf_mj.show.film.strip import Panels, Strip, traces_of
+
+CODECS = ("libx264", "libopenh264", "mpeg4")
+"""Encoders of MP4 files in order of preference: H.264, else MPEG-4 part 2."""
+
+GIF_FPS = 50
+"""Pictures a second that programs show a GIF file at, at most."""
+
+Picture = NDArray[np.uint8]
+Progress = Callable[[int, int], None]
 
 
 class FilmSettings(NamedTuple):
@@ -28,10 +39,19 @@ class FilmSettings(NamedTuple):
     width: int = 720  #: Of the picture of one run [pixels], even.
     height: int = 450  #: [pixels], even.
     strip: int = 190  #: Height of the traces [pixels], even; 0 for none.
-    dof: str | None = None  #: Degree of freedom in the traces; default the one that moves most.
     start: float = 0.0  #: Time of the runs at which it begins [s].
     seconds: float | None = None
     """Time of the runs that it shows [s]; default to the end of the longest."""
+
+
+class Reel(NamedTuple):
+    """What one part of each picture shows."""
+
+    model: mujoco.MjModel  #: The machine.
+    time: NDArray[np.float64]  #: Of its configurations, rising [s], (n,).
+    qpos: NDArray[np.float64]  #: Its configurations, (n, nq).
+    title: str  #: Over the picture.
+    traces: Panels = ()  #: Under the picture.
 
 
 def film(
@@ -40,68 +60,62 @@ def film(
     settings: FilmSettings | None = None,
     *,
     titles: Sequence[str] = (),
-    traces: Sequence[Traces] = (),
-    progress: Callable[[int, int], None] | None = None,
+    traces: Sequence[Panels] = (),
+    progress: Progress | None = None,
 ) -> Path:
-    """Render runs to an MP4 or GIF file, by the name's end; it appears only when it is complete.
+    """Render runs side by side to an MP4 or GIF file; it appears only when it is complete.
 
     A film of t seconds of a run has t / speed x fps pictures, each of the last row before its time;
-    a shorter run rests at its end next to a longer one.
-
-    Args:
-        records: one run, or several side by side.
-        path: ends in .mp4 or .gif.
-        settings: how it looks.
-        titles: over each run; default its law.
-        traces: under each run; default `traces_of` its record.
-        progress: called with the pictures done and those in all.
-
-    Raises:
-        InputError: an argument out of range or a missing package, named.
+    a shorter run rests at its end next to a longer one. `titles` are the laws and `traces` are
+    `traces_of` the records by default; `progress` is called with the pictures done and those in
+    all. Raises `InputError` for an argument out of range, `MissingExtraError` without PyAV.
     """
-    chosen, target = settings or FilmSettings(), Path(path)
+    chosen = settings or FilmSettings()
     if not records:
         raise InputError("records: none is given; give at least one")
-    _check(target, chosen)
-    named = list(titles) or [str(record.metadata["law"]) for record in records]
+    check_settings(path, chosen)
     end = max(float(record.time[-1]) for record in records)
     if not 0.0 <= chosen.start < end:
         raise InputError(f"start: {chosen.start} s; allowed: from 0 to below {end:g} s")
     if chosen.seconds is not None:
         end = min(end, chosen.start + chosen.seconds)
+    named = titles or [str(record.metadata["law"]) for record in records]
+    every = traces or [traces_of(record) for record in records]
+    reels = [
+        Reel(model_of(record), record.time, record["generalised_position"], title, panels)
+        for record, title, panels in zip(records, named, every, strict=True)
+    ]
     count = int((end - chosen.start) / chosen.speed * chosen.fps) + 1
-    every = traces or [traces_of(record, chosen.dof) for record in records]
-    parts = [one.between(chosen.start, end) for one in every]
-    pictures = _pictures(records, named, parts, count, chosen)
-    return write_film(pictures, count, target, chosen.fps, progress=progress)
+    return write_reels(reels, count, path, chosen, columns=len(reels), progress=progress)
 
 
 def check_film(model: mujoco.MjModel, path: str | Path, settings: FilmSettings) -> None:
-    """Make sure that a film of a model can be made, before a long run for it.
-
-    Raises:
-        InputError: what `film` would refuse, named: settings, packages, OpenGL.
-    """
-    _check(Path(path), settings)
+    """Refuse what `film` would, before a long run for it: settings, packages, OpenGL."""
+    check_settings(path, settings)
     if Path(path).suffix == ".mp4":
-        mp4_codec()
+        _mp4_codec()
     with Stage(model, settings.width, settings.height, settings.camera):
         pass
 
 
-def _check(target: Path, settings: FilmSettings) -> None:
-    sizes = {"width": settings.width, "height": settings.height, "strip": settings.strip}
-    check_format(target, settings.fps, settings.speed, sizes)
+def check_settings(path: str | Path, settings: FilmSettings) -> None:
+    """Refuse a file name or settings that no film can have."""
+    target, fps, speed = Path(path), settings.fps, settings.speed
+    if target.suffix not in (".mp4", ".gif"):
+        raise InputError(f"out: {target.name} must end in .mp4 or .gif")
+    if not (np.isfinite(speed) and speed > 0.0) or fps < 1:
+        raise InputError(f"speed, fps: {speed}, {fps} must be greater than 0")
+    if target.suffix == ".gif" and fps > GIF_FPS:
+        raise InputError(f"fps: {fps} pictures a second of a GIF file must be at most {GIF_FPS}")
+    for name in ("width", "height", "strip"):
+        if getattr(settings, name) % 2:
+            raise InputError(f"{name}: {getattr(settings, name)} pixels must be even")
     if settings.seconds is not None and not settings.seconds > 0.0:
         raise InputError(f"seconds: {settings.seconds} must be greater than 0")
 
 
 def model_of(record: Record) -> mujoco.MjModel:
-    """The MuJoCo model that a record's `generalised_position` belongs to.
-
-    Raises:
-        InputError: the record is not of one of the project's two plants.
-    """
+    """The MuJoCo model that a record's `generalised_position` belongs to."""
     plant = record.metadata.get("plant")
     if plant == "hexapod":
         return hexapod_spec(str(record.metadata["cab"])).compile()
@@ -110,42 +124,100 @@ def model_of(record: Record) -> mujoco.MjModel:
     raise InputError(f"plant: {plant!r} of the record is not one of hexapod, single_legs")
 
 
-def _pictures(
-    records: Sequence[Record],
-    titles: Sequence[str],
-    traces: Sequence[Traces],
+def write_reels(
+    reels: Sequence[Reel],
     count: int,
-    chosen: FilmSettings,
-) -> Iterator[NDArray[np.uint8]]:
+    path: str | Path,
+    settings: FilmSettings,
+    *,
+    columns: int,
+    progress: Progress | None = None,
+) -> Path:
+    """Write a film of `count` pictures, its reels in rows of so many columns."""
+
+    def counted() -> Iterator[Picture]:
+        for number, picture in enumerate(_pictures(reels, count, settings, columns), start=1):
+            yield picture
+            if progress is not None:
+                progress(number, count)
+
+    target = Path(path)
+    write = _write_gif if target.suffix == ".gif" else _write_mp4
+    with whole_file(target) as partial:
+        write(counted(), partial, settings.fps)
+    return target
+
+
+def _pictures(
+    reels: Sequence[Reel], count: int, chosen: FilmSettings, columns: int
+) -> Iterator[Picture]:
+    times = chosen.start + np.arange(count) * chosen.speed / chosen.fps
     with ExitStack() as stack:
-        stages = [
-            stack.enter_context(Stage(model_of(r), chosen.width, chosen.height, chosen.camera))
-            for r in records
-        ]
-        strips = [Strip(t, chosen.width, chosen.strip, traces) for t in traces if chosen.strip]
-        for number in range(count):
-            time = chosen.start + number * chosen.speed / chosen.fps
-            columns = []
-            for index, (record, stage) in enumerate(zip(records, stages, strict=True)):
-                row = int(np.searchsorted(record.time, time + 1e-9, side="right")) - 1
-                scene = _titled(
-                    stage.picture(record["generalised_position"][row]), titles[index], time
-                )
-                parts = [scene, *(strip.picture(time) for strip in strips[index : index + 1])]
-                columns.append(np.vstack(parts))
-            yield np.hstack(columns)
+        stages: dict[mujoco.MjModel, Stage] = {}
+        for reel in reels:
+            if reel.model not in stages:
+                stage = Stage(reel.model, chosen.width, chosen.height, chosen.camera)
+                stages[reel.model] = stack.enter_context(stage)
+        every = [reel.traces for reel in reels if reel.traces and chosen.strip]
+        span = chosen.start, chosen.start + count * chosen.speed / chosen.fps
+        strips = [Strip(panels, chosen.width, chosen.strip, span, every) for panels in every]
+        for time in times:
+            clock = f"{time:.{2 if chosen.speed > 0.1 else 3}f} s"
+            parts = []
+            for reel in reels:
+                row = int(np.searchsorted(reel.time, time + 1e-9, side="right")) - 1
+                scene = stages[reel.model].picture(reel.qpos[row])
+                parts.append(_titled(scene, reel.title, clock))
+            for index, strip in enumerate(strips):
+                parts[index] = np.vstack([parts[index], strip.picture(time)])
+            rows = [parts[i : i + columns] for i in range(0, len(parts), columns)]
+            yield np.vstack([np.hstack(row) for row in rows])
 
 
-def _titled(scene: NDArray[np.uint8], title: str, time: float) -> NDArray[np.uint8]:
+def _titled(scene: Picture, *texts: str) -> Picture:
+    """A picture with text in its upper corners."""
     image = Image.fromarray(scene)
-    draw = ImageDraw.Draw(image)
-    font = ImageFont.load_default(size=max(scene.shape[0] // 24, 11))
-    edge = scene.shape[0] // 40
-    for place, text, anchor in (
-        ((edge, edge), title, "lt"),
-        ((scene.shape[1] - edge, edge), f"{time:.2f} s", "rt"),
-    ):
-        draw.text(
-            place, text, fill="white", font=font, anchor=anchor, stroke_width=1, stroke_fill="#223"
-        )
+    edge, font = scene.shape[0] // 40, ImageFont.load_default(size=max(scene.shape[0] // 24, 11))
+    style: dict[str, Any] = {"fill": "white", "stroke_width": 1, "stroke_fill": "#223"}
+    for x, text, anchor in zip((edge, scene.shape[1] - edge), texts, ("la", "ra"), strict=True):
+        ImageDraw.Draw(image).text((x, edge), text, font=font, anchor=anchor, **style)
     return np.asarray(image)
+
+
+def _write_mp4(pictures: Iterator[Picture], target: Path, fps: int) -> None:
+    codec, av = _mp4_codec(), require("av", "video")
+    first = next(pictures)
+    with av.open(str(target), "w", format="mp4") as container:
+        stream = container.add_stream(codec, rate=Fraction(fps))
+        stream.height, stream.width = first.shape[:2]
+        stream.pix_fmt = "yuv420p"
+        stream.bit_rate = 4_000_000
+        for picture in chain([first], pictures):
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+
+
+def _mp4_codec() -> str:
+    """The first encoder of MP4 files that opens; refused without PyAV or without encoders."""
+    av = require("av", "video")
+    for name in CODECS:
+        try:
+            av.codec.Codec(name, "w")
+        except (av.codec.codec.UnknownCodecError, ValueError):
+            continue
+        return name
+    raise InputError(f"out: PyAV has none of the encoders {', '.join(CODECS)}; write a .gif file")
+
+
+def _write_gif(pictures: Iterator[Picture], target: Path, fps: int) -> None:
+    # The legend of the first picture has the colours of all traces.
+    palette = (first := Image.fromarray(next(pictures))).quantize(method=Image.Quantize.MAXCOVERAGE)
+    begun, *others = (
+        image.quantize(palette=palette, dither=Image.Dither.NONE)
+        for image in chain([first], map(Image.fromarray, pictures))
+    )
+    # The file counts time in hundredths of a second.
+    ends = 10 * np.round(100.0 / fps * np.arange(len(others) + 2)).astype(int)
+    pace = {"duration": np.diff(ends).tolist(), "loop": 0}
+    begun.save(target, format="GIF", save_all=True, append_images=others, **pace)

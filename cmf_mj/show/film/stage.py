@@ -11,7 +11,6 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from functools import lru_cache
-from types import TracebackType
 from typing import Any, Self
 
 import mujoco
@@ -45,11 +44,7 @@ def has_display(environment: Mapping[str, str] | None = None) -> bool:
 
 
 def choose_backend(environment: Mapping[str, str] | None = None) -> str:
-    """Name of MuJoCo's OpenGL module to use: egl, osmesa, glfw or cgl.
-
-    Raises:
-        InputError: no OpenGL works; the message names the packages that bring one.
-    """
+    """Name of MuJoCo's OpenGL module to use: egl, osmesa, glfw or cgl; refused if none works."""
     variables = os.environ if environment is None else environment
     named = variables.get("MUJOCO_GL", "").lower().strip()
     if named in ("egl", "osmesa", "glfw", "cgl"):
@@ -77,11 +72,7 @@ class Stage:
     def __init__(
         self, model: mujoco.MjModel, width: int, height: int, camera: str = "overview"
     ) -> None:
-        """Open an off-screen buffer of width x height pixels, at most those of the model.
-
-        Raises:
-            InputError: size or camera, named, or no OpenGL.
-        """
+        """Open an off-screen buffer of width x height pixels, at most those of the model."""
         for name, value, most in (
             ("width", width, int(model.vis.global_.offwidth)),
             ("height", height, int(model.vis.global_.offheight)),
@@ -103,7 +94,7 @@ class Stage:
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._camera.fixedcamid = model.camera(camera).id
-        self._option, self._perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
+        self._option = mujoco.MjvOption()
         self._rectangle = mujoco.MjrRect(0, 0, _FINER * width, _FINER * height)
         self.model, self.shape = model, (height, width, 3)
         backend = choose_backend()
@@ -122,12 +113,7 @@ class Stage:
         """Nothing more to open."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Give the buffer back."""
         self._gl.make_current()
         self._context.free()
@@ -138,15 +124,8 @@ class Stage:
         self._data.qpos[:] = qpos
         mujoco.mj_forward(self.model, self._data)
         self._gl.make_current()
-        mujoco.mjv_updateScene(
-            self.model,
-            self._data,
-            self._option,
-            self._perturb,
-            self._camera,
-            mujoco.mjtCatBit.mjCAT_ALL.value,
-            self._scene,
-        )
+        look = self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(self.model, self._data, *look, self._scene)
         height, width, _ = self.shape
         pixels = np.empty((_FINER * height, _FINER * width, 3), dtype=np.uint8)
         mujoco.mjr_render(self._rectangle, self._scene, self._context)

@@ -36,11 +36,7 @@ class LiveView:
     """A run between two pictures: pace, pause and pulls."""
 
     def __init__(self, run: ScenarioRun, speed: float = 1.0) -> None:
-        """Show a run, which is advanced from here, at a multiple of real speed.
-
-        Raises:
-            InputError: the speed is not greater than 0.
-        """
+        """Show a run, which is advanced from here, at a multiple of real speed."""
         if not (np.isfinite(speed) and speed > 0.0):
             raise InputError(f"speed: {speed} must be greater than 0")
         self.run, self.speed, self.paused = run, speed, False
@@ -107,16 +103,10 @@ def show(
     save: Callable[[ScenarioRun], None] | None = None,
     launch: Callable[..., Any] | None = None,
 ) -> None:
-    """Open a window on a run until it is closed, or the run is over.
+    """Open a window on a run until it is closed, the run is over or `seconds` of wall time are.
 
-    Args:
-        view: the run.
-        seconds: wall time after which it closes by itself; default never.
-        save: called when S is pressed.
-        launch: opens the window; default MuJoCo's `viewer.launch_passive`.
-
-    Raises:
-        InputError: there is no display, or no OpenGL on it; the message says what to do.
+    `save` is called when S is pressed; `launch` opens the window, by default MuJoCo's
+    `viewer.launch_passive`. Raises `InputError` without a display, or without OpenGL on it.
     """
     if launch is None:
         if not has_display():

@@ -10,7 +10,6 @@ import viser
 
 from cmf_mj.control.law import Law, law_names, load_law
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
 from cmf_mj.facility.scenario.settings import (
     Change,
     Push,
@@ -26,8 +25,8 @@ from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.parameters.loading import HYDRAULICS
 from cmf_mj.show.studio import choices
-from cmf_mj.show.studio.desk import Desk, add_upload, by_hand, pick
-from cmf_mj.show.studio.gains import Knob, knobs, law_as_gains
+from cmf_mj.show.studio.desk import Desk, by_hand, pick
+from cmf_mj.show.studio.gains import Knob, knobs
 from cmf_mj.show.studio.live import View
 from cmf_mj.signals.signal import SingleSignal
 
@@ -148,62 +147,40 @@ class SignalControls:
         by_hand(self._moved, *self._settings.values())
 
 
-class LawControls:
-    """The law, shipped or from a file, and a slider for each of its gains."""
+def law_controls(desk: Desk) -> None:
+    """The law, and a slider for each of its gains."""
+    gui = desk.client.gui
+    chosen = gui.add_dropdown("law", law_names("all"), initial_value="velocity")
+    folder = gui.add_folder("gains", expand_by_default=False)
+    sliders: list[viser.GuiSliderHandle[float]] = []
 
-    def __init__(self, desk: Desk) -> None:
-        """Add them to the container in force."""
-        self._desk = desk
-        self._files: dict[str, Law] = {}
-        gui = desk.client.gui
-        self._law = gui.add_dropdown("law", law_names("all"), initial_value="velocity")
-        by_hand(lambda law: self._choose(law.value), self._law)
-        add_upload(desk, "law from a file", ".toml", self._open)
-        self._folder = gui.add_folder("gains", expand_by_default=False)
-        self._sliders: list[viser.GuiSliderHandle[float]] = []
-        desk.follow(self._follow)
+    def choose(_: Any) -> None:
+        desk.apply(Change(law=chosen.value))
+        show(load_law(chosen.value))
 
-    def _follow(self, scenario: Scenario) -> None:
-        pick(self._law, scenario.law)
-        self._show_gains(overlaid_law(load_law(scenario.law), scenario.gains))
+    def follow(scenario: Scenario) -> None:
+        pick(chosen, scenario.law)
+        show(overlaid_law(load_law(scenario.law), scenario.gains))
 
-    def _open(self, file: viser.UploadedFile) -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / (Path(file.name).name or "file")
-            path.write_bytes(file.content)
-            try:
-                law = load_law(path)
-            except ValueError as error:
-                raise InputError(str(error).replace(f"{folder}/", "")) from None
-        option = f"{law.name} (file)"
-        self._files[option] = law
-        pick(self._law, option)
-        self._choose(option)
-
-    def _choose(self, option: str) -> None:
-        law = self._files.get(option)
-        table = {"law": option} if law is None else law_as_gains(law)
-        self._desk.apply(change_of(table, "law"))
-        self._show_gains(law or load_law(option))
-
-    def _show_gains(self, law: Law) -> None:
-        for slider in self._sliders:
+    def show(law: Law) -> None:
+        for slider in sliders:
             slider.remove()
-        with self._folder:
-            self._sliders = [self._slider(knob) for knob in knobs(law)]
+        with folder:
+            sliders[:] = [add_slider(knob) for knob in knobs(law)]
 
-    def _slider(self, knob: Knob) -> viser.GuiSliderHandle[float]:
+    def add_slider(knob: Knob) -> viser.GuiSliderHandle[float]:
         step = (knob.high - knob.low) / _STEPS
-        slider = self._desk.client.gui.add_slider(
-            knob.label, knob.low, knob.high, step, knob.value, hint=knob.hint
-        )
+        slider = gui.add_slider(knob.label, knob.low, knob.high, step, knob.value, hint=knob.hint)
 
         def moved(_: Any) -> None:
-            change = change_of({"gains": knob.table(slider.value)}, "gains")
-            self._desk.later(knob.hint, lambda: self._desk.apply(change))
+            change = Change(gains=knob.table(slider.value))
+            desk.later(knob.hint, lambda: desk.apply(change))
 
         by_hand(moved, slider)
         return slider
+
+    by_hand(choose, chosen)
+    desk.follow(follow)
 
 
 def machine_controls(desk: Desk) -> None:
@@ -279,7 +256,11 @@ def file_controls(desk: Desk) -> None:
             content = record.save(Path(folder) / "session.parquet").read_bytes()
         send("session.parquet", content, save_immediately=True)
 
-    def load(file: viser.UploadedFile) -> None:
-        desk.begin(read_scenario(file.content.decode("utf-8"), file.name))
+    upload = gui.add_upload_button("load scenario", mime_type=".toml", icon="file-upload")
 
-    add_upload(desk, "load scenario", ".toml", load)
+    @upload.on_upload
+    def _(_: Any) -> None:
+        try:
+            desk.begin(read_scenario(upload.value.content.decode("utf-8"), upload.value.name))
+        except ValueError as error:
+            desk.tell(error)

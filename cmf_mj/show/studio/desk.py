@@ -106,17 +106,3 @@ def pick(handle: viser.GuiDropdownHandle[str], value: str) -> None:
     if value not in handle.options:
         handle.options = (*handle.options, value)
     handle.value = value
-
-
-def add_upload(
-    desk: Desk, label: str, mime_type: str, use: Callable[[viser.UploadedFile], None]
-) -> None:
-    """A button for a file of the browser; what `use` refuses is shown."""
-    button = desk.client.gui.add_upload_button(label, mime_type=mime_type, icon="file-upload")
-
-    @button.on_upload
-    def _(event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
-        try:
-            use(event.target.value)
-        except ValueError as error:
-            desk.tell(error)

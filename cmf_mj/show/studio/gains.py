@@ -6,9 +6,6 @@ from typing import Any, NamedTuple
 from cmf_mj.control.law import Law
 from cmf_mj.facility.scenario.settings import overlaid_law
 
-_BASE = "velocity"
-"""Law that a law from the page replaces field by field; it follows no model."""
-
 _LETTERS = {"input_gain": "B", "direct_gain": "D", "state_gain": "A", "output_gain": "C"}
 
 _UNITS = {
@@ -60,12 +57,6 @@ def knobs(law: Law) -> tuple[Knob, ...]:
     """One knob for each number of a law that is not zero."""
     data = law.model_dump(include={*_LETTERS, "reference_model"}, exclude_none=True)
     return tuple(_knob(law, path, value) for path, value in _numbers(data) if value != 0.0)
-
-
-def law_as_gains(law: Law) -> dict[str, Any]:
-    """A law of a file as a change that needs no file: `law` and the `gains` that make it."""
-    gains = law.model_dump(exclude={"name", "title", "source"}, exclude_none=True)
-    return {"law": _BASE, "gains": gains}
 
 
 def _numbers(data: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[Any, float]]:

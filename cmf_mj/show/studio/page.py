@@ -47,7 +47,7 @@ class Page:
         with gui.add_folder("Signal"):
             self._signal = controls.SignalControls(desk)
         with gui.add_folder("Law"):
-            controls.LawControls(desk)
+            controls.law_controls(desk)
         with gui.add_folder("Disturbance"):
             controls.disturbance_controls(desk)
         with gui.add_folder("Machine"):
@@ -64,8 +64,6 @@ class Page:
             self._leg = gui.add_dropdown("leg of the pressures", controls.LEGS)
             self._window = gui.add_dropdown("window [s]", _WINDOWS, initial_value="10")
             self._drawn = gui.add_checkbox("plots on", True)
-            self._shadows = gui.add_checkbox("shadows", False, hint="needs a GPU in the browser")
-            self._shadows.on_update(lambda event: self._scene.cast_shadows(event.target.value))
         panel.dock_left()
         panel.set_width(_PANEL_WIDTH)
 
@@ -85,5 +83,4 @@ class Page:
     def _show_cab(self, scenario: Scenario) -> None:
         with self._lock:
             if self._scene.cab != scenario.cab:
-                shadows = self._shadows.value
-                self._scene = MachineScene(self.desk.client, scenario.cab, shadows=shadows)
+                self._scene = MachineScene(self.desk.client, scenario.cab)

@@ -36,18 +36,13 @@ def place_camera(client: viser.ClientHandle) -> None:
 class MachineScene:
     """The hexapod with one cab in one tab, and the push on it."""
 
-    def __init__(self, client: viser.ClientHandle, cab: str, *, shadows: bool = False) -> None:
-        """Send the geometry, in the place of all that the tab showed.
-
-        The key light casts shadows on request; a browser without a GPU then draws less than a
-        picture a second.
-        """
+    def __init__(self, client: viser.ClientHandle, cab: str) -> None:
+        """Send the geometry, in the place of all that the tab showed."""
         self.cab = cab
         """The cab in the scene."""
         self._client = client
         client.scene.reset()
         self._light()
-        self.cast_shadows(shadows)
         # A new model: the scene scales the looks of its model.
         self._model = hexapod_spec(cab).compile()
         self._data = mujoco.MjData(self._model)
@@ -71,12 +66,6 @@ class MachineScene:
         self._data.qpos[:] = np.asarray(qpos, dtype=float)
         mujoco.mj_kinematics(self._model, self._data)
         self._machine.update_from_mjdata(self._data)
-
-    def cast_shadows(self, shadows: bool) -> None:
-        """Turn the shadows of the key light on or off."""
-        self._client.scene.add_light_directional(
-            "/lights/key", intensity=2.8, position=(6.0, -8.0, 9.0), cast_shadow=shadows
-        )
 
     def show_push(self, share: ArrayLike) -> None:
         """Draw the push, a share (3,) of the largest, as an arrow that points at the cab."""
@@ -106,3 +95,6 @@ class MachineScene:
         scene.configure_default_lights(enabled=False)
         scene.add_light_ambient("/lights/ambient", intensity=1.7)
         scene.add_light_directional("/lights/fill", intensity=1.2, position=(-6.0, 7.0, 6.0))
+        # Without shadows: a browser without a GPU draws less than a picture a second with them.
+        key = {"intensity": 2.8, "position": (6.0, -8.0, 9.0), "cast_shadow": False}
+        scene.add_light_directional("/lights/key", **key)

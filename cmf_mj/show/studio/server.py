@@ -20,16 +20,10 @@ class Studio:
     def __init__(
         self, host: str = "127.0.0.1", port: int = 8048, scenario: Scenario | None = None
     ) -> None:
-        """Begin to serve.
+        """Begin to serve; other machines reach it with the host `0.0.0.0`.
 
-        Args:
-            host: address to listen on; other machines reach it with `0.0.0.0`.
-            port: TCP port; the next free one is taken if it is in use.
-            scenario: what each tab begins with; default `first_scenario`.
-
-        Raises:
-            InputError: the scenario is refused.
-            OSError: the address cannot be listened on.
+        The next free port is taken if `port` is in use. Each tab begins with `scenario`, by
+        default `first_scenario`.
         """
         self._scenario = scenario or first_scenario()
         # Compile the loop before the first tab waits for it.
