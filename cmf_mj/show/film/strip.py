@@ -12,7 +12,7 @@ from cmf_mj.core import units
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.record.record import Record
-from cmf_mj.show.chart import Curve, Panel, plot_curves
+from cmf_mj.show.chart import Curve, Panel
 from cmf_mj.show.look import BLUE, DARK, GREEN, GREY, ORANGE
 
 _DPI = 100
@@ -86,7 +86,10 @@ class Strip:
         shared = len({tuple(curve.name for curve in panel.curves) for panel in panels}) == 1
         axes = list(grid.T.ravel())
         for axis, panel, *others in zip(axes, panels, *(every or [panels]), strict=True):
-            lines = plot_curves(axis, panel.curves)
+            lines = [
+                axis.plot(c.x, c.y, color=c.colour, linewidth=c.width, label=c.name)[0]
+                for c in panel.curves
+            ]
             axis.set(xlim=span, ylim=_limits(others, span))
             axis.set_ylabel(panel.y_title, fontsize=letters)
             axis.grid(True, color="0.92", linewidth=0.6)
@@ -97,7 +100,7 @@ class Strip:
             axis.set_xlabel("time [s]", fontsize=letters)
         if shared:
             below: dict[str, Any] = {"loc": "outside lower center", "ncols": len(lines)}
-            figure.legend(handles=list(lines.values()), **below, **(small | {"fontsize": letters}))
+            figure.legend(handles=lines, **below, **(small | {"fontsize": letters}))
         figure.align_ylabels()
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
@@ -106,9 +109,8 @@ class Strip:
         self._pale = (255 - _PALE * (255.0 - self._full)).astype(np.uint8)
         self._boxes = []
         for axis in axes:
-            box = axis.get_window_extent()
-            inside = slice(height - round(box.y1) + 1, height - round(box.y0) - 1)
-            self._boxes.append((inside, round(box.x0) + 1, round(box.x1) - 1))
+            (left, low), (right, high) = axis.get_window_extent().get_points().round().astype(int)
+            self._boxes.append((slice(height - high + 1, height - low - 1), left + 1, right - 1))
 
     def picture(self, time: float) -> NDArray[np.uint8]:
         """The strip at a time [s], (height, width, 3)."""
