@@ -23,7 +23,6 @@ from cmf_mj.core.files import write_csv
 from cmf_mj.show.look import (
     GREY,
     bode_axes,
-    grid,
     legend,
     new_figure,
     plot_bode,
@@ -155,17 +154,17 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
     axis.axhline(1.0, color=GREY, linewidth=0.8)
     axis.set(xlabel="time after the step [s]", ylabel="leg position over demand", title=title)
     legend(gain, axis)
-    grid(axis)
     return bode, step
 
 
 def save_linear(loops: Sequence[LawLoop], rows: Sequence[TableRow], folder: Path) -> list[Path]:
     """Write the tables as CSV and all figures as PNG."""
     effects = gain_effects()
-    figures: dict[str, Figure] = {}
+    figures = {}
     for law in dict.fromkeys(item.law.name for item in loops):
-        bode, step = loop_figures([item for item in loops if item.law.name == law])
-        figures |= {f"bode_{law}": bode, f"step_{law}": step}
+        figures[f"bode_{law}"], figures[f"step_{law}"] = loop_figures(
+            [item for item in loops if item.law.name == law]
+        )
     loop_header = ("law", "model", *(_READINGS.get(name, name) for name in _LOOP_COLUMNS))
     measures = [
         (item.law.name, item.model, *(getattr(item.measures, name) for name in _LOOP_COLUMNS))

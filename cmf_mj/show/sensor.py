@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.replay import Replay
-from cmf_mj.show.look import BLUE, ORANGE, grid, new_figure, save_figure
+from cmf_mj.show.look import BLUE, ORANGE, save_figure, stack
 from cmf_mj.show.table import Table
 from cmf_mj.studies.accelerometer_filter import FREQUENCY, REPORTED_REST, FilterEffect
 
@@ -30,21 +30,17 @@ def effect_table(effect: FilterEffect) -> Table:
 
 def replay_figure(replayed: Replay) -> Figure:
     """Recorded and replayed compensator output of all legs, and their difference."""
-    figure = new_figure(9.0, 8.0)
-    *legs, apart = figure.subplots(replayed.output.shape[1] + 1, 1, sharex=True)
-    for leg, axis in enumerate(legs):
-        if replayed.recorded is not None:
-            axis.plot(
-                replayed.time, 100.0 * replayed.recorded[:, leg], color="#bbbbbb", linewidth=3.0
-            )
-        axis.plot(replayed.time, 100.0 * replayed.output[:, leg], color=BLUE, linewidth=0.8)
-        axis.set_ylabel(f"leg {leg + 1} [%]", fontsize=8)
-    if replayed.recorded is not None:
-        difference = 100.0 * np.abs(replayed.output - replayed.recorded).max(axis=1)
+    output, recorded = 100.0 * replayed.output, replayed.recorded
+    names = [f"leg {leg + 1} [%]" for leg in range(output.shape[1])]
+    figure, (*legs, apart) = stack(9.0, 8.0, *names, "largest\ndifference [%]")
+    if recorded is not None:
+        for axis, values in zip(legs, 100.0 * recorded.T, strict=True):
+            axis.plot(replayed.time, values, color="#bbbbbb", linewidth=3.0)
+        difference = np.abs(output - 100.0 * recorded).max(axis=1)
         apart.plot(replayed.time, difference, color=ORANGE, linewidth=0.8)
-    apart.set(ylabel="largest\ndifference [%]", xlabel="time [s]")
+    for axis, values in zip(legs, output.T, strict=True):
+        axis.plot(replayed.time, values, color=BLUE, linewidth=0.8)
     legs[0].set_title(f"compensator output: recorded (grey) and {replayed.law} replayed (blue)")
-    grid(*legs, apart)
     return figure
 
 

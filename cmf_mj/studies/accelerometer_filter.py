@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from cmf_mj import signals
 from cmf_mj.analysis.sine import fit_sines
-from cmf_mj.control.feedback import LegFeedback, filter_acceleration, make_feedback, noise_gain
+from cmf_mj.control.feedback import LegFeedback, noise_gain
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
-from cmf_mj.core.compiled import compiled
 from cmf_mj.core.rates import FRAME
 from cmf_mj.electronics.sensors.settings import SensorSettings, load_sensors
 from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
@@ -66,29 +66,18 @@ class FilterEffect(NamedTuple):
         return self.filtered_rms / self.raw_rms if self.raw_rms > 0.0 else float("nan")
 
 
-@compiled
-def _filter(feedback, raw, filtered):  # type: ignore[no-untyped-def]
-    """Filter histories (N, n) with the filter of the DCL, settled on the first sample."""
-    still = feedback.accelerometer_gain / (1.0 - feedback.accelerometer_pole)
-    for leg in range(raw.shape[1]):
-        filtered[0, leg] = still * raw[0, leg]
-        for frame in range(raw.shape[0] - 1):
-            filtered[frame + 1, leg] = filter_acceleration(
-                feedback, filtered[frame, leg], raw[frame, leg]
-            )
-
-
 def _readings(
     truth: LegFeedback, settings: SensorSettings, law: Law, seed: int, skip: int
 ) -> Readings:
-    """Read histories, filter, and leave out the first `skip` frames."""
+    """Read histories, filter from rest on the first sample, leave out the first `skip` frames."""
     perfect = SensorSettings(name="perfect", gravity=settings.gravity)
-    rate = 1.0 / FRAME
-    clean, _ = sense_history(make_sensors(perfect, rate), truth)
-    sensed, _ = sense_history(make_sensors(settings, rate, seed), truth)
-    filtered = np.empty_like(sensed.acceleration)
-    _filter(make_feedback(law), sensed.acceleration, filtered)
-    return Readings(clean.acceleration[skip:], sensed.acceleration[skip:], filtered[skip:])
+    clean, raw = (
+        sense_history(make_sensors(which, 1.0 / FRAME, seed), truth)[0].acceleration
+        for which in (perfect, settings)
+    )
+    a, b = law.accelerometer_pole, law.accelerometer_gain
+    filtered, _ = lfilter([0.0, b], [1.0, -a], raw, axis=0, zi=b / (1.0 - a) * raw[:1])
+    return Readings(clean[skip:], raw[skip:], filtered[skip:])
 
 
 def _tone(values: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -97,7 +86,7 @@ def _tone(values: NDArray[np.float64]) -> NDArray[np.complex128]:
     return fit_sines(values, angle).amplitude[0]
 
 
-def truth_of(record: Record) -> LegFeedback:
+def _truth(record: Record) -> LegFeedback:
     """What a record holds of the legs' true motion and pressures."""
     return LegFeedback(*(record[channel] for channel in FEEDBACK.values()))
 
@@ -111,15 +100,8 @@ def filter_effect(
 ) -> FilterEffect:
     """Read the leg accelerometers at rest and in the motion of Figure 3-16, and filter them.
 
-    Args:
-        sensors: `ideal`, `noisy`, a TOML file or a loaded set.
-        law: whose filter it is, and which moves the hexapod with its default cab; the DCL itself
-            reads the truth.
-        seed: of the noise.
-        duration: time at rest [s].
-
-    Raises:
-        InputError: a refused set, law or seed, or a duration that is not positive.
+    The law, whose filter it is, moves the hexapod with its default cab on true feedback; `seed` is
+    of the noise, `duration` the time at rest [s].
     """
     signals.check_positive(duration=duration)
     settings, loaded = load_sensors(sensors), load_law(law)
@@ -127,12 +109,12 @@ def filter_effect(
     hold = simulate(plant, loaded, np.zeros((2, 6)))
     settle = round(0.5 / FRAME)
     still = LegFeedback(
-        *(np.tile(c[0], (round(duration / FRAME) + settle, 1)) for c in truth_of(hold))
+        *(np.tile(c[0], (round(duration / FRAME) + settle, 1)) for c in _truth(hold))
     )
     rest = _readings(still, settings, loaded, seed, settle)
     cycles = 12
     command = signals.sine("heave", AMPLITUDE, FREQUENCY, cycles=cycles, fade=2.0 / FREQUENCY)
-    moving = truth_of(simulate(plant, loaded, command))
+    moving = _truth(simulate(plant, loaded, command))
     period = 1.0 / (FREQUENCY * FRAME)
     skip, end = round(4 * period), round(9 * period)
     motion = _readings(LegFeedback(*(c[:end] for c in moving)), settings, loaded, seed, skip)
