@@ -523,6 +523,8 @@ def test_arguments_out_of_range_are_refused(hexapod: Hexapod) -> None:
         leg_model(system, 7)
     with pytest.raises(ValueError, match="outputs: 'speed' is not one of"):
         reduced(system, outputs=["speed"])
+    with pytest.raises(ValueError, match="system: must be continuous, with one input and one"):
+        minimal(system)
     with pytest.raises(ValueError, match="plant: has 1 legs"):
         dof_model(system, slide(), None, "heave")
     with pytest.raises(ValueError, match="ratio: -1"):
