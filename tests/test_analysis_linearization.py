@@ -20,7 +20,7 @@ from cmf_mj.analysis.linear.mechanics import linear_mechanics
 from cmf_mj.analysis.linear.operating_point import operating_point
 from cmf_mj.analysis.linear.poles import modes
 from cmf_mj.analysis.linear.ports import port_slopes
-from cmf_mj.analysis.linear.reduction import dof_model, leg_model, minimal, reduced
+from cmf_mj.analysis.linear.reduction import dof_model, leg_model, reduced
 from cmf_mj.analysis.sine import fit_sines
 from cmf_mj.core import units
 from cmf_mj.facility.simulation import drive
@@ -426,11 +426,10 @@ def test_mean_of_the_slopes_would_not_agree(hexapod: Hexapod) -> None:
     assert np.abs(result.gain_error).max() < 0.5
 
 
-def test_reduced_and_minimal_systems_answer_alike(hexapod: Hexapod) -> None:
+def test_reduced_systems_answer_alike(hexapod: Hexapod) -> None:
     system = linearize(hexapod)
     heave = reduced(dof_model(system, hexapod, None, "heave"), outputs=["heave"])
-    small = minimal(heave)
-    assert small.nstates < heave.nstates < system.nstates
+    assert heave.nstates < system.nstates
     jacobian_legs = pose_to_legs(np.array([0.0, 0.0, 1e-6, 0.0, 0.0, 0.0])) / 1e-6
     legs = [f"leg_position_{i + 1}" for i in range(6)]
     for frequency in (0.1, 3.0, 11.0, 30.0):
@@ -439,7 +438,6 @@ def test_reduced_and_minimal_systems_answer_alike(hexapod: Hexapod) -> None:
         answer = reduced(system, outputs=legs)(s) @ jacobian_legs
         expected = np.linalg.lstsq(jacobian_legs[:, None], answer, rcond=None)[0][0]
         assert heave(s) == pytest.approx(expected, rel=2e-3)
-        assert small(s) == pytest.approx(heave(s), rel=1e-6)
     uncoupled = leg_model(linearize(SingleLegs()), 4)
     assert uncoupled.state_labels == [
         f"{name}_4"
@@ -523,8 +521,6 @@ def test_arguments_out_of_range_are_refused(hexapod: Hexapod) -> None:
         leg_model(system, 7)
     with pytest.raises(ValueError, match="outputs: 'speed' is not one of"):
         reduced(system, outputs=["speed"])
-    with pytest.raises(ValueError, match="system: must be continuous, with one input and one"):
-        minimal(system)
     with pytest.raises(ValueError, match="plant: has 1 legs"):
         dof_model(system, slide(), None, "heave")
     with pytest.raises(ValueError, match="ratio: -1"):

@@ -1,7 +1,7 @@
 """Smaller systems: one leg, one degree of freedom, and without states that do nothing.
 
 A linearised machine has states that some input never reaches or some output never shows: the valves
-of other legs, the supply while the valves are closed. Nothing needs SLICOT.
+of other legs, the supply while the valves are closed.
 """
 
 from collections.abc import Sequence
@@ -9,7 +9,6 @@ from collections.abc import Sequence
 import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg
 
 from cmf_mj.analysis.linear.law import FEEDBACK, labels, spread
 from cmf_mj.core.errors import InputError, check_name
@@ -18,13 +17,6 @@ from cmf_mj.machine.kinematics import DOFS, pose_jacobian, read_geometry
 from cmf_mj.plant.plant import Plant
 
 Matrix = NDArray[np.float64]
-
-_SAME = 1e-6
-"""Distance of poles that coincide, over 1 rad/s and their size."""
-_DEFECTIVE = 1e12
-"""Condition of the eigenvectors of a system with defective poles."""
-_AXIS = (1e-3, 1e5)
-"""Frequencies at which modes are weighed [rad/s]."""
 
 
 def reduced(
@@ -64,58 +56,6 @@ def _chosen(field: str, names: Sequence[str] | None, there: list[str]) -> list[i
     if len(names) == 0:
         raise InputError(f"{field}: none is given; allowed: some of {', '.join(there)}")
     return [there.index(check_name(field, name, there)) for name in names]
-
-
-def minimal(system: control.StateSpace, tolerance: float = 1e-4) -> control.StateSpace:
-    """A system of the modes that matter, poles that coincide taken together.
-
-    H(s) = D + sum of r_i / (s - p_i): coinciding poles are one, and a mode is dropped that nowhere
-    on the imaginary axis makes up `tolerance` of H; 0 keeps all that are reached and observed. For
-    sums of like parts, such as six valves behind one degree of freedom, which `reduced` cannot see
-    through. The system is continuous, with one input, one output and no defective poles; the states
-    lose their names.
-    """
-    if not (system.isctime() and system.issiso()):
-        raise InputError("system: must be continuous, with one input and one output")
-    matrix, (scale, _) = linalg.matrix_balance(np.asarray(system.A), permute=False, separate=True)
-    poles, right = np.linalg.eig(matrix)
-    if poles.size and np.linalg.cond(right) > _DEFECTIVE:
-        raise InputError("system: has defective poles, which have no separate modes")
-    b = np.linalg.solve(right, system.B[:, 0] / scale)
-    c = system.C[0] * scale @ right
-    s = 1j * np.geomspace(*_AXIS, 2000)
-    groups = [np.flatnonzero(np.abs(poles - p) < _SAME * (1.0 + abs(p))) for p in poles]
-    groups = [g for i, g in enumerate(groups) if g[0] == i and poles[i].imag > -_SAME]
-    modes = []
-    for group in groups:
-        pole, residue = poles[group].mean(), c[group] @ b[group]
-        real = abs(pole.imag) < _SAME * (1.0 + abs(pole))
-        part = residue / (s - pole)
-        if not real:
-            part = part + np.conj(residue) / (s - np.conj(pole))
-        modes.append((complex(pole), complex(residue), real, part))
-    whole = np.abs(system.D[0, 0] + sum(part for *_, part in modes)) + np.finfo(float).tiny
-    blocks: list[tuple[ArrayLike, ArrayLike, ArrayLike]] = []
-    for pole, residue, real, part in modes:
-        if (np.abs(part) <= tolerance * whole).all():
-            continue
-        root = np.sqrt(abs(residue))
-        seen = residue / root
-        if real:
-            blocks.append(([[pole.real]], [[root]], [[seen.real]]))
-        else:
-            turn = [[pole.real, -pole.imag], [pole.imag, pole.real]]
-            blocks.append((turn, [[root], [0.0]], [[2.0 * seen.real, -2.0 * seen.imag]]))
-    a, drive, read = zip(*blocks, strict=True)
-    return control.ss(
-        linalg.block_diag(*a),
-        np.vstack(drive),
-        np.hstack(read),
-        system.D,
-        inputs=system.input_labels,
-        outputs=system.output_labels,
-        name=system.name,
-    )
 
 
 def leg_model(system: control.StateSpace, leg: int) -> control.StateSpace:
