@@ -108,7 +108,7 @@ def markdown(result: Examination) -> str:
 def residual_figure(calibration: Calibration) -> Figure:
     """Deviations over their tolerance, as shipped and as fitted."""
     pairs = [pair for pair in _pairs(calibration) if pair[0].deviation == pair[0].deviation]
-    figure = new_figure(7.5, 1.3 + 0.21 * len(pairs))
+    figure = new_figure(7.5, 1.3 + 0.21 * len(pairs), gridded=False)
     axes = figure.subplots()
     axes.axvspan(-1.0, 1.0, color="0.92")
     axes.axvline(0.0, color=GREY, linewidth=0.8)
@@ -138,7 +138,7 @@ def sensitivity_figure(result: Sensitivity, name: str) -> Figure:
     values = result.derivative.reshape(len(labels), len(result.parameters))
     known = ~np.all(np.isnan(values), axis=1)
     labels, values = [label for label, k in zip(labels, known, strict=True) if k], values[known]
-    figure = new_figure(7.5, 1.6 + 0.24 * len(labels))
+    figure = new_figure(7.5, 1.6 + 0.24 * len(labels), gridded=False)
     axes = figure.subplots()
     image = axes.imshow(values, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="auto")
     style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 7}
