@@ -193,7 +193,7 @@ def test_session_goes_with_the_wall_clock_and_its_scenario_repeats_it(screen: Sc
     session.pause(True)
     scenario, record = session.scenario().result(), session.record().result()
     session.close()
-    assert not session.alive and not screen.errors
+    assert not session._thread.is_alive() and not screen.errors
     assert len(scenario.change) == 5
     again = run_scenario(scenario)
     assert set(again.channels) == set(record.channels)

@@ -222,7 +222,7 @@ def test_two_tabs_do_not_disturb_one_another(tab: Tab, browser: Browser, studio:
     assert other.time() == stopped
     tab.status("law velocity")
     other.close()
-    tab.wait(lambda: not other.behind.live.alive)  # closing the tab ends its thread
+    tab.wait(lambda: not other.behind.live._thread.is_alive())  # closing the tab ends its thread
     assert other.errors == []
     since = tab.time()
     tab.wait(lambda: tab.time() > since + 0.5)

@@ -73,23 +73,18 @@ class Stage:
         self, model: mujoco.MjModel, width: int, height: int, camera: str = "overview"
     ) -> None:
         """Open an off-screen buffer of width x height pixels, at most those of the model."""
-        for name, value, most in (
-            ("width", width, int(model.vis.global_.offwidth)),
-            ("height", height, int(model.vis.global_.offheight)),
-        ):
+        for name, value in (("width", width), ("height", height)):
+            most = getattr(model.vis.global_, f"off{name}")
             if not 16 <= value <= most:
                 raise InputError(f"{name}: {value} pixels must be between 16 and {most}")
-        cameras = [model.camera(i).name for i in range(model.ncam)]
-        check_name("camera", camera, cameras)
+        check_name("camera", camera, [model.camera(i).name for i in range(model.ncam)])
         # Software OpenGL pays for vertices, for the shadow map and, most of all, for
         # multisampling: twice the pixels each way, averaged, look as good for 60 % of the time.
         model = copy.copy(model)
         quality, buffer = model.vis.quality, model.vis.global_
         buffer.offwidth, buffer.offheight = _FINER * width, _FINER * height
         quality.offsamples, quality.numslices, quality.numstacks = 0, 20, 10
-        quality.shadowsize = min(
-            int(quality.shadowsize), _SHADOWS, 1 << (4 * width - 1).bit_length()
-        )
+        quality.shadowsize = min(quality.shadowsize, _SHADOWS, 1 << (4 * width - 1).bit_length())
         self._data = mujoco.MjData(model)
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED

@@ -20,7 +20,6 @@ from cmf_mj.show.film.stage import has_display
 SPEEDS = (0.05, 0.1, 0.25, 0.5, 1.0)
 """Times real speed that + and - go through."""
 
-_SPACE, _MINUS, _EQUALS, _S = 32, 45, 61, 83
 _KEYPAD_MINUS, _KEYPAD_PLUS = 333, 334
 _LONGEST = 0.1
 """Time run between two pictures at most [s]: a machine too slow for real time shows slow motion."""
@@ -50,13 +49,13 @@ class LiveView:
 
     def key(self, code: int) -> None:
         """Take a key of the viewer, by its GLFW number."""
-        if code == _SPACE:
+        if code == ord(" "):
             self.paused = not self.paused
-        elif code == _S:
+        elif code == ord("S"):
             self.wants_saving = True
-        elif code in (_MINUS, _KEYPAD_MINUS):
+        elif code in (ord("-"), _KEYPAD_MINUS):
             self.speed = max((s for s in SPEEDS if s < self.speed), default=SPEEDS[0])
-        elif code in (_EQUALS, _KEYPAD_PLUS):
+        elif code in (ord("="), _KEYPAD_PLUS):
             self.speed = min((s for s in SPEEDS if s > self.speed), default=SPEEDS[-1])
 
     def pull(self, perturb: mujoco.MjvPerturb) -> None:

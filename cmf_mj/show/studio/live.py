@@ -84,11 +84,6 @@ class LiveSession:
         """Set the session going."""
         self._thread.start()
 
-    @property
-    def alive(self) -> bool:
-        """Whether the thread still runs."""
-        return self._thread.is_alive()
-
     def close(self) -> None:
         """End the thread and wait for it."""
         self._closed.set()

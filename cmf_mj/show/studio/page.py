@@ -18,12 +18,6 @@ _PLOTS_EVERY = 4
 _STATUS_EVERY = 8
 """Turns from status to status."""
 
-_WINDOWS = ("5", "10", "20")
-"""Lengths of the plots [s]."""
-
-_PANEL_WIDTH = 430
-"""Of the plots [px]."""
-
 
 class Page:
     """A tab with its session."""
@@ -62,10 +56,10 @@ class Page:
         with panel.add_tab("Signals"):
             self._plots = Plots(self.desk.client)
             self._leg = gui.add_dropdown("leg of the pressures", controls.LEGS)
-            self._window = gui.add_dropdown("window [s]", _WINDOWS, initial_value="10")
+            self._window = gui.add_dropdown("window [s]", ("5", "10", "20"), initial_value="10")
             self._drawn = gui.add_checkbox("plots on", True)
         panel.dock_left()
-        panel.set_width(_PANEL_WIDTH)
+        panel.set_width(430)
 
     def _show(self, view: View) -> None:
         """Draw a turn of the session."""

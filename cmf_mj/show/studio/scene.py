@@ -8,15 +8,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.plant.hexapod import hexapod_spec
 
-CAMERA = {"position": (10.6, -10.4, 1.6), "look_at": (0.0, 0.0, -0.75)}
-"""First view: from the right front, a little above the platform [m]."""
-
-FIELD_OF_VIEW = 0.62
-"""Vertical angle of the first view [rad]."""
-
-_SKY = np.array([[205, 215, 226], [243, 245, 247]])
-"""Colours of the background, top and bottom."""
-
 _PUSH_LENGTH = 5.0
 """Length of the arrow of the largest push [m]."""
 
@@ -29,8 +20,9 @@ _CLEAR = 2.4
 
 def place_camera(client: viser.ClientHandle) -> None:
     """Put a tab's camera at the first view."""
-    client.camera.position, client.camera.look_at = CAMERA["position"], CAMERA["look_at"]
-    client.camera.fov = FIELD_OF_VIEW
+    # From the right front, a little above the platform [m, rad].
+    client.camera.position, client.camera.look_at = (10.6, -10.4, 1.6), (0.0, 0.0, -0.75)
+    client.camera.fov = 0.62
 
 
 class MachineScene:
@@ -87,11 +79,8 @@ class MachineScene:
             self._push.position = self.platform_position
 
     def _light(self) -> None:
-        """Background, lights and floor colours of a fresh scene."""
+        """Lights of a fresh scene; the hall hides the background."""
         scene = self._client.scene
-        shade = np.linspace(0.0, 1.0, 64)[:, None]
-        sky = (_SKY[0] * (1.0 - shade) + _SKY[1] * shade).astype(np.uint8)
-        scene.set_background_image(np.repeat(sky[:, None, :], 4, axis=1), format="png")
         scene.configure_default_lights(enabled=False)
         scene.add_light_ambient("/lights/ambient", intensity=1.7)
         scene.add_light_directional("/lights/fill", intensity=1.2, position=(-6.0, 7.0, 6.0))

@@ -10,9 +10,6 @@ from cmf_mj.facility.scenario.settings import Scenario
 from cmf_mj.show.studio.choices import first_scenario
 from cmf_mj.show.studio.page import Page
 
-BRAND = (31, 84, 150)
-"""Colour of buttons and sliders: the platform's blue."""
-
 
 class Studio:
     """A running server."""
@@ -35,9 +32,8 @@ class Studio:
         self._server = viser.ViserServer(host=host, port=port, label="cmf studio", verbose=False)
         self._server.scene.world_axes.visible = False
         self._server.scene.configure_environment_map(None)
-        self._server.gui.configure_theme(
-            show_logo=False, show_share_button=False, brand_color=BRAND
-        )
+        theme = {"show_logo": False, "show_share_button": False, "brand_color": (31, 84, 150)}
+        self._server.gui.configure_theme(**theme)
         self._server.on_client_connect(self._connected)
         self._server.on_client_disconnect(self._disconnected)
 
@@ -51,11 +47,8 @@ class Studio:
     def pages(self) -> tuple[Page, ...]:
         """Pages of the tabs that are open, oldest first."""
         with self._lock:
-            return tuple(
-                page.result()
-                for page in self._pages.values()
-                if page.done() and not page.exception()
-            )
+            done = [page for page in self._pages.values() if page.done() and not page.exception()]
+        return tuple(page.result() for page in done)
 
     def stop(self) -> None:
         """End all sessions, those still being built too, and then the server."""
