@@ -1,14 +1,15 @@
 """Tables, CSV files and figures of a calibration."""
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from cmf_mj.core.files import write_csv, write_text
-from cmf_mj.show.look import BLUE, GREY, ORANGE, new_figure, save_figures
+from cmf_mj.core.files import write_text
+from cmf_mj.show.look import BLUE, GREY, ORANGE, new_figure, save_files
 from cmf_mj.show.table import Table, number
 from cmf_mj.studies.calibration.definition import MEASURES
 from cmf_mj.studies.calibration.fit import Calibration, Residual, residual_rows
@@ -173,22 +174,19 @@ def save_calibration(result: Examination, folder: Path) -> list[Path]:
         for p in calibration.study.parameters
     ]
     header = ("law", "measure", "parameter", "normalised_derivative")
-    paths = [
-        _csv(folder / "parameters.csv", ("parameter", "unit", "shipped", "fitted"), values),
-        _csv(folder / "residuals.csv", ("stage", *Residual._fields), residuals),
-        _csv(folder / "sensitivity.csv", header, derivatives),
-        _csv(folder / "uncertainty.csv", Spread._fields, result.spread),
-    ]
-    if result.verdicts:
-        paths.append(_csv(folder / "stability.csv", Verdict._fields, result.verdicts))
-    figures = {
-        "residuals": residual_figure(calibration),
-        "sensitivity": sensitivity_figure(sensitivity, calibration.study.name),
+    tables: dict[str, tuple[Iterable[str], Iterable[Sequence[object]]]] = {
+        "parameters.csv": (("parameter", "unit", "shipped", "fitted"), values),
+        "residuals.csv": (("stage", *Residual._fields), residuals),
+        "sensitivity.csv": (header, derivatives),
+        "uncertainty.csv": (Spread._fields, result.spread),
     }
-    paths += save_figures(figures, folder)
-    return [*paths, write_text(folder / "calibration.md", markdown(result))]
-
-
-def _csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
-    known = (["" if value != value else value for value in row] for row in rows)
-    return write_csv(path, header, known, digits=6)
+    if result.verdicts:
+        tables["stability.csv"] = (Verdict._fields, result.verdicts)
+    files: dict[str, Any] = {}
+    for name, (titles, rows) in tables.items():
+        known = [["" if value != value else value for value in row] for row in rows]
+        files[name] = (titles, known, 6)
+    files["residuals.png"] = residual_figure(calibration)
+    files["sensitivity.png"] = sensitivity_figure(sensitivity, calibration.study.name)
+    files["calibration.md"] = partial(write_text, text=markdown(result))
+    return save_files(files, folder)

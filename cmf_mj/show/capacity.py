@@ -15,20 +15,7 @@ from cmf_mj.core import units
 from cmf_mj.core.files import write_text
 from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.show.look import (
-    AMBER,
-    BLUE,
-    DARK,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    legend,
-    new_figure,
-    save_files,
-    stack,
-)
+from cmf_mj.show import look
 from cmf_mj.show.overview import plot_motion
 from cmf_mj.show.table import Table, number
 from cmf_mj.studies.capacity.asymptotes import Asymptotes
@@ -38,35 +25,30 @@ from cmf_mj.studies.capacity.verdict import CapacityResult, relief_flow
 _GPM, _PSI = units.GALLON_PER_MINUTE, units.PSI
 
 _BINDING = {
-    "displacement": ("operational displacement", "s", BLUE),
-    "leg_stroke": ("leg stroke", "D", SKY),
-    "valve_command": ("valve command", "^", ORANGE),
-    "supply_pressure": ("supply pressure", "v", PURPLE),
-    "pump_flow": ("pump flow", "o", GREEN),
+    "displacement": ("operational displacement", "s", look.BLUE),
+    "leg_stroke": ("leg stroke", "D", look.SKY),
+    "valve_command": ("valve command", "^", look.ORANGE),
+    "supply_pressure": ("supply pressure", "v", look.PURPLE),
+    "pump_flow": ("pump flow", "o", look.GREEN),
     "physical_bounds": ("model left its bounds", "x", "#000000"),
 }
 """Title, marker and colour of every limit."""
 
 _CLOSED: dict[str, tuple[str, Any, str]] = {
-    "displacement": ("operational displacement", "-", BLUE),
-    "leg_stroke": ("leg stroke", ":", SKY),
-    "valve_command": ("leg speed behind the lags", "--", ORANGE),
-    "pump_flow": ("sustained pump flow", "-.", GREEN),
+    "displacement": ("operational displacement", "-", look.BLUE),
+    "leg_stroke": ("leg stroke", ":", look.SKY),
+    "valve_command": ("leg speed behind the lags", "--", look.ORANGE),
+    "pump_flow": ("sustained pump flow", "-.", look.GREEN),
     "stall_force": ("stall force over reflected mass", (0.0, [5, 1, 1, 1, 1, 1]), "#999933"),
 }
 """Title, line and colour of every closed form."""
 
 
-def _psi(value: float) -> str:
-    return number(value / _PSI, ".0f psi")
+def _text(unit: str, value: float, digits: int = 0) -> str:
+    return number(units.from_si(unit, value), f".{digits}f {unit}")
 
 
-def _gpm(value: float) -> str:
-    return number(value / _GPM, ".0f gpm")
-
-
-def _gallons(value: float) -> str:
-    return number(value / units.GALLON, ".1f gal")
+_psi, _gpm, _gallons = partial(_text, "psi"), partial(_text, "gpm"), partial(_text, "gal", digits=1)
 
 
 def capacity_table(result: CapacityResult) -> Table:
@@ -75,15 +57,13 @@ def capacity_table(result: CapacityResult) -> Table:
     lowest, margin = result.least_pressure, result.least_margin
     empty, saturated = number(result.empty_time, ".3g"), 100.0 * result.saturation.max()
     demand = f"{100.0 * result.peak_command[worst]:.0f} %"
+    charged = _gallons(result.charged_oil)
     over = f"manifold over stall, leg {margin.leg} at {margin.time:.2f} s"
     limit = f"over the run; limit {_gpm(result.pump_flow_limit)}"
     rows = [
         ("supply holds", verdict, f"manifold never below {_psi(result.allowed_pressure)}"),
         ("least manifold pressure", _psi(lowest.value), f"at {lowest.time:.2f} s"),
-        (
-            *("least oil in accumulators", _gallons(result.least_oil)),
-            f"of {_gallons(result.charged_oil)} charged",
-        ),
+        ("least oil in accumulators", _gallons(result.least_oil), f"of {charged} charged"),
         ("least gas pressure", _psi(result.least_gas_pressure), "of the accumulators"),
         ("accumulators empty", f"{empty} s", "in all"),
         ("mean pump flow", _gpm(result.pump_flow.mean), limit),
@@ -139,7 +119,7 @@ def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Fi
     record, time = result.record, result.record.time
     network = ("flow [gpm]", "oil in accumulators\n[gal]") if parameters.supply == "network" else ()
     labels = ("", "pressure [psi]", *network, "valve command\nof the busiest leg [%]")
-    figure, axes = stack(8.5, 1.9 * len(labels), *labels)
+    figure, axes = look.stack(8.5, 1.9 * len(labels), *labels)
     motion, pressure, *between, valve = axes
     verdict = "holds" if result.holds else "does NOT hold"
     motion.set_title(
@@ -147,16 +127,16 @@ def supply_figure(result: CapacityResult, parameters: HydraulicParameters) -> Fi
         f"{_psi(result.allowed_pressure)} needed"
     )
     plot_motion(motion, record)
-    pressure.plot(time, record["supply_pressure"] / _PSI, color=BLUE, label="supply manifold")
-    pressure.axhline(result.allowed_pressure / _PSI, color=ORANGE, label="least allowed")
-    valve.plot(time, 100.0 * np.abs(record["valve_command"]).max(axis=1), color=DARK)
-    valve.axhline(100.0, color=GREY, linestyle=":")
+    pressure.plot(time, record["supply_pressure"] / _PSI, color=look.BLUE, label="supply manifold")
+    pressure.axhline(result.allowed_pressure / _PSI, color=look.ORANGE, label="least allowed")
+    valve.plot(time, 100.0 * np.abs(record["valve_command"]).max(axis=1), color=look.DARK)
+    valve.axhline(100.0, color=look.GREY, linestyle=":")
     valve.set_ylim(0.0, 110.0)
     if network:
         _network((pressure, *between), result, parameters)
     for axis in (motion, pressure, *between[:1]):
         axis.margins(y=0.2)
-        legend(axis, loc="upper right", ncols=4, framealpha=0.9)
+        look.legend(axis, loc="upper right", ncols=4, framealpha=0.9)
     motion.set_xlim(time[0], time[-1])
     return figure
 
@@ -166,18 +146,20 @@ def _network(axes: Sequence[Axes], result: CapacityResult, parameters: Hydraulic
     pressure, flow, oil = axes
     record, time = result.record, result.record.time
     gas = record["accumulator_pressure"] / _PSI
-    pressure.plot(time, gas, "--", color=AMBER, label="accumulator gas")
+    pressure.plot(time, gas, "--", color=look.AMBER, label="accumulator gas")
     precharge = parameters.precharge_pressure.si / _PSI
-    pressure.axhline(precharge, color=GREY, linestyle=":", label="precharge")
-    flow.plot(time, record["pump_flow"] / _GPM, color=GREEN, label="pump")
+    pressure.axhline(precharge, color=look.GREY, linestyle=":", label="precharge")
+    flow.plot(time, record["pump_flow"] / _GPM, color=look.GREEN, label="pump")
     bank = parameters.accumulator_count.si * record["accumulator_oil"]
     drawn = -np.gradient(bank, time) / _GPM
-    flow.plot(time, drawn, color=AMBER, linewidth=0.9, label="accumulators")
-    flow.axhline(parameters.pump_flow.si / _GPM, color=GREY, linestyle=":", label="pump's limit")
+    flow.plot(time, drawn, color=look.AMBER, linewidth=0.9, label="accumulators")
+    flow.axhline(
+        parameters.pump_flow.si / _GPM, color=look.GREY, linestyle=":", label="pump's limit"
+    )
     if result.relief_flow.peak > 0.0:
         relief = relief_flow(parameters, record) / _GPM
-        flow.plot(time, relief, color=PURPLE, label="relief")
-    oil.plot(time, bank / units.GALLON, color=AMBER)
+        flow.plot(time, relief, color=look.PURPLE, label="relief")
+    oil.plot(time, bank / units.GALLON, color=look.AMBER)
     oil.set_ylim(0.0, 1.1 * float(bank.max()) / units.GALLON)
 
 
@@ -185,12 +167,12 @@ def envelope_figure(envelope: Envelope) -> Figure:
     """Velocity over frequency, log-log, with diagonals of displacement and acceleration."""
     columns = min(len(envelope.asymptotes), 3)
     rows = -(-len(envelope.asymptotes) // columns)
-    figure = new_figure(4.6 * columns + 0.4, 4.4 * rows + 1.0)
+    figure = look.new_figure(4.6 * columns + 0.4, 4.4 * rows + 1.0)
     for place, closed in enumerate(envelope.asymptotes, start=1):
         axis = figure.add_subplot(rows, columns, place)
         _envelope_panel(axis, envelope.of(closed.dof), closed)
     bindings = {point.binding for point in envelope.points}
-    handles = [Line2D([], [], color=DARK, linewidth=1.8, label="largest sine that holds")]
+    handles = [Line2D([], [], color=look.DARK, linewidth=1.8, label="largest sine that holds")]
     handles += [
         Line2D([], [], color=colour, marker=marker, linestyle="", label=f"bound by {title}")
         for name, (title, marker, colour) in _BINDING.items()
@@ -233,7 +215,7 @@ def _envelope_panel(axis: Axes, points: list[EnvelopePoint], closed: Asymptotes)
         values = np.array([curve[name] for curve in curves]) / length
         if np.isfinite(values).all():
             axis.plot(frequency, values, linestyle=line, color=colour, linewidth=1.0)
-    axis.plot([point.frequency for point in reached], speeds, color=DARK, linewidth=1.8)
+    axis.plot([point.frequency for point in reached], speeds, color=look.DARK, linewidth=1.8)
     for point, speed in zip(reached, speeds, strict=True):
         _, marker, colour = _BINDING[point.binding]
         axis.plot(point.frequency, speed, marker, color=colour, markersize=6, zorder=4)
@@ -255,10 +237,10 @@ def save_capacity(
         "supply.png": supply_figure(result, parameters),
         "capacity.parquet": result.record.save,
     }
-    return save_files(files, folder)
+    return look.save_files(files, folder)
 
 
 def save_envelope(envelope: Envelope, folder: Path) -> list[Path]:
     """Write `envelope.csv` (SI) and `envelope.png`."""
     files = {"envelope.csv": envelope.save_csv, "envelope.png": envelope_figure(envelope)}
-    return save_files(files, folder)
+    return look.save_files(files, folder)

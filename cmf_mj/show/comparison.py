@@ -20,13 +20,12 @@ from cmf_mj.studies.comparison import PUBLISHED, Comparison, published_result
 _LINES = {"hexapod": "-", "single_legs": "--"}
 _TITLES = {"hexapod": "hexapod", "single_legs": "single legs"}
 
-LEGEND = (
+_LEGEND = (
     "-90, -3 dB: bandwidths in Hz from DCL leg demand to leg feedback, -3 dB from absolute 0 dB; "
     "peak in dB; zeta: damping ratio from the step's overshoot; unstable: the legs ring on "
     "undiminished 12 s after the step. Published: h measured on the hardware, m from the report's "
     "non-linear model of six single legs."
 )
-"""What the columns of the table mean."""
 
 
 def comparison_table(results: Sequence[CaseResult]) -> Table:
@@ -50,7 +49,7 @@ def comparison_table(results: Sequence[CaseResult]) -> Table:
         of = {"hardware": "h", "nonlinear": "m"}.get(printed.of, "") if printed else ""
         cells.append([*line, of])
     title = f"hydraulics: {first.hydraulics.name}" + (f", cab: {cab}" if cab else "")
-    return Table(title, [*columns, ("\nof", "")], cells, LEGEND, grouped=True)
+    return Table(title, [*columns, ("\nof", "")], cells, _LEGEND, grouped=True)
 
 
 def _colours(results: Sequence[CaseResult]) -> dict[str, str]:

@@ -17,7 +17,7 @@ from cmf_mj.show.look import BLUE, GREY, legend, save_files, shade
 from cmf_mj.show.station import SCALE, Motion, motion_axes, perceived_figure
 from cmf_mj.show.table import Table
 
-_ERROR_LEGEND = (
+_LEGEND = (
     "sensed in flight less sensed in the simulator, machine ideal; thresholds are settings, not "
     "verdicts"
 )
@@ -36,7 +36,7 @@ def error_table(flown: Cue) -> Table:
     ]
     sizes = (("threshold", ".3f"), ("peak", ".3f"), ("rms", ".3f"))
     columns = ("sensed", ("unit", ""), *sizes, ("above", ".1f %"))
-    return Table(f"cueing error, washout {flown.settings.name}", columns, rows, _ERROR_LEGEND)
+    return Table(f"cueing error, washout {flown.settings.name}", columns, rows, _LEGEND)
 
 
 def excursion_table(excursion: Excursion, changed_frames: int = 0) -> Table:

@@ -11,14 +11,13 @@ from cmf_mj.show.look import COLOURS, DARK, ORANGE, PURPLE, legend, save_files, 
 from cmf_mj.show.table import Column, Table
 from cmf_mj.studies.failure.measures import FailureResult
 
-LEGEND = (
+_LEGEND = (
     "load: largest axial leg load before the event, after it until a leg meets a stop, and in all "
     "the time after it, in kN and times the leg's static load, negative pulls; crew: largest "
     "acceleration at the crew's heads, gravity removed, in g; found: time to detect in s; "
     "pressures in psi gauge: least supply, least and largest of all chambers; stops: speed of the "
     "first and of the fastest leg to meet one, in/s."
 )
-"""What the columns of the table mean."""
 
 _COLUMNS: tuple[Column, ...] = (
     *("event", ("load\nbefore", ".1f"), ("\nx", ".2f"), ("\nafter", ".1f"), ("\nx", ".2f")),
@@ -30,10 +29,9 @@ _COLUMNS: tuple[Column, ...] = (
 
 def label(result: FailureResult) -> str:
     """The event in a few words, fit for a file name."""
-    event = result.event
-    leg = [] if event.leg is None else [f"leg_{event.leg}"]
-    valve = [] if event.valve is None else [f"valve_{event.valve}"]
-    return "-".join([event.kind, *leg, *valve])
+    places = {"leg": result.event.leg, "valve": result.event.valve}
+    known = (f"{name}_{place}" for name, place in places.items() if place is not None)
+    return "-".join([result.event.kind, *known])
 
 
 def _setting(result: FailureResult) -> str:
@@ -45,8 +43,7 @@ def failure_table(results: Sequence[FailureResult]) -> Table:
     about = results[0].record.metadata
     rows = []
     for result in results:
-        loads = (result.load.before, result.load.free, result.load.after)
-        crew = (result.acceleration.before, result.acceleration.free, result.acceleration.after)
+        loads, crew = ((p.before, p.free, p.after) for p in (result.load, result.acceleration))
         pressures = (result.supply_least, result.pressure_least, result.pressure_peak)
         speeds = (result.contact_speed, result.impact_speed)
         rows.append(
@@ -63,7 +60,7 @@ def failure_table(results: Sequence[FailureResult]) -> Table:
         f"{about['law']} in {results[0].dof}, {about['cab']} cab, {about['hydraulics']} "
         f"hydraulics, {_setting(results[0])}"
     )
-    return Table(title, _COLUMNS, rows, LEGEND)
+    return Table(title, _COLUMNS, rows, _LEGEND)
 
 
 def _columns(result: FailureResult) -> dict[str, object]:

@@ -11,18 +11,9 @@ from cmf_mj.machine.dof import by_kind
 from cmf_mj.pilot.fly import FlightResult, TransportDelay, error_spectra
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import CueingError
+from cmf_mj.show import look
 from cmf_mj.show.chart import Curve, Panel
 from cmf_mj.show.film.strip import Panels
-from cmf_mj.show.look import (
-    BLUE,
-    COLOURS,
-    DARK,
-    GREY,
-    ORANGE,
-    legend,
-    new_figure,
-    save_files,
-)
 from cmf_mj.show.station import SCALE, Motion, motion_axes, perceived_figure, six
 from cmf_mj.show.table import Cell, Column, Table
 
@@ -31,9 +22,9 @@ _NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")
 
 def _motions(ride: FlightResult) -> list[Motion]:
     """Motions at the pilot's station: aircraft, asked, cab."""
-    aircraft = [] if ride.aircraft is None else [Motion(ride.aircraft, "aircraft", BLUE, 1.2)]
-    asked = Motion(ride.asked, "asked of the platform", DARK, 0.9)
-    return [*aircraft, asked, Motion(ride.simulator, "cab", ORANGE, 0.9)]
+    aircraft = [] if ride.aircraft is None else [Motion(ride.aircraft, "aircraft", look.BLUE, 1.2)]
+    asked = Motion(ride.asked, "asked of the platform", look.DARK, 0.9)
+    return [*aircraft, asked, Motion(ride.simulator, "cab", look.ORANGE, 0.9)]
 
 
 def flight_traces(ride: FlightResult) -> Panels:
@@ -66,13 +57,13 @@ def sensed_figure(ride: FlightResult) -> Figure:
 
 def comparison_figure(rides: Sequence[FlightResult]) -> Figure:
     """Spectra of the machine's error at the pilot's station and its perceived size, law by law."""
-    figure, first = new_figure(12.0, 10.5), rides[0]
+    figure, first = look.new_figure(12.0, 10.5), rides[0]
     axes = figure.subplot_mosaic([[*"aabbcc"], [*"ddeeff"], [*"ggghhh"]])
     *panels, machine, flight = axes.values()
     curves: list[tuple[PilotMotion, PilotMotion, str, str, float]] = []
     if first.aircraft is not None:
-        curves.append((first.aircraft, first.asked, "washout: aircraft less asked", GREY, 2.5))
-    for ride, colour in zip(rides, COLOURS, strict=False):
+        curves.append((first.aircraft, first.asked, "washout: aircraft less asked", look.GREY, 2.5))
+    for ride, colour in zip(rides, look.COLOURS, strict=False):
         curves.append((ride.asked, ride.simulator, ride.law, colour, 1.2))
     for reference, motion, label, colour, width in curves:
         frequency, density = error_spectra(reference, motion)
@@ -82,12 +73,12 @@ def comparison_figure(rides: Sequence[FlightResult]) -> Figure:
         unit = by_kind(index, "m/s²/√Hz", "deg/s/√Hz")
         axis.set_title(f"error of {_NAMES[index]} [{unit}]", fontsize=10)
         axis.set(xlim=(frequency[1], 30.0), xlabel="frequency [Hz]" if index > 2 else "")
-    legend(panels[0], loc="lower left")
-    colours = list(zip(rides, COLOURS, strict=False))
+    look.legend(panels[0], loc="lower left")
+    colours = list(zip(rides, look.COLOURS, strict=False))
     _bars(machine, "of the machine: asked less cab", [(r.law, c, r.machine) for r, c in colours])
     bars = [(r.law, c, r.cueing) for r, c in colours if r.cueing is not None]
     if first.washout_error is not None:
-        bars.insert(0, ("machine that follows at once", GREY, first.washout_error))
+        bars.insert(0, ("machine that follows at once", look.GREY, first.washout_error))
     _bars(flight, "of the flight: aircraft less cab", bars)
     title = "error spectra (asked of the platform less cab)"
     figure.suptitle(f"pilot's station, cab {first.cab}: {title}")
@@ -99,14 +90,14 @@ def _bars(axes: Axes, title: str, bars: Sequence[tuple[str, str, CueingError]]) 
     for place, (label, colour, error) in enumerate(bars):
         at = np.arange(6) + 0.8 * ((place + 0.5) / len(bars) - 0.5)
         axes.bar(at, error.rms / error.threshold, 0.75 / len(bars), color=colour, label=label)
-    axes.axhline(1.0, color=DARK, linestyle=":", linewidth=0.9)
+    axes.axhline(1.0, color=look.DARK, linestyle=":", linewidth=0.9)
     axes.set_xticks(range(6), _NAMES)
     axes.set(yscale="log", ylabel="perceived rms error / threshold")
     axes.set_title(f"perceived error {title}", fontsize=10)
     if bars:
         least = min(float((error.rms / error.threshold).min()) for *_, error in bars)
         axes.set_ylim(bottom=0.5 * max(least, 1e-4))
-        legend(axes, fontsize=7, loc="upper right")
+        look.legend(axes, fontsize=7, loc="upper right")
 
 
 def comparison_table(rides: Sequence[FlightResult]) -> Table:
@@ -153,11 +144,11 @@ def save_ride(ride: FlightResult, folder: Path) -> list[Path]:
         "motion.png": motion_figure(ride),
         "perceived.png": sensed_figure(ride),
     }
-    return save_files(files, folder)
+    return look.save_files(files, folder)
 
 
 def save_comparison(rides: Sequence[FlightResult], folder: Path) -> list[Path]:
     """Write `comparison.csv`, `comparison.md` and `comparison.png`."""
     save = comparison_table(rides).save
     files = {"comparison.csv": save, "comparison.md": save}
-    return save_files(files | {"comparison.png": comparison_figure(rides)}, folder, 80)
+    return look.save_files(files | {"comparison.png": comparison_figure(rides)}, folder, 80)

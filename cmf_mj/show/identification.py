@@ -12,19 +12,7 @@ from scipy import stats
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.identification.model import PolynomialModel, Root
 from cmf_mj.analysis.identification.validation import Residuals, fit_percentage, simulated
-from cmf_mj.show.look import (
-    BLUE,
-    DARK,
-    GREY,
-    ORANGE,
-    bode_axes,
-    legend,
-    new_figure,
-    plot_band,
-    plot_bode,
-    save_files,
-    stack,
-)
+from cmf_mj.show import look
 from cmf_mj.show.table import Table
 from cmf_mj.studies.identification import Identified, MatrixStudy
 from cmf_mj.studies.measurement import plain
@@ -32,14 +20,9 @@ from cmf_mj.studies.measurement import plain
 CONFIDENCE = 0.95
 """Probability of ellipses and bands."""
 
-_LISTED = 8
-"""Orders listed."""
-
-_WINDOW = 10.0
-"""Length of the fit's figure [s]."""
-
-_NEAR = 2.0
-"""Modulus up to which roots are drawn."""
+_LISTED = 8  # orders
+_WINDOW = 10.0  # length of the fit's figure [s]
+_NEAR = 2.0  # modulus up to which roots are drawn
 
 
 def orders_table(result: Identified) -> Table:
@@ -126,32 +109,32 @@ def fit_figure(result: Identified) -> Figure:
     run = result.validation
     unit = run.output_units[0]
     labels = (f"{run.output_names[0]} [{unit}]", f"difference [{unit}]")
-    figure, (top, bottom) = stack(9.0, 5.5, *labels, ratios=(3, 1))
+    figure, (top, bottom) = look.stack(9.0, 5.5, *labels, ratios=(3, 1))
     time = np.arange(run.samples) * run.step
     modelled, measured = simulated(result.model, run)[:, 0], run.output[:, 0]
     middle = max(0.5 * (time[-1] - _WINDOW), 0.0)
     inside = (time >= middle) & (time <= middle + _WINDOW)
     fit = float(fit_percentage(measured, modelled)[0])
-    top.plot(time[inside], measured[inside], color=DARK, label="measured")
-    top.plot(time[inside], modelled[inside], "--", color=ORANGE, label=f"model, {fit:.1f} %")
-    bottom.plot(time[inside], (measured - modelled)[inside], color=BLUE)
+    top.plot(time[inside], measured[inside], color=look.DARK, label="measured")
+    top.plot(time[inside], modelled[inside], "--", color=look.ORANGE, label=f"model, {fit:.1f} %")
+    bottom.plot(time[inside], (measured - modelled)[inside], color=look.BLUE)
     top.set_title(f"validation: {result.axis}")
-    legend(top, loc="upper right")
+    look.legend(top, loc="upper right")
     return figure
 
 
 def residual_figure(residuals: Residuals, step: float) -> Figure:
     """Auto- and cross-correlation of the residuals with their 99 % bounds."""
-    figure, (auto, cross) = stack(9.0, 5.5, "correlation", "correlation", x="lag [s]")
+    figure, (auto, cross) = look.stack(9.0, 5.5, "correlation", "correlation", x="lag [s]")
     for axis, values, bound, title in (
         (auto, residuals.auto, residuals.auto_bound, "residual with itself"),
         (cross, residuals.cross[0], residuals.cross_bound[0], "residual with past command"),
     ):
-        axis.axhspan(-bound, bound, color=BLUE, alpha=0.15, label="99 % of a right model")
-        axis.vlines(residuals.lags * step, 0.0, values, color=DARK, linewidth=1.2)
-        axis.axhline(0.0, color=DARK, linewidth=0.8)
+        axis.axhspan(-bound, bound, color=look.BLUE, alpha=0.15, label="99 % of a right model")
+        axis.vlines(residuals.lags * step, 0.0, values, color=look.DARK, linewidth=1.2)
+        axis.axhline(0.0, color=look.DARK, linewidth=0.8)
         axis.set_title(title)
-    legend(auto, cross, loc="upper right")
+    look.legend(auto, cross, loc="upper right")
     return figure
 
 
@@ -170,13 +153,13 @@ def _ellipse(axis: Axes, root: Root, colour: str) -> None:
 
 def roots_figure(model: PolynomialModel) -> Figure:
     """Poles and zeros in the z plane with 95 % ellipses."""
-    figure = new_figure(6.5, 6.5)
+    figure = look.new_figure(6.5, 6.5)
     axis, reach = figure.subplots(), 1.15
     turn = np.linspace(0.0, 2.0 * np.pi, 400)
-    axis.plot(np.cos(turn), np.sin(turn), color=GREY, linewidth=0.8)
+    axis.plot(np.cos(turn), np.sin(turn), color=look.GREY, linewidth=0.8)
     for label, roots, mark, colour in (
-        ("poles", model.poles(), "x", ORANGE),
-        ("zeros", model.zeros(), "o", BLUE),
+        ("poles", model.poles(), "x", look.ORANGE),
+        ("zeros", model.zeros(), "o", look.BLUE),
     ):
         near = [root for root in roots if abs(root.value) < _NEAR]
         values = np.array([root.value for root in near], dtype=complex)
@@ -191,13 +174,13 @@ def roots_figure(model: PolynomialModel) -> Figure:
     axis.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
     title = f"{model.method} {tuple(model.orders)} at {1.0 / model.step:g} Hz, 95 % ellipses"
     axis.set(xlabel="real", ylabel="imaginary", title=title)
-    legend(axis)
+    look.legend(axis)
     return figure
 
 
 def bode_figure(model: PolynomialModel, response: FrequencyResponse | None) -> Figure:
     """Bode plot of the model with its 95 % band, and the measured response."""
-    figure, gain, phase = bode_axes(f"{model.input_names[0]} to {model.output_names[0]}")
+    figure, gain, phase = look.bode_axes(f"{model.input_names[0]} to {model.output_names[0]}")
     highest = 0.4 / model.step if response is None else float(response.frequency[-1])
     frequency = np.geomspace(0.1, min(highest, 0.45 / model.step), 300)
     g = model.response(frequency)[:, 0, 0]
@@ -215,13 +198,13 @@ def bode_figure(model: PolynomialModel, response: FrequencyResponse | None) -> F
     if response is not None:
         measured, at = response.phase_deg, response.frequency
         ahead = np.interp(1.0, at, measured) - np.interp(1.0, frequency, curve.phase_deg)
-        style: dict[str, Any] = {"color": GREY, "markersize": 3, "label": "measured"}
+        style: dict[str, Any] = {"color": look.GREY, "markersize": 3, "label": "measured"}
         gain.plot(at, response.gain_db, ".", **style)
         phase.plot(at, measured - 360.0 * np.round(ahead / 360.0), ".", **style)
-    plot_bode(gain, phase, curve, color=ORANGE, label=model.method)
+    look.plot_bode(gain, phase, curve, color=look.ORANGE, label=model.method)
     band = np.minimum(turn, np.pi)
-    plot_band(gain, phase, curve, wide, band, color=ORANGE, label="95 % band")
-    legend(phase)
+    look.plot_band(gain, phase, curve, wide, band, color=look.ORANGE, label="95 % band")
+    look.legend(phase)
     return figure
 
 
@@ -268,4 +251,4 @@ def save_identification(result: Identified, folder: Path) -> list[Path]:
         "roots.png": roots_figure(result.model),
         "bode.png": bode_figure(result.model, result.response),
     }
-    return save_files(files, folder)
+    return look.save_files(files, folder)

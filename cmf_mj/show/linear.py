@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,21 +14,10 @@ from cmf_mj.analysis.linear.catalogue import (
     report_models,
 )
 from cmf_mj.analysis.linear.loop import loop_response, loop_step
-from cmf_mj.analysis.linear.second_order import (
-    GAINS,
-    gain_effects,
-)
+from cmf_mj.analysis.linear.second_order import GAINS, gain_effects
 from cmf_mj.analysis.linear.table_4_1 import LawLoop, TableRow
 from cmf_mj.analysis.published import published_results
-from cmf_mj.core.files import write_csv
-from cmf_mj.show.look import (
-    GREY,
-    bode_axes,
-    legend,
-    new_figure,
-    plot_bode,
-    save_figures,
-)
+from cmf_mj.show.look import GREY, bode_axes, legend, new_figure, plot_bode, save_files
 from cmf_mj.show.table import Table
 
 _FREQUENCIES = np.geomspace(0.1, 20.0, 400)
@@ -160,9 +150,9 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
 def save_linear(loops: Sequence[LawLoop], rows: Sequence[TableRow], folder: Path) -> list[Path]:
     """Write the tables as CSV and all figures as PNG."""
     effects = gain_effects()
-    figures = {}
+    figures: dict[str, Any] = {}
     for law in dict.fromkeys(item.law.name for item in loops):
-        figures[f"bode_{law}"], figures[f"step_{law}"] = loop_figures(
+        figures[f"bode_{law}.png"], figures[f"step_{law}.png"] = loop_figures(
             [item for item in loops if item.law.name == law]
         )
     loop_header = ("law", "model", *(_READINGS.get(name, name) for name in _LOOP_COLUMNS))
@@ -178,9 +168,9 @@ def save_linear(loops: Sequence[LawLoop], rows: Sequence[TableRow], folder: Path
         (e.gain, e.value, *e.loop, *(getattr(e.result, n) for n in _EFFECT_COLUMNS.values()))
         for e in effects
     ]
-    return [
-        write_csv(folder / "table_4_1.csv", TableRow._fields, rows),
-        write_csv(folder / "loops.csv", loop_header, measures),
-        write_csv(folder / "gain_effects.csv", effect_header, values),
-        *save_figures(figures, folder),
-    ]
+    tables = {
+        "table_4_1.csv": (TableRow._fields, rows),
+        "loops.csv": (loop_header, measures),
+        "gain_effects.csv": (effect_header, values),
+    }
+    return save_files(tables | figures, folder)

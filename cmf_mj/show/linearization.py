@@ -1,7 +1,9 @@
 """Tables, figures and files of a linearised plant: modes, Bode diagrams, poles, loops measured."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -9,15 +11,8 @@ from matplotlib.figure import Figure
 from cmf_mj.analysis.frequency_response import bandwidths
 from cmf_mj.analysis.linear.files import save_system
 from cmf_mj.analysis.linear.poles import Mode
-from cmf_mj.core.files import write_csv
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.show.look import (
-    bode_axes,
-    legend,
-    plot_bode,
-    pose_text,
-    save_figures,
-)
+from cmf_mj.show.look import bode_axes, legend, plot_bode, pose_text, save_files
 from cmf_mj.show.table import Table
 from cmf_mj.studies.linearization import FREQUENCIES, LinearizationStudy
 
@@ -137,8 +132,8 @@ def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
         "return_pressure": point.return_pressure,
         "outward_share": point.outward.tolist(),
     }
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [save_system(study.system, folder / "state_space.json", description)]
+    system = partial(save_system, study.system, description=description)
+    files: dict[str, Any] = {"state_space.json": system}
     first = study.modes[0]
     header = [
         *("real", "imaginary", "frequency", "damping_ratio"),
@@ -152,7 +147,7 @@ def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
         )
         for m in study.modes
     ]
-    paths.append(write_csv(folder / "modes.csv", header, rows))
+    files["modes.csv"] = (header, rows)
     if study.comparisons:
         measured = ("measured_gain_db", "measured_phase_deg", "gain_error_db", "phase_error_deg")
         lines = []
@@ -160,7 +155,6 @@ def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
             level, angle = 20.0 * np.log10(np.abs(c.measured)), np.degrees(np.angle(c.measured))
             columns = (c.frequency, level, angle, c.gain_error, c.phase_error)
             lines += [(name, *map(float, values)) for values in zip(*columns, strict=True)]
-        header = ["dof", "frequency", *measured]
-        paths.append(write_csv(folder / "comparison.csv", header, lines))
-    figures = {"bode": bode_figure(study), "loop": loop_figure(study)}
-    return paths + save_figures(figures, folder)
+        files["comparison.csv"] = (["dof", "frequency", *measured], lines)
+    files |= {"bode.png": bode_figure(study), "loop.png": loop_figure(study)}
+    return save_files(files, folder)

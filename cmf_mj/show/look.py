@@ -155,15 +155,11 @@ def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
     return path
 
 
-def save_figures(figures: Mapping[str, Figure], folder: Path, dpi: int = 110) -> list[Path]:
-    """Write figures to NAME.png in a folder."""
-    return save_files({f"{name}.png": figure for name, figure in figures.items()}, folder, dpi)
-
-
 def save_files(files: Mapping[str, Any], folder: Path, dpi: int = 110) -> list[Path]:
     """Write to each name in a folder what it stands for.
 
-    That is a figure, (header, rows) for CSV, a mapping for JSON, or a function that writes it.
+    That is a figure, (header, rows, digits) for CSV, 9 digits by default, a mapping for JSON, or a
+    function that writes it.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = []

@@ -14,13 +14,12 @@ from cmf_mj.pilot.omct import STAGES, TESTS, Omct
 from cmf_mj.show.look import COLOURS, GREY, grid, new_figure, save_files
 from cmf_mj.show.table import Table, number
 
-LEGEND = (
+_LEGEND = (
     "modulus and phase [deg] from the aircraft's pilot to the simulator's; washout: host frames; "
     "ideal: behind the DCU, machine ideal; laws: at the crew's accelerometer of the machine. Cross "
     "tests: m/s^2 per deg (the aircraft itself: 0.171) and deg per m/s^2 (the aircraft: 0). No "
     "boundary of acceptance is known."
 )
-"""What the numbers mean."""
 
 UP_TO = 2.0 * np.pi + 0.1
 """Highest frequency of the table of shares [rad/s]: 1 Hz, which is 6.31 rad/s of the test."""
@@ -67,7 +66,7 @@ def omct_table(result: Omct) -> Table:
             rows.append(["", "", "deg", *(_text(angle, 0) for angle in phase(row))])
     about = f"OMCT: washout {result.washout}, {result.cab} cab, {result.hydraulics} hydraulics"
     frequencies = [(f"{value:.3g}", "") for value in result.frequency]
-    return Table(about, ("test", "", "rad/s", *frequencies), rows, LEGEND, rules=rules)
+    return Table(about, ("test", "", "rad/s", *frequencies), rows, _LEGEND, rules=rules)
 
 
 def share_table(result: Omct) -> Table:
@@ -95,8 +94,8 @@ def _range(share: NDArray[np.complex128], impure: bool) -> str:
     known = np.isfinite(share)
     if not known.any():
         return "-"
-    sizes = [_text(value, 2) for value in (np.abs(share[known]).min(), np.abs(share[known]).max())]
-    size = sizes[0] if sizes[0] == sizes[1] else " to ".join(sizes)
+    sizes = np.abs(share[known])
+    size = " to ".join(dict.fromkeys(_text(value, 2) for value in (sizes.min(), sizes.max())))
     lost = "" if known.all() else ", left its bounds"
     return f"{size}, {_text(phase(share)[known][-1], 0)}°{'*' if impure else ''}{lost}"
 

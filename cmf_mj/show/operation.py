@@ -25,7 +25,6 @@ _MEANINGS = {
     "resynchronised": "starts of a stream, jumps followed, clocks set anew",
     "silent": "streams lost by timeout",
 }
-_ALWAYS = ("received", "accepted", "late", "missing")
 
 
 def account_table(
@@ -34,7 +33,7 @@ def account_table(
     """The account as a table; of the reasons only those that occurred."""
     rows = []
     for name, count in account(operation, received, datagrams).items():
-        if count or name in _ALWAYS:
+        if count or name in ("received", "accepted", "late", "missing"):
             where = "datagrams dropped" if name in (datagrams or {}) else "refused by the DCU"
             rows.append((name, count, _MEANINGS.get(name, where)))
     return Table("host", ("host frames", ("count", "d"), "meaning"), rows)

@@ -7,15 +7,14 @@ from matplotlib.figure import Figure
 
 from cmf_mj.show.look import BLUE, GREY, ORANGE, legend, new_figure, save_files
 from cmf_mj.show.table import Table
-from cmf_mj.studies.verification import ENGINES, Run, Verification
+from cmf_mj.studies.verification import ENGINES, Verification
 
-_TITLES = {"mujoco": "MuJoCo", "exudyn": "Exudyn"}
-_STYLES = {"mujoco": (BLUE, "o"), "exudyn": (ORANGE, "s")}
+_STYLES = {"mujoco": ("MuJoCo", BLUE, "o"), "exudyn": ("Exudyn", ORANGE, "s")}
 _MICRO = 1e6
 
 
-def _parts(run: Run) -> str:
-    return f"1/{round(1.0 / run.step)}"
+def _parts(step: float) -> str:
+    return f"1/{round(1.0 / step)}"
 
 
 def verification_table(result: Verification) -> Table:
@@ -30,8 +29,8 @@ def verification_table(result: Verification) -> Table:
         *(("pressure error [Pa]", ".1f"), ("CPU time [s]", ".2f")),
     )
     rows = [
-        (_TITLES[r.engine], _parts(r), r.extension_error * _MICRO, r.pressure_error, r.cpu_time)
-        for r in result.runs
+        (_STYLES[e][0], _parts(step), error * _MICRO, pressure, time)
+        for e, step, error, pressure, time in result.runs
     ]
     return Table(title, columns, rows)
 
@@ -42,21 +41,19 @@ def work_precision_figure(result: Verification) -> Figure:
     by_step, by_cost = figure.subplots(1, 2, sharey=True)
     for engine in ENGINES:
         runs = [run for run in result.runs if run.engine == engine]
-        colour, marker = _STYLES[engine]
+        title, colour, marker = _STYLES[engine]
         errors = [run.extension_error * _MICRO for run in runs]
-        for axis, along in (
-            (by_step, [run.step for run in runs]),
-            (by_cost, [run.cpu_time for run in runs]),
-        ):
-            axis.loglog(along, errors, color=colour, marker=marker, label=_TITLES[engine])
+        for axis, name in ((by_step, "step"), (by_cost, "cpu_time")):
+            along = [getattr(run, name) for run in runs]
+            axis.loglog(along, errors, color=colour, marker=marker, label=title)
         for run, error in zip(runs, errors, strict=True):
             place: dict[str, Any] = {"xytext": (6, 4), "textcoords": "offset points"}
-            by_cost.annotate(f"{_parts(run)} s", (run.cpu_time, error), fontsize=8, **place)
+            by_cost.annotate(f"{_parts(run.step)} s", (run.cpu_time, error), fontsize=8, **place)
     first, steps = result.runs[0], sorted({run.step for run in result.runs})
     ends = [first.step, steps[0]]
     order_2 = [0.5 * first.extension_error * _MICRO * (step / first.step) ** 2 for step in ends]
     by_step.loglog(ends, order_2, color=GREY, linestyle=":", label="order 2")
-    by_step.set_xticks(steps, labels=[f"1/{round(1.0 / step)}" for step in steps])
+    by_step.set_xticks(steps, labels=[_parts(step) for step in steps])
     by_step.minorticks_off()
     by_step.set(xlabel="mechanical step [s]", ylabel="largest leg error [um]")
     by_cost.set(xlabel="CPU time [s]")
