@@ -39,17 +39,7 @@ def make_compensator(law: Law, legs: int) -> Compensator:
 
 @compiled
 def compensate(compensator, leg, state, signals):  # type: ignore[no-untyped-def]
-    """Output of one leg and its next state.
-
-    Args:
-        compensator: gains.
-        leg: index of the leg.
-        state: x of the leg.
-        signals: (10,) inputs u, SI.
-
-    Returns:
-        (y as command fraction, x of the next frame).
-    """
+    """Output y of one leg, command fraction, and its next state x; `signals` are u, (10,), SI."""
     output = compensator.output_gain[leg] * state
     following = compensator.state_gain[leg] * state
     for i in range(signals.shape[0]):

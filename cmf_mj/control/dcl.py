@@ -123,12 +123,7 @@ class DclState(NamedTuple):
 
     @classmethod
     def of(cls, arrays: Mapping[str, ArrayLike]) -> "DclState":
-        """A new state with the values of `arrays()`.
-
-        Raises:
-            KeyError: an array is missing.
-            ValueError: lengths differ.
-        """
+        """A new state with the values of `arrays()`."""
         state = cls.zeros(np.size(arrays["compensator"]))
         for name, array in state.arrays().items():
             array[:] = arrays[name]
@@ -150,8 +145,7 @@ def _arrays(block: Any, prefix: str) -> dict[str, NDArray[np.float64]]:
 def make_dcl(law: Law, legs: int) -> Dcl:
     """Compile a law for a number of legs.
 
-    Raises:
-        InputError: a law in hydraulic modes for other than six legs, or not bound to a cab.
+    Refused: a law in hydraulic modes for other than six legs, or not bound to a cab.
     """
     modes = law.bound_modes
     if modes is not None and legs != len(modes.mass):
@@ -258,14 +252,7 @@ def _out_of_modes(shape, work):  # type: ignore[no-untyped-def]
 
 @compiled
 def step(dcl, state, demand, feedback):  # type: ignore[no-untyped-def]
-    """One frame of the DCL; its results are in `dcl.workspace`.
-
-    Args:
-        dcl: compiled law, its workspace overwritten.
-        state: overwritten by the state of the next frame.
-        demand: (n,) leg demands [m].
-        feedback: `LegFeedback` of this frame.
-    """
+    """One frame of the DCL from leg demands (n,) [m]; its results are in `dcl.workspace`."""
     # In one piece: handing all arrays to a function with branches costs more than its work.
     work, modal = dcl.workspace, dcl.modal
     for leg in range(demand.shape[0]):

@@ -45,15 +45,10 @@ def make_demand(
     deflection: ArrayLike | None = None,
     compliance: ArrayLike | None = None,
 ) -> Demand:
-    """Parameters of the demand block.
+    """Parameters of the demand block; default the CMF's gimbals on a rigid platform.
 
-    Args:
-        geometry: gimbals; default the CMF's.
-        deflection: constant displacement of the upper gimbals [m], (6, 3), platform axes.
-        compliance: their displacement per specific force [m/(m/s^2)], (6, 3, 3), platform axes.
-
-    Raises:
-        InputError: another shape, or a number that is not finite.
+    The constant displacement of the upper gimbals is (6, 3) [m], their displacement per specific
+    force (6, 3, 3) [m/(m/s^2)], both in platform axes.
     """
 
     def checked(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -75,16 +70,9 @@ def make_demand(
 def step(  # type: ignore[no-untyped-def]
     demand, pose, velocity, acceleration, leg_position, leg_velocity, leg_acceleration
 ):
-    """One frame: leg demands of a platform demand.
+    """Write the motion of the legs (3, 6) that a motion of the platform (3, 6) demands.
 
-    Args:
-        demand: parameters.
-        pose: (6,) [m, rad], z down.
-        velocity: (6,) its rates.
-        acceleration: (6,) its second derivatives.
-        leg_position: (6,) receives the extensions from neutral [m].
-        leg_velocity: (6,) receives their rates [m/s].
-        leg_acceleration: (6,) receives their second derivatives [m/s^2].
+    Rows are position [m, rad], z down, velocity and acceleration.
     """
     upper, lower, neutral = demand.geometry
     cf, sf = np.cos(pose[3]), np.sin(pose[3])

@@ -59,15 +59,10 @@ def engaged(
     reference: NDArray[np.float64],
     feedback: LegFeedback,
 ) -> DclState:
-    """State of a DCL that has held `reference` at rest for a long time.
+    """State of a DCL that has kept `reference` (n,) [m] at rest for a long time.
 
     Filters, reference model and plan have settled on the present error and position. Where the law
     has an integral, it has taken up the static offset, so that the valve command is zero.
-
-    Args:
-        dcl: compiled law.
-        reference: leg demand at the start [m], (n,).
-        feedback: sensor signals at the start, at rest.
     """
     legs = reference.shape[0]
     state = DclState.zeros(legs)
@@ -112,15 +107,10 @@ def handed_over(
     feedback: LegFeedback,
     gravity: NDArray[np.float64] | None = None,
 ) -> DclState:
-    """State in which a law takes over from another.
+    """State in which the law `after` takes over from `before`, whose `state` is left as it is.
 
-    Args:
-        before: compiled law in force.
-        state: its state; left as it is.
-        after: compiled law that takes over.
-        reference: leg demands of the last frame [m], (n,).
-        feedback: what the law in force read in the last frame.
-        gravity: what the accelerometers felt of it, (n,) [m/s^2]; default none.
+    Reference (n,) [m] and feedback are those that the law before read in the last frame, `gravity`
+    what the accelerometers felt of it, (n,) [m/s^2]; by default none.
     """
     begun = DclState.of(state.arrays())
     begun.offset[:] = 0.0

@@ -131,14 +131,7 @@ def _histories(compensation, state, position, gravity):  # type: ignore[no-untyp
 
 
 def gravity_history(position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Gravity along legs that move through measured extensions, as the DCL finds it [m/s^2].
-
-    Args:
-        position: (N, 6) [m].
-
-    Raises:
-        InputError: other than six legs, or no pose has the first row.
-    """
+    """Gravity along six legs at measured extensions (N, 6) [m], as the DCL finds it [m/s^2]."""
     compensation = make_gravity_compensation(enabled=True)
     gravity = np.empty(position.shape)
     own = np.ascontiguousarray(position)

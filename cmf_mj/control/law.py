@@ -271,11 +271,7 @@ def _laws_of(path: Path) -> dict[str, Law]:
 
 
 def _derived(table: dict[str, Any], tables: dict[str, Any], where: str) -> dict[str, Any]:
-    """A law's table laid over that of the law it is based on, whose title and source it leaves.
-
-    Raises:
-        InputError: the other law is unknown, or based on one itself.
-    """
+    """A law's table laid over that of the law it is based on, whose title and source it leaves."""
     if "based_on" not in table:
         return table
     others: dict[str, Any] = {}

@@ -187,16 +187,11 @@ def _accept(limiter, state, i, wanted, position, out, rates, accelerations):  # 
 
 @compiled
 def step(limiter, state, demand, out, rates, accelerations):  # type: ignore[no-untyped-def]
-    """One frame, each channel alone.
+    """One frame of channels limited each alone: motion (3, n) in place.
 
-    Args:
-        limiter: limits.
-        state: overwritten by the state of the next frame.
-        demand: (n,) demanded positions. NaN repeats the last demand.
-        out: (n,) receives the positions; may be `demand` itself.
-        rates: (n,) demanded velocities; unchanged but for a clamp to V while the demand is
-            followed, else overwritten by those of `out`.
-        accelerations: (n,) demanded accelerations, treated alike.
+    Demanded positions become those put out; NaN repeats the last demand. Velocities and
+    accelerations are clamped to V and A while the demand is followed, and become those of the
+    output otherwise.
     """
     frame = limiter.frame
     for i in range(demand.shape[0]):
@@ -252,20 +247,9 @@ def _fits(limiter, state, base, wish, share):  # type: ignore[no-untyped-def]
 
 @compiled
 def step_together(limiter, state, demand, out, rates, accelerations, base, wish):  # type: ignore[no-untyped-def]
-    """One frame, all channels on one scale.
+    """One frame as `step`, all channels on one scale; `base` and `wish` (n,) are workspace.
 
-    Args:
-        limiter: limits.
-        state: overwritten by the state of the next frame.
-        demand: (n,) demanded positions. NaN repeats the last demand.
-        out: as for `step`.
-        rates: as for `step`.
-        accelerations: as for `step`.
-        base: (n,) workspace.
-        wish: (n,) workspace.
-
-    Returns:
-        The share of the way from braking to the wish, 0 to 1; 1 while the demand is followed.
+    Returned is the share of the way from braking to the wish; 1 while the demand is followed.
     """
     frame = limiter.frame
     channels = demand.shape[0]
@@ -335,17 +319,10 @@ def limit_history(
     *,
     together: bool = False,
 ) -> LimitedMotion:
-    """Limit a whole history, starting at rest at its first row.
+    """Limit a whole history (N, n), starting at rest at its first row.
 
-    Args:
-        limiter: limits of n channels.
-        demand: demanded positions (N, n).
-        velocity: demanded velocities (N, n); default the changes of the output.
-        acceleration: demanded accelerations (N, n); default the changes of the output.
-        together: whether all channels share one scale.
-
-    Raises:
-        InputError: another shape, named.
+    Velocities and accelerations that are not demanded are the changes of the output. With
+    `together` all channels share one scale.
     """
     position = np.array(demand, dtype=float, order="C")
     if position.ndim != 2 or position.shape[1] != limiter.low.size:

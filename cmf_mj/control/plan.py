@@ -228,12 +228,7 @@ def ask(plan, state, mode, demand):  # type: ignore[no-untyped-def]
 def bounded(plan, shape, modal, commands, legs):  # type: ignore[no-untyped-def]
     """Clamp planned commands (n,), in coordinates of the law, to the authority of each leg.
 
-    Args:
-        plan: parameters.
-        shape: V^T of the modes.
-        modal: whether commands are those of modes.
-        commands: overwritten.
-        legs: (n,) workspace.
+    They are those of modes of the shape V^T if `modal`; `legs` (n,) is workspace.
     """
     if modal:
         to_legs(shape, commands, legs)

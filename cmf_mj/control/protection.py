@@ -185,14 +185,8 @@ def _judge(protection, state, code, leg, column, value, frame):  # type: ignore[
 def protect(protection, state, frame, reference, feedback, supply_pressure, host_age=0.0):  # type: ignore[no-untyped-def]
     """Look at one frame; returns the code of the latched fault, 0 for none.
 
-    Args:
-        protection: parameters.
-        state: overwritten.
-        frame: number of the control frame; a gap in the numbers is missed frames.
-        reference: (n,) limited leg demands [m].
-        feedback: `LegFeedback` the DCL reads.
-        supply_pressure: [Pa].
-        host_age: time since the last host frame [s]; 0 where there is no host.
+    A gap in the numbers of control frames is missed frames. `reference` (n,) are limited leg
+    demands [m], `host_age` is the time since the last host frame [s], 0 where there is no host.
     """
     for leg in range(reference.shape[0]):
         position, velocity = feedback.position[leg], feedback.velocity[leg]

@@ -146,15 +146,9 @@ def make_model(settings: ReferenceModel | None) -> CompiledModel:
 
 @compiled
 def adapt(model, state, leg, feed_forward, error, rate):  # type: ignore[no-untyped-def]
-    """Let the factor of one leg adapt, one frame.
+    """Adapt the factor of one leg, one frame.
 
-    Args:
-        model: parameters, of a law that adapts.
-        state: `AdaptationState`; that of the leg is overwritten.
-        leg: index of the leg.
-        feed_forward: f, fraction.
-        error: e [m].
-        rate: v_m - v [m/s].
+    `feed_forward` is f, fraction; `error` e [m]; `rate` v_m - v [m/s].
     """
     stays, passes = model.stays, 1.0 - model.stays
     combined = stays * state.error[leg] + passes * (rate + model.slope * error)
@@ -171,16 +165,7 @@ def adapt(model, state, leg, feed_forward, error, rate):  # type: ignore[no-unty
 
 @compiled
 def follow(model, state, leg, reference, feedback, output):  # type: ignore[no-untyped-def]
-    """Output of one leg with the model's part, one frame.
-
-    Args:
-        model: parameters, of a law that has a model.
-        state: `ModelState`; that of the leg is overwritten.
-        leg: index of the leg.
-        reference: its demand [m].
-        feedback: `LegFeedback`.
-        output: compensator output, fraction.
-    """
+    """The compensator's output of one leg, fraction, with the model's part added, one frame."""
     position, velocity = state.position[leg], state.velocity[leg]
     next_velocity = (
         model.velocity_of_position * position

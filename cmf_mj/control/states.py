@@ -139,13 +139,7 @@ def make_states(settings: StateSettings | None = None) -> States:
 def start(states: States, code: State, position: ArrayLike) -> OperatingState:
     """State of a machine that has been in `code` for a long time.
 
-    Args:
-        states: parameters.
-        code: operating state; off, settled, hold or engaged.
-        position: leg positions (n,) [m] at which it holds or the host is.
-
-    Raises:
-        InputError: a state that is passed through only.
+    That is off, settled, hold or engaged; at the leg positions (n,) [m] it holds, or the host is.
     """
     if code not in (State.OFF, State.SETTLED, State.HOLD, State.ENGAGED):
         raise InputError(f"code: {State(code).name} is no state to start in")
@@ -307,19 +301,11 @@ def _fade_valve(states, state):  # type: ignore[no-untyped-def]
 
 @compiled
 def step(states, state, request, demand, measured, reference):  # type: ignore[no-untyped-def]
-    """One frame of the operating states.
+    """Write the reference (3, n) of one frame, position, velocity and acceleration [m].
 
-    Args:
-        states: parameters.
-        state: overwritten by the state of the next frame.
-        request: a `Request`.
-        demand: (3, n) leg positions, velocities and accelerations of the host's demand [m]. One
-            that is not finite is replaced by its last finite position at rest.
-        measured: (n,) leg positions of the sensors [m].
-        reference: (3, n) receives position, velocity and acceleration [m].
-
-    Returns:
-        The `State` of this frame. The valve command is to be multiplied by `state.valve[1]`.
+    The host's demand (3, n) is likewise; one that is not finite is replaced by its last finite
+    position at rest. `measured` (n,) are the sensors' leg positions [m]. Returned is the `State` of
+    this frame; the valve command is to be multiplied by `state.valve[1]`.
     """
     host, rates, accelerations = demand[0], demand[1], demand[2]
     out, out_rates, out_changes = reference[0], reference[1], reference[2]

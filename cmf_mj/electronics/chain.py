@@ -85,14 +85,9 @@ class Electronics(NamedTuple):
 
 
 def make_electronics(settings: ElectronicsSettings | None, at_rest: LegFeedback) -> Electronics:
-    """Electronics that have seen a machine at rest for a long time.
+    """Electronics, idle ones for None, that have seen a machine at rest for a long time.
 
-    Args:
-        settings: which; None for idle ones.
-        at_rest: true motion and pressures at the start.
-
-    Raises:
-        InputError: a refused setting, or sensors that feel gravity on other than six legs.
+    Sensors that feel gravity on other than six legs are refused.
     """
     active = settings is not None
     settings = settings or ElectronicsSettings(sensors="ideal", converters="off")
@@ -144,15 +139,10 @@ def _measure(electronics, faults, frame, truth, compensated, feedback):  # type:
 
 @inlined
 def measure(electronics, faults, frame, truth, compensated, feedback):  # type: ignore[no-untyped-def]
-    """What the DCL reads of the truth.
+    """Write the feedback that the DCL reads of the truth; without electronics the truth itself.
 
-    Args:
-        electronics: `Electronics`, or None to read the truth itself.
-        faults: broken position sensors.
-        frame: number of the control frame, chooses the noise.
-        truth: `LegFeedback`.
-        compensated: whether the law reads accelerations without gravity.
-        feedback: `LegFeedback`, overwritten.
+    The number of the control frame chooses the noise; `compensated` says whether the law reads
+    accelerations without gravity.
     """
     if electronics is not None:
         if electronics.active:
@@ -183,16 +173,10 @@ def without_gravity(electronics, feedback):  # type: ignore[no-untyped-def]
 
 @inlined
 def deliver(electronics, raised, position, command):  # type: ignore[no-untyped-def]
-    """Pass the DCL's commands on to the valves, in place.
+    """Pass the DCL's commands on to the valves in place; whether a limit switch has tripped.
 
-    Args:
-        electronics: `Electronics`, or None to pass them as they are.
-        raised: whether the lower limit switches are watched.
-        position: true extensions [m], (n,).
-        command: fractions, (n,), overwritten.
-
-    Returns:
-        Whether a limit switch has tripped.
+    Commands (n,) are fractions, positions (n,) true extensions [m]. The lower switches are watched
+    if `raised`.
     """
     if electronics is not None:
         if electronics.active:

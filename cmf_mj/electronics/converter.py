@@ -143,12 +143,7 @@ def make_converters(settings: ConverterSettings) -> Converters:
 
 
 def converter_state(converters: Converters, feedback: LegFeedback) -> LegFeedback:
-    """Filter states (n, s, 2) of converters that have seen the feedback for a long time.
-
-    Args:
-        converters: of `make_converters`.
-        feedback: readings of the sensors.
-    """
+    """Filter states (n, s, 2) of converters that have seen the feedback for a long time."""
     return LegFeedback(
         *(
             filters.settled(converter.low_pass, values)
@@ -159,13 +154,9 @@ def converter_state(converters: Converters, feedback: LegFeedback) -> LegFeedbac
 
 @compiled
 def convert(converter, state, analogue, digital):  # type: ignore[no-untyped-def]
-    """One channel of all legs after filter, range and resolution [SI].
+    """One channel of all legs (n,) after filter, range and resolution [SI].
 
-    Args:
-        converter: parameters.
-        state: (n, s, 2) filter states, overwritten.
-        analogue: (n,) readings of the sensors.
-        digital: (n,) overwritten; may be `analogue` itself.
+    `digital` may be `analogue` itself.
     """
     low_pass(converter.low_pass, state, analogue, digital)
     if converter.quantise:
@@ -177,14 +168,7 @@ def convert(converter, state, analogue, digital):  # type: ignore[no-untyped-def
 
 @compiled
 def digitise(converters, state, analogue, digital):  # type: ignore[no-untyped-def]
-    """All channels of all legs, one frame.
-
-    Args:
-        converters: parameters.
-        state: overwritten.
-        analogue: `LegFeedback` of the sensors.
-        digital: `LegFeedback` for the DCL, overwritten; may be `analogue` itself.
-    """
+    """All channels of all legs, one frame, of `LegFeedback`s, which may be the same."""
     convert(converters.position, state.position, analogue.position, digital.position)
     convert(converters.velocity, state.velocity, analogue.velocity, digital.velocity)
     convert(
@@ -199,16 +183,9 @@ def digitise(converters, state, analogue, digital):  # type: ignore[no-untyped-d
 
 
 def aliased(frequency: float, settings: ConverterSettings) -> Alias:
-    """Where a tone of the analogue signal appears in the samples, and how large.
+    """Where a tone of the analogue signal, 0 Hz or more, appears in the samples, and how large.
 
     |H(f)| = 1 / sqrt(1 + (f / corner)^(2 order)), the analogue Butterworth filter.
-
-    Args:
-        frequency: of the tone [Hz], 0 or more.
-        settings: of `load_converters`.
-
-    Raises:
-        InputError: a negative frequency.
     """
     if not frequency >= 0.0:
         raise InputError(f"frequency: {frequency} Hz must be at least 0")

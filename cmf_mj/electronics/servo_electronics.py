@@ -75,12 +75,7 @@ class ServoState(NamedTuple):
 def make_servo_electronics(
     settings: ServoSettings | None = None, rate: int = 2048
 ) -> ServoElectronics:
-    """Compile the settings; default the shipped ones.
-
-    Args:
-        settings: numbers of the electronics.
-        rate: frames a second [Hz] at which `step` is called.
-    """
+    """Compile the settings, default the shipped ones, for a rate of frames [Hz]."""
     chosen = settings or load_servo_settings()
     bits = chosen.dac_bits.value
     return ServoElectronics(
@@ -125,21 +120,12 @@ def convert(electronics, command):  # type: ignore[no-untyped-def]
 def step(  # type: ignore[no-untyped-def]
     electronics, state, raised, command, position, counts, volts, valve
 ):
-    """One frame from the control law's command to the valve.
+    """Turn the control law's commands (n,), fractions, into those of the valves, one frame.
 
-    Args:
-        electronics: parameters.
-        state: overwritten by the state of the next frame.
-        raised: whether the lower switches are watched: in hold and engaged, not on the stops, in
-            raise, return and fault.
-        command: (n,) valve commands of the control law, fractions.
-        position: (n,) leg extensions from neutral [m]; no number trips the switches watched.
-        counts: (n,) receives the DAC's counts.
-        volts: (n,) receives the DAC's voltages [V].
-        valve: (n,) receives the commands at the valves, fractions.
-
-    Returns:
-        Whether a switch has tripped, now or earlier.
+    The lower switches are watched if `raised`: in hold and engaged, not on the stops, in raise,
+    return and fault. A leg extension (n,) [m] that is no number trips the switches watched. Counts
+    and volts of the DAC (n,) are overwritten. Returned is whether a switch has tripped, now or
+    earlier.
     """
     end = electronics.switch_position
     tripped = False

@@ -8,13 +8,9 @@ from cmf_mj.core.compiled import compiled
 
 @compiled
 def low_pass(sections, state, values, passed):  # type: ignore[no-untyped-def]
-    """All legs or axes through their filters.
+    """All legs or axes (n,) through filters (s, 6) of states (n, s, 2); none pass as they are.
 
-    Args:
-        sections: (s, 6), of `filters.low_pass`; with none the values pass as they are.
-        state: (n, s, 2) states, overwritten.
-        values: (n,) samples.
-        passed: (n,) overwritten; may be `values` itself.
+    `passed` is overwritten and may be `values` itself.
     """
     for i in range(values.shape[0]):
         passed[i] = values[i]

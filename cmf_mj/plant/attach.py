@@ -110,11 +110,7 @@ def _read(model: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
 def _fit(
     spec: mujoco.MjSpec, name: str, retracted: float | None, parameters: HydraulicParameters
 ) -> float:
-    """Give one joint or tendon its motor and stops.
-
-    Returns:
-        Length at half stroke [m].
-    """
+    """Give one joint or tendon its motor and stops; its length at half stroke [m]."""
     joint, tendon = spec.joint(name), spec.tendon(name)
     if joint is not None and tendon is not None:
         raise InputError(f"cylinders: {name!r} is a joint and a tendon; rename one")

@@ -17,15 +17,6 @@ def make_plant(
     cab: str = "gfd",
     hydraulics: str | Path | HydraulicParameters = "hardware",
 ) -> Plant:
-    """Build a new plant.
-
-    Args:
-        plant: one of `PLANTS`.
-        cab: `gfd`, `rfd` or `ifd`; single legs have none.
-        hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
-
-    Raises:
-        InputError: an unknown name or refused hydraulics.
-    """
+    """Build a new plant: one of `PLANTS` with a cab, of which single legs have none."""
     check_name("plant", plant, PLANTS)
     return Hexapod(cab, hydraulics) if plant == "hexapod" else SingleLegs(hydraulics)

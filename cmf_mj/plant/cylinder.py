@@ -128,11 +128,8 @@ def volumes(cylinder, extension):  # type: ignore[no-untyped-def]
 def throttled(cylinder, gap, gain, full):  # type: ignore[no-untyped-def]
     """Outflow gain of a chamber behind its cushion.
 
-    Args:
-        cylinder: parameters.
-        gap: travel left before the stop [m].
-        gain: of the paths out of the chamber [m^3/s/sqrt(Pa)].
-        full: gain of both valves, fully open.
+    `gap` is the travel left before the stop [m], `gain` that of the paths out of the chamber
+    [m^3/s/sqrt(Pa)], `full` that of both valves fully open.
     """
     length = cylinder.cushion
     if gap >= length or gain == 0.0:
@@ -145,13 +142,7 @@ def throttled(cylinder, gap, gain, full):  # type: ignore[no-untyped-def]
 def stiffness(
     cylinder: Cylinder | np.recarray, bulk_modulus: float, extension: ArrayLike
 ) -> NDArray[np.float64]:
-    """K(x), stiffness of the enclosed oil -dF/dx [N/m], one value per extension [m].
-
-    Args:
-        cylinder: one, or one for each extension.
-        bulk_modulus: beta [Pa].
-        extension: from neutral [m].
-    """
+    """K(x), stiffness -dF/dx of the enclosed oil [N/m], of one cylinder or one an extension [m]."""
     x = np.asarray(extension, dtype=float)
     gap, half = np.asarray(cylinder.minimum_gap), cylinder.half_stroke
     end = _END * gap
@@ -173,20 +164,13 @@ def stiffness(
 def holding_pressures(
     cylinder: Cylinder | np.recarray, load: ArrayLike, supply: float, tank: float
 ) -> NDArray[np.float64]:
-    """Pressures (n, 2) of cap and rod that hold static loads with the valve closed.
+    """Pressures (n, 2) of cap and rod that hold static loads [N] with the valve closed.
 
+    Loads (n,) that press the leg together are positive; the cylinder is one, or one for each.
     Piston leakage ends at p_cap = p_rod = F / (A_cap - A_rod); without leakage any pair with the
     right force stays, and the valve's own null p_cap + p_rod = Ps + Pt is taken. The pair is kept
-    between return and supply pressure as far as the load allows.
-
-    Args:
-        cylinder: one, or one for each load.
-        load: axial forces [N], (n,), positive pressing the leg together.
-        supply: supply pressure [Pa].
-        tank: return pressure [Pa].
-
-    Raises:
-        InputError: a load is beyond the stall forces; the message names leg, load and range.
+    between return and supply pressure as far as the load allows; loads beyond the stall forces are
+    refused.
     """
     loads = np.atleast_1d(np.asarray(load, dtype=float))
     cap_area, rod_area = cylinder.cap_area, cylinder.rod_area

@@ -121,18 +121,7 @@ def default_event(
     valve: int | None = None,
     size: tuple[float, str] | None = None,
 ) -> Event:
-    """An event of a kind, on leg 1 where it needs a leg and none is given.
-
-    Args:
-        kind: one of `KINDS`.
-        at: when [s].
-        leg: as in `Event`.
-        valve: as in `Event`.
-        size: as in `Event`.
-
-    Raises:
-        InputError: as for `Event`; the message names the field.
-    """
+    """An `Event` of a kind, on leg 1 where it needs a leg and none is named."""
     chosen = 1 if leg is None and kind in _VALVES + _SENSORS else leg
     found = {"at": at, "kind": kind, "leg": chosen, "valve": valve, "size": size}
     return validated(Event, found, "event")
@@ -149,11 +138,7 @@ class Timeline(NamedTuple):
 
 
 def make_timeline(events: Sequence[Event], legs: int) -> Timeline:
-    """Put events in order.
-
-    Raises:
-        InputError: an event names a leg that is not there.
-    """
+    """Put events in order; one that names a leg that is not there is refused."""
     for event in events:
         if event.leg is not None and event.leg > legs:
             raise InputError(f"leg: {event.leg} of {event.kind} is not a leg; allowed: 1 to {legs}")
@@ -173,14 +158,7 @@ _PUMP, _ACCUMULATOR, _BURST, _HARD, _JAMMED, _DEAD, _STUCK, _OFFSET, _OPEN, _LOA
 
 @compiled
 def strike(timeline, number, faults, position):  # type: ignore[no-untyped-def]
-    """Let one event happen.
-
-    Args:
-        timeline: all events.
-        number: which.
-        faults: overwritten.
-        position: what the position sensors read now [m], (n,).
-    """
+    """Write one event into the faults; `position` (n,) is what the sensors read now [m]."""
     kind, leg, size = timeline.kind[number], timeline.leg[number], timeline.size[number]
     plant = faults.plant
     if kind == _PUMP:

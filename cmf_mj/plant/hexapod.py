@@ -60,12 +60,8 @@ def oil_modes(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Modes of M d2l/dt2 + K l = 0, lowest first.
 
-    Args:
-        mass: M, reflected mass [kg], (n, n).
-        springs: diagonal of K, stiffness of the oil columns [N/m], (n,).
-
-    Returns:
-        Natural frequencies [rad/s], (n,), and shapes of unit mass, (n, n), a column a mode.
+    Of the reflected mass (n, n) [kg] and the diagonal of K (n,) [N/m]: natural frequencies (n,)
+    [rad/s], and shapes (n, n) of unit mass, a column a mode.
     """
     squares, shapes = linalg.eigh(np.diag(springs), mass)
     return np.sqrt(squares), shapes

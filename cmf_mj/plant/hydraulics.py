@@ -99,16 +99,7 @@ class HydraulicState(NamedTuple):
 def make_hydraulics(
     parameters: HydraulicParameters, actuators: Sequence[str], step: float
 ) -> Hydraulics:
-    """Derive all elements from a parameter set.
-
-    Args:
-        parameters: the set.
-        actuators: names of the actuators; those in `parameters.actuators` get their own numbers.
-        step: mechanical step [s].
-
-    Raises:
-        InputError: the set speaks of an actuator that is not there.
-    """
+    """Derive all elements for a mechanical step [s]; those in `parameters.actuators` differ."""
     for name in parameters.actuators:
         if name not in actuators:
             raise InputError(
@@ -129,11 +120,7 @@ def make_hydraulics(
 def rest(
     hydraulics: Hydraulics, load: NDArray[np.float64], extension: NDArray[np.float64]
 ) -> HydraulicState:
-    """State that holds the static loads [N] at the extensions [m] with closed valves.
-
-    Raises:
-        InputError: a load is beyond the stall forces.
-    """
+    """State that holds the static loads [N] at the extensions [m] with closed valves."""
     supply, cylinder = hydraulics.supply, hydraulics.cylinder
     legs = load.shape[0]
     pressure = holding_pressures(cylinder, load, supply.pressure, supply.return_pressure)
@@ -222,18 +209,10 @@ def _count(hydraulics, energy, stage, time, part, before, after):  # type: ignor
 
 @compiled
 def advance(hydraulics, state, faults, command, before, after):  # type: ignore[no-untyped-def]
-    """Advance all actuators and the supply by one mechanical step, in place.
+    """Advance all actuators and the supply by one mechanical step; whether both stages converged.
 
-    Args:
-        hydraulics: parameters.
-        state: overwritten.
-        faults: what is broken.
-        command: (n,) command fractions held over the step.
-        before: (n,) extensions at the start [m].
-        after: (n,) extensions at the end [m].
-
-    Returns:
-        Whether both stages converged.
+    Command fractions (n,) are held over the step, from the extensions (n,) [m] before to those
+    after.
     """
     step, supply, stage = hydraulics.step, hydraulics.supply, state.stage
     network, energy = state.supply, state.energy
@@ -322,14 +301,7 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
 
 @compiled
 def loads(cylinders, pressure, friction, out):  # type: ignore[no-untyped-def]
-    """Axial forces of all actuators on their rods, friction taken off [N], (n,), to `out`.
-
-    Args:
-        cylinders: `Hydraulics.cylinder`.
-        pressure: cap and rod pressures [Pa], (n, 2).
-        friction: [N], (n,).
-        out: overwritten.
-    """
+    """Write the axial forces [N], (n,), of all actuators on their rods, friction taken off."""
     for leg in range(out.shape[0]):
         load = force(cylinders[leg], pressure[leg, CAP], pressure[leg, ROD])
         out[leg] = load - friction[leg]

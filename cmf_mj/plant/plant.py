@@ -336,11 +336,7 @@ class Plant:
 
 
 def _check_motor(model: mujoco.MjModel, name: str) -> None:
-    """Refuse an actuator whose force is not its control, or that turns.
-
-    Raises:
-        InputError: names the actuator and what it is.
-    """
+    """Refuse an actuator whose force is not its control, or that turns."""
     actuator = model.actuator(name)
     slide = actuator.trntype[0] == mujoco.mjtTrn.mjTRN_TENDON or (
         actuator.trntype[0] == mujoco.mjtTrn.mjTRN_JOINT

@@ -40,15 +40,7 @@ class PowerBalance(NamedTuple):
 
 
 def power_balance(plant: Plant, record: Record) -> PowerBalance:
-    """Balance energy and oil of a run.
-
-    Args:
-        plant: the plant of the run.
-        record: of `simulate` or `drive`.
-
-    Raises:
-        InputError: the record is of another plant or hydraulic set.
-    """
+    """Balance energy and oil of a run of the plant, a record of `simulate` or `drive`."""
     own = plant.describe()
     for field in ("model_digest", "hydraulic_parameters"):
         if record.metadata[field] != own[field]:

@@ -70,11 +70,7 @@ class SingleLegs(Plant):
 
 
 def set_timestep(spec: mujoco.MjSpec, timestep: float | None) -> None:
-    """Set the mechanical step of a model about to be compiled.
-
-    Raises:
-        InputError: the step is not positive.
-    """
+    """Set the mechanical step [s] of a model about to be compiled; None leaves it."""
     if timestep is None:
         return
     if not timestep > 0.0:

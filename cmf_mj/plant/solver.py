@@ -113,15 +113,8 @@ def _path(gain, hose, laminar, drop):  # type: ignore[no-untyped-def]
 def _held(pressure, change, inward, high, outward, low, least, narrow):  # type: ignore[no-untyped-def]
     """A pressure after a Newton change, cut short where a drop would change sign, or at vacuum.
 
-    Args:
-        pressure: of the chamber [Pa].
-        change: proposed [Pa].
-        inward: flow gain from the supply; 0 if shut.
-        high: supply pressure [Pa].
-        outward: flow gain to the return; 0 if shut.
-        low: return pressure [Pa].
-        least: lower bound [Pa].
-        narrow: drop below which an orifice is as good as linear [Pa].
+    Flow gains `inward` from the supply and `outward` to the return are 0 if shut; below the drop
+    `narrow` an orifice is as good as linear. All pressures in Pa, `least` the lower bound.
     """
     moved = pressure + change
     if abs(change) > narrow:
@@ -134,18 +127,10 @@ def _held(pressure, change, inward, high, outward, low, least, narrow):  # type:
 
 @compiled
 def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-untyped-def]
-    """Solve a stage in place.
+    """Solve a stage of weight w [s] in place; the number of iterations, -1 if not converged.
 
-    Args:
-        cylinders: (n,) of `Cylinder`.
-        oil: parameters.
-        supply: parameters.
-        laminar: s of the orifices [sqrt(Pa)].
-        stage: gains, volumes, known contents and guesses in; pressures, contents and powers out.
-        weight: w [s].
-
-    Returns:
-        Number of iterations, -1 if they did not converge.
+    Gains, volumes, known contents and guesses go in; pressures, contents and powers come out.
+    `laminar` is s of the orifices [sqrt(Pa)].
     """
     least = least_pressure(oil)
     narrow = laminar * laminar

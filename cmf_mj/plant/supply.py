@@ -110,19 +110,11 @@ def gas_pressure(supply, oil_volume):  # type: ignore[no-untyped-def]
 
 @compiled
 def accumulator_flow(supply, gas, rise, known, start, pressure, weight):  # type: ignore[no-untyped-def]
-    """Flow out of one accumulator over an implicit stage.
+    """Flow out of one accumulator [m^3/s] over an implicit stage, and its slope with the pressure.
 
-    Args:
-        supply: parameters.
-        gas: gas pressure at the oil volume `start` [Pa].
-        rise: its slope there [Pa/m^3].
-        known: oil volume the stage sets out from [m^3].
-        start: oil volume at the start of the step [m^3].
-        pressure: of the supply manifold [Pa].
-        weight: of the stage [s].
-
-    Returns:
-        flow [m^3/s] and its slope with the manifold's pressure.
+    At the oil volume `start` of the step [m^3] the gas has the pressure `gas` [Pa] and the slope
+    `rise` [Pa/m^3]; the stage of weight [s] sets out from the oil volume `known`. `pressure` is
+    that of the supply manifold [Pa].
     """
     resistance = supply.accumulator_line + weight * rise
     flow = (gas + rise * (known - start) - pressure) / resistance
@@ -133,11 +125,9 @@ def accumulator_flow(supply, gas, rise, known, start, pressure, weight):  # type
 
 @compiled
 def pump_flow(supply, running, known, pressure, weight):  # type: ignore[no-untyped-def]
-    """Flow of the pump at the end of an implicit stage that sets out from `known`.
+    """Flow of the pump [m^3/s] at the end of an implicit stage that sets out from `known`.
 
-    Returns:
-        flow [m^3/s] and its slope with the manifold's pressure; never negative, there is a check
-        valve.
+    With its slope with the manifold's pressure; never negative, there is a check valve.
     """
     ratio = weight / supply.pump_lag
     gain = supply.pump_flow / supply.pump_droop

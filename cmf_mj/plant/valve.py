@@ -57,11 +57,7 @@ def make_valves(
 ) -> np.recarray:
     """Derive the valves of all actuators from a parameter set, (n, 2) of `Valve`.
 
-    Args:
-        parameters: the set.
-        actuators: names of the actuators.
-        inner: length of the first stage of a step [s].
-        outer: length of a step [s].
+    `inner` and `outer` are the lengths of the first stage and of the whole of a step [s].
     """
     half_drop = 0.5 * (parameters.supply_pressure.si - parameters.return_pressure.si)
     # Flows count content: what fills the chamber at mid pressure, where leg_speed is defined.
@@ -108,18 +104,9 @@ def lag_weights(drive_rate, spool_rate, time):  # type: ignore[no-untyped-def]
 
 @compiled
 def spool(valve, last, command, drive, play, position):  # type: ignore[no-untyped-def]
-    """Advance one valve under a held command.
+    """Drive output, play and spool position of one valve after a held command, all fractions.
 
-    Args:
-        valve: parameters.
-        last: to the end of the step; to the end of its first stage otherwise.
-        command: command fraction, -1 to 1.
-        drive: drive output at the start.
-        play: drive less spool command at the start.
-        position: spool position at the start.
-
-    Returns:
-        (drive output, play, spool position), fractions.
+    Play is drive less spool command. The time is the whole step if `last`, else its first stage.
     """
     fade = valve.fade if last else valve.inner_fade
     mixed = valve.mixed if last else valve.inner_mixed

@@ -29,19 +29,11 @@ AVERAGE = 1.0
 
 @compiled
 def receive(dcu, state, sequence, time, values):  # type: ignore[no-untyped-def]
-    """Judge a host frame and, if it is good, put it in the buffer.
+    """Judge a host frame and, if it is good, put it in the buffer; its `Verdict`.
 
-    Call it for every frame that has arrived since the control frame before, then `step`.
-
-    Args:
-        dcu: compiled parameters.
-        state: changed in place.
-        sequence: number of the frame, rising by one from frame to frame.
-        time: host time of the frame [s], of any origin.
-        values: (3, 6): pose [m, rad], z down, its first and its second derivative.
-
-    Returns:
-        A `Verdict`.
+    Call it for every frame that has arrived since the control frame before, then `step`. The
+    sequence number rises by one from frame to frame; the host's `time` [s] may have any origin;
+    `values` (3, 6) are the pose [m, rad], z down, and its first and second derivatives.
     """
     verdict = _values(dcu, time, values)
     if verdict == Verdict.ACCEPTED:

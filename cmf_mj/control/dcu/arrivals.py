@@ -26,15 +26,7 @@ class Arrivals(NamedTuple):
 def feed(dcu, state, arrivals, cursor, frame):  # type: ignore[no-untyped-def]
     """Hand the DCU all frames that have arrived by the control frame `frame`.
 
-    Args:
-        dcu: compiled parameters.
-        state: changed in place.
-        arrivals: `Arrivals`.
-        cursor: index of the first frame not yet handed over.
-        frame: index of the present control frame.
-
-    Returns:
-        The cursor for the next control frame.
+    The cursor is the index of the first frame not yet handed over; returned is the next one.
     """
     while cursor < arrivals.sequence.shape[0] and arrivals.frame[cursor] <= frame:
         receive(
@@ -53,19 +45,9 @@ def _run(dcu, state, arrivals, demand):  # type: ignore[no-untyped-def]
 
 
 def upsample(dcu: Dcu, state: DcuState, arrivals: Arrivals, frames: int) -> NDArray[np.float64]:
-    """Run a DCU over a number of control frames.
+    """Run a DCU over control frames 0 to `frames` - 1, from `resting` or as left before.
 
-    Args:
-        dcu: compiled parameters.
-        state: changed in place; `resting` gives the first.
-        arrivals: what the host sends, frame 0 being the first control frame of this run.
-        frames: control frames to run.
-
-    Returns:
-        The demand (frames, 3, 6) at 2048 Hz: pose [m, rad], z down, and its two derivatives.
-
-    Raises:
-        InputError: shapes do not fit, or the control frames of arrival fall.
+    The demand (frames, 3, 6) at 2048 Hz: pose [m, rad], z down, and its two derivatives.
     """
     count = arrivals.sequence.shape[0]
     for name, shape in (("frame", (count,)), ("time", (count,)), ("values", (count, 3, 6))):

@@ -30,12 +30,9 @@ from cmf_mj.core.rates import FRAME
 
 @compiled
 def step(dcu, state, demand):  # type: ignore[no-untyped-def]
-    """The platform demand of this control frame.
+    """Write the platform demand (3, 6) of this control frame.
 
-    Args:
-        dcu: compiled parameters.
-        state: changed in place.
-        demand: (3, 6), overwritten: pose [m, rad], z down, its first and its second derivative.
+    It is the pose [m, rad], z down, and its first and second derivatives.
     """
     clocks = state.clocks[0]
     _advance_segments(state)

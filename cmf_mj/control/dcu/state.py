@@ -139,15 +139,7 @@ def _record(values: NamedTuple) -> np.recarray[Any, Any]:
 
 
 def resting(dcu: Dcu, pose: ArrayLike | None = None) -> DcuState:
-    """State of a DCU that has had no frame and rests at a pose.
-
-    Args:
-        dcu: compiled parameters.
-        pose: (6,) [m, rad], z down; default neutral.
-
-    Raises:
-        InputError: the pose is not six finite numbers within the pose limits.
-    """
+    """State of a DCU that has had no frame and rests at a pose (6,), by default neutral."""
     at = np.zeros(6) if pose is None else np.asarray(pose, dtype=float)
     if at.shape != (6,) or not (np.abs(at) <= dcu.pose).all():
         raise InputError(f"pose: {at} is refused; allowed: (6,) within +-{dcu.pose} m, rad")

@@ -33,17 +33,7 @@ class Channel(NamedTuple):
 
 
 def make_channel(name: str, settings: ChannelSettings, rate: float, seed: int) -> Channel:
-    """Derive a channel from its settings.
-
-    Args:
-        name: of the channel; chooses its stream of noise.
-        settings: of the channel.
-        rate: frames a second [Hz].
-        seed: of the run.
-
-    Raises:
-        InputError: a bandwidth of half the rate or more, or a seed out of range.
-    """
+    """Derive a channel from its settings for a rate of frames [Hz]; its name chooses the noise."""
 
     def size(field: str, absent: float) -> float:
         quantity = getattr(settings, field)
@@ -64,15 +54,7 @@ def make_channel(name: str, settings: ChannelSettings, rate: float, seed: int) -
 
 @compiled
 def read(channel, state, frame, truth, reading):  # type: ignore[no-untyped-def]
-    """Readings of one frame.
-
-    Args:
-        channel: parameters.
-        state: (n, s, 2) filter states, overwritten.
-        frame: number of the frame, chooses the noise.
-        truth: (n,) true values.
-        reading: (n,) overwritten; may be `truth` itself.
-    """
+    """Readings (n,) of one frame, whose number chooses the noise; may overwrite the truth."""
     count = truth.shape[0]
     low_pass(channel.low_pass, state, truth, reading)
     if channel.gain.shape[0] > 0:

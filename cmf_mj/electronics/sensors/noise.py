@@ -29,11 +29,7 @@ _NONE = np.uint64(0)
 
 
 def stream_key(seed: int, channel: str) -> tuple[int, int]:
-    """Key of a channel's stream: the seed, and 64 bits of its name's SHA-256.
-
-    Raises:
-        InputError: a seed that is not in 0 to 2^64 - 1.
-    """
+    """Key of a channel's stream: the seed, 0 to 2^64 - 1, and 64 bits of its name's SHA-256."""
     if not 0 <= seed < 2**64:
         raise InputError(f"seed: {seed} must be between 0 and 2^64 - 1")
     return seed, int.from_bytes(hashlib.sha256(channel.encode()).digest()[:8], "little")
@@ -61,13 +57,7 @@ def _product(one, two):  # type: ignore[no-untyped-def]
 
 @compiled
 def block(keys, first, second):  # type: ignore[no-untyped-def]
-    """Four words of the counter (first, second, 0, 0).
-
-    Args:
-        keys: (10, 2), of `key_schedule`.
-        first: lowest word of the counter, an unsigned 64-bit integer.
-        second: next word.
-    """
+    """Four words of the counter (first, second, 0, 0), lowest word first."""
     c0, c1, c2, c3 = first, second, _NONE, _NONE
     for i in range(keys.shape[0]):
         high0, low0 = _product(_FIRST, c0)

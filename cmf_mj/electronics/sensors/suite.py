@@ -66,16 +66,7 @@ class SensorState(NamedTuple):
 
 
 def make_sensors(settings: SensorSettings, rate: float, seed: int = 0) -> Sensors:
-    """Derive all sensors from a set.
-
-    Args:
-        settings: of `load_sensors`.
-        rate: frames a second [Hz].
-        seed: of the noise; each channel has a stream of its own.
-
-    Raises:
-        InputError: a bandwidth of half the rate or more, or a seed out of range.
-    """
+    """Derive all sensors from a set, for a rate of frames [Hz]; each channel has its own noise."""
     channels = {
         field: make_channel(name, settings.channel(name), rate, seed)
         for field, name in _FIELDS.items()
@@ -95,17 +86,10 @@ def sensor_state(
     gyro: NDArray[np.float64] | None = None,
     accelerometer: NDArray[np.float64] | None = None,
 ) -> SensorState:
-    """State of sensors that have seen the truth at rest for a long time.
+    """State of sensors that have seen the truth, (n,) each, at rest for a long time.
 
-    Args:
-        sensors: of `make_sensors`.
-        truth: legs at the start, (n,) each.
-        gyro: platform's angular velocity (3,) [rad/s]; default 0.
-        accelerometer: platform's specific force (3,) [m/s^2]; default that of a level platform.
-
-    Raises:
-        InputError: gravity on the legs needs six legs, at positions that a pose has; gains that
-            are not one a leg or axis.
+    The platform's angular velocity (3,) [rad/s] and specific force (3,) [m/s^2] are by default
+    those of a level platform. Gravity on the legs needs six, at positions that a pose has.
     """
     for field, name in _FIELDS.items():
         gains = getattr(sensors, field).gain.shape[0]
@@ -134,15 +118,7 @@ def sensor_state(
 
 @compiled
 def sense(sensors, state, frame, truth, reading):  # type: ignore[no-untyped-def]
-    """Leg sensors, one frame.
-
-    Args:
-        sensors: parameters.
-        state: overwritten.
-        frame: number of the frame, chooses the noise.
-        truth: `LegFeedback`; not changed.
-        reading: `LegFeedback` with arrays of its own, overwritten.
-    """
+    """Leg sensors, one frame, whose number chooses the noise; truth and reading stay apart."""
     read(sensors.position, state.position, frame, truth.position, reading.position)
     read(sensors.velocity, state.velocity, frame, truth.velocity, reading.velocity)
     for leg in range(truth.acceleration.shape[0]):
@@ -200,18 +176,10 @@ def _histories(sensors, state, truth, reading, platform, platform_reading):  # t
 def sense_history(
     sensors: Sensors, truth: LegFeedback, platform: NDArray[np.float64] | None = None
 ) -> tuple[LegFeedback, NDArray[np.float64]]:
-    """Readings of whole histories, frame 0 first, the sensors at rest before it.
+    """Readings of whole histories (N, n), frame 0 first, the sensors at rest before it.
 
-    Args:
-        sensors: of `make_sensors`.
-        truth: (N, n) histories at the sensors' rate.
-        platform: (N, 6) angular velocity and specific force of the platform; default at rest.
-
-    Returns:
-        Histories of the readings, and (N, 6) of the platform's sensors.
-
-    Raises:
-        InputError: gravity needs six legs, at positions that a pose has.
+    Given and returned with it are angular velocity and specific force of the platform (N, 6), by
+    default at rest.
     """
     histories = LegFeedback(*(np.array(c, dtype=float, order="C") for c in truth))
     first = LegFeedback(*(channel[0] for channel in histories))

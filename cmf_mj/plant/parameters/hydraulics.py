@@ -178,12 +178,7 @@ class HydraulicParameters(_Actuator):
         return {name: value for name, value in values.items() if isinstance(value, Quantity)}
 
     def actuator(self, name: str = "", valve: int | None = None) -> dict[str, Quantity]:
-        """All numbers as one actuator, or one of its valves, has them.
-
-        Args:
-            name: motor of the actuator; one not in `actuators` has the numbers of the set.
-            valve: 0 or 1 for a valve.
-        """
+        """All numbers of an actuator, or of its valve 0 or 1; by default those of the set."""
         found = self.quantities()
         own = self.actuators.get(name)
         if own is None:
