@@ -11,24 +11,26 @@ from scipy.interpolate import BPoly
 
 from cmf_mj.analysis.delay import correlation_delay
 from cmf_mj.analysis.metrics import harmonics
-from cmf_mj.control import dcu
+from cmf_mj.control.dcu.arrivals import Arrivals, upsample
+from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
+from cmf_mj.control.dcu.state import resting
 from cmf_mj.core.settings import Settings
 
 Array = NDArray[np.float64]
 RATE = 2048
 FRAME = 1.0 / RATE
-SETTINGS = dcu.load_dcu()
-DCU = dcu.make_dcu()
+SETTINGS = load_dcu()
+DCU = make_dcu()
 DELAY = SETTINGS.delay
 
 
 def arrivals(
     motion: Callable[[Array], Array], rate: float, duration: float, delay: int = 0
-) -> dcu.Arrivals:
+) -> Arrivals:
     """A host that samples `motion(time) -> (N, 3, 6)`; a frame arrives on the control frame."""
     time = np.arange(round(duration * rate)) / rate
     frame = np.ceil(time * RATE - 1e-6).astype(np.int64) + delay
-    return dcu.Arrivals(frame, np.arange(time.size), time, motion(time))
+    return Arrivals(frame, np.arange(time.size), time, motion(time))
 
 
 def of(*functions: Callable[[Array], Array], dof: int = 2) -> Callable[[Array], Array]:
@@ -52,11 +54,11 @@ def sine(amplitude: float, frequency: float) -> Callable[[Array], Array]:
     )
 
 
-def drop(stream: dcu.Arrivals, *indices: int) -> dcu.Arrivals:
-    return dcu.Arrivals(*(np.delete(column, indices, axis=0) for column in stream))
+def drop(stream: Arrivals, *indices: int) -> Arrivals:
+    return Arrivals(*(np.delete(column, indices, axis=0) for column in stream))
 
 
-def whole_delay(stream: dcu.Arrivals) -> float:
+def whole_delay(stream: Arrivals) -> float:
     """Delay from stamp to demand: the frame that starts the clock arrives on a control frame."""
     interval = stream.time[1] - stream.time[0]
     grid = stream.frame[1] * FRAME - stream.time[1]
@@ -64,7 +66,7 @@ def whole_delay(stream: dcu.Arrivals) -> float:
     return float(wait + grid + DELAY.line_frames * FRAME)
 
 
-def expected(motion: Callable[[Array], Array], stream: dcu.Arrivals, frames: int) -> Array:
+def expected(motion: Callable[[Array], Array], stream: Arrivals, frames: int) -> Array:
     return motion(np.arange(frames) * FRAME - whole_delay(stream))
 
 
@@ -99,8 +101,8 @@ def test_a_quintic_is_reproduced_to_round_off(rate: float) -> None:
     poly = Polynomial([0.01, -0.02, 0.03, 0.1, -0.15, 0.05])
     motion = of(poly, poly.deriv(), poly.deriv(2), dof=4)
     stream = arrivals(motion, rate, 1.0)
-    state = dcu.resting(DCU)
-    demand = dcu.upsample(DCU, state, stream, 2100)
+    state = resting(DCU)
+    demand = upsample(DCU, state, stream, 2100)
     error = demand[SETTLED] - expected(motion, stream, 2100)[SETTLED]
     assert np.abs(error).max(axis=(0, 2)) == pytest.approx(np.zeros(3), abs=1e-11)
     assert state.events.tolist() == [(stream.time.size, 0, 0, 1, 0)]
@@ -116,7 +118,7 @@ def test_uniform_motion_is_reproduced_by_every_degree_of_freedom() -> None:
         return values
 
     stream = arrivals(motion, 64.0, 1.0)
-    demand = dcu.upsample(DCU, dcu.resting(DCU), stream, 1900)
+    demand = upsample(DCU, resting(DCU), stream, 1900)
     error = (demand - expected(motion, stream, 1900))[SETTLED]
     assert np.abs(error).max() < 1e-10
 
@@ -127,7 +129,7 @@ def test_a_sine_at_80_hz_has_the_error_of_the_quintic(frequency: float) -> None:
     rate, amplitude = 64.0, 0.02  # 32 control frames an interval: the middle is one of them
     motion = sine(amplitude, frequency)
     stream = arrivals(motion, rate, 3.0)
-    demand = dcu.upsample(DCU, dcu.resting(DCU), stream, 6000)
+    demand = upsample(DCU, resting(DCU), stream, 6000)
     error = (demand - expected(motion, stream, 6000))[2048:6000, 0, 2]
     bound = amplitude * (2.0 * np.pi * frequency) ** 6 * (0.5 / rate) ** 6 / 720.0
     assert np.abs(error).max() == pytest.approx(bound, rel=0.02, abs=2e-16)
@@ -138,11 +140,9 @@ def test_between_frames_it_is_scipys_hermite_interpolation() -> None:
     generator = np.random.default_rng(5)
     time = np.arange(100) / 80.0
     values = generator.normal(size=(100, 3, 6)) * np.array([5e-5, 0.005, 2.0])[None, :, None]
-    stream = dcu.Arrivals(
-        np.ceil(time * RATE - 1e-6).astype(np.int64), np.arange(100), time, values
-    )
-    state = dcu.resting(DCU)
-    demand = dcu.upsample(DCU, state, stream, 2700)
+    stream = Arrivals(np.ceil(time * RATE - 1e-6).astype(np.int64), np.arange(100), time, values)
+    state = resting(DCU)
+    demand = upsample(DCU, state, stream, 2700)
     assert not state.rejected.any()
     curve = BPoly.from_derivatives(time, values)
     at = np.arange(1400, 2400) * FRAME - whole_delay(stream)
@@ -162,8 +162,8 @@ def test_the_measured_delay_is_the_configured_one(transmission: int) -> None:
     """Cross-correlation of host and demand, within a frame (host at 80 Hz, off the grid)."""
     table = SETTINGS.model_dump()
     table["delay"]["transmission"]["value"] = float(transmission)
-    settings = dcu.DcuSettings.model_validate(table)
-    compiled = dcu.make_dcu(settings)
+    settings = DcuSettings.model_validate(table)
+    compiled = make_dcu(settings)
     generator = np.random.default_rng(3)
     lines = generator.uniform(0.5, 5.0, 12), generator.uniform(0.0, 6.0, 12)
 
@@ -179,7 +179,7 @@ def test_the_measured_delay_is_the_configured_one(transmission: int) -> None:
         return -0.002 * (w * w * np.sin(np.outer(t, w) + lines[1])).sum(axis=1)
 
     motion = of(pose, velocity, acceleration)
-    demand = dcu.upsample(compiled, dcu.resting(compiled), arrivals(motion, 80.0, 12.0), 24000)
+    demand = upsample(compiled, resting(compiled), arrivals(motion, 80.0, 12.0), 24000)
     host = pose(np.arange(24000) * FRAME)
     found = correlation_delay(host[2048:], demand[2048:, 0, 2], RATE)
     assert found == pytest.approx(settings.delay.total, abs=FRAME)
@@ -190,8 +190,8 @@ def test_a_lost_frame_is_bridged_by_the_hold() -> None:
     """Two intervals of 1/80 s fit in the delay: the quintic over both, no stop, no gap."""
     motion = sine(0.05, 1.0)
     stream = drop(arrivals(motion, 80.0, 2.0), 100)
-    state = dcu.resting(DCU)
-    demand = dcu.upsample(DCU, state, stream, 4100)
+    state = resting(DCU)
+    demand = upsample(DCU, state, stream, 4100)
     error = np.abs(demand - expected(motion, stream, 4100))[1400:, 0, 2].max()
     assert error < 0.05 * (2.0 * np.pi) ** 6 * (1 / 80) ** 6 / 720 * 1.1
     assert state.counts == {
@@ -206,8 +206,8 @@ def test_a_lost_frame_is_bridged_by_the_hold() -> None:
 def test_missing_frames_are_waited_for_and_the_stream_is_rejoined_smoothly() -> None:
     motion = sine(0.05, 1.0)
     stream = drop(arrivals(motion, 80.0, 3.0), *range(100, 105))
-    state = dcu.resting(DCU)
-    demand = dcu.upsample(DCU, state, stream, 6000)
+    state = resting(DCU)
+    demand = upsample(DCU, state, stream, 6000)
     assert state.counts["missing"] == 5
     assert state.counts["late"] == 1
     error = np.abs(demand - expected(motion, stream, 6000))[1400:, 0, 2]
@@ -226,23 +226,23 @@ def test_missing_frames_are_waited_for_and_the_stream_is_rejoined_smoothly() -> 
 def test_silence_ends_in_rest_with_a_flag() -> None:
     motion = of(lambda t: 0.4 * t, lambda t: 0.4 + 0.0 * t, lambda t: 0.0 * t)
     stream = arrivals(motion, 80.0, 1.0)
-    state = dcu.resting(DCU)
+    state = resting(DCU)
     assert state.stale
     last = int(stream.frame[-1])
     before = last + round(0.24 * RATE)
-    demand = dcu.upsample(DCU, state, stream, before)
+    demand = upsample(DCU, state, stream, before)
     assert not state.stale
-    empty = dcu.Arrivals(*(column[:0] for column in stream))
-    after = dcu.upsample(DCU, state, empty, 2048)
+    empty = Arrivals(*(column[:0] for column in stream))
+    after = upsample(DCU, state, empty, 2048)
     assert state.stale
     assert state.counts["silent"] == 1
     whole = np.concatenate([demand, after])
     rest = last + (whole_delay(stream) + SETTINGS.dcu.stop_time.si) * RATE
-    resting = whole[int(np.ceil(rest)) :, :, 2]
-    assert (resting[:, 1:] == 0.0).all()
+    still = whole[int(np.ceil(rest)) :, :, 2]
+    assert (still[:, 1:] == 0.0).all()
     # The last frame's pose and half the stop time at its velocity.
     end = stream.values[-1, 0, 2] + 0.4 * SETTINGS.dcu.stop_time.si / 2.0
-    assert resting[:, 0] == pytest.approx(end, abs=1e-12)
+    assert still[:, 0] == pytest.approx(end, abs=1e-12)
     assert_smooth(whole)
     assert np.abs(whole[last:, 2, 2]).max() == pytest.approx(1.5 * 0.4 / 0.5, rel=1e-3)
 
@@ -250,9 +250,9 @@ def test_silence_ends_in_rest_with_a_flag() -> None:
 def test_a_host_that_comes_back_is_taken_up_wherever_it_is() -> None:
     first = arrivals(of(lambda t: 0.2 + 0 * t, np.zeros_like, np.zeros_like), 80.0, 1.0)
     other = arrivals(of(lambda t: -0.5 + 0 * t, np.zeros_like, np.zeros_like), 50.0, 3.0, 3000)
-    both = dcu.Arrivals(*(np.concatenate(pair) for pair in zip(first, other, strict=True)))
-    state = dcu.resting(DCU, [0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
-    demand = dcu.upsample(DCU, state, both, 9200)
+    both = Arrivals(*(np.concatenate(pair) for pair in zip(first, other, strict=True)))
+    state = resting(DCU, [0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
+    demand = upsample(DCU, state, both, 9200)
     assert demand[0, 0, 2] == 0.1
     assert demand[2500, 0, 2] == pytest.approx(0.2, abs=1e-15)
     assert demand[-1, 0, 2] == pytest.approx(-0.5, abs=1e-15)
@@ -267,8 +267,8 @@ def test_a_host_that_comes_back_is_taken_up_wherever_it_is() -> None:
 def test_a_step_is_followed_within_the_rejoin_limits_and_one_wild_frame_is_not() -> None:
     """1 in, as in section 3.4.2: the frame is held, confirmed by the next, and costs no time."""
     stream = arrivals(of(lambda t: 0.0254 * (t >= 1.0), np.zeros_like, np.zeros_like), 80.0, 2.0)
-    state = dcu.resting(DCU)
-    demand = dcu.upsample(DCU, state, stream, 4096)
+    state = resting(DCU)
+    demand = upsample(DCU, state, stream, 4096)
     turn = np.ceil((1.0 + whole_delay(stream)) * RATE)
     moving = np.flatnonzero(np.diff(demand[:, 0, 2]))
     assert abs(moving[0] - turn) <= 1
@@ -279,14 +279,14 @@ def test_a_step_is_followed_within_the_rejoin_limits_and_one_wild_frame_is_not()
 
     wild = stream._replace(values=np.zeros_like(stream.values))
     wild.values[80, 0, 2] = 1.0
-    state = dcu.resting(DCU)
-    demand = dcu.upsample(DCU, state, wild, 4096)
+    state = resting(DCU)
+    demand = upsample(DCU, state, wild, 4096)
     assert (demand == 0.0).all()
     assert state.rejections["unconfirmed"] == 1
     assert state.counts["accepted"] == 159
 
 
-def with_row(**changes: float) -> tuple[dcu.Arrivals, int]:
+def with_row(**changes: float) -> tuple[Arrivals, int]:
     """A resting stream whose frame 50 is changed; returns it and that index."""
     stream = arrivals(of(np.zeros_like, np.zeros_like, np.zeros_like), 80.0, 1.0)
     rows = {"pose": 0, "velocity": 1, "acceleration": 2}
@@ -324,8 +324,8 @@ def test_a_bad_frame_is_counted_by_its_reason_and_leaves_no_trace(
     changes: dict[str, float], reason: str
 ) -> None:
     stream, _ = with_row(**changes)
-    state = dcu.resting(DCU)
-    demand = dcu.upsample(DCU, state, stream, 2048)
+    state = resting(DCU)
+    demand = upsample(DCU, state, stream, 2048)
     assert {name: n for name, n in state.rejections.items() if n} == {reason: 1}
     assert state.counts["accepted"] == 79
     assert state.counts["missing"] == (1 if reason in ("repeated", "out_of_order") else 0)
@@ -335,8 +335,8 @@ def test_a_bad_frame_is_counted_by_its_reason_and_leaves_no_trace(
 def test_a_host_of_1_khz_is_thinned() -> None:
     motion = sine(0.02, 1.0)
     stream = arrivals(motion, 1000.0, 2.0)
-    state = dcu.resting(DCU)
-    demand = dcu.upsample(DCU, state, stream, 4096)
+    state = resting(DCU)
+    demand = upsample(DCU, state, stream, 4096)
     assert state.counts["accepted"] == 200
     assert state.rejections["too_soon"] == 1800
     assert state.counts["missing"] == 0
@@ -347,8 +347,8 @@ def test_a_host_of_1_khz_is_thinned() -> None:
 
 def test_a_burst_is_refused_when_it_runs_ahead() -> None:
     stream = arrivals(of(np.zeros_like, np.zeros_like, np.zeros_like), 80.0, 10.0)
-    state = dcu.resting(DCU)
-    dcu.upsample(DCU, state, stream._replace(frame=np.zeros_like(stream.frame)), 10)
+    state = resting(DCU)
+    upsample(DCU, state, stream._replace(frame=np.zeros_like(stream.frame)), 10)
     early = state.rejections["too_early"] + state.rejections["time_jump"]
     assert early > 700
     assert state.counts["accepted"] + early == 800
@@ -360,9 +360,9 @@ def test_the_play_clock_follows_a_host_whose_clock_drifts(drift: float) -> None:
     motion = sine(0.02, 1.0)
     time = np.arange(8000) / 80.0
     frame = np.ceil(time * (1.0 + drift) * RATE).astype(np.int64)
-    stream = dcu.Arrivals(frame, np.arange(time.size), time, motion(time))
-    state = dcu.resting(DCU)
-    demand = dcu.upsample(DCU, state, stream, 204000)
+    stream = Arrivals(frame, np.arange(time.size), time, motion(time))
+    state = resting(DCU)
+    demand = upsample(DCU, state, stream, 204000)
     assert state.counts["late"] == 0
     assert not state.rejected.any()
     tail = slice(180000, 200480)  # ten cycles
@@ -376,8 +376,8 @@ def test_a_host_that_falls_behind_for_good_is_followed_after_the_timeout() -> No
     motion = sine(0.02, 1.0)
     stream = arrivals(motion, 80.0, 6.0)
     stream.frame[200:] += 205
-    state = dcu.resting(DCU)
-    demand = dcu.upsample(DCU, state, stream, 12000)
+    state = resting(DCU)
+    demand = upsample(DCU, state, stream, 12000)
     assert state.counts["late"] == np.ceil(SETTINGS.dcu.timeout.si * 80.0) + 2
     assert state.counts["resynchronised"] == 2
     tail = slice(8000, 12000)
@@ -391,8 +391,8 @@ def test_a_host_that_stumbles_and_catches_up_leaves_the_delay_alone() -> None:
     motion = sine(0.05, 1.0)
     stream = arrivals(motion, 80.0, 3.0)
     stream.frame[100:106] = stream.frame[106]
-    state = dcu.resting(DCU)
-    demand = dcu.upsample(DCU, state, stream, 6100)
+    state = resting(DCU)
+    demand = upsample(DCU, state, stream, 6100)
     assert state.counts["late"] > 0
     assert state.counts["resynchronised"] == 1
     error = np.abs(demand - expected(motion, stream, 6100))[:, 0, 2]
@@ -407,9 +407,9 @@ def test_a_host_may_change_its_rate(before: float, after: float) -> None:
     motion = sine(0.02, 1.0)
     time = np.concatenate([np.arange(0.0, 2.0, 1 / before), np.arange(2.0, 60.0, 1 / after)])
     frame = np.ceil(time * RATE - 1e-6).astype(np.int64)
-    stream = dcu.Arrivals(frame, np.arange(time.size), time, motion(time))
-    state = dcu.resting(DCU)
-    demand = dcu.upsample(DCU, state, stream, 122000)
+    stream = Arrivals(frame, np.arange(time.size), time, motion(time))
+    state = resting(DCU)
+    demand = upsample(DCU, state, stream, 122000)
     assert not state.rejected.any()
     tail = slice(110000, 120240)  # five cycles
     found = lag(demand[tail, 0, 2], 1.0, tail.start)
@@ -426,8 +426,8 @@ def test_the_pose_ends_within_its_bound() -> None:
     edge = SETTINGS.dcu.pose_translation.si
     motion = of(lambda t: edge - 2.0 * (1.0 - t), lambda t: 2.0 + 0 * t, np.zeros_like)
     stream = arrivals(motion, 80.0, 1.0)
-    state = dcu.resting(DCU)
-    demand = dcu.upsample(DCU, state, stream, 6000)
+    state = resting(DCU)
+    demand = upsample(DCU, state, stream, 6000)
     assert edge < demand[:, 0, 2].max() < edge + SETTINGS.dcu.overtravel_translation.si
     assert (demand[-1, 1:] == 0.0).all()
     assert_smooth(demand)
@@ -435,7 +435,7 @@ def test_the_pose_ends_within_its_bound() -> None:
 
 def test_same_frames_same_bits() -> None:
     stream = drop(arrivals(sine(0.05, 2.0), 75.0, 2.0), 20, 40, 41, 42, 43)
-    runs = [dcu.upsample(DCU, dcu.resting(DCU), stream, 4000).tobytes() for _ in range(2)]
+    runs = [upsample(DCU, resting(DCU), stream, 4000).tobytes() for _ in range(2)]
     assert runs[0] == runs[1]
 
 
@@ -466,7 +466,7 @@ def test_a_bad_settings_file_is_refused_by_field(text: str, message: str, tmp_pa
     path = tmp_path / "mine.toml"
     path.write_text(text)
     with pytest.raises(ValueError, match=message):
-        dcu.load_dcu(path)
+        load_dcu(path)
 
 
 def test_a_settings_file_changes_what_it_names(tmp_path: Path) -> None:
@@ -474,21 +474,21 @@ def test_a_settings_file_changes_what_it_names(tmp_path: Path) -> None:
     path.write_text(
         '[delay]\ntransmission = { value = 0.0, unit = "1", status = "assumed", source = "bench" }'
     )
-    mine = dcu.load_dcu(path)
+    mine = load_dcu(path)
     assert mine.delay.transmission.value == 0.0
     assert mine.dcu == SETTINGS.dcu
     assert isinstance(mine, Settings)
     with pytest.raises(ValueError, match="not one of default nor"):
-        dcu.load_dcu("fast")
+        load_dcu("fast")
 
 
 def test_bad_arguments_are_refused_by_name() -> None:
     stream = arrivals(sine(0.05, 2.0), 80.0, 1.0)
     with pytest.raises(ValueError, match="frame: control frames"):
-        dcu.upsample(DCU, dcu.resting(DCU), stream._replace(frame=stream.frame[::-1].copy()), 10)
+        upsample(DCU, resting(DCU), stream._replace(frame=stream.frame[::-1].copy()), 10)
     with pytest.raises(ValueError, match="values: shape"):
-        dcu.upsample(DCU, dcu.resting(DCU), stream._replace(values=stream.values[:, 0]), 10)
+        upsample(DCU, resting(DCU), stream._replace(values=stream.values[:, 0]), 10)
     with pytest.raises(ValueError, match="frames: 0"):
-        dcu.upsample(DCU, dcu.resting(DCU), stream, 0)
+        upsample(DCU, resting(DCU), stream, 0)
     with pytest.raises(ValueError, match="pose"):
-        dcu.resting(DCU, [0.0, 0.0, np.nan, 0.0, 0.0, 0.0])
+        resting(DCU, [0.0, 0.0, np.nan, 0.0, 0.0, 0.0])

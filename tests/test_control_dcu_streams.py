@@ -7,11 +7,14 @@ from hypothesis import strategies as st
 from lengths import examples
 from numpy.typing import NDArray
 
-from cmf_mj.control import dcu
+from cmf_mj.control.dcu import play
+from cmf_mj.control.dcu.arrivals import Arrivals, feed, upsample
+from cmf_mj.control.dcu.settings import make_dcu
+from cmf_mj.control.dcu.state import DcuState, output_bounds, resting
 
 RATE = 2048
-DCU = dcu.make_dcu()
-BOUNDS = dcu.output_bounds(DCU)
+DCU = make_dcu()
+BOUNDS = output_bounds(DCU)
 
 KINDS = (
     "smooth",
@@ -34,7 +37,7 @@ KINDS = (
 )
 
 
-def stream(kinds: list[str], seed: int) -> tuple[dcu.Arrivals, int]:
+def stream(kinds: list[str], seed: int) -> tuple[Arrivals, int]:
     """A host that misbehaves in the order of `kinds`, some frames each."""
     generator = np.random.default_rng(seed)
     rows: list[tuple[int, int, float, NDArray[np.float64]]] = []
@@ -89,15 +92,15 @@ def stream(kinds: list[str], seed: int) -> tuple[dcu.Arrivals, int]:
                 arrival += generator.uniform(0.0, 0.4)
             rows.append((int(arrival * RATE), number, stamp, values))
     frame, number, stamp, values = zip(*rows, strict=True)
-    arrivals = dcu.Arrivals(
+    arrivals = Arrivals(
         np.array(frame), np.array(number), np.array(stamp), np.array(values, dtype=float)
     )
     return arrivals, int(arrival * RATE) + RATE
 
 
-def check(arrivals: dcu.Arrivals, frames: int) -> dcu.DcuState:
-    state = dcu.resting(DCU)
-    demand = dcu.upsample(DCU, state, arrivals, frames)
+def check(arrivals: Arrivals, frames: int) -> DcuState:
+    state = resting(DCU)
+    demand = upsample(DCU, state, arrivals, frames)
     assert np.isfinite(demand).all()
     assert (np.abs(demand).max(axis=0) <= BOUNDS).all()
     # Pose and velocity are continuous, with the next bound as Lipschitz constant.
@@ -139,7 +142,7 @@ def test_the_demand_is_bounded_and_every_frame_is_accounted_for(
 )
 def test_numbers_without_any_sense(values: list[tuple[int, float, float, int]]) -> None:
     frame = np.cumsum([row[3] for row in values], dtype=np.int64)
-    arrivals = dcu.Arrivals(
+    arrivals = Arrivals(
         frame,
         np.array([row[0] for row in values], dtype=np.int64),
         np.array([row[1] for row in values], dtype=float),
@@ -148,7 +151,7 @@ def test_numbers_without_any_sense(values: list[tuple[int, float, float, int]]) 
     check(arrivals, int(frame[-1]) + 600 if values else 600)
 
 
-def adversary(count: int) -> dcu.Arrivals:
+def adversary(count: int) -> Arrivals:
     """Pairs of frames that confirm each other, each pair elsewhere, at the limits of a frame."""
     generator = np.random.default_rng(7)
     time = np.arange(count) / 80.0
@@ -159,7 +162,7 @@ def adversary(count: int) -> dcu.Arrivals:
         values[pair, 0], values[pair + 1, 0] = place, place + speed / 80.0
         values[pair : pair + 2, 1] = speed
     frame = np.ceil(time * RATE - 1e-6).astype(np.int64)
-    return dcu.Arrivals(frame, np.arange(count), time, values)
+    return Arrivals(frame, np.arange(count), time, values)
 
 
 def test_an_adversary_who_jumps_whenever_he_is_believed() -> None:
@@ -170,11 +173,11 @@ def test_an_adversary_who_jumps_whenever_he_is_believed() -> None:
 def test_no_gap_is_taken_up_beyond_the_limits_of_a_frame() -> None:
     """What the bounds rest on: reversals at full speed are waited out, not corrected away."""
     arrivals = adversary(200)
-    state, demand, cursor = dcu.resting(DCU), np.empty((3, 6)), 0
+    state, demand, cursor = resting(DCU), np.empty((3, 6)), 0
     largest = np.zeros((3, 6))
     for frame in range(200 * 26):
-        cursor = dcu.feed(DCU, state, arrivals, cursor, frame)
-        dcu.step(DCU, state, demand)
+        cursor = feed(DCU, state, arrivals, cursor, frame)
+        play.step(DCU, state, demand)
         np.maximum(largest, np.abs(state.gap), out=largest)
     assert (largest[1] > 0.5 * DCU.velocity).all()
     assert (largest[1] <= DCU.velocity).all()

@@ -17,7 +17,10 @@ from typer.testing import CliRunner
 
 from cmf_mj import signals
 from cmf_mj.cli.common import app
-from cmf_mj.control import dcu
+from cmf_mj.control.dcu import play
+from cmf_mj.control.dcu.arrivals import feed, upsample
+from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
+from cmf_mj.control.dcu.state import output_bounds, resting
 from cmf_mj.facility.host.datagram import DATAGRAM_REASONS, SIZE, DatagramError, decode, encode
 from cmf_mj.facility.host.files import HostSession, read_stream, write_stream
 from cmf_mj.facility.host.handover import NEVER, collect, logged, make_log, make_ring, put
@@ -85,8 +88,8 @@ def test_the_error_of_derivatives_falls_with_the_fifth_and_fourth_power() -> Non
 
 def test_a_stream_of_poses_is_played_as_its_spline() -> None:
     stream = wave(160, 64.0)
-    compiled = dcu.make_dcu()
-    demand = dcu.upsample(compiled, dcu.resting(compiled), arrivals_of(stream), 5000)
+    compiled = make_dcu()
+    demand = upsample(compiled, resting(compiled), arrivals_of(stream), 5000)
     spline = make_interp_spline(stream.time, stream.pose, k=5)
     delay = 1.0 / 64.0 + compiled.hold + compiled.line / RATE
     at = np.arange(1500, 5000) / RATE - delay
@@ -198,9 +201,9 @@ def test_a_session_with_bad_frames_is_replayed_bit_for_bit(tmp_path: Path) -> No
     arrivals.time[40] = np.nan
     arrivals.sequence[50] = 49
     arrivals.frame[60:] += 400
-    table = dcu.load_dcu().model_dump()
+    table = load_dcu().model_dump()
     table["delay"]["transmission"]["value"] = 11.0
-    session = HostSession(arrivals, 4000, np.full(6, 0.01), dcu.DcuSettings.model_validate(table))
+    session = HostSession(arrivals, 4000, np.full(6, 0.01), DcuSettings.model_validate(table))
     demand = session.replay()
     again = HostSession.load(session.save(tmp_path / "session.parquet"))
     assert again.settings == session.settings
@@ -494,10 +497,10 @@ def test_the_command_line_sends_a_file(tmp_path: Path) -> None:
 def test_from_datagram_to_demand_nothing_is_unaccounted_for(datagrams: list[bytes]) -> None:
     """Octets in, demand out, one datagram a host interval, without the socket between."""
     ring, log = make_ring(), make_log(64)
-    compiled = dcu.make_dcu()
-    state, demand = dcu.resting(compiled), np.empty((3, 6))
+    compiled = make_dcu()
+    state, demand = resting(compiled), np.empty((3, 6))
     refused = filled = cursor = 0
-    bounds = dcu.output_bounds(compiled)
+    bounds = output_bounds(compiled)
     for now in range(len(datagrams) * 26 + 600):
         if now % 26 == 0 and now // 26 < len(datagrams):
             try:
@@ -505,8 +508,8 @@ def test_from_datagram_to_demand_nothing_is_unaccounted_for(datagrams: list[byte
             except DatagramError:
                 refused += 1
         filled = collect(ring, log, filled, now)
-        cursor = dcu.feed(compiled, state, log, cursor, now)
-        dcu.step(compiled, state, demand)
+        cursor = feed(compiled, state, log, cursor, now)
+        play.step(compiled, state, demand)
         assert np.isfinite(demand).all()
         assert (np.abs(demand) <= bounds).all()
     assert state.counts["accepted"] + int(state.rejected.sum()) + refused == len(datagrams)

@@ -11,7 +11,8 @@ from lengths import examples
 from numpy.typing import NDArray
 from test_control_dcu_streams import KINDS, stream
 
-from cmf_mj.control import dcu, limiter, states
+from cmf_mj.control import limiter, states
+from cmf_mj.control.dcu.settings import make_dcu
 from cmf_mj.control.demand import make_demand
 from cmf_mj.control.states import Request, State
 from cmf_mj.facility.front import Blocks, Chain, follow, make_chain
@@ -27,7 +28,7 @@ from cmf_mj.facility.host.stream import HostFrame
 from cmf_mj.machine.kinematics import WORKING_STROKE
 
 T = 1.0 / 2048.0
-DCU = dcu.make_dcu()
+DCU = make_dcu()
 POSE, LEGS = limiter.make_pose_limiter(), limiter.make_leg_limiter()
 DEMAND, STATES = make_demand(), states.make_states()
 GARBAGE = ("bit", "cut", "long", "noise", "empty")

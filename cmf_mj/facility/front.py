@@ -12,7 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control import dcu, demand, limiter, states
+from cmf_mj.control import demand, limiter, states
+from cmf_mj.control.dcu import play
+from cmf_mj.control.dcu.arrivals import Arrivals, feed
+from cmf_mj.control.dcu.settings import Dcu, make_dcu
+from cmf_mj.control.dcu.state import DcuState, resting
 from cmf_mj.control.protection import NO_FAULT
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.compiled import compiled, inlined
@@ -22,7 +26,7 @@ from cmf_mj.facility.host.handover import Ring, collect, make_log, make_ring
 class Blocks(NamedTuple):
     """Compiled parameters of the chain's blocks, in signal order."""
 
-    dcu: dcu.Dcu
+    dcu: Dcu
     pose_limits: limiter.Limiter
     demand: demand.Demand
     states: states.States
@@ -41,11 +45,11 @@ class Chain(NamedTuple):
 
     active: bool  #: Whether the reference comes from it; from the table otherwise.
     blocks: Blocks
-    dcu_state: dcu.DcuState
+    dcu_state: DcuState
     pose_state: limiter.LimiterState
     operating: states.OperatingState
     leg_state: limiter.LimiterState
-    arrivals: dcu.Arrivals  #: Host frames, known before the run or collected while it goes.
+    arrivals: Arrivals  #: Host frames, known before the run or collected while it goes.
     live: bool  #: Whether they are collected from the ring.
     ring: Ring  #: Hand-over from the receiving thread.
     request_frame: NDArray[np.int64]  #: Control frames of the operator's requests, (m,).
@@ -58,7 +62,7 @@ class Chain(NamedTuple):
 
 def make_chain(
     blocks: Blocks,
-    arrivals: dcu.Arrivals,
+    arrivals: Arrivals,
     requests: Sequence[tuple[int, Request]],
     begin: State,
     *,
@@ -80,7 +84,7 @@ def make_chain(
     return Chain(
         active=True,
         blocks=blocks,
-        dcu_state=dcu.resting(blocks.dcu, pose),
+        dcu_state=resting(blocks.dcu, pose),
         pose_state=limiter.start(blocks.pose_limits, pose),
         operating=operating,
         leg_state=limiter.start(blocks.leg_limits, reference[0]),
@@ -100,7 +104,7 @@ def make_chain(
 def idle_chain() -> Chain:
     """A chain that nothing comes from or goes into."""
     blocks = Blocks(
-        dcu.make_dcu(),
+        make_dcu(),
         limiter.make_pose_limiter(),
         demand.make_demand(),
         states.make_states(),
@@ -123,11 +127,9 @@ def _follow(chain, frame, position, fault, tripped, reference):  # type: ignore[
         request = Request.TRIP.value
     if chain.live:
         progress.collected = collect(chain.ring, chain.arrivals, progress.collected, frame)
-    progress.arrival = dcu.feed(
-        blocks.dcu, chain.dcu_state, chain.arrivals, progress.arrival, frame
-    )
+    progress.arrival = feed(blocks.dcu, chain.dcu_state, chain.arrivals, progress.arrival, frame)
     motion, legs, out = chain.motion, chain.legs, chain.reference
-    dcu.step(blocks.dcu, chain.dcu_state, motion)
+    play.step(blocks.dcu, chain.dcu_state, motion)
     limiter.step(blocks.pose_limits, chain.pose_state, motion[0], motion[0], motion[1], motion[2])
     demand.step(blocks.demand, motion[0], motion[1], motion[2], legs[0], legs[1], legs[2])
     progress.state = states.step(blocks.states, chain.operating, request, legs, position, out)
