@@ -197,7 +197,7 @@ def test_trigger_at_the_stop_winds_up(entry: LedgerEntry) -> None:
     law = load_law("velocity_integral")
     for trigger in (-37.5, -37.0):
         error = make_error_calculations(law.model_copy(update={"integrator_trigger": trigger}))
-        seen = integrate(error, 0.0, -37.5 * INCH, -37.2 * INCH) / error.frame / INCH
+        seen = integrate(error, 0.0, -37.5 * INCH, -37.2 * INCH) * 2048.0 / INCH
         name = f"error seen at -37.2 in, trigger {trigger:g} in"
         assert seen == pytest.approx(entry.figure(name), abs=1e-9)
 

@@ -11,7 +11,7 @@ import pytest
 from cmf_mj import Law, law_names, load_law
 from cmf_mj.control import dcl as blocks
 from cmf_mj.control.compensator import compensate, make_compensator
-from cmf_mj.control.dcl import Dcl, DclState, make_dcl
+from cmf_mj.control.dcl import Dcl, DclState, clamp, limit, make_dcl
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.error import filtered_rate, integrate, make_error_calculations
 from cmf_mj.control.feedback import (
@@ -21,7 +21,6 @@ from cmf_mj.control.feedback import (
     pressure_force,
 )
 from cmf_mj.control.law import SIGNALS
-from cmf_mj.control.limits import clamp, limit
 
 FRAME = 1.0 / 2048.0
 INCH = 0.0254
@@ -400,7 +399,7 @@ def test_engaged_laws_without_an_integral_give_their_dc_command() -> None:
 def test_force_feedback_is_eq_3_7() -> None:
     """F = (p_cap - p_rod) 11.97 in^2: 100 psi are 1197 lbf."""
     psi = POUND_FORCE / INCH**2
-    found = pressure_force(make_feedback(load_law("force")), 900 * psi, 800 * psi)
+    found = pressure_force(900 * psi, 800 * psi)
     assert found / POUND_FORCE == pytest.approx(1197.0, rel=1e-12)
 
 

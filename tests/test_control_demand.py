@@ -16,7 +16,7 @@ MOTIONS = RNG.uniform(-1.0, 1.0, (40, 3, 6)) * np.array([SIZE, 2.0 * SIZE, 8.0 *
 
 def frame(parameters, pose, velocity, acceleration):
     out = np.full((3, 6), np.nan)
-    block.step(parameters, pose, velocity, acceleration, out[0], out[1], out[2])
+    block.step(parameters, np.array([pose, velocity, acceleration]), out)
     return out
 
 

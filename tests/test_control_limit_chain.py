@@ -24,24 +24,19 @@ STATES = states.make_states()
 @numba.njit
 def _run(pose_limits, pose_state, parameters, machine, machine_state, leg_limits, leg_state,
          together, requests, pose, velocity, acceleration, out, codes):  # fmt: skip
-    host, reference = np.zeros((3, 6)), np.zeros((3, 6))
+    host, reference, motion = np.zeros((3, 6)), np.zeros((3, 6)), np.zeros((3, 6))
     measured = leg_state.position.copy()
-    limited = np.zeros(6)
     base, wish = np.zeros(6), np.zeros(6)
     for k in range(requests.size):
-        limiter.step(pose_limits, pose_state, pose[k], limited, velocity[k], acceleration[k])
-        demand.step(
-            parameters, limited, velocity[k], acceleration[k], host[0], host[1], host[2]
-        )  # fmt: skip
+        motion[0], motion[1], motion[2] = pose[k], velocity[k], acceleration[k]
+        limiter.step(pose_limits, pose_state, motion)
+        demand.step(parameters, motion, host)
         codes[k] = states.step(machine, machine_state, requests[k], host, measured, reference)
         if together:
-            limiter.step_together(
-                leg_limits, leg_state, reference[0], out[0, k], reference[1], reference[2],
-                base, wish,
-            )  # fmt: skip
+            limiter.step_together(leg_limits, leg_state, reference, base, wish)
         else:
-            limiter.step(leg_limits, leg_state, reference[0], out[0, k], reference[1], reference[2])
-        out[1, k], out[2, k] = reference[1], reference[2]
+            limiter.step(leg_limits, leg_state, reference)
+        out[:, k] = reference
         measured[:] = out[0, k]
 
 
@@ -111,11 +106,12 @@ def test_an_admissible_host_reaches_the_legs_unchanged():
     pose = size * np.sin(phase) * fade
     velocity, acceleration = np.gradient(pose, T, axis=0), -size * rates**2 * np.sin(phase) * fade
     out, codes = run(State.ENGAGED, np.zeros(6144), pose, velocity, acceleration)
-    wanted = np.zeros((3, 6144, 6))
+    expected, legs = np.zeros((3, 6144, 6)), np.zeros((3, 6))
     for k in range(6144):
-        demand.step(DEMAND, pose[k], velocity[k], acceleration[k], *wanted[:, k])
-    assert np.abs(wanted[1]).max() > 0.5 * LEGS.velocity[0]
-    np.testing.assert_array_equal(out, wanted)
+        demand.step(DEMAND, np.array([pose[k], velocity[k], acceleration[k]]), legs)
+        expected[:, k] = legs
+    assert np.abs(expected[1]).max() > 0.5 * LEGS.velocity[0]
+    np.testing.assert_array_equal(out, expected)
     assert (codes == State.ENGAGED).all()
     again = pose_motion_to_legs(pose, velocity, acceleration)
     np.testing.assert_allclose(out[1:], again, rtol=0, atol=1e-12)

@@ -314,23 +314,6 @@ def test_leg_and_pose_limiters_take_the_shipped_limits():
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"low": [2.0]}, r"low: must be less than high"),
-        ({"velocity": [0.0]}, r"velocity: 0\.0 must be greater than 0"),
-        ({"acceleration": [np.nan]}, r"acceleration: nan is not a finite number"),
-        ({"high": [1.0, 2.0]}, r"high: shape is \(2,\); low has \(1,\)"),
-        ({"rejoin": 1.5}, r"rejoin: 1\.5 must be greater than 0 and at most 1"),
-        ({"frame": 0.0}, r"frame: 0\.0 s must be greater than 0"),
-    ],
-)
-def test_refused_limits_are_named(change, message):
-    given = {"low": [-1.0], "high": [1.0], "velocity": [1.0], "acceleration": [1.0]} | change
-    with pytest.raises(ValueError, match=message):
-        make_limiter(**given)
-
-
-@pytest.mark.parametrize(
     ("demand", "velocity", "message"),
     [
         (np.zeros((3, 2)), None, r"demand: shape is \(3, 2\); it must be \(frames, 1\)"),

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cmf_mj.control import states as block
-from cmf_mj.control.state_settings import load_state_settings
-from cmf_mj.control.states import Request, State, make_states, start
+from cmf_mj.control.states import Request, State, load_state_settings, make_states, start
 from cmf_mj.machine.kinematics import WORKING_STROKE
 
 T = 1.0 / 2048.0

@@ -36,7 +36,6 @@ from cmf_mj.control.feedback import (
     pressure_force,
 )
 from cmf_mj.control.law import SIGNALS, Law
-from cmf_mj.control.limits import clamp, limit
 from cmf_mj.control.load_feedback import CompiledLoadFeedback, damp, make_load_feedback
 from cmf_mj.control.plan import CompiledPlan, PlanState, advance, ask, bounded, correct, make_plan
 from cmf_mj.control.reference_model import (
@@ -49,6 +48,7 @@ from cmf_mj.control.reference_model import (
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
+from cmf_mj.machine.kinematics import WORKING_STROKE
 
 OFFSET_STAYS = float(np.exp(-FRAME / 0.5))
 """What is left of the offset of a hand-over after a frame."""
@@ -161,35 +161,33 @@ def make_dcl(law: Law, legs: int) -> Dcl:
         error=make_error_calculations(law),
         compensator=make_compensator(law, legs),
         model=make_model(law.reference_model),
-        plan=make_plan(law.plan, modes, legs, FRAME),
-        load_feedback=make_load_feedback(
-            law.load_feedback, modes if law.plan else None, legs, FRAME
-        ),
+        plan=make_plan(law.plan, modes, legs),
+        load_feedback=make_load_feedback(law.load_feedback, modes if law.plan else None, legs),
         shape=make_shape(modes, legs),
         workspace=_workspace(legs),
     )
 
 
 def _workspace(legs: int) -> Workspace:
-    def zeros() -> NDArray[np.float64]:
-        return np.zeros(legs)
-
     inputs = np.zeros((legs, len(SIGNALS)))
     fields = np.dtype([(name, np.float64) for name in SIGNALS])
-    return Workspace(
-        limited=zeros(),
-        moved=zeros(),
-        signals=inputs.view(fields)[:, 0].view(np.recarray),
-        inputs=inputs,
-        output=zeros(),
-        command=zeros(),
-        reference=zeros(),
-        integral=zeros(),
-        target=zeros(),
-        planned=zeros(),
-        legs=zeros(),
-        feedback=LegFeedback(zeros(), zeros(), zeros(), zeros(), zeros()),
-    )
+    arrays: dict[str, Any] = {name: np.zeros(legs) for name in Workspace._fields}
+    arrays["inputs"] = inputs
+    arrays["signals"] = inputs.view(fields)[:, 0].view(np.recarray)
+    arrays["feedback"] = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
+    return Workspace(**arrays)
+
+
+@compiled
+def limit(demand):  # type: ignore[no-untyped-def]
+    """The demand of one leg [m], within the working stroke of +-37.5 in (section 3.2.1)."""
+    return min(max(demand, -WORKING_STROKE), WORKING_STROKE)
+
+
+@compiled
+def clamp(output):  # type: ignore[no-untyped-def]
+    """Valve command of one leg as a fraction, -1 to 1 (section 2.3.3)."""
+    return min(max(output, -1.0), 1.0)
 
 
 @compiled
@@ -203,17 +201,17 @@ def fill(dcl, state, leg, reference, target, integral, feedback, signals):  # ty
         dcl.error, target, state.error.reference_filter[leg]
     )
     cap, rod = feedback.cap_pressure[leg], feedback.rod_pressure[leg]
-    own = signals[leg]
-    own.reference = reference
-    own.cap_pressure = cap
-    own.rod_pressure = rod
-    own.position = position
-    own.velocity = feedback.velocity[leg]
-    own.position_error_rate = error_rate
-    own.velocity_error = reference_rate - feedback.velocity[leg]
-    own.error_integral = integral
-    own.acceleration = state.acceleration[leg]
-    own.force = pressure_force(dcl.feedback, cap, rod)
+    inputs = signals[leg]
+    inputs.reference = reference
+    inputs.cap_pressure = cap
+    inputs.rod_pressure = rod
+    inputs.position = position
+    inputs.velocity = feedback.velocity[leg]
+    inputs.position_error_rate = error_rate
+    inputs.velocity_error = reference_rate - feedback.velocity[leg]
+    inputs.error_integral = integral
+    inputs.acceleration = state.acceleration[leg]
+    inputs.force = pressure_force(cap, rod)
     return error_filter, reference_filter
 
 

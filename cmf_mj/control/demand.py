@@ -67,13 +67,12 @@ def make_demand(
 
 
 @compiled
-def step(  # type: ignore[no-untyped-def]
-    demand, pose, velocity, acceleration, leg_position, leg_velocity, leg_acceleration
-):
+def step(demand, motion, legs):  # type: ignore[no-untyped-def]
     """Write the motion of the legs (3, 6) that a motion of the platform (3, 6) demands.
 
     Rows are position [m, rad], z down, velocity and acceleration.
     """
+    pose, velocity, acceleration = motion[0], motion[1], motion[2]
     upper, lower, neutral = demand.geometry
     cf, sf = np.cos(pose[3]), np.sin(pose[3])
     ct, st = np.cos(pose[4]), np.sin(pose[4])
@@ -115,17 +114,7 @@ def step(  # type: ignore[no-untyped-def]
         tz = ox * sy - oy * sx + bx * ry - by * rx + acceleration[2]
         wx, wy, wz = velocity[0] + sx, velocity[1] + sy, velocity[2] + sz
         along = lx * wx + ly * wy + lz * wz
-        leg_position[j] = length - neutral[j]
-        leg_velocity[j] = along
+        legs[0, j] = length - neutral[j]
+        legs[1, j] = along
         across = wx * wx + wy * wy + wz * wz - along * along
-        leg_acceleration[j] = lx * tx + ly * ty + lz * tz + across / length
-
-
-def leg_demand(
-    pose: NDArray[np.float64], geometry: kinematics.Geometry | None = None
-) -> NDArray[np.float64]:
-    """Leg demands from neutral [m], (N, 6), of a pose demand (N, 6) [m, rad], z down.
-
-    Positions alone, for a history known before the loop starts; rigid platform.
-    """
-    return kinematics.pose_to_legs(pose, geometry)
+        legs[2, j] = lx * tx + ly * ty + lz * tz + across / length

@@ -19,7 +19,7 @@ from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.rates import FRAME
-from cmf_mj.machine import kinematics
+from cmf_mj.machine.kinematics import WORKING_STROKE
 
 
 class ErrorState(NamedTuple):
@@ -33,21 +33,17 @@ class ErrorState(NamedTuple):
 class ErrorCalculations(NamedTuple):
     """Compiled parameters of the error block."""
 
-    frame: float  #: T [s].
     derivative_pole: float  #: p [rad/s].
     integrator_limit: float  #: Saturation of the integral [m s].
-    integrator_trigger: float  #: Position above which the integrator sees the true position [m].
-    bottom: float  #: Position it sees below [m].
+    integrator_trigger: float  #: Position below which the integrator sees the bottom [m].
 
 
 def make_error_calculations(law: Law) -> ErrorCalculations:
     """Take the error block's parameters from a law."""
     return ErrorCalculations(
-        frame=FRAME,
         derivative_pole=law.derivative_pole,
         integrator_limit=law.integrator_limit * units.INCH,
         integrator_trigger=law.integrator_trigger * units.INCH,
-        bottom=-kinematics.WORKING_STROKE,
     )
 
 
@@ -55,12 +51,12 @@ def make_error_calculations(law: Law) -> ErrorCalculations:
 def filtered_rate(error, signal, state):  # type: ignore[no-untyped-def]
     """Rate of `signal` [1/s] and the filter's next state."""
     rate = error.derivative_pole * (signal - state)
-    return rate, state + error.frame * rate
+    return rate, state + FRAME * rate
 
 
 @compiled
 def integrate(error, integral, reference, position):  # type: ignore[no-untyped-def]
     """Next value of the error integral of one leg [m s]."""
-    seen = position if position > error.integrator_trigger else error.bottom
-    moved = integral + error.frame * (reference - seen)
+    seen = position if position > error.integrator_trigger else -WORKING_STROKE
+    moved = integral + FRAME * (reference - seen)
     return min(max(moved, -error.integrator_limit), error.integrator_limit)

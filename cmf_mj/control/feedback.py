@@ -27,14 +27,7 @@ from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.machine.gravity import (
-    LegAxes,
-    LegAxesState,
-    leg_axes_state,
-    make_leg_axes,
-    track,
-    upward,
-)
+from cmf_mj.machine.gravity import leg_axes_state, make_leg_axes, track, upward
 
 FORCE_AREA = 11.97 * units.INCH**2
 """Area the pressure difference acts on in Eq 3.7 [m^2]: the annulus, as the report states it."""
@@ -55,15 +48,12 @@ class Feedback(NamedTuple):
 
     accelerometer_pole: float  #: Pole of Eq 3.6, per frame.
     accelerometer_gain: float  #: Gain of Eq 3.6.
-    force_area: float  #: A of Eq 3.7 [m^2].
     gravity_compensation: bool  #: Whether the law reads accelerations without gravity.
 
 
 def make_feedback(law: Law) -> Feedback:
     """Take the feedback block's parameters from a law."""
-    return Feedback(
-        law.accelerometer_pole, law.accelerometer_gain, FORCE_AREA, law.gravity_compensation
-    )
+    return Feedback(law.accelerometer_pole, law.accelerometer_gain, law.gravity_compensation)
 
 
 @compiled
@@ -73,9 +63,9 @@ def filter_acceleration(feedback, filtered, measured):  # type: ignore[no-untype
 
 
 @compiled
-def pressure_force(feedback, cap_pressure, rod_pressure):  # type: ignore[no-untyped-def]
+def pressure_force(cap_pressure, rod_pressure):  # type: ignore[no-untyped-def]
     """Force feedback of Eq 3.7 [N]."""
-    return (cap_pressure - rod_pressure) * feedback.force_area
+    return (cap_pressure - rod_pressure) * FORCE_AREA
 
 
 def noise_gain(law: Law) -> float:
@@ -83,57 +73,27 @@ def noise_gain(law: Law) -> float:
     return float(law.accelerometer_gain / np.sqrt(1.0 - law.accelerometer_pole**2))
 
 
-class GravityCompensation(NamedTuple):
-    """Compiled parameters of the gravity compensation."""
-
-    enabled: bool  #: Whether the accelerometers feel gravity; otherwise there is none to know.
-    axes: LegAxes
-
-
-def make_gravity_compensation(*, enabled: bool) -> GravityCompensation:
-    """Compensation for accelerometers that feel gravity, or feel none."""
-    return GravityCompensation(enabled, make_leg_axes())
-
-
-def gravity_compensation_state(
-    compensation: GravityCompensation, position: NDArray[np.float64]
-) -> LegAxesState:
-    """State that knows the pose of the measured leg positions (n,) [m].
-
-    Raises:
-        InputError: enabled, and the legs are not six or no pose has them.
-    """
-    if compensation.enabled and position.shape != (6,):
-        raise InputError(f"position: shape is {position.shape}; gravity along the legs needs (6,)")
-    return leg_axes_state(compensation.axes, position if compensation.enabled else np.zeros(6))
+@compiled
+def find_gravity(axes, state, position, gravity):  # type: ignore[no-untyped-def]
+    """Write g n . up [m/s^2], which accelerometers feel, at measured extensions (6,) [m]."""
+    track(axes, state, position)
+    for leg in range(6):
+        gravity[leg] = units.STANDARD_GRAVITY * upward(state, leg)
 
 
 @compiled
-def find_gravity(compensation, state, position, gravity):  # type: ignore[no-untyped-def]
-    """Gravity that leg accelerometers feel, one frame.
-
-    Args:
-        compensation: parameters.
-        state: overwritten.
-        position: (n,) measured extensions [m].
-        gravity: (n,) overwritten with g n . up [m/s^2]; left as it is where they feel none.
-    """
-    if compensation.enabled:
-        track(compensation.axes, state, position)
-        for leg in range(6):
-            gravity[leg] = units.STANDARD_GRAVITY * upward(state, leg)
-
-
-@compiled
-def _histories(compensation, state, position, gravity):  # type: ignore[no-untyped-def]
+def _histories(axes, state, position, gravity):  # type: ignore[no-untyped-def]
     for frame in range(position.shape[0]):
-        find_gravity(compensation, state, position[frame], gravity[frame])
+        find_gravity(axes, state, position[frame], gravity[frame])
 
 
 def gravity_history(position: NDArray[np.float64]) -> NDArray[np.float64]:
     """Gravity along six legs at measured extensions (N, 6) [m], as the DCL finds it [m/s^2]."""
-    compensation = make_gravity_compensation(enabled=True)
-    gravity = np.empty(position.shape)
-    own = np.ascontiguousarray(position)
-    _histories(compensation, gravity_compensation_state(compensation, own[0]), own, gravity)
+    if position.shape[1:] != (6,):
+        raise InputError(
+            f"position: shape is {position.shape[1:]}; gravity along the legs needs (6,)"
+        )
+    axes, gravity = make_leg_axes(), np.empty(position.shape)
+    position = np.ascontiguousarray(position)
+    _histories(axes, leg_axes_state(axes, position[0]), position, gravity)
     return gravity

@@ -4,7 +4,7 @@ One channel (a leg or a degree of freedom) has the position range [low, high], t
 and the largest acceleration A. With T the frame, p the output and v[k] = (p[k] - p[k-1]) / T:
 
 **Bounds.** Braking at A from v leaves the positions p + T (v - A T) + T (v - 2 A T) + ... Within
-the room R to a limit the next velocity may be at most
+the distance R to a limit the next velocity may be at most
 
     b(R) = (R / T + A T n (n + 1) / 2) / (n + 1),    n = floor((sqrt(1 + 8 R / (A T^2)) - 1) / 2),
 
@@ -32,8 +32,8 @@ scale: from rest all channels follow one straight line between old and new deman
 can go no further all brake together and wait. It brakes in proportion, v - s v with
 s = A T / max |v| (the least over channels with their own A), and takes the largest share of the way
 from there to the wish that all bounds allow and from which braking in proportion still ends within
-all ranges. That needs more room than braking alone: a slow channel near its limit beside a fast one
-is held back earlier. Do not change between the two in motion.
+all ranges. That takes longer than braking alone: a slow channel near its limit with a fast one is
+held back earlier. Do not change between the two in motion.
 
 Not limited: jerk. Parabolas are those of Zanasi, Guarino Lo Bianco and Tonielli (Automatica 36,
 2000) in the deadbeat form of discrete time.
@@ -80,35 +80,9 @@ def make_limiter(
     rejoin: float = 0.5,
     frame: float = FRAME,
 ) -> Limiter:
-    """Limiter of any channels.
-
-    Args:
-        low: lowest positions (n,).
-        high: highest positions (n,).
-        velocity: largest speeds (n,).
-        acceleration: largest accelerations (n,).
-        rejoin: share of the acceleration that closes in on the demand.
-        frame: control frame [s].
-
-    Raises:
-        InputError: shapes that differ, or a value out of range, named.
-    """
-    given = {"low": low, "high": high, "velocity": velocity, "acceleration": acceleration}
-    arrays = {name: np.array(values, dtype=float) for name, values in given.items()}
-    for name, array in arrays.items():
-        if array.ndim != 1 or array.shape != arrays["low"].shape:
-            raise InputError(f"{name}: shape is {array.shape}; low has {arrays['low'].shape}")
-        if not np.isfinite(array).all():
-            raise InputError(f"{name}: {array[~np.isfinite(array)][0]} is not a finite number")
-    for name in ("velocity", "acceleration"):
-        if (arrays[name] <= 0.0).any():
-            raise InputError(f"{name}: {arrays[name].min()} must be greater than 0")
-    if (arrays["low"] >= arrays["high"]).any():
-        raise InputError("low: must be less than high in every channel")
-    if not 0.0 < rejoin <= 1.0:
-        raise InputError(f"rejoin: {rejoin} must be greater than 0 and at most 1")
-    if not (np.isfinite(frame) and frame > 0.0):
-        raise InputError(f"frame: {frame} s must be greater than 0")
+    """Limiter of channels with any positions, speeds and accelerations, (n,) each."""
+    channels = {"low": low, "high": high, "velocity": velocity, "acceleration": acceleration}
+    arrays = {name: np.array(values, dtype=float) for name, values in channels.items()}
     return Limiter(**arrays, rejoin=rejoin, frame=frame)
 
 
@@ -127,9 +101,9 @@ def make_leg_limiter(limits: MotionLimits | None = None, legs: int = 6) -> Limit
 
 def make_pose_limiter(limits: MotionLimits | None = None) -> Limiter:
     """Limiter of pose demands: operational limits of Table 2-1 and the rates assumed with them."""
-    given = limits or load_motion_limits()
-    low, high = given.operational.T
-    return make_limiter(low, high, given.velocity, given.acceleration, given.leg.rejoin.si)
+    limits = limits or load_motion_limits()
+    low, high = limits.operational.T
+    return make_limiter(low, high, limits.velocity, limits.acceleration, limits.leg.rejoin.si)
 
 
 def start(limiter: Limiter, position: ArrayLike) -> LimiterState:
@@ -139,13 +113,13 @@ def start(limiter: Limiter, position: ArrayLike) -> LimiterState:
 
 
 @compiled
-def stopping_velocity(room, acceleration, frame):  # type: ignore[no-untyped-def]
-    """b(room): largest velocity of the next frame after which braking stops within `room`."""
-    if room <= 0.0:
+def stopping_velocity(distance, acceleration, frame):  # type: ignore[no-untyped-def]
+    """b(R): largest velocity of the next frame after which braking stops within a distance R."""
+    if distance <= 0.0:
         return 0.0
     unit = acceleration * frame * frame
-    n = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * room / unit) - 1.0))
-    return (room / frame + 0.5 * acceleration * frame * n * (n + 1.0)) / (n + 1.0)
+    n = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * distance / unit) - 1.0))
+    return (distance / frame + 0.5 * acceleration * frame * n * (n + 1.0)) / (n + 1.0)
 
 
 @compiled
@@ -168,7 +142,7 @@ def _remaining(lag, closing, frame):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _accept(limiter, state, i, wanted, position, out, rates, accelerations):  # type: ignore[no-untyped-def]
+def _accept(limiter, state, i, demand, position, motion):  # type: ignore[no-untyped-def]
     """Put a position out and renew the state; demanded rates pass only with their position."""
     frame, speed, limit = limiter.frame, limiter.velocity[i], limiter.acceleration[i]
     before = state.velocity[i]
@@ -176,17 +150,17 @@ def _accept(limiter, state, i, wanted, position, out, rates, accelerations):  # 
     change = (now - before) / frame
     state.position[i] = position
     state.velocity[i] = now
-    state.lag[i] = wanted - position
-    out[i] = position
-    if state.lag[i] != 0.0 or not np.isfinite(rates[i] + accelerations[i]):
-        rates[i] = now + 0.5 * frame * change
-        accelerations[i] = change
-    rates[i] = min(max(rates[i], -speed), speed)
-    accelerations[i] = min(max(accelerations[i], -limit), limit)
+    state.lag[i] = demand - position
+    motion[0, i] = position
+    if state.lag[i] != 0.0 or not np.isfinite(motion[1, i] + motion[2, i]):
+        motion[1, i] = now + 0.5 * frame * change
+        motion[2, i] = change
+    motion[1, i] = min(max(motion[1, i], -speed), speed)
+    motion[2, i] = min(max(motion[2, i], -limit), limit)
 
 
 @compiled
-def step(limiter, state, demand, out, rates, accelerations):  # type: ignore[no-untyped-def]
+def step(limiter, state, motion):  # type: ignore[no-untyped-def]
     """One frame of channels limited each alone: motion (3, n) in place.
 
     Demanded positions become those put out; NaN repeats the last demand. Velocities and
@@ -194,11 +168,11 @@ def step(limiter, state, demand, out, rates, accelerations):  # type: ignore[no-
     output otherwise.
     """
     frame = limiter.frame
-    for i in range(demand.shape[0]):
+    for i in range(motion.shape[1]):
         limit, speed = limiter.acceleration[i], limiter.velocity[i]
         at, before = state.position[i], state.velocity[i]
-        wanted = _screened(limiter, i, state.lag[i], at, demand[i])
-        position = wanted - _remaining(state.lag[i], limiter.rejoin * limit, frame)
+        demand = _screened(limiter, i, state.lag[i], at, motion[0, i])
+        position = demand - _remaining(state.lag[i], limiter.rejoin * limit, frame)
         wish = (position - at) / frame
         velocity = min(max(wish, before - limit * frame, -speed), before + limit * frame, speed)
         # Ranges go last: where round-off parts the bounds, it does not add up to leave a range.
@@ -207,7 +181,7 @@ def step(limiter, state, demand, out, rates, accelerations):  # type: ignore[no-
         if velocity != wish:
             position = at + frame * velocity
         position = min(max(position, limiter.low[i]), limiter.high[i])
-        _accept(limiter, state, i, wanted, position, out, rates, accelerations)
+        _accept(limiter, state, i, demand, position, motion)
 
 
 @compiled
@@ -239,20 +213,20 @@ def _fits(limiter, state, base, wish, share):  # type: ignore[no-untyped-def]
     for i in range(base.shape[0]):
         velocity = base[i] + share * (wish[i] - base[i])
         at = state.position[i]
-        room = limiter.high[i] - at if velocity > 0.0 else at - limiter.low[i]
-        if reach * abs(velocity) > room:
+        left = limiter.high[i] - at if velocity > 0.0 else at - limiter.low[i]
+        if reach * abs(velocity) > left:
             return False
     return True
 
 
 @compiled
-def step_together(limiter, state, demand, out, rates, accelerations, base, wish):  # type: ignore[no-untyped-def]
+def step_together(limiter, state, motion, base, wish):  # type: ignore[no-untyped-def]
     """One frame as `step`, all channels on one scale; `base` and `wish` (n,) are workspace.
 
     Returned is the share of the way from braking to the wish; 1 while the demand is followed.
     """
     frame = limiter.frame
-    channels = demand.shape[0]
+    channels = motion.shape[1]
     ratio, far = 0.0, 0.0
     for i in range(channels):
         ratio = max(ratio, abs(state.velocity[i]) / limiter.acceleration[i])
@@ -263,13 +237,12 @@ def step_together(limiter, state, demand, out, rates, accelerations, base, wish)
     closing = _remaining(far, limiter.rejoin, frame) / far if far > 0.0 else 0.0
     for i in range(channels):
         at = state.position[i]
-        wanted = _screened(limiter, i, state.lag[i], at, demand[i])
-        out[i] = wanted
-        wish[i] = (wanted - closing * state.lag[i] - at) / frame
+        motion[0, i] = _screened(limiter, i, state.lag[i], at, motion[0, i])
+        wish[i] = (motion[0, i] - closing * state.lag[i] - at) / frame
         base[i] = brake * state.velocity[i]
         # By induction within the range; the bound keeps round-off from adding up.
-        room = limiter.high[i] - at if base[i] > 0.0 else at - limiter.low[i]
-        base[i] = min(max(base[i], -room / reach), room / reach)
+        left = limiter.high[i] - at if base[i] > 0.0 else at - limiter.low[i]
+        base[i] = min(max(base[i], -left / reach), left / reach)
     share = 1.0
     if not _fits(limiter, state, base, wish, 1.0):
         share, beyond = 0.0, 1.0
@@ -280,13 +253,13 @@ def step_together(limiter, state, demand, out, rates, accelerations, base, wish)
             else:
                 beyond = middle
     for i in range(channels):
-        at, wanted = state.position[i], out[i]
+        at, demand = state.position[i], motion[0, i]
         if share == 1.0:
-            position = wanted - closing * state.lag[i]
+            position = demand - closing * state.lag[i]
         else:
             position = at + frame * (base[i] + share * (wish[i] - base[i]))
         position = min(max(position, limiter.low[i]), limiter.high[i])
-        _accept(limiter, state, i, wanted, position, out, rates, accelerations)
+        _accept(limiter, state, i, demand, position, motion)
     return share
 
 
@@ -301,14 +274,13 @@ class LimitedMotion(NamedTuple):
 
 
 @compiled
-def _limit_history(limiter, state, position, velocity, acceleration, share, together):  # type: ignore[no-untyped-def]
-    base, wish = np.zeros(position.shape[1]), np.zeros(position.shape[1])
-    for k in range(position.shape[0]):
-        row, rates, accelerations = position[k], velocity[k], acceleration[k]
+def _limit_history(limiter, state, motions, share, together):  # type: ignore[no-untyped-def]
+    base, wish = np.zeros(motions.shape[2]), np.zeros(motions.shape[2])
+    for k in range(motions.shape[0]):
         if together:
-            share[k] = step_together(limiter, state, row, row, rates, accelerations, base, wish)
+            share[k] = step_together(limiter, state, motions[k], base, wish)
         else:
-            step(limiter, state, row, row, rates, accelerations)
+            step(limiter, state, motions[k])
 
 
 def limit_history(
@@ -324,18 +296,22 @@ def limit_history(
     Velocities and accelerations that are not demanded are the changes of the output. With
     `together` all channels share one scale.
     """
-    position = np.array(demand, dtype=float, order="C")
+    position = np.array(demand, dtype=float)
     if position.ndim != 2 or position.shape[1] != limiter.low.size:
         raise InputError(
             f"demand: shape is {position.shape}; it must be (frames, {limiter.low.size})"
         )
-    rates = []
-    for name, given in (("velocity", velocity), ("acceleration", acceleration)):
-        values = np.full(position.shape, np.nan) if given is None else np.array(given, dtype=float)
-        if values.shape != position.shape:
-            raise InputError(f"{name}: shape is {values.shape}; demand has {position.shape}")
-        rates.append(np.ascontiguousarray(values))
-    found = LimitedMotion(position, rates[0], rates[1], np.ones(position.shape[0]))
+    motions = np.full((position.shape[0], 3, position.shape[1]), np.nan)
+    motions[:, 0] = position
+    for row, name, values in ((1, "velocity", velocity), (2, "acceleration", acceleration)):
+        if values is not None:
+            if np.shape(values) != position.shape:
+                raise InputError(
+                    f"{name}: shape is {np.shape(values)}; demand has {position.shape}"
+                )
+            motions[:, row] = values
+    share = np.ones(position.shape[0])
     if position.shape[0]:
-        _limit_history(limiter, start(limiter, position[0]), *found, together)
-    return found
+        _limit_history(limiter, start(limiter, position[0]), motions, share, together)
+    p, v, a = np.ascontiguousarray(motions.transpose(1, 0, 2))
+    return LimitedMotion(p, v, a, share)

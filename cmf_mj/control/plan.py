@@ -1,4 +1,4 @@
-"""The plan: command and motion from a model of the actuator that never asks for what it has not.
+"""The plan: command and motion from a model of the actuator, within what the actuator can do.
 
 A leg, or a hydraulic mode (`cmf_mj.control.coordinates`), of speed k, drive lag a, valve lag b,
 frequency w and damping ratio z answers to a command u as
@@ -63,6 +63,7 @@ from cmf_mj.control.coordinates import (
 )
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
+from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Settings
 
 ORDER = 5
@@ -129,22 +130,22 @@ class CompiledPlan(NamedTuple):
 
 def actuator_polynomial(plan: Plan, frequency: float) -> NDArray[np.float64]:
     """D, ascending powers of s, of a leg or mode of this undamped frequency [rad/s]."""
-    found = np.array([0.0, 1.0])
+    polynomial = np.array([0.0, 1.0])
     for corner in (plan.drive_lag, plan.valve_lag):
-        found = np.convolve(found, [1.0, 1.0 / (2.0 * np.pi * corner)])
-    return np.convolve(found, [1.0, plan.leak_rate / frequency**2, 1.0 / frequency**2])
+        polynomial = np.convolve(polynomial, [1.0, 1.0 / (2.0 * np.pi * corner)])
+    return np.convolve(polynomial, [1.0, plan.leak_rate / frequency**2, 1.0 / frequency**2])
 
 
 def response_polynomial(plan: Plan) -> NDArray[np.float64]:
     """E, ascending powers of s."""
-    found = np.array([1.0, 1.0 / (2.0 * np.pi * plan.pole)])
+    polynomial = np.array([1.0, 1.0 / (2.0 * np.pi * plan.pole)])
     for natural, damping in plan.pairs:
         omega = 2.0 * np.pi * natural
-        found = np.convolve(found, [1.0, 2.0 * damping / omega, 1.0 / omega**2])
-    return found
+        polynomial = np.convolve(polynomial, [1.0, 2.0 * damping / omega, 1.0 / omega**2])
+    return polynomial
 
 
-def make_plan(plan: Plan | None, modes: Modes | None, legs: int, frame: float) -> CompiledPlan:
+def make_plan(plan: Plan | None, modes: Modes | None, legs: int) -> CompiledPlan:
     """Compile a plan for legs, or the modes of a cab; None for none."""
     empty = np.zeros((legs, ORDER))
     none = np.zeros(legs)
@@ -153,18 +154,18 @@ def make_plan(plan: Plan | None, modes: Modes | None, legs: int, frame: float) -
         return CompiledPlan(square, empty, empty, none, none, none, 0.0, 0.0, none, none)
     hertz = np.full(legs, plan.frequency) if modes is None else np.array(modes.frequency)
     speed = plan.speed * units.INCH / units.PERCENT
-    wanted = response_polynomial(plan)
+    response = response_polynomial(plan)
     transitions, inputs, feedbacks, forwards = [], [], [], []
     for omega in 2.0 * np.pi * hertz:
-        own = actuator_polynomial(plan, omega)
+        actuator = actuator_polynomial(plan, omega)
         a, b = np.diag(np.ones(ORDER - 1), 1), np.zeros((ORDER, 1))
-        a[-1], b[-1] = -own[:ORDER] / own[ORDER], speed / own[ORDER]
-        held = (a, b, np.eye(ORDER), np.zeros((ORDER, 1)))
-        a, b, *_ = signal.cont2discrete(held, frame, method="zoh")
-        share = own[ORDER] / wanted[ORDER]
+        a[-1], b[-1] = -actuator[:ORDER] / actuator[ORDER], speed / actuator[ORDER]
+        system = (a, b, np.eye(ORDER), np.zeros((ORDER, 1)))
+        a, b, *_ = signal.cont2discrete(system, FRAME, method="zoh")
+        share = actuator[ORDER] / response[ORDER]
         transitions.append(a)
         inputs.append(b[:, 0])
-        feedbacks.append((share * wanted[:ORDER] - own[:ORDER]) / speed)
+        feedbacks.append((share * response[:ORDER] - actuator[:ORDER]) / speed)
         forwards.append(share / speed)
     scale = units.PERCENT / units.INCH
     return CompiledPlan(
@@ -172,9 +173,9 @@ def make_plan(plan: Plan | None, modes: Modes | None, legs: int, frame: float) -
         input=np.array(inputs),
         feedback=np.array(feedbacks),
         forward=np.array(forwards),
-        rate=spread(plan.rate, legs) * units.INCH * frame,
-        acceleration=spread(plan.acceleration, legs) * units.INCH * frame**2,
-        pull=2.0 * np.pi * plan.approach * frame,
+        rate=spread(plan.rate, legs) * units.INCH * FRAME,
+        acceleration=spread(plan.acceleration, legs) * units.INCH * FRAME**2,
+        pull=2.0 * np.pi * plan.approach * FRAME,
         authority=plan.authority * units.PERCENT,
         position_gain=spread(plan.position, legs) * scale,
         velocity_gain=spread(plan.velocity, legs) * scale,
@@ -205,7 +206,7 @@ def approach(error, pull, most):  # type: ignore[no-untyped-def]
 
 @compiled
 def ask(plan, state, mode, demand):  # type: ignore[no-untyped-def]
-    """Command that the plan would like of one mode, fraction; its reference moves on."""
+    """Command of the plan for one mode before the clamp, fraction; its reference moves on."""
     fastest, most, pull = plan.rate[mode], plan.acceleration[mode], plan.pull
     before, moved = state.demand[mode], state.demand_rate[mode]
     moving = min(max(demand - before, -fastest), fastest)
@@ -218,10 +219,10 @@ def ask(plan, state, mode, demand):  # type: ignore[no-untyped-def]
     state.demand_rate[mode] = moving
     state.reference_rate[mode] = rate
     state.reference[mode] += rate
-    wanted = plan.forward[mode] * state.reference[mode]
+    command = plan.forward[mode] * state.reference[mode]
     for row in range(ORDER):
-        wanted -= plan.feedback[mode, row] * _advanced(plan, state, mode, row)
-    return wanted
+        command -= plan.feedback[mode, row] * _advanced(plan, state, mode, row)
+    return command
 
 
 @compiled
@@ -255,14 +256,9 @@ def correct(plan, state, mode, feedback):  # type: ignore[no-untyped-def]
 @compiled
 def advance(plan, state, mode, command):  # type: ignore[no-untyped-def]
     """Move the plan of one mode on by a frame; `command` acts a frame later."""
-    position = _advanced(plan, state, mode, 0)
-    velocity = _advanced(plan, state, mode, 1)
-    acceleration = _advanced(plan, state, mode, 2)
-    jerk = _advanced(plan, state, mode, 3)
-    snap = _advanced(plan, state, mode, 4)
-    state.position[mode] = position
-    state.velocity[mode] = velocity
-    state.acceleration[mode] = acceleration
-    state.jerk[mode] = jerk
-    state.snap[mode] = snap
+    position, velocity = _advanced(plan, state, mode, 0), _advanced(plan, state, mode, 1)
+    acceleration, jerk = _advanced(plan, state, mode, 2), _advanced(plan, state, mode, 3)
+    state.snap[mode] = _advanced(plan, state, mode, 4)
+    state.position[mode], state.velocity[mode] = position, velocity
+    state.acceleration[mode], state.jerk[mode] = acceleration, jerk
     state.command[mode] = command

@@ -21,7 +21,7 @@ where they would exceed the speed and acceleration allowed to fades:
 
 all legs with the same S and D. The legs come to hold at the end of q, without any fade.
 
-A request is the state wanted; it is kept up until reached. `Request.ENGAGE` from off leads through
+A request names a state; it is kept up until reached. `Request.ENGAGE` from off leads through
 settled and raise. `Request.TRIP` leads from every state to fault: the reference stops, goes down to
 the settled position, then the valve command fades to nothing. Fault is left to off by
 `Request.RESET`, once the legs really lie on the stops. Raise and return that do not arrive in time
@@ -29,21 +29,52 @@ become faults.
 """
 
 from enum import IntEnum
-from typing import NamedTuple
+from pathlib import Path
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.control.state_settings import StateSettings, load_state_settings
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.quantity import Quantity, positive_in
 from cmf_mj.core.rates import FRAME
+from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.machine.kinematics import WORKING_STROKE
 
 _SPEED_PEAK = 1.875
 """Largest s'."""
 _ACCELERATION_PEAK = 10.0 / np.sqrt(3.0)
 """Largest s''."""
+
+
+_Time = Annotated[Quantity, positive_in("s")]
+_Length = Annotated[Quantity, positive_in("in", "m")]
+
+
+class StateSettings(Settings):
+    """Times, rates and tolerances of the operating states."""
+
+    raise_time: _Time  #: Least fade from the stops to neutral.
+    engage_time: _Time  #: Least fade to the host's demand.
+    hold_time: _Time
+    """Least fade to hold, where the legs would otherwise come to rest beyond the stroke."""
+    return_time: _Time  #: Least fade to the stops.
+    fault_time: _Time  #: Least fade to the stops after a fault.
+    stop_time: _Time  #: Least time in which a difference in velocity is taken out.
+    valve_time: _Time  #: Time in which the valve command is faded in or out.
+    speed: Annotated[Quantity, positive_in("in/s", "m/s")]  #: Largest leg speed of a fade.
+    acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
+    """Largest leg acceleration of a fade, and of a stop."""
+    settled_tolerance: _Length
+    """Distance from the settled position within which a leg without command lies on the stops."""
+    arrival_tolerance: _Length
+    """Distance from neutral or the settled position within which a leg has followed there."""
+    arrival_timeout: _Time  #: Time after the end of raise or return in which the legs must arrive.
+
+
+load_state_settings = Loader(StateSettings, Path(__file__).with_name("states.toml"))
+"""Loads the settings of the operating states."""
 
 
 class State(IntEnum):
@@ -98,7 +129,6 @@ class States(NamedTuple):
     settled_tolerance: float  #: [m].
     arrival_tolerance: float  #: [m].
     arrival_timeout: float  #: [s].
-    frame: float  #: T [s].
 
 
 class OperatingState(NamedTuple):
@@ -115,24 +145,23 @@ class OperatingState(NamedTuple):
 
 def make_states(settings: StateSettings | None = None) -> States:
     """Compile the settings; default the shipped ones."""
-    given = settings or load_state_settings()
+    settings = settings or load_state_settings()
     fade = np.zeros(len(State))
-    fade[State.RAISE] = given.raise_time.si
-    fade[State.HOLD] = given.hold_time.si
-    fade[State.ENGAGED] = given.engage_time.si
-    fade[State.RETURN] = given.return_time.si
-    fade[State.FAULT] = given.fault_time.si
+    fade[State.RAISE] = settings.raise_time.si
+    fade[State.HOLD] = settings.hold_time.si
+    fade[State.ENGAGED] = settings.engage_time.si
+    fade[State.RETURN] = settings.return_time.si
+    fade[State.FAULT] = settings.fault_time.si
     return States(
         fade=fade,
-        stop_time=given.stop_time.si,
-        valve_time=given.valve_time.si,
-        speed=given.speed.si,
-        acceleration=given.acceleration.si,
+        stop_time=settings.stop_time.si,
+        valve_time=settings.valve_time.si,
+        speed=settings.speed.si,
+        acceleration=settings.acceleration.si,
         travel=WORKING_STROKE,
-        settled_tolerance=given.settled_tolerance.si,
-        arrival_tolerance=given.arrival_tolerance.si,
-        arrival_timeout=given.arrival_timeout.si,
-        frame=FRAME,
+        settled_tolerance=settings.settled_tolerance.si,
+        arrival_tolerance=settings.arrival_tolerance.si,
+        arrival_timeout=settings.arrival_timeout.si,
     )
 
 
@@ -157,7 +186,7 @@ def start(states: States, code: State, position: ArrayLike) -> OperatingState:
 
 @compiled
 def smooth(x):  # type: ignore[no-untyped-def]
-    """s, s' and s'' at x, held outside 0 to 1."""
+    """s, s' and s'' at x, at the nearer end outside 0 to 1."""
     x = min(max(x, 0.0), 1.0)
     y = 1.0 - x
     return x * x * x * (10.0 - 15.0 * x + 6.0 * x * x), 30.0 * x * x * y * y, 60.0 * x * y * (y - x)
@@ -179,18 +208,18 @@ def _stopping(velocity, acceleration, time, duration):  # type: ignore[no-untype
 
 
 @compiled
-def _finite(leg, host, rates, accelerations):  # type: ignore[no-untyped-def]
-    here = np.isfinite(host[leg]) and np.isfinite(rates[leg])
-    return here and np.isfinite(accelerations[leg])
+def _finite(demand, leg):  # type: ignore[no-untyped-def]
+    here = np.isfinite(demand[0, leg]) and np.isfinite(demand[1, leg])
+    return here and np.isfinite(demand[2, leg])
 
 
 @compiled
-def _source(states, state, leg, host, rates, accelerations):  # type: ignore[no-untyped-def]
+def _source(states, state, leg, demand):  # type: ignore[no-untyped-def]
     """Position, velocity and acceleration of the present source."""
     code = state.code[0]
     if code == State.ENGAGED:
-        if _finite(leg, host, rates, accelerations):
-            return host[leg], rates[leg], accelerations[leg]
+        if _finite(demand, leg):
+            return demand[0, leg], demand[1, leg], demand[2, leg]
         return state.host[leg], 0.0, 0.0
     if code == State.RAISE:
         return 0.0, 0.0, 0.0
@@ -255,26 +284,26 @@ def _next(states, state, request, measured):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _enter(states, state, following, host, rates, accelerations, out, out_rates, out_changes):  # type: ignore[no-untyped-def]
-    """Change the state and set up the fade from the reference `out` and its derivatives."""
-    legs = out.shape[0]
+def _enter(states, state, following, demand, reference):  # type: ignore[no-untyped-def]
+    """Change the state and set up the fade from the reference (3, n)."""
+    legs = reference.shape[1]
     state.code[0] = following
     swift = 0.0
     for leg in range(legs):
-        _, velocity, _ = _source(states, state, leg, host, rates, accelerations)
-        swift = max(swift, abs(out_rates[leg] - velocity))
+        _, velocity, _ = _source(states, state, leg, demand)
+        swift = max(swift, abs(reference[1, leg] - velocity))
     stop = max(states.stop_time, 1.5 * swift / states.acceleration)
     far = 0.0
     for leg in range(legs):
         if following == State.HOLD:
-            left, _, _ = _stopping(out_rates[leg], out_changes[leg], 0.0, stop)
-            state.hold[leg] = min(max(out[leg] - left, -states.travel), states.travel)
-        position, velocity, change = _source(states, state, leg, host, rates, accelerations)
-        state.offset[1, leg] = out_rates[leg] - velocity
-        state.offset[2, leg] = out_changes[leg] - change
+            left, _, _ = _stopping(reference[1, leg], reference[2, leg], 0.0, stop)
+            state.hold[leg] = min(max(reference[0, leg] - left, -states.travel), states.travel)
+        position, velocity, change = _source(states, state, leg, demand)
+        state.offset[1, leg] = reference[1, leg] - velocity
+        state.offset[2, leg] = reference[2, leg] - change
         left, _, _ = _stopping(state.offset[1, leg], state.offset[2, leg], 0.0, stop)
         # q(0) - q(S) is `left`, so that the difference in position is the sum of both parts.
-        state.offset[0, leg] = out[leg] - position - left
+        state.offset[0, leg] = reference[0, leg] - position - left
         far = max(far, abs(state.offset[0, leg]))
     fade = max(states.fade[following], _SPEED_PEAK * far / states.speed)
     state.clock[0] = 0.0
@@ -292,9 +321,9 @@ def _fade_valve(states, state):  # type: ignore[no-untyped-def]
     phase = state.valve[0]
     ended = state.clock[0] >= max(state.clock[1], state.clock[2])
     if code == State.OFF or (code == State.FAULT and ended):
-        phase -= states.frame / states.valve_time
+        phase -= FRAME / states.valve_time
     elif code != State.FAULT:
-        phase += states.frame / states.valve_time
+        phase += FRAME / states.valve_time
     state.valve[0] = min(max(phase, 0.0), 1.0)
     state.valve[1], _, _ = smooth(state.valve[0])
 
@@ -307,12 +336,10 @@ def step(states, state, request, demand, measured, reference):  # type: ignore[n
     position at rest. `measured` (n,) are the sensors' leg positions [m]. Returned is the `State` of
     this frame; the valve command is to be multiplied by `state.valve[1]`.
     """
-    host, rates, accelerations = demand[0], demand[1], demand[2]
-    out, out_rates, out_changes = reference[0], reference[1], reference[2]
     time, fade, stop = state.clock
     s, ds, dds = smooth(time / fade) if fade > 0.0 else (1.0, 0.0, 0.0)
-    for leg in range(out.shape[0]):
-        position, velocity, change = _source(states, state, leg, host, rates, accelerations)
+    for leg in range(reference.shape[1]):
+        position, velocity, change = _source(states, state, leg, demand)
         if time < max(fade, stop):
             far = state.offset[0, leg]
             left, rate, bend = _stopping(state.offset[1, leg], state.offset[2, leg], time, stop)
@@ -322,12 +349,12 @@ def step(states, state, request, demand, measured, reference):  # type: ignore[n
             if fade > 0.0:
                 velocity -= far * ds / fade
                 change -= far * dds / (fade * fade)
-        out[leg], out_rates[leg], out_changes[leg] = position, velocity, change
-        if _finite(leg, host, rates, accelerations):
-            state.host[leg] = host[leg]
+        reference[0, leg], reference[1, leg], reference[2, leg] = position, velocity, change
+        if _finite(demand, leg):
+            state.host[leg] = demand[0, leg]
     following = _next(states, state, request, measured)
     if following != state.code[0]:
-        _enter(states, state, following, host, rates, accelerations, out, out_rates, out_changes)
+        _enter(states, state, following, demand, reference)
     _fade_valve(states, state)
-    state.clock[0] += states.frame
+    state.clock[0] += FRAME
     return state.code[0]

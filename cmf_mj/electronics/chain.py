@@ -14,13 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control.feedback import (
-    GravityCompensation,
-    LegFeedback,
-    find_gravity,
-    gravity_compensation_state,
-    make_gravity_compensation,
-)
+from cmf_mj.control.feedback import LegFeedback, find_gravity
 from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.core.rates import FRAME
 from cmf_mj.electronics import servo_electronics as servo
@@ -41,7 +35,7 @@ from cmf_mj.electronics.sensors.suite import (
     sensor_state,
 )
 from cmf_mj.electronics.servo_electronics import ServoElectronics, ServoSettings, ServoState
-from cmf_mj.machine.gravity import LegAxesState
+from cmf_mj.machine.gravity import LegAxesState, leg_axes_state
 from cmf_mj.plant.events import read_position
 
 
@@ -72,8 +66,7 @@ class Electronics(NamedTuple):
     sensor_state: SensorState
     converters: Converters
     converter_state: LegFeedback  #: Filter states (n, s, 2).
-    compensation: GravityCompensation
-    compensation_state: LegAxesState
+    axes_state: LegAxesState  #: The legs as tracked from measured positions.
     gravity: NDArray[np.float64]
     """What the accelerometers feel of it, (n,) [m/s^2]; 0 where they feel none."""
     inertial: NDArray[np.float64]  #: Measured accelerations without it, (n,) [m/s^2].
@@ -95,7 +88,6 @@ def make_electronics(settings: ElectronicsSettings | None, at_rest: LegFeedback)
     truth = LegFeedback(*(np.array(values, dtype=float) for values in at_rest))
     sensors = make_sensors(load_sensors(settings.sensors), 1.0 / FRAME, settings.seed)
     converters = make_converters(load_converters(settings.converters))
-    compensation = make_gravity_compensation(enabled=sensors.gravity)
     state = sensor_state(sensors, truth)
     reading = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
     sense(sensors, state, 0, truth, reading)
@@ -105,8 +97,7 @@ def make_electronics(settings: ElectronicsSettings | None, at_rest: LegFeedback)
         state,
         converters,
         converter_state(converters, reading),
-        compensation,
-        gravity_compensation_state(compensation, reading.position),
+        leg_axes_state(sensors.axes, reading.position if sensors.gravity else np.zeros(6)),
         np.zeros(legs),
         np.zeros(legs),
         servo.make_servo_electronics(servo.load_servo_settings(settings.servo)),
@@ -124,12 +115,9 @@ def _measure(electronics, faults, frame, truth, compensated, feedback):  # type:
     for leg in range(truth.position.shape[0]):
         reading.position[leg] = read_position(faults, leg, reading.position[leg])
     digitise(electronics.converters, electronics.converter_state, reading, feedback)
-    find_gravity(
-        electronics.compensation,
-        electronics.compensation_state,
-        feedback.position,
-        electronics.gravity,
-    )
+    if electronics.sensors.gravity:
+        axes, state = electronics.sensors.axes, electronics.axes_state
+        find_gravity(axes, state, feedback.position, electronics.gravity)
     for leg in range(truth.position.shape[0]):
         inertial = feedback.acceleration[leg] - electronics.gravity[leg]
         electronics.inertial[leg] = inertial

@@ -26,7 +26,7 @@ from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core import filters
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Quantity
+from cmf_mj.core.quantity import Quantity, positive_in
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.electronics.stages import low_pass, steps
@@ -34,34 +34,17 @@ from cmf_mj.electronics.stages import low_pass, steps
 CONVERTER_SETS = ("off", "sixteen_bit")
 """Names of the shipped sets."""
 
-_CHANNEL_UNITS = {
-    "position": ("in", "m"),
-    "velocity": ("in/s", "m/s"),
-    "acceleration": ("g", "in/s/s", "m/s/s"),
-    "cap_pressure": ("psi", "Pa"),
-    "rod_pressure": ("psi", "Pa"),
-}
+_Pressure = Annotated[Quantity, positive_in("psi", "Pa")]
 
 
 class FullScale(Settings):
     """Reading of each channel at full-scale volts."""
 
-    position: Quantity
-    velocity: Quantity
-    acceleration: Quantity
-    cap_pressure: Quantity
-    rod_pressure: Quantity
-
-    @model_validator(mode="after")
-    def _in_range(self) -> "FullScale":
-        for channel, units in _CHANNEL_UNITS.items():
-            quantity = getattr(self, channel)
-            if quantity.unit not in units or quantity.value <= 0.0:
-                raise InputError(
-                    f"{channel}: {quantity.value:g} {quantity.unit} is refused: must be greater "
-                    f"than 0 {' or '.join(units)}"
-                )
-        return self
+    position: Annotated[Quantity, positive_in("in", "m")]
+    velocity: Annotated[Quantity, positive_in("in/s", "m/s")]
+    acceleration: Annotated[Quantity, positive_in("g", "in/s/s", "m/s/s")]
+    cap_pressure: _Pressure
+    rod_pressure: _Pressure
 
 
 class ConverterSettings(Settings):
@@ -70,17 +53,13 @@ class ConverterSettings(Settings):
     name: str  #: Name of the set.
     quantise: bool  #: Whether range and resolution act.
     bits: Annotated[int, Field(ge=4, le=32)]  #: Resolution b of the converter.
-    volts: Quantity  #: Full-scale volts, either way.
+    volts: Annotated[Quantity, positive_in("V")]  #: Full-scale volts, either way.
     filter_order: Annotated[int, Field(ge=0, le=8)]  #: Order of the anti-alias filter; 0 for none.
     filter_corner: Quantity  #: Its -3 dB corner, below half the frame rate.
     full_scale: FullScale
 
     @model_validator(mode="after")
     def _in_range(self) -> "ConverterSettings":
-        if self.volts.unit != "V" or self.volts.value <= 0.0:
-            raise InputError(
-                f"volts: {self.volts.value:g} {self.volts.unit} is refused: must be more than 0 V"
-            )
         corner = self.filter_corner
         nyquist = np.pi / FRAME
         if corner.unit not in ("Hz", "rad/s") or not 0.0 < corner.si < nyquist:

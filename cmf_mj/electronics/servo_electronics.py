@@ -25,6 +25,7 @@ from pydantic import Field
 
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.quantity import Quantity, positive_in
+from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Loader, Settings
 
 
@@ -72,16 +73,14 @@ class ServoState(NamedTuple):
     command: NDArray[np.float64]  #: Command behind the rate limiter, fractions, (n,).
 
 
-def make_servo_electronics(
-    settings: ServoSettings | None = None, rate: int = 2048
-) -> ServoElectronics:
-    """Compile the settings, default the shipped ones, for a rate of frames [Hz]."""
+def make_servo_electronics(settings: ServoSettings | None = None) -> ServoElectronics:
+    """Compile the settings, default the shipped ones."""
     chosen = settings or load_servo_settings()
     bits = chosen.dac_bits.value
     return ServoElectronics(
         switch_position=chosen.switch_position.si,
         velocity_clamp=chosen.velocity_clamp.si,
-        change=chosen.rate_limit.si / rate,
+        change=chosen.rate_limit.si * FRAME,
         full_command=chosen.full_command.si,
         dac_range=chosen.dac_range.si,
         quantum=2.0 * chosen.dac_range.si / 2.0**bits if bits else 0.0,

@@ -130,12 +130,12 @@ def _follow(chain, frame, position, fault, tripped, reference):  # type: ignore[
     progress.arrival = feed(blocks.dcu, chain.dcu_state, chain.arrivals, progress.arrival, frame)
     motion, legs, out = chain.motion, chain.legs, chain.reference
     play.step(blocks.dcu, chain.dcu_state, motion)
-    limiter.step(blocks.pose_limits, chain.pose_state, motion[0], motion[0], motion[1], motion[2])
-    demand.step(blocks.demand, motion[0], motion[1], motion[2], legs[0], legs[1], legs[2])
+    limiter.step(blocks.pose_limits, chain.pose_state, motion)
+    demand.step(blocks.demand, motion, legs)
     progress.state = states.step(blocks.states, chain.operating, request, legs, position, out)
     if before == State.FAULT.value and progress.state == State.OFF.value:
         progress.cleared = 1
-    limiter.step(blocks.leg_limits, chain.leg_state, out[0], out[0], out[1], out[2])
+    limiter.step(blocks.leg_limits, chain.leg_state, out)
     for leg in range(6):
         reference[leg] = out[0, leg]
     return chain.operating.valve[1]

@@ -22,7 +22,7 @@ from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.protection import FAULTS, NO_FAULT, Protection, ProtectionState, protect, reset
 from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.electronics.chain import Electronics, deliver, measure, release, without_gravity
-from cmf_mj.electronics.sensors.differences import acceleration, velocity
+from cmf_mj.electronics.sensors.suite import true_acceleration, true_velocity
 from cmf_mj.facility.front import Chain, cleared, follow, host_age, record_demand, watched
 from cmf_mj.facility.layout import Columns
 from cmf_mj.facility.pace import Pace, begin, end
@@ -163,8 +163,8 @@ def _sense(truth, extension, mean, mean_before, step, pressure):  # type: ignore
     """The true motion and pressures at a control frame."""
     for leg in range(extension.shape[0]):
         truth.position[leg] = extension[leg]
-        truth.velocity[leg] = velocity(mean[leg], mean_before[leg])
-        truth.acceleration[leg] = acceleration(mean[leg], mean_before[leg], step)
+        truth.velocity[leg] = true_velocity(mean[leg], mean_before[leg])
+        truth.acceleration[leg] = true_acceleration(mean[leg], mean_before[leg], step)
         truth.cap_pressure[leg] = pressure[leg, CAP]
         truth.rod_pressure[leg] = pressure[leg, ROD]
 

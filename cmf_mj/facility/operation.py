@@ -21,8 +21,7 @@ from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.demand import Demand, make_demand
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
-from cmf_mj.control.state_settings import StateSettings, load_state_settings
-from cmf_mj.control.states import Request, State
+from cmf_mj.control.states import Request, State, StateSettings, load_state_settings
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME, RATE
 from cmf_mj.core.units import INCH

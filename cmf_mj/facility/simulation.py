@@ -10,12 +10,12 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cmf_mj.control.demand import leg_demand
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
 from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.session import Options, OutOfBounds, RunOptions, Session, Table
+from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command
@@ -79,7 +79,7 @@ def simulate(
         table, demanded = Table(reference), None
     else:
         demanded = command if isinstance(command, Command) else Command.from_pose(command)
-        table = Table(leg_demand(demanded.pose), demanded.pose)
+        table = Table(pose_to_legs(demanded.pose), demanded.pose)
         if options.get("start") is None:
             options["start"] = demanded.pose[0]
     context: dict[str, Any] = {

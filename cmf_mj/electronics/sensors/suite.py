@@ -4,6 +4,12 @@
 
 The true motion and what is read are both `LegFeedback`: accelerations are second derivatives of the
 extension until a sensor adds what it feels of gravity.
+
+The true motion comes from the extensions l[k] at t[k] that MuJoCo integrates. Its semi-implicit
+step is a leapfrog with the mean velocity u[k] = (l[k] - l[k-1]) / h to the middle of the step.
+Second order in h at t[k], the acceleration one mechanical step old:
+
+    v[k] = u[k] + (u[k] - u[k-1]) / 2,    a[k-1] = (u[k] - u[k-1]) / h
 """
 
 from typing import NamedTuple
@@ -114,6 +120,18 @@ def sensor_state(
         for field in _FIELDS
     }
     return SensorState(**filled, axes=axes, before=axes.direction.copy())
+
+
+@compiled
+def true_velocity(mean, mean_before):  # type: ignore[no-untyped-def]
+    """v[k] [m/s] from the mean velocities of the last two steps."""
+    return 1.5 * mean - 0.5 * mean_before
+
+
+@compiled
+def true_acceleration(mean, mean_before, step):  # type: ignore[no-untyped-def]
+    """a[k-1] [m/s^2] from the mean velocities of the last two steps."""
+    return (mean - mean_before) / step
 
 
 @compiled

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from cmf_mj.control.dcu.settings import load_dcu
-from cmf_mj.control.demand import leg_demand
 from cmf_mj.control.law import Law
 from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import Request, State
@@ -27,6 +26,7 @@ from cmf_mj.facility.operation import (
 from cmf_mj.facility.scenario.demand import Demand
 from cmf_mj.facility.scenario.settings import Scenario
 from cmf_mj.facility.session import FOREVER, Options, Session, Table
+from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.plant import Plant
@@ -59,7 +59,7 @@ class TableSource:
     def fill(self, first: int) -> None:
         """Make the block of frames from `first` on."""
         self._poses[:] = self._demand.poses(first, BLOCK)
-        self._table[:] = leg_demand(self._poses)
+        self._table[:] = pose_to_legs(self._poses)
 
     def described(self) -> dict[str, Any]:
         """What a record keeps of it."""
