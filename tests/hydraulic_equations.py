@@ -4,17 +4,20 @@ from collections.abc import Callable
 
 import numpy as np
 
+from cmf_mj.plant.cylinder import volumes
 from cmf_mj.plant.faults import no_faults
 from cmf_mj.plant.hydraulics import (
     Hydraulics,
     HydraulicState,
     advance,
-    forces,
+    loads,
     make_hydraulics,
     rest,
 )
+from cmf_mj.plant.oil import enthalpy
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.supply import ACCUMULATOR, RETURN, RETURN_PRESSURE, SUPPLY, SUPPLY_PRESSURE, TANK
 
 FRAME = 1.0 / 2048.0
 MASS = 7200 * 0.45359237  # lbm in kg, exact by definition
@@ -215,7 +218,7 @@ def one_step(parameters: HydraulicParameters, step: float, z: np.ndarray) -> np.
     hydraulics = machine(parameters, step)
     load = np.empty(1)
     state = state_of(parameters, hydraulics, z[None, :4], z[4:5])
-    forces(hydraulics, state, load)
+    loads(hydraulics.cylinder, state.pressure, state.friction, load)
     v = z[5] + step * (load[0] - WEIGHT) / MASS
     x = z[4] + step * v
     assert advance(hydraulics, state, no_faults(1), np.zeros(1), z[4:5], np.array([x]))
@@ -239,3 +242,31 @@ SCALE = np.array([1e-5, 1e-5, 1e3, 1e3, 1e-5, 1e-4])
 def neutral(parameters: HydraulicParameters) -> np.ndarray:
     state = rest(machine(parameters), np.array([WEIGHT]), np.zeros(1))
     return np.array([*rows_of(state)[0], 0.0, 0.0])
+
+
+def oil_content(hydraulics: Hydraulics, state: HydraulicState) -> float:
+    """All oil there is [m^3]: chambers, manifolds, accumulators, and what the tank has gained."""
+    supply = state.supply
+    kept = hydraulics.supply.accumulators * supply[ACCUMULATOR]
+    return float(state.content.sum() + supply[SUPPLY] + supply[RETURN] + supply[TANK] + kept)
+
+
+def stored_energy(hydraulics: Hydraulics, state: HydraulicState, extension: np.ndarray) -> float:
+    """Energy of compression U = C h - p V of the oil in chambers and manifolds [J].
+
+    What the tank has received counts with the return pressure it stands under: pump and lines
+    reckon from there.
+    """
+    oil, supply = hydraulics.oil, hydraulics.supply
+    total = state.supply[TANK] * enthalpy(oil, supply.return_pressure)
+    for leg in range(extension.shape[0]):
+        for side, volume in enumerate(volumes(hydraulics.cylinder[leg], extension[leg])):
+            pressure = state.pressure[leg, side]
+            total += state.content[leg, side] * enthalpy(oil, pressure) - pressure * volume
+    for content, place, volume in (
+        (SUPPLY, SUPPLY_PRESSURE, supply.supply_volume),
+        (RETURN, RETURN_PRESSURE, supply.return_volume),
+    ):
+        pressure = state.supply[place]
+        total += state.supply[content] * enthalpy(oil, pressure) - pressure * volume
+    return float(total)

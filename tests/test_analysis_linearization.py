@@ -26,7 +26,7 @@ from cmf_mj.core import units
 from cmf_mj.facility.simulation import drive
 from cmf_mj.machine.kinematics import DOFS, legs_to_pose, pose_jacobian, pose_to_legs
 from cmf_mj.plant.faults import no_faults
-from cmf_mj.plant.hydraulics import advance, forces
+from cmf_mj.plant.hydraulics import advance, loads
 from cmf_mj.plant.oil import density
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
@@ -191,7 +191,7 @@ def step_matrices(plant: Plant, pose: np.ndarray | None) -> control.StateSpace:
         state.stage.chambers.cap_change[:] = 0.0
         state.stage.chambers.rod_change[:] = 0.0
         load = np.empty(legs)
-        forces(plant.hydraulics, state, load)
+        loads(plant.hydraulics.cylinder, state.pressure, state.friction, load)
         plant.data.ctrl[:] = load
         mujoco.mj_step(plant.model, plant.data)
         mujoco.mj_forward(plant.model, plant.data)

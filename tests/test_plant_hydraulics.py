@@ -29,7 +29,7 @@ from hypothesis import strategies as st
 from scipy import integrate, optimize
 
 from cmf_mj.plant.faults import no_faults
-from cmf_mj.plant.hydraulics import advance, forces, make_hydraulics, rest
+from cmf_mj.plant.hydraulics import advance, loads, make_hydraulics, rest
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import HYDRAULICS, load_hydraulics
 
@@ -263,7 +263,7 @@ def test_rest_state_does_not_move(supply: str, rate: float) -> None:
     np.testing.assert_allclose(state.supply, network, rtol=0, atol=1e-2)
     np.testing.assert_allclose(state.supply[:5], network[:5], rtol=0, atol=1e-12)
     held = np.empty(2)
-    forces(hydraulics, state, held)
+    loads(hydraulics.cylinder, state.pressure, state.friction, held)
     np.testing.assert_allclose(held, loads, rtol=1e-9)
     assert not state.energy.any() or np.abs(state.energy).max() < 1e-6
 
@@ -302,7 +302,7 @@ def test_a_free_leg_reaches_its_steady_speed(opening: float) -> None:
     force = np.empty(1)
     path = []
     for _ in range(5 * 2048):
-        forces(hydraulics, state, force)
+        loads(hydraulics.cylinder, state.pressure, state.friction, force)
         v = v + FRAME * force / 300.0  # a light rod: rings out in a second
         moved = x + FRAME * v
         assert advance(hydraulics, state, no_faults(1), np.array([opening]), x, moved)

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from hydraulic_equations import oil_content, stored_energy
 
 from cmf_mj import Hexapod, SingleLegs, drive, load_hydraulics
-from cmf_mj.plant.hydraulics import oil_content, stored_energy
 from cmf_mj.plant.power_balance import power_balance
 
 LEVER = np.linspace(0.0, 0.3, 2048)[:, None] * np.array([1.0, -1.0, 0.5, 1.0, 0.0, -0.5])

@@ -20,12 +20,10 @@ import mujoco
 import numpy as np
 
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.rates import FRAME
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
-
-CONTROL_FRAME = 1.0 / 2048.0
-"""Largest mechanical step of a run [s]."""
 
 _STOP_TIME = 0.01
 """Time constant of the stops given to joints and tendons without a range [s]."""
@@ -40,7 +38,7 @@ def attach_hydraulics(
     hydraulics: str | Path | HydraulicParameters = "hardware",
     *,
     payload: Sequence[str] = (),
-    timestep: float = CONTROL_FRAME,
+    timestep: float = FRAME,
 ) -> Plant:
     """Drive slide joints or tendons of a MuJoCo model by hydraulic cylinders.
 
@@ -72,19 +70,21 @@ def attach_hydraulics(
     """
     spec = _read(model)
     parameters = load_hydraulics(hydraulics)
-    given = dict(cylinders) if isinstance(cylinders, Mapping) else dict.fromkeys(cylinders)
-    if isinstance(cylinders, str) or not given:
+    lengths = dict(cylinders) if isinstance(cylinders, Mapping) else dict.fromkeys(cylinders)
+    if isinstance(cylinders, str) or not lengths:
         raise InputError(f"cylinders: {cylinders!r} names no joints or tendons; allowed: a list")
     if not timestep > 0.0:
         raise InputError(f"timestep: {timestep} s must be greater than 0")
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         raise InputError("integrator: RK4 cannot take its step in two halves; use implicitfast")
     spec.option.timestep = timestep
-    neutral = [_fit(spec, name, retracted, parameters) for name, retracted in given.items()]
+    neutral = [_fit(spec, name, retracted, parameters) for name, retracted in lengths.items()]
     for name in payload:
         if spec.body(name) is None:
             raise InputError(f"payload: {name!r} is not one of {_names(spec.bodies)}")
-    plant = Plant(spec.compile(), parameters, motors=list(given), payload=payload, neutral=neutral)
+    plant = Plant(
+        spec.compile(), parameters, motors=list(lengths), payload=payload, neutral=neutral
+    )
     plant.name = spec.modelname
     stroke = plant.hydraulics.cylinder.half_stroke
     extensions = plant.extensions()

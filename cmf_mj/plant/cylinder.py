@@ -74,21 +74,21 @@ def make_cylinders(parameters: HydraulicParameters, actuators: Sequence[str]) ->
     middle = 0.5 * (parameters.supply_pressure.si + parameters.return_pressure.si)
     content = density(make_oil(parameters), middle)[0]
 
-    def one(own: dict[str, Quantity]) -> Cylinder:
-        cap, rod = cap_area(own), rod_area(own)
-        load = own["settle_load"].si
-        settle = own["settle_speed"].si * cap / np.sqrt(load / cap) if load > 0.0 else 0.0
+    def one(numbers: dict[str, Quantity]) -> Cylinder:
+        cap, rod = cap_area(numbers), rod_area(numbers)
+        load = numbers["settle_load"].si
+        settle = numbers["settle_speed"].si * cap / np.sqrt(load / cap) if load > 0.0 else 0.0
         return Cylinder(
             cap_area=cap,
             rod_area=rod,
-            half_stroke=own["half_stroke"].si,
-            minimum_gap=own["minimum_gap"].si,
-            leakage=piston_leakage(own) * content,
-            bearing=own["bearing_leakage"].si,
-            cushion=own["cushion_length"].si,
-            cushion_opening=own["cushion_opening"].si,
-            supply_hose=own["supply_hose"].si * network,
-            return_hose=own["return_hose"].si * network,
+            half_stroke=numbers["half_stroke"].si,
+            minimum_gap=numbers["minimum_gap"].si,
+            leakage=piston_leakage(numbers) * content,
+            bearing=numbers["bearing_leakage"].si,
+            cushion=numbers["cushion_length"].si,
+            cushion_opening=numbers["cushion_opening"].si,
+            supply_hose=numbers["supply_hose"].si * network,
+            return_hose=numbers["return_hose"].si * network,
             settle_gain=settle,
             settle_rod_gain=_WIDE_OPEN * settle * rod / cap,
         )

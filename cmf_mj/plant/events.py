@@ -123,8 +123,8 @@ def default_event(
 ) -> Event:
     """An `Event` of a kind, on leg 1 where it needs a leg and none is named."""
     chosen = 1 if leg is None and kind in _VALVES + _SENSORS else leg
-    found = {"at": at, "kind": kind, "leg": chosen, "valve": valve, "size": size}
-    return validated(Event, found, "event")
+    fields = {"at": at, "kind": kind, "leg": chosen, "valve": valve, "size": size}
+    return validated(Event, fields, "event")
 
 
 class Timeline(NamedTuple):

@@ -7,8 +7,8 @@ A contact is a field of bristles of mean deflection z. With v the sliding speed,
 
 Fc is the Coulomb force, Fb the breakaway force, vs the Stribeck speed, d the presliding travel, t
 a damping time that keeps a sticking contact from ringing. A load below Fb stops at a deflection of
-about d and stays; above it the contact slips. z follows its equation exactly for a speed held over
-a step, so that no step is too long. Source: Canudas de Wit, Olsson, Astrom, Lischinsky (1995).
+about d and stays; above it the contact slips. z follows its equation exactly for a constant speed
+over a step, so that no step is too long. Source: Canudas de Wit, Olsson, Astrom, Lischinsky (1995).
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.quantity import Quantity
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.table import table
 
@@ -38,17 +37,18 @@ class Friction(NamedTuple):
 def make_frictions(parameters: HydraulicParameters, actuators: Sequence[str]) -> np.recarray:
     """Derive the contacts of all actuators from a parameter set, (n,) of `Friction`."""
 
-    def one(own: dict[str, Quantity]) -> Friction:
-        coulomb, breakaway = own["coulomb_friction"].si, own["breakaway_friction"].si
+    def one(actuator: str) -> Friction:
+        numbers = {name: value.si for name, value in parameters.actuator(actuator).items()}
+        coulomb, breakaway = numbers["coulomb_friction"], numbers["breakaway_friction"]
         return Friction(
             coulomb=coulomb,
             excess=breakaway / coulomb - 1.0 if coulomb > 0.0 else 0.0,
-            stribeck=own["stribeck_speed"].si,
-            presliding=own["presliding"].si,
-            viscous=own["viscous_friction"].si,
+            stribeck=numbers["stribeck_speed"],
+            presliding=numbers["presliding"],
+            viscous=numbers["viscous_friction"],
         )
 
-    return table(Friction, [one(parameters.actuator(name)) for name in actuators])
+    return table(Friction, map(one, actuators))
 
 
 @compiled

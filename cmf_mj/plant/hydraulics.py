@@ -35,7 +35,7 @@ from cmf_mj.plant.cylinder import (
 )
 from cmf_mj.plant.faults import ACCUMULATORS_LOST, BURST_AREA, PUMP_LOST, STOPPED
 from cmf_mj.plant.friction import make_frictions, slide
-from cmf_mj.plant.oil import ATMOSPHERE, Oil, density, enthalpy, least_pressure, make_oil, stored
+from cmf_mj.plant.oil import ATMOSPHERE, Oil, density, least_pressure, make_oil
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.solver import FLOWS, Stage, make_stage, solve
 from cmf_mj.plant.supply import (
@@ -43,11 +43,8 @@ from cmf_mj.plant.supply import (
     CONTENTS,
     GAS,
     ISOLATION,
-    RETURN,
     RETURN_PRESSURE,
-    SUPPLY,
     SUPPLY_PRESSURE,
-    TANK,
     Supply,
     charged,
     gas_pressure,
@@ -149,9 +146,9 @@ def _open(hydraulics, state, faults, last, command, before, after):  # type: ign
     closed = state.supply[ISOLATION]
     part = 1.0 if last else _GAMMA
     for leg in range(before.shape[0]):
-        own, cylinder = state.stage.chambers[leg], hydraulics.cylinder[leg]
+        pair, cylinder = state.stage.chambers[leg], hydraulics.cylinder[leg]
         extension = before[leg] + part * (after[leg] - before[leg])
-        own.cap_volume, own.rod_volume = volumes(cylinder, extension)
+        pair.cap_volume, pair.rod_volume = volumes(cylinder, extension)
         cap_in, cap_out, rod_in, rod_out = 0.0, 0.0, 0.0, 0.0
         for index in range(2):
             valve = hydraulics.valve[leg, index]
@@ -185,15 +182,7 @@ def _open(hydraulics, state, faults, last, command, before, after):  # type: ign
             full_rod = both[0].rod_gain + both[1].rod_gain
             cap_out = throttled(cylinder, half + extension, cap_out, full_cap)
             rod_out = throttled(cylinder, half - extension, rod_out, full_rod)
-        own.cap_in, own.cap_out, own.rod_in, own.rod_out = cap_in, cap_out, rod_in, rod_out
-
-
-@compiled
-def _lowest(pressure):  # type: ignore[no-untyped-def]
-    lowest = pressure[0, CAP]
-    for leg in range(pressure.shape[0]):
-        lowest = min(lowest, pressure[leg, CAP], pressure[leg, ROD])
-    return lowest
+        pair.cap_in, pair.cap_out, pair.rod_in, pair.rod_out = cap_in, cap_out, rod_in, rod_out
 
 
 @compiled
@@ -202,8 +191,8 @@ def _count(hydraulics, energy, stage, time, part, before, after):  # type: ignor
     for i in range(len(FLOWS)):
         energy[i] += time * stage.power[i]
     for leg in range(before.shape[0]):
-        own = stage.chambers[leg]
-        load = force(hydraulics.cylinder[leg], own.cap, own.rod)
+        pair = stage.chambers[leg]
+        load = force(hydraulics.cylinder[leg], pair.cap, pair.rod)
         energy[_MECHANICAL] += part * load * (after[leg] - before[leg])
 
 
@@ -231,24 +220,26 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
 
     for i in range(energy.shape[0]):
         stage.energy[i] = energy[i]
-    torn = _lowest(state.pressure) < _TORN
+    torn = False
+    for leg in range(legs):
+        torn |= state.pressure[leg, CAP] < _TORN or state.pressure[leg, ROD] < _TORN
     converged = True
     for last in (False, True):
         _open(hydraulics, state, faults, last, command, before, after)
         # Known contents, and guesses: pressures go on changing as over the last step or stage.
         for leg in range(legs):
-            own = chambers[leg]
+            pair = chambers[leg]
             cap, rod = state.pressure[leg, CAP], state.pressure[leg, ROD]
             if last:
                 share = (step - weight) / weight
-                own.cap_known += share * (own.cap_content - own.cap_known)
-                own.rod_known += share * (own.rod_content - own.rod_known)
-                own.cap = max(cap + (own.cap - cap) / _GAMMA, least)
-                own.rod = max(rod + (own.rod - rod) / _GAMMA, least)
+                pair.cap_known += share * (pair.cap_content - pair.cap_known)
+                pair.rod_known += share * (pair.rod_content - pair.rod_known)
+                pair.cap = max(cap + (pair.cap - cap) / _GAMMA, least)
+                pair.rod = max(rod + (pair.rod - rod) / _GAMMA, least)
             else:
-                own.cap_known, own.rod_known = state.content[leg, CAP], state.content[leg, ROD]
-                own.cap = max(cap + _GAMMA * own.cap_change, least)
-                own.rod = max(rod + _GAMMA * own.rod_change, least)
+                pair.cap_known, pair.rod_known = state.content[leg, CAP], state.content[leg, ROD]
+                pair.cap = max(cap + _GAMMA * pair.cap_change, least)
+                pair.rod = max(rod + _GAMMA * pair.rod_change, least)
         for node in range(CONTENTS + 1):
             if last:
                 share = (step - weight) / weight
@@ -268,8 +259,8 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
         for i in range(energy.shape[0]):
             energy[i] = stage.energy[i]
         for leg in range(legs):
-            own = chambers[leg]
-            own.cap_known, own.rod_known = state.content[leg, CAP], state.content[leg, ROD]
+            pair = chambers[leg]
+            pair.cap_known, pair.rod_known = state.content[leg, CAP], state.content[leg, ROD]
         for node in range(CONTENTS + 1):
             stage.known[node] = network[node]
         solved = solve(hydraulics.cylinder, hydraulics.oil, supply, hydraulics.laminar, stage, step)
@@ -282,11 +273,11 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
             energy[_MECHANICAL] += 0.5 * load * (after[leg] - before[leg])
 
     for leg in range(legs):
-        own = chambers[leg]
-        own.cap_change = own.cap - state.pressure[leg, CAP]
-        own.rod_change = own.rod - state.pressure[leg, ROD]
-        state.pressure[leg, CAP], state.pressure[leg, ROD] = own.cap, own.rod
-        state.content[leg, CAP], state.content[leg, ROD] = own.cap_content, own.rod_content
+        pair = chambers[leg]
+        pair.cap_change = pair.cap - state.pressure[leg, CAP]
+        pair.rod_change = pair.rod - state.pressure[leg, ROD]
+        state.pressure[leg, CAP], state.pressure[leg, ROD] = pair.cap, pair.rod
+        state.content[leg, CAP], state.content[leg, ROD] = pair.cap_content, pair.rod_content
         moved = after[leg] - before[leg]
         state.bristle[leg], state.friction[leg] = slide(
             hydraulics.friction[leg], state.bristle[leg], moved / step, step
@@ -305,39 +296,3 @@ def loads(cylinders, pressure, friction, out):  # type: ignore[no-untyped-def]
     for leg in range(out.shape[0]):
         load = force(cylinders[leg], pressure[leg, CAP], pressure[leg, ROD])
         out[leg] = load - friction[leg]
-
-
-@compiled
-def forces(hydraulics, state, out):  # type: ignore[no-untyped-def]
-    """The `loads` of a state [N], (n,), to `out`."""
-    loads(hydraulics.cylinder, state.pressure, state.friction, out)
-
-
-def oil_content(hydraulics: Hydraulics, state: HydraulicState) -> float:
-    """All oil there is [m^3]: chambers, manifolds, accumulators, and what the tank has gained."""
-    supply = state.supply
-    kept = hydraulics.supply.accumulators * supply[ACCUMULATOR]
-    return float(state.content.sum() + supply[SUPPLY] + supply[RETURN] + supply[TANK] + kept)
-
-
-def stored_energy(
-    hydraulics: Hydraulics, state: HydraulicState, extension: NDArray[np.float64]
-) -> float:
-    """Energy of compression of the oil in chambers and manifolds [J], at the extensions [m].
-
-    What the tank has received counts with the return pressure it stands under: pump and lines
-    reckon from there.
-    """
-    total = state.supply[TANK] * enthalpy(hydraulics.oil, hydraulics.supply.return_pressure)
-    for leg in range(extension.shape[0]):
-        for side, volume in enumerate(volumes(hydraulics.cylinder[leg], extension[leg])):
-            total += stored(
-                hydraulics.oil, state.content[leg, side], state.pressure[leg, side], volume
-            )
-    supply = hydraulics.supply
-    for content, pressure, volume in (
-        (SUPPLY, SUPPLY_PRESSURE, supply.supply_volume),
-        (RETURN, RETURN_PRESSURE, supply.return_volume),
-    ):
-        total += stored(hydraulics.oil, state.supply[content], state.supply[pressure], volume)
-    return float(total)

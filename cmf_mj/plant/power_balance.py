@@ -3,7 +3,7 @@
     pump + accumulators = losses + work on the pistons + rise of what is stored by compression
     oil in chambers, manifolds, accumulators and out at the tank = constant
 
-Both close to rounding; what is left is told, not spread. Two things open the first: a piston pushed
+Both close to rounding; what is left is the residual. Two things open the first: a piston pushed
 into its elastic stop beyond `minimum_gap` works on a volume that is held, and a chamber torn open
 hides its oil: at a pressure below the atmosphere a pascal is a great deal of it, so that those rows
 of `residual` and `oil` are not a number.
@@ -41,9 +41,9 @@ class PowerBalance(NamedTuple):
 
 def power_balance(plant: Plant, record: Record) -> PowerBalance:
     """Balance energy and oil of a run of the plant, a record of `simulate` or `drive`."""
-    own = plant.describe()
+    described = plant.describe()
     for field in ("model_digest", "hydraulic_parameters"):
-        if record.metadata[field] != own[field]:
+        if record.metadata[field] != described[field]:
             raise InputError(f"record: its {field} is not that of {plant.name}")
     hydraulics = plant.hydraulics
     passed = {name: record["energy"][:, i] for i, name in enumerate(ENERGIES)}
@@ -56,21 +56,11 @@ def power_balance(plant: Plant, record: Record) -> PowerBalance:
         + record["tank_content"]
         + hydraulics.supply.accumulators * record["accumulator_oil"]
     )
-    for name, volume in (
-        ("supply", hydraulics.supply.supply_volume),
-        ("return", hydraulics.supply.return_volume),
-    ):
-        _manifold(
-            hydraulics.oil, volume, record[f"{name}_content"], record[f"{name}_pressure"], kept
-        )
-    _chambers(
-        hydraulics,
-        record["leg_extension"],
-        record["cap_pressure"],
-        record["rod_pressure"],
-        oil,
-        kept,
-    )
+    supply, oil_law = hydraulics.supply, hydraulics.oil
+    for name, volume in (("supply", supply.supply_volume), ("return", supply.return_volume)):
+        _manifold(oil_law, volume, record[f"{name}_content"], record[f"{name}_pressure"], kept)
+    legs = record["leg_extension"], record["cap_pressure"], record["rod_pressure"]
+    _chambers(hydraulics, *legs, oil, kept)
     torn = np.minimum(record["cap_pressure"], record["rod_pressure"]).min(axis=1) < 0.0
     oil[torn] = np.nan
     rise = np.where(torn, np.nan, kept - kept[0])

@@ -6,7 +6,7 @@ contents K, volumes V, the weight w of the stage and the flows Q into each volum
     V r(p) - K - w Q(p, P) = 0
 
 is solved by Newton's method with the exact Jacobian. Actuators meet at the manifolds only, so the
-Jacobian is an arrow: every actuator is eliminated by its own 2 by 2 block, the manifolds remain as
+Jacobian is an arrow: every actuator is eliminated by its 2 by 2 block, the manifolds remain as
 one more 2 by 2 system. It is symmetric, a network of conductances.
 
 The content that goes on is the linearised one, V (r + r' dp), for which the last linear system
@@ -28,7 +28,7 @@ from cmf_mj.plant.table import table
 from cmf_mj.plant.valve import orifice
 
 FLOWS = ("pump", "accumulators", "valves", "lines", "leakage", "relief", "burst")
-"""Powers of a stage [W]: given by pump and accumulators, lost in the others."""
+"""Powers of a stage [W]: delivered by pump and accumulators, lost in the others."""
 
 _TOLERANCE = 20.0
 """Last Newton change accepted [Pa]; convergence is quadratic, the error left is far below 1 Pa. In
@@ -56,7 +56,7 @@ class Chambers(NamedTuple):
     rod_content: float  #: Result.
     cap_yield: float  #: Slope of the content with pressure.
     rod_yield: float  #: The same.
-    cap_alone: float  #: Newton change with the manifolds held.
+    cap_alone: float  #: Newton change with the manifolds fixed.
     rod_alone: float  #: The same.
     cap_high: float  #: Newton change per change of the supply manifold.
     rod_high: float  #: The same.
@@ -110,7 +110,7 @@ def _path(gain, hose, laminar, drop):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _held(pressure, change, inward, high, outward, low, least, narrow):  # type: ignore[no-untyped-def]
+def _bounded(pressure, change, inward, high, outward, low, least, narrow):  # type: ignore[no-untyped-def]
     """A pressure after a Newton change, cut short where a drop would change sign, or at vacuum.
 
     Flow gains `inward` from the supply and `outward` to the return are 0 if shut; below the drop
@@ -145,53 +145,49 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
         high, low = manifolds.high, manifolds.low
         h_high, h_low = enthalpy(oil, high), enthalpy(oil, low)
         drawn, returned = 0.0, 0.0
-        own_high, own_low, cross = 0.0, 0.0, 0.0
+        sum_high, sum_low, cross = 0.0, 0.0, 0.0
         pull_high, pull_low = 0.0, 0.0
         lost, lost_hose, lost_leak = 0.0, 0.0, 0.0
         for leg in range(legs):
-            own, cylinder = chambers[leg], cylinders[leg]
-            cap, rod = own.cap, own.rod
+            pair, cylinder = chambers[leg], cylinders[leg]
+            cap, rod = pair.cap, pair.rod
             inward, outward = cylinder.supply_hose, cylinder.return_hose
             leak, bearing = cylinder.leakage, cylinder.bearing
-            cap_in, cap_in_slope = _path(own.cap_in, inward, laminar, high - cap)
-            cap_out, cap_out_slope = _path(own.cap_out, outward, laminar, cap - low)
-            rod_in, rod_in_slope = _path(own.rod_in, inward, laminar, high - rod)
-            rod_out, rod_out_slope = _path(own.rod_out, outward, laminar, rod - low)
+            cap_in, cap_in_slope = _path(pair.cap_in, inward, laminar, high - cap)
+            cap_out, cap_out_slope = _path(pair.cap_out, outward, laminar, cap - low)
+            rod_in, rod_in_slope = _path(pair.rod_in, inward, laminar, high - rod)
+            rod_out, rod_out_slope = _path(pair.rod_out, outward, laminar, rod - low)
             piston = leak * (cap - rod)
             seep = bearing * (rod - low)
             cap_density, cap_slope = density(oil, cap)
             rod_density, rod_slope = density(oil, rod)
-            own.cap_content, own.cap_yield = (
-                own.cap_volume * cap_density,
-                own.cap_volume * cap_slope,
-            )
-            own.rod_content, own.rod_yield = (
-                own.rod_volume * rod_density,
-                own.rod_volume * rod_slope,
-            )
-            cap_residual = own.cap_content - own.cap_known - weight * (cap_in - cap_out - piston)
+            pair.cap_content = pair.cap_volume * cap_density
+            pair.cap_yield = pair.cap_volume * cap_slope
+            pair.rod_content = pair.rod_volume * rod_density
+            pair.rod_yield = pair.rod_volume * rod_slope
+            cap_residual = pair.cap_content - pair.cap_known - weight * (cap_in - cap_out - piston)
             rod_residual = (
-                own.rod_content - own.rod_known - weight * (rod_in - rod_out - seep + piston)
+                pair.rod_content - pair.rod_known - weight * (rod_in - rod_out - seep + piston)
             )
-            # The actuator's own block and what ties it to the manifolds.
+            # The actuator's block and what ties it to the manifolds.
             high_cap, high_rod = weight * cap_in_slope, weight * rod_in_slope
             low_cap, low_rod = weight * cap_out_slope, weight * (rod_out_slope + bearing)
             tie = weight * leak
-            a = own.cap_yield + high_cap + low_cap + tie
-            d = own.rod_yield + high_rod + low_rod + tie
+            a = pair.cap_yield + high_cap + low_cap + tie
+            d = pair.rod_yield + high_rod + low_rod + tie
             inverse = 1.0 / (a * d - tie * tie)
-            own.cap_alone = -inverse * (d * cap_residual + tie * rod_residual)
-            own.rod_alone = -inverse * (tie * cap_residual + a * rod_residual)
+            pair.cap_alone = -inverse * (d * cap_residual + tie * rod_residual)
+            pair.rod_alone = -inverse * (tie * cap_residual + a * rod_residual)
             if not supply.constant:
-                own.cap_high = inverse * (d * high_cap + tie * high_rod)
-                own.rod_high = inverse * (tie * high_cap + a * high_rod)
-                own.cap_low = inverse * (d * low_cap + tie * low_rod)
-                own.rod_low = inverse * (tie * low_cap + a * low_rod)
-                own_high += high_cap * (1.0 - own.cap_high) + high_rod * (1.0 - own.rod_high)
-                own_low += low_cap * (1.0 - own.cap_low) + low_rod * (1.0 - own.rod_low)
-                cross += high_cap * own.cap_low + high_rod * own.rod_low
-            pull_high += high_cap * own.cap_alone + high_rod * own.rod_alone
-            pull_low += low_cap * own.cap_alone + low_rod * own.rod_alone
+                pair.cap_high = inverse * (d * high_cap + tie * high_rod)
+                pair.rod_high = inverse * (tie * high_cap + a * high_rod)
+                pair.cap_low = inverse * (d * low_cap + tie * low_rod)
+                pair.rod_low = inverse * (tie * low_cap + a * low_rod)
+                sum_high += high_cap * (1.0 - pair.cap_high) + high_rod * (1.0 - pair.rod_high)
+                sum_low += low_cap * (1.0 - pair.cap_low) + low_rod * (1.0 - pair.rod_low)
+                cross += high_cap * pair.cap_low + high_rod * pair.rod_low
+            pull_high += high_cap * pair.cap_alone + high_rod * pair.rod_alone
+            pull_low += low_cap * pair.cap_alone + low_rod * pair.rod_alone
             drawn += cap_in + rod_in
             returned += cap_out + rod_out + seep
             h_cap, h_rod = enthalpy(oil, cap), enthalpy(oil, rod)
@@ -237,15 +233,15 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
             low_residual = (
                 supply.return_volume * low_density - known[RETURN] - weight * (returned - drain)
             )
-            own_high += supply.supply_volume * high_slope + weight * (
+            sum_high += supply.supply_volume * high_slope + weight * (
                 relief_slope + burst_slope - pump_slope - bank * flow_slope
             )
-            own_low += supply.return_volume * low_slope + weight / supply.tank_line
+            sum_low += supply.return_volume * low_slope + weight / supply.tank_line
             high_residual -= pull_high
             low_residual -= pull_low
-            inverse = 1.0 / (own_high * own_low - cross * cross)
-            rise = -inverse * (own_low * high_residual + cross * low_residual)
-            fall = -inverse * (cross * high_residual + own_high * low_residual)
+            inverse = 1.0 / (sum_high * sum_low - cross * cross)
+            rise = -inverse * (sum_low * high_residual + cross * low_residual)
+            fall = -inverse * (cross * high_residual + sum_high * low_residual)
             node[SUPPLY] = supply.supply_volume * (high_density + high_slope * rise)
             node[RETURN] = supply.return_volume * (low_density + low_slope * fall)
             flow += flow_slope * rise
@@ -273,16 +269,20 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
             power[6] = burst * (h_high - h_tank)
 
         for leg in range(legs):
-            own = chambers[leg]
-            cap_change = own.cap_alone + rise * own.cap_high + fall * own.cap_low
-            rod_change = own.rod_alone + rise * own.rod_high + fall * own.rod_low
-            own.cap_content += own.cap_yield * cap_change
-            own.rod_content += own.rod_yield * rod_change
-            cap_stretch = max(1.0, own.cap_yield * oil.bulk_modulus / own.cap_volume)
-            rod_stretch = max(1.0, own.rod_yield * oil.bulk_modulus / own.rod_volume)
+            pair = chambers[leg]
+            cap_change = pair.cap_alone + rise * pair.cap_high + fall * pair.cap_low
+            rod_change = pair.rod_alone + rise * pair.rod_high + fall * pair.rod_low
+            pair.cap_content += pair.cap_yield * cap_change
+            pair.rod_content += pair.rod_yield * rod_change
+            cap_stretch = max(1.0, pair.cap_yield * oil.bulk_modulus / pair.cap_volume)
+            rod_stretch = max(1.0, pair.rod_yield * oil.bulk_modulus / pair.rod_volume)
             largest = max(largest, abs(cap_change) * cap_stretch, abs(rod_change) * rod_stretch)
-            own.cap = _held(own.cap, cap_change, own.cap_in, high, own.cap_out, low, least, narrow)
-            own.rod = _held(own.rod, rod_change, own.rod_in, high, own.rod_out, low, least, narrow)
+            pair.cap = _bounded(
+                pair.cap, cap_change, pair.cap_in, high, pair.cap_out, low, least, narrow
+            )
+            pair.rod = _bounded(
+                pair.rod, rod_change, pair.rod_in, high, pair.rod_out, low, least, narrow
+            )
         if largest < _TOLERANCE:
             return iteration + 1
     return -1

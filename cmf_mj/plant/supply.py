@@ -63,27 +63,18 @@ class Supply(NamedTuple):
 
 def make_supply(parameters: HydraulicParameters) -> Supply:
     """Derive the supply from a parameter set."""
-    p = parameters
+    numbers = {name: quantity.si for name, quantity in parameters.quantities().items()}
+    same = {name: numbers[name] for name in Supply._fields if name in numbers}
     return Supply(
-        constant=p.supply == "constant",
-        pressure=p.supply_pressure.si,
-        return_pressure=p.return_pressure.si,
-        pump_flow=p.pump_flow.si,
-        pump_droop=p.pump_droop.si,
-        pump_lag=p.pump_lag.si,
-        pump_line=p.pump_line.si,
-        relief_pressure=p.relief_pressure.si,
-        relief_conductance=p.relief_conductance.si,
-        accumulators=p.accumulator_count.si,
-        gas_volume=p.accumulator_volume.si,
-        precharge=p.precharge_pressure.si,
-        exponent=p.accumulator_exponent.si,
-        accumulator_line=p.accumulator_line.si,
-        supply_volume=p.supply_volume.si,
-        return_volume=p.return_volume.si,
-        tank_line=p.tank_line.si,
-        isolation_rate=1.0 / p.isolation_time.si,
-        jet=0.7 * float(np.sqrt(2.0 / p.oil_density.si)),
+        constant=parameters.supply == "constant",
+        pressure=numbers["supply_pressure"],
+        accumulators=numbers["accumulator_count"],
+        gas_volume=numbers["accumulator_volume"],
+        precharge=numbers["precharge_pressure"],
+        exponent=numbers["accumulator_exponent"],
+        isolation_rate=1.0 / numbers["isolation_time"],
+        jet=0.7 * float(np.sqrt(2.0 / numbers["oil_density"])),
+        **same,
     )
 
 

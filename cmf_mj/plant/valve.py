@@ -65,9 +65,9 @@ def make_valves(
     unit_flow = orifice(half_drop, laminar_root(parameters))[0] / middle
 
     def one(actuator: str, index: int) -> Valve:
-        own = parameters.actuator(actuator, index)
-        speed = own["leg_speed"].si / unit_flow * own["valve_flow"].si / len(VALVES)
-        corners = own["drive_lag"].si, own["valve_lag"].si
+        numbers = parameters.actuator(actuator, index)
+        speed = numbers["leg_speed"].si / unit_flow * numbers["valve_flow"].si / len(VALVES)
+        corners = numbers["drive_lag"].si, numbers["valve_lag"].si
         inner_weights, weights = lag_weights(*corners, inner), lag_weights(*corners, outer)
         return Valve(
             inner_fade=inner_weights[0],
@@ -76,12 +76,12 @@ def make_valves(
             fade=weights[0],
             mixed=weights[1],
             spool=weights[2],
-            cap_gain=speed * cap_area(own),
-            rod_gain=speed * rod_area(own),
-            null_bias=own["null_bias"].si,
-            overlap=own["overlap"].si,
-            play=0.5 * own["hysteresis"].si,
-            threshold=own["threshold_pressure"].si,
+            cap_gain=speed * cap_area(numbers),
+            rod_gain=speed * rod_area(numbers),
+            null_bias=numbers["null_bias"].si,
+            overlap=numbers["overlap"].si,
+            play=0.5 * numbers["hysteresis"].si,
+            threshold=numbers["threshold_pressure"].si,
         )
 
     return table(Valve, [[one(name, i) for i in range(len(VALVES))] for name in actuators])

@@ -133,14 +133,14 @@ class HydraulicParameters(_Actuator):
     @model_validator(mode="after")
     def _consistent(self) -> "HydraulicParameters":
         for name in ("", *self.actuators):
-            own = self.actuator(name)
+            numbers = self.actuator(name)
             where = f"actuators.{name}." if name else ""
-            _ordered(own, where, "rod_diameter", "bore_diameter")
-            _ordered(own, where, "minimum_gap", "half_stroke")
-            _ordered(own, where, "coulomb_friction", "breakaway_friction", equal=True)
-            if own["coulomb_friction"].value == 0.0 < own["breakaway_friction"].value:
+            _ordered(numbers, where, "rod_diameter", "bore_diameter")
+            _ordered(numbers, where, "minimum_gap", "half_stroke")
+            _ordered(numbers, where, "coulomb_friction", "breakaway_friction", equal=True)
+            if numbers["coulomb_friction"].value == 0.0 < numbers["breakaway_friction"].value:
                 raise InputError(
-                    f"{where}breakaway_friction: {own['breakaway_friction']} needs a "
+                    f"{where}breakaway_friction: {numbers['breakaway_friction']} needs a "
                     f"coulomb_friction greater than 0"
                 )
         quantities = self.quantities()
@@ -174,20 +174,16 @@ class HydraulicParameters(_Actuator):
 
     def quantities(self) -> dict[str, Quantity]:
         """All numbers of the set by name, in the order of the class."""
-        values = {name: getattr(self, name) for name in type(self).model_fields}
-        return {name: value for name, value in values.items() if isinstance(value, Quantity)}
+        return {name: value for name, value in self if isinstance(value, Quantity)}
 
     def actuator(self, name: str = "", valve: int | None = None) -> dict[str, Quantity]:
         """All numbers of an actuator, or of its valve 0 or 1; by default those of the set."""
-        found = self.quantities()
-        own = self.actuators.get(name)
-        if own is None:
-            return found
-        found |= {field: getattr(own, field) for field in ACTUATOR_FIELDS if getattr(own, field)}
-        changes = getattr(own, VALVES[valve]) if valve is not None else None
-        if changes is not None:
-            found |= {n: getattr(changes, n) for n in VALVE_FIELDS if getattr(changes, n)}
-        return found
+        numbers = self.quantities()
+        actuator = self.actuators.get(name)
+        changes = (actuator, valve if valve is None else getattr(actuator, VALVES[valve], None))
+        for table in changes:
+            numbers |= {field: value for field, value in table or () if isinstance(value, Quantity)}
+        return numbers
 
 
 def _ordered(
