@@ -107,7 +107,7 @@ def report(plant: Plant, record: Record) -> str:
         f"pump at most {record['pump_flow'].max() * minute:.0f} l/min"
     )
     balance = power_balance(plant, record)
-    given = max(balance.given[-1], 1.0)
+    given = max(balance.delivered[-1], 1.0)
     passed = dict(zip(ENERGIES, record["energy"][-1], strict=True))
     passed["rods"] = passed.pop("mechanical") - passed["friction"]
     passed["compression"] = np.nan_to_num(balance.stored[-1])

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from cmf_mj.plant.cylinder import volumes
-from cmf_mj.plant.faults import no_faults
+from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import (
     Hydraulics,
     HydraulicState,

@@ -25,7 +25,7 @@ from cmf_mj.analysis.sine import fit_sines
 from cmf_mj.core import units
 from cmf_mj.facility.simulation import drive
 from cmf_mj.machine.kinematics import DOFS, legs_to_pose, pose_jacobian, pose_to_legs
-from cmf_mj.plant.faults import no_faults
+from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import advance, loads
 from cmf_mj.plant.oil import density
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from dcu_bounds import output_bounds
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from lengths import examples
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from cmf_mj.control.dcu import play
 from cmf_mj.control.dcu.arrivals import Arrivals, feed, upsample
 from cmf_mj.control.dcu.settings import make_dcu
-from cmf_mj.control.dcu.state import DcuState, output_bounds, resting
+from cmf_mj.control.dcu.state import DcuState, resting
 
 RATE = 2048
 DCU = make_dcu()
@@ -182,3 +183,8 @@ def test_no_gap_is_taken_up_beyond_the_limits_of_a_frame() -> None:
     assert (largest[1] > 0.5 * DCU.velocity).all()
     assert (largest[1] <= DCU.velocity).all()
     assert (largest[2] <= DCU.acceleration).all()
+
+
+def test_the_bounds_are_those_of_the_page_on_hosts() -> None:
+    """Pose and velocity of surge and roll, m, rad and m/s, rad/s."""
+    np.testing.assert_allclose(BOUNDS[:2, [0, 3]], [[2.79, 1.15], [8.23, 5.33]], atol=0.005)

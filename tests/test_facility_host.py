@@ -10,6 +10,7 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from dcu_bounds import output_bounds
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import make_interp_spline
@@ -20,7 +21,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.control.dcu import play
 from cmf_mj.control.dcu.arrivals import feed, upsample
 from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
-from cmf_mj.control.dcu.state import output_bounds, resting
+from cmf_mj.control.dcu.state import resting
 from cmf_mj.facility.host.datagram import DATAGRAM_REASONS, SIZE, DatagramError, decode, encode
 from cmf_mj.facility.host.files import HostSession, read_stream, write_stream
 from cmf_mj.facility.host.handover import NEVER, collect, logged, make_log, make_ring, put

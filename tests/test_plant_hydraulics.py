@@ -28,7 +28,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate, optimize
 
-from cmf_mj.plant.faults import no_faults
+from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import advance, loads, make_hydraulics, rest
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import HYDRAULICS, load_hydraulics

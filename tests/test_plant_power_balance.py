@@ -45,12 +45,12 @@ def test_the_balance_is_that_of_the_hydraulic_state(hydraulics, monkeypatch):
 def test_nothing_is_left_over(hydraulics):
     plant = Hexapod(hydraulics=hydraulics)
     balance = power_balance(plant, drive(plant, LEVER))
-    assert balance.given[-1] > 1e4
-    assert np.abs(balance.residual).max() < 1e-3 * balance.given[-1]
+    assert balance.delivered[-1] > 1e4
+    assert np.abs(balance.residual).max() < 1e-3 * balance.delivered[-1]
     assert balance.oil == pytest.approx(balance.oil[0], rel=1e-6)
     assert (balance.lost > -1e-6).all()
     assert balance.work[-1] + balance.stored[-1] == pytest.approx(
-        balance.given[-1] - balance.lost[-1], rel=1e-3
+        balance.delivered[-1] - balance.lost[-1], rel=1e-3
     )
 
 

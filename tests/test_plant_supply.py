@@ -20,7 +20,7 @@ from scipy import integrate
 from cmf_mj import Record, SingleLegs
 from cmf_mj.facility.simulation import drive
 from cmf_mj.plant.cylinder import make_cylinders
-from cmf_mj.plant.faults import no_faults
+from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import advance, rest
 from cmf_mj.plant.oil import make_oil
 from cmf_mj.plant.parameters.loading import load_hydraulics

@@ -15,7 +15,7 @@ from hydraulic_equations import (
 from scipy import linalg, signal
 
 from cmf_mj.core import units
-from cmf_mj.plant.faults import no_faults
+from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import advance
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import HYDRAULICS, load_hydraulics

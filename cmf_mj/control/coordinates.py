@@ -37,14 +37,14 @@ def as_tuples(value: Any) -> Any:
     return tuple(as_tuples(v) for v in value) if isinstance(value, list | tuple) else value
 
 
-PerMode = Annotated[
-    float | Annotated[tuple[float, ...], Field(min_length=MODES, max_length=MODES)],
-    BeforeValidator(as_tuples),
-]
+_SIX = Field(min_length=MODES, max_length=MODES)
+_Six = Annotated[tuple[float, ...], _SIX]
+
+PerMode = Annotated[float | _Six, BeforeValidator(as_tuples)]
 """One number for all coordinates, or a list of six, a mode each."""
 
 Positive = Annotated[float, Field(gt=0.0)]
-Six = Annotated[tuple[float, ...], Field(min_length=MODES, max_length=MODES)]
+_Positives = Annotated[tuple[Positive, ...], _SIX, BeforeValidator(as_tuples)]
 
 
 def is_per_mode(value: object) -> bool:
@@ -61,23 +61,9 @@ class Modes(Settings):
     """Hydraulic modes of one cab at neutral, lowest first."""
 
     source: str = ""  #: Where they come from.
-    frequency: Annotated[
-        tuple[Positive, ...],
-        Field(min_length=MODES, max_length=MODES),
-        BeforeValidator(as_tuples),
-    ]
-    """Undamped natural frequencies [Hz]."""
-    mass: Annotated[
-        tuple[Positive, ...],
-        Field(min_length=MODES, max_length=MODES),
-        BeforeValidator(as_tuples),
-    ]
-    """Mass of each mode [lbm]."""
-    shape: Annotated[
-        tuple[Six, ...],
-        Field(min_length=MODES, max_length=MODES),
-        BeforeValidator(as_tuples),
-    ]
+    frequency: _Positives  #: Undamped natural frequencies [Hz].
+    mass: _Positives  #: Mass of each mode [lbm].
+    shape: Annotated[tuple[_Six, ...], _SIX, BeforeValidator(as_tuples)]
     """V^T, a row a mode: leg motion, orthonormal."""
 
     @model_validator(mode="after")

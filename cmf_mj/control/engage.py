@@ -17,9 +17,9 @@ Legs or modes, all is done in the coordinates of the law that begins, V_2:
     plan             is taken over, or starts at the leg's position and velocity, with w on its way;
                      its reference then moves until it asks for w. It goes to the demand from there
                      as from any jump, within its bounds on rate and acceleration.
-    compensator      starts where its inputs, held, would have brought it: B u / (1 - A)
+    compensator      starts where its inputs, kept, would have brought it: B u / (1 - A)
     error integral   moves until the outputs agree, within its saturation; the offset it takes up
-                     stays. With a model or plan that starts, it starts at 0: it held what was
+                     stays. With a model or plan that starts, it starts at 0: it took up what was
                      static in the law before, such as its part of pressures, which those have not.
     compensator      makes up what is left, where C is not 0, and forgets it with its pole A
     offset           is what still is left. It is added to the output and fades as e^(-t / 0.5 s):
@@ -130,7 +130,7 @@ def handed_over(
         seen = feedback._replace(acceleration=feedback.acceleration + shift * gravity)
     bound = after.error.integrator_limit
     np.clip(begun.error.integral, -bound, bound, out=begun.error.integral)
-    wanted = _output(before, state, reference, feedback)
+    command = _output(before, state, reference, feedback)
 
     def missing() -> NDArray[np.float64]:
         """Settle the compensator; what is missing of the output, in coordinates of the law."""
@@ -138,9 +138,9 @@ def handed_over(
         gains = after.compensator
         entering = np.einsum("ij,ij->i", gains.input_gain, after.workspace.inputs)
         begun.compensator[:] = entering / (1.0 - gains.state_gain)
-        return after.shape @ (wanted - _output(after, begun, reference, seen))
+        return after.shape @ (command - _output(after, begun, reference, seen))
 
-    _begin(before, begun, after, (now, moved), seen, wanted)
+    _begin(before, begun, after, (now, moved), seen, command)
     if after.model.active and not before.model.active:
         _move(begun.model.position, missing)
     if after.planned:
@@ -152,7 +152,7 @@ def handed_over(
     begun.error.integral[:] = np.clip(begun.error.integral + after.shape.T @ share, -bound, bound)
     left, gain = missing(), after.compensator.output_gain
     begun.compensator[:] += np.divide(left, gain, out=np.zeros_like(left), where=gain != 0.0)
-    left = wanted - _output(after, begun, reference, seen)
+    left = command - _output(after, begun, reference, seen)
     begun.offset[:] = np.where(np.abs(left) > _ROUND_OFF, left, 0.0)
     after.workspace.limited[:], after.workspace.moved[:] = now, moved
     return begun

@@ -4,7 +4,7 @@ Every law is the same block with other gains (Eqs 2.3 and 2.4 as the DCL runs th
 
     x[k+1] = A x[k] + B u[k],    y[k] = C x[k] + D u[k],
 
-with one scalar state a leg and u the ten `SIGNALS`, and beside it, where a law has them, a
+with one scalar state a leg and u the ten `SIGNALS`, and with it, where a law has them, a
 reference model, a plan, and dynamic load pressure feedback. All of it runs leg by leg, or mode by
 mode of the hydraulics. Nothing in the code knows a law by name.
 
@@ -27,20 +27,6 @@ from cmf_mj.core.errors import InputError, unknown_name
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Settings, merged, read_toml, validated
 
-SIGNALS = (
-    "reference",
-    "cap_pressure",
-    "rod_pressure",
-    "position",
-    "velocity",
-    "position_error_rate",
-    "velocity_error",
-    "error_integral",
-    "acceleration",
-    "force",
-)
-"""Inputs u of the compensator, in order."""
-
 SIGNAL_UNITS = {
     "reference": units.INCH,
     "cap_pressure": 1.0,
@@ -55,6 +41,9 @@ SIGNAL_UNITS = {
 }
 """SI size of the unit each signal's gain counts in (in, Pa, in/s, in s, in/s^2, lbf)."""
 
+SIGNALS = tuple(SIGNAL_UNITS)
+"""Inputs u of the compensator, in order."""
+
 _FILES = {
     "report": Path(__file__).with_name("laws.toml"),
     "beyond": Path(__file__).with_name("laws_beyond.toml"),
@@ -63,9 +52,6 @@ _FILES = {
 
 _MODES = Path(__file__).with_name("modes.toml")
 """Hydraulic modes of the facility's cabs."""
-
-CoordinateName = Literal["legs", "hydraulic_modes"]
-"""What the gains of a law act on."""
 
 
 class Gains(Settings):
@@ -106,7 +92,7 @@ class Adaptation(Settings):
     rate: Annotated[float, Field(ge=0.0)]
     """Adaptation rate [1/s]: a leg that is slow by a part of its speed, and is not corrected,
     raises the factor by that part times this; 0 leaves the fixed law."""
-    slope: Annotated[float, Field(gt=0.0)]  #: Weight of the position error beside its rate [1/s].
+    slope: Annotated[float, Field(gt=0.0)]  #: Weight of the position error to its rate [1/s].
     corner: Annotated[float, Field(gt=0.0)]
     """Corner of the low-pass filters of what is learned from [Hz]."""
     level: Annotated[float, Field(gt=0.0)]
@@ -150,7 +136,7 @@ class Law(Settings):
     """
 
     name: str  #: Name of the table.
-    coordinates: CoordinateName = "legs"
+    coordinates: Literal["legs", "hydraulic_modes"] = "legs"
     """What gains act on: legs, or the hydraulic modes of the cab."""
     modes: Mapping[str, Modes] = {}
     """Hydraulic modes by cab, or by plant where there is none; a law that is bound to a cab has
@@ -239,7 +225,7 @@ class Law(Settings):
 
     @property
     def reads_velocity(self) -> bool:
-        """Whether the measured velocity acts on the command beside the compensator."""
+        """Whether the measured velocity acts on the command past the compensator."""
         model = self.reference_model is not None and self.reference_model.reads_velocity
         return model or (self.plan is not None and bool(np.any(self.plan.velocity)))
 
@@ -275,8 +261,8 @@ def _derived(table: dict[str, Any], tables: dict[str, Any], where: str) -> dict[
     if "based_on" not in table:
         return table
     others: dict[str, Any] = {}
-    for found in (*(read_toml(file) for file in _FILES.values()), tables):
-        others |= {k: v for k, v in found.items() if isinstance(v, dict) and "based_on" not in v}
+    for file in (*(read_toml(file) for file in _FILES.values()), tables):
+        others |= {k: v for k, v in file.items() if isinstance(v, dict) and "based_on" not in v}
     name = table["based_on"]
     if not isinstance(name, str) or name not in others:
         raise InputError(
@@ -325,8 +311,8 @@ def load_law(source: str | Path | Mapping[str, Any] | Law) -> Law:
     for file in _FILES.values():
         if text in read_toml(file):
             return _laws_of(file)[text]
-    stem, found, name = text.rpartition(".toml")
-    if not found or (name and not name.startswith(":")):
+    stem, suffix, name = text.rpartition(".toml")
+    if not suffix or (name and not name.startswith(":")):
         raise unknown_name("law", text, law_names("all"), " nor a .toml file")
     laws = _laws_of(Path(stem + ".toml"))
     if name:

@@ -32,19 +32,6 @@ from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Loader, Settings
 
-FAULTS = (
-    "none",
-    "tracking_error",
-    "sensor_disagreement",
-    "over_pressure",
-    "under_pressure",
-    "over_speed",
-    "over_acceleration",
-    "host_watchdog",
-    "frame_watchdog",
-)
-"""Names of the faults; a code is the place in this tuple."""
-
 NO_FAULT = 0
 _LENGTH, _PRESSURE, _TIME = ("in", "m"), ("psi", "Pa"), ("s",)
 _UNITS = {
@@ -57,6 +44,9 @@ _UNITS = {
     "host_watchdog": _TIME,
     "frame_watchdog": ("1",),
 }
+FAULTS = ("none", *_UNITS)
+"""Names of the faults; a code is the place in this tuple."""
+
 _TRACKING, _DISAGREE, _OVER, _UNDER, _SPEED, _ACCELERATION, _HOST, _FRAME = range(1, 9)
 _MACHINE = -1
 """Leg of a fault that belongs to no leg."""
@@ -114,7 +104,7 @@ class ProtectionState(NamedTuple):
     """State of the detection."""
 
     counts: NDArray[np.int64]
-    """Frames in a row each condition has held, (9, n); conditions of no leg use column 0."""
+    """Frames in a row of each condition, (9, n); conditions of no leg use column 0."""
     estimate: NDArray[np.float64]  #: Integrated velocities z [m], (n,).
     last: NDArray[np.int64]  #: Frame before, (1,); -1 before the first.
     fault: NDArray[np.int64]  #: Latched code, leg from 0 or -1 for the machine, and frame, (3,).

@@ -1,12 +1,12 @@
-"""Model following and its adaptation: the feed-forward path beside the compensator.
+"""Model following and its adaptation: the feed-forward path past the compensator.
 
 A leg is to move as its reference model does, driven by the leg demand r,
 
     a_m = w^2 (r - p_m) - 2 zeta w v_m,   w = 2 pi natural_frequency,
 
-advanced from frame to frame exactly for a held demand; a_m below is its mean over the frame ahead.
-With the position p and velocity v of the leg and e = p_m - p, the model adds to the compensator's
-output
+advanced from frame to frame exactly for a constant demand; a_m below is its mean over the frame
+ahead. With the position p and velocity v of the leg and e = p_m - p, the model adds to the
+compensator's output
 
     u_m = (1 + d) f + K_p e + K_r (v_m - v),   f = K_v v_m + K_a a_m.
 

@@ -27,8 +27,7 @@ from cmf_mj.facility.front import Chain, cleared, follow, host_age, record_deman
 from cmf_mj.facility.layout import Columns
 from cmf_mj.facility.pace import Pace, begin, end
 from cmf_mj.plant.cylinder import CAP, ROD
-from cmf_mj.plant.events import Timeline, strike
-from cmf_mj.plant.faults import OVERLOAD, STOPPED, Faults
+from cmf_mj.plant.events import OVERLOAD, STOPPED, Faults, Timeline, strike
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, advance, loads
 from cmf_mj.plant.native import call
 from cmf_mj.plant.oil import ATMOSPHERE

@@ -38,8 +38,7 @@ from cmf_mj.facility.loop import (
 )
 from cmf_mj.facility.pace import Pace, idle_pace
 from cmf_mj.plant.cylinder import CAP, ROD
-from cmf_mj.plant.events import Event, make_timeline
-from cmf_mj.plant.faults import OVERLOAD, no_faults
+from cmf_mj.plant.events import OVERLOAD, Event, make_timeline, no_faults
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.supply import RETURN_PRESSURE, SUPPLY_PRESSURE
 

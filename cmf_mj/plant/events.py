@@ -1,4 +1,4 @@
-"""Failure events as data on a time line.
+"""Failure events as data on a time line, and what is broken at the moment.
 
 An `Event` says when what fails, where and how much; a run takes any number of them. Every kind,
 what its size means, and its size if none is given:
@@ -28,16 +28,6 @@ from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Settings, validated
-from cmf_mj.plant.faults import (
-    ACCUMULATORS_LOST,
-    BURST_AREA,
-    OFFSET,
-    OPEN_CIRCUIT,
-    OVERLOAD,
-    PUMP_LOST,
-    STOPPED,
-    STUCK,
-)
 from cmf_mj.plant.valve import JAMMED, OVERRIDE
 
 Kind = Literal[
@@ -125,6 +115,36 @@ def default_event(
     chosen = 1 if leg is None and kind in _VALVES + _SENSORS else leg
     fields = {"at": at, "kind": kind, "leg": chosen, "valve": valve, "size": size}
     return validated(Event, fields, "event")
+
+
+PUMP_LOST, ACCUMULATORS_LOST, BURST_AREA, STOPPED, OVERLOAD = range(5)
+"""Columns of `Faults.plant`: pump stopped (0 or 1), number of accumulators shut off, hole in the
+supply manifold [m^2], emergency stop (0 or 1), extra weight on the platform [N]."""
+
+STUCK, OFFSET, OPEN_CIRCUIT = 1.0, 2.0, 3.0
+"""What a faulty position sensor does; 0 for a sound one."""
+
+
+class Faults(NamedTuple):
+    """What has failed, read by hydraulics and sensors every step; all zero when nothing has."""
+
+    plant: NDArray[np.float64]  #: (5,), see the columns.
+    valve: NDArray[np.float64]  #: What each valve obeys, (n, 2), see `valve.NORMAL`.
+    spool: NDArray[np.float64]  #: Value put on an overridden spool, (n, 2).
+    sensor: NDArray[np.float64]  #: State of each position sensor, (n,).
+    reading: NDArray[np.float64]
+    """Reading of a stuck or open one, error of an offset one [m], (n,)."""
+
+
+def no_faults(actuators: int) -> Faults:
+    """Everything works."""
+    return Faults(
+        np.zeros(5),
+        np.zeros((actuators, 2)),
+        np.zeros((actuators, 2)),
+        np.zeros(actuators),
+        np.zeros(actuators),
+    )
 
 
 class Timeline(NamedTuple):

@@ -53,7 +53,7 @@ def make_frictions(parameters: HydraulicParameters, actuators: Sequence[str]) ->
 
 @compiled
 def slide(friction, bristle, speed, step):  # type: ignore[no-untyped-def]
-    """Bristle deflection z [m] after sliding at a held speed, and the force F [N] there."""
+    """Bristle deflection z [m] after sliding at a constant speed, and the force F [N] there."""
     viscous = friction.viscous * speed
     coulomb = friction.coulomb
     if coulomb == 0.0:

@@ -33,7 +33,7 @@ from cmf_mj.plant.cylinder import (
     throttled,
     volumes,
 )
-from cmf_mj.plant.faults import ACCUMULATORS_LOST, BURST_AREA, PUMP_LOST, STOPPED
+from cmf_mj.plant.events import ACCUMULATORS_LOST, BURST_AREA, PUMP_LOST, STOPPED
 from cmf_mj.plant.friction import make_frictions, slide
 from cmf_mj.plant.oil import ATMOSPHERE, Oil, density, least_pressure, make_oil
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters

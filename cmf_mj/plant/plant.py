@@ -266,8 +266,8 @@ class Plant:
         mujoco.mj_forward(self.model, self.data)
         null, arms = self._free_motions()
         data = self.data
-        held = null.T @ (data.qfrc_bias - data.qfrc_passive - data.qfrc_actuator)
-        return np.linalg.lstsq(arms.T, held, rcond=1e-9)[0]
+        load = null.T @ (data.qfrc_bias - data.qfrc_passive - data.qfrc_actuator)
+        return np.linalg.lstsq(arms.T, load, rcond=1e-9)[0]
 
     def reflected_mass(self, pose: ArrayLike | None = None) -> NDArray[np.float64]:
         """Reflected mass of the actuators, (n, n) [kg].

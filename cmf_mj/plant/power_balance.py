@@ -4,7 +4,7 @@
     oil in chambers, manifolds, accumulators and out at the tank = constant
 
 Both close to rounding; what is left is the residual. Two things open the first: a piston pushed
-into its elastic stop beyond `minimum_gap` works on a volume that is held, and a chamber torn open
+into its elastic stop beyond `minimum_gap` works on a volume that stays, and a chamber torn open
 hides its oil: at a pressure below the atmosphere a pascal is a great deal of it, so that those rows
 of `residual` and `oil` are not a number.
 """
@@ -29,13 +29,13 @@ LOSSES = ("valves", "lines", "leakage", "relief", "burst")
 class PowerBalance(NamedTuple):
     """Energies since the start [J] and oil [m^3], each (N,)."""
 
-    given: NDArray[np.float64]  #: Work of pump and accumulators.
+    delivered: NDArray[np.float64]  #: Work of pump and accumulators.
     lost: NDArray[np.float64]  #: Losses of the oil, `LOSSES`.
     work: NDArray[np.float64]  #: Work on the pistons, friction included.
     stored: NDArray[np.float64]
     """Rise of the energy of compression, and of what the tank holds under return pressure; NaN
     where a chamber is torn open, as `residual` and `oil`."""
-    residual: NDArray[np.float64]  #: given - lost - work - stored.
+    residual: NDArray[np.float64]  #: delivered - lost - work - stored.
     oil: NDArray[np.float64]  #: All oil, as the volume it would fill at atmospheric pressure.
 
 
@@ -47,7 +47,7 @@ def power_balance(plant: Plant, record: Record) -> PowerBalance:
             raise InputError(f"record: its {field} is not that of {plant.name}")
     hydraulics = plant.hydraulics
     passed = {name: record["energy"][:, i] for i, name in enumerate(ENERGIES)}
-    given = passed["pump"] + passed["accumulators"]
+    delivered = passed["pump"] + passed["accumulators"]
     lost = np.sum([passed[name] for name in LOSSES], axis=0)
     kept = record["tank_content"] * enthalpy(hydraulics.oil, hydraulics.supply.return_pressure)
     oil = (
@@ -65,7 +65,7 @@ def power_balance(plant: Plant, record: Record) -> PowerBalance:
     oil[torn] = np.nan
     rise = np.where(torn, np.nan, kept - kept[0])
     work = passed["mechanical"]
-    return PowerBalance(given, lost, work, rise, given - lost - work - rise, oil)
+    return PowerBalance(delivered, lost, work, rise, delivered - lost - work - rise, oil)
 
 
 @compiled

@@ -51,9 +51,9 @@ def upsample(dcu: Dcu, state: DcuState, arrivals: Arrivals, frames: int) -> NDAr
     """
     count = arrivals.sequence.shape[0]
     for name, shape in (("frame", (count,)), ("time", (count,)), ("values", (count, 3, 6))):
-        found = getattr(arrivals, name).shape
-        if found != shape:
-            raise InputError(f"{name}: shape is {found}; allowed: {shape}")
+        actual = getattr(arrivals, name).shape
+        if actual != shape:
+            raise InputError(f"{name}: shape is {actual}; allowed: {shape}")
     if (np.diff(arrivals.frame) < 0).any():
         raise InputError("frame: control frames of arrival must not fall")
     if frames < 1:

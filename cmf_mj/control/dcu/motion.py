@@ -32,15 +32,6 @@ DOFS = 6
 GAP_PEAK_VELOCITY, GAP_PEAK_ACCELERATION = 1.875, 10.0 / np.sqrt(3.0)
 """Largest |B'| and |B''|."""
 
-SLOPE_PEAK_ACCELERATION = 3.95
-"""Largest |C''|, 3.9406 at x = 0.243, rounded up; largest |C'| is 1."""
-
-CURVE_PEAK_VELOCITY = 0.0678
-"""Largest |D'|, 0.06779 at x = 0.155, rounded up; largest |D''| is 1."""
-
-FADE_PEAK_VELOCITY = 4.0 / 27.0
-"""Largest e, at x = 1/3; largest |e'| is 1 and largest |g'| is 1.5."""
-
 
 @compiled
 def copy(source, target):  # type: ignore[no-untyped-def]

@@ -6,14 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.control.dcu.motion import (
-    ACCELERATION,
-    CURVE_PEAK_VELOCITY,
-    FADE_PEAK_VELOCITY,
-    POSE,
-    SLOPE_PEAK_ACCELERATION,
-    VELOCITY,
-)
+from cmf_mj.control.dcu.motion import POSE
 from cmf_mj.control.dcu.settings import Dcu
 from cmf_mj.core.errors import InputError
 
@@ -161,40 +154,3 @@ def resting(dcu: Dcu, pose: ArrayLike | None = None) -> DcuState:
     state.origin[POSE] = at
     state.line[:, POSE] = at
     return state
-
-
-def output_bounds(dcu: Dcu) -> NDArray[np.float64]:
-    """Bounds of the demand whatever arrives, (3, 6): |pose|, |velocity|, |acceleration|.
-
-    With V, A the limits of a frame, r the rejoin limits, Tv, Ta stop time and fade time, s the
-    largest slew of the play clock, Ts its smoothing and m the overtravel:
-
-        pose          P + m
-        velocity      (1 + s) (V + 4/27 A Ta)  +  V + 0.0678 A Ta + Vr
-        acceleration  (1 + s)^2 (1.5 V / Tv + A) + 2 s / Ts (V + 4/27 A Ta)
-                      +  A + 3.95 V / Tv + Ar,  and 0.77 / m velocity^2 beyond P
-
-    base first, correction after it. Every quintic between frames keeps V and A, every gap that is
-    closed begins within V and A, so that the sums hold at any time.
-    """
-    fast = 1.0 + dcu.clock_rate
-    base = dcu.velocity + FADE_PEAK_VELOCITY * dcu.acceleration * dcu.fade_time
-    velocity = (
-        fast * base
-        + dcu.velocity
-        + CURVE_PEAK_VELOCITY * dcu.acceleration * dcu.fade_time
-        + dcu.rejoin_velocity
-    )
-    acceleration = (
-        fast**2 * (1.5 * dcu.velocity / dcu.stop_time + dcu.acceleration)
-        + 2.0 * dcu.clock_rate / dcu.slew_time * base
-        + dcu.acceleration
-        + SLOPE_PEAK_ACCELERATION * dcu.velocity / dcu.stop_time
-        + dcu.rejoin_acceleration
-    )
-    bounds = np.empty((3, 6))
-    bounds[POSE] = dcu.pose + dcu.overtravel
-    bounds[VELOCITY] = velocity
-    # tanh has the largest curvature 4 / (3 sqrt 3).
-    bounds[ACCELERATION] = acceleration + 4.0 / np.sqrt(27.0) * velocity**2 / dcu.overtravel
-    return bounds
