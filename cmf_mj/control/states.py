@@ -80,41 +80,26 @@ load_state_settings = Loader(StateSettings, Path(__file__).with_name("states.tom
 class State(IntEnum):
     """Operating states."""
 
-    OFF = 0
-    """Valves closed, no command."""
-    SETTLED = 1
-    """On the stops, valve command faded in."""
-    RAISE = 2
-    """On the way to neutral."""
-    HOLD = 3
-    """At rest anywhere above the stops."""
-    ENGAGED = 4
-    """Following the host."""
-    RETURN = 5
-    """On the way to the stops."""
-    FAULT = 6
-    """Stopping, going down, then without command."""
+    OFF = 0  #: Valves closed, no command.
+    SETTLED = 1  #: On the stops, valve command faded in.
+    RAISE = 2  #: On the way to neutral.
+    HOLD = 3  #: At rest anywhere above the stops.
+    ENGAGED = 4  #: Following the host.
+    RETURN = 5  #: On the way to the stops.
+    FAULT = 6  #: Stopping, going down, then without command.
 
 
 class Request(IntEnum):
     """What the operator wants."""
 
-    NONE = 0
-    """Stay, or end what has begun."""
-    OFF = 1
-    """Off; above the stops return first."""
-    SETTLE = 2
-    """Settled on the stops."""
-    RAISE = 3
-    """Hold at neutral."""
-    HOLD = 4
-    """Stop here; on the stops and in fault nothing."""
-    ENGAGE = 5
-    """Follow the host."""
-    TRIP = 6
-    """Fault."""
-    RESET = 7
-    """From fault to off."""
+    NONE = 0  #: Stay, or end what has begun.
+    OFF = 1  #: Off; above the stops return first.
+    SETTLE = 2  #: Settled on the stops.
+    RAISE = 3  #: Hold at neutral.
+    HOLD = 4  #: Stop here; on the stops and in fault nothing.
+    ENGAGE = 5  #: Follow the host.
+    TRIP = 6  #: Fault.
+    RESET = 7  #: From fault to off.
 
 
 class States(NamedTuple):

@@ -89,13 +89,6 @@ class Converters(NamedTuple):
     rod_pressure: Converter
 
 
-class Alias(NamedTuple):
-    """What sampling makes of a tone."""
-
-    frequency: float  #: Where it appears [Hz], 0 to half the rate.
-    gain: float  #: Amplitude that the anti-alias filter leaves of it.
-
-
 load_converters = Loader(
     ConverterSettings,
     Path(__file__).with_name("converters.toml"),
@@ -161,8 +154,8 @@ def digitise(converters, state, analogue, digital):  # type: ignore[no-untyped-d
     )
 
 
-def aliased(frequency: float, settings: ConverterSettings) -> Alias:
-    """Where a tone of the analogue signal, 0 Hz or more, appears in the samples, and how large.
+def aliased(frequency: float, settings: ConverterSettings) -> tuple[float, float]:
+    """Frequency [Hz] at which a tone of the analogue signal appears in the samples, and its gain.
 
     |H(f)| = 1 / sqrt(1 + (f / corner)^(2 order)), the analogue Butterworth filter.
     """
@@ -172,4 +165,4 @@ def aliased(frequency: float, settings: ConverterSettings) -> Alias:
     ratio = frequency / (settings.filter_corner.si / (2.0 * np.pi))
     order = settings.filter_order
     gain = 1.0 / np.sqrt(1.0 + ratio ** (2 * order)) if order else 1.0
-    return Alias(float(abs(frequency - rate * np.round(frequency / rate))), float(gain))
+    return float(abs(frequency - rate * np.round(frequency / rate))), float(gain)

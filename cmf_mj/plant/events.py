@@ -163,14 +163,12 @@ def make_timeline(events: Sequence[Event], legs: int) -> Timeline:
         if event.leg is not None and event.leg > legs:
             raise InputError(f"leg: {event.leg} of {event.kind} is not a leg; allowed: 1 to {legs}")
     ordered = sorted(events, key=lambda event: event.at)
-    whole = np.int64
-    return Timeline(
-        np.array([round(e.at / FRAME) for e in ordered], dtype=whole),
-        np.array([KINDS.index(e.kind) for e in ordered], dtype=whole),
-        np.array([-1 if e.leg is None else e.leg - 1 for e in ordered], dtype=whole),
-        np.array([-1 if e.valve is None else e.valve - 1 for e in ordered], dtype=whole),
-        np.array([e.magnitude for e in ordered], dtype=float),
-    )
+    rows = [
+        (round(e.at / FRAME), KINDS.index(e.kind), (e.leg or 0) - 1, (e.valve or 0) - 1)
+        for e in ordered
+    ]
+    frame, kind, leg, valve = np.array(rows, dtype=np.int64).reshape(-1, 4).T.copy()
+    return Timeline(frame, kind, leg, valve, np.array([e.magnitude for e in ordered], dtype=float))
 
 
 _PUMP, _ACCUMULATOR, _BURST, _HARD, _JAMMED, _DEAD, _STUCK, _OFFSET, _OPEN, _LOAD, _STOP = range(11)

@@ -58,10 +58,8 @@ class Plant:
     True
     """
 
-    name = "plant"
-    """How records and tables call the plant."""
-    cab = ""
-    """The cab it carries, where it carries one."""
+    name = "plant"  #: How records and tables call the plant.
+    cab = ""  #: The cab it carries, where it carries one.
 
     def __init__(
         self,

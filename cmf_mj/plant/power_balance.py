@@ -20,17 +20,15 @@ from cmf_mj.plant.cylinder import volumes
 from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.plant.oil import density, enthalpy, stored
 from cmf_mj.plant.plant import Plant
+from cmf_mj.plant.solver import FLOWS
 from cmf_mj.record.record import Record
-
-LOSSES = ("valves", "lines", "leakage", "relief", "burst")
-"""What oil loses on its way."""
 
 
 class PowerBalance(NamedTuple):
     """Energies since the start [J] and oil [m^3], each (N,)."""
 
     delivered: NDArray[np.float64]  #: Work of pump and accumulators.
-    lost: NDArray[np.float64]  #: Losses of the oil, `LOSSES`.
+    lost: NDArray[np.float64]  #: Losses of the oil, `FLOWS` but for the first two.
     work: NDArray[np.float64]  #: Work on the pistons, friction included.
     stored: NDArray[np.float64]
     """Rise of the energy of compression, and of what the tank holds under return pressure; NaN
@@ -48,7 +46,7 @@ def power_balance(plant: Plant, record: Record) -> PowerBalance:
     hydraulics = plant.hydraulics
     passed = {name: record["energy"][:, i] for i, name in enumerate(ENERGIES)}
     delivered = passed["pump"] + passed["accumulators"]
-    lost = np.sum([passed[name] for name in LOSSES], axis=0)
+    lost = np.sum([passed[name] for name in FLOWS[2:]], axis=0)
     kept = record["tank_content"] * enthalpy(hydraulics.oil, hydraulics.supply.return_pressure)
     oil = (
         record["supply_content"]

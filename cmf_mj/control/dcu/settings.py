@@ -101,8 +101,7 @@ class DcuLimits(Settings):
     """Silence after which the stream is stale; longest gap between accepted frames; how long
     frame after frame may be late before the play clock is set anew."""
     stop_time: _Time  #: Time in which the velocity of an interrupted demand comes to rest.
-    acceleration_fade: _Time
-    """Time in which the acceleration of an interrupted demand has faded."""
+    acceleration_fade: _Time  #: Time in which the acceleration of an interrupted demand has faded.
     clock_tolerance: _Wait  #: Mean lateness of the host that is left alone.
     clock_rate: _Share  #: Most by which the play clock runs fast or slow, at most 0.05.
     clock_time: _Time  #: Time constant of the play clock's correction.

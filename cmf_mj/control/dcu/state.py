@@ -14,8 +14,7 @@ from cmf_mj.core.errors import InputError
 class Verdict(IntEnum):
     """What `receive` makes of a frame: taken, kept, or refused, in the order of the tests."""
 
-    HELD = -2
-    """Kept until a second frame confirms it."""
+    HELD = -2  #: Kept until a second frame confirms it.
     ACCEPTED = -1
     NOT_FINITE = 0
     POSE_RANGE = 1
