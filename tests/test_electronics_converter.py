@@ -133,7 +133,10 @@ def test_a_card_of_ones_own(tmp_path: Path) -> None:
             ('value = 10.0, unit = "V"', 'value = 0.0, unit = "V"'),
             "volts: 0.0 V is refused: must be greater than 0 V",
         ),
-        (("value = 500.0", "value = 1024.0"), "filter_corner: 1024 Hz is refused"),
+        (
+            ("value = 500.0", "value = 1024.0"),
+            "filter_corner: 1024.0 Hz is refused: must be less than 1024 Hz",
+        ),
         (
             ('value = 40.0, unit = "in"', 'value = 40.0, unit = "psi"'),
             "position: 'psi' is refused: unit must be one of in, m",

@@ -24,11 +24,11 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Quantity
+from cmf_mj.core.quantity import Kind, Quantity
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Loader, Settings
 
@@ -71,7 +71,8 @@ class ProtectionSettings(Settings):
     over_acceleration: Check
     host_watchdog: Check
     frame_watchdog: Check
-    washout: Quantity  #: Rate r at which the integrated velocity follows the position; below 1/T.
+    washout: Annotated[Quantity, AfterValidator(Kind(("1/s",), below=1.0 / FRAME).check)]
+    """Rate r at which the integrated velocity follows the position; below 1/T."""
 
     @model_validator(mode="after")
     def _in_range(self) -> "ProtectionSettings":
@@ -83,11 +84,6 @@ class ProtectionSettings(Settings):
                     f"{name}.threshold: {quantity.value:g} {quantity.unit} is refused: must be "
                     f"greater than 0 {' or '.join(allowed)}"
                 )
-        if self.washout.unit != "1/s" or not 0.0 < self.washout.value < 1.0 / FRAME:
-            raise InputError(
-                f"washout: {self.washout.value:g} {self.washout.unit} is refused: must be between "
-                f"0 and {1.0 / FRAME:g} 1/s"
-            )
         return self
 
 

@@ -20,13 +20,13 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field
 
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core import filters
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Quantity, positive_in
+from cmf_mj.core.quantity import Kind, Quantity, positive_in
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.electronics.stages import low_pass, steps
@@ -34,6 +34,7 @@ from cmf_mj.electronics.stages import low_pass, steps
 CONVERTER_SETS = ("off", "sixteen_bit")
 """Names of the shipped sets."""
 
+_BELOW_HALF_RATE = Kind(("Hz", "rad/s"), below=np.pi / FRAME)
 _Pressure = Annotated[Quantity, positive_in("psi", "Pa")]
 
 
@@ -55,19 +56,8 @@ class ConverterSettings(Settings):
     bits: Annotated[int, Field(ge=4, le=32)]  #: Resolution b of the converter.
     volts: Annotated[Quantity, positive_in("V")]  #: Full-scale volts, either way.
     filter_order: Annotated[int, Field(ge=0, le=8)]  #: Order of the anti-alias filter; 0 for none.
-    filter_corner: Quantity  #: Its -3 dB corner, below half the frame rate.
+    filter_corner: Annotated[Quantity, AfterValidator(_BELOW_HALF_RATE.check)]  #: Its -3 dB corner.
     full_scale: FullScale
-
-    @model_validator(mode="after")
-    def _in_range(self) -> "ConverterSettings":
-        corner = self.filter_corner
-        nyquist = np.pi / FRAME
-        if corner.unit not in ("Hz", "rad/s") or not 0.0 < corner.si < nyquist:
-            raise InputError(
-                f"filter_corner: {corner.value:g} {corner.unit} is refused: must be between 0 and "
-                f"{0.5 / FRAME:g} Hz"
-            )
-        return self
 
 
 class Converter(NamedTuple):

@@ -189,11 +189,7 @@ class Hexapod(Plant):
 
 
 def hexapod_spec(cab: str = "gfd") -> mujoco.MjSpec:
-    """The editable MuJoCo model of the machine with a cab, for users who extend it.
-
-    Raises:
-        InputError: unknown cab.
-    """
+    """The editable MuJoCo model of the machine with a cab, for users who extend it."""
     root = ElementTree.parse(models.model_path("cmf_hexapod.xml")).getroot()
     attached = root.find("asset/model")
     assert attached is not None

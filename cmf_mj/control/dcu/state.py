@@ -99,21 +99,6 @@ class DcuState(NamedTuple):
     rejected: NDArray[np.int64]  #: Refused frames by `REASONS`.
 
     @property
-    def stale(self) -> bool:
-        """Whether there is no stream: none yet, or silence beyond the timeout."""
-        return bool(self.clocks.stale[0])
-
-    @property
-    def interval(self) -> float:
-        """Mean interval of the host's frames [s]; beyond `host_interval` it adds to the delay."""
-        return float(self.clocks.interval[0])
-
-    @property
-    def lateness(self) -> float:
-        """Mean time by which frames come later than the play clock expects [s]."""
-        return float(self.clocks.lateness[0])
-
-    @property
     def rejections(self) -> dict[str, int]:
         """Refused frames by reason."""
         return dict(zip(REASONS, self.rejected.tolist(), strict=True))
