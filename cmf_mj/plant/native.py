@@ -16,7 +16,7 @@ import mujoco
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
 
 
 def address(function: str) -> int:
@@ -29,9 +29,16 @@ def address(function: str) -> int:
     return pointer
 
 
+_SIGNATURE = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
+
+
+def call(function: int, model: int, data: int) -> None:
+    """Call `void function(const mjModel*, mjData*)`; the interpreted twin of the compiled call."""
+    _SIGNATURE(function)(model, data)
+
+
 @intrinsic
-def call(typing_context: Any, function: Any, model: Any, data: Any) -> Any:
-    """Call `void function(const mjModel*, mjData*)` from compiled code."""
+def _call(typing_context: Any, function: Any, model: Any, data: Any) -> Any:
     signature = types.void(types.intp, types.intp, types.intp)
 
     def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
@@ -42,3 +49,8 @@ def call(typing_context: Any, function: Any, model: Any, data: Any) -> Any:
         return context.get_dummy_value()
 
     return signature, generate
+
+
+@overload(call, jit_options={"forceinline": True})
+def _compiled_call(function, model, data):  # type: ignore[no-untyped-def]
+    return lambda function, model, data: _call(function, model, data)
