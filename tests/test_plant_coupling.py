@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cmf_mj import Record, SingleLegs, signals, simulate
-from cmf_mj.electronics.sensors import differences
+from cmf_mj.electronics.sensors.suite import true_acceleration, true_velocity
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.plant import Plant
 
@@ -103,8 +103,8 @@ def test_sensors_are_exact_on_a_parabola() -> None:
 
     mean = (length(time) - length(time - step)) / step
     mean_before = (length(time - step) - length(time - 2 * step)) / step
-    assert differences.velocity(mean, mean_before) == pytest.approx(0.3 - 1.4 * time, abs=1e-9)
-    assert differences.acceleration(mean, mean_before, step) == pytest.approx(-1.4, abs=1e-8)
+    assert true_velocity(mean, mean_before) == pytest.approx(0.3 - 1.4 * time, abs=1e-9)
+    assert true_acceleration(mean, mean_before, step) == pytest.approx(-1.4, abs=1e-8)
 
 
 def test_recorded_sensors_follow_the_recorded_positions() -> None:
