@@ -253,9 +253,9 @@ def test_rest_state_does_not_move(supply: str, rate: float) -> None:
     so do manifolds and accumulators. 1e-2 Pa over 2 s: round-off."""
     p = changed("report", supply=supply, leak_rate=rate)
     hydraulics = machine(p, legs=2)
-    loads = np.array([0.2 * WEIGHT, WEIGHT])
+    weights = np.array([0.2 * WEIGHT, WEIGHT])
     here = np.array([-0.3, 0.5])
-    state = rest(hydraulics, loads, here)
+    state = rest(hydraulics, weights, here)
     pressure, network = state.pressure.copy(), state.supply.copy()
     for _ in range(4096):
         assert advance(hydraulics, state, no_faults(2), np.zeros(2), here, here)
@@ -264,7 +264,7 @@ def test_rest_state_does_not_move(supply: str, rate: float) -> None:
     np.testing.assert_allclose(state.supply[:5], network[:5], rtol=0, atol=1e-12)
     held = np.empty(2)
     loads(hydraulics.cylinder, state.pressure, state.friction, held)
-    np.testing.assert_allclose(held, loads, rtol=1e-9)
+    np.testing.assert_allclose(held, weights, rtol=1e-9)
     assert not state.energy.any() or np.abs(state.energy).max() < 1e-6
 
 
