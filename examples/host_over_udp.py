@@ -9,14 +9,14 @@ import threading
 import cmf_mj
 from cmf_mj import signals
 from cmf_mj.facility.host.stream import from_command
-from cmf_mj.facility.host.udp import UdpReceiver, UdpSender
+from cmf_mj.facility.host.udp import UdpReceiver, send_stream
 from cmf_mj.facility.operation import serve
 
 SECONDS = 6.0
 
 flight = from_command(signals.sine("heave", 0.1, 0.5, cycles=2), rate=80.0)
-with UdpReceiver() as receiver, UdpSender(*receiver.address) as sender:
-    host = threading.Thread(target=sender.play, args=(flight,))
+with UdpReceiver() as receiver:
+    host = threading.Thread(target=send_stream, args=(flight, *receiver.address))
 
     def started(done: float) -> None:
         """Let the host send when the facility's clock starts."""

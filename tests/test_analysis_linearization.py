@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import control
 import mujoco
@@ -359,10 +360,11 @@ def test_share_is_the_describing_function_of_a_kink(excitation: str, ratio: floa
     assert outward_share(1.0 / ratio, excitation) == pytest.approx(1.0 - share, abs=1e-9)  # type: ignore[arg-type]
 
 
-CASES = [("single_legs", name, "leg_1") for name in POSES]
+CASES: list[Any] = [("single_legs", name, "leg_1") for name in POSES]
 CASES += [("hexapod", "neutral", dof) for dof in ("surge", "leg_1")]
-CASES += [("hexapod", "offset", dof) for dof in ("surge", "sway", "pitch")]
-CASES += [("hexapod", "turned", dof) for dof in DOFS]
+FAR = [("hexapod", "offset", dof) for dof in ("surge", "sway", "pitch")]
+FAR += [("hexapod", "turned", dof) for dof in DOFS]
+CASES += [pytest.param(*case, marks=pytest.mark.slow) for case in FAR]
 
 MAGNIFIED = ("hexapod", "offset", "sway")
 """A loop with a resonance of 16 dB, which magnifies the plant's error."""

@@ -51,9 +51,7 @@ def test_compare_writes_table_figures_and_records(
     assert "soft" in output
     for dof in ("heave", "roll"):
         for kind in ("bode", "step"):
-            assert {"velocity", "soft"} <= {
-                text.split(",")[0] for text in drawn[f"{kind}_{dof}.png"]
-            }
+            assert {"Velocity FB", "Half the position gain"} <= drawn[f"{kind}_{dof}.png"]
     records = sorted((out / "records").iterdir())
     assert len(records) == 16
     record = Record.load(records[0])

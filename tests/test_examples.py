@@ -25,6 +25,7 @@ def test_surge_overshoots_by_half_where_heave_does_not(capsys: pytest.CaptureFix
     assert overshoot["heave"] < 30.0 and 45.0 < overshoot["surge"] < 80.0
 
 
+@pytest.mark.slow
 def test_softer_law_is_slower_in_all_axes(capsys: pytest.CaptureFixture[str]) -> None:
     text = printed("law_of_your_own", capsys)
     bandwidths = [float(value) for value in re.findall(r"at ([\d.]+) Hz", text)]

@@ -29,7 +29,7 @@ def files(session: list[Record], tmp_path_factory: pytest.TempPathFactory) -> li
     return [write_facility_csv(r, folder / f"{i}of5.csv") for i, r in enumerate(session, start=1)]
 
 
-@pytest.mark.parametrize("build", [SingleLegs, Hexapod])
+@pytest.mark.parametrize("build", [SingleLegs, pytest.param(Hexapod, marks=pytest.mark.slow)])
 def test_four_excitations_agree_on_the_phase_bandwidth_within_3_percent(
     build: type[Plant], tmp_path: Path
 ) -> None:

@@ -13,4 +13,4 @@ from cmf_mj.facility.scenario.run import ScenarioRun
 if sys.argv[1] == "table":
     simulate(Hexapod(), "velocity", signals.step("heave", 0.01, at=1 / 2048, duration=4 / 2048))
 else:
-    ScenarioRun(load_scenario("heave_sine")).advance(4)
+    ScenarioRun(load_scenario("operate_from_settled")).advance(4)

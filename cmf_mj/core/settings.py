@@ -123,7 +123,7 @@ class Loader(Generic[Model]):
     based: bool = True  #: Whether a file of the user has a `base`.
 
     def __call__(self, source: str | Path | Model | None = None) -> Model:
-        """Load a shipped set by name or a user's TOML file, or pass on what is loaded."""
+        """Load `source`: a shipped set by name, a user's TOML file, or what is loaded already."""
         if isinstance(source, self.model):
             return source
         chosen = self.default if source is None else str(source)
