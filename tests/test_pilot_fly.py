@@ -235,7 +235,7 @@ def test_cmf_flight_records_and_cmf_fly_compares(
     names = {"motion.png", "perceived.png", "record.parquet", "host.parquet"}
     for law in laws.split(","):
         assert names <= {path.name for path in (out / law).iterdir()}
-    assert set(drawn) == {"motion.png", "perceived.png", "comparison.png"}
+    assert set(drawn) == {"motion.png", "perceived.png", "operation.png", "comparison.png"}
 
 
 def test_traces_of_a_ride_are_what_the_pilots_are_subjected_to(ride: FlightResult) -> None:
