@@ -130,7 +130,7 @@ def convert(converter, state, analogue, digital):  # type: ignore[no-untyped-def
 
 @compiled
 def digitise(converters, state, analogue, digital):  # type: ignore[no-untyped-def]
-    """All channels of all legs, one frame, of `LegFeedback`s, which may be the same."""
+    """All channels of all legs, one frame; both are a `LegFeedback` and may be the same."""
     convert(converters.position, state.position, analogue.position, digital.position)
     convert(converters.velocity, state.velocity, analogue.velocity, digital.velocity)
     convert(
