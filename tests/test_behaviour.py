@@ -23,7 +23,7 @@ TOLERANCE = 1e-3
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_key_values_stand(case: str) -> None:
+def test_regression_of_key_values(case: str) -> None:
     record = run_scenario(scenario_of(CASES[case], case))
     values = SCRIPT["key_values"](record.channels)
     for name, value in VALUES[case].items():

@@ -192,7 +192,7 @@ def test_the_heaviest_cab_flies_them(name: str) -> None:
         ("scan_acceleration.py", "--gains 0,-0.08 --corners 0,8 --cabs ifd --out", "gain.md"),
     ],
 )
-def test_scripts(
+def test_smoke_of_scripts(
     script: str,
     arguments: str,
     written: str,

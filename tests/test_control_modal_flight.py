@@ -36,7 +36,7 @@ def test_it_is_the_modal_plan_but_for_its_rate() -> None:
     assert np.all(np.array(FLIGHT.plan.rate) > 1.4 * np.array(PLAN.plan.rate))
 
 
-def test_behind_the_limits_both_come_to_rest_and_it_stays_closer() -> None:
+def test_regression_behind_the_limits_both_come_to_rest_and_it_stays_closer() -> None:
     """A jump of 20 in: legs asked for 21 in/s. Settled is a valve that moves by less than 1 %."""
     largest = {}
     for law in (FLIGHT, PLAN):

@@ -15,7 +15,7 @@ CASES = tomllib.loads(FILE.read_text())["case"]
 
 
 @pytest.mark.parametrize("row", CASES, ids=lambda r: f"{r['plant']}-{r['law']}-{r['dof']}")
-def test_bandwidths_peak_and_damping_are_unchanged(row: dict[str, Any]) -> None:
+def test_regression_of_bandwidths_peak_and_damping(row: dict[str, Any]) -> None:
     """0.5 % of bandwidths, damping ratio and height of the peak.
 
     The peak of position error rate feedback in surge belongs to a pair that is all but undamped

@@ -60,7 +60,6 @@ def small() -> Study:
 # -- what the shipped sets must meet --------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_report_set_meets_the_non_linear_rows() -> None:
     """-90 deg within 10 %, -3 dB within 15 %, damping within 0.1 of the later table of each law."""
     study = load_study("report")
@@ -71,7 +70,6 @@ def test_report_set_meets_the_non_linear_rows() -> None:
     assert not [row for row in later.values() if not row.within]
 
 
-@pytest.mark.slow
 def test_hardware_set_meets_the_hardware_rows() -> None:
     """Tables 2-4 and 2-6, hexapod in heave: bandwidths within 10 %, damping within 0.1."""
     study = load_study("hardware")

@@ -132,7 +132,7 @@ def test_tune_command(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_scripts(
+def test_smoke_of_scripts(
     script: str,
     arguments: str,
     written: tuple[str, ...],
@@ -146,7 +146,7 @@ def test_scripts(
 
 
 @pytest.mark.slow
-def test_ablation_script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_smoke_of_the_ablation_script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "ablation.md"
     monkeypatch.setattr(sys, "argv", ["ablate", "--cabs", "gfd", "--out", str(out)])
     runpy.run_path(str(SCRIPTS / "ablate_modal_law.py"), run_name="__main__")
