@@ -46,7 +46,7 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def forgotten(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Release what a module computed once, and give the memory back: workers stay below 1 GB."""
+    """Release what a module computed once, and give the memory back to the system."""
     yield
     for thing in vars(request.module).values():
         if getattr(thing, "__module__", "") == request.module.__name__:
