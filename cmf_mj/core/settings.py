@@ -123,7 +123,11 @@ class Loader(Generic[Model]):
     based: bool = True  #: Whether a file of the user has a `base`.
 
     def __call__(self, source: str | Path | Model | None = None) -> Model:
-        """Load `source`: a shipped set by name, a user's TOML file, or what is loaded already."""
+        """Load `source`: a shipped set by name, a user's TOML file, or what is loaded already.
+
+        Raises:
+            InputError: unknown set, unreadable file or a refused field; each is named.
+        """
         if isinstance(source, self.model):
             return source
         chosen = self.default if source is None else str(source)
