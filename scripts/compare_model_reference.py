@@ -21,7 +21,7 @@ from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.signals.single import sine
 
-REPORT_LAWS = ["velocity", "position_error_rate", "acceleration"]
+REPORT_LAWS = ["velocity", "position_error_rate", "acceleration_eq_3_6"]
 LAWS = ["model_following", "model_reference_adaptive"]
 SPEEDS = (0.7, 1.0, 1.3)
 

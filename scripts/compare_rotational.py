@@ -12,7 +12,7 @@ from cmf_mj.cli.simulate import run_comparison
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.build import PLANTS
 
-LAWS = ["position_error_rate", "acceleration", "acceleration_opposing"]
+LAWS = ["position_error_rate", "acceleration_eq_3_6", "acceleration_opposing"]
 
 
 def main() -> None:

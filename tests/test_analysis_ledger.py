@@ -49,7 +49,7 @@ def leg() -> control.StateSpace:
 def single(leg: control.StateSpace) -> dict[str, Measures]:
     """Laws of the report around it."""
     laws = ("original", "velocity", "position_error_rate", "velocity_error", "combined_rate")
-    signs = ("acceleration", "acceleration_opposing")
+    signs = ("acceleration", "acceleration_eq_3_6", "acceleration_opposing", "acceleration_d2")
     return {law: measure_loop(closed_loop(law, leg)) for law in (*laws, *signs)}
 
 
@@ -284,7 +284,7 @@ def test_signs_of_acceleration_feedback_differ(
 ) -> None:
     """The pair of surge and pitch, which decides on the hexapod, is in test_studies_findings.py."""
     plain = single["position_error_rate"]
-    plus, minus = single["acceleration"], single["acceleration_opposing"]
+    plus, minus = single["acceleration_eq_3_6"], single["acceleration_opposing"]
     wider = plus.gain_bandwidth_hz - plain.gain_bandwidth_hz
     assert wider == pytest.approx(entry.figure("-3 dB with + over position error rate"), abs=0.005)
     wider = minus.gain_bandwidth_hz - plain.gain_bandwidth_hz
@@ -292,7 +292,7 @@ def test_signs_of_acceleration_feedback_differ(
     hertz = np.linspace(0.1, 8.0, 800)  # below the leg mode
     peaks = {
         law: np.abs(loop_response(closed_loop(law, leg), hertz).frdata).max()
-        for law in ("acceleration", "position_error_rate", "acceleration_opposing")
+        for law in ("acceleration_eq_3_6", "position_error_rate", "acceleration_opposing")
     }
     assert sorted(peaks, key=peaks.__getitem__, reverse=True) == list(peaks)
     moved = plus.phase_bandwidth_hz - plain.phase_bandwidth_hz
@@ -362,7 +362,7 @@ def test_acceleration_gains_no_hertz(entry: LedgerEntry, single: dict[str, Measu
     assert more == pytest.approx(entry.figure("gain in heave, printed"))
     damping = (actual.damping_ratio or 0.0) - (without.damping_ratio or 0.0)
     assert damping == pytest.approx(entry.figure("damping gained, printed"))
-    ours = single["acceleration"].phase_bandwidth_hz
+    ours = single["acceleration_eq_3_6"].phase_bandwidth_hz
     more = ours - single["position_error_rate"].phase_bandwidth_hz
     assert more == pytest.approx(entry.figure("gain in heave, ours"), abs=2e-3)
     others = [row.phase_bandwidth_hz or 0.0 for row in published_results() if row.table == "D-2"]

@@ -58,7 +58,8 @@ def published_system(law: Law) -> control.StateSpace:
     """Inputs (reference, position in in, velocity, acceleration, p_cap, p_rod in Pa), output %.
 
     States: compensator x, error integral, derivative filters of error and reference, filtered
-    acceleration. Eqs 2.3 and 2.4; Figures 3-1, 3-5 to 3-7; Eqs 3.6 and 3.7.
+    acceleration. Eqs 2.3 and 2.4; Figures 3-1, 3-5 to 3-7; Eqs 3.6 and 3.7. The numbers of the
+    accelerometer's filter are in test_the_accelerometer_filter_is_the_hold_of_its_lag.
     """
     pole, frame = law.derivative_pole, FRAME
     r, s, v, a, pc, pr = np.eye(6)
@@ -93,7 +94,7 @@ def published_system(law: Law) -> control.StateSpace:
             row(integral, frame * (r - s)),
             row(zf, 0) + frame * error_rate,
             row(zr, 0) + frame * reference_rate,
-            row(0.9924 * af, 0.007588 * a),
+            row(law.accelerometer_pole * af, law.accelerometer_gain * a),
         ]
     )
     return control.ss(rows[:, :5], rows[:, 5:], output[None, :5], output[None, 5:], FRAME)
@@ -224,34 +225,42 @@ def test_the_derivative_filter_settles_on_the_rate_of_a_ramp() -> None:
     assert rate == pytest.approx(0.3, rel=1e-12)
 
 
+LAGS = {"acceleration": 0.01, "acceleration_d2": 0.0}
+"""Time constants of accelerometer filters that are not Eq 3.6 [s]."""
+
+
 @pytest.mark.parametrize("name", law_names())
-def test_the_accelerometer_filter_is_eq_3_6(name: str) -> None:
-    """0.007588 / (z - 0.9924): the zero-order hold at 2048 Hz of 0.312 / (0.02 s + 0.312), time
-    constant 0.02 / 0.312 = 0.064 s, unit DC gain.
+def test_the_accelerometer_filter_is_the_hold_of_its_lag(name: str) -> None:
+    """Zero-order hold at 2048 Hz of 1 / (lag s + 1), with unit gain at rest. Eq 3.6, 0.007588 /
+    (z - 0.9924), is that of 0.312 / (0.02 s + 0.312).
 
     0.5 %: the printed pole and gain have four digits, the pole's distance from 1 only two.
     """
-    filtering = make_feedback(load_law(name))
+    law, lag = load_law(name), LAGS.get(name, 0.02 / 0.312)
+    filtering = make_feedback(law)
     state, response = 0.0, []
     for _ in range(8 * 2048):
         response.append(state)
         state = filter_acceleration(filtering, state, 1.0)
     response = np.array(response)
     assert response[0] == 0.0
-    assert response[1] == 0.007588
-    assert response[-1] == pytest.approx(0.007588 / (1 - 0.9924), rel=1e-9)
+    assert response[1] == law.accelerometer_gain
+    assert response[-1] == pytest.approx(
+        law.accelerometer_gain / (1 - law.accelerometer_pole), rel=1e-9
+    )
     assert response[-1] == pytest.approx(1.0, rel=2e-3)
-    constant = -FRAME / np.log(filtering.accelerometer_pole)
-    assert constant == pytest.approx(0.02 / 0.312, rel=5e-3)
-    held = control.sample_system(control.tf([0.312], [0.02, 0.312]), FRAME, method="zoh")
     time = np.arange(2048) * FRAME
-    expected = control.step_response(held, time).outputs
-    np.testing.assert_allclose(response[:2048], expected, rtol=0, atol=5e-3)
+    held = time > 0.0
+    if lag > 0.0:
+        assert -FRAME / np.log(law.accelerometer_pole) == pytest.approx(lag, rel=5e-3)
+        system = control.sample_system(control.tf([1.0], [lag, 1.0]), FRAME, method="zoh")
+        held = control.step_response(system, time).outputs
+    np.testing.assert_allclose(response[:2048], held, rtol=0, atol=5e-3)
 
 
 def test_the_acceleration_acts_one_frame_late_through_its_filter() -> None:
     """1/(z - pole) has no direct path: an impulse of acceleration is absent in its own frame."""
-    dcl, state = make_dcl(load_law("acceleration"), 1), zeros(1)
+    dcl, state = make_dcl(load_law("acceleration_eq_3_6"), 1), zeros(1)
     acceleration = np.zeros((4, 1))
     acceleration[0] = INCH  # 1 in/s^2, gain 0.01 %/(in/s^2)
     still = np.zeros((4, 1))
@@ -423,7 +432,7 @@ def test_acceleration_laws_differ_in_the_sign_alone() -> None:
     demand, feedback = random_histories(21, 100)
     plus, minus, base = (
         run(make_dcl(load_law(name), LEGS), zeros(LEGS), demand, feedback)[0]
-        for name in ("acceleration", "acceleration_opposing", "position_error_rate")
+        for name in ("acceleration_eq_3_6", "acceleration_opposing", "position_error_rate")
     )
     scale = np.abs(plus).max()
     np.testing.assert_allclose(plus - base, base - minus, rtol=0, atol=1e-12 * scale)

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pydantic import ValidationError
 
@@ -16,8 +17,11 @@ NAMES = (
     "position_error_rate",
     "velocity_error",
     "combined_rate",
+    "combined_rate_1_8",
     "acceleration",
+    "acceleration_eq_3_6",
     "acceleration_opposing",
+    "acceleration_d2",
     "force",
 )
 
@@ -69,31 +73,39 @@ TABLES = {
             **INTEGRAL,
         },
     ),
-    # Table 3-3: + as printed, - as Eq 3.4
-    "acceleration": (
+    "combined_rate_1_8": (
         0.914,
         -37.1759,
         1.0,
         {
             "reference": 49.0,
             "position": 381.8,
-            "acceleration": 0.01,
-            "position_error_rate": 2.2,
+            "position_error_rate": 1.8,
+            "velocity": -0.5,
             **INTEGRAL,
         },
     ),
-    "acceleration_opposing": (
-        0.914,
-        -37.1759,
-        1.0,
-        {
-            "reference": 49.0,
-            "position": 381.8,
-            "acceleration": -0.01,
-            "position_error_rate": 2.2,
-            **INTEGRAL,
-        },
-    ),
+    # Table 3-3: + as printed, - as Eq 3.4; 0.06 derived from Table D-2
+    **{
+        name: (
+            0.914,
+            -37.1759,
+            1.0,
+            {
+                "reference": 49.0,
+                "position": 381.8,
+                "acceleration": gain,
+                "position_error_rate": 2.2,
+                **INTEGRAL,
+            },
+        )
+        for name, gain in (
+            ("acceleration", 0.01),
+            ("acceleration_eq_3_6", 0.01),
+            ("acceleration_opposing", -0.01),
+            ("acceleration_d2", 0.06),
+        )
+    },
     # Table 3-4; force opposing
     "force": (
         0.914,
@@ -156,11 +168,17 @@ def test_gains_are_the_published_ones(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_filters_are_those_of_the_report(name: str) -> None:
-    """Eq 3.6: 0.007588 / (z - 0.9924). Section 3.2.1: integral within +-50, enabled half an inch
-    above the bottom stop at -37.5 in. Derivative pole: 80 to 90 rad/s fits.
+    """Eq 3.6: 0.007588 / (z - 0.9924); the hold of 1 / (0.01 s + 1) for the text's 10 ms; none.
+    Section 3.2.1: integral within +-50, enabled half an inch above the bottom stop at -37.5 in.
+    Derivative pole: 80 to 90 rad/s fits.
     """
     law = load_law(name)
-    assert (law.accelerometer_gain, law.accelerometer_pole) == (0.007588, 0.9924)
+    if name == "acceleration":
+        assert law.accelerometer_pole == pytest.approx(np.exp(-1.0 / 20.48), abs=5e-7)
+        assert law.accelerometer_gain == pytest.approx(1.0 - law.accelerometer_pole, rel=1e-12)
+    else:
+        expected = (1.0, 0.0) if name == "acceleration_d2" else (0.007588, 0.9924)
+        assert (law.accelerometer_gain, law.accelerometer_pole) == expected
     assert law.integrator_limit == 50.0
     assert law.integrator_trigger == -37.5 + 0.5
     assert 80.0 <= law.derivative_pole <= 90.0

@@ -19,7 +19,7 @@ def effect() -> FilterEffect:
 
 
 def test_the_predictions_are_those_of_python_control() -> None:
-    law = load_law("acceleration")
+    law = load_law("acceleration_eq_3_6")
     pole, gain = 0.9924, 0.007588
     system = control.tf([gain], [1.0, -pole], 1.0 / 2048.0)
     _, impulse = control.impulse_response(system, np.arange(20000) / 2048.0)

@@ -39,7 +39,7 @@ def test_compare_rotational_covers_rotation_on_both_plants(tmp_path: Path) -> No
     assert {row["dof"] for row in rows} == {"roll", "pitch", "yaw"}
     assert {row["law"] for row in rows} == {
         "position_error_rate",
-        "acceleration",
+        "acceleration_eq_3_6",
         "acceleration_opposing",
     }
     assert not (tmp_path / "rotation" / "records").exists()

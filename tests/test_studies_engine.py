@@ -347,7 +347,8 @@ def test_ready_studies_are_sound() -> None:
     assert sum(case.method == "linear" for case in mismatch) == 27 * (draws + 1)
     rotation = load_study("rotation")
     assert rotation.settings.mismatch == load_study("mismatch").settings.mismatch
-    assert [law.name for law in rotation.laws][1:3] == ["position_error_rate", "acceleration"]
+    names = [law.name for law in rotation.laws]
+    assert names[1:3] == ["position_error_rate", "acceleration_eq_3_6"]
     field = load_study("rotation_field")
     assert field.settings.mismatch == rotation.settings.mismatch
     assert len(field.cases) == 5 * 3 * (draws + 1)

@@ -20,5 +20,5 @@ def test_the_sign_of_acceleration_feedback_decides_the_damping_of_the_heavy_pair
     """Printed sign: the pair grows. Opposing sign: it dies at least three times as fast."""
     without = decay_rate("position_error_rate", dof)
     assert without > 0.0
-    assert decay_rate("acceleration", dof) < 0.0
+    assert decay_rate("acceleration_eq_3_6", dof) < 0.0
     assert decay_rate("acceleration_opposing", dof) > 3.0 * without

@@ -15,21 +15,34 @@ _GAINS = Path(__file__).with_name("published_gains.toml")
 Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuples)]
 """A list of numbers of a table."""
 
-_READ_AS = {"acceleration_opposing": "acceleration", "original_as_printed": "original"}
-"""Laws that are other readings of a published one, and are compared with its results."""
+_READ_AS = {("D-2", "acceleration"): "acceleration_d2"}
+"""The law whose results a printed row holds, by table and law, where it is not the law as named."""
+
+_OTHERS = {
+    "acceleration_eq_3_6": "acceleration",
+    "acceleration_opposing": "acceleration",
+    "combined_rate_1_8": "combined_rate",
+    "original_as_printed": "original",
+}
+"""Other readings of a law's gains, compared with all rows that name the law."""
 
 
 class Published(Settings):
     """One published result."""
 
     table: str  #: Table or section of the report.
-    law: str
+    law: str  #: As the report names it.
     dof: str
     of: Literal["hardware", "nonlinear", "linear_1", "linear_2", "linear_3"]
     """What was measured: the machine, the report's non-linear model or a linear model."""
     phase_bandwidth_hz: float | None = None
     gain_bandwidth_hz: float | None = None
     damping_ratio: float | None = None
+
+    @property
+    def read_as(self) -> str:
+        """The law of `laws.toml` whose results these are."""
+        return _READ_AS.get((self.table, self.law), self.law)
 
 
 class PublishedGains(Settings):
@@ -68,8 +81,12 @@ def published(law: str, dof: str, hydraulics: str) -> Published | None:
     Runs with the `report` hydraulics are compared with the report's non-linear model; others
     with the hardware where it was measured, with the non-linear model where it was not.
     """
-    name = _READ_AS.get(law, law)
-    rows = {row.of: row for row in published_results() if row.law == name and row.dof == dof}
+    named = _OTHERS.get(law)
+    rows = {
+        row.of: row
+        for row in published_results()
+        if row.dof == dof and (row.law == named or row.read_as == law)
+    }
     kinds = ("nonlinear",) if hydraulics == "report" else ("hardware", "nonlinear")
     for of in kinds:
         if of in rows and rows[of].phase_bandwidth_hz is not None:

@@ -299,8 +299,8 @@ def load_law(source: str | Path | Mapping[str, Any] | Law) -> Law:
     Raises:
         InputError: no such law, unreadable file, or a refused field with its valid range.
 
-    >>> cmf_mj.load_law("acceleration").source
-    'Table 3-3, sign as printed, with the integral of section 3.2'
+    >>> cmf_mj.load_law("acceleration").title, cmf_mj.load_law("velocity").source
+    ('Acceleration FB (+)', 'Table 2-5')
     """
     if isinstance(source, Law):
         return source

@@ -67,9 +67,9 @@ def _remark(law: str, table: str, quantity: str) -> str:
 def _judged(runs: Runs, row: Published) -> list[ResultRow]:
     rows = []
     appendix = row.table.startswith("D-")
-    label = row.dof if appendix else law_title(row.law)
-    measures = runs.case(_ON[row.of], row.law, row.dof).measures
-    machine = runs.case("machine", row.law, row.dof).measures if appendix else None
+    label = row.dof if appendix else law_title(row.read_as)
+    measures = runs.case(_ON[row.of], row.read_as, row.dof).measures
+    machine = runs.case("machine", row.read_as, row.dof).measures if appendix else None
     for field, quantity, unit, tolerance in _QUANTITIES:
         value, damping = getattr(row, field), field == "damping_ratio"
         if value is None and (row.table, quantity) != ("D-2", "-3 dB"):
@@ -117,9 +117,9 @@ def _rows_of(table: str) -> list[Published]:
 def table_needs(table: str) -> tuple[RunSpec, ...]:
     """Runs a result table is made from."""
     rows = _rows_of(table)
-    needs = [RunSpec(_ON[row.of], row.law, row.dof) for row in rows]
+    needs = [RunSpec(_ON[row.of], row.read_as, row.dof) for row in rows]
     if table.startswith("D-"):
-        needs += [RunSpec("machine", row.law, row.dof) for row in rows]
+        needs += [RunSpec("machine", row.read_as, row.dof) for row in rows]
     return tuple(dict.fromkeys(needs))
 
 
