@@ -16,6 +16,8 @@ from .facility.scenario.library import load_scenario as load_scenario
 from .facility.scenario.run import run_scenario as run_scenario
 from .facility.simulation import drive as drive
 from .facility.simulation import simulate as simulate
+from .machine.cab import Cab as Cab
+from .machine.cab import load_cab as load_cab
 from .machine.kinematics import Geometry as Geometry
 from .machine.kinematics import legs_to_pose as legs_to_pose
 from .machine.kinematics import pose_to_legs as pose_to_legs

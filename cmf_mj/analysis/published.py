@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator
 
-from cmf_mj.control.coordinates import as_tuples
-from cmf_mj.core.settings import Settings, read_toml, validated
+from cmf_mj.core.settings import Settings, as_tuples, read_toml, validated
 
 _FILE = Path(__file__).with_name("published.toml")
 _GAINS = Path(__file__).with_name("published_gains.toml")

@@ -14,7 +14,7 @@ flight simulator motion system (2001); A. R. Plummer and P. S. Guinzio, Modal co
 electrohydrostatic flight simulator motion system (2009).
 """
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,18 +23,13 @@ from pydantic import BeforeValidator, Field, model_validator
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.settings import Settings
+from cmf_mj.core.settings import Settings, as_tuples
 
 MODES = 6
 """Hydraulic modes of a hexapod."""
 
 ORTHONORMAL = 1e-8
 """Largest entry of V^T V - 1 that passes for round-off of a table's ten digits."""
-
-
-def as_tuples(value: Any) -> Any:
-    """TOML's lists as tuples, down to the numbers."""
-    return tuple(as_tuples(v) for v in value) if isinstance(value, list | tuple) else value
 
 
 _SIX = Field(min_length=MODES, max_length=MODES)

@@ -56,7 +56,6 @@ from cmf_mj.control.coordinates import (
     Modes,
     PerMode,
     Positive,
-    as_tuples,
     spread,
     to_legs,
     to_modes,
@@ -64,7 +63,7 @@ from cmf_mj.control.coordinates import (
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.rates import FRAME
-from cmf_mj.core.settings import Settings
+from cmf_mj.core.settings import Settings, as_tuples
 
 ORDER = 5
 """Order of the model."""

@@ -29,7 +29,7 @@ class InputError(CmfError, ValueError):
     ...     cmf_mj.Hexapod("gdf")
     ... except cmf_mj.InputError as error:
     ...     print(error)
-    cab: 'gdf' is not one of gfd, rfd, ifd; did you mean gfd?
+    cab: 'gdf' is not one of gfd, rfd, ifd nor a .toml file; did you mean gfd?
     """
 
     __module__ = "cmf_mj"

@@ -1,19 +1,23 @@
-"""One number with unit, status and source, and the range each kind of number may take."""
+"""Numbers with unit, status and source, and the range each kind of number may take."""
 
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Generic, Literal, NamedTuple, TypeVar
 
-from pydantic import AfterValidator, Field, field_validator
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 from pydantic.fields import FieldInfo
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.settings import Settings
+from cmf_mj.core.settings import Settings, as_tuples
+
+Value = TypeVar("Value")
 
 
-class Quantity(Settings):
-    """One number as a source gives it."""
+class _Known(Settings, Generic[Value]):
+    """What a source gives, in its unit."""
 
-    value: float  #: Value in `unit`.
+    value: Value  #: Value in `unit`.
     unit: str  #: Unit as published, e.g. `in/s/%`.
     status: Literal["stated", "derived", "calibrated", "assumed", "published", "recalled"]
     """How the number is known: `published` by another source than the report, `recalled` from
@@ -26,6 +30,10 @@ class Quantity(Settings):
         units.factor(unit)
         return unit
 
+
+class Quantity(_Known[float]):
+    """One number as a source gives it."""
+
     @property
     def si(self) -> float:
         """The value in SI."""
@@ -34,6 +42,15 @@ class Quantity(Settings):
     def __str__(self) -> str:
         """Value and unit."""
         return f"{self.value:g} {self.unit}"
+
+
+class Quantities(_Known[Annotated[tuple[float, ...], BeforeValidator(as_tuples)]]):
+    """Several numbers of one unit as a source gives them."""
+
+    @property
+    def si(self) -> NDArray[np.float64]:
+        """The values in SI."""
+        return units.to_si(self.unit, np.array(self.value))
 
 
 def positive_in(*allowed: str) -> AfterValidator:

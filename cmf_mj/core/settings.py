@@ -4,7 +4,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar, get_args
+from typing import Any, Generic, NamedTuple, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -18,6 +18,11 @@ class Settings(BaseModel):
 
 
 Model = TypeVar("Model", bound=Settings)
+
+
+def as_tuples(value: Any) -> Any:
+    """TOML's lists as tuples, down to the numbers."""
+    return tuple(as_tuples(v) for v in value) if isinstance(value, list | tuple) else value
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -88,14 +93,34 @@ def named_set(
     sets = {name: tables.get("common", {}) | tables[name] for name in names}
     if str(source) in sets:
         return sets[str(source)] | {"name": str(source)}, f"{shipped.name}: {source}"
+    user = user_set(what, names, source, fixed=fixed, based=based)
+    start = sets[user.base] if based else {}
+    return merged(start, user.changes, levels) | {"name": user.name}, user.where
+
+
+class UserSet(NamedTuple):
+    """The one table of a user's file."""
+
+    base: str  #: Shipped set that it changes; empty where files have none.
+    name: str  #: Name of the table.
+    changes: dict[str, Any]
+    where: str  #: What errors call it.
+
+
+def user_set(
+    what: str,
+    names: Sequence[str],
+    source: str | Path,
+    *,
+    fixed: Sequence[str] = (),
+    based: bool = True,
+) -> UserSet:
+    """Read the table of a user's file; arguments as of `named_set`."""
     path = _user_file(what, names, source)
     content = read_toml(path)
-    start: dict[str, Any] = {}
-    if based:
-        base = content.pop("base", None)
-        if base not in names:
-            raise unknown_name(f"{path}: base", base, names)
-        start = sets[base]
+    base = content.pop("base", None) if based else ""
+    if based and base not in names:
+        raise unknown_name(f"{path}: base", base, names)
     if len(content) != 1 or not isinstance(next(iter(content.values())), dict):
         raise InputError(f"{path}: has the tables {sorted(content)}; exactly one is allowed")
     name, changes = next(iter(content.items()))
@@ -103,7 +128,7 @@ def named_set(
         if field in changes:
             origin = "the table" if field == "name" else "the base"
             raise InputError(f"{path}: {name}: {field}: is taken from {origin}; leave it out")
-    return merged(start, changes, levels) | {"name": name}, f"{path}: {name}"
+    return UserSet(str(base), name, changes, f"{path}: {name}")
 
 
 @dataclass(frozen=True)

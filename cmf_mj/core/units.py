@@ -30,7 +30,7 @@ HERTZ = 2.0 * np.pi
 
 _SI = (
     *("1", "m", "s", "kg", "N", "Pa", "V", "rad", "rad/s", "m^2", "m^3", "s^2"),
-    *("m s", "rad s", "N s", "Pa s", "rtHz"),
+    *("m s", "rad s", "N s", "Pa s", "rtHz", "kg m^2"),
 )
 
 _FACTORS: dict[str, float] = {
@@ -52,6 +52,9 @@ _FACTORS: dict[str, float] = {
     "deg s": DEGREE,
     "lbf": POUND_FORCE,
     "lbm": POUND_MASS,
+    "lbm ft^2": POUND_MASS * FOOT**2,
+    "lbm in^2": POUND_MASS * INCH**2,
+    "slug ft^2": constants.slug * FOOT**2,
     "psi": PSI,
     "g": STANDARD_GRAVITY,
     "%": PERCENT,

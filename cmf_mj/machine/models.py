@@ -26,5 +26,5 @@ def model_path(name: str) -> Path:
 
 
 def cab_path(cab: str) -> Path:
-    """The MJCF of one cab."""
+    """The MJCF of a shipped cab."""
     return directory() / "cabs" / f"{check_name('cab', cab, CABS)}.xml"

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from cmf_mj.core.errors import check_name
+from cmf_mj.machine.cab import Cab
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.plant import Plant
@@ -14,7 +15,7 @@ PLANTS = ("hexapod", "single_legs")
 
 def make_plant(
     plant: str = "hexapod",
-    cab: str = "gfd",
+    cab: str | Path | Cab = "gfd",
     hydraulics: str | Path | HydraulicParameters = "hardware",
 ) -> Plant:
     """Build a new plant: one of `PLANTS` with a cab, of which single legs have none."""

@@ -3,8 +3,10 @@
 Reflected mass (section 2.4.2) and static leg forces are those of `Plant`, leg masses included.
 """
 
+import copy
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine import kinematics, models
+from cmf_mj.machine.cab import Cab, RigidBody, load_cab
 from cmf_mj.plant import cylinder
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.plant import Plant
@@ -79,7 +82,7 @@ class Hexapod(Plant):
 
     def __init__(
         self,
-        cab: str = "gfd",
+        cab: str | Path | Cab = "gfd",
         hydraulics: str | Path | HydraulicParameters = "hardware",
         *,
         spec: mujoco.MjSpec | None = None,
@@ -88,19 +91,19 @@ class Hexapod(Plant):
         """Load the machine, put a cab on it and attach the hydraulics.
 
         Args:
-            cab: `gfd`, `rfd` or `ifd`.
+            cab: `gfd`, `rfd` or `ifd`, a TOML file or a loaded cab.
             hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
             spec: an edited `hexapod_spec` of the cab, its geometry unchanged; default as shipped.
             timestep: mechanical step [s]; default one control frame.
 
         Raises:
-            InputError: unknown cab, a step that is not positive, or refused hydraulics.
+            InputError: a refused cab, a step that is not positive, or refused hydraulics.
         """
-        self.cab = cab
-        models.cab_path(cab)
-        spec = hexapod_spec(cab) if spec is None else spec
-        set_timestep(spec, timestep)
-        super().__init__(spec.compile(), hydraulics, payload=["platform"])
+        self.cab_parameters = chosen = load_cab(cab)
+        self.cab = chosen.name
+        model = hexapod_model(chosen) if spec is None else spec.compile()
+        set_timestep(model.opt, timestep)
+        super().__init__(model, hydraulics, payload=["platform"])
         self.geometry = kinematics.read_geometry()
 
     @property
@@ -188,10 +191,90 @@ class Hexapod(Plant):
         return HydraulicModes(self.cab, target, mass, frequency, shapes, moved, moved * momentum)
 
 
-def hexapod_spec(cab: str = "gfd") -> mujoco.MjSpec:
+def hexapod_spec(cab: str | Path | Cab = "gfd") -> mujoco.MjSpec:
     """The editable MuJoCo model of the machine with a cab, for users who extend it."""
+    chosen = load_cab(cab)
     root = ElementTree.parse(models.model_path("cmf_hexapod.xml")).getroot()
     attached = root.find("asset/model")
     assert attached is not None
-    attached.set("file", str(models.cab_path(cab)))
-    return mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    attached.set("file", str(models.cab_path(chosen.base)))
+    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    for edit in _edits(chosen):
+        body = spec.body(edit.body)
+        if edit.part is None:
+            body.mass *= edit.factor
+            body.inertia = edit.factor * np.array(body.inertia)
+        else:
+            body.mass, body.ipos = edit.part.mass.si, edit.part.centre_of_mass.si
+            body.inertia, body.iquat = principal_axes(edit.part.tensor)
+    return spec
+
+
+def hexapod_model(cab: str | Path | Cab = "gfd") -> mujoco.MjModel:
+    """The compiled machine with a cab: the model that `hexapod_spec` compiles to, in less time."""
+    chosen = load_cab(cab)
+    model = copy.copy(_compiled(chosen.base))
+    edits = list(_edits(chosen))
+    for edit in edits:
+        body = model.body(edit.body)
+        if edit.part is None:
+            body.mass[:] *= edit.factor
+            body.inertia[:] *= edit.factor
+        else:
+            body.mass[:], body.ipos[:] = edit.part.mass.si, edit.part.centre_of_mass.si
+            body.inertia[:], body.iquat[:] = principal_axes(edit.part.tensor)
+            model.body_sameframe[body.id] = _same_frame(body.ipos, body.iquat)
+    if edits:
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        # Not among what it sets: the means by which the solver scales its tolerance.
+        model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv
+        model.stat.meanmass = sum(model.body_mass[1:].tolist()) / (model.nbody - 1)
+    return model
+
+
+def principal_axes(
+    inertia: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Principal moments (3,) [kg m^2] of a tensor (3, 3), and the quaternion of their axes.
+
+    A diagonal tensor keeps its axes.
+    """
+    if inertia[0, 1] == inertia[0, 2] == inertia[1, 2] == 0.0:
+        return np.diag(inertia).copy(), np.array([1.0, 0.0, 0.0, 0.0])
+    moments, axes = np.linalg.eigh(inertia)
+    axes *= np.sign(np.linalg.det(axes))
+    return moments, Rotation.from_matrix(axes).as_quat(scalar_first=True)
+
+
+class _Edit(NamedTuple):
+    """What a cab changes in a body of the shipped model."""
+
+    body: str
+    part: RigidBody | None  #: New mass properties; None for a factor on mass and inertia.
+    factor: float = 1.0
+
+
+def _edits(cab: Cab) -> Iterator[_Edit]:
+    """What a cab changes in the model of its base."""
+    base = load_cab(cab.base)
+    for name, part, before in (("platform", cab.platform, base.platform), ("cab/cab", cab, base)):
+        if any(getattr(part, field) != getattr(before, field) for field in RigidBody.model_fields):
+            yield _Edit(name, part)
+    for name in ("cylinder", "rod"):
+        new, old = (getattr(legs, f"{name}_mass").si for legs in (cab.legs, base.legs))
+        if new != old:
+            yield from (_Edit(f"{name}_{leg}", None, new / old) for leg in _LEGS)
+
+
+@lru_cache
+def _compiled(base: str) -> mujoco.MjModel:
+    """The model of a shipped cab, to be copied and never changed."""
+    return hexapod_spec(base).compile()
+
+
+def _same_frame(place: NDArray[np.float64], turn: NDArray[np.float64]) -> int:
+    """Whether a body's inertial frame is its own, or turned as its own, as the compiler finds."""
+    kinds = mujoco.mjtSameFrame
+    if turn[0] != 1.0:
+        return int(kinds.mjSAMEFRAME_NONE)
+    return int(kinds.mjSAMEFRAME_BODYROT if np.any(place) else kinds.mjSAMEFRAME_BODY)

@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from cmf_mj.core.errors import InputError
+from cmf_mj.machine.cab import Cab
 from cmf_mj.plant import native
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, make_hydraulics, rest
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -60,6 +61,7 @@ class Plant:
 
     name = "plant"  #: How records and tables call the plant.
     cab = ""  #: The cab it carries, where it carries one.
+    cab_parameters: Cab | None = None  #: Masses of cab, platform and legs, where it carries one.
 
     def __init__(
         self,
@@ -323,9 +325,11 @@ class Plant:
 
     def describe(self) -> Mapping[str, object]:
         """What a record keeps of the plant."""
+        cab = self.cab_parameters
         return {
             "plant": self.name,
             "cab": self.cab,
+            "cab_parameters": {} if cab is None else cab.model_dump(mode="json", exclude_none=True),
             "hydraulics": self.parameters.name,
             "hydraulic_parameters": self.parameters.model_dump(exclude_none=True),
             "model_digest": self.digest,

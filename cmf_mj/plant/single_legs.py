@@ -7,6 +7,7 @@ joints whose weight at standard gravity is exactly the stated load.
 """
 
 from pathlib import Path
+from typing import Any
 
 import mujoco
 from numpy.typing import ArrayLike
@@ -56,7 +57,7 @@ class SingleLegs(Plant):
         if not effective_mass > 0.0:
             raise InputError(f"effective_mass: {effective_mass} kg must be greater than 0")
         spec = mujoco.MjSpec.from_file(str(models.model_path("single_legs.xml")))
-        set_timestep(spec, timestep)
+        set_timestep(spec.option, timestep)
         # The load is the weight under a gravity of its own: MuJoCo ignores a negative `gravcomp`.
         spec.option.gravity[2] = -static_load / effective_mass
         for leg in range(1, 7):
@@ -69,10 +70,10 @@ class SingleLegs(Plant):
         super().place(pose_to_legs(pose))
 
 
-def set_timestep(spec: mujoco.MjSpec, timestep: float | None) -> None:
-    """Set the mechanical step [s] of a model about to be compiled; None leaves it."""
+def set_timestep(option: Any, timestep: float | None) -> None:
+    """Set the mechanical step [s] in the options of a model; None leaves it."""
     if timestep is None:
         return
     if not timestep > 0.0:
         raise InputError(f"timestep: {timestep} s must be greater than 0")
-    spec.option.timestep = timestep
+    option.timestep = timestep
