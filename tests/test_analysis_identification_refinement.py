@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import control
 import numpy as np
-import pandas as pd
 import pytest
 from identified_systems import RATE, SIXTH, driven, lag, noisy, pair, sampled, series
-from nfoursid.nfoursid import NFourSID
 from scipy import signal
 
 from cmf_mj.analysis.identification.arx import arx
@@ -156,7 +154,13 @@ def test_output_error_stays_stable_and_tells_what_it_reflected() -> None:
 
 
 def test_subspace_method_of_a_library_agrees() -> None:
-    """N4SID of nfoursid on the same noisy outputs: responses within 3 % of the peak gain."""
+    """N4SID of nfoursid on the same noisy outputs: responses within 3 % of the peak gain.
+
+    The library brings 40 MB of others along, so it is imported here.
+    """
+    import pandas as pd
+    from nfoursid.nfoursid import NFourSID
+
     run = noisy(SIXTH, 1, samples=3000)  # the library decomposes a square of that size
     frame = pd.DataFrame({"u": run.input[:, 0], "y": run.output[:, 0]})
     library = NFourSID(frame, output_columns=["y"], input_columns=["u"], num_block_rows=20)

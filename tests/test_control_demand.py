@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cmf_mj import pose_to_legs
+from cmf_mj import Hexapod, legs_to_pose, pose_to_legs
 from cmf_mj.control import demand as block
-from cmf_mj.machine.kinematics import make_geometry, read_geometry
+from cmf_mj.machine.kinematics import about, leg_jacobian, make_geometry, read_geometry
 from cmf_mj.machine.leg_motion import pose_motion_to_legs
 
 GRAVITY = np.array([0.0, 0.0, 9.80665])
@@ -120,3 +120,60 @@ def test_a_platform_that_sags_at_rest_asks_for_the_axial_part_of_its_sag():
 def test_refused_parameters_are_named(arguments, message):
     with pytest.raises(ValueError, match=message):
         block.make_demand(**arguments)
+
+
+# Degrees of freedom about the static centre of mass
+
+CENTRE = np.array([0.4, -0.1, -0.9])
+"""r_cg of Eq 2.1 [m], platform axes."""
+
+
+@pytest.mark.parametrize("motion", MOTIONS[:10])
+def test_a_demand_about_the_centre_of_mass_is_eq_2_1(motion):
+    """Positions are |A - r + T'(c - B)| of Eq 2.1, c from where the centroid is at neutral. Rates
+    are those of the centroid's motion p = c - T r, differentiated by complex steps."""
+    pose, velocity, acceleration = motion
+    found = frame(block.make_demand(about(CENTRE)), *motion)
+    upper, lower, neutral = read_geometry()
+    matrix, centre = turn(*pose[3:]), CENTRE + pose[:3]
+    lines = upper - CENTRE + (centre - lower) @ matrix
+    np.testing.assert_allclose(found[0], np.linalg.norm(lines, axis=1) - neutral, atol=1e-14)
+
+    def centroid(t, step=0.0):
+        at = pose + velocity * t + acceleration * t * t / 2
+        at = at + step * (velocity + acceleration * t)
+        return np.concatenate([at[:3] + CENTRE - turn(*at[3:]) @ CENTRE, at[3:]])
+
+    rates = [centroid(h, 1e-30j).imag / 1e-30 for h in (-1e-4, 0.0, 1e-4)]
+    moved = centroid(0.0), rates[1], (rates[2] - rates[0]) / 2e-4
+    other = frame(block.make_demand(), *moved)
+    np.testing.assert_allclose(found[:2], other[:2], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(found[2], other[2], rtol=0, atol=1e-5)  # h^2 of the difference
+
+
+def test_poses_about_the_centre_of_mass_come_back():
+    poses = MOTIONS[:, 0]
+    legs = pose_to_legs(poses, about(CENTRE))
+    np.testing.assert_allclose(legs_to_pose(legs, about(CENTRE)), poses, atol=1e-10)
+    np.testing.assert_array_equal(pose_to_legs(poses, about(np.zeros(3))), pose_to_legs(poses))
+
+
+def test_about_the_centre_of_mass_force_and_moment_do_not_mix():
+    """J' M_leg J at neutral has no block that couples them, but for the legs' own inertia."""
+    plant = Hexapod()
+    body = plant.model.body("platform").id
+    plant.place(np.zeros(6))
+    centre = plant.data.subtree_com[body] * np.array([1.0, -1.0, -1.0])
+
+    def coupling(geometry):
+        jacobian = leg_jacobian(np.zeros(6), geometry)
+        return np.abs((jacobian.T @ plant.reflected_mass() @ jacobian)[:3, 3:]).max()
+
+    payload = plant.model.body_subtreemass[body]
+    assert coupling(read_geometry()) > 0.3 * payload  # kg m: the centre is that far above
+    assert coupling(about(centre)) < 0.1 * coupling(read_geometry())
+
+
+def test_a_point_must_be_three_numbers():
+    with pytest.raises(ValueError, match=r"point: \[1.0, 2.0\] must be three finite numbers"):
+        about([1.0, 2.0])

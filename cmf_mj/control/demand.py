@@ -11,14 +11,17 @@ omega = E (roll, pitch, yaw rate), one leg is (Eqs 2.1 and C.6, here in inertial
 
 the second derivative being J d2x/dt2 + dJ/dt dx/dt, exact.
 
+A demand that counts at another point of the platform, as Eq 2.1 does at the static centre of mass,
+has the geometry of `kinematics.about` that point.
+
 **Flexible body.** dA_j of Eq 2.1 is where the upper gimbal sits under load, in platform axes. The
 report gives no values; it is off by default. Here
 
     dA_j = deflection_j + C_j f,    f = T' (d2p/dt2 - g),    g = (0, 0, 9.80665) m/s^2, z down
 
-with f the specific force of the centroid, (0, 0, -9.80665) m/s^2 level and at rest, and C_j a
-compliance in m per m/s^2. The deflection is quasi-static: its own rates, C_j df/dt and on, are left
-out of leg velocity and acceleration (they would need the jerk, which no host sends).
+with f the specific force where the demand counts, (0, 0, -9.80665) m/s^2 level and at rest, and
+C_j a compliance in m per m/s^2. The deflection is quasi-static: its own rates, C_j df/dt and on,
+are left out of leg velocity and acceleration (they would need the jerk, which no host sends).
 """
 
 from typing import NamedTuple
@@ -89,7 +92,7 @@ def step(demand, motion, legs):  # type: ignore[no-untyped-def]
     by = ct * sp * acceleration[3] + cp * acceleration[4]
     by += (-st * sp * pitch + ct * cp * yaw) * roll - sp * yaw * pitch
     bz = acceleration[5] - st * acceleration[3] - ct * pitch * roll
-    # Specific force of the centroid, platform axes.
+    # Specific force where the demand counts, platform axes.
     ax, ay, az = acceleration[0], acceleration[1], acceleration[2] - units.STANDARD_GRAVITY
     fx = xx * ax + yx * ay + zx * az
     fy = xy * ax + yy * ay + zy * az

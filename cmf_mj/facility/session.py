@@ -50,6 +50,9 @@ _NO_LAW = Law(name="none", title="Open loop: the table is the valve command", di
 FOREVER = 2**62
 """Frames of a run without end."""
 
+_ROWS = 2048
+"""Rows that the loop writes before each channel takes its own out of them."""
+
 
 class OutOfBounds(RunError):
     """The state of a run left its physical bounds."""
@@ -82,7 +85,8 @@ class Options(NamedTuple):
     """Sensors, converters, servo electronics; default ideal."""
     frames: int | None = None  #: Control frames of the run; default the rows of the table.
     window: int | None = None
-    """Control frames to keep in the record; later ones overwrite the first. Default all."""
+    """Control frames whose `rows` are kept; later ones overwrite the first. Default all, as
+    `history`."""
 
     def check(self) -> None:
         """Refuse a number that is too small."""
@@ -194,14 +198,20 @@ class Session:
         self._begun: dict[str, list[float]] = {}
         absent = set() if chain else set(CHAIN) - ({"demand_pose"} if poses is not None else set())
         self.layout = make_layout(plant, absent if law else absent | set(LAW))
-        kept = self.frames if options.window is None else options.window
+        rows = -(-(options.window or self.frames) // self.every)
+        self._taken = 0
+        self._kept: dict[str, NDArray[np.float64]] = {}
+        if options.window is None:
+            for name, _, _, width in self.layout.channels:
+                self._kept[name] = np.empty(rows if width is None else (rows, width))
+            rows = min(rows, _ROWS)
         self._recorder = Recorder(
             sensors=np.concatenate([*plant.sensors.values(), np.empty(0, dtype=np.int64)]),
             gimbals=plant.gimbal_sensors,
             steps=steps,
             every=self.every,
             columns=self.layout.columns,
-            out=np.empty((-(-kept // self.every), self.layout.width)),
+            out=np.empty((rows, self.layout.width)),
         )
 
     @property
@@ -227,12 +237,26 @@ class Session:
             state = self.controller.state.arrays()
             self._begun = {name: values.tolist() for name, values in state.items()}
         end = self.frames if frames is None else min(self.frame + frames, self.frames)
-        frame, bound, leg = run(
-            self.machine, self.controller, self.memory, self._recorder, self.frame, end
-        )
-        self.frame = end if frame < 0 else frame
-        if frame >= 0:
-            raise OutOfBounds(self._left(frame, bound, leg), frame)
+        block = self._recorder.out.shape[0] * self.every
+        while self.frame < end:
+            stop = min(end, (self.frame // block + 1) * block)
+            frame, bound, leg = run(
+                self.machine, self.controller, self.memory, self._recorder, self.frame, stop
+            )
+            self.frame = stop if frame < 0 else frame
+            self._take()
+            if frame >= 0:
+                raise OutOfBounds(self._left(frame, bound, leg), frame)
+
+    def _take(self) -> None:
+        """Let each channel take its own out of the rows that are new."""
+        first, last = self._taken, -(-self.frame // self.every)
+        rows = self._recorder.out[first % self._recorder.out.shape[0] :][: last - first]
+        for channel in self.layout.channels if self._kept else ():
+            values = self._kept[channel.name]
+            values[first:last] = channel.of(rows)
+            values.setflags(write=last < values.shape[0])
+        self._taken = last
 
     def _left(self, frame: int, bound: int, leg: int) -> str:
         """What to say of a state beyond its physical bounds."""
@@ -352,19 +376,26 @@ class Session:
         self._events = events
 
     def rows(self, first: int, last: int) -> NDArray[np.float64]:
-        """Copy of the record's rows from `first` to before `last`, which must still be kept."""
+        """Copy of the record's rows from `first` to before `last`, which the window still holds."""
         out = self._recorder.out
         return out[np.arange(first, last) % out.shape[0]]
 
     def history(
-        self, out: NDArray[np.float64] | None = None, first: int = 0
+        self, rows: NDArray[np.float64] | None = None, first: int = 0
     ) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]], dict[str, str]]:
-        """Times, channels and units of rows from the `first` on, by default of all so far."""
-        if out is None:
-            out = self._recorder.out[: -(-self.frame // self.every)]
-        channels = {channel.name: channel.of(out) for channel in self.layout.channels}
+        """Times, channels and units of rows from the `first` on, by default of all so far.
+
+        Those of a run that has ended are read-only, and a record takes them without a copy.
+        """
+        if rows is not None:
+            channels = {channel.name: channel.of(rows) for channel in self.layout.channels}
+        elif self.frame < self.frames:
+            channels = {name: values[: self._taken] for name, values in self._kept.items()}
+        else:
+            channels = dict(self._kept)
         units = {channel.name: channel.unit for channel in self.layout.channels}
         for name, (values, unit) in self.plant.derived_channels(channels).items():
             channels[name], units[name] = values, unit
-        time = np.arange(first, first + out.shape[0], dtype=np.float64) * (self.every * FRAME)
+        count = channels["leg_position"].shape[0]
+        time = np.arange(first, first + count, dtype=np.float64) * (self.every * FRAME)
         return time, channels, units

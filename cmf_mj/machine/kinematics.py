@@ -61,6 +61,31 @@ def make_geometry(upper: ArrayLike, lower: ArrayLike) -> Geometry:
     return Geometry(a, b, np.linalg.norm(a - b, axis=1))
 
 
+def about(point: ArrayLike, geometry: Geometry | None = None) -> Geometry:
+    """The geometry for poses that count at a point of the platform instead of its centroid.
+
+    With r from the centroid to the static centre of mass (r_cg of Eq 2.1) and c its movement from
+    neutral (c_cg), Eq 2.1 turned to inertial axes reads
+
+        l_j = c + T (A_j - r) - (B_j - r)
+
+    so gimbals that count from the point at neutral give all that centroid ones do: legs, poses,
+    Jacobians, demand. The centroid is at c + r - T r.
+
+    Args:
+        point: r in platform axes, z down [m], (3,).
+        geometry: gimbals from the centroid; default the CMF's.
+
+    >>> tilt = [0, 0, 0, 0, 0.1, 0]  # the head of a pilot 2 m above stays where it is
+    >>> cmf_mj.legs_to_pose(cmf_mj.pose_to_legs(tilt, about([0, 0, -2]))).round(3)[0].item()
+    0.2
+    """
+    offset, shape = np.array(point, dtype=float), geometry or read_geometry()
+    if offset.shape != (3,) or not np.isfinite(offset).all():
+        raise InputError(f"point: {offset.tolist()} must be three finite numbers")
+    return Geometry(shape.upper - offset, shape.lower - offset, shape.neutral)
+
+
 @lru_cache
 def read_geometry(path: Path | None = None) -> Geometry:
     """Read the gimbal positions from the MJCF at `path` (default: the CMF hexapod).

@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from cmf_mj.core.arrays import frozen
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import whole_file
 from cmf_mj.signals.composite import signal_of
@@ -44,19 +45,18 @@ class Record:
     """Plant, law, command, seed, versions and model digest; plain JSON values."""
 
     def __post_init__(self) -> None:
-        """Take copies, freeze them and check that they belong together."""
-        copies = {name: np.array(values) for name, values in self.channels.items()}
-        object.__setattr__(self, "time", np.array(self.time))
-        for name, values in {"time": self.time, **copies}.items():
+        """Freeze the histories, copying those that may be written, and check that they match."""
+        histories = {name: frozen(values) for name, values in self.channels.items()}
+        object.__setattr__(self, "time", frozen(self.time))
+        for name, values in histories.items():
             if values.shape[0] != self.time.shape[0]:
                 raise InputError(
                     f"{name}: has {values.shape[0]} samples; time has {self.time.shape[0]}"
                 )
-            values.setflags(write=False)
         if set(self.units) != set(self.channels):
             odd = sorted(set(self.units) ^ set(self.channels))
             raise InputError(f"units: every channel needs one unit; check {', '.join(odd)}")
-        object.__setattr__(self, "channels", MappingProxyType(copies))
+        object.__setattr__(self, "channels", MappingProxyType(histories))
         object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, model_validator
 
 from cmf_mj.core import units
+from cmf_mj.core.arrays import frozen
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.core.settings import Settings, validated
@@ -206,8 +207,7 @@ class Command:
         """Check the shape and freeze."""
         if self.pose.ndim != 2 or self.pose.shape[1] != 6 or self.pose.shape[0] < 1:
             raise InputError(f"command: shape is {self.pose.shape}; allowed: (N, 6) with N >= 1")
-        object.__setattr__(self, "pose", np.array(self.pose, dtype=float))
-        self.pose.setflags(write=False)
+        object.__setattr__(self, "pose", frozen(np.asarray(self.pose, dtype=float)))
 
     @staticmethod
     def from_pose(pose: ArrayLike) -> "Command":
@@ -232,10 +232,11 @@ def tabulated(poses: NDArray[np.float64]) -> Motion:
 
 
 def along(histories: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Histories (N,) by degree of freedom as poses (N, 6)."""
+    """Histories (N,) by degree of freedom as poses (N, 6), read-only."""
     pose = np.zeros((next(iter(histories.values())).size, 6))
     for name, history in histories.items():
         pose[:, dof_index(name)] = history
+    pose.setflags(write=False)
     return pose
 
 

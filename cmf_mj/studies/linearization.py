@@ -48,10 +48,9 @@ class Comparison(NamedTuple):
     frequency: NDArray[np.float64]  #: [Hz], (K,).
     measured: NDArray[np.complex128]  #: Position over demand of the simulation, (K,).
     linear: NDArray[np.complex128]  #: The same of the linearised loop, (K,).
-    record: Record  #: The simulation, a row a frame.
-    rows: tuple[
-        slice, ...
-    ]  #: Of the record, from the first to after the last of each sine's cycles.
+    rows: tuple[slice, ...]
+    """Of the simulation's record, from the first to after the last of each sine's cycles."""
+    record: Record | None = None  #: The simulation, a row a frame; a study does not keep it.
 
     @property
     def gain_error(self) -> NDArray[np.float64]:
@@ -106,7 +105,10 @@ def linearization_study(
         modes(system, plant, pose),
         {name: loop_response(model, FREQUENCIES) for name, model in systems.items()},
         {name: loop_response(loop, FREQUENCIES) for name, loop in loops.items()},
-        {n: compare_with_simulation(plant, law, pose, n) for n in (signals if measure else ())},
+        {
+            name: compare_with_simulation(plant, law, pose, name)._replace(record=None)
+            for name in (signals if measure else ())
+        },
     )
 
 
@@ -189,4 +191,4 @@ def compare_with_simulation(
         sine_response(x[part], y[part], record.rate, f).response[0]
         for part, f in zip(rows, frequency, strict=True)
     ]
-    return Comparison(frequency, np.array(measured), np.asarray(linear), record, rows)
+    return Comparison(frequency, np.array(measured), np.asarray(linear), rows, record)

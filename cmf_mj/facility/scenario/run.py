@@ -1,8 +1,8 @@
 """Runs of a scenario, live or in one go.
 
-The demand is made in blocks of frames, and the record is taken out of the loop block by block. A
-block begins at a multiple of its length whatever the parts a run is advanced in, so that a live run
-and the scenario it leaves behind compute the same numbers in the same arrays: the same bits.
+The demand is made in blocks of frames, and an open run keeps its last ones. A block begins at a
+multiple of its length whatever the parts a run is advanced in, so that a live run and the scenario
+it leaves behind compute the same numbers in the same arrays: the same bits.
 """
 
 from collections import deque
@@ -20,7 +20,7 @@ from cmf_mj.facility.scenario.demand import Demand
 from cmf_mj.facility.scenario.settings import Change, Scenario, changed_law
 from cmf_mj.facility.scenario.signal import added
 from cmf_mj.facility.scenario.source import BLOCK, ChainSource, TableSource
-from cmf_mj.facility.session import FOREVER, Live
+from cmf_mj.facility.session import Live
 from cmf_mj.plant.build import make_plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Motion
@@ -59,7 +59,7 @@ class ScenarioRun:
         self._strikes = sorted(round(event.at / FRAME) + 1 for event in scenario.event)
         self._parts: deque[NDArray[np.float64]] = deque()
         self._first = self._next = 0
-        self._most = FOREVER if scenario.frames else max(round(keep * RATE / BLOCK), 1)
+        self._most = 0 if scenario.frames else max(round(keep * RATE / BLOCK), 1)
 
     @property
     def frame(self) -> int:
@@ -85,7 +85,7 @@ class ScenarioRun:
             ends += [due.frame for due in self._due]
             ends += [strike for strike in self._strikes if strike > self.frame]
             session.run(min(ends) - self.frame)
-            if self.frame % BLOCK == 0:
+            if self._most and self.frame % BLOCK == 0:
                 self._take()
 
     def apply(self, change: Change) -> None:
@@ -118,11 +118,11 @@ class ScenarioRun:
 
     def record(self) -> Record:
         """All signals so far; of an `open` run those of the last `keep` seconds."""
-        session = self._session
-        last = -(-self.frame // session.every)
-        rows = np.concatenate([*self._parts, session.rows(self._next, last)])
+        session, scenario, rows = self._session, self.scenario(), None
+        if self._most:
+            last = -(-self.frame // session.every)
+            rows = np.concatenate([*self._parts, session.rows(self._next, last)])
         time, channels, units = session.history(rows, self._first)
-        scenario = self.scenario()
         context: dict[str, Any] = {
             "command": _command(scenario),
             "seed": scenario.seed,

@@ -146,5 +146,5 @@ def _options(scenario: Scenario) -> Options:
         events=scenario.event,
         record_every=scenario.record_every,
         frames=scenario.frames or FOREVER,
-        window=BLOCK,
+        window=None if scenario.frames else BLOCK,
     )
