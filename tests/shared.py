@@ -8,8 +8,15 @@ from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
+import control
+
 from cmf_mj import Hexapod, SingleLegs, bandwidths, frequency_response, signals, simulate
 from cmf_mj.analysis.frequency_response import Bandwidths
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.reduction import leg_model
+from cmf_mj.analysis.measures import Measures, measure_loop
+from cmf_mj.analysis.published import Published, published_results
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.studies.case import AMPLITUDE, ROTATION_PER_TRANSLATION
 
@@ -54,3 +61,30 @@ def chirp_bandwidths(
         return bandwidths(frequency_response(record))
 
     return once(f"chirp-{plant}-{law}-{dof}-{cab}-{hydraulics}-{cuts}", compute)
+
+
+def printed(table: str, law: str, of: str = "nonlinear", dof: str = "heave") -> Published:
+    """A row of the report's result tables."""
+    return next(
+        row
+        for row in published_results()
+        if (row.table, row.law, row.of, row.dof) == (table, law, of, dof)
+    )
+
+
+@cache
+def report_leg() -> control.StateSpace:
+    """One linearised leg of the `report` set."""
+    return leg_model(linearize(SingleLegs("report")), 1)
+
+
+class LawsOnLeg(dict[str, Measures]):
+    """Laws around `report_leg`, measured when first asked for."""
+
+    def __missing__(self, law: str) -> Measures:
+        """Measure a law."""
+        self[law] = measure_loop(closed_loop(law, report_leg()))
+        return self[law]
+
+
+SINGLE = LawsOnLeg()

@@ -2,55 +2,25 @@
 
 from pathlib import Path
 
-import control
 import numpy as np
 import pytest
+from shared import SINGLE, printed
 
-from cmf_mj import SingleLegs
 from cmf_mj.analysis.ledger import LedgerEntry
-from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.catalogue import hardware_velocity, report_model
+from cmf_mj.analysis.linear.catalogue import hardware_velocity
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
-from cmf_mj.analysis.linear.reduction import leg_model
-from cmf_mj.analysis.linear.second_order import FeedbackLoop, characteristics
-from cmf_mj.analysis.measures import Measures, measure_loop
-from cmf_mj.analysis.published import Published, published_results
+from cmf_mj.analysis.measures import measure_loop
 from cmf_mj.analysis.response.periodic import sine_response
 from cmf_mj.control.error import integrate, make_error_calculations
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.machine import kinematics
-from cmf_mj.machine.gravity import axial_gravity
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.plant import cylinder
-from cmf_mj.plant.parameters.loading import load_hydraulics
 
 TESTS = Path(__file__).parent
 INCH = units.INCH
 COSINE = 133.03 / 159.845
 """Of a leg at neutral to the vertical, from the coordinates of Appendix A."""
-
-
-def printed(table: str, law: str, of: str = "nonlinear", dof: str = "heave") -> Published:
-    return next(
-        row
-        for row in published_results()
-        if (row.table, row.law, row.of, row.dof) == (table, law, of, dof)
-    )
-
-
-@pytest.fixture(scope="module")
-def leg() -> control.StateSpace:
-    """One linearised leg of the `report` set."""
-    return leg_model(linearize(SingleLegs("report")), 1)
-
-
-@pytest.fixture(scope="module")
-def single(leg: control.StateSpace) -> dict[str, Measures]:
-    """Laws of the report around it."""
-    laws = ("original", "velocity", "position_error_rate", "velocity_error", "combined_rate")
-    signs = ("acceleration", "acceleration_eq_3_6", "acceleration_opposing", "acceleration_d2")
-    return {law: measure_loop(closed_loop(law, leg)) for law in (*laws, *signs)}
 
 
 # -- section 2 -----------------------------------------------------------------------------------
@@ -119,10 +89,8 @@ def test_amplitude_is_not_one_per_cent_of_a_leg(entry: LedgerEntry) -> None:
     np.testing.assert_allclose(share, entry.figure("share of the leg's travel"), atol=5e-3)
 
 
-def test_original_law_has_two_published_results(
-    entry: LedgerEntry, single: dict[str, Measures]
-) -> None:
-    one, two, ours = printed("2-4", "original"), printed("3-5", "original"), single["original"]
+def test_original_law_has_two_published_results(entry: LedgerEntry) -> None:
+    one, two, ours = printed("2-4", "original"), printed("3-5", "original"), SINGLE["original"]
     assert one.phase_bandwidth_hz != two.phase_bandwidth_hz
     assert one.damping_ratio != two.damping_ratio
     assert ours.phase_bandwidth_hz == pytest.approx(entry.figure("-90 deg, ours"), abs=0.005)
@@ -132,10 +100,8 @@ def test_original_law_has_two_published_results(
         assert abs(mine - getattr(one, name)) < abs(mine - getattr(two, name))
 
 
-def test_velocity_law_has_two_published_results(
-    entry: LedgerEntry, single: dict[str, Measures]
-) -> None:
-    ours = single["velocity"].gain_bandwidth_hz
+def test_velocity_law_has_two_published_results(entry: LedgerEntry) -> None:
+    ours = SINGLE["velocity"].gain_bandwidth_hz
     assert ours == pytest.approx(entry.figure("-3 dB, ours"), abs=0.005)
     low, high = (printed(t, "velocity").gain_bandwidth_hz or 0.0 for t in ("2-6", "3-5"))
     assert low < ours < high
@@ -221,11 +187,11 @@ def test_combination_is_last_of_three(entry: LedgerEntry) -> None:
     assert (error.phase_bandwidth_hz or 0.0) > (rate.phase_bandwidth_hz or 0.0)
 
 
-def test_gains_of_the_combination_add(entry: LedgerEntry, single: dict[str, Measures]) -> None:
+def test_gains_of_the_combination_add(entry: LedgerEntry) -> None:
     gains = load_law("combined_rate").direct_gain
     total = gains.velocity - gains.position_error_rate
     assert total == pytest.approx(entry.figure("gain on the velocity"))
-    alone, both = single["position_error_rate"], single["combined_rate"]
+    alone, both = SINGLE["position_error_rate"], SINGLE["combined_rate"]
     rise = both.phase_bandwidth_hz - alone.phase_bandwidth_hz
     assert rise == pytest.approx(entry.figure("-90 deg, ours, rise"), abs=0.005)
     one, two = printed("3-2", "position_error_rate"), printed("3-2", "combined_rate")
@@ -233,159 +199,24 @@ def test_gains_of_the_combination_add(entry: LedgerEntry, single: dict[str, Meas
     assert fall == pytest.approx(entry.figure("-90 deg, printed, rise"))
 
 
-def test_velocity_error_has_more_phase_bandwidth(
-    entry: LedgerEntry, single: dict[str, Measures]
-) -> None:
+def test_velocity_error_has_more_phase_bandwidth(entry: LedgerEntry) -> None:
     rate, error = printed("3-2", "position_error_rate"), printed("3-2", "velocity_error")
     more = (error.phase_bandwidth_hz or 0.0) - (rate.phase_bandwidth_hz or 0.0)
     assert more == pytest.approx(entry.figure("printed"))
     assert rate.damping_ratio == error.damping_ratio
-    ours, other = single["velocity_error"], single["position_error_rate"]
+    ours, other = SINGLE["velocity_error"], SINGLE["position_error_rate"]
     more = ours.phase_bandwidth_hz - other.phase_bandwidth_hz
     assert more == pytest.approx(entry.figure("ours"), abs=0.01)
     assert other.stable
     assert not ours.stable
 
 
-def test_position_error_rate_has_two_published_results(
-    entry: LedgerEntry, single: dict[str, Measures]
-) -> None:
-    ours = single["position_error_rate"]
+def test_position_error_rate_has_two_published_results(entry: LedgerEntry) -> None:
+    ours = SINGLE["position_error_rate"]
     low, high = (
         printed(table, "position_error_rate").gain_bandwidth_hz or 0.0 for table in ("3-2", "3-5")
     )
     assert ours.gain_bandwidth_hz == pytest.approx(entry.figure("-3 dB, ours"), abs=0.005)
     assert abs(ours.gain_bandwidth_hz - low) < abs(ours.gain_bandwidth_hz - high)
-    lost = single["velocity"].damping_ratio - ours.damping_ratio
+    lost = SINGLE["velocity"].damping_ratio - ours.damping_ratio
     assert lost == pytest.approx(entry.figure("damping below the velocity law, ours"), abs=0.005)
-
-
-def test_eq_3_2_lacks_its_gain(entry: LedgerEntry) -> None:
-    loop = FeedbackLoop(5.0, 0.2, position_gain=5.0)
-    for variant, side in (("printed", "left"), ("corrected", "right")):
-        gain = float(control.dcgain(report_model("3.2", variant, loop=loop)))  # type: ignore[arg-type]
-        assert gain == pytest.approx(
-            entry.figure(f"static gain for K_p = 5, {side} side"), abs=5e-4
-        )
-
-
-def test_eq_3_4_lowers_frequency_and_damping(entry: LedgerEntry) -> None:
-    before, after = (
-        characteristics(FeedbackLoop(5.0, 0.2, 1.5, 0.1, gain / 25.0)) for gain in (0.0, 1.0)
-    )
-    frequency = after.mode_frequency_hz / before.mode_frequency_hz
-    assert frequency == pytest.approx(entry.figure("frequency for K_a w^2 = 1"), abs=5e-4)
-    damping = after.mode_damping_ratio / before.mode_damping_ratio
-    assert damping == pytest.approx(entry.figure("damping for K_a w^2 = 1"), abs=5e-4)
-
-
-def test_signs_of_acceleration_feedback_differ(
-    entry: LedgerEntry, leg: control.StateSpace, single: dict[str, Measures]
-) -> None:
-    """The pair of surge and pitch, which decides on the hexapod, is in test_studies_findings.py."""
-    plain = single["position_error_rate"]
-    plus, minus = single["acceleration_eq_3_6"], single["acceleration_opposing"]
-    wider = plus.gain_bandwidth_hz - plain.gain_bandwidth_hz
-    assert wider == pytest.approx(entry.figure("-3 dB with + over position error rate"), abs=0.005)
-    wider = minus.gain_bandwidth_hz - plain.gain_bandwidth_hz
-    assert wider == pytest.approx(entry.figure("-3 dB with - over position error rate"), abs=0.005)
-    hertz = np.linspace(0.1, 8.0, 800)  # below the leg mode
-    peaks = {
-        law: np.abs(loop_response(closed_loop(law, leg), hertz).frdata).max()
-        for law in ("acceleration_eq_3_6", "position_error_rate", "acceleration_opposing")
-    }
-    assert sorted(peaks, key=peaks.__getitem__, reverse=True) == list(peaks)
-    moved = plus.phase_bandwidth_hz - plain.phase_bandwidth_hz
-    assert moved == pytest.approx(entry.figure("-90 deg with + over position error rate"), abs=2e-3)
-
-
-def test_eqs_3_5_and_3_6_disagree(entry: LedgerEntry) -> None:
-    runs = report_model("3.6").poles()[0].real
-    for variant, name in (("printed", "pole from the print"), ("corrected", "pole from 0.02 s")):
-        kept = control.sample_system(report_model("3.5", variant), 1.0 / 2048.0, "zoh")  # type: ignore[arg-type]
-        pole = kept.poles()[0].real
-        assert pole == pytest.approx(entry.figure(name), abs=5e-6)
-        assert (abs(pole - runs) < 5e-5) == (variant == "corrected")
-
-
-def test_accelerometer_filter_delays_six_times_as_long(entry: LedgerEntry) -> None:
-    filtered = report_model("3.6")
-    assert filtered.poles().size == 1
-    omega = 2.0 * np.pi * 1.2
-    response = filtered(np.exp(1j * omega / 2048.0))
-    delay = -np.angle(response) / omega
-    assert delay == pytest.approx(entry.figure("delay at 1.2 Hz"), abs=5e-5)
-    assert delay / 0.01 == pytest.approx(6.0, abs=0.05)
-    assert abs(response) == pytest.approx(entry.figure("gain at 1.2 Hz"), abs=5e-4)
-
-
-def test_no_rest_reads_0_86_g(entry: LedgerEntry) -> None:
-    reads = axial_gravity(np.zeros(6)) / units.STANDARD_GRAVITY
-    np.testing.assert_allclose(reads, entry.figure("at neutral"), atol=5e-4)
-    bottom = kinematics.legs_to_pose(np.full(6, -kinematics.WORKING_STROKE))
-    reads = axial_gravity(bottom) / units.STANDARD_GRAVITY
-    np.testing.assert_allclose(reads, entry.figure("at the bottom"), atol=5e-3)
-    out = kinematics.legs_to_pose(np.full(6, 13.8 * INCH))
-    np.testing.assert_allclose(axial_gravity(out) / units.STANDARD_GRAVITY, 0.86, atol=5e-4)
-
-
-def test_eq_3_7_sees_no_static_load(entry: LedgerEntry) -> None:
-    parameters = load_hydraulics("report")
-    legs = cylinder.make_cylinders(parameters, ["leg"])
-    load = 7200.0 * units.POUND_FORCE
-    cap, rod = cylinder.holding_pressures(legs, load, parameters.supply_pressure.si, 0.0)[0]
-    whole = cylinder.force(legs[0], cap, rod) / units.POUND_FORCE
-    assert whole == pytest.approx(entry.figure("cylinder force"), rel=1e-9)
-    seen = parameters.rod_area * (cap - rod) / units.POUND_FORCE
-    assert seen == pytest.approx(entry.figure("Eq 3.7"), abs=1e-6)
-
-
-def test_delay_takes_half_a_hertz(entry: LedgerEntry) -> None:
-    hertz = np.linspace(0.02, 10.0, 4000)
-    response = loop_response(closed_loop("velocity", hardware_velocity(1)), hertz).frdata[0, 0]
-    for delay, name in ((0.0, "-90 deg, model #1"), (0.03, "-90 deg with 0.03 s, model #1")):
-        phase = np.degrees(np.unwrap(np.angle(response))) - 360.0 * hertz * delay
-        width = hertz[np.argmax(phase < -90.0)]
-        assert width == pytest.approx(entry.figure(name), abs=0.01)
-    assert 360.0 * 2.5 * 0.03 == pytest.approx(27.0)
-
-
-def test_acceleration_is_not_best_in_phase(entry: LedgerEntry) -> None:
-    force, actual = printed("3-5", "force"), printed("3-5", "acceleration")
-    below = (force.phase_bandwidth_hz or 0.0) - (actual.phase_bandwidth_hz or 0.0)
-    assert below == pytest.approx(entry.figure("below force feedback"))
-
-
-def test_acceleration_gains_no_hertz(entry: LedgerEntry, single: dict[str, Measures]) -> None:
-    without, actual = printed("3-5", "position_error_rate"), printed("3-5", "acceleration")
-    more = (actual.phase_bandwidth_hz or 0.0) - (without.phase_bandwidth_hz or 0.0)
-    assert more == pytest.approx(entry.figure("gain in heave, printed"))
-    damping = (actual.damping_ratio or 0.0) - (without.damping_ratio or 0.0)
-    assert damping == pytest.approx(entry.figure("damping gained, printed"))
-    ours = single["acceleration_eq_3_6"].phase_bandwidth_hz
-    more = ours - single["position_error_rate"].phase_bandwidth_hz
-    assert more == pytest.approx(entry.figure("gain in heave, ours"), abs=2e-3)
-    others = [row.phase_bandwidth_hz or 0.0 for row in published_results() if row.table == "D-2"]
-    assert min(others) - (actual.phase_bandwidth_hz or 0.0) > 0.6
-
-
-def test_force_feedback_is_not_damped_best(entry: LedgerEntry, single: dict[str, Measures]) -> None:
-    better = (printed("3-5", "original").damping_ratio or 0.0) - (
-        printed("3-5", "force").damping_ratio or 0.0
-    )
-    name = "damping below the original law, printed"
-    assert better == pytest.approx(entry.figure(name))
-    peak = single["original"].peak_gain_db
-    assert peak == pytest.approx(entry.figure("peak of the original law, ours"), abs=0.05)
-    assert peak < 1.0
-
-
-def test_closed_loop_gain_at_minus_180_is_no_criterion(entry: LedgerEntry) -> None:
-    """K / (s (s + 1)^2) crosses -180 deg at 1 rad/s with the gain K / 2, stable below K = 2."""
-    plant = control.tf([1.6], [1.0, 2.0, 1.0, 0.0])
-    loop = control.feedback(plant, 1)
-    assert np.all(loop.poles().real < 0.0)
-    name = "closed-loop gain at -180 deg of a stable loop"
-    assert loop(1j).real == pytest.approx(-entry.figure(name))
-    assert abs(loop(1j).imag) < 1e-9
-    assert plant(1j).real == pytest.approx(-entry.figure("its open-loop gain"))
