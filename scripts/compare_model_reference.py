@@ -16,7 +16,6 @@ from cmf_mj.core import units
 from cmf_mj.facility.replay import replay
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.kinematics import DOFS
-from cmf_mj.machine.models import CABS
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.signals.single import sine
@@ -55,7 +54,7 @@ def adaptation_figure(hydraulics: str, cycles: float) -> Figure:
 def main() -> None:
     """Parse the arguments and run the study."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--cab", choices=CABS, default="gfd")
+    parser.add_argument("--cab", default="gfd", help="gfd, rfd, ifd or a TOML file")
     parser.add_argument("--hydraulics", default="hardware", help="report, hardware or a TOML file")
     parser.add_argument("--dofs", nargs="+", choices=DOFS, default=["surge", "heave", "pitch"])
     parser.add_argument("--laws", nargs="+", default=[*REPORT_LAWS, *LAWS])

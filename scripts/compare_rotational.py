@@ -9,7 +9,6 @@ from pathlib import Path
 
 from cmf_mj.cli.common import refuse
 from cmf_mj.cli.simulate import run_comparison
-from cmf_mj.machine.models import CABS
 from cmf_mj.plant.build import PLANTS
 
 LAWS = ["position_error_rate", "acceleration_eq_3_6", "acceleration_opposing"]
@@ -18,7 +17,7 @@ LAWS = ["position_error_rate", "acceleration_eq_3_6", "acceleration_opposing"]
 def main() -> None:
     """Parse the arguments and run the study."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--cab", choices=CABS, default="gfd")
+    parser.add_argument("--cab", default="gfd", help="gfd, rfd, ifd or a TOML file")
     parser.add_argument("--hydraulics", default="hardware", help="report, hardware or a TOML file")
     parser.add_argument("--jobs", type=int, help="threads; default one a core")
     parser.add_argument("--out", type=Path, default=Path("out/compare_rotational"))

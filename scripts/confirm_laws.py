@@ -108,7 +108,7 @@ def row(outcome: Outcome) -> list[object]:
     )
     pose = " ".join(f"{value:.4g}" for value in case.pose)
     return [
-        *(case.law.name, case.cab, case.dof, trial.seed, pose, trial.scale, case.quick),
+        *(case.law.name, case.cab_name, case.dof, trial.seed, pose, trial.scale, case.quick),
         case.electronics is not None,
         *(f"{value:.4f}" for value in numbers),
         values.stable,

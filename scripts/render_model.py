@@ -12,7 +12,7 @@ import mujoco
 from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.machine import models
-from cmf_mj.plant.hexapod import hexapod_spec
+from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.show.film.film import FilmSettings, film
 from cmf_mj.show.film.stage import Stage
 
@@ -44,7 +44,7 @@ def main() -> None:
         if arguments.excavator:
             model = mujoco.MjModel.from_xml_path(str(models.model_path("excavator.xml")))
         else:
-            model = hexapod_spec(arguments.cab).compile()
+            model = hexapod_model(arguments.cab)
         data = mujoco.MjData(model)
         with Stage(model, arguments.width, arguments.height, arguments.camera) as stage:
             pixels = stage.picture(data.qpos)

@@ -1,23 +1,22 @@
 """The ladder: what each rung must do, from closed forms."""
 
-import mujoco
 import numpy as np
 import pytest
 
 from cmf_mj import Hexapod, load_hydraulics, signals, simulate, step_metrics
 from cmf_mj.core import units
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.kinematics import FLIP, pose_jacobian, read_geometry
 from cmf_mj.plant import cylinder
-from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.plant.single_legs import EFFECTIVE_MASS
-from cmf_mj.studies.variants import LADDER, MACHINE, SMALL, Payload, payload_spec, rung_named
+from cmf_mj.studies.variants import LADDER, MACHINE, SMALL, lumped, rung_named
 
 HARDWARE = load_hydraulics("hardware")
 
 
 def payload_matrix(inertia: float, *, centre_of_mass: bool, cab: str = "gfd") -> np.ndarray:
     """M (6, 6) of a rigid payload about the platform centroid, report axes, written out by hand."""
-    payload = Payload(hexapod_spec(cab))
+    payload = load_cab(cab).payload
     arm = payload.centre * FLIP if centre_of_mass else np.zeros(3)
     turned = inertia * FLIP[:, None] * payload.inertia * FLIP
     cross = np.array([[0, -arm[2], arm[1]], [arm[2], 0, -arm[0]], [-arm[1], arm[0], 0]])
@@ -31,16 +30,15 @@ def payload_matrix(inertia: float, *, centre_of_mass: bool, cab: str = "gfd") ->
 
 def test_payload_is_the_sum_of_platform_and_cab() -> None:
     """29 920 lbm; the centre of mass by the lever rule."""
-    payload = Payload(hexapod_spec("gfd"))
+    payload = load_cab("gfd").payload
     cab = 9071.4837104
     assert payload.mass == pytest.approx(29920.0 * units.POUND_MASS, rel=1e-9)
     height = (4500.0 * 0.05 + cab * 0.85) / (4500.0 + cab)
     assert payload.centre == pytest.approx([cab * 0.10 / (4500.0 + cab), 0.0, height])
-    assert payload.bodies[0] == "platform"
 
 
 def test_the_edited_model_with_nothing_left_out_is_the_machine() -> None:
-    whole = Hexapod("rfd", spec=payload_spec("rfd"))
+    whole = Hexapod(lumped(load_cab("rfd"), leg_mass=1.0))
     assert whole.reflected_mass() == pytest.approx(Hexapod("rfd").reflected_mass(), rel=1e-9)
     assert whole.static_load() == pytest.approx(Hexapod("rfd").static_load(), rel=1e-9)
 
@@ -53,9 +51,7 @@ def test_reflected_mass_without_legs_is_that_of_the_payload(
     """M_leg = J^-T M J^-1. The legs' part is linear in their inertia and is taken out so."""
     few, many = (
         Hexapod(
-            spec=payload_spec(
-                "gfd", inertia=inertia, centre_of_mass=centre_of_mass, leg_inertia=share
-            )
+            lumped(load_cab("gfd"), inertia=inertia, centre_of_mass=centre_of_mass, leg_mass=share)
         ).reflected_mass(pose)
         for share in (SMALL, 1.0)
     )
@@ -76,12 +72,12 @@ def test_reflected_mass_without_legs_is_that_of_the_payload(
 
 def test_point_mass_modes_from_compliance() -> None:
     """omega_x^2 = 1 / (m sum_i (J^-1)_xi^2 / k_i) of surge, sway and heave; 5.23, 5.23, 11.3 Hz."""
-    plant = Hexapod(spec=payload_spec("gfd", inertia=1e-4, centre_of_mass=False, leg_inertia=1e-6))
+    plant = Hexapod(lumped(load_cab(), inertia=1e-4, centre_of_mass=False, leg_mass=1e-6))
     inverse = np.linalg.inv(pose_jacobian(np.zeros(6), plant.geometry))
     stiffness = cylinder.stiffness(
         plant.hydraulics.cylinder, plant.hydraulics.oil.bulk_modulus, np.zeros(6)
     )
-    mass = Payload(hexapod_spec("gfd")).mass
+    mass = load_cab("gfd").payload.mass
     compliance = np.sum(inverse[:3] ** 2 / stiffness, axis=1)
     expected = np.sort(1.0 / np.sqrt(mass * compliance))
     assert plant.hydraulic_modes().frequency[:3] == pytest.approx(expected, rel=2e-3)
@@ -104,7 +100,7 @@ def test_heave_does_not_notice_the_geometry() -> None:
 def test_raising_the_centre_of_mass_couples_surge_with_pitch_alone() -> None:
     """m h next to the diagonal; a machine that mirrors itself keeps surge out of sway."""
     matrix = payload_matrix(1.0, centre_of_mass=True)
-    payload = Payload(hexapod_spec("gfd"))
+    payload = load_cab("gfd").payload
     assert matrix[0, 4] == pytest.approx(-payload.mass * payload.centre[2])
     assert matrix[0, [1, 3, 5]] == pytest.approx(0.0)
     assert payload_matrix(1.0, centre_of_mass=False)[0, 1:] == pytest.approx(0.0)
@@ -138,8 +134,8 @@ def test_what_is_left_of_the_legs_keeps_pins_closed_and_the_step_fine_enough() -
     command = signals.step("surge", units.INCH, duration=6.5)
     runs = []
     for step in (None, 1.0 / 4096.0):
-        spec = payload_spec("gfd", inertia=SMALL, centre_of_mass=False, leg_inertia=SMALL)
-        plant = Hexapod("gfd", rung.hydraulics(HARDWARE), spec=spec, timestep=step)
+        cab = lumped(load_cab("gfd"), inertia=SMALL, centre_of_mass=False)
+        plant = Hexapod(cab, rung.hydraulics(HARDWARE), timestep=step)
         runs.append(simulate(plant, "velocity", command, record_every=8))
     assert runs[0]["gimbal_error"].max() < 10e-6
     coarse, fine = (step_metrics(run).overshoot for run in runs)
@@ -151,9 +147,11 @@ def test_unknown_rungs_are_refused() -> None:
         rung_named("top")
 
 
-def test_a_payload_without_mass_of_its_own_compiles() -> None:
-    model = payload_spec("ifd", inertia=SMALL).compile()
-    assert isinstance(model, mujoco.MjModel)
-    assert model.body_mass.sum() == pytest.approx(
-        Payload(hexapod_spec("ifd")).mass + 6.0 * 450.0, rel=1e-9
-    )
+def test_a_lumped_cab_weighs_as_much_and_is_known_by_its_name() -> None:
+    """Laws in hydraulic modes run in those of the cab that the DCL was made for."""
+    cab = load_cab("ifd")
+    plant = rung_named("point_mass").build("ifd", HARDWARE)
+    legs = 6.0 * SMALL * (cab.legs.cylinder_mass.si + cab.legs.rod_mass.si)
+    assert plant.model.body_mass.sum() == pytest.approx(cab.payload.mass + legs, rel=1e-12)
+    assert plant.law_key == cab
+    assert plant.cab == "ifd, lumped"

@@ -46,7 +46,7 @@ def fly_command(
     from cmf_mj.facility.operation import FacilitySettings
     from cmf_mj.pilot.aircraft.flight import load_flight
     from cmf_mj.pilot.fly import fly, transport_delay
-    from cmf_mj.plant.hexapod import hexapod_spec
+    from cmf_mj.plant.hexapod import hexapod_model
     from cmf_mj.show import flight as report
     from cmf_mj.show.film.film import FilmSettings, check_film, film
     from cmf_mj.show.operation import save_operation
@@ -55,7 +55,7 @@ def fly_command(
     flown = load_flight(flight)
     look = FilmSettings(fps, speed, camera, width, height, 300, start, seconds)
     if video is not None:
-        check_film(hexapod_spec(cab).compile(), out / video, look)
+        check_film(hexapod_model(cab), out / video, look)
     facility = FacilitySettings(electronics=noise_choice(noise))
     machine: dict[str, Any] = {"cab": cab, "hydraulics": hydraulics, "facility": facility}
     length = float(flown.motion.time[-1])

@@ -22,7 +22,7 @@ command = partial(app.command, rich_help_panel="Simulate")
 _Law = Annotated[
     str | None, choice(options.LAWS, "LAW", "law in place of the scenario's", free=True)
 ]
-_Cab = Annotated[str | None, choice(options.CABS, "CAB", "in place of the scenario's")]
+_Cab = Annotated[str | None, choice(options.CABS, "CAB", "in place of the scenario's", free=True)]
 
 
 def _with(scenario: Any, **fields: object) -> Any:

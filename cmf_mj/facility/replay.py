@@ -24,6 +24,8 @@ from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import validated
 from cmf_mj.electronics.sensors.suite import at_frame
+from cmf_mj.facility.binding import bound
+from cmf_mj.machine.cab import recorded_cab
 from cmf_mj.record.record import Record
 
 FEEDBACK = {
@@ -86,7 +88,8 @@ def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = 
     not that of `FEEDBACK`.
     """
     made = record.metadata
-    loaded = load_law(law).bound_to(made.get("cab") or str(made.get("plant", "")))
+    cab = recorded_cab(made)
+    loaded = bound(load_law(law), cab.known_as if cab else str(made.get("plant", "")))
     every = _every(record)
     histories = _feedback(record, loaded, feedback or {})
     reference = _legs(record, "leg_reference")

@@ -22,6 +22,7 @@ from cmf_mj.control.states import State
 from cmf_mj.core.errors import InputError, RunError, check_name
 from cmf_mj.core.rates import FRAME
 from cmf_mj.electronics.chain import ElectronicsSettings, make_electronics, measure
+from cmf_mj.facility.binding import bound
 from cmf_mj.facility.front import Chain, idle_chain
 from cmf_mj.facility.layout import CHAIN, LAW, make_layout
 from cmf_mj.facility.loop import (
@@ -155,7 +156,7 @@ class Session:
         steps = round(FRAME / step)
         if steps < 1 or abs(steps * step - FRAME) > 1e-12:
             raise InputError(f"timestep: {step} s must divide the control frame of {FRAME} s")
-        law = None if law is None else law.bound_to(plant.law_key)
+        law = None if law is None else bound(law, plant.law_key)
         table = Table(source.reference[:1].copy()) if isinstance(source, Chain) else source
         self.plant = plant
         self._law = self._engaged = law
@@ -322,7 +323,7 @@ class Session:
 
     def engage(self, law: Law) -> None:
         """Hand over to another law, from the next frame on, as `control.engage` says."""
-        self._engaged = law.bound_to(self.plant.law_key)
+        self._engaged = bound(law, self.plant.law_key)
         controller, memory = self.controller, self.memory
         dcl = control.make_dcl(self._engaged, self.plant.legs)
         limited = controller.dcl.workspace.limited

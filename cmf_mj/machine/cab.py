@@ -148,6 +148,11 @@ class Cab(RigidBody):
         return self.name in models.CABS
 
     @property
+    def known_as(self) -> "Cab":
+        """The cab that control laws take it for."""
+        return self.taken_for or self
+
+    @property
     def payload(self) -> Payload:
         """Platform and cab as one rigid body."""
         parts = (self.platform, self)
@@ -317,3 +322,10 @@ def load_cab(source: str | Path | Cab = "gfd") -> Cab:
         return _shipped(str(source))
     user = user_set("cab", models.CABS, source, fixed=("base", "taken_for"))
     return _overlaid(_shipped(user.base), user.name, user.changes, user.where)
+
+
+def recorded_cab(metadata: Mapping[str, Any]) -> Cab | None:
+    """The cab that the metadata of a record tell of; None where they tell of none."""
+    if metadata.get("cab_parameters"):
+        return validated(Cab, metadata["cab_parameters"], "cab_parameters")
+    return load_cab(metadata["cab"]) if metadata.get("cab") else None

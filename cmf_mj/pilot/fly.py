@@ -38,6 +38,7 @@ from cmf_mj.core.rates import RATE
 from cmf_mj.facility.host.stream import HostStream, from_command, resample
 from cmf_mj.facility.operation import FacilitySettings, Operation, operate
 from cmf_mj.machine import kinematics
+from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.dof import by_kind, dof_index
 from cmf_mj.machine.kinematics import FLIP
 from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
@@ -111,7 +112,7 @@ def fly(
     host: pilot_host.AircraftHost | pilot_host.PlatformHost | PilotMotion,
     law: str | Path | Law = "velocity",
     *,
-    cab: str = "gfd",
+    cab: str | Path | Cab = "gfd",
     washout: str | WashoutSettings = "simona",
     hydraulics: str | HydraulicParameters = "hardware",
     facility: FacilitySettings | None = None,
@@ -144,7 +145,7 @@ def fly(
     legs = kinematics.pose_to_legs(resample(stream, record.rate).pose)
     return FlightResult(
         str(record.metadata["law"]),
-        cab,
+        plant.cab,
         aircraft,
         stream,
         limited,
@@ -234,7 +235,7 @@ class TransportDelay(NamedTuple):
 def transport_delay(
     law: str | Path | Law = "velocity",
     *,
-    cab: str = "gfd",
+    cab: str | Path | Cab = "gfd",
     dof: str = "heave",
     frequency: float = 1.0,
     hydraulics: str | HydraulicParameters = "hardware",

@@ -31,6 +31,7 @@ from cmf_mj.core.files import read_column, read_table, write_table
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine import models
+from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.kinematics import FLIP
 from cmf_mj.record.record import Record
 
@@ -181,9 +182,9 @@ class PilotMotion:
         return PilotMotion.from_columns(lambda name: read_column(source, table, name), source)
 
 
-def pilot_station(cab: str = "gfd") -> NDArray[np.float64]:
+def pilot_station(cab: str | Path | Cab = "gfd") -> NDArray[np.float64]:
     """Site `crew` of a cab from the platform's centroid, platform axes, z down [m], (3,)."""
-    root = ElementTree.parse(models.cab_path(cab)).getroot()
+    root = ElementTree.parse(models.cab_path(load_cab(cab).base)).getroot()
     site = next(element for element in root.iter("site") if element.get("name") == "crew")
     return np.array(site.get("pos", "0 0 0").split(), dtype=float) * FLIP
 

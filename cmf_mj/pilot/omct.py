@@ -40,6 +40,7 @@ from cmf_mj.core.units import DEGREE
 from cmf_mj.facility.host.stream import HostStream, arrivals, make_stream
 from cmf_mj.facility.operation import FacilitySettings, operate
 from cmf_mj.facility.session import OutOfBounds
+from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import by_kind, dof_index
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.pilot.cueing.settings import WashoutSettings, load_washout
@@ -141,7 +142,7 @@ def omct(
     laws: Sequence[str | Path | Law] = ("velocity",),
     *,
     washout: str | WashoutSettings = "simona",
-    cab: str = "gfd",
+    cab: str | Path | Cab = "gfd",
     hydraulics: str | Path | HydraulicParameters = "hardware",
     frequencies: Sequence[float] = FREQUENCIES,
     dofs: Sequence[str] = DOFS,
@@ -156,7 +157,8 @@ def omct(
     """
     settings, parameters = load_washout(washout), load_hydraulics(hydraulics)
     loaded = [load_law(law) for law in laws]
-    station = pilot_station(cab)
+    chosen = load_cab(cab)
+    station = pilot_station(chosen)
     for dof in dofs:
         check_name("dofs", dof, sorted(DOFS))
     if not frequencies:
@@ -182,7 +184,7 @@ def omct(
         if law is None:
             motions = _without_machine(stream, station)
         else:
-            motions = _on_machine(stream, law, Hexapod(cab, parameters))
+            motions = _on_machine(stream, law, Hexapod(chosen, parameters))
         for name, motion in motions.items():
             for place in outputs_of(dof):
                 output = TESTS[place][1]
@@ -194,7 +196,7 @@ def omct(
 
     on_threads(run, cases, jobs, progress)
     driven = np.array(frequencies, dtype=float)
-    return Omct(settings.name, cab, parameters.name, driven, responses, remainders)
+    return Omct(settings.name, chosen.name, parameters.name, driven, responses, remainders)
 
 
 def _without_machine(stream: HostStream, station: NDArray[np.float64]) -> dict[str, PilotMotion]:

@@ -128,9 +128,9 @@ class Plant:
         return len(self.actuators)
 
     @property
-    def law_key(self) -> str:
-        """Key of its hydraulic modes in a law: the cab, or the name of a plant that has none."""
-        return self.cab or self.name
+    def law_key(self) -> str | Cab:
+        """What a law is bound to: the cab it is known by, or the name of a plant without one."""
+        return self.name if self.cab_parameters is None else self.cab_parameters.known_as
 
     @property
     def sensors(self) -> dict[str, NDArray[np.int64]]:

@@ -31,7 +31,7 @@ _LEGEND = (
 def comparison_table(results: Sequence[CaseResult]) -> Table:
     """The comparison: a row per law and degree of freedom, next to what is published."""
     first, plants = results[0].case, list(dict.fromkeys(r.case.plant for r in results))
-    cab = next((result.case.cab for result in results if result.case.cab), "")
+    cab = next((result.case.cab_name for result in results if result.case.cab), "")
     columns: list[Column] = ["law", "dof"]
     for name in [*(_TITLES[plant] for plant in plants), "published"]:
         columns += [(f"{name}\n-90", ".2f"), ("\n-3 dB", ".2f")]
@@ -73,7 +73,7 @@ def _legend(axis: Axes, results: Sequence[CaseResult], place: str, *, circles: b
 
 
 def _title(dof: str, amplitude: float, results: Sequence[CaseResult]) -> str:
-    cab = next((r.case.cab.upper() for r in results if r.case.cab), "")
+    cab = next((r.case.cab_name.upper() for r in results if r.case.cab), "")
     size = f"{units.from_si(dof_unit(dof), amplitude):.3g} {dof_unit(dof)}"
     hydraulics = results[0].case.hydraulics.name
     return f"{dof}, {size}, {hydraulics} hydraulics" + (f", {cab}" if cab else "")

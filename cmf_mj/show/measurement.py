@@ -79,7 +79,7 @@ def measurement_table(measured: Measurement) -> Table:
             text = _share(value) if same else f"{value:.4f} SI"
             rows.append((f"crosstalk into {other}", text, "acceleration at 1 Hz, rms over rms"))
     case = measured.case
-    machine = " ".join(part for part in (case.plant, case.cab, case.hydraulics.name) if part)
+    machine = " ".join(part for part in (case.plant, case.cab_name, case.hydraulics.name) if part)
     return Table(f"{case.law.name} in {dof}, {machine}", _COLUMNS, rows)
 
 

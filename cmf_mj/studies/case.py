@@ -20,7 +20,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import check_name
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.simulation import simulate
-from cmf_mj.machine import models
+from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import by_kind, dof_index
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.build import PLANTS, make_plant
@@ -60,7 +60,7 @@ class Case:
     """One law on one machine; everything needed to run it anywhere. See `make_case`."""
 
     plant: str
-    cab: str  #: Of the hexapod; empty for single legs.
+    cab: Cab | None  #: Of the hexapod; None for single legs.
     hydraulics: HydraulicParameters
     law: Law
     dof: str
@@ -82,14 +82,19 @@ class Case:
         return 10.0 if self.quick else 20.0
 
     @property
+    def cab_name(self) -> str:
+        """Name of the cab; empty for single legs."""
+        return self.cab.name if self.cab else ""
+
+    @property
     def label(self) -> str:
         """Name for files."""
-        parts = (self.plant, self.cab, self.hydraulics.name, self.law.name, self.dof)
+        parts = (self.plant, self.cab_name, self.hydraulics.name, self.law.name, self.dof)
         return "-".join(part for part in parts if part)
 
     def build(self) -> Plant:
         """A new plant."""
-        return make_plant(self.plant, self.cab, self.hydraulics)
+        return make_plant(self.plant, self.cab or "gfd", self.hydraulics)
 
     def run(
         self, command: Command, plant: Plant | None = None, *, every: int = RECORD_EVERY
@@ -123,7 +128,7 @@ class Case:
 class CaseOptions(TypedDict, total=False):
     """What the cases of a comparison share, see `make_case`."""
 
-    cab: str
+    cab: str | Path | Cab
     hydraulics: str | Path | HydraulicParameters
     quick: bool
     electronics: ElectronicsSettings | None
@@ -133,7 +138,7 @@ def make_case(
     law: str | Path | Law,
     dof: str = "heave",
     plant: str = "hexapod",
-    cab: str = "gfd",
+    cab: str | Path | Cab = "gfd",
     hydraulics: str | Path | HydraulicParameters = "hardware",
     *,
     amplitude: float | None = None,
@@ -141,16 +146,15 @@ def make_case(
 ) -> Case:
     """A case from names; what is refused is named before anything runs.
 
-    Laws and hydraulic sets are names, TOML files or loaded ones; `amplitude` of the chirp is in m
-    or rad, by default the report's 0.33 in or 0.2 deg; `options` are further fields of `Case`.
+    Laws, cabs and hydraulic sets are names, TOML files or loaded ones; `amplitude` of the chirp is
+    in m or rad, by default the report's 0.33 in or 0.2 deg; `options` are further fields of `Case`.
     """
     dof_index(dof)
     check_name("plant", plant, PLANTS)
-    models.cab_path(cab)
     if amplitude is not None:
         check_positive(amplitude=amplitude)
-    with_cab = cab if plant == "hexapod" else ""
-    parameters, loaded = load_hydraulics(hydraulics), load_law(law)
+    chosen, parameters, loaded = load_cab(cab), load_hydraulics(hydraulics), load_law(law)
+    with_cab = chosen if plant == "hexapod" else None
     return Case(plant, with_cab, parameters, loaded, dof, amplitude, **options)
 
 

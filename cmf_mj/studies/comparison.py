@@ -61,7 +61,13 @@ class Comparison:
         lines = []
         for result in self.results:
             case, printed = result.case, published_result(result)
-            line: list[Any] = [case.plant, case.cab, case.hydraulics.name, case.law.name, case.dof]
+            line: list[Any] = [
+                case.plant,
+                case.cab_name,
+                case.hydraulics.name,
+                case.law.name,
+                case.dof,
+            ]
             line += [getattr(result.measures, name) for name in MEASURED]
             line += [getattr(printed, name, None) for name in PUBLISHED]
             lines.append(["" if value is None or value != value else value for value in line])
@@ -91,10 +97,10 @@ def compare(
         jobs: threads; default one per core. Results do not depend on it.
         records: folder for the records of all runs.
         progress: called with (cases done, cases in all) after each case.
-        **options: `cab` of the hexapod, `gfd`, `rfd` or `ifd`, by default the GFD; `hydraulics`,
-            `report`, `hardware`, `lossy`, a TOML file or a loaded set, by default `hardware`;
-            `quick` for shorter sweeps; `electronics`, sensors, converters and servo electronics,
-            by default ideal.
+        **options: `cab` of the hexapod, `gfd`, `rfd`, `ifd`, a TOML file or a loaded cab, by
+            default the GFD; `hydraulics`, `report`, `hardware`, `lossy`, a TOML file or a loaded
+            set, by default `hardware`; `quick` for shorter sweeps; `electronics`, sensors,
+            converters and servo electronics, by default ideal.
 
     Raises:
         InputError: an argument out of range, named; nothing has been run or written then.

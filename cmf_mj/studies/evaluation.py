@@ -36,6 +36,7 @@ from cmf_mj.analysis.measures import (
 from cmf_mj.analysis.response.welch import welch_response
 from cmf_mj.analysis.step_response import measure_step, step_metrics
 from cmf_mj.core.rates import FRAME
+from cmf_mj.facility.binding import bound
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
@@ -108,12 +109,12 @@ def evaluate(
     Raises FloatingPointError where a run leaves its physical bounds.
     """
     rung, case, study = rung_named(study_case.rung), study_case.case, study_case.study
-    plant = rung.build(case.cab, case.hydraulics)
+    plant = rung.build(case.cab or "gfd", case.hydraulics)
     errors: dict[str, Gains] = {}
     if study_case.draw != NOMINAL:
         mismatch, key = study.mismatch, (study.seed, study_case.draw)
         drawn = mismatch.draw_hydraulics(case.hydraulics, plant.actuators, *key)
-        plant = rung.build(case.cab, drawn)
+        plant = rung.build(case.cab or "gfd", drawn)
         errors = mismatch.draw_gain_errors(plant.legs, *key)
     if study_case.method == "linear":
         return _linear(study_case, plant, errors, {} if shared is None else shared)
@@ -173,7 +174,7 @@ def _linear(
         for name, part in zip(labels((channel,), plant.legs), error, strict=True):
             system.C[system.output_labels.index(name)] *= 1.0 + part
     delay = rung_named(study_case.rung).command_delay
-    law = case.law.bound_to(plant.law_key)
+    law = bound(case.law, plant.law_key)
     loop = pose_loop(closed_loop(law, system, command_delay=delay), plant, case.pose)
     poles = np.linalg.eigvals(np.asarray(loop.A))
     mode = least_damped_mode(poles)

@@ -37,6 +37,7 @@ from cmf_mj.analysis.linear.loop import closed_loop_response
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, law_names
 from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.facility.binding import bound
 from cmf_mj.machine.kinematics import DOFS, pose_jacobian
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
@@ -209,7 +210,7 @@ def loop_bandwidths(
     the `whole` one: velocities, cap and rod pressures of all, 18 outputs of 6 inputs.
     """
     frequency = np.arange(0.1, 10.0, 0.02)
-    law, legs = case.law.bound_to(case.build().law_key), pose_jacobian(np.zeros(6))
+    law, legs = bound(case.law, case.build().law_key), pose_jacobian(np.zeros(6))
     velocity, cap, rod = np.split(whole.response(frequency), 3, axis=1)
     alike = np.eye(len(DOFS)) * common.response(frequency)
     loops = (

@@ -24,6 +24,7 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import RATE
+from cmf_mj.facility.binding import bound
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.dof import by_kind, dof_index
 from cmf_mj.machine.kinematics import DOFS
@@ -131,7 +132,7 @@ def loop_between(
     `system` is the plant linearised in `pose`; `signal` is a degree of freedom, or a leg, `leg_1`
     and so on. The loop has one input and one output, at 2048 Hz; all other demands are zero.
     """
-    loop = closed_loop(load_law(law).bound_to(plant.law_key), system)
+    loop = closed_loop(bound(load_law(law), plant.law_key), system)
     legs = [f"leg_{leg + 1}" for leg in range(plant.legs)]
     if not signal.startswith("leg_"):
         index = dof_index(signal)

@@ -91,7 +91,7 @@ class Measurement:
         case = self.case
         results = {
             "plant": case.plant,
-            "cab": case.cab,
+            "cab": case.cab_name,
             "hydraulics": case.hydraulics.name,
             "law": case.law.name,
             "dof": case.dof,

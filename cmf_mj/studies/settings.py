@@ -31,6 +31,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name, unknown_name
 from cmf_mj.core.settings import Settings, read_toml, validated
 from cmf_mj.machine import models
+from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -63,7 +64,7 @@ class StudySettings(Settings):
     method: Method
     laws: Annotated[list[str], Field(min_length=1)]
     """Names, TOML files, or one of several laws of a file, file.toml:name."""
-    cabs: Annotated[list[str], Field(min_length=1)] = ["gfd"]
+    cabs: Annotated[list[str], Field(min_length=1)] = ["gfd"]  #: Names or TOML files.
     dofs: Annotated[list[str], Field(min_length=1)] = list(DOFS)
     """Degrees of freedom, each a case of a `sweep`; the other methods give all at once."""
     rungs: Annotated[list[str], Field(min_length=1)] = ["machine"]
@@ -101,7 +102,7 @@ class StudyCase:
     def columns(self) -> dict[str, int | str | float]:
         """The case in `CASE_COLUMNS`."""
         case = self.case
-        machine = (self.number, self.method, self.rung, case.cab, *case.pose)
+        machine = (self.number, self.method, self.rung, case.cab_name, *case.pose)
         return dict(zip(CASE_COLUMNS, (*machine, self.draw, case.law.name), strict=True))
 
 
@@ -111,6 +112,7 @@ class Study:
 
     settings: StudySettings
     laws: tuple[Law, ...]
+    cabs: tuple[Cab, ...]
     hydraulics: HydraulicParameters
 
     @property
@@ -118,7 +120,7 @@ class Study:
         """All cases, numbered from 0."""
         study = self.settings
         cases: list[StudyCase] = []
-        machines = product(study.rungs, study.cabs, study.poses, range(NOMINAL, study.draws))
+        machines = product(study.rungs, self.cabs, study.poses, range(NOMINAL, study.draws))
         for rung, cab, pose, draw in machines:
             at = tuple(units.to_si(dof_unit(i), value) for i, value in enumerate(pose))
             methods: list[Method] = [study.method]
@@ -137,6 +139,7 @@ class Study:
         return {
             "settings": self.settings.model_dump(mode="json"),
             "laws": [law.model_dump(mode="json") for law in self.laws],
+            "cabs": [cab.model_dump(mode="json", exclude_none=True) for cab in self.cabs],
             "hydraulics": self.hydraulics.model_dump(mode="json", exclude_none=True),
             "sources": _sources(),
             "versions": {name: version(name) for name in ("mujoco", "numpy", "scipy", "numba")},
@@ -172,9 +175,12 @@ def load_study(
     settings = validated(StudySettings, table, where)
     _check(settings)
     chosen = tuple(load_law(law) for law in settings.laws) if loaded is None else loaded
-    if len({law.name for law in chosen}) < len(chosen):
-        raise InputError(f"laws: {', '.join(law.name for law in chosen)} must differ in name")
-    return Study(settings, chosen, load_hydraulics(settings.hydraulics))
+    cabs = tuple(load_cab(cab) for cab in settings.cabs)
+    for field, named in (("laws", chosen), ("cabs", cabs)):
+        names = [one.name for one in named]
+        if len(set(names)) < len(names):
+            raise InputError(f"{field}: {', '.join(names)} must differ in name")
+    return Study(settings, chosen, cabs, load_hydraulics(settings.hydraulics))
 
 
 def _table(field: str, name: str, more: str = "") -> dict[str, Any]:
@@ -187,8 +193,6 @@ def _table(field: str, name: str, more: str = "") -> dict[str, Any]:
 
 
 def _check(settings: StudySettings) -> None:
-    for cab in settings.cabs:
-        models.cab_path(cab)
     for dof in settings.dofs:
         check_name("dofs", dof, DOFS)
     for pose in settings.poses:

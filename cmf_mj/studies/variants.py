@@ -22,15 +22,15 @@ micrometres, a tenth of that mass by 35).
 """
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-import mujoco
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cmf_mj.core.errors import check_name
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.plant.hexapod import Hexapod, hexapod_spec
+from cmf_mj.machine.cab import Cab, load_cab
+from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
@@ -42,60 +42,27 @@ SMALL = 0.01
 _FRICTION = ("coulomb_friction", "breakaway_friction", "viscous_friction")
 
 
-class Payload:
-    """Platform and cab as one rigid body, in the platform's frame (z up)."""
-
-    def __init__(self, spec: mujoco.MjSpec) -> None:
-        """Add up all bodies that are fixed to the platform."""
-        model = spec.compile()
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        platform = model.body("platform")
-        bodies = np.flatnonzero(model.body_weldid == model.body_weldid[platform.id])
-        masses = model.body_mass[bodies]
-        self.bodies = [model.body(i).name for i in bodies]
-        """Names, the platform's among them."""
-        self.mass = float(masses.sum())
-        """[kg]."""
-        centre = masses @ data.xipos[bodies] / self.mass
-        self.centre: NDArray[np.float64] = centre - data.xpos[platform.id]
-        """Centre of mass [m], (3,)."""
-        self.inertia = np.zeros((3, 3))
-        """About the centre of mass [kg m^2], (3, 3)."""
-        for body in bodies:
-            turn = data.ximat[body].reshape(3, 3)
-            arm = data.xipos[body] - centre
-            self.inertia += turn @ np.diag(model.body_inertia[body]) @ turn.T
-            self.inertia += model.body_mass[body] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-
-
-def payload_spec(
-    cab: str, *, inertia: float = 1.0, centre_of_mass: bool = True, leg_inertia: float = 1.0
-) -> mujoco.MjSpec:
-    """The machine with a cab, its mass properties edited.
+def lumped(
+    cab: Cab, *, inertia: float = 1.0, centre_of_mass: bool = True, leg_mass: float = SMALL
+) -> Cab:
+    """A cab whose payload is one rigid body; control laws do not know.
 
     `inertia` is a factor on the payload's tensor about its centre of mass, which without
-    `centre_of_mass` lies in the platform's centroid; `leg_inertia` one on mass and inertia of
-    cylinders and rods.
+    `centre_of_mass` lies in the platform's centroid; `leg_mass` one on cylinders and rods.
     """
-    payload = Payload(hexapod_spec(cab))
-    spec = hexapod_spec(cab)
-    principal, axes = np.linalg.eigh(payload.inertia)
-    axes *= np.sign(np.linalg.det(axes))
-    for name in payload.bodies:
-        body = spec.body(name)
-        whole = name == "platform"
-        body.mass = payload.mass if whole else 0.0
-        body.inertia = inertia * principal if whole else np.zeros(3)
-        if whole:
-            body.ipos = payload.centre if centre_of_mass else np.zeros(3)
-            body.iquat = Rotation.from_matrix(axes).as_quat(scalar_first=True)
-    for leg in range(1, 7):
-        for part in (f"cylinder_{leg}", f"rod_{leg}"):
-            body = spec.body(part)
-            body.mass *= leg_inertia
-            body.inertia = leg_inertia * np.array(body.inertia)
-    return spec
+    mass, centre, tensor = cab.payload
+    place = centre if centre_of_mass else np.zeros(3)
+    halves: list[dict[str, Any]] = [
+        {"mass": part, "centre_of_mass": place, "inertia": inertia * part / mass * tensor}
+        for part in (cab.platform.mass.si, cab.mass.si)
+    ]
+    return cab.changed(
+        f"{cab.name}, lumped",
+        platform=halves[0],
+        leg_mass=leg_mass,
+        taken_for=cab.known_as,
+        **halves[1],
+    )
 
 
 @dataclass(frozen=True)
@@ -123,20 +90,21 @@ class Rung:
             changes |= {field: getattr(lossy, field) for field in _FRICTION}
         return base.model_copy(update=changes)
 
-    def build(self, cab: str, hydraulics: HydraulicParameters) -> Plant:
+    def build(self, cab: str | Path | Cab, hydraulics: HydraulicParameters) -> Plant:
         """The plant of the rung with a cab and a hydraulic set."""
-        parameters = self.hydraulics(hydraulics)
+        chosen, parameters = load_cab(cab), self.hydraulics(hydraulics)
         if "point_mass" not in self.effects:
             return SingleLegs(parameters)
         if "leg_inertia" in self.effects:
-            return Hexapod(cab, parameters)
-        spec = payload_spec(
-            cab,
-            inertia=1.0 if "payload_inertia" in self.effects else SMALL,
-            centre_of_mass="centre_of_mass" in self.effects,
-            leg_inertia=SMALL,
+            return Hexapod(chosen, parameters)
+        return Hexapod(
+            lumped(
+                chosen,
+                inertia=1.0 if "payload_inertia" in self.effects else SMALL,
+                centre_of_mass="centre_of_mass" in self.effects,
+            ),
+            parameters,
         )
-        return Hexapod(cab, parameters, spec=spec)
 
     def electronics_settings(self, seed: int = 0) -> ElectronicsSettings | None:
         """Sensors and electronics of the rung."""

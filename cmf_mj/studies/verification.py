@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from cmf_mj.core.errors import InputError, MissingExtraError
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility.simulation import drive
+from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
@@ -63,7 +64,7 @@ class Run(NamedTuple):
 class Verification(NamedTuple):
     """The runs of both engines and the reference they are compared with."""
 
-    cab: str  #: `gfd`, `rfd` or `ifd`.
+    cab: str  #: Its name.
     seconds: float  #: Simulated time.
     runs: list[Run]  #: MuJoCo first, largest step first.
     travel: float  #: Largest extension [m].
@@ -78,7 +79,7 @@ def valve_sines(seconds: float) -> NDArray[np.float64]:
 
 
 def in_mujoco(
-    valves: NDArray[np.float64], step: float, cab: str, hydraulics: HydraulicParameters
+    valves: NDArray[np.float64], step: float, cab: Cab, hydraulics: HydraulicParameters
 ) -> Trajectory:
     """The shipped plant on valve commands, as a trajectory of N rows."""
     plant = Hexapod(cab, hydraulics, timestep=step)
@@ -108,7 +109,7 @@ def distance(first: Trajectory, second: Trajectory) -> tuple[float, float]:
 
 
 def verify(
-    cab: str = "gfd",
+    cab: str | Path | Cab = "gfd",
     hydraulics: str | HydraulicParameters = "report",
     *,
     seconds: float = 4.0,
@@ -128,7 +129,7 @@ def verify(
         )
     if round(seconds * RATE) < 2:
         raise InputError(f"seconds: {seconds} must be at least {2 / RATE} s, two frames")
-    parameters = load_hydraulics(hydraulics)
+    chosen, parameters = load_cab(cab), load_hydraulics(hydraulics)
     valves = valve_sines(seconds)
     if not (_TESTS / "crosscheck").is_dir():
         raise MissingExtraError(
@@ -137,14 +138,14 @@ def verify(
         )
     if str(_TESTS) not in sys.path:
         sys.path.append(str(_TESTS))
-    machine = import_module("crosscheck.machine").Machine(Hexapod(cab, parameters))
+    machine = import_module("crosscheck.machine").Machine(Hexapod(chosen, parameters))
     report = progress or (lambda done, total: None)
     trajectories: dict[str, list[Trajectory]] = {engine: [] for engine in ENGINES}
     total = 2 * len(parts)
     for done, count in enumerate(parts):
         step = 1.0 / (RATE * count)
         report(2 * done, total)
-        trajectories["mujoco"].append(in_mujoco(valves, step, cab, parameters))
+        trajectories["mujoco"].append(in_mujoco(valves, step, chosen, parameters))
         report(2 * done + 1, total)
         trajectories["exudyn"].append(machine.run(valves, step))
     report(total, total)
@@ -157,4 +158,4 @@ def verify(
     ]
     uncertainty = distance(extrapolated(coarse, middle), reference)
     travel = float(np.abs(reference.extension).max())
-    return Verification(cab, seconds, runs, travel, *uncertainty)
+    return Verification(chosen.name, seconds, runs, travel, *uncertainty)

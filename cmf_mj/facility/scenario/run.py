@@ -16,6 +16,7 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.states import Request
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME, RATE
+from cmf_mj.facility.binding import bound
 from cmf_mj.facility.scenario.demand import Demand
 from cmf_mj.facility.scenario.settings import Change, Scenario, changed_law
 from cmf_mj.facility.scenario.signal import added
@@ -155,7 +156,7 @@ class ScenarioRun:
         laws = [self._law]
         for due in coming:
             law = changed_law(laws[-1], due.change, due.law)
-            laws.append(law.bound_to(self.plant.law_key))
+            laws.append(bound(law, self.plant.law_key))
         return laws[1:]
 
     def _happen(self, due: _Due) -> None:

@@ -14,8 +14,9 @@ from cmf_mj.core.files import write_text
 from cmf_mj.core.rates import RATE
 from cmf_mj.core.settings import Settings, merged, parsed_toml, validated
 from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.facility.binding import bound
 from cmf_mj.facility.scenario.signal import Signal
-from cmf_mj.machine import models
+from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.plant.events import Event, Kind
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.signals.signal import plain
@@ -150,7 +151,7 @@ class Scenario(Settings):
 
     title: str = ""  #: What it shows.
     plant: Literal["hexapod", "single_legs"] = "hexapod"  #: The machine.
-    cab: Literal["gfd", "rfd", "ifd"] = "gfd"  #: Its cab; single legs have none.
+    cab: str = "gfd"  #: Its cab, `gfd`, `rfd`, `ifd` or a TOML file; single legs have none.
     hydraulics: str = "hardware"  #: `report`, `hardware`, `lossy` or a TOML file.
     law: str = "velocity"  #: Control law by name or TOML file.
     gains: Gains = {}  #: Fields of the law to replace.
@@ -173,7 +174,7 @@ class Scenario(Settings):
         if self.operation is not None and self.plant != "hexapod":
             raise InputError(f"operation: is for the hexapod, plant is {self.plant}")
         load_hydraulics(self.hydraulics)
-        models.cab_path(self.cab)
+        load_cab(self.cab)
         if self.protection is not None:
             load_protection(self.protection)
         law, last = self.begun_law(), 0
@@ -184,19 +185,19 @@ class Scenario(Settings):
             if frame < last:
                 raise InputError(f"change: frame {frame} comes after frame {last}; sort by time")
             last = frame
-            law = changed_law(law, change).bound_to(self.law_key)
+            law = bound(changed_law(law, change), self.law_key)
             if change.request is not None and self.operation is None:
                 raise InputError(f"change: request {change.request!r} needs [operation]")
         return self
 
     @property
-    def law_key(self) -> str:
-        """Key of the machine's hydraulic modes in a law, as of its plant."""
-        return self.cab if self.plant == "hexapod" else self.plant
+    def law_key(self) -> str | Cab:
+        """What a law is bound to, as of its plant."""
+        return load_cab(self.cab).known_as if self.plant == "hexapod" else self.plant
 
     def begun_law(self) -> Law:
         """The law at the start, bound to the machine."""
-        return overlaid_law(load_law(self.law), self.gains).bound_to(self.law_key)
+        return bound(overlaid_law(load_law(self.law), self.gains), self.law_key)
 
     @property
     def frames(self) -> int | None:
@@ -251,7 +252,7 @@ def scenario_toml(scenario: Scenario) -> str:
 
 
 _FILES = (
-    *("hydraulics", "law", "protection", "sensors", "converters", "servo"),
+    *("cab", "hydraulics", "law", "protection", "sensors", "converters", "servo"),
     *("dcu", "limits", "states"),
 )
 """Keys that hold a name or a TOML file."""

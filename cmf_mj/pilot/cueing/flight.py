@@ -7,6 +7,7 @@ stays on its way. The legs have the last word: while they are held back, a degre
 pass its limit by a little. What keeps the limits passes to the bit.
 """
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from cmf_mj.control.limiter import limit_history, make_leg_limiter, make_pose_limiter
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.facility.host.stream import HostStream
+from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.kinematics import DOFS, legs_to_pose, pose_to_legs
 from cmf_mj.machine.leg_motion import leg_motion_to_pose, pose_motion_to_legs
 from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
@@ -115,7 +117,7 @@ def cue(
     motion: PilotMotion,
     washout: str | WashoutSettings = "simona",
     *,
-    cab: str = "gfd",
+    cab: str | Path | Cab = "gfd",
     limits: MotionLimits | None = None,
     senses: Senses | str | None = None,
     rate: float = MOST_RATE,
@@ -153,7 +155,7 @@ def tune(
     motion: PilotMotion,
     washout: str | WashoutSettings = "simona",
     *,
-    cab: str = "gfd",
+    cab: str | Path | Cab = "gfd",
     dofs: tuple[str, ...] = DOFS,
     share: float = 1.0,
     largest_gain: float = 1.0,

@@ -15,7 +15,8 @@ from PIL import Image, ImageDraw, ImageFont
 from cmf_mj.core.errors import InputError, require
 from cmf_mj.core.files import whole_file
 from cmf_mj.machine import models
-from cmf_mj.plant.hexapod import hexapod_spec
+from cmf_mj.machine.cab import recorded_cab
+from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.record.record import Record
 from cmf_mj.show.film.stage import Stage
 from cmf_mj.show.film.strip import Panels, Strip, traces_of
@@ -118,7 +119,7 @@ def model_of(record: Record) -> mujoco.MjModel:
     """The MuJoCo model that a record's `generalised_position` belongs to."""
     plant = record.metadata.get("plant")
     if plant == "hexapod":
-        return hexapod_spec(str(record.metadata["cab"])).compile()
+        return hexapod_model(recorded_cab(record.metadata) or "gfd")
     if plant == "single_legs":
         return mujoco.MjModel.from_xml_path(str(models.model_path("single_legs.xml")))
     raise InputError(f"plant: {plant!r} of the record is not one of hexapod, single_legs")

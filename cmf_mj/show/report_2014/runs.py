@@ -21,6 +21,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.simulation import simulate
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant.build import make_plant
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
@@ -159,7 +160,7 @@ def _commands(spec: RunSpec, quick: bool, seed: int) -> list[signals.Command]:
 def _perform(spec: RunSpec, quick: bool, seed: int) -> CaseResult | tuple[Record, ...]:
     law, size = law_of(spec.law), dof_amplitude(spec.dof)
     if spec.signal == "case":
-        cab = "" if spec.on == "model" else CAB
+        cab = None if spec.on == "model" else load_cab(CAB)
         parameters = hydraulics_of(spec.on)
         return run_case(Case(PLANTS[spec.on], cab, parameters, law, spec.dof, size, quick))
     plant, every = plant_of(spec.on), 1 if spec.signal in ("rise", "sine_5_hz") else RECORD_EVERY

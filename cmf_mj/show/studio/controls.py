@@ -198,7 +198,7 @@ def machine_controls(desk: Desk) -> None:
         desk.again(cab=cab.value, hydraulics=hydraulics.value, protection=protected)
 
     def follow(scenario: Scenario) -> None:
-        cab.value = scenario.cab
+        pick(cab, scenario.cab)
         pick(hydraulics, scenario.hydraulics)
         protection.value = scenario.protection is not None
 

@@ -6,7 +6,7 @@ import viser
 from mjviser import ViserMujocoScene
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.plant.hexapod import hexapod_spec
+from cmf_mj.plant.hexapod import hexapod_model
 
 _PUSH_LENGTH = 5.0
 """Length of the arrow of the largest push [m]."""
@@ -36,7 +36,7 @@ class MachineScene:
         client.scene.reset()
         self._light()
         # A new model: the scene scales the looks of its model.
-        self._model = hexapod_spec(cab).compile()
+        self._model = hexapod_model(cab)
         self._data = mujoco.MjData(self._model)
         with client.atomic():
             self._machine = ViserMujocoScene(client, self._model, num_envs=1)

@@ -30,7 +30,7 @@ from cmf_mj.core.files import write_csv
 from cmf_mj.core.rates import RATE
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.simulation import simulate
-from cmf_mj.machine import models
+from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE
 from cmf_mj.plant.hexapod import Hexapod
@@ -252,7 +252,7 @@ def _flow(plant: Hexapod, record: Record, rows: slice) -> tuple[float, float]:
 
 def performance_envelope(
     law: str | Law = "velocity",
-    cab: str = "gfd",
+    cab: str | Path | Cab = "gfd",
     hydraulics: str | Path | HydraulicParameters = "hardware",
     *,
     dofs: Sequence[str] = DOFS,
@@ -266,8 +266,7 @@ def performance_envelope(
     `least_pressure` of the supply manifold [Pa] defaults to 80 % of the set; `progress` is called
     with (points done, points in all). What is refused is named before anything runs.
     """
-    loaded, parameters = load_law(law), load_hydraulics(hydraulics)
-    models.cab_path(cab)
+    loaded, carried, parameters = load_law(law), load_cab(cab), load_hydraulics(hydraulics)
     allowed = least_allowed(parameters, least_pressure)
     for field, chosen in (("dofs", dofs), ("frequencies", frequencies)):
         if not chosen:
@@ -281,13 +280,13 @@ def performance_envelope(
     cases = [(dof, float(frequency)) for dof in dofs for frequency in frequencies]
 
     def point(case: tuple[str, float]) -> EnvelopePoint:
-        return largest_sine(Hexapod(cab, parameters), loaded, *case, least_pressure=allowed)
+        return largest_sine(Hexapod(carried, parameters), loaded, *case, least_pressure=allowed)
 
     points = on_threads(point, cases, jobs, progress)
-    plant = Hexapod(cab, parameters)
+    plant = Hexapod(carried, parameters)
     return Envelope(
         loaded.name,
-        cab,
+        carried.name,
         parameters.name,
         allowed,
         tuple(points),

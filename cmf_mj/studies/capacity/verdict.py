@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.control.law import Law
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.simulation import simulate
+from cmf_mj.machine.cab import Cab
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -104,7 +105,7 @@ def relief_flow(parameters: HydraulicParameters, record: Record) -> NDArray[np.f
 def capacity(
     command: Command | ArrayLike,
     law: str | Law = "velocity",
-    cab: str = "gfd",
+    cab: str | Path | Cab = "gfd",
     hydraulics: str | Path | HydraulicParameters = "hardware",
     *,
     plant: Plant | None = None,

@@ -14,23 +14,23 @@ K_i / (k K_p^2) of the jump, for K_p / K_i seconds.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control.coordinates import MODES, Modes
+from cmf_mj.control.coordinates import Modes
 from cmf_mj.control.law import Gains, Law, ReferenceModel, load_law
 from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.control.plan import Plan
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
+from cmf_mj.facility.binding import nominal_modes
+from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.models import CABS
-from cmf_mj.plant.cylinder import stiffness
-from cmf_mj.plant.hexapod import Hexapod, oil_modes
+from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.loading import load_hydraulics
-from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.studies.case import REPORT_AMPLITUDES
 from cmf_mj.studies.tuning.evaluation import LinearCab, linear_cab
@@ -77,33 +77,7 @@ class Form(NamedTuple):
     """Frequency to which its reference can follow the chirp [Hz]."""
 
 
-def nominal_modes(plant: Plant) -> Modes:
-    """Hydraulic modes of a plant at neutral: orthonormal shapes of its reflected mass.
-
-    The plant has six legs, whose oil springs are alike there.
-    """
-    if plant.legs != MODES:
-        raise InputError(f"plant: {plant.name} has {plant.legs} legs; hydraulic modes need {MODES}")
-    hydraulics = plant.hydraulics
-    springs = stiffness(hydraulics.cylinder, hydraulics.oil.bulk_modulus, np.zeros(MODES))
-    if np.ptp(springs) > 1e-9 * springs.max():
-        raise InputError(
-            f"hydraulics: springs of {plant.parameters.name} are {springs.min():.6g} to "
-            f"{springs.max():.6g} N/m; they must be alike"
-        )
-    frequency, shapes = oil_modes(plant.reflected_mass(), springs)
-    mass = 1.0 / np.sum(shapes**2, axis=0)
-    shapes = shapes * np.sqrt(mass)
-    shapes = shapes * np.sign(shapes[np.abs(shapes).argmax(axis=0), range(MODES)])
-    return Modes(
-        source=f"{plant.name} {plant.cab}".strip() + f", {plant.parameters.name} set, at neutral",
-        frequency=tuple((frequency / (2.0 * np.pi)).tolist()),
-        mass=tuple((mass / units.POUND_MASS).tolist()),
-        shape=tuple(tuple(row) for row in shapes.T.tolist()),
-    )
-
-
-def make_template(name: str, title: str, cabs: Sequence[str] = CABS) -> Template:
+def make_template(name: str, title: str, cabs: Sequence[str | Path | Cab] = CABS) -> Template:
     """What a search needs besides the form."""
     plants = [Hexapod(cab) for cab in cabs]
     modes = {plant.cab: nominal_modes(plant) for plant in plants}
@@ -113,7 +87,7 @@ def make_template(name: str, title: str, cabs: Sequence[str] = CABS) -> Template
         np.abs(np.array(modes[cab.cab].shape) @ cab.jacobian * REPORT_AMPLITUDES).max(axis=1)
         for cab in linear
     ]
-    known = modes | {legs.law_key: nominal_modes(legs)}
+    known = modes | {legs.name: nominal_modes(legs)}
     return Template(name, title, known, np.max(moved, axis=0) / units.INCH, linear)
 
 
