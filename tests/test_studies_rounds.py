@@ -1,5 +1,6 @@
 """One plant and law, measured in every way the project has: the figures agree."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,21 @@ def test_files_without_their_own_metadata_read_alike(files: list[Path], tmp_path
     assert without.phase_hz == pytest.approx(with_dwells.phase_hz, rel=0.03)
 
 
+def test_the_report_joins_its_files_and_finds_the_same_bandwidths(files: list[Path]) -> None:
+    """Appendix A's estimator over the five files end to end, against fits over the whole cycles of
+    each sine: 1 % of both bandwidths. The rests between do not spoil it."""
+    read = [read_facility_csv(path) for path in files]
+    fitted = bandwidths(rounds_response(read, "heave"))
+    joined = rounds_response(read, "heave", estimator="report")
+    spacing = read[0].rate / sum(record.time.size for record in read)
+    np.testing.assert_allclose(np.diff(joined.frequency), spacing, rtol=1e-9)
+    found = bandwidths(joined)
+    assert found.phase_hz == pytest.approx(fitted.phase_hz, rel=0.01)
+    assert found.gain_hz == pytest.approx(fitted.gain_hz, rel=0.01)
+    with pytest.raises(ValueError, match="estimator: 'h2' is for one record; allowed: h1, report"):
+        rounds_response(read, "heave", estimator="h2")
+
+
 def test_the_matrix_of_one_run_has_the_single_axis_responses_on_its_diagonal() -> None:
     """Six degrees of freedom at once at a tenth of the report's amplitudes, single legs: 3 % of
     the small-signal response between 0.5 and 5 Hz, and heave is driven by heave alone."""
@@ -119,6 +135,14 @@ def test_record_and_measure_from_the_command_line(tmp_path: Path) -> None:
     measured = CliRunner().invoke(app, ["measure", *map(str, files), "--out", str(out)])
     assert measured.exit_code == 0, measured.output
     assert "-90 deg bandwidth   2.7" in measured.output
+    joined = CliRunner().invoke(
+        app,
+        ["measure", *map(str, files), "--estimator", "report", "--out", str(tmp_path / "j")],
+    )
+    assert joined.exit_code == 0, joined.output
+    summary = json.loads((tmp_path / "j" / "summary.json").read_text())
+    assert summary["estimator"] == "report"
+    assert summary["bandwidths"]["phase_hz"] == pytest.approx(2.7, abs=0.05)
     assert sorted(path.name for path in out.iterdir()) == [
         "response.csv",
         "response.png",

@@ -35,6 +35,9 @@ from cmf_mj.signals.single import Multisine
 DRIVEN_SHARE = 1e-2
 """Demand power over its largest line from which on a line of single sines counts as driven."""
 
+_HIGHEST = 10.5
+"""Highest line of rounds [Hz], above the 10 Hz of Table 2-3."""
+
 NO_DEMAND = 1e-9
 """Demand [m or rad] that is round-off of the transformation to a degree of freedom."""
 
@@ -188,15 +191,23 @@ def _band(command: Signal, rate: float, segment: float) -> tuple[float, float]:
 
 
 def rounds_response(
-    records: Sequence[Record], dof: str | None = None, *, segment: float = SEGMENT
+    records: Sequence[Record],
+    dof: str | None = None,
+    *,
+    segment: float = SEGMENT,
+    estimator: Estimator = "h1",
 ) -> FrequencyResponse:
     """One response from several records of single sines, such as the facility's five rounds.
 
-    Where a record carries its dwells, each is fitted by least squares over whole cycles. Records
-    without are put end to end, as the report does, estimated by Welch's method, and of its lines
-    those are kept that the demand drives. `dof` is a degree of freedom or a leg, default the one
-    the first command moved.
+    `h1`: where a record carries its dwells, each is fitted by least squares over whole cycles.
+    Records without are put end to end, estimated by Welch's method, and of its lines those are kept
+    that the demand drives. `report`: as Appendix A does it, all records end to end in their order,
+    a straight line taken off, and its estimator over the whole, all lines up to 10.5 Hz, those
+    between the sines too. `dof` is a degree of freedom or a leg, default the one the first command
+    moved. Raises `InputError` for `h2` and `hv`, no records, rates that differ, or no demand.
     """
+    if estimator not in ("h1", "report"):
+        raise InputError(f"estimator: {estimator!r} is for one record; allowed: h1, report")
     if not records:
         raise InputError("records: none given; at least one is needed")
     rates = sorted({record.rate for record in records})
@@ -209,6 +220,9 @@ def rounds_response(
     ]
     if max(np.ptp(x) for x, _ in pairs) < NO_DEMAND:
         raise InputError(f"dof: the records hold no demand in {chosen}")
+    if estimator == "report":
+        x, y = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+        return _wrapped(report_response(x, y, rates[0], band=(2.0 / segment, _HIGHEST)))
     if all(record.signal.dwells for record in records):
         fits = []
         for record, (x, y) in zip(records, pairs, strict=True):
@@ -224,7 +238,9 @@ def rounds_response(
     x, y = (
         np.concatenate([part - part[0] for part in parts]) for parts in zip(*pairs, strict=True)
     )
-    estimate = welch_response(x, y, rates[0], segment=segment, band=(2.0 / segment, 10.5), pad=True)
+    estimate = welch_response(
+        x, y, rates[0], segment=segment, band=(2.0 / segment, _HIGHEST), pad=True
+    )
     _, power = signal.welch(x, rates[0], nperseg=round(segment * rates[0]))
     spectrum = np.interp(estimate.frequency, np.arange(power.size) / segment, power)
     kept = spectrum > DRIVEN_SHARE * spectrum.max()

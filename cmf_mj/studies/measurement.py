@@ -261,12 +261,15 @@ class RecordingMeasures(NamedTuple):
 
 
 def measure_recordings(files: Sequence[Path], dof: str, estimator: str) -> RecordingMeasures:
-    """Measure the response in recordings; several, or one of single sines, are rounds of one."""
-    check_name("estimator", estimator, get_args(Estimator))
+    """Measure the response in recordings; several, or one of single sines, are rounds of one.
+
+    The estimator of rounds is `h1` or `report`, as in `rounds_response`.
+    """
+    chosen = cast("Estimator", check_name("estimator", estimator, get_args(Estimator)))
     records = [read_recording(path) for path in files]
     if len(records) > 1 or records[0].signal.dwells:
-        response = rounds_response(records, dof)
+        response = rounds_response(records, dof, estimator=chosen)
     else:
-        response = frequency_response(records[0], dof, estimator=cast("Estimator", estimator))
+        response = frequency_response(records[0], dof, estimator=chosen)
     fit = metrics.fit_second_order(response.frequency, response.response)
     return RecordingMeasures(tuple(files), dof, estimator, response, fit)

@@ -28,7 +28,7 @@ _EQUATIONS = {1: ("4.11", "4.12", "4.13"), 2: ("4.14", "4.15", "4.16"), 3: ("4.1
 _SIGNAL_TITLES = {
     1: "a pulse of 1 in",
     2: "a sine of 1 in at 1 Hz",
-    3: "the third round of Table 2-3, 3.4 to 5.4 Hz",
+    3: "the five rounds of Table 2-3, end to end",
 }
 _DASHES: tuple[Dash, Dash] = ("solid", "dash")
 """Of the report's model and of ours."""
@@ -56,15 +56,20 @@ def _driven(
 def _measured(runs: Runs, signal: Signal) -> tuple[NDArray[np.float64], ...]:
     """Time, command less its mean [%], position [in], velocity [in/s], acceleration [g].
 
-    Of the sweep its third round, 3.4 to 5.4 Hz, the band chapter 4 aims at.
+    The five rounds of the sweep are put end to end, as section 4.3.3 says.
     """
-    record = runs.records("machine", "velocity", signal)[2 if signal == "rounds" else 0]
+    records = runs.records("machine", "velocity", signal)
+    begins = np.cumsum([0.0, *(record.time.size / record.rate for record in records[:-1])])
+    time = [r.time - r.time[0] + begin for r, begin in zip(records, begins, strict=True)]
+    command = np.concatenate([record["valve_command"][:, 0] for record in records])
     return (
-        record.time - record.time[0],
-        100.0 * (record["valve_command"][:, 0] - record["valve_command"][:, 0].mean()),
-        leg_motion(record, "leg_position", "in"),
-        leg_motion(record, "leg_velocity", "in/s"),
-        record["leg_acceleration"][:, 0] / units.STANDARD_GRAVITY,
+        np.concatenate(time),
+        100.0 * (command - command.mean()),
+        *(
+            np.concatenate([leg_motion(record, channel, unit) for record in records])
+            for channel, unit in (("leg_position", "in"), ("leg_velocity", "in/s"))
+        ),
+        np.concatenate([r["leg_acceleration"][:, 0] for r in records]) / units.STANDARD_GRAVITY,
     )
 
 
@@ -93,9 +98,10 @@ def _fit(measured: NDArray[np.float64], modelled: NDArray[np.float64]) -> str:
 
 
 def open_loop(runs: Runs, figure: ReportFigure) -> Drawing:
-    """A model driven from rest at `begin` [s] by the recorded command."""
-    number, begin, span = (figure.options[name] for name in ("number", "begin", "span"))
+    """A model driven from rest at `begin` [s] by the recorded command; default `span` all of it."""
+    number, begin = (figure.options[name] for name in ("number", "begin"))
     time, *histories = _measured(runs, IDENTIFIED_ON[number])
+    span = figure.options.get("span", (begin, float(time[-1])))
     driven = (time >= begin) & (time <= span[1])
     time, command, *measured = (values[driven] for values in (time, *histories))
     step = time[1] - time[0]
