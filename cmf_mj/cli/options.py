@@ -94,6 +94,7 @@ OtherLaw = Annotated[str | None, name_or_file(LAWS, "LAW", "default that of the 
 Laws = Annotated[list[str], name_or_file(LAWS, "LAWS", _MANY_LAWS, every=_REPORT)]
 Cab = Annotated[str, name_or_file(CABS, "CAB", "gfd, rfd, ifd or TOML file")]
 Cabs = Annotated[list[str], name_or_file(CABS, "CABS", "gfd, rfd, ifd, TOML files, or `all`")]
+OtherCab = Annotated[str | None, name_or_file(CABS, "CAB", "in place of the scenario's")]
 PlantName = Annotated[str, choice(_PLANTS, "PLANT", "hexapod or single_legs")]
 Plants = Annotated[list[str], choice(_PLANTS, "PLANTS", "hexapod, single_legs, or `all`")]
 Hydraulics = Annotated[str, name_or_file(OIL, "SET", _SETS)]

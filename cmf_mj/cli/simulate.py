@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, in_si, noise_choice, progress_bar, quantity, show, written
+from cmf_mj.cli.common import (
+    app,
+    changed_scenario,
+    in_si,
+    noise_choice,
+    progress_bar,
+    quantity,
+    show,
+    written,
+)
 from cmf_mj.cli.options import argument, file, name_or_file, size
 from cmf_mj.core.errors import InputError
 
@@ -32,6 +41,7 @@ _SIZE = "of translations; rotations 0.2 deg and steps 1 in to 0.33 in"
 @command("run")
 def run_command(
     scenario: options.Scenario = "",
+    cab: options.OtherCab = None,
     out: options.NamedOut = None,
     schema: Annotated[bool, Option("--schema", help="print a scenario's JSON schema")] = False,
 ) -> None:
@@ -48,7 +58,7 @@ def run_command(
         for name in scenario_names():
             show(f"{name:24} {load_scenario(name).title}")
         return
-    chosen = load_scenario(scenario)
+    chosen = changed_scenario(load_scenario(scenario), cab=cab)
     with progress_bar() as progress:
         record = run_scenario(chosen, progress=progress)
     folder = out or Path("out/run") / Path(scenario).stem

@@ -22,6 +22,7 @@ _CALIBRATED, _TUNED = "report, hardware, hardware_lag, or `all`", Path("out/tune
 _READY, _TABLES = "studies.settings:ready_studies", "studies.calibration.definition:load_studies"
 
 Laws = Annotated[list[str] | None, name_or_file(options.LAWS, "LAWS", "instead of the study's")]
+SomeCabs = Annotated[list[str] | None, name_or_file(options.CABS, "CABS", "instead of the study's")]
 SomeDofs = Annotated[list[str] | None, choice(options.DOFS, "DOFS", "instead of the study's")]
 Workers = Annotated[str, choice(_BACKEND, "BACKEND", "threading, loky (processes) or dask")]
 Address = Annotated[str | None, Option(help="address of a running Dask scheduler")]
@@ -57,6 +58,7 @@ def study_command(
     specification: Annotated[str, argument(_READY, "STUDY", "name or TOML file", free=True)],
     out: options.NamedOut = None,
     laws: Laws = None,
+    cabs: SomeCabs = None,
     draws: Annotated[int | None, Option(help="random samples of the machine")] = None,
     jobs: options.Jobs = None,
     backend: Workers = "loky",
@@ -65,7 +67,7 @@ def study_command(
     """Run a study of many cases, or what is left of it; the same command resumes it."""
     folder = out or Path("out") / Path(specification).stem
     how = {"jobs": jobs, "backend": backend, "scheduler": scheduler}
-    _run(specification, folder, laws, how, draws=draws)
+    _run(specification, folder, laws, how, cabs=cabs, draws=draws)
 
 
 @command("ablation")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, progress_bar, quantity, show
+from cmf_mj.cli.common import app, changed_scenario, progress_bar, quantity, show
 from cmf_mj.cli.options import argument, choice
 from cmf_mj.core.errors import InputError, require
 
@@ -22,23 +22,13 @@ command = partial(app.command, rich_help_panel="Simulate")
 _Law = Annotated[
     str | None, choice(options.LAWS, "LAW", "law in place of the scenario's", free=True)
 ]
-_Cab = Annotated[str | None, choice(options.CABS, "CAB", "in place of the scenario's", free=True)]
-
-
-def _with(scenario: Any, **fields: object) -> Any:
-    """A scenario with other fields, checked anew; None leaves a field."""
-    from cmf_mj.facility.scenario.settings import scenario_of
-
-    changes = {name: value for name, value in fields.items() if value is not None}
-    kept = scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
-    return scenario_of(kept | changes, "options")
 
 
 @command("view")
 def view_command(
     scenario: options.Scenario = "heave_sine",
     law: _Law = None,
-    cab: _Cab = None,
+    cab: options.OtherCab = None,
     speed: options.Speed = 1.0,
     dof: Annotated[
         str | None, choice(options.DOFS, "DOF", "an endless sine along it instead")
@@ -60,9 +50,9 @@ def view_command(
     if dof is not None:
         size = list(quantity("amplitude", amplitude))
         sine = [{"kind": "sine", "dof": dof, "amplitude": size, "frequency": frequency}]
-    chosen = _with(load_scenario(scenario), law=law, cab=cab, signal=sine)
+    chosen = changed_scenario(load_scenario(scenario), law=law, cab=cab, signal=sine)
     if sine is not None:
-        chosen = _with(chosen, duration="open")
+        chosen = changed_scenario(chosen, duration="open")
 
     def save(run: ScenarioRun) -> None:
         show(f"written: {save_scenario(run.scenario(), file)}")
@@ -84,7 +74,7 @@ def video_command(
     laws: Annotated[
         list[str] | None, choice(options.LAWS, "LAWS", "laws next to each other", free=True)
     ] = None,
-    cab: _Cab = None,
+    cab: options.OtherCab = None,
     file: Annotated[Path, Option(metavar="FILE", help="MP4 or GIF file")] = Path("out/video.mp4"),
     fps: options.Fps = 30,
     speed: options.Speed = 1.0,
@@ -112,7 +102,7 @@ def video_command(
                 continue
             base = load_scenario(source)
             for law in laws or [base.law]:
-                one = _with(base, law=law, cab=cab)
+                one = changed_scenario(base, law=law, cab=cab)
                 records.append(run_scenario(one, progress=progress))
                 titles.append(one.law if laws else one.title or Path(source).stem)
     settings = FilmSettings(fps, speed, camera, width, height, start=start, seconds=seconds)

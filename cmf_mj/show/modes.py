@@ -1,6 +1,7 @@
 """Tables, figures and files of the hydraulic modes."""
 
 from collections.abc import Iterable, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Literal
 
@@ -21,7 +22,7 @@ from cmf_mj.show.table import Table
 PLANES = (("surge", "pitch"), ("sway", "roll"), ("heave", "yaw"))
 """Planes of the maps: the two coupled pairs, and the rest."""
 
-_STYLES: tuple[Literal["-", "--", ":"], ...] = ("-", "--", ":")
+_STYLES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 _SIX = range(1, 7)
 _POSE_HEADER = ["cab", *(f"{dof}_{dof_unit(dof)}" for dof in DOFS)]
 
@@ -68,7 +69,7 @@ def sweep_figure(cabs: Sequence[str], sweeps: Sequence[Sequence[Sweep]]) -> Figu
     """Six modes along each degree of freedom; a line style a cab."""
     figure = new_figure(10.0, 6.8)
     panels = figure.subplots(2, 3, sharey=True)
-    for style, of_cab in zip(_STYLES, sweeps, strict=False):
+    for style, of_cab in zip(cycle(_STYLES), sweeps, strict=False):
         for axis, one in zip(panels.flat, of_cab, strict=True):
             along = units.from_si(dof_unit(one.dof), one.excursion)
             for mode, colour in zip(one.frequency_hz.T, COLOURS, strict=False):
@@ -82,7 +83,7 @@ def sweep_figure(cabs: Sequence[str], sweeps: Sequence[Sequence[Sweep]]) -> Figu
     entries = [Line2D([], [], color=COLOURS[i - 1], label=f"mode {i}") for i in _SIX]
     entries += [
         Line2D([], [], color=DARK, linestyle=style, label=cab.upper())
-        for cab, style in zip(cabs, _STYLES, strict=False)
+        for cab, style in zip(cabs, cycle(_STYLES), strict=False)
     ]
     figure.legend(handles=entries, loc="outside lower center", ncols=len(entries), fontsize=8)
     figure.suptitle("Hydraulic modes along each degree of freedom, all others at neutral")
