@@ -39,7 +39,7 @@ SINGLE = ("valve_hard_over", "valve_jammed", "valve_dead")
 def hardware() -> dict[str, FailureResult]:
     events = [default_event(kind, AT) for kind in KINDS]
     events += [default_event(kind, AT, valve=1) for kind in SINGLE]
-    return {label(r): r for r in run_failures(events, after=14.0)}
+    return {label(r): r for r in run_failures(events, after=14.0, jobs=1)}
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,8 @@ def lossy() -> dict[str, FailureResult]:
     results = []
     for after, kinds in ((14.0, long), (6.0, [kind for kind in KINDS if kind not in long])):
         events = [default_event(kind, AT) for kind in kinds]
-        results += run_failures(events, make_case("velocity", hydraulics="lossy"), after=after)
+        lossy = make_case("velocity", hydraulics="lossy")
+        results += run_failures(events, lossy, after=after, jobs=1)
     return {label(result): result for result in results}
 
 
@@ -57,7 +58,7 @@ def lossy() -> dict[str, FailureResult]:
 def unprotected() -> dict[str, FailureResult]:
     events = [default_event(kind, AT) for kind in KINDS]
     events.append(default_event("valve_hard_over", AT, valve=1))
-    return {label(r): r for r in run_failures(events, after=6.0, protection=None)}
+    return {label(r): r for r in run_failures(events, after=6.0, protection=None, jobs=1)}
 
 
 def physical(result: FailureResult, supply: float = SUPPLY) -> None:

@@ -104,6 +104,7 @@ class Case:
         `command` is added to the pose of the case; the record has a sample every `every` frames.
         """
         pose = command.pose + np.asarray(self.pose)
+        pose.setflags(write=False)  # the command then takes it without a copy
         return simulate(
             self.build() if plant is None else plant,
             self.law,
