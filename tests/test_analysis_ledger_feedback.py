@@ -3,14 +3,17 @@
 import control
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from shared import SINGLE, chirp_bandwidths, printed, report_leg
 
 from cmf_mj import SingleLegs, signals, simulate
 from cmf_mj.analysis.ledger import LedgerEntry
+from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.catalogue import hardware_velocity, report_model
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
+from cmf_mj.analysis.linear.reduction import leg_model
 from cmf_mj.analysis.linear.second_order import FeedbackLoop, characteristics
-from cmf_mj.analysis.measures import Measures, measure_loop
+from cmf_mj.analysis.measures import Measures, least_damped_mode, measure_loop
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
@@ -264,3 +267,24 @@ def test_tables_3_5_and_d_2_are_two_laws(entry: LedgerEntry) -> None:
             assert np.isnan(widths["surge"].gain_hz) and np.isnan(widths["heave"].gain_hz)
             print_ = printed("D-2", "acceleration", dof="surge").phase_bandwidth_hz
             assert widths["surge"].phase_hz == pytest.approx(print_, rel=0.01)
+
+
+def test_the_leg_mode_is_damped_more_than_eq_4_1_says(entry: LedgerEntry) -> None:
+    """Leak rates at which the leg mode of each loop stands still, over twice its frequency."""
+    shipped = load_hydraulics("report")
+    frequency = np.abs(report_model("4.1").poles()[np.argmax(report_model("4.1").poles().imag)])
+
+    def least(law: str, leak: float) -> float:
+        rate = shipped.leak_rate.model_copy(update={"value": leak})
+        leg = SingleLegs(shipped.model_copy(update={"leak_rate": rate}))
+        loop = closed_loop(law, leg_model(linearize(leg), 1))
+        return least_damped_mode(loop.poles())[0]
+
+    still = {}
+    for law in ("velocity_error", "force"):
+        leak = brentq(lambda value, law=law: least(law, value), shipped.leak_rate.value, 8.0)
+        still[law] = leak / (2.0 * frequency)
+        name = f"{law.replace('_', ' ')} feedback stable from"
+        assert still[law] == pytest.approx(entry.figure(name), abs=2e-4)
+    assert shipped.leak_rate.value / (2.0 * frequency) == pytest.approx(0.0114, abs=1e-4)
+    assert 0.0114 < still["velocity_error"] < still["force"]

@@ -117,7 +117,7 @@ def test_table_2_4_judges_each_row_by_its_tolerance(content: Content) -> None:
         for of in ("hardware", "non-linear model")
         for quantity in ("-90 deg", "-3 dB", "damping ratio")
     ]
-    allowed = {"-90 deg": 0.1, "-3 dB": 0.15, "damping ratio": 0.1}
+    allowed = {"-90 deg": 0.1, "-3 dB": 0.12, "damping ratio": 0.1}
     for row in rows:
         limit = 0.1 if row.of == "hardware" else allowed[row.quantity]
         off = row.computed - row.printed
@@ -204,12 +204,6 @@ def test_force_table_ends_with_what_the_report_prints(studied: Content) -> None:
     rows = tables_of(studied)["force-readings"].cells
     assert len(rows) == len(FORCE_READINGS) + 1
     assert rows[-1][4] == "25" and rows[-1][7:9] == ["5.5", "6"]
-
-
-def test_unfitted_laws_are_reported_without_a_verdict() -> None:
-    for law in ("force", "combined_rate"):
-        assert law in tables.REPORTED
-        assert any(row.law == law for row in published_results())
 
 
 def test_shipped_gains_are_the_printed_ones_but_for_two_readings() -> None:

@@ -12,7 +12,7 @@ from cmf_mj.machine.models import CABS
 
 
 def test_acceleration_feedback_reproduces_table_3_5() -> None:
-    """One set of parameters: -90 deg within 10 %, -3 dB within 15 %. The rows of the other laws,
+    """One set of parameters: -90 deg within 10 %, -3 dB within 12 %. The rows of the other laws,
     damping included, are held to their tolerances in test_studies_calibration.py."""
     widths = chirp_bandwidths("single_legs", "acceleration", "heave", hydraulics="report")
     (row,) = (
@@ -21,7 +21,7 @@ def test_acceleration_feedback_reproduces_table_3_5() -> None:
         if (row.table, row.law, row.dof, row.of) == ("3-5", "acceleration", "heave", "nonlinear")
     )
     assert widths.phase_hz == pytest.approx(row.phase_bandwidth_hz, rel=0.10)
-    assert widths.gain_hz == pytest.approx(row.gain_bandwidth_hz, rel=0.15)
+    assert widths.gain_hz == pytest.approx(row.gain_bandwidth_hz, rel=0.12)
 
 
 @pytest.mark.slow

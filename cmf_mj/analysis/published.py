@@ -14,16 +14,25 @@ _GAINS = Path(__file__).with_name("published_gains.toml")
 Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuples)]
 """A list of numbers of a table."""
 
-_READ_AS = {("D-2", "acceleration"): "acceleration_d2"}
+_READ_AS = {
+    ("D-2", "acceleration"): "acceleration_d2",
+    ("3-2", "combined_rate"): "combined_rate_1_8",
+}
 """The law whose results a printed row holds, by table and law, where it is not the law as named."""
+
+_AS_PRINTED = {"acceleration": "acceleration_eq_3_6"}
+"""The law with the printed filter, by the law that the report names."""
 
 _OTHERS = {
     "acceleration_eq_3_6": "acceleration",
     "acceleration_opposing": "acceleration",
-    "combined_rate_1_8": "combined_rate",
+    "combined_rate": "combined_rate",
     "original_as_printed": "original",
 }
 """Other readings of a law's gains, compared with all rows that name the law."""
+
+Names = Annotated[tuple[str, ...], BeforeValidator(as_tuples)]
+"""A list of names of a table."""
 
 
 class Published(Settings):
@@ -37,11 +46,23 @@ class Published(Settings):
     phase_bandwidth_hz: float | None = None
     gain_bandwidth_hz: float | None = None
     damping_ratio: float | None = None
+    oscillation_hz: float | None = None  #: Of the legs after a step.
+    acceleration_g: float | None = None  #: Of the legs after a step: at least this.
+    not_available: Names = ()  #: Quantities that the report prints N/A for.
 
     @property
     def read_as(self) -> str:
         """The law of `laws.toml` whose results these are."""
         return _READ_AS.get((self.table, self.law), self.law)
+
+    @property
+    def printed_as(self) -> str:
+        """The law of `laws.toml` with gains and filter as printed."""
+        return _AS_PRINTED.get(self.law, self.law)
+
+    def is_of(self, law: str) -> bool:
+        """Whether a law of `laws.toml` is compared with this row."""
+        return law == self.read_as or _OTHERS.get(law) == self.law
 
 
 class PublishedGains(Settings):
@@ -53,7 +74,7 @@ class PublishedGains(Settings):
     b: Numbers  #: B, a column a signal.
     c: float
     d: Numbers  #: D, a column a signal.
-    signals: Annotated[tuple[str, ...], BeforeValidator(as_tuples)]  #: What the columns act on.
+    signals: Names  #: What the columns act on.
 
 
 @lru_cache
@@ -80,12 +101,7 @@ def published(law: str, dof: str, hydraulics: str) -> Published | None:
     Runs with the `report` hydraulics are compared with the report's non-linear model; others
     with the hardware where it was measured, with the non-linear model where it was not.
     """
-    named = _OTHERS.get(law)
-    rows = {
-        row.of: row
-        for row in published_results()
-        if row.dof == dof and (row.law == named or row.read_as == law)
-    }
+    rows = {row.of: row for row in published_results() if row.dof == dof and row.is_of(law)}
     kinds = ("nonlinear",) if hydraulics == "report" else ("hardware", "nonlinear")
     for of in kinds:
         if of in rows and rows[of].phase_bandwidth_hz is not None:

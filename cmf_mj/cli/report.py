@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from typer import Argument, Option
 
@@ -12,9 +12,6 @@ from cmf_mj.cli import options
 from cmf_mj.cli.common import app, progress_bar, show, written
 from cmf_mj.cli.options import argument
 from cmf_mj.core.errors import require
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 command = partial(app.command, rich_help_panel="The report")
 listing = partial(app.command, rich_help_panel="Show")
@@ -44,25 +41,18 @@ def report_command(
     quick: options.Quick = False,
 ) -> None:
     """Reproduce the 2014 report on one HTML page, printed results next to ours."""
-    from rich.table import Table
-
     for package in ("plotly", "jinja2"):
         require(package, "report")
     from cmf_mj.show.report_2014.page import make_content, save_page
-    from cmf_mj.show.report_2014.tables import result_rows
+    from cmf_mj.show.report_2014.sections import summary
 
     with progress_bar() as update:
         content = make_content(
             _numbers(figures), _numbers(tables), jobs=jobs, quick=quick, seed=seed, progress=update
         )
     path = save_page(content, out)
-    summary = Table("table", "within", "outside", "reported", title="rows by verdict")
-    for table in content.tables:
-        verdicts = [row.within for row in result_rows(content.runs, table)]
-        counts = (verdicts.count(True), verdicts.count(False), verdicts.count(None))
-        summary.add_row(table, *map(str, counts))
     size = path.stat().st_size / 1e6
-    parts: list[Table | str] = [summary] if content.tables else []
+    parts = [part.table for part in summary(content)]
     show(*parts, f"written to {path}: {len(content.figures)} figures, {size:.1f} MB")
 
 

@@ -13,7 +13,7 @@ from cmf_mj.show.table import Table
 CONTENTS: Mapping[str, Any] = read_toml(Path(__file__).with_suffix(".toml"))
 """The tables of `contents.toml`."""
 
-VERDICTS = {True: "within", False: "outside", None: "reported"}
+VERDICTS = {True: "within", False: "outside"}
 
 
 class PageTable(NamedTuple):

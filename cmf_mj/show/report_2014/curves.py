@@ -49,7 +49,7 @@ def printed(
     rows = [
         row
         for row in published_results()
-        if (row.read_as, row.dof, row.of) == (law, dof, of) and table in ("", row.table)
+        if row.is_of(law) and (row.dof, row.of) == (dof, of) and table in ("", row.table)
     ][-1:]
     gains, phases = (
         [Curve(name, np.array([f]), np.array([level]), colour, marks=True) for f in widths if f]

@@ -12,7 +12,7 @@ from cmf_mj.show.report_2014.contents import CONTENTS, Content, ReportFigure, sp
 from cmf_mj.show.report_2014.drawing import figure_height, plotly_json
 from cmf_mj.show.report_2014.force import FORCE_NEEDS
 from cmf_mj.show.report_2014.runs import perform
-from cmf_mj.show.report_2014.sections import CALIBRATION_NEEDS, sections_of
+from cmf_mj.show.report_2014.sections import CALIBRATION_NEEDS, sections_of, summary
 from cmf_mj.show.report_2014.statements import STATEMENT_NEEDS
 from cmf_mj.show.report_2014.tables import TITLES, table_needs
 
@@ -97,5 +97,7 @@ def render(content: Content) -> str:
 
 
 def save_page(content: Content, folder: Path) -> Path:
-    """Write `report.html`; it appears only when it is complete."""
+    """Write `report.html`, complete when it appears, and its `summary` as `verdicts.md` and on."""
+    for part in summary(content):
+        part.table.save(folder / f"{part.anchor}.md")
     return write_text(folder / "report.html", render(content))

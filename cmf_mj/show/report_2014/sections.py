@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from cmf_mj.analysis.ledger import load_ledger
 from cmf_mj.show.listing import figures_text
 from cmf_mj.show.report_2014 import force, provenance
+from cmf_mj.show.report_2014.accounting import agreement_table, verdict_table
 from cmf_mj.show.report_2014.contents import (
     CONTENTS,
     VERDICTS,
@@ -21,7 +22,14 @@ from cmf_mj.show.report_2014.contents import (
 from cmf_mj.show.report_2014.curves import law_title
 from cmf_mj.show.report_2014.runs import HYDRAULICS, On, Runs, RunSpec
 from cmf_mj.show.report_2014.statements import rest_rows, statement_rows
-from cmf_mj.show.report_2014.tables import TITLES, TOLERANCES, gain_rows, limit_rows, result_rows
+from cmf_mj.show.report_2014.tables import (
+    TITLES,
+    TOLERANCES,
+    ResultRow,
+    gain_rows,
+    limit_rows,
+    result_rows,
+)
 from cmf_mj.show.table import number
 from cmf_mj.studies.calibration.definition import Study, load_studies
 from cmf_mj.studies.calibration.fit import residual_rows
@@ -37,9 +45,23 @@ CALIBRATION_NEEDS = tuple(
 """Runs that the residuals are read from."""
 
 
+def summary(content: Content) -> list[PageTable]:
+    """Verdicts by table, and with all tables the shares of agreement."""
+    tables = [verdict_table(content.runs, content.tables)] if content.tables else []
+    whole = len(content.tables) == len(TITLES)
+    return tables + ([agreement_table(content.runs)] if whole else [])
+
+
 def _share(value: float, relative: bool, sign: str = "+") -> str:
     """A deviation: relative in %, absolute as it is."""
     return number(100.0 * value, f"{sign}.1f %") if relative else number(value, f"{sign}.2f")
+
+
+def _computed(row: ResultRow) -> float | str:
+    """A computed number, or why there is none."""
+    if row.computed == row.computed:
+        return row.computed
+    return "none below 10 Hz" if row.stable else "unstable"
 
 
 def result_table(runs: Runs, name: str) -> PageTable:
@@ -50,16 +72,15 @@ def result_table(runs: Runs, name: str) -> PageTable:
     for row in result_rows(runs, name):
         again = len(row.note) > 40 and row.note in seen
         seen.add(row.note)
-        relative = row.unit == "Hz"
-        hexapod = number(row.hexapod, ".2f")
+        relative = row.unit != ""
         rows.append(
             (
-                *(row.label, row.of, f"{row.quantity} [Hz]" if relative else row.quantity),
+                *(row.label, row.of, f"{row.quantity} [{row.unit}]" if row.unit else row.quantity),
                 row.printed if row.printed == row.printed else "N/A",
-                row.computed if row.computed == row.computed else "none below 10 Hz",
+                _computed(row),
                 *(_share(row.deviation, relative), _share(row.tolerance, relative, "")),
-                VERDICTS[row.within],
-                *([hexapod if relative or hexapod != "-" else "unstable"] if appendix else []),
+                *(VERDICTS[row.within], "calibrated" if row.calibrated else "predicted"),
+                *([number(row.hexapod, ".2f")] if appendix else []),
                 "as above" if again else row.note,
             )
         )
@@ -144,8 +165,9 @@ def _calibration(content: Content, argument: str) -> list[PageTable]:
 
 BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
     "about": lambda content, _: [
-        *(*texts("about"), TOLERANCES),
+        *texts("about"),
         *(texts("quick") if content.runs.quick else []),
+        *summary(content),
     ],
     "text": lambda content, name: texts(name),
     "limits": _limits,
