@@ -31,6 +31,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         return
     os.environ[FOLDER] = tempfile.mkdtemp(prefix="cmf-mj-")
     os.environ.setdefault("MALLOC_ARENA_MAX", "1")  # one heap, which can be given back
+    os.environ.setdefault("MALLOC_MMAP_THRESHOLD_", "1048576")  # so can large arrays, at once
     if config.getoption("numprocesses", default=None):
         warm = Path(__file__).with_name("warm.py")
         runs = [subprocess.Popen([sys.executable, warm, loop]) for loop in ("table", "chain")]
