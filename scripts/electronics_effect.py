@@ -10,7 +10,7 @@ from pathlib import Path
 from cmf_mj.cli.common import refuse
 from cmf_mj.control.law import law_names
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.show.table import Table
+from cmf_mj.show.table import Table, number
 from cmf_mj.studies.case import CaseResult
 from cmf_mj.studies.comparison import compare
 
@@ -30,7 +30,7 @@ HEADER = (
 
 
 def _cells(before: float, after: float) -> list[str]:
-    """Both bandwidths and the change; a dash where there is none below 10 Hz."""
+    """Both bandwidths and the change; a dash where there is none."""
     change = f"{100.0 * (after / before - 1.0):+.1f} %"
     numbers = (f"{before:.2f}", f"{after:.2f}", change)
     return ["-" if "nan" in number else number for number in numbers]
@@ -45,7 +45,7 @@ def line(without: CaseResult, with_electronics: CaseResult) -> list[str]:
         (ideal.gain_bandwidth_hz, real.gain_bandwidth_hz),
     ):
         cells += _cells(before, after)
-    cells += [f"{ideal.peak_gain_db:.1f}", f"{real.peak_gain_db:.1f}"]
+    cells += [number(row.peak_gain_db, ".1f") for row in (ideal, real)]
     verdicts = ["stable" if row.stable else "unstable" for row in (ideal, real)]
     return [*cells, " to ".join(dict.fromkeys(verdicts))]
 

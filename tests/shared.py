@@ -42,15 +42,21 @@ def once(name: str, compute: Callable[[], Result]) -> Result:
 
 @cache
 def chirp_bandwidths(
-    plant: str, law: str, dof: str, cab: str = "gfd", hydraulics: str = "hardware", cuts: int = 1
+    plant: str,
+    law: str,
+    dof: str,
+    cab: str = "gfd",
+    hydraulics: str = "hardware",
+    cuts: int = 1,
+    share: float = 1.0,
 ) -> Bandwidths:
     """Bandwidths by the report's chirp: 0.33 in or 0.2 deg, 0.01 to 10 Hz in 100 s.
 
-    `cuts` mechanical steps make a frame; no gimbal opens by 10 um.
+    `cuts` mechanical steps make a frame; no gimbal opens by 10 um. `share` is of the amplitude.
     """
 
     def compute() -> Bandwidths:
-        scale = 1.0 if DOFS.index(dof) < 3 else ROTATION_PER_TRANSLATION
+        scale = share * (1.0 if DOFS.index(dof) < 3 else ROTATION_PER_TRANSLATION)
         machine = (
             Hexapod(cab, hydraulics, timestep=1.0 / 2048.0 / cuts)
             if plant == "hexapod"
@@ -60,7 +66,7 @@ def chirp_bandwidths(
         assert record["gimbal_error"].max() < 10e-6
         return bandwidths(frequency_response(record))
 
-    return once(f"chirp-{plant}-{law}-{dof}-{cab}-{hydraulics}-{cuts}", compute)
+    return once(f"chirp-{plant}-{law}-{dof}-{cab}-{hydraulics}-{cuts}-{share}", compute)
 
 
 def printed(table: str, law: str, of: str = "nonlinear", dof: str = "heave") -> Published:

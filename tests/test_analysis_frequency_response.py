@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import optimize, signal
 
 from cmf_mj import FrequencyResponse, bandwidths, frequency_response, signals
+from cmf_mj.analysis.frequency_response import LINGER, line_bandwidths
 from cmf_mj.analysis.response.estimate import Estimator
 from cmf_mj.machine.kinematics import DOFS
 
@@ -343,3 +344,100 @@ def test_python_control_plots_a_response() -> None:
     response = FrequencyResponse(1.0 / (1.0 + 1j * omega), omega, np.ones(30))
     for plot in (control.bode_plot(response), response.plot()):
         assert len(plot.axes.ravel()) == 2
+
+
+# -- a phase that comes back to -90 deg ------------------------------------------------------------
+
+
+def with_pair(pole: float, zero: float, damping: float) -> control.TransferFunction:
+    """A loop of 3.6 Hz and damping 0.5 with a lightly damped pair of poles and of zeros [Hz]."""
+    a, b = 2 * np.pi * pole, 2 * np.pi * zero
+    numerator = np.array([1.0, 2 * damping * b, b**2]) * (a / b) ** 2
+    pair = control.tf(numerator, [1.0, 2 * damping * a, a**2])
+    return second_order(0.5, 3.6) * pair
+
+
+def at_phase(system: control.TransferFunction, degrees: float) -> NDArray[np.float64]:
+    """All frequencies [Hz] at which a rational system has a phase, as roots of a polynomial:
+    N(jw) conj(D(jw)) e^(-j phase) is real and positive there."""
+    numerator, denominator = (
+        part[0][0] * 1j ** np.arange(part[0][0].size)[::-1] for part in (system.num, system.den)
+    )
+    product = np.polymul(numerator, np.conj(denominator)) * np.exp(-1j * np.radians(degrees))
+    roots = np.roots(product.imag)
+    real = roots[(np.abs(roots.imag) < 1e-6 * np.abs(roots)) & (roots.real > 0.0)].real
+    return np.sort(real[np.polyval(product.real, real) > 0.0]) / (2 * np.pi)
+
+
+def test_a_phase_that_falls_through_90_deg_twice_has_two_bandwidths() -> None:
+    """A pair of 3.0 Hz, damping 0.03: down at 2.93, up at 3.26, down again at 3.52 Hz. 0.01 Hz:
+    lines of 0.05 Hz against a phase that turns by 100 deg in 0.2 Hz."""
+    system = with_pair(3.0, 3.1, 0.03)
+    first, up, last = at_phase(system, -90.0)
+    assert up - first > 0.3
+    assert last - up > 0.2
+    result = bandwidths(analytic(system))
+    assert result.phase_hz == pytest.approx(first, abs=0.01)
+    assert result.later_phase_hz == pytest.approx(last, abs=0.01)
+    assert result.graze_from_hz == pytest.approx(at_phase(system, -80.0)[0], abs=0.01)
+    assert result.graze_to_hz == pytest.approx(at_phase(system, -100.0)[-1], abs=0.01)
+
+
+def test_both_crossings_are_measured_from_a_chirp() -> None:
+    """Segments of 20 s smear the pair by 0.1 Hz; 0.05 Hz."""
+    system = with_pair(3.0, 3.1, 0.03)
+    first, _, last = at_phase(system, -90.0)
+    command = signals.chirp("heave", AMPLITUDE)
+    result = bandwidths(frequency_response(record_of(command, response(command, system), 8)))
+    assert result.phase_hz == pytest.approx(first, abs=0.05)
+    assert result.later_phase_hz == pytest.approx(last, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("pole", "zero", "damping"),
+    [(3.0, 3.1, 0.05), (3.3, 3.4, 0.04), (2.7, 2.75, 0.04)],
+    ids=["back to -91 deg", "back to -99 deg", "below -83 deg before it crosses"],
+)
+def test_a_phase_that_comes_near_without_crossing_grazes(
+    pole: float, zero: float, damping: float
+) -> None:
+    system = with_pair(pole, zero, damping)
+    (only,) = at_phase(system, -90.0)
+    result = bandwidths(analytic(system))
+    assert result.phase_hz == pytest.approx(only, abs=0.01)
+    assert np.isnan(result.later_phase_hz)
+    assert result.graze_from_hz == pytest.approx(at_phase(system, -80.0)[0], abs=0.01)
+    assert result.graze_to_hz == pytest.approx(at_phase(system, -100.0)[-1], abs=0.01)
+
+
+def test_a_phase_that_lingers_grazes() -> None:
+    """A pair damped by 0.1: the phase crosses each level but once, and takes seven times as far
+    from -80 to -100 deg as from -70 to -80 deg."""
+    pair = with_pair(2.9, 3.05, 0.1)
+    ends = [at_phase(pair, degrees) for degrees in (-70.0, -80.0, -90.0, -100.0)]
+    assert [end.size for end in ends] == [1] * 4
+    before, first, through, last = np.ravel(ends)
+    result = bandwidths(analytic(pair))
+    assert np.log(last / first) > LINGER * np.log(first / before)
+    np.testing.assert_allclose(
+        [result.phase_hz, *result[-2:]], [through, first, last], rtol=0, atol=0.01
+    )
+
+
+@pytest.mark.parametrize("zeta", [0.05, 0.3, 0.7, 1.0, 3.0])
+def test_no_second_order_system_grazes(zeta: float) -> None:
+    """-90 +- x deg at w / w0 = sqrt(1 + z^2 t^2) -+ z t, t = tan x: 1.9 to 2.3 times as far."""
+    turn = zeta * np.tan(np.radians([20.0, 10.0, -10.0]))
+    before, first, last = np.log(np.hypot(1.0, turn) - turn)
+    assert 1.8 < (last - first) / (first - before) < 2.4
+    result = bandwidths(analytic(second_order(zeta, 3.0), 40.0))
+    assert np.isnan(result[-3:]).all()
+
+
+@pytest.mark.parametrize(("ripple", "again"), [(0.9, False), (4.0, True)])
+def test_noise_of_less_than_2_deg_is_no_crossing(ripple: float, again: bool) -> None:
+    """A phase of -90 - 5 (f - 3) deg with a ripple of period 0.2 Hz falls through -90 deg often."""
+    hertz = np.arange(0.05, 6.0, 0.01)
+    phase = -90.0 - 5.0 * (hertz - 3.0) + ripple * np.sin(10.0 * np.pi * hertz)
+    result = line_bandwidths(hertz, np.exp(1j * np.radians(phase)))
+    assert np.isnan(result.later_phase_hz) != again

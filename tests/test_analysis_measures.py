@@ -6,7 +6,7 @@ import pytest
 from followed_commands import record_of
 from scipy import signal
 
-from cmf_mj import signals
+from cmf_mj import frequency_response, signals
 from cmf_mj.analysis.measures import (
     Measures,
     crosstalk,
@@ -39,6 +39,27 @@ def test_records_and_loop_agree_in_every_measure() -> None:
     assert np.isnan(measured.mode_damping_ratio)
     assert computed.mode_damping_ratio == pytest.approx(damping)
     assert least_damped_mode(loop.poles()) == pytest.approx((damping, 2.0))
+
+
+def test_a_step_that_rings_on_leaves_the_verdict_alone() -> None:
+    """The same feedback with a swing of 3 Hz under it, a fifth of the step and undiminished; and a
+    loop whose pair grows."""
+    records = []
+    for command in (signals.chirp("heave", 0.01), signals.step("heave", 0.0254)):
+        time = np.arange(command.pose.shape[0])[:, None] * FRAME
+        swing = 0.005 * np.sin(6.0 * np.pi * time) * (np.arange(6) == 2)
+        records.append(record_of(command, command.pose + swing, 8))
+    measured = measure_records(*records)
+    assert frequency_response(records[0]).gain_db.max() > 0.0  # there is something to read
+    growing = control.ss(control.tf([160.0], [1.0, -0.5, 160.0]))
+    computed = measure_loop(control.sample_system(growing, FRAME, method="zoh"))
+    assert computed.mode_damping_ratio == pytest.approx(-0.25 / np.sqrt(160.0))
+    for measures in (
+        measured,
+        computed._replace(mode_damping_ratio=np.nan, mode_frequency_hz=np.nan),
+    ):
+        assert not measures.stable
+        assert np.isnan([value for value in measures if value is not False]).all()
 
 
 def test_measures_of_nothing_are_nan() -> None:

@@ -1,6 +1,5 @@
 """Cabs as settings: the shipped ones, a user's file, and what physics refuses."""
 
-import pickle
 import re
 from pathlib import Path
 
@@ -149,8 +148,7 @@ def test_no_changed_cab_has_the_name_of_a_shipped_one(tmp_path: Path) -> None:
         load_cab(sly)
 
 
-def test_a_cab_comes_back_from_json_and_from_another_process() -> None:
-    """As from the metadata of a record, and as the cases of a study travel."""
+def test_a_cab_comes_back_from_json() -> None:
+    """As from the metadata of a record."""
     cab = load_cab().changed("mine", mass=9e3, taken_for=load_cab("ifd"))
     assert Cab.model_validate_json(cab.model_dump_json()) == cab
-    assert pickle.loads(pickle.dumps(cab)) == cab

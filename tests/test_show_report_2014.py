@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cmf_mj import load_law
+from cmf_mj import bandwidths, load_law
 from cmf_mj.analysis.ledger import load_ledger
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.oscillation import limit_cycle, oscillation
 from cmf_mj.analysis.linear.reduction import leg_model
+from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_gains, published_results
 from cmf_mj.cli.common import app
 from cmf_mj.core import errors
@@ -35,7 +36,7 @@ from cmf_mj.show.report_2014.page import (
     save_page,
 )
 from cmf_mj.show.report_2014.runs import FORCE_READINGS, Runs, RunSpec, hydraulics_of, law_of
-from cmf_mj.show.report_2014.sections import sections_of
+from cmf_mj.show.report_2014.sections import result_table, sections_of
 from cmf_mj.show.table import Table
 from cmf_mj.studies.calibration.definition import load_studies
 from cmf_mj.studies.case import CaseResult
@@ -259,9 +260,28 @@ def test_the_leg_rings_between_crossover_and_poles_and_not_at_25_hz(content: Con
     assert frequency < 0.6 * force.REPORTED_HZ
     assert amplitude > 500.0
     assert acceleration > 1.0
-    measures = content.runs.case("model", "force").measures
-    assert measures.phase_bandwidth_hz == pytest.approx(5.5, rel=0.1)
-    assert measures.peak_gain_db == pytest.approx(1.0, abs=0.5)
+    result = content.runs.case("model", "force")
+    assert result.response is not None
+    swept = bandwidths(result.response)
+    assert swept.phase_hz == pytest.approx(5.5, rel=0.1)
+    assert swept.peak_db == pytest.approx(1.0, abs=0.5)
+    assert not result.measures.stable
+    assert np.isnan(result.measures.phase_bandwidth_hz)
+
+
+def test_what_rings_on_shows_its_mark_and_does_not_agree(content: Content) -> None:
+    """The same runs, the steps of the stand-in called unstable."""
+    results: dict[RunSpec, Any] = dict(content.runs.results)
+    for key, result in results.items():
+        if isinstance(result, CaseResult) and key.on == "machine":
+            results[key] = result._replace(measures=Measures())
+    ringing = Runs(results, content.runs.sensors, content.runs.quick, content.runs.seed)
+    table = result_table(ringing, "2-4").table
+    columns = [table.header.index(name) for name in ("of", "computed", "deviation", "verdict")]
+    shown = [[row[column] for column in columns] for row in table.cells]
+    hardware = [row[1:] for row in shown if row[0] == "hardware"]
+    assert hardware == [["unstable", "-", "outside"]] * 3
+    assert all(row[1] != "unstable" for row in shown if row[0] != "hardware")
 
 
 def test_readings_of_the_force_gain_act_on_the_force_alone() -> None:

@@ -5,13 +5,17 @@ from pathlib import Path
 
 import pytest
 
-from cmf_mj import compare
+from cmf_mj import bandwidths, compare
+from cmf_mj.analysis.measures import Measures
 from cmf_mj.record.record import Record
+from cmf_mj.show.comparison import AGREEMENT, comparison_table, phase_text
 from cmf_mj.studies import comparison
+from cmf_mj.studies.case import AMPLITUDE
 
 COLUMNS = (
     "plant,cab,hydraulics,law,dof,phase_bandwidth_hz,gain_bandwidth_hz,peak_gain_db,damping_ratio,"
-    "overshoot,steady_state_error,stable,published_phase_bandwidth_hz,"
+    "overshoot,steady_state_error,stable,later_phase_hz,graze_from_hz,graze_to_hz,"
+    "small_motion_phase_hz,published_phase_bandwidth_hz,"
     "published_gain_bandwidth_hz,published_damping_ratio"
 ).split(",")
 
@@ -69,6 +73,50 @@ def test_published_values_stand_beside_ours(tmp_path: Path) -> None:
         assert tuple(float(row[name]) for name in COLUMNS[-3:]) == values
         assert row["hydraulics"] == hydraulics
         assert row["cab"] == ""
+
+
+def test_a_law_that_rings_has_no_bandwidth_but_its_mark(tmp_path: Path) -> None:
+    """Velocity error feedback on single legs of the `report` set, whose oil mode hardly damps."""
+    done = compare(
+        ["velocity_error"], ["heave"], plants=["single_legs"], hydraulics="report", quick=True
+    )
+    (result,) = done.results
+    assert result.response is not None
+    assert bandwidths(result.response).phase_hz == pytest.approx(4.0, rel=0.05)  # as printed
+    with done.save_csv(tmp_path / "c.csv").open(newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert row["stable"] == "False"
+    first, last = COLUMNS.index("phase_bandwidth_hz"), COLUMNS.index("small_motion_phase_hz")
+    assert [row[name] for name in COLUMNS[first : last + 1] if name != "stable"] == [""] * 10
+    (cells,) = comparison_table(done.results).cells
+    assert cells[:6] == ["velocity_error", "heave", "-", "-", "-", "unstable"]
+
+
+def test_small_motion_stands_beside_a_sweep_that_is_not() -> None:
+    """Surge under the law flown: 2.5 Hz at 0.33 in, where the valves' opening damps, 2.7 Hz small;
+    a sweep of a fiftieth agrees."""
+    (large,) = compare(["velocity"], ["surge"], plants=["hexapod"], quick=True).results
+    cell = comparison_table([large]).cells[0][2]
+    first, small = large.measures.phase_bandwidth_hz, large.small_motion_phase_hz
+    assert cell == f"{first:.2f} [{small:.2f}]"
+    assert small - first > AGREEMENT
+    options = {"plants": ["hexapod"], "quick": True, "amplitude": AMPLITUDE / 50.0}
+    (tiny,) = compare(["velocity"], ["surge"], **options).results  # type: ignore[arg-type]
+    assert tiny.small_motion_phase_hz == small
+    assert tiny.measures.phase_bandwidth_hz == pytest.approx(small, abs=AGREEMENT)
+    assert comparison_table([tiny]).cells[0][2] == f"{tiny.measures.phase_bandwidth_hz:.2f}"
+
+
+def test_marks_of_a_phase() -> None:
+    """Grazing, a later fall, small motion near neither, nothing."""
+    grazed = Measures(3.44, graze_from_hz=2.93, graze_to_hz=3.91)
+    twice = Measures(2.93, later_phase_hz=3.52, graze_from_hz=2.88, graze_to_hz=3.90)
+    assert phase_text(grazed) == "~3.44"
+    assert phase_text(grazed, 3.16) == "~3.44 [3.16]"
+    assert phase_text(twice) == "2.93/3.52"
+    assert phase_text(twice, 3.5) == "2.93/3.52"
+    assert phase_text(twice, 3.2) == "2.93/3.52 [3.20]"
+    assert phase_text(Measures()) == "-"
 
 
 @pytest.mark.parametrize(

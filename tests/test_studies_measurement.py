@@ -37,7 +37,10 @@ def test_describing_function_at_the_sweep_s_amplitude_is_its_response(
 
 def test_second_order_fit_and_overshoot_agree_on_the_damping(session: Measurement) -> None:
     """Two definitions of one thing; the loop is of higher order, so 0.05."""
-    assert session.second_order.damping_ratio == pytest.approx(session.step.damping_ratio, abs=0.05)
+    assert session.second_order is not None
+    assert session.second_order.damping_ratio == pytest.approx(
+        session.measures.damping_ratio, abs=0.05
+    )
 
 
 def test_hysteresis_is_the_lag_of_the_loop(session: Measurement) -> None:

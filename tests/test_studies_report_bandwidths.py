@@ -9,6 +9,8 @@ from cmf_mj.analysis.published import published_results
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.machine.models import CABS
+from cmf_mj.show.comparison import AGREEMENT
+from cmf_mj.studies.case import make_case, small_motion
 
 
 def test_acceleration_feedback_reproduces_table_3_5() -> None:
@@ -56,6 +58,42 @@ def test_surge_and_sway_of_the_hexapod_do_not_follow_the_single_legs(dof: str) -
         single = chirp_bandwidths("single_legs", law, dof)
         assert hexapod.phase_hz < 0.95 * single.phase_hz
         assert hexapod.peak_db > single.peak_db + peak
+
+
+def agree(law: str, dof: str, cab: str = "gfd") -> None:
+    """Chirp at a fiftieth of the report's amplitude and linearised machine: 0.1 Hz in -90 deg."""
+    small = small_motion(make_case(law, dof, cab=cab))
+    swept = chirp_bandwidths("hexapod", law, dof, cab, share=0.02)
+    assert small.stable
+    assert swept.phase_hz == pytest.approx(small.phase_bandwidth_hz, abs=AGREEMENT)
+    assert np.isnan(swept.later_phase_hz) and np.isnan(small.later_phase_hz)
+
+
+def test_linear_and_chirp_agree_where_the_phase_grazes() -> None:
+    """Roll under position error rate feedback, whose pair has a damping ratio of 0.003: the phase
+    falls through -90 deg at the pair, comes back to it and falls again. At 0.2 deg the pair is
+    damped so much that the phase only grazes there, and crosses 0.2 Hz later."""
+    agree("position_error_rate", "roll")
+    small = small_motion(make_case("position_error_rate", "roll"))
+    large = chirp_bandwidths("hexapod", "position_error_rate", "roll")
+    assert large.phase_hz - small.phase_bandwidth_hz > 2.0 * AGREEMENT
+    for one in (small, large):
+        assert one.graze_from_hz < small.phase_bandwidth_hz
+        assert one.graze_to_hz > large.phase_hz
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["velocity", "position_error_rate", "acceleration_compensated"])
+@pytest.mark.parametrize("dof", DOFS)
+def test_linear_and_chirp_agree_in_small_motion(law: str, dof: str) -> None:
+    agree(law, dof)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cab", ["rfd", "ifd"])
+@pytest.mark.parametrize("dof", ["surge", "pitch"])
+def test_so_they_do_with_the_heavier_cabs(cab: str, dof: str) -> None:
+    agree("velocity_integral", dof, cab)
 
 
 @pytest.mark.slow

@@ -50,13 +50,19 @@ class Measures(NamedTuple):
     """What a law achieves along one axis, a degree of freedom or a leg.
 
     NaN stands for what is not there or was not measured: a crossing beyond the lines, a damping
-    ratio without an overshoot, the step of an unstable loop. Steps count in fractions of the step.
+    ratio without an overshoot. Steps count in fractions of the step. A loop that is unstable, or
+    a machine whose step rings on, has neither bandwidth nor peak nor measures of a step: what a
+    sweep shows then is mostly its limit cycle.
     """
 
     phase_bandwidth_hz: float = _NAN  #: First fall of the phase through -90 deg [Hz].
     gain_bandwidth_hz: float = _NAN
     """First fall of the gain through -3 dB, from absolute 0 dB [Hz]."""
     peak_gain_db: float = _NAN  #: Largest gain [dB].
+    later_phase_hz: float = _NAN  #: Last fall through -90 deg, NaN where it falls but once [Hz].
+    graze_from_hz: float = _NAN
+    """Where the phase grazes -90 deg, from which frequency on; see `Bandwidths` [Hz]."""
+    graze_to_hz: float = _NAN  #: Likewise to which frequency [Hz].
     overshoot: float = _NAN  #: Largest excess over the final value.
     damping_ratio: float = _NAN  #: From the overshoot; NaN below an overshoot of 0.001.
     steady_state_error: float = _NAN  #: Demanded minus reached.
@@ -93,12 +99,15 @@ def joined(
 ) -> Measures:
     """Measures from those of a response, of a step and of a mode; what is absent is NaN.
 
-    `mode` is the damping ratio and the frequency [Hz] of a pair of poles.
+    A step that rings on leaves those of the mode alone. `mode` is the damping ratio and the
+    frequency [Hz] of a pair of poles.
     """
+    measures = Measures(mode_damping_ratio=mode[0], mode_frequency_hz=mode[1])
+    if step is not None and not step.stable:
+        return measures
     values: dict[str, Any] = dict(zip(Measures._fields, widths or (), strict=False))
     values |= step._asdict() if step is not None else {}
     values.pop("residual", None)
-    measures = Measures(mode_damping_ratio=mode[0], mode_frequency_hz=mode[1])
     return measures._replace(**values)
 
 
@@ -132,20 +141,20 @@ def measure_loop(
 ) -> Measures:
     """Measure a closed loop of one reference and one output, discrete at 2048 Hz.
 
-    Its mode is the slowest that oscillates. `frequencies` [Hz] are the lines the bandwidths are
-    read from, `duration` is the length of the step [s].
+    Its mode is the slowest that oscillates, all there is of an unstable loop. `frequencies` [Hz]
+    are the lines the bandwidths are read from, `duration` is the length of the step [s].
     """
-    lines = np.asarray(frequencies, dtype=np.float64)
     poles = np.asarray(loop.poles(), dtype=complex)
-    step = None
-    if np.all(np.abs(poles) < _INSIDE):
-        static = float(np.real(np.atleast_2d(control.dcgain(loop))[0, 0]))
-        _, reached = loop_step(loop, duration)
-        step = measure_step(reached, 1.0 / FRAME, final=static)
-    widths = bandwidths(loop_response(loop, lines))
     pairs = oscillations(poles)
     pairs = pairs[-pairs.real < OSCILLATING * np.abs(pairs)]
-    return joined(widths, step, _mode(pairs, np.abs(pairs)))
+    mode = _mode(pairs, np.abs(pairs))
+    if not np.all(np.abs(poles) < _INSIDE):
+        return joined(mode=mode)
+    static = float(np.real(np.atleast_2d(control.dcgain(loop))[0, 0]))
+    _, reached = loop_step(loop, duration)
+    step = measure_step(reached, 1.0 / FRAME, final=static)
+    lines = np.asarray(frequencies, dtype=np.float64)
+    return joined(bandwidths(loop_response(loop, lines)), step, mode)
 
 
 def oscillations(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:

@@ -194,7 +194,7 @@ class Law(Settings):
         """The law with the modes of one cab alone, as the DCL, which knows its cab, runs it.
 
         Args:
-            cab: name of a cab, or of a plant without cabs.
+            cab: `gfd`, `rfd` or `ifd`, or the name of a plant without cabs.
 
         Raises:
             InputError: a law in hydraulic modes that has none of this cab.

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from cmf_mj.core.files import write_text
 from cmf_mj.show.look import BLUE, GREY, ORANGE, new_figure, save_files
-from cmf_mj.show.table import Table, number
+from cmf_mj.show.table import Cell, Table, number
 from cmf_mj.studies.calibration.definition import MEASURES
 from cmf_mj.studies.calibration.fit import Calibration, Residual, residual_rows
 from cmf_mj.studies.calibration.sensitivity import Examination, Sensitivity, Spread
@@ -20,10 +20,14 @@ _MEASURE = {"phase": "-90 deg", "gain": "-3 dB", "damping": "zeta"}
 _OF = {"hardware": "h", "nonlinear": "m"}
 
 
+def _computed(row: Residual) -> Cell:
+    return row.computed if row.stable else "unstable"
+
+
 def _deviation(row: Residual) -> str:
     scale, form = (1.0, "+.2f") if row.measure == "damping" else (100.0, "+.1f %")
     text = number(scale * row.deviation, form)
-    return text if row.within or text == "-" else f"{text} !"
+    return f"{text} !" if not row.within and (text != "-" or not row.stable) else text
 
 
 def _pairs(calibration: Calibration) -> list[tuple[Residual, Residual]]:
@@ -48,7 +52,7 @@ def tables(result: Examination) -> list[Table]:
     residuals = [
         (
             *(a.table, a.law, _OF[a.of], _MEASURE[a.measure], a.role),
-            *(a.printed, a.computed, _deviation(a), b.computed, _deviation(b)),
+            *(a.printed, _computed(a), _deviation(a), _computed(b), _deviation(b)),
         )
         for a, b in _pairs(calibration)
     ]

@@ -4,18 +4,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from cmf_mj.analysis.frequency_response import dof_history
+from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.show.look import COLOURS, DARK, GREY, bode_axes, legend, plot_bode, save_files, stack
-from cmf_mj.show.table import Cell, Column, Table
+from cmf_mj.show.table import Cell, Column, Table, number
 from cmf_mj.signals.single import Step
 from cmf_mj.studies.case import CaseResult
 from cmf_mj.studies.comparison import PUBLISHED, Comparison, published_result
+
+AGREEMENT = 0.1
+"""Distance of two readings of -90 deg from which on a table shows both [Hz]."""
 
 _LINES = {"hexapod": "-", "single_legs": "--"}
 _TITLES = {"hexapod": "hexapod", "single_legs": "single legs"}
@@ -23,9 +28,26 @@ _TITLES = {"hexapod": "hexapod", "single_legs": "single legs"}
 _LEGEND = (
     "-90, -3 dB: bandwidths in Hz from DCL leg demand to leg feedback, -3 dB from absolute 0 dB; "
     "peak in dB; zeta: damping ratio from the step's overshoot; unstable: the legs ring on "
-    "undiminished 12 s after the step. Published: h measured on the hardware, m from the report's "
-    "non-linear model of six single legs."
+    "undiminished 12 s after the step, and nothing else counts. ~: the phase grazes -90 deg; "
+    "a/b: it falls through it at a and, having come back, at b; [c]: -90 deg of small motion, "
+    f"where that is more than {AGREEMENT:g} Hz off. Published: h measured on the hardware, m from "
+    "the report's non-linear model of six single legs."
 )
+
+
+def phase_text(measures: Measures, small_motion_hz: float = float("nan")) -> str:
+    """-90 deg [Hz] as in tables: `~` where the phase grazes it, a later fall, small motion.
+
+    >>> phase_text(Measures(3.16, later_phase_hz=3.52), 3.3), phase_text(Measures())
+    ('3.16/3.52 [3.30]', '-')
+    """
+    first, later = measures.phase_bandwidth_hz, measures.later_phase_hz
+    graze = "~" if later != later and measures.graze_from_hz == measures.graze_from_hz else ""
+    text = f"{graze}{number(first, '.2f')}"
+    if later == later:
+        text += f"/{later:.2f}"
+    apart = min(abs(small_motion_hz - at) if at == at else np.inf for at in (first, later))
+    return f"{text} [{small_motion_hz:.2f}]" if AGREEMENT < apart < np.inf else text
 
 
 def comparison_table(results: Sequence[CaseResult]) -> Table:
@@ -42,8 +64,10 @@ def comparison_table(results: Sequence[CaseResult]) -> Table:
     for law, dof in dict.fromkeys(key[:2] for key in by_case):
         line: list[Cell] = [law, dof]
         for plant in plants:
-            measures = by_case[law, dof, plant].measures
-            line += [*measures[:3], measures.damping_ratio if measures.stable else "unstable"]
+            result = by_case[law, dof, plant]
+            measures = result.measures
+            line += [phase_text(measures, result.small_motion_phase_hz), *measures[1:3]]
+            line.append(measures.damping_ratio if measures.stable else "unstable")
         printed = published_result(by_case[law, dof, plants[0]])
         line += [getattr(printed, name, None) for name in PUBLISHED]
         of = {"hardware": "h", "nonlinear": "m"}.get(printed.of, "") if printed else ""

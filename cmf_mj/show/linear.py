@@ -17,6 +17,7 @@ from cmf_mj.analysis.linear.loop import loop_response, loop_step
 from cmf_mj.analysis.linear.second_order import GAINS, gain_effects
 from cmf_mj.analysis.linear.table_4_1 import LawLoop, TableRow
 from cmf_mj.analysis.published import published_results
+from cmf_mj.show.comparison import phase_text
 from cmf_mj.show.look import GREY, bode_axes, legend, new_figure, plot_bode, save_files
 from cmf_mj.show.table import Table
 
@@ -25,6 +26,7 @@ _LOOP_COLUMNS = (
     *("stable", "phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db", "static_gain"),
     *("overshoot", "damping_ratio", "demand_damping_ratio", "peak_damping_ratio"),
     *("mode_damping_ratio", "mode_frequency_hz", "rise_time", "settling_time"),
+    *("later_phase_hz", "graze_from_hz", "graze_to_hz"),
 )
 _EFFECT_COLUMNS = {
     "natural_frequency_hz": "mode_frequency_hz",
@@ -112,7 +114,7 @@ def loop_table(loops: Sequence[LawLoop]) -> Table:
     rows = []
     for item in loops:
         m = item.measures
-        values = (m.phase_bandwidth_hz, m.gain_bandwidth_hz, m.peak_gain_db, m.static_gain)
+        values = (phase_text(m), m.gain_bandwidth_hz, m.peak_gain_db, m.static_gain)
         damping = m.damping_ratio if m.stable else "unstable"
         rows.append((item.law.name, f"#{item.model}", *values, damping, m.mode_damping_ratio))
     names = ("-90 deg", "-3 dB", "peak dB", "static", "zeta step", "zeta pole")

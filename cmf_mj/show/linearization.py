@@ -11,9 +11,11 @@ from matplotlib.figure import Figure
 from cmf_mj.analysis.frequency_response import bandwidths
 from cmf_mj.analysis.linear.files import save_system
 from cmf_mj.analysis.linear.poles import Mode
+from cmf_mj.analysis.measures import joined
 from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.show.comparison import phase_text
 from cmf_mj.show.look import bode_axes, legend, plot_bode, pose_text, save_files
-from cmf_mj.show.table import Table
+from cmf_mj.show.table import Cell, Table
 from cmf_mj.studies.linearization import FREQUENCIES, LinearizationStudy
 
 _NAMED = 0.1
@@ -79,7 +81,11 @@ def loop_table(study: LinearizationStudy) -> Table:
                 f"{np.abs(run.gain_error).max():.2f} dB",
                 f"{np.abs(run.phase_error).max():.2f} deg",
             ]
-        rows.append((name, *bandwidths(loop), *off))
+        measures = joined(bandwidths(loop))
+        cells: list[Cell] = (
+            [phase_text(measures), *measures[1:3]] if study.stable else ["unstable"] * 3
+        )
+        rows.append((name, *cells, *off))
     widths = (("-90 deg [Hz]", ".2f"), ("-3 dB [Hz]", ".2f"), ("peak [dB]", ".2f"))
     return Table(
         f"{study.law} around the linearised plant",

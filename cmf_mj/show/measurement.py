@@ -7,12 +7,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
+from cmf_mj.analysis.measures import Measures, joined
 from cmf_mj.analysis.metrics import SecondOrder
 from cmf_mj.core import units
 from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.show.look import dress_bode, legend, plot_band, plot_bode, save_files, stack
-from cmf_mj.show.table import Table
+from cmf_mj.show.table import Table, number
 from cmf_mj.studies.measurement import Measurement, RecordingMeasures, plain
 
 _COLUMNS = ("measure", "value", "definition")
@@ -22,15 +23,27 @@ def _share(value: float) -> str:
     return f"{100.0 * value:.2f} %"
 
 
-def _response_rows(response: FrequencyResponse, fit: SecondOrder) -> list[tuple[str, str, str]]:
-    widths = bandwidths(response)
+def _response_rows(
+    response: FrequencyResponse, widths: Measures, fit: SecondOrder | None
+) -> list[tuple[str, str, str]]:
+    coherence = ("coherence", f"{response.coherence.min():.4f}", "least of all lines")
+    if fit is None:
+        return [coherence]
+    first, second = widths.phase_bandwidth_hz, "second-order fit with delay"
+    rows = [("-90 deg bandwidth", number(first, ".3f Hz"), "first fall of the phase through it")]
+    if widths.later_phase_hz == widths.later_phase_hz:
+        later = number(widths.later_phase_hz, ".3f Hz")
+        rows.append(("-90 deg, later", later, "last fall through it, after coming back"))
+    if widths.graze_from_hz == widths.graze_from_hz:
+        ends = f"{widths.graze_from_hz:.2f} to {widths.graze_to_hz:.2f} Hz"
+        rows.append(("-90 deg, grazed", ends, "the phase lingers within 10 deg of it"))
     return [
-        ("-90 deg bandwidth", f"{widths.phase_hz:.3f} Hz", "first fall of the phase through it"),
-        ("-3 dB bandwidth", f"{widths.gain_hz:.3f} Hz", "first fall through it, from 0 dB"),
-        ("peak", f"{widths.peak_db:.2f} dB", "largest gain"),
-        ("coherence", f"{response.coherence.min():.4f}", "least of all lines"),
-        ("natural frequency", f"{fit.natural_frequency_hz:.3f} Hz", "second-order fit with delay"),
-        ("damping ratio", f"{fit.damping_ratio:.3f}", "second-order fit with delay"),
+        *rows,
+        ("-3 dB bandwidth", number(widths.gain_bandwidth_hz, ".3f Hz"), "from 0 dB"),
+        ("peak", f"{widths.peak_gain_db:.2f} dB", "largest gain"),
+        coherence,
+        ("natural frequency", f"{fit.natural_frequency_hz:.3f} Hz", second),
+        ("damping ratio", f"{fit.damping_ratio:.3f}", second),
         ("fit residual", _share(fit.residual), "rms misfit over rms response"),
     ]
 
@@ -38,21 +51,28 @@ def _response_rows(response: FrequencyResponse, fit: SecondOrder) -> list[tuple[
 def recordings_table(measures: RecordingMeasures) -> Table:
     """Bandwidths, peak and second-order fit of recordings."""
     title = f"{measures.dof}: {', '.join(path.name for path in measures.files)}"
-    return Table(title, _COLUMNS, _response_rows(measures.response, measures.second_order))
+    response = measures.response
+    rows = _response_rows(response, joined(bandwidths(response)), measures.second_order)
+    return Table(title, _COLUMNS, rows)
 
 
 def measurement_table(measured: Measurement) -> Table:
     """Every measure of a session with its definition."""
-    dof, step = measured.case.dof, measured.step
+    dof, step = measured.case.dof, measured.measures
     unit, turn = dof_unit(dof), by_kind(dof, "m/s^2", "deg/s^2")
     rows = [
-        *_response_rows(measured.response, measured.second_order),
-        ("overshoot", _share(step.overshoot), "of the step, over the final value"),
-        ("damping ratio", f"{step.damping_ratio:.3f}", "from the overshoot"),
-        ("steady-state error", _share(step.steady_state_error), "demanded minus reached"),
-        ("rise time", f"{step.rise_time:.3f} s", "10 to 90 % of the step"),
-        ("settling time", f"{step.settling_time:.3f} s", "into 2 % of the final value"),
         ("stable", str(step.stable), "legs at rest or decaying 12 s after the step"),
+        *_response_rows(measured.response, step, measured.second_order),
+    ]
+    if step.stable:
+        rows += [
+            ("overshoot", _share(step.overshoot), "of the step, over the final value"),
+            ("damping ratio", f"{step.damping_ratio:.3f}", "from the overshoot"),
+            ("steady-state error", _share(step.steady_state_error), "demanded minus reached"),
+            ("rise time", f"{step.rise_time:.3f} s", "10 to 90 % of the step"),
+            ("settling time", f"{step.settling_time:.3f} s", "into 2 % of the final value"),
+        ]
+    rows += [
         ("delay", f"{1e3 * measured.transport_delay:.1f} ms", "cross-correlation of the sweep"),
         ("hysteresis", _share(measured.hysteresis), "loop width at 0.01 Hz, over peak-to-peak"),
     ]

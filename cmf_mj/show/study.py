@@ -7,7 +7,9 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
+from cmf_mj.analysis.measures import Measures
 from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.show.comparison import phase_text
 from cmf_mj.show.look import COLOURS, new_figure, save_files
 from cmf_mj.show.table import Cell, Table, number
 from cmf_mj.studies.effects import (
@@ -21,6 +23,7 @@ from cmf_mj.studies.effects import (
     rates,
     rows_of,
 )
+from cmf_mj.studies.evaluation import MEASURED
 from cmf_mj.studies.settings import NOMINAL
 
 REFERENCES = {"rotation": "position_error_rate", "rotation_flown": "velocity"}
@@ -106,9 +109,11 @@ def measure_table(table: pa.Table) -> Table:
 
 
 def _cell(row: Row) -> str:
-    damping = number(row["damping_ratio"], ".2f") if row["stable"] else "u"
-    width, peak = number(row["phase_bandwidth_hz"], ".2f"), number(row["peak_gain_db"], ".1f")
-    return f"{width} / {peak} / {damping}"
+    if not row["stable"]:
+        return "u"
+    measures = Measures(**{name: row[name] for name in MEASURED})
+    peak, damping = number(measures.peak_gain_db, ".1f"), number(measures.damping_ratio, ".2f")
+    return f"{phase_text(measures)} / {peak} / {damping}"
 
 
 def climb_table(table: pa.Table) -> Table:
@@ -126,13 +131,16 @@ def climb_table(table: pa.Table) -> Table:
 
 
 def _value(row: Row | None, name: str) -> float:
-    if row is None or (name == "damping_ratio" and not row["stable"]):
+    if row is None:
         return float("nan")
     return largest_crosstalk(row) if name == "crosstalk" else float(row[name])
 
 
 def ladder_figure(table: pa.Table) -> Figure:
-    """The climb: measures down, degrees of freedom across, a line a law; crosses are unstable."""
+    """The climb: measures down, degrees of freedom across, a line a law.
+
+    Crosses at the foot are unstable.
+    """
     rows = rows_of(table)
     rungs, laws, dofs = (in_order(rows, name) for name in ("rung", "law", "dof"))
     by_case = {(r["rung"], r["law"], r["dof"]): r for r in rows}
@@ -150,7 +158,9 @@ def ladder_figure(table: pa.Table) -> Figure:
                 axis.plot(values, marker="o", markersize=3.0, linewidth=1.0, label=law, **style)
                 unstable = [k for k, row in enumerate(cases) if row and not row["stable"]]
                 style["linestyle"] = ""
-                axis.plot(unstable, values[unstable], marker="x", markersize=7.0, **style)
+                foot = axis.get_xaxis_transform()
+                style |= {"marker": "x", "markersize": 7.0, "transform": foot}
+                axis.plot(unstable, np.full(len(unstable), 0.03), **style)
             if name == "crosstalk":
                 axis.set_yscale("log")
                 axis.set_xticks(range(len(rungs)), rungs, rotation=90, fontsize=8)

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
-from cmf_mj.analysis.measures import Measures, joined, sweep_response
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.measures import Measures, joined, measure_loop, sweep_response
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
-from cmf_mj.core.errors import check_name
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.cab import Cab, load_cab
@@ -29,6 +30,7 @@ from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, check_positive
+from cmf_mj.studies.linearization import loop_between
 
 AMPLITUDE = 0.33 * units.INCH
 """Translational amplitude of the report's frequency responses [m]."""
@@ -167,6 +169,8 @@ class CaseResult(NamedTuple):
     measures: Measures
     step: Record  #: The step run at 256 Hz.
     gimbal_error: float  #: Largest gap of a closed gimbal over both runs [m].
+    small_motion_phase_hz: float
+    """First fall through -90 deg of the linearised machine [Hz]; see `small_motion`."""
 
 
 def run_case(case: Case, records: Path | None = None) -> CaseResult:
@@ -182,4 +186,29 @@ def run_case(case: Case, records: Path | None = None) -> CaseResult:
     response = sweep_response(sweep, segment=case.segment)
     measures = joined(bandwidths(response) if response else None, step_metrics(step))
     gap = max(float(run["gimbal_error"].max()) for run in (sweep, step))
-    return CaseResult(case, response, measures, step, gap)
+    small = small_motion(case) if measures.stable else Measures()
+    return CaseResult(case, response, measures, step, gap, small.phase_bandwidth_hz)
+
+
+def small_motion(case: Case) -> Measures:
+    """Measures of a case linearised about its pose: what the chirp's tend to as it gets smaller.
+
+    At the report's amplitude the valves' mean opening damps the legs and the load takes pressure
+    from the valves, which moves -90 deg. Nothing is known of what has no linearisation, such as dry
+    friction, nor is anything measured with `electronics`.
+    """
+    if case.electronics is not None:
+        return Measures()
+    plant = case.build()
+    try:
+        loop = loop_between(
+            plant,
+            linearize(plant, case.pose),
+            case.law,
+            case.pose,
+            case.dof,
+            command_delay=case.command_delay,
+        )
+    except InputError:
+        return Measures()
+    return measure_loop(loop, frequencies=np.linspace(0.1, 10.0, 1000))

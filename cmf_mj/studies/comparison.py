@@ -31,6 +31,7 @@ from cmf_mj.studies.case import (
 MEASURED = (
     *("phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db"),
     *("damping_ratio", "overshoot", "steady_state_error", "stable"),
+    *("later_phase_hz", "graze_from_hz", "graze_to_hz"),
 )
 """Measures in `comparison.csv`."""
 
@@ -38,7 +39,7 @@ PUBLISHED = ("phase_bandwidth_hz", "gain_bandwidth_hz", "damping_ratio")
 """Published values in `comparison.csv`."""
 
 COLUMNS = (
-    *("plant", "cab", "hydraulics", "law", "dof", *MEASURED),
+    *("plant", "cab", "hydraulics", "law", "dof", *MEASURED, "small_motion_phase_hz"),
     *(f"published_{name}" for name in PUBLISHED),
 )
 """Header of `comparison.csv`."""
@@ -69,6 +70,7 @@ class Comparison:
                 case.dof,
             ]
             line += [getattr(result.measures, name) for name in MEASURED]
+            line.append(result.small_motion_phase_hz)
             line += [getattr(printed, name, None) for name in PUBLISHED]
             lines.append(["" if value is None or value != value else value for value in line])
         return write_csv(Path(path), COLUMNS, lines, digits=6)

@@ -61,6 +61,7 @@ MULTISINE_PERIOD = 30.0
 MEASURED = (
     *("stable", "phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db", "overshoot"),
     *("damping_ratio", "steady_state_error", "mode_damping_ratio", "mode_frequency_hz"),
+    *("later_phase_hz", "graze_from_hz", "graze_to_hz"),
 )
 ROW_COLUMNS = (
     "dof",

@@ -75,6 +75,7 @@ class LinearizationStudy(NamedTuple):
     modes: tuple[Mode, ...]
     responses: dict[str, FrequencyResponse]  #: Position per command, by degree of freedom or leg.
     loops: dict[str, FrequencyResponse]  #: Demand to position under the law.
+    stable: bool  #: Whether all poles of the loops lie within the unit circle.
     comparisons: dict[str, Comparison]
     """The loops compared with the simulation, where that was asked for."""
 
@@ -106,6 +107,7 @@ def linearization_study(
         modes(system, plant, pose),
         {name: loop_response(model, FREQUENCIES) for name, model in systems.items()},
         {name: loop_response(loop, FREQUENCIES) for name, loop in loops.items()},
+        all(bool(np.abs(loop.poles()).max() < 1.0) for loop in loops.values()),
         {
             name: compare_with_simulation(plant, law, pose, name)._replace(record=None)
             for name in (signals if measure else ())
@@ -125,14 +127,20 @@ def _signal_model(
 
 
 def loop_between(
-    plant: Plant, system: control.StateSpace, law: str | Law, pose: ArrayLike | None, signal: str
+    plant: Plant,
+    system: control.StateSpace,
+    law: str | Law,
+    pose: ArrayLike | None,
+    signal: str,
+    *,
+    command_delay: int = 1,
 ) -> control.StateSpace:
     """The loop of a law around a linearised plant, from a demand to its position.
 
     `system` is the plant linearised in `pose`; `signal` is a degree of freedom, or a leg, `leg_1`
     and so on. The loop has one input and one output, at 2048 Hz; all other demands are zero.
     """
-    loop = closed_loop(bound(load_law(law), plant.law_key), system)
+    loop = closed_loop(bound(load_law(law), plant.law_key), system, command_delay=command_delay)
     legs = [f"leg_{leg + 1}" for leg in range(plant.legs)]
     if not signal.startswith("leg_"):
         index = dof_index(signal)

@@ -18,15 +18,15 @@ from cmf_mj import signals
 from cmf_mj.analysis import metrics
 from cmf_mj.analysis.delay import correlation_delay
 from cmf_mj.analysis.frequency_response import (
-    Bandwidths,
     FrequencyResponse,
     bandwidths,
     dof_history,
     frequency_response,
     rounds_response,
 )
+from cmf_mj.analysis.measures import Measures, joined
 from cmf_mj.analysis.response.estimate import Estimator
-from cmf_mj.analysis.step_response import StepMetrics, step_metrics
+from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.core import units
 from cmf_mj.core.errors import check_name
 from cmf_mj.core.threads import on_threads
@@ -73,9 +73,9 @@ class Measurement:
 
     case: Case
     response: FrequencyResponse
-    bandwidths: Bandwidths
-    second_order: metrics.SecondOrder
-    step: StepMetrics
+    measures: Measures  #: Of the sweep and the step; NaN where the step rings on.
+    second_order: metrics.SecondOrder | None
+    """Fitted to the response; None where the step rings on."""
     transport_delay: float  #: Of the sweep, by cross-correlation [s].
     describing_function: tuple[Described, ...]
     half_hertz_noise: tuple[tuple[float, metrics.Noise], ...]
@@ -96,9 +96,8 @@ class Measurement:
             "law": case.law.name,
             "dof": case.dof,
             "amplitude": case.size,
-            "bandwidths": self.bandwidths._asdict(),
-            "second_order": self.second_order._asdict(),
-            "step": self.step._asdict(),
+            "measures": self.measures._asdict(),
+            "second_order": self.second_order and self.second_order._asdict(),
             "transport_delay": self.transport_delay,
             "describing_function": [point._asdict() for point in self.describing_function],
             "half_hertz_noise": [
@@ -182,13 +181,14 @@ def measure(
     sizes = [share * case.size for share in shares]
     sweep, step = case.sweep_and_step(plant)
     response = frequency_response(sweep)
+    measures = joined(bandwidths(response), step_metrics(step))
+    fitted = metrics.fit_second_order if measures.stable else lambda *_: None
     points = product(frequencies, sizes)
     return Measurement(
         case=case,
         response=response,
-        bandwidths=bandwidths(response),
-        second_order=metrics.fit_second_order(response.frequency, response.response),
-        step=step_metrics(step),
+        measures=measures,
+        second_order=fitted(response.frequency, response.response),
         transport_delay=correlation_delay(*_demand_and_position(sweep, case.dof), sweep.rate),
         describing_function=tuple(_describe(case, plant, *point) for point in points),
         half_hertz_noise=tuple((size, _half_hertz_noise(case, plant, size)) for size in sizes),

@@ -79,7 +79,7 @@ def valve_sines(seconds: float) -> NDArray[np.float64]:
 
 
 def in_mujoco(
-    valves: NDArray[np.float64], step: float, cab: str | Path | Cab, hydraulics: HydraulicParameters
+    valves: NDArray[np.float64], step: float, cab: Cab, hydraulics: HydraulicParameters
 ) -> Trajectory:
     """The shipped plant on valve commands, as a trajectory of N rows."""
     plant = Hexapod(cab, hydraulics, timestep=step)

@@ -102,21 +102,20 @@ def characteristics(loop: FeedbackLoop) -> Measures:
     natural = loop.natural_frequency * np.sqrt(b / a)
     turned = 2.0 * loop.damping_ratio + loop.rate_gain * loop.natural_frequency
     damping = turned / (2.0 * np.sqrt(a * b))
+    frequency = float(natural / units.HERTZ)
+    mode = Measures(mode_damping_ratio=float(damping), mode_frequency_hz=frequency)
+    if damping <= 0.0:
+        return mode
     c = 1.0 - 2.0 * damping**2
-    frequency = natural / units.HERTZ
-    stable = damping > 0.0
-    peak = 1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2)) if stable and c > 0.0 else 1.0
+    peak = 1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2)) if c > 0.0 else 1.0
     over = np.exp(-np.pi * damping / np.sqrt(1.0 - damping**2)) if damping < 1.0 else 0.0
-    nan = float("nan")
-    return Measures(
-        phase_bandwidth_hz=float(frequency) if stable else nan,
+    return mode._replace(
+        phase_bandwidth_hz=frequency,
         gain_bandwidth_hz=float(frequency * np.sqrt(c + np.sqrt(c**2 + _HALF_POWER**-2 - 1.0))),
-        peak_gain_db=float(20.0 * np.log10(peak)) if stable else nan,
-        overshoot=float(over) if stable else nan,
+        peak_gain_db=float(20.0 * np.log10(peak)),
+        overshoot=float(over),
         steady_state_error=1.0 - 1.0 / b,
-        stable=bool(stable),
-        mode_damping_ratio=float(damping),
-        mode_frequency_hz=float(frequency),
+        stable=True,
     )
 
 

@@ -90,7 +90,9 @@ def steps(runs: Runs, figure: ReportFigure) -> Drawing:
     metrics = {law_title(law): runs.case(on, law).measures for law in figure.laws}
     first, *_ = metrics.values()
     ringing = ", ".join(title for title, m in metrics.items() if not m.stable)
-    errors = (f"{title} {100 * m.steady_state_error:.2f} %" for title, m in metrics.items())
+    errors = (
+        f"{title} {100 * m.steady_state_error:.2f} %" for title, m in metrics.items() if m.stable
+    )
     title = "retraction of leg 1 [in]" if along == LEG else f"{along} [in]"
     return [motion(title, law_steps(runs, figure.laws, along, on), _STEP)], {
         "errors": ", ".join(errors),

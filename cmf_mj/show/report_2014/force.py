@@ -35,20 +35,21 @@ def _readings(runs: Runs) -> list[tuple[Any, ...]]:
     for title, gain in FORCE_READINGS.items():
         name = force_law(title)
         result, linear = runs.case("model", name), oscillation(law_of(name), hydraulics_of("model"))
-        measures = result.measures
+        m = result.measures
+        widths = (m.phase_bandwidth_hz, m.gain_bandwidth_hz, m.peak_gain_db)
         rows.append(
             (
                 *(title, gain, f"{number(linear.pole_hz)} / {linear.pole_damping:+.3f}"),
                 f"{number(linear.crossover_hz)} / {number(linear.crossover_gain, 2)}",
                 *limit_cycle(result.step),
-                *(measures.phase_bandwidth_hz, measures.gain_bandwidth_hz, measures.peak_gain_db),
+                *(widths if m.stable else ("unstable",) * 3),
             )
         )
     printed = next(
         row for row in published_results() if row.law == "force" and row.phase_bandwidth_hz
     )
-    widths = (printed.phase_bandwidth_hz, printed.gain_bandwidth_hz)
-    print_row = ("printed", "", "", "", REPORTED_HZ, "", f"{REPORTED_G:g}", *widths, "about 1")
+    known = (printed.phase_bandwidth_hz, printed.gain_bandwidth_hz, "about 1")
+    print_row = ("printed", "", "", "", REPORTED_HZ, "", f"{REPORTED_G:g}", *known)
     return [*rows, print_row]
 
 

@@ -149,7 +149,8 @@ def _residuals(runs: Runs, study: Study) -> PageTable:
     rows = [
         (
             *(f"{row.table}, {law_title(row.law)}", _MEASURES[row.measure], row.role),
-            *(row.printed, row.computed, _share(row.deviation, row.measure != "damping")),
+            *(row.printed, row.computed if row.stable else "unstable"),
+            _share(row.deviation, row.measure != "damping"),
             VERDICTS[row.within],
         )
         for row in residual_rows(study, measures)

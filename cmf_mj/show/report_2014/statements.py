@@ -90,13 +90,18 @@ def _values(runs: Runs) -> dict[str, float]:
     return values
 
 
+def _with_unit(value: float, unit: str) -> str:
+    """A number with its unit; NaN is a peak of legs that ring on."""
+    return f"{printed_number(value)} {unit}" if value == value else "unstable"
+
+
 def statement_rows(runs: Runs) -> list[tuple[str, ...]]:
     """All numbers of the text that a run or a formula gives."""
     values = _values(runs)
     return [
         (
             *(entry["section"], entry["what"], f"{entry['printed']} {entry['unit']}"),
-            f"{printed_number(values[entry['value']])} {entry['unit']}",
+            _with_unit(values[entry["value"]], entry["unit"]),
             entry["remark"],
         )
         for entry in CONTENTS["statement"]

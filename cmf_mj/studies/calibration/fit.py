@@ -47,10 +47,11 @@ class Residual(NamedTuple):
     measure: Measure
     role: str  #: `fitted` or `predicted`.
     printed: float  #: Hz, or 1 for a damping ratio.
-    computed: float
+    computed: float  #: NaN where the step rings on.
     deviation: float  #: Relative for a bandwidth, absolute for a damping ratio.
     tolerance: float
-    within: bool
+    within: bool  #: False where the step rings on.
+    stable: bool  #: The verdict on the step.
 
 
 class Stage(NamedTuple):
@@ -87,11 +88,12 @@ def residual_rows(study: Study, results: Results) -> list[Residual]:
     for row, measure in product(study.rows, MEASURES):
         if measure not in (*row.fitted, *row.predicted):
             continue
-        printed, value = row.printed(measure), computed(results[row.law], measure)
+        measures, printed = results[row.law], row.printed(measure)
+        value = computed(measures, measure) if measures.stable else float("nan")
         off = value - printed if measure == "damping" else value / printed - 1.0
         tolerance = float(getattr(study.tolerance, measure))
         role = "fitted" if measure in row.fitted else "predicted"
-        numbers = (printed, value, off, tolerance, abs(off) <= tolerance)
+        numbers = (printed, value, off, tolerance, abs(off) <= tolerance, measures.stable)
         rows.append(Residual(row.table, row.law, row.of, measure, role, *numbers))
     return rows
 

@@ -41,8 +41,8 @@ class Spread(NamedTuple):
     law: str
     measure: Measure
     nominal: float  #: At the nominal values [Hz or 1].
-    low: float  #: 5 % of the samples lie below.
-    high: float  #: 95 % of the samples lie below.
+    low: float  #: 5 % of the stable samples lie below.
+    high: float  #: 95 % of the stable samples lie below.
     unstable: float  #: Share of samples whose loop is unstable.
 
 
@@ -108,7 +108,8 @@ def spread(
     nominal = linear_results(study, values, laws)
     spreads = []
     for law, measure in product(laws, MEASURES):
-        low_end, high_end = np.nanquantile([computed(run[law], measure) for run in runs], ENDS)
+        known = [computed(run[law], measure) for run in runs if run[law].stable]
+        low_end, high_end = np.nanquantile(known or [np.nan], ENDS)
         unstable = 1.0 - float(np.mean([run[law].stable for run in runs]))
         value = computed(nominal[law], measure)
         spreads.append(Spread(law, measure, value, float(low_end), float(high_end), unstable))
