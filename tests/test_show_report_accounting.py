@@ -1,5 +1,6 @@
 """What of the print is met: verdicts and shares, the printed numbers being the oracle."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,14 @@ def test_shares_of_agreement_regression(runs: Runs) -> None:
     assert table["of them predicted"].shares[1] < table["of them calibrated"].shares[1]
     assert table["of them predicted"].median < 0.0  # what is not fitted lies low
     assert table["damping ratios, all predicted"].shares[1] < 0.5
+
+
+def test_docs_have_the_verdicts_and_shares_regression(runs: Runs) -> None:
+    """docs/report.md, from sweeps of 100 s; medians apart, those of 30 s give the same."""
+    page = (Path(__file__).parents[1] / "docs" / "report.md").read_text(encoding="utf-8")
+    assert accounting.verdict_table(runs, tuple(TITLES)).table.markdown() in page
+    for row in accounting.agreement_table(runs).table.cells:
+        assert f"| {' | '.join(row[:5])} |" in page
 
 
 def test_what_is_printed_twice_counts_once(runs: Runs) -> None:
