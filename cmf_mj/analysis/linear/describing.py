@@ -31,7 +31,10 @@ _FARTHEST = 8.0
 
 
 def outward_share(ratio: float, excitation: Excitation = "noise") -> float:
-    """Share f of the slopes to e > 0, for `ratio` = <e+> / <e-> = S- / S+, greater than 0."""
+    """Share f of the slopes to e > 0, for `ratio` = <e+> / <e-> = S- / S+, greater than 0.
+
+    It is 0 or 1 for ratios that a mean of `_FARTHEST` deviations does not reach.
+    """
     if not 0.0 < ratio < np.inf:
         raise InputError(f"ratio: {ratio} must be greater than 0 and finite")
     check_name("excitation", excitation, get_args(Excitation))
@@ -40,10 +43,13 @@ def outward_share(ratio: float, excitation: Excitation = "noise") -> float:
     if excitation == "sine":
         mean = optimize.brentq(lambda r: _sine_part(r) - ratio * _sine_part(-r), -1.0, 1.0)
         return float(0.5 + (np.arcsin(mean) + mean * np.sqrt(1.0 - mean**2)) / np.pi)
-    mean = optimize.brentq(
-        lambda m: _normal_part(m) - ratio * _normal_part(-m), -_FARTHEST, _FARTHEST
-    )
-    return float(special.ndtr(mean))
+
+    def surplus(mean: float) -> float:
+        return _normal_part(mean) - ratio * _normal_part(-mean)
+
+    if surplus(-_FARTHEST) > 0.0 or surplus(_FARTHEST) < 0.0:
+        return float(ratio > 1.0)
+    return float(special.ndtr(optimize.brentq(surplus, -_FARTHEST, _FARTHEST)))
 
 
 def _normal_part(mean: float) -> float:

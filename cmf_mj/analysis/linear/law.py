@@ -44,37 +44,41 @@ def _answers(
     state = DclState.of(still | dict(zip(_STATES, _SIZE * states, strict=True)))
     reference, *feedback = _SIZE * inputs
     step(dcl, state, reference, LegFeedback(*feedback))
-    following = np.concatenate([state.arrays()[name] for name in _STATES])
+    after = state.arrays()
+    following = np.concatenate([after[name] for name in _STATES])
     return dcl.workspace.output / _SIZE, following / _SIZE
 
 
 def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
     """The DCL without its clamps: discrete at 2048 Hz.
 
-    The compiled law is asked with one state or input at a time. Of the states of each leg or mode
-    those are kept that can act on the command. An adapting law is linear while its factor stands
-    still: this is the law with the factor at 1. A law in hydraulic modes must be `bound_to` a cab.
+    The compiled law is asked with one state or input at a time, in leg coordinates for one leg,
+    whose matrices all legs share. Of the states of each leg or mode those are kept that can act on
+    the command. An adapting law is linear while its factor stands still: this is the law with the
+    factor at 1. A law in hydraulic modes must be `bound_to` a cab.
 
     Inputs are `DCL_INPUTS`, the output `command` [fraction]; with several legs `reference_1` and so
     on.
     """
     if legs < 1:
         raise InputError(f"legs: {legs} must be at least 1")
-    dcl = make_dcl(load_law(law), legs)
-    wide = len(DCL_INPUTS)
-    count = len(_STATES) * legs
+    loaded = load_law(law)
+    asked = 1 if loaded.coordinates == "legs" else legs
+    dcl = make_dcl(loaded, asked)
+    count = len(_STATES) * asked
     rows = []
-    for i in range(count + wide * legs):
-        unit = np.zeros(count + wide * legs)
-        unit[i] = 1.0
-        asked = unit[:count].reshape(-1, legs), unit[count:].reshape(-1, legs)
-        rows.append(np.concatenate(_answers(dcl, legs, *asked)))
+    for unit in np.eye(count + len(DCL_INPUTS) * asked):
+        states, inputs = unit[:count].reshape(-1, asked), unit[count:].reshape(-1, asked)
+        rows.append(np.concatenate(_answers(dcl, asked, states, inputs)))
     answers = np.array(rows).T
     c, d, a, b = (
-        answers[:legs, :count],
-        answers[:legs, count:],
-        answers[legs:, :count],
-        answers[legs:, count:],
+        np.asarray(np.kron(part, np.eye(legs // asked)), dtype=np.float64)
+        for part in (
+            answers[:asked, :count],
+            answers[:asked, count:],
+            answers[asked:, :count],
+            answers[asked:, count:],
+        )
     )
     kept = _acting(a, c, legs)
     return control.ss(

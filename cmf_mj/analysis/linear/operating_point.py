@@ -33,6 +33,8 @@ from cmf_mj.plant.supply import Supply
 _SCAN = 41
 """Pressures at which the balance of an actuator is looked at before it is solved."""
 _ROUNDS = 50
+_END = 1e-2
+"""Share of the flow into the chambers within which a closed valve still counts as the rest."""
 
 
 class OperatingPoint(NamedTuple):
@@ -120,10 +122,16 @@ def _hold(plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float)
             float(port_slopes(hydraulics, leg, *at, way).opening[[CAP, ROD]].sum())
             for way in (0.0, 1.0)
         ]
-        if min(fills) > 0.0:
-            return _Rest(-float(bias[0]), closed, fills[0] / fills[1])
-    areas = cylinder.cap_area, cylinder.rod_area
+        # At the ends of the range the opening that holds the leg grows from nothing.
+        if min(fills) > -_END * max(fills):
+            least = _END**2 * max(fills)
+            return _Rest(-float(bias[0]), closed, max(fills[0], least) / max(fills[1], least))
     reach = 1.0 + float(np.abs(bias).max())
+    if bias[0] == bias[1]:
+        rest = _rest_by_newton(plant, leg, mechanics, high, low)
+        if rest is not None and abs(rest.command) < reach:
+            return rest
+    areas = cylinder.cap_area, cylinder.rod_area
 
     def pressures(rod: float) -> NDArray[np.float64]:
         return np.array([(load + areas[1] * rod) / areas[0], rod, high, low])
@@ -160,6 +168,50 @@ def _hold(plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float)
         )
     rod = min(balanced, key=lambda p: abs(command_at(p) + float(bias.mean())))
     return _Rest(command_at(rod), pressures(rod)[:2])
+
+
+def _rest_by_newton(
+    plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float
+) -> _Rest | None:
+    """The rest of a leg with equal valves, by Newton's method; None where it finds none.
+
+    What flows in through one valve port leaks through the piston and leaves through the other, so
+    that with sharp orifices and a = A_cap / A_rod
+
+        opened outward  a^2 (Ps - p_cap) = p_rod - Pt      inward  a^2 (p_cap - Pt) = Ps - p_rod
+
+    which with the load gives both pressures: the starting point.
+    """
+    hydraulics = plant.hydraulics
+    cylinder, valves = hydraulics.cylinder[leg], hydraulics.valve[leg]
+    load, bias = float(mechanics.load[leg]), float(valves.null_bias[0])
+    ratio, share = cylinder.cap_area / cylinder.rod_area, load / cylinder.cap_area
+    for way in (1.0, -1.0):
+        least, most = (low, high) if way > 0.0 else (high, low)
+        rod = (ratio**2 * (most - share) + least) / (1.0 + ratio)
+        cap = share + rod / ratio
+        drop = (high - cap if way > 0.0 else cap - low, cap - rod)
+        if drop[0] <= 0.0 or way * drop[1] <= 0.0:
+            continue
+        flow = cylinder.leakage * abs(drop[1])
+        command = way * flow / (float(valves.cap_gain.sum()) * np.sqrt(drop[0])) - bias
+        for _ in range(_ROUNDS):
+            pressures = np.array([share + rod / ratio, rod, high, low])
+            slopes = port_slopes(
+                hydraulics, leg, command + valves.null_bias, pressures, mechanics.extension[leg]
+            )
+            rows = slopes.pressure[[CAP, ROD]]
+            jacobian = np.column_stack(
+                [slopes.opening[[CAP, ROD]].sum(axis=1), rows[:, ROD] + rows[:, CAP] / ratio]
+            )
+            step = np.linalg.solve(jacobian, -slopes.flow[[CAP, ROD]])
+            command, rod = command + float(step[0]), rod + float(step[1])
+            if abs(step[1]) < 1e-9 * high:
+                inside = low < rod < high and low < share + rod / ratio < high
+                if inside and way * (command + bias) > 0.0:
+                    return _Rest(command, np.array([share + rod / ratio, rod]))
+                break
+    return None
 
 
 def _check_linear(plant: Plant) -> None:
