@@ -16,14 +16,14 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 import numpy as np  # noqa: E402
 from joblib import Parallel, delayed, parallel_config  # noqa: E402
 
-from cmf_mj.studies.engine import attempt  # noqa: E402
+from cmf_mj.studies.engine import CASES, attempt  # noqa: E402
 from cmf_mj.studies.settings import StudyCase, load_study  # noqa: E402
 
 
 def timed(machine: list[StudyCase]) -> float:
     """Processor time of the cases of one machine [s]."""
     begin = time.process_time()
-    attempt(machine)
+    attempt(machine, CASES)
     return time.process_time() - begin
 
 

@@ -7,9 +7,10 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -22,8 +23,8 @@ from cmf_mj.analysis.measures import Measures
 from cmf_mj.cli.common import app
 from cmf_mj.studies import engine
 from cmf_mj.studies.engine import run_study
-from cmf_mj.studies.evaluation import StudyRow
-from cmf_mj.studies.journal import JOURNAL, RESULTS
+from cmf_mj.studies.evaluation import failed
+from cmf_mj.studies.journal import JOURNAL, RESULTS, Journal, Row
 from cmf_mj.studies.settings import Study, StudyCase, load_study
 
 SPECIFICATION = """
@@ -129,23 +130,18 @@ def test_a_killed_process_of_the_pool_loses_nothing(
     assert bits(tmp_path) == bits(finished)
 
 
-def deadly(cases: Sequence[StudyCase]) -> list[tuple[int, list[StudyRow]]]:
-    """Stands in for `attempt`: the third case takes its worker down, whenever it is tried."""
-    if any(case.number == 2 for case in cases):
+def deadly(case: StudyCase, shared: dict[str, Any]) -> list[Row]:
+    """Stands in for evaluation: the third case takes its worker down, whenever it is tried."""
+    if case.number == 2:
         os.kill(os.getpid(), signal.SIGKILL)
-    return engine.attempt(cases)
+    return engine.CASES.evaluate(case, shared)
 
 
 @pytest.mark.slow
 def test_a_case_that_kills_every_worker_is_a_row_with_an_error(
     study: Study, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def results(
-        cases: list[StudyCase], jobs: int, original: Callable[..., object] = engine._results
-    ) -> Iterator[tuple[int, list[StudyRow]]]:
-        return original(cases, jobs, deadly)  # type: ignore[return-value]
-
-    monkeypatch.setattr(engine, "_results", results)
+    monkeypatch.setattr(engine, "CASES", engine.CASES._replace(evaluate=deadly))
     run_study(study, tmp_path, jobs=2, backend="loky")
     rows = pq.read_table(tmp_path / RESULTS).to_pylist()
     (lost,) = [row for row in rows if row["error_type"] == "WorkerDied"]
@@ -226,7 +222,7 @@ def test_a_killed_run_goes_on_where_it_was(
     assert 1 <= kept < CASES
     assert not (tmp_path / RESULTS).exists()
     with (tmp_path / JOURNAL).open("ab") as file:
-        file.write(b'{"case": 19, "rows": [{"dof": "su')
+        file.write(b'{"task": 19, "rows": [{"dof": "su')
     seen: list[int] = []
     run_study(study, tmp_path, backend="threading", progress=lambda done, _: seen.append(done))
     assert seen[0] == kept
@@ -248,23 +244,18 @@ def test_an_interrupted_run_says_how_to_go_on(
     assert again.exit_code == 0, again.output
     assert "20 cases" in again.output
     assert bits(tmp_path) == bits(finished)
-    for name in ("rates", "rotation"):
-        with (tmp_path / f"{name}.csv").open(newline="") as file:
-            laws = {row["law"] for row in csv.DictReader(file)}
-        assert laws and all(law in (tmp_path / f"{name}.md").read_text() for law in laws)
+    with (tmp_path / "rates.csv").open(newline="") as file:
+        laws = {row["law"] for row in csv.DictReader(file)}
+    assert laws and all(law in (tmp_path / "rates.md").read_text() for law in laws)
 
 
 def test_a_finished_study_is_not_run_again(
     study: Study, finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = bits(finished)
-    monkeypatch.setattr(engine, "evaluate", None)
+    monkeypatch.setattr(engine, "attempt", None)
     run_study(study, finished)
     assert bits(finished) == before
-    journal = engine.Journal(finished, study).table()
-    assert json.dumps(pq.read_table(finished / RESULTS).to_pylist()) == json.dumps(
-        journal.to_pylist()
-    )
 
 
 def test_another_study_is_refused_and_what_differs_is_named(
@@ -277,7 +268,7 @@ def test_another_study_is_refused_and_what_differs_is_named(
     fewer = load_study(specification, laws=["velocity"])
     with pytest.raises(ValueError, match="differs in laws, settings.laws"):
         run_study(fewer, finished)
-    monkeypatch.setattr("cmf_mj.studies.settings._sources", lambda: "of another day")
+    monkeypatch.setattr("cmf_mj.studies.journal._sources", lambda: "of another day")
     with pytest.raises(ValueError, match="differs in sources; allowed: the same study"):
         run_study(load_study(specification), finished)
     assert bits(finished) == before
@@ -329,14 +320,14 @@ def test_an_unknown_study_is_refused() -> None:
 
 
 def test_numbers_survive_the_journal_to_the_bit(study: Study, tmp_path: Path) -> None:
-    journal = engine.Journal(tmp_path, study)
-    row = engine.failed(ValueError("x"))._replace(
+    journal = Journal(tmp_path, study.identity())
+    row = failed(ValueError("x"))._replace(
         measures=Measures(overshoot=np.nextafter(0.1, 1.0)), dof="surge"
     )
-    journal.add(0, [row])
-    again = engine.Journal(tmp_path, study)
-    assert again.table().column("overshoot").to_pylist() == [row.measures.overshoot]
-    assert np.isnan(again.table().column("peak_gain_db").to_pylist()[0])
+    journal.add(0, [row.columns])
+    (again,) = Journal(tmp_path, study.identity()).results[0]
+    assert again["overshoot"] == row.measures.overshoot
+    assert np.isnan(again["peak_gain_db"])
 
 
 def test_ready_studies_are_sound() -> None:
@@ -345,12 +336,5 @@ def test_ready_studies_are_sound() -> None:
     mismatch = load_study("mismatch").cases
     draws = load_study("mismatch").settings.draws
     assert sum(case.method == "linear" for case in mismatch) == 27 * (draws + 1)
-    rotation = load_study("rotation")
-    assert rotation.settings.mismatch == load_study("mismatch").settings.mismatch
-    names = [law.name for law in rotation.laws]
-    assert names[1:3] == ["position_error_rate", "acceleration_eq_3_6"]
-    field = load_study("rotation_field")
-    assert field.settings.mismatch == rotation.settings.mismatch
-    assert len(field.cases) == 5 * 3 * (draws + 1)
     with pytest.raises(ValueError, match="study: base: 'all' is not one of ablation, mismatch"):
         load_study({"base": "all"})

@@ -177,27 +177,45 @@ def _linear(
     delay = rung_named(study_case.rung).command_delay
     law = bound(case.law, plant.law_key)
     loop = pose_loop(closed_loop(law, system, command_delay=delay), plant, case.pose)
-    poles = np.linalg.eigvals(np.asarray(loop.A))
-    mode = least_damped_mode(poles)
-    if not np.abs(poles).max() < 1.0:  # there is no response to measure
-        return [StudyRow(dof, joined(mode=mode), _NONE) for dof in DOFS]
-    modes = np.abs(oscillations(poles)) / (2.0 * np.pi)
-    lines = np.union1d(FREQUENCIES, modes[(modes > BAND[0]) & (modes < BAND[1])])
-    omega = 2.0 * np.pi * lines
-    response = np.asarray(control.frequency_response(loop, omega).frdata)
+    measures, response = loop_measures(loop)
+    if response is None:
+        return [StudyRow(dof, one, _NONE) for dof, one in zip(DOFS, measures, strict=True)]
     # What the legs do is what their sensors read over its gain.
     jacobian = jacobian_of(plant, case.pose)
     gains = 1.0 + errors.get("leg_position", np.zeros(plant.legs))
     true = np.linalg.solve(jacobian, jacobian / gains[:, None])
     shares = crosstalk(np.einsum("ij,jkf->ikf", true, response), REPORT_AMPLITUDES)
+    return [
+        StudyRow(dof, one, shares[:, i])
+        for i, (dof, one) in enumerate(zip(DOFS, measures, strict=True))
+    ]
+
+
+def loop_measures(
+    loop: control.StateSpace,
+) -> tuple[tuple[Measures, ...], NDArray[np.complex128] | None]:
+    """Measures of each axis of a loop at 2048 Hz, and its response (n, n, K).
+
+    `loop` goes from n demands to n motions. Its lines are `FREQUENCIES` and those of its poles. A
+    loop that is not stable has no response and only a mode, the least damped of all.
+    """
+    poles = np.linalg.eigvals(np.asarray(loop.A))
+    mode = least_damped_mode(poles)
+    axes = int(loop.noutputs)
+    if not np.abs(poles).max() < 1.0:
+        return (joined(mode=mode),) * axes, None
+    modes = np.abs(oscillations(poles)) / (2.0 * np.pi)
+    lines = np.union1d(FREQUENCIES, modes[(modes > BAND[0]) & (modes < BAND[1])])
+    omega = 2.0 * np.pi * lines
+    response = np.asarray(control.frequency_response(loop, omega).frdata)
     steps = _steps(loop)
-    final = np.real(np.asarray(control.dcgain(loop)))
-    rows = []
-    for i, dof in enumerate(DOFS):
+    final = np.real(np.asarray(np.atleast_2d(control.dcgain(loop))))
+    measures = []
+    for i in range(axes):
         widths = bandwidths(control.FrequencyResponseData(response[i, i], omega))
         step = measure_step(steps[:, i, i], 1.0 / FRAME, final=float(final[i, i]))
-        rows.append(StudyRow(dof, joined(widths, step, mode), shares[:, i]))
-    return rows
+        measures.append(joined(widths, step, mode))
+    return tuple(measures), response
 
 
 def _steps(loop: control.StateSpace) -> NDArray[np.float64]:

@@ -1,54 +1,56 @@
 """The folder of a study: what it is, the results so far, the finished table.
 
     study.json        what the study runs, with versions and a digest of the sources
-    journal.jsonl     a line a finished case, written in one piece and flushed to the disk
-    results.parquet   all rows in the order of the cases, once all are finished
+    journal.jsonl     a line a finished task, written in one piece and flushed to the disk
+    results.parquet   all rows in the order of the tasks, once all are finished
 
-A line that a killed process left half-written is no JSON; its case runs again. Numbers survive
+A line that a killed process left half-written is no JSON; its task runs again. Numbers survive
 the journal to the bit: JSON holds the shortest digits that read back the same.
 """
 
+import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.files import whole_file, write_text
-from cmf_mj.studies.evaluation import ROW_COLUMNS, StudyRow
-from cmf_mj.studies.settings import CASE_COLUMNS, Study, StudyCase
+from cmf_mj.core.files import write_text
+from cmf_mj.machine import models
 
 SPECIFICATION, JOURNAL, RESULTS = "study.json", "journal.jsonl", "results.parquet"
 
-_TEXT = ("method", "rung", "cab", "law", "dof", "error_type", "error_message")
-_OTHERS = {"case": pa.int64(), "draw": pa.int64(), "stable": pa.bool_()}
+Row = dict[str, Any]
+"""One result: JSON values by the name of their column."""
 
-SCHEMA = pa.schema(
-    [
-        (name, pa.string() if name in _TEXT else _OTHERS.get(name, pa.float64()))
-        for name in (*CASE_COLUMNS, *ROW_COLUMNS)
-    ]
-)
-"""Columns of the results: the case's, then those of its rows."""
+_ROOT = Path(__file__).resolve().parents[1]
 
 
 class Journal:
     """Results of a study as they come."""
 
-    def __init__(self, folder: Path, study: Study) -> None:
+    def __init__(self, folder: Path, study: Mapping[str, Any]) -> None:
         """Open the folder of a study, new or with a part of it.
 
-        Refuses a folder that holds another study, or the same one of other sources.
+        `study` is what two runs must share for their results to stand in one table, as JSON values;
+        versions and sources are added. Refuses a folder that holds another study, or the same one
+        of other sources.
         """
         self.folder = folder
-        self.study = study
+        libraries = ("mujoco", "numpy", "scipy", "numba")
+        identity = {
+            **json.loads(json.dumps(study)),
+            "sources": _sources(),
+            "versions": {name: version(name) for name in libraries},
+        }
+        self.identity = json.dumps(identity, sort_keys=True)
+        """What the study is, as JSON."""
         folder.mkdir(parents=True, exist_ok=True)
-        identity, path = json.loads(json.dumps(study.identity())), folder / SPECIFICATION
+        path = folder / SPECIFICATION
         if path.exists():
             there, here = _entries(json.loads(path.read_text(encoding="utf-8"))), _entries(identity)
             names = sorted(there.keys() | here.keys())
@@ -62,8 +64,8 @@ class Journal:
             raise InputError(f"{folder}: holds a journal without its {SPECIFICATION}")
         else:
             write_text(path, json.dumps(identity, indent=1))
-        self.results: dict[int, list[dict[str, Any]]] = {}
-        """Rows of the finished cases, by number."""
+        self.results: dict[int, list[Row]] = {}
+        """Rows of the finished tasks, by number."""
         path = folder / JOURNAL
         content = path.read_bytes() if path.exists() else b""
         if content and not content.endswith(b"\n"):  # the next line starts on its own
@@ -72,37 +74,15 @@ class Journal:
         for line in content.splitlines():
             with suppress(ValueError):  # torn, or no text at all
                 entry = json.loads(line)
-                self.results[entry["case"]] = entry["rows"]
+                self.results[entry["task"]] = entry["rows"]
 
-    @property
-    def pending(self) -> list[StudyCase]:
-        """Cases without a result."""
-        return [case for case in self.study.cases if case.number not in self.results]
-
-    def add(self, number: int, rows: Sequence[StudyRow]) -> None:
-        """Keep what a case gave."""
-        text = json.dumps({"case": number, "rows": [row.columns for row in rows]}) + "\n"
+    def add(self, number: int, rows: Sequence[Row]) -> None:
+        """Keep what a task gave."""
+        text = json.dumps({"task": number, "rows": rows}) + "\n"
         with (self.folder / JOURNAL).open("ab", buffering=0) as file:
             file.write(text.encode())
             os.fsync(file.fileno())
         self.results[number] = json.loads(text)["rows"]
-
-    def table(self) -> pa.Table:
-        """All rows so far, in the order of the cases."""
-        columns: dict[str, list[Any]] = {name: [] for name in SCHEMA.names}
-        for case in self.study.cases:
-            for row in self.results.get(case.number, []):
-                for name, value in (case.columns | row).items():
-                    columns[name].append(value)
-        identity = json.dumps(self.study.identity(), sort_keys=True)
-        return pa.table(columns, schema=SCHEMA.with_metadata({"study": identity}))
-
-    def consolidate(self) -> pa.Table:
-        """Write the finished table."""
-        table = self.table()
-        with whole_file(self.folder / RESULTS) as partial:
-            pq.write_table(table, partial)
-        return table
 
 
 def _entries(identity: dict[str, Any]) -> dict[str, Any]:
@@ -112,3 +92,15 @@ def _entries(identity: dict[str, Any]) -> dict[str, Any]:
         for name, value in identity.items()
         for key, entry in (value.items() if isinstance(value, dict) else [("", value)])
     }
+
+
+@lru_cache
+def _sources() -> str:
+    """Digest of all sources that results can depend on: not of those that draw and print them."""
+    digest = hashlib.sha256()
+    paths = [*_ROOT.rglob("*.py"), *_ROOT.rglob("*.toml"), *models.directory().rglob("*.xml")]
+    for path in sorted(paths):
+        if path.parent.name in ("cli", "ready") or "show" in path.parts:
+            continue
+        digest.update(json.dumps([path.name, path.read_text(encoding="utf-8")]).encode())
+    return digest.hexdigest()

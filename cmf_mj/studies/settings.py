@@ -12,12 +12,8 @@ it changes. The cases are the product of rungs, cabs, poses, draws, laws and deg
 this order.
 """
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from importlib.metadata import version
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -30,7 +26,6 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name, unknown_name
 from cmf_mj.core.settings import Settings, read_toml, validated
-from cmf_mj.machine import models
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
@@ -54,7 +49,6 @@ CASE_COLUMNS = (
 """What the table of results holds of a case."""
 
 _READY = Path(__file__).parent / "ready"
-_ROOT = Path(__file__).resolve().parents[1]
 
 
 class StudySettings(Settings):
@@ -135,14 +129,12 @@ class Study:
         return cases
 
     def identity(self) -> dict[str, Any]:
-        """What two runs must share for their results to stand in one table, as JSON values."""
+        """What the study runs, as JSON values, see `journal`."""
         return {
             "settings": self.settings.model_dump(mode="json"),
             "laws": [law.model_dump(mode="json") for law in self.laws],
             "cabs": [cab.model_dump(mode="json", exclude_none=True) for cab in self.cabs],
             "hydraulics": self.hydraulics.model_dump(mode="json", exclude_none=True),
-            "sources": _sources(),
-            "versions": {name: version(name) for name in ("mujoco", "numpy", "scipy", "numba")},
         }
 
 
@@ -162,12 +154,7 @@ def load_study(
     `source` is the name of a shipped specification, a TOML file or a table; `laws` stand in for its
     laws, `changes` replace its fields.
     """
-    if isinstance(source, dict):
-        where, table = "study", dict(source)
-    else:
-        where, table = str(source), _table("study", str(source), " nor a .toml file")
-    if "base" in table:
-        table = _table(f"{where}: base", str(table.pop("base"))) | table
+    table, where = study_table(source)
     table |= changes or {}
     loaded = None if laws is None else tuple(load_law(law) for law in laws)
     if loaded is not None:
@@ -181,6 +168,17 @@ def load_study(
         if len(set(names)) < len(names):
             raise InputError(f"{field}: {', '.join(names)} must differ in name")
     return Study(settings, chosen, cabs, load_hydraulics(settings.hydraulics))
+
+
+def study_table(source: str | Path | dict[str, Any]) -> tuple[dict[str, Any], str]:
+    """The table of a specification with that of its base, and what errors call it."""
+    if isinstance(source, dict):
+        where, table = "study", dict(source)
+    else:
+        where, table = str(source), _table("study", str(source), " nor a .toml file")
+    if "base" in table:
+        table = _table(f"{where}: base", str(table.pop("base"))) | table
+    return table, where
 
 
 def _table(field: str, name: str, more: str = "") -> dict[str, Any]:
@@ -209,15 +207,3 @@ def _check(settings: StudySettings) -> None:
                 f"rungs: {name!r} has no linearisation; friction, electronics and a delay of 0 "
                 "frames need the method sweep or matrix"
             )
-
-
-@lru_cache
-def _sources() -> str:
-    """Digest of all sources that results can depend on: not of those that draw and print them."""
-    digest = hashlib.sha256()
-    paths = [*_ROOT.rglob("*.py"), *_ROOT.rglob("*.toml"), *models.directory().rglob("*.xml")]
-    for path in sorted(paths):
-        if path.stem.endswith("report") or path.parent.name in ("cli", "ready"):
-            continue
-        digest.update(json.dumps([path.name, path.read_text(encoding="utf-8")]).encode())
-    return digest.hexdigest()
