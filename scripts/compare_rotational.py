@@ -1,7 +1,9 @@
 """What does acceleration feedback do in rotation? Roll, pitch and yaw on both plants.
 
-The question the 2014 report could not answer: its model had no moments of inertia. Runs position
-error rate feedback with no, positive and opposing acceleration feedback.
+The question the 2014 report could not answer: its model had no moments of inertia. Runs the law
+flown, position error rate feedback, and every reading of its acceleration feedback, with nominal
+machines; the figures lay all of them over one another. `cmf study rotation` varies what nobody
+published.
 """
 
 import argparse
@@ -11,7 +13,10 @@ from cmf_mj.cli.common import refuse
 from cmf_mj.cli.simulate import run_comparison
 from cmf_mj.plant.build import PLANTS
 
-LAWS = ["position_error_rate", "acceleration_eq_3_6", "acceleration_opposing"]
+LAWS = [
+    *("velocity", "position_error_rate", "acceleration", "acceleration_eq_3_6"),
+    *("acceleration_opposing", "acceleration_d2"),
+]
 
 
 def main() -> None:

@@ -49,9 +49,16 @@ COPIES = {
     "ablation/measures.csv": "data/ablation_measures.csv",
     "ablation/effects.csv": "data/ablation_effects.csv",
     "mismatch/rates.csv": "data/mismatch_rates.csv",
-    "rotation/rotation.csv": "data/rotation.csv",
-    "rotation/rotation_flown.csv": "data/rotation_flown.csv",
-    "rotation_field/rotation_flown.csv": "data/rotation_field.csv",
+    **{
+        f"rotation/{name}.csv": f"data/rotation_{name}.csv"
+        for name in ("stability", "changes", "spans", "gains", "unknowns", "evidence")
+    },
+    **{
+        f"rotation/{name}.png": f"images/rotation_{name}.png"
+        for name in ("unknowns", "tornado", "maps", "bandwidths", "gains")
+    },
+    "rotation/map_position_error_rate.png": "images/rotation_map_position_error_rate.png",
+    "rotation/map_acceleration_d2.png": "images/rotation_map_acceleration_d2.png",
 }
 """Files of the studies below --results, and where they go below docs."""
 

@@ -35,13 +35,18 @@ def test_compare_rotational_covers_rotation_on_both_plants(tmp_path: Path) -> No
     run("compare_rotational.py", "--quick", "--no-records", "--out", "rotation", cwd=tmp_path)
     with (tmp_path / "rotation" / "comparison.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 18
+    assert len(rows) == 36
     assert {row["dof"] for row in rows} == {"roll", "pitch", "yaw"}
     assert {row["law"] for row in rows} == {
-        "position_error_rate",
-        "acceleration_eq_3_6",
-        "acceleration_opposing",
+        *("velocity", "position_error_rate", "acceleration", "acceleration_eq_3_6"),
+        *("acceleration_opposing", "acceleration_d2"),
     }
+    # On single legs the law of Table D-2 reaches what it prints; on the hexapod it rings.
+    derived = [row for row in rows if row["law"] == "acceleration_d2"]
+    for row in derived:
+        if row["plant"] == "single_legs":
+            continue
+        assert row["stable"] == "False" and row["phase_bandwidth_hz"] == ""
     assert not (tmp_path / "rotation" / "records").exists()
 
 
@@ -91,13 +96,13 @@ def test_update_docs_takes_tables_and_figures_of_studies(tmp_path: Path) -> None
     shutil.copytree(SCRIPTS.parent / "docs", root / "docs")
     shutil.copy(SCRIPTS.parent / "README.md", root)
     results = tmp_path / "out"
-    for name in ("rotation/rotation.md", "rotation/rotation.csv", "ablation/ladder.png"):
+    for name in ("rotation/stability.md", "rotation/stability.csv", "ablation/ladder.png"):
         (results / name).parent.mkdir(parents=True, exist_ok=True)
         (results / name).write_text(f"new {name}")
     run("update_docs.py", "--results", str(results), "--root", str(root), cwd=tmp_path)
     page = (root / "docs" / "acceleration_in_rotation.md").read_text()
-    assert "<!-- table: rotation/rotation -->\n\nnew rotation/rotation.md\n" in page
-    assert (root / "docs" / "data" / "rotation.csv").read_text() == "new rotation/rotation.csv"
+    assert "<!-- table: rotation/stability -->\n\nnew rotation/stability.md\n" in page
+    assert (root / "docs/data/rotation_stability.csv").read_text() == "new rotation/stability.csv"
     assert (root / "docs" / "images" / "ladder.png").read_text() == "new ablation/ladder.png"
     before = (SCRIPTS.parent / "docs" / "studies.md").read_text()
     assert (root / "docs" / "studies.md").read_text() == before

@@ -105,7 +105,7 @@ Pose = Annotated[str, Option(metavar="POSE", help="x,y,z [in],roll,pitch,yaw [de
 Amplitude = Annotated[str | None, size(help="with its unit; default '0.33 in' or '0.2 deg'")]
 Jobs = Annotated[int | None, Option(help="threads or processes; default one a core")]
 Noise = Annotated[bool, Option("--noise/--ideal", help="sensors and electronics with noise")]
-Quick = Annotated[bool, Option("--quick", help="shorter: sweeps of 30 s, not 100 s")]
+Quick = Annotated[bool, Option("--quick", help="shorter: sweeps of 30 s, not 100 s; fewer draws")]
 Seed = Annotated[int, Option(help="of all random numbers")]
 Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results")]
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]

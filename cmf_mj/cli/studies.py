@@ -29,22 +29,38 @@ Address = Annotated[str | None, Option(help="address of a running Dask scheduler
 
 
 def _run(
-    specification: str, out: Path, laws: list[str] | None, how: dict[str, Any], **changes: Any
+    specification: str,
+    out: Path,
+    laws: list[str] | None,
+    how: dict[str, Any],
+    *,
+    quick: bool = False,
+    **changes: Any,
 ) -> None:
     """Run a study with some of its fields changed; None leaves a field."""
+    from cmf_mj.show import posterior
     from cmf_mj.show import study as report
     from cmf_mj.studies.engine import run_study
-    from cmf_mj.studies.settings import load_study
+    from cmf_mj.studies.posterior.run import run_posterior
+    from cmf_mj.studies.posterior.settings import load_posterior
+    from cmf_mj.studies.settings import load_study, study_table
 
     changes = {name: value for name, value in changes.items() if value is not None}
-    study = load_study(specification, laws=laws, changes=changes)
     how["jobs"] = how["jobs"] if how["jobs"] is not None else os.cpu_count() or 1
     how["backend"] = "dask" if how["scheduler"] else how["backend"]
     try:
         with progress_bar() as update:
-            table = run_study(study, out, progress=update, **how)
-        paths = report.save_report(table, out)
-        show(report.summary_table(table), written(paths, out))
+            if "unknowns" in study_table(specification)[0]:
+                unknown = load_posterior(specification, laws=laws, changes=changes, quick=quick)
+                results = run_posterior(unknown, out, progress=update, **how)
+                parts = posterior.summary(results)
+                paths = posterior.save_posterior(results, out)
+            else:
+                changes |= {"quick": True} if quick else {}
+                study = load_study(specification, laws=laws, changes=changes)
+                table = run_study(study, out, progress=update, **how)
+                parts, paths = (report.summary_table(table),), report.save_report(table, out)
+        show(*parts, written(paths, out))
     except KeyboardInterrupt:
         typer.secho(f"cmf: interrupted; the same command goes on with {out}", err=True)
         if how["backend"] == "threading":
@@ -60,6 +76,7 @@ def study_command(
     laws: Laws = None,
     cabs: SomeCabs = None,
     draws: Annotated[int | None, Option(help="random samples of the machine")] = None,
+    quick: options.Quick = False,
     jobs: options.Jobs = None,
     backend: Workers = "loky",
     scheduler: Address = None,
@@ -67,7 +84,7 @@ def study_command(
     """Run a study of many cases, or what is left of it; the same command resumes it."""
     folder = out or Path("out") / Path(specification).stem
     how = {"jobs": jobs, "backend": backend, "scheduler": scheduler}
-    _run(specification, folder, laws, how, cabs=cabs, draws=draws)
+    _run(specification, folder, laws, how, quick=quick, cabs=cabs, draws=draws)
 
 
 @command("ablation")

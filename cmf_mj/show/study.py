@@ -19,16 +19,11 @@ from cmf_mj.studies.effects import (
     climb,
     in_order,
     largest_crosstalk,
-    law_effects,
     rates,
     rows_of,
 )
 from cmf_mj.studies.evaluation import MEASURED
 from cmf_mj.studies.settings import NOMINAL
-
-REFERENCES = {"rotation": "position_error_rate", "rotation_flown": "velocity"}
-"""Tables of effects and the laws they are against: the one that acceleration feedback is added to,
-and the one flown."""
 
 _MEASURES = (
     ("phase_bandwidth_hz", "-90 deg [Hz]"),
@@ -44,14 +39,6 @@ def _percent(share: Interval) -> str:
     return f"{100.0 * share.value:.0f} ({100.0 * share.low:.0f}-{100.0 * share.high:.0f})"
 
 
-def _difference(change: Interval, digits: int) -> str:
-    if change.machines == 0:
-        return "-"
-    middle, low, high = (number(v, f"+.{digits}f") for v in (change.value, change.low, change.high))
-    between = "" if np.isnan(change.low) else f" ({low} to {high}), n = {change.machines}"
-    return middle + (between or f" (n = {change.machines})")
-
-
 def rate_table(table: pa.Table) -> Table:
     """Shares of machines that are stable, and damped in each degree of freedom [%]."""
     names = ("cab", "law", "stable %", *(f"{dof} damped %" for dof in DOFS))
@@ -64,21 +51,6 @@ def rate_table(table: pa.Table) -> Table:
         for rate in rates(table)
     ]
     return Table("", (*names, ("least mode damping", ".3f")), rows)
-
-
-def effect_table(table: pa.Table, against: str) -> Table:
-    """What all other laws change in rotation against one."""
-    header = ("cab", "law", "dof", "stable %", "-90 deg [Hz]", "zeta", "least mode damping")
-    rows = [
-        (
-            *(effect.cab, effect.law, effect.dof, _percent(effect.stable)),
-            _difference(effect.phase_bandwidth_hz, 2),
-            _difference(effect.damping_ratio, 3),
-            _difference(effect.mode_damping, 3),
-        )
-        for effect in law_effects(table, against)
-    ]
-    return Table("", header, rows)
 
 
 def agreement_table(table: pa.Table) -> Table:
@@ -175,7 +147,7 @@ def ladder_figure(table: pa.Table) -> Figure:
 def tables_of(table: pa.Table) -> dict[str, Table]:
     """The tables a study has something for, by the name of their file."""
     rows = rows_of(table)
-    methods, laws = in_order(rows, "method"), in_order(rows, "law")
+    methods = in_order(rows, "method")
     tables: dict[str, Table] = {}
     if "sweep" in methods:
         tables["measures"] = measure_table(table)
@@ -183,9 +155,6 @@ def tables_of(table: pa.Table) -> dict[str, Table]:
         tables["effects"] = climb_table(table)
     if "linear" in methods and any(row["draw"] != NOMINAL for row in rows):
         tables["rates"] = rate_table(table)
-        for name, against in REFERENCES.items():
-            if against in laws and len(laws) > 1:
-                tables[name] = effect_table(table, against)
     if "linear" in methods and "matrix" in methods:
         tables["agreement"] = agreement_table(table)
     return tables

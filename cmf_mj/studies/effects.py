@@ -1,8 +1,7 @@
 """What a finished study says: shares, effects and agreement, as plain rows.
 
-Each function takes the table of results and gives named tuples, one a line of a table. Machines are
-drawn once and run with every law: a share of machines has Wilson's score interval, a difference of
-two laws is the mean over the machines both ran on, with Student's t interval.
+Each function takes the table of results and gives named tuples, one a line of a table. A share of
+machines has Wilson's score interval, a mean Student's t interval.
 """
 
 from collections.abc import Iterable
@@ -48,21 +47,6 @@ class Rate(NamedTuple):
     """Share of machines that are stable and overshoot no more than at `ENOUGH_DAMPING`, by degree
     of freedom."""
     mode_damping: Interval  #: Mean of the least damping ratio of all modes.
-
-
-class Effect(NamedTuple):
-    """What a law changes against another on the same machines."""
-
-    cab: str
-    law: str
-    dof: str
-    phase_bandwidth_hz: Interval
-    """Difference of the -90 deg bandwidths, over machines on which both are stable."""
-    damping_ratio: Interval
-    """Difference of the damping ratios from the step's overshoot, over the same machines."""
-    mode_damping: Interval
-    """Difference of the least damping ratio of all modes, over all machines."""
-    stable: Interval  #: Share of machines on which the law is stable.
 
 
 class Agreement(NamedTuple):
@@ -146,31 +130,6 @@ def rates(table: pa.Table) -> list[Rate]:
             )
         )
     return every
-
-
-def law_effects(table: pa.Table, against: str) -> list[Effect]:
-    """What all other laws change in rotation against one, machine by machine."""
-    rows = _drawn(table)
-    laws = [law for law in in_order(rows, "law") if law != against]
-    by_case = {(r["cab"], r["law"], r["dof"], r["draw"]): r for r in rows}
-    effects = []
-    for cab, law, dof in product(in_order(rows, "cab"), laws, DOFS[3:]):
-        pairs = [
-            (row, by_case[cab, against, dof, draw])
-            for (*case, draw), row in by_case.items()
-            if case == [cab, law, dof] and (cab, against, dof, draw) in by_case
-        ]
-        stable = _stable(pairs)
-        effects.append(
-            Effect(
-                *(cab, law, dof),
-                mean(_differences(stable, "phase_bandwidth_hz")),
-                mean(_differences(stable, "damping_ratio")),
-                mean(_differences(pairs, "mode_damping_ratio")),
-                share([row["stable"] for row, _ in pairs]),
-            )
-        )
-    return effects
 
 
 def _stable(pairs: Iterable[Pair]) -> list[Pair]:

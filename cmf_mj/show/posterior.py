@@ -1,0 +1,297 @@
+"""Tables and sentences of a study of the unknown, every number of them computed from its files."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.core.files import write_text
+from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.show import posterior_figures as figures
+from cmf_mj.show.look import save_files
+from cmf_mj.show.table import Cell, Table, number
+from cmf_mj.studies.posterior import answers
+from cmf_mj.studies.posterior.answers import GainStep, Stability
+from cmf_mj.studies.posterior.evidence import FLOWN
+from cmf_mj.studies.posterior.run import GROUPS, Results
+
+Array = NDArray[np.float64]
+
+DERIVED = "acceleration_d2"
+"""Law that reaches on single legs what the report hoped for in rotation."""
+
+PRINTED = "acceleration_eq_3_6"
+"""Acceleration feedback with gain, sign and filter as printed."""
+
+OPPOSED = "acceleration_opposing"
+"""As `PRINTED` with the opposite sign."""
+
+FAST = "acceleration"
+"""Acceleration feedback as printed behind the filter that the text describes."""
+
+
+def interval(span: Array, form: str = ".2f") -> str:
+    """A median and a 90 % interval as text."""
+    low, middle, high = (number(float(value), form) for value in span)
+    return middle if middle == "-" else f"{middle} ({low} to {high})"
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """A share as per cent, without rounding to certainty."""
+    text = f"{100.0 * share:.{digits}f} %"
+    if share < 1.0 and text == "100 %":
+        return "over 99 %"
+    return "under 1 %" if share > 0.0 and text == "0 %" else text
+
+
+def stability_table(results: Results) -> Table:
+    """Probability that each law is unstable, with each cab."""
+    names = {"rows": "hardware rows", "fits": "hardware fits", "three_g": "3 g", "flown": "flown"}
+    columns = (
+        *("law", "cab", "prior", "all evidence"),
+        *(f"without {names[group]}" for group in GROUPS),
+        *("simulated", "same verdict"),
+    )
+    rows = [
+        (
+            *(one.law, one.cab, percent(one.prior)),
+            f"{percent(one.posterior)} +- {100.0 * one.error:.1f}",
+            *(percent(share) for share in one.without),
+            f"{one.simulated} of {one.machines}",
+            f"{one.agreeing} of {one.machines}",
+        )
+        for one in answers.stability(results)
+    ]
+    return Table("", columns, rows)
+
+
+def change_table(results: Results) -> Table:
+    """What each law changes in the pair's damping ratio."""
+    columns = ("law", "cab", "prior", "all evidence", "same sign")
+    rows = [
+        (
+            *(one.law, one.cab, interval(one.prior, "+.3f"), interval(one.posterior, "+.3f")),
+            percent(one.same_sign),
+        )
+        for one in answers.changes(results)
+    ]
+    return Table("", columns, rows)
+
+
+def span_table(results: Results, dofs: tuple[str, ...] = DOFS[3:]) -> Table:
+    """Measures on machines drawn from the posterior."""
+    columns = ("cab", "law", "dof", "stable", "-90 deg [Hz]", "-3 dB [Hz]", "peak [dB]", "zeta")
+    rows = [
+        (
+            *(one.cab, one.law, one.dof, percent(one.stable)),
+            interval(one.phase_bandwidth_hz),
+            interval(one.gain_bandwidth_hz),
+            interval(one.peak_gain_db, ".1f"),
+            interval(one.damping_ratio),
+        )
+        for one in answers.spans(results)
+        if one.dof in dofs
+    ]
+    return Table("", columns, rows)
+
+
+def gain_table(results: Results) -> Table:
+    """Gains of acceleration behind filters."""
+    columns = (("gain [%/(in/s²)]", "g"), "filter", "stable with every cab", "least damping ratio")
+    rows: list[tuple[Cell, ...]] = [
+        (one.gain, filter_name(one.corner), percent(one.stable), interval(one.damping, ".3f"))
+        for one in answers.gain_steps(results)
+    ]
+    return Table("", columns, rows)
+
+
+def filter_name(corner: float) -> str:
+    """What stands before the gain."""
+    return "none" if corner == 0.0 else f"{corner:.3g} Hz"
+
+
+def unknown_table(results: Results) -> Table:
+    """Prior and posterior of the unknowns, with the reason of the bounds."""
+    unknowns = results.study.settings.unknowns
+    rows = [
+        (
+            *(name, unknowns[name].unit, f"{unknowns[name].low:g} to {unknowns[name].high:g}"),
+            interval(after, ".3g"),
+            unknowns[name].source,
+        )
+        for name, (_, after) in answers.ranges(results).items()
+    ]
+    return Table("", ("unknown", "unit", "prior", "all evidence", "source of the bounds"), rows)
+
+
+def evidence_table(results: Results) -> Table:
+    """What the report tells and what machines make of it."""
+    columns = ("observation", ("printed", ".3g"), ("s", ".2g"), "prior", "all evidence", "inside")
+    rows = [
+        (
+            *(one.name, one.observed, one.deviation),
+            *(interval(one.prior, ".3g"), interval(one.posterior, ".3g")),
+            "yes" if one.inside else "no",
+        )
+        for one in answers.checks(results)
+    ]
+    return Table("", columns, rows)
+
+
+def best_gain(results: Results) -> GainStep:
+    """The gain and filter that is stable with every cab most often; of equals the best damped."""
+    return max(answers.gain_steps(results), key=lambda one: (one.stable, one.damping[0]))
+
+
+def _list(names: Iterable[str]) -> str:
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def _by_cab(rows: list[Stability], law: str) -> list[Stability]:
+    return [row for row in rows if row.law == law]
+
+
+def robust_text(results: Results) -> str:
+    """What holds whatever is assumed, as a Markdown list."""
+    rows, lines = answers.stability(results), []
+    names = {law.name for law in results.study.laws}
+    if DERIVED in names:
+        mine = _by_cab(rows, DERIVED)
+        parts = _list(f"{percent(one.posterior)} with the {one.cab.upper()}" for one in mine)
+        lines.append(
+            f"`{DERIVED}`, which reaches 4.8 to 5.0 Hz on single legs, is unstable on the hexapod "
+            f"with a probability of {parts}; before any evidence of "
+            f"{_list(percent(one.prior) for one in mine)}. Simulated, it rings on "
+            f"{_list(f'{one.simulated} of {one.machines}' for one in mine)} machines."
+        )
+    for one in answers.changes(results):
+        if one.cab == results.study.cabs[0].name and one.law in (PRINTED, FAST, OPPOSED):
+            verb = "takes from" if one.posterior[1] < 0.0 else "adds to"
+            size = np.sort(np.abs(one.posterior))[[0, 1, 2]]
+            before = np.sort(np.abs(one.prior))
+            lines.append(
+                f"`{one.law}` {verb} the pair's damping ratio {interval(size, '.3f')} with the "
+                f"{one.cab.upper()}, before any evidence {interval(before, '.3f')}; the sign "
+                f"is the same on {percent(one.same_sign)} of the machines."
+            )
+    sure = [one for one in rows if one.robust]
+    for law in dict.fromkeys(one.law for one in sure):
+        cabs = [one for one in sure if one.law == law]
+        if law in (DERIVED, FLOWN) or len({one.posterior > 0.5 for one in cabs}) > 1:
+            continue
+        what = "unstable" if cabs[0].posterior > 0.5 else "stable"
+        share = min(max(one.posterior, 1.0 - one.posterior) for one in cabs)
+        lines.append(
+            f"`{law}` is {what} with {_list(one.cab.upper() for one in cabs)} whatever is left "
+            f"out: on at least {percent(share)} of the machines under all evidence."
+        )
+    return "".join(f"- {line}\n" for line in lines)
+
+
+def fragile_text(results: Results) -> str:
+    """What hangs on numbers nobody published, as a Markdown list."""
+    lines, moved = [], answers.moved(results)
+    stability = answers.stability(results)
+    for law in dict.fromkeys(one.law for one in stability if not one.robust):
+        if law in (DERIVED, FLOWN):
+            continue
+        shares = _list(
+            f"{percent(one.posterior)} ({one.cab.upper()})" for one in stability if one.law == law
+        )
+        swings = sorted((one for one in moved if one.law == law), key=lambda one: -one.swing)
+        turned = [f"`{one.unknown}`" for one in swings if one.turns]
+        flips = f" Its verdict turns with {_list(turned)} alone." if turned else ""
+        lines.append(
+            f"`{law}` is unstable with a probability of {shares}. Its least damping ratio hangs "
+            f"most on {_list(f'`{one.unknown}`' for one in swings[:3])}.{flips}"
+        )
+    return "".join(f"- {line}\n" for line in lines)
+
+
+def advice_text(results: Results) -> str:
+    """Which gain and filter machines drawn from the posterior bear best."""
+    best, steps = best_gain(results), answers.gain_steps(results)
+    (none,) = {one.stable for one in steps if one.gain == 0.0 and one.corner == best.corner}
+    behind = "unfiltered" if best.corner == 0.0 else f"behind {filter_name(best.corner)}"
+    return (
+        f"Of the gains and filters tried, {best.gain:g} %/(in/s²) {behind} is stable with every "
+        f"cab on most machines, {percent(best.stable)} (without acceleration feedback "
+        f"{percent(none)}), with a least damping ratio of {interval(best.damping, '.3f')}.\n"
+    )
+
+
+def held_out_text(results: Results) -> str:
+    """The prediction of the result that was never used."""
+    check = answers.checks(results)[-1]
+    verdict = "lies within" if check.inside else "does not lie within"
+    return (
+        f"Held out: the hardware's damping ratio under velocity feedback with the integral, "
+        f"printed {check.observed:g}, {verdict} the 90 % interval that the posterior predicts, "
+        f"{interval(check.posterior)} with the scatter of printed damping ratios; before any "
+        f"evidence {interval(check.prior)}.\n"
+    )
+
+
+def sample_text(results: Results) -> str:
+    """How many machines stand behind the figures."""
+    simulated = answers.stability(results)
+    same, run = (sum(getattr(one, name) for one in simulated) for name in ("agreeing", "machines"))
+    return (
+        f"{results.machines.num_rows} machines drawn, effective sample size "
+        f"{answers.effective_machines(results):.0f}; {results.study.settings.kept} drawn from the "
+        f"posterior and measured. Linear and simulated verdicts agree in {same} of {run} runs, "
+        f"{percent(same / max(run, 1), 1)}.\n"
+    )
+
+
+def tables(results: Results) -> dict[str, Table]:
+    """All tables by the name of their file."""
+    return {
+        "stability": stability_table(results),
+        "changes": change_table(results),
+        "spans": span_table(results),
+        "gains": gain_table(results),
+        "unknowns": unknown_table(results),
+        "evidence": evidence_table(results),
+    }
+
+
+TEXTS: Mapping[str, Any] = {
+    "robust": robust_text,
+    "fragile": fragile_text,
+    "advice": advice_text,
+    "held_out": held_out_text,
+    "sample": sample_text,
+}
+"""Sentences of docs/acceleration_in_rotation.md by the name of their file."""
+
+
+def save_posterior(results: Results, folder: Path) -> list[Path]:
+    """Write tables, sentences and figures."""
+    files: dict[str, Any] = {}
+    for name, table in tables(results).items():
+        files |= {f"{name}.{kind}": table.save for kind in ("md", "csv")}
+    for name, text in TEXTS.items():
+        content = text(results)
+        files[f"{name}.md"] = lambda path, content=content: write_text(path, content)
+    files |= {
+        "unknowns.png": figures.unknown_figure(results),
+        "tornado.png": figures.tornado_figure(results),
+        "maps.png": figures.limits_figure(results),
+        "bandwidths.png": figures.span_figure(results),
+        "gains.png": figures.gain_figure(results),
+    }
+    for law in results.study.laws:
+        files[f"map_{law.name}.png"] = figures.map_figure(results, law.name)
+    return save_files(files, folder, 90)
+
+
+def summary(results: Results) -> tuple[Any, ...]:
+    """What the command prints: the answer first."""
+    return (
+        *(TEXTS[name](results) for name in ("robust", "fragile", "advice", "held_out", "sample")),
+        stability_table(results),
+    )

@@ -1,0 +1,127 @@
+"""Importance sampling: machines drawn from the prior, weighted by the evidence, and drawn again.
+
+In the coordinates z = Phi^-1(u) of the unit cube the prior is a standard normal distribution p. The
+first round draws from it. Every later one draws from
+
+    q(z) = 0.8 t(z; m, S, 5) + 0.2 p(z)
+
+with mean and covariance of all machines so far under weights w^a, a so small that `_TEMPERED` of
+the machines of a round count, Student's t for its heavy tails. With as many machines in each round
+all are weighted by the mixture of the rounds (balance heuristic),
+
+    w = p(z) L(z) / mean(q1(z), q2(z), ...),        effective sample size = (sum w)^2 / sum w^2
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, stats
+from scipy.stats import qmc
+
+Array = NDArray[np.float64]
+
+_TAILS = 5.0
+"""Degrees of freedom of the second round's distribution."""
+_LOCAL = 0.8
+"""Share of the second round that is drawn from it."""
+_TEMPERED = 0.08
+"""Machines that count in mean and covariance, over those of a round."""
+_WIDER = 0.05
+"""Variance added to the covariance."""
+_EDGE = 1e-6
+"""Least distance of a quantile from 0 and 1."""
+
+
+def first_round(count: int, size: int, seed: int) -> Array:
+    """Points of the prior, (count, size): Sobol's sequence, scrambled."""
+    return _normal(qmc.Sobol(size, rng=np.random.default_rng(seed)).random(count))
+
+
+def quantiles(points: Array) -> Array:
+    """Points as those of the unit cube."""
+    return np.asarray(stats.norm.cdf(points))
+
+
+class Round:
+    """What a later round is drawn from."""
+
+    def __init__(self, points: Array, log_weights: Array, count: int, seed: list[int]) -> None:
+        """From the points so far (n, k) and their weights (n,); it draws `count`."""
+        weights = tempered(log_weights, _TEMPERED * count)
+        self._mean, self._count = weights @ points, count
+        spread = (points - self._mean).T @ ((points - self._mean) * weights[:, None])
+        # Unlikely to be narrower than what so few machines show.
+        spread += np.diag(np.full(points.shape[1], _WIDER))
+        self._factor, self._seed = np.linalg.cholesky(spread), seed
+        self._local = stats.multivariate_t(self._mean, spread * (_TAILS - 2.0) / _TAILS, df=_TAILS)
+
+    def draw(self) -> Array:
+        """Its points, (count, k)."""
+        generator = np.random.default_rng(self._seed)
+        size = self._mean.size
+        uniform = qmc.Sobol(size + 1, rng=generator).random(self._count)
+        whole = _normal(uniform[:, :size])
+        chi = stats.chi2.ppf(np.clip(uniform[:, size], _EDGE, 1.0 - _EDGE), _TAILS) / (_TAILS - 2.0)
+        local = self._mean + whole @ self._factor.T / np.sqrt(chi)[:, None]
+        chosen = generator.random(self._count) < _LOCAL
+        limit = stats.norm.ppf(1.0 - _EDGE)
+        return np.where(chosen[:, None], np.clip(local, -limit, limit), whole)
+
+    def log_density(self, points: Array, prior: Array) -> Array:
+        """Ln q at points, `prior` being ln p."""
+        parts = np.log(_LOCAL) + self._local.logpdf(points), np.log(1.0 - _LOCAL) + prior
+        return np.asarray(np.logaddexp(*parts))
+
+
+def log_ratio(points: Array, rounds: Sequence[Round]) -> Array:
+    """Ln p / mean(q1, q2, ...) at points, q1 being the prior p and the others `rounds`."""
+    prior = stats.norm.logpdf(points).sum(axis=1)
+    densities = [prior, *(one.log_density(points, prior) for one in rounds)]
+    mixture = np.logaddexp.reduce(densities, axis=0) - np.log(len(densities))
+    return np.asarray(prior - mixture)
+
+
+def normalised(log_weights: Array) -> Array:
+    """Weights of sum 1; those of minus infinity are 0."""
+    weights = np.exp(log_weights - log_weights.max())
+    return np.asarray(weights / weights.sum())
+
+
+def tempered(log_weights: Array, count: float) -> Array:
+    """Weights w^a of sum 1, a at most 1 and so small that the effective size is `count`."""
+
+    def surplus(power: float) -> float:
+        return effective_size(normalised(power * log_weights)) - count
+
+    known = np.where(np.isfinite(log_weights), log_weights, -1e6)
+    log_weights = known - known.max()
+    if surplus(1.0) >= 0.0 or surplus(1e-6) <= 0.0:
+        return normalised(log_weights)
+    return normalised(optimize.brentq(surplus, 1e-6, 1.0) * log_weights)
+
+
+def effective_size(weights: Array) -> float:
+    """Effective sample size of weights, (n,)."""
+    return float(weights.sum() ** 2 / (weights**2).sum())
+
+
+def resampled(weights: Array, count: int, seed: int) -> NDArray[np.int64]:
+    """Indices of so many machines drawn by their weights, systematically, in order."""
+    start = np.random.default_rng([seed, 3]).random()
+    return np.searchsorted(np.cumsum(weights), (start + np.arange(count)) / count).astype(np.int64)
+
+
+def weighted_quantiles(values: Array, weights: Array, at: Array) -> Array:
+    """Quantiles of weighted values that are no NaN; NaN where there are none."""
+    known = ~np.isnan(values) & (weights > 0.0)
+    if not known.any():
+        return np.full(np.shape(at), np.nan)
+    order = np.argsort(values[known], kind="stable")
+    sorted_values, sorted_weights = values[known][order], weights[known][order]
+    middle = np.cumsum(sorted_weights) - 0.5 * sorted_weights
+    return np.asarray(np.interp(at, middle / sorted_weights.sum(), sorted_values))
+
+
+def _normal(uniform: Array) -> Array:
+    return np.asarray(stats.norm.ppf(np.clip(uniform, _EDGE, 1.0 - _EDGE)))
