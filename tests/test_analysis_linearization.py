@@ -337,6 +337,40 @@ def test_closed_valves_rest_at_the_leakage_null() -> None:
     assert not point.command.any() and point.supply_pressure == actual.supply_pressure.si
 
 
+def high(supply: float) -> HydraulicParameters:
+    pressures = {
+        "supply_pressure": supply,
+        "relief_pressure": supply,
+        "proof_pressure": 2.0 * supply,
+    }
+    return changed("report", leak_rate=40.0, **pressures)
+
+
+def test_under_a_high_supply_a_leg_rests_at_an_open_valve_where_no_oil_gathers() -> None:
+    """Sharp orifices, opened inward: a^2 (p_cap - Pt) = Ps - p_rod; the laminar share is 1 %."""
+    plant = SingleLegs(high(3600.0))
+    point = operating_point(plant)
+    assert (point.command < -1e-4).all()
+    areas = plant.parameters.cap_area, plant.parameters.rod_area
+    cap, rod = point.pressure.T
+    np.testing.assert_allclose(areas[0] * cap - areas[1] * rod, MASS * 9.80665, rtol=1e-9)
+    supply = point.supply_pressure
+    np.testing.assert_allclose((areas[0] / areas[1]) ** 2 * cap, supply - rod, rtol=0.02)
+    ends = [*point.pressure[0], supply, point.return_pressure]
+    flow = port_slopes(plant.hydraulics, 0, point.spool[0], np.array(ends), 0.0).flow[:2]
+    across = plant.hydraulics.cylinder[0].leakage * abs(cap[0] - rod[0])
+    assert np.abs(flow).max() < 1e-6 * across
+
+
+def test_the_rest_is_continuous_where_the_valve_begins_to_open() -> None:
+    supplies = np.linspace(2900.0, 3150.0, 26)
+    points = [operating_point(SingleLegs(high(float(supply)))) for supply in supplies]
+    commands, caps = (np.array([getattr(p, n)[0] for p in points]) for n in ("command", "pressure"))
+    assert commands[0] == 0.0 > commands[-1]
+    assert np.abs(np.diff(commands)).max() < 1e-3
+    assert np.abs(np.diff(caps[:, 0])).max() < 0.02 * caps[0, 0]
+
+
 @pytest.mark.parametrize("excitation", ["noise", "sine"])
 @pytest.mark.parametrize("ratio", [0.3, 1.0, 2.5])
 def test_share_is_the_describing_function_of_a_kink(excitation: str, ratio: float) -> None:

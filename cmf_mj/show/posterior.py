@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.files import write_text
-from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.show import posterior_figures as figures
 from cmf_mj.show.look import save_files
 from cmf_mj.show.table import Cell, Table, number
@@ -80,7 +79,7 @@ def change_table(results: Results) -> Table:
     return Table("", columns, rows)
 
 
-def span_table(results: Results, dofs: tuple[str, ...] = DOFS[3:]) -> Table:
+def span_table(results: Results) -> Table:
     """Measures on machines drawn from the posterior."""
     columns = ("cab", "law", "dof", "stable", "-90 deg [Hz]", "-3 dB [Hz]", "peak [dB]", "zeta")
     rows = [
@@ -92,7 +91,6 @@ def span_table(results: Results, dofs: tuple[str, ...] = DOFS[3:]) -> Table:
             interval(one.damping_ratio),
         )
         for one in answers.spans(results)
-        if one.dof in dofs
     ]
     return Table("", columns, rows)
 

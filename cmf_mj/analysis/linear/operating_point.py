@@ -33,7 +33,11 @@ from cmf_mj.plant.supply import Supply
 _SCAN = 41
 """Pressures at which the balance of an actuator is looked at before it is solved."""
 _ROUNDS = 50
-_END = 1e-2
+_APART = 1e-2
+"""Least difference of the chambers' pressures over the supply's that a search begins with."""
+_SHUT = 1e-9
+"""Opening that counts as shut: where both chambers have one pressure no flow is a balance too."""
+_END = 1e-3
 """Share of the flow into the chambers within which a closed valve still counts as the rest."""
 
 
@@ -190,11 +194,14 @@ def _rest_by_newton(
         least, most = (low, high) if way > 0.0 else (high, low)
         rod = (ratio**2 * (most - share) + least) / (1.0 + ratio)
         cap = share + rod / ratio
-        drop = (high - cap if way > 0.0 else cap - low, cap - rod)
-        if drop[0] <= 0.0 or way * drop[1] <= 0.0:
+        if way * (cap - rod) < _APART * high:  # laminar flow may yet hold it, at a small opening
+            rod = (share - way * _APART * high) / (1.0 - 1.0 / ratio)
+            cap = share + rod / ratio
+        drop = high - cap if way > 0.0 else cap - low
+        if drop <= 0.0:
             continue
-        flow = cylinder.leakage * abs(drop[1])
-        command = way * flow / (float(valves.cap_gain.sum()) * np.sqrt(drop[0])) - bias
+        flow = cylinder.leakage * (cap - rod)
+        command = flow / (float(valves.cap_gain.sum()) * np.sqrt(drop)) - bias
         for _ in range(_ROUNDS):
             pressures = np.array([share + rod / ratio, rod, high, low])
             slopes = port_slopes(
@@ -208,7 +215,7 @@ def _rest_by_newton(
             command, rod = command + float(step[0]), rod + float(step[1])
             if abs(step[1]) < 1e-9 * high:
                 inside = low < rod < high and low < share + rod / ratio < high
-                if inside and way * (command + bias) > 0.0:
+                if inside and way * (command + bias) > _SHUT:
                     return _Rest(command, np.array([share + rod / ratio, rod]))
                 break
     return None
