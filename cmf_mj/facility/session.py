@@ -51,8 +51,7 @@ _NO_LAW = Law(name="none", title="Open loop: the table is the valve command", di
 FOREVER = 2**62
 """Frames of a run without end."""
 
-_ROWS = 2048
-"""Rows that the loop writes before each channel takes its own out of them."""
+_ROWS = 2048  #: Rows that the loop writes before each channel takes its own out of them.
 
 
 class OutOfBounds(RunError):
@@ -86,8 +85,7 @@ class Options(NamedTuple):
     """Sensors, converters, servo electronics; default ideal."""
     frames: int | None = None  #: Control frames of the run; default the rows of the table.
     window: int | None = None
-    """Control frames whose `rows` are kept; later ones overwrite the first. Default all, as
-    `history`."""
+    """Control frames whose `rows` are kept, the latest; default all, as `history`."""
 
     def check(self) -> None:
         """Refuse a number that is too small."""
