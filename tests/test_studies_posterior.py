@@ -18,12 +18,13 @@ from cmf_mj.show.posterior import TEXTS, best_gain
 from cmf_mj.studies.journal import JOURNAL
 from cmf_mj.studies.posterior import answers, evidence, sampling
 from cmf_mj.studies.posterior.machine import Machine, loop_damping, simulated_stability
-from cmf_mj.studies.posterior.run import GROUPS, ROUNDS, TABLES, Results, run_posterior
+from cmf_mj.studies.posterior.run import GROUPS, TABLES, Results, run_posterior
 from cmf_mj.studies.posterior.settings import PosteriorStudy, load_posterior
 
 SMALL = {
     "laws": ["velocity", "position_error_rate", "acceleration_eq_3_6", "acceleration_d2"],
     "cabs": ["gfd", "ifd"],
+    "rounds": 3,
     "draws": 8,
     "kept": 6,
     "simulated": 1,
@@ -195,7 +196,7 @@ def test_simulated_and_linear_verdicts_are_one(law: str, stable: bool) -> None:
 
 
 def test_rounds_and_tables(results: Results, folder: Path) -> None:
-    count = ROUNDS * 8
+    count = 3 * 8
     assert results.machines.num_rows == count
     assert results.damping.num_rows == count * 4 * 2
     assert sum(row["count"] for row in results.gains.to_pylist()) == 6 * 2 * 2

@@ -31,9 +31,6 @@ from cmf_mj.studies.posterior import evidence, sampling
 from cmf_mj.studies.posterior.machine import Machine, simulated_stability
 from cmf_mj.studies.posterior.settings import PosteriorStudy
 
-ROUNDS = 4
-"""Rounds of drawing."""
-
 GROUPS = ("rows", "fits", "three_g", "flown")
 """Groups of evidence, see `evidence`."""
 
@@ -138,7 +135,7 @@ def run_posterior(
         told = {group: _likelihood(drawn, group, np.array(force)) for group in GROUPS}
         ratio = sampling.log_ratio(points, rounds)
         weights = np.sum(list(told.values()), axis=0) + ratio
-        if len(rounds) == ROUNDS - 1:
+        if len(rounds) == settings.rounds - 1:
             break
         seed = [settings.seed, 2, len(rounds)]
         rounds.append(sampling.Round(points, weights, settings.draws, seed))
@@ -173,7 +170,7 @@ def _count(study: PosteriorStudy) -> int:
     settings = study.settings
     moved = 1 + 2 * len(settings.unknowns) + len(MAPS) * settings.grid**2
     flights = settings.simulated * len(study.cabs)
-    return len(evidence.PRESSURES) + ROUNDS * settings.draws + settings.kept + moved + flights
+    return len(evidence.PRESSURES) + settings.rounds * settings.draws + settings.kept + moved + flights
 
 
 def _values(study: PosteriorStudy, row: Row) -> dict[str, float]:

@@ -67,7 +67,8 @@ class PosteriorSettings(Settings):
     cabs: Annotated[list[str], Field(min_length=1)]  #: Shipped ones or TOML files.
     hydraulics: str = "hardware"  #: What is not unknown comes from this set.
     seed: Annotated[int, Field(ge=0)]
-    draws: Annotated[int, Field(ge=8)]  #: Machines of each of two rounds, a power of 2.
+    rounds: Annotated[int, Field(ge=2)]  #: Rounds of drawing, see `sampling`.
+    draws: Annotated[int, Field(ge=8)]  #: Machines of each round, a power of 2.
     kept: Annotated[int, Field(ge=1)]  #: Machines drawn from the posterior and measured.
     simulated: Annotated[int, Field(ge=0)]  #: Of these, simulated.
     grid: Annotated[int, Field(ge=2)]  #: Points along each side of a map.
