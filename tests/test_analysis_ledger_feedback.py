@@ -21,6 +21,7 @@ from cmf_mj.machine import kinematics
 from cmf_mj.machine.gravity import axial_gravity
 from cmf_mj.plant import cylinder
 from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.studies.posterior.evidence import oscillation_g
 
 INCH = units.INCH
 
@@ -288,3 +289,9 @@ def test_the_leg_mode_is_damped_more_than_eq_4_1_says(entry: LedgerEntry) -> Non
         assert still[law] == pytest.approx(entry.figure(name), abs=2e-4)
     assert shipped.leak_rate.value / (2.0 * frequency) == pytest.approx(0.0114, abs=1e-4)
     assert 0.0114 < still["velocity_error"] < still["force"]
+    middle = 2.0 * frequency * float(np.sqrt(still["velocity_error"] * still["force"]))
+    rate = shipped.leak_rate.model_copy(update={"value": round(middle, 1)})
+    swing = oscillation_g(3000.0, shipped.model_copy(update={"leak_rate": rate}))
+    assert swing == pytest.approx(
+        entry.figure("swing of force feedback in between, 3000 psi"), abs=0.02
+    )

@@ -30,6 +30,7 @@ from cmf_mj.analysis.linear.reduction import dof_model
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_results
 from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.studies.case import make_case
 
@@ -155,12 +156,14 @@ def log_likelihood(predicted: Mapping[str, float], group: str) -> float:
     return total
 
 
-def oscillation_g(supply_pressure: float) -> float:
+def oscillation_g(
+    supply_pressure: float, hydraulics: str | HydraulicParameters = "report"
+) -> float:
     """Acceleration under force feedback [g] at a supply pressure [psi]: the report's model.
 
-    Simulated on single legs with the set `report`, a step of 1 in in heave.
+    Simulated on single legs with a hydraulic set, a step of 1 in in heave.
     """
-    parameters = load_hydraulics("report")
+    parameters = load_hydraulics(hydraulics)
     supply = parameters.supply_pressure
     ratio = supply_pressure / supply.value
     update = {

@@ -170,7 +170,8 @@ def _count(study: PosteriorStudy) -> int:
     settings = study.settings
     moved = 1 + 2 * len(settings.unknowns) + len(MAPS) * settings.grid**2
     flights = settings.simulated * len(study.cabs)
-    return len(evidence.PRESSURES) + settings.rounds * settings.draws + settings.kept + moved + flights
+    drawn = settings.rounds * settings.draws
+    return len(evidence.PRESSURES) + drawn + settings.kept + moved + flights
 
 
 def _values(study: PosteriorStudy, row: Row) -> dict[str, float]:
