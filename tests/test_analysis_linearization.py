@@ -543,7 +543,7 @@ def test_valves_with_other_lags_keep_states_of_their_own() -> None:
             lambda: slide(hydraulics=changed("report", threshold_pressure=1600.0)),
             r"threshold_pressure: set 'report'",
         ),
-        (lambda: slide('range="-1 0" limited="true" margin="0.1"'), r"pose: a stop or a contact"),
+        (lambda: slide('range="-0.9 0" limited="true" margin="0.1"'), r"pose: a stop or a contact"),
     ],
 )
 def test_what_has_no_linearisation_is_refused(build: Callable[[], Plant], message: str) -> None:

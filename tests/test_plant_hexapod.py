@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from cmf_mj import Hexapod, SingleLegs, load_law, simulate
 from cmf_mj.core import units
 from cmf_mj.machine import kinematics, models
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant import cylinder
 
 GRAVITY = np.array([0.0, 0.0, 9.80665])  # z down
@@ -115,15 +116,9 @@ def no_command(tmp_path):
     return load_law(path)
 
 
-def massless(plant):
-    """The same machine with legs of next to no mass."""
-    for leg in range(1, 7):
-        for name in (f"cylinder_{leg}", f"rod_{leg}"):
-            body = plant.model.body(name)
-            body.mass = 1e-6
-            body.inertia = 1e-6
-    mujoco.mj_setConst(plant.model, plant.data)
-    return plant
+def massless(cab):
+    """The machine with a cab and legs of next to no mass."""
+    return Hexapod(load_cab(cab).changed("massless legs", leg_mass=1e-9))
 
 
 # Reflected mass
@@ -164,7 +159,7 @@ def test_reflected_mass_of_a_lopsided_pose_has_not_that_symmetry(plant):
 @pytest.mark.parametrize("cab", models.CABS)
 def test_heave_effective_mass_of_massless_legs(cab):
     """M / (6 cos^2) a leg, all legs equal; 7200 lbm for 29 920 lbm."""
-    plant = massless(Hexapod(cab))
+    plant = massless(cab)
     payload = plant.model.body("platform").mass[0] + plant.model.body("cab/cab").mass[0]
     effective = plant.reflected_mass().sum() / 6.0
     geometry = plant.geometry
@@ -174,7 +169,7 @@ def test_heave_effective_mass_of_massless_legs(cab):
 
 
 def test_heave_effective_mass_of_the_gfd_is_the_design_point():
-    effective = massless(Hexapod("gfd")).reflected_mass().sum() / 6.0
+    effective = massless("gfd").reflected_mass().sum() / 6.0
     assert abs(effective / units.POUND_MASS - 7200.0) < 1.0
 
 
@@ -186,7 +181,7 @@ def test_heave_effective_mass_with_legs_is_larger(gfd):
 
 def test_massless_legs_leave_the_payload_alone():
     """The oracle without legs: J^-T M_x J^-1 of platform and cab."""
-    plant = massless(Hexapod("ifd"))
+    plant = massless("ifd")
     expected = Rigid(plant, POSES[2]).reflected
     error = np.abs(plant.reflected_mass(POSES[2]) - expected).max() / np.abs(expected).max()
     assert error < 1e-7
@@ -222,7 +217,7 @@ def test_vertical_parts_carry_payload_and_a_share_of_the_legs(plant):
 
 def test_massless_ifd_loads_each_leg_with_the_design_load():
     """35 950 lbm gives 7200 lbf along a leg, shared unevenly by at most 0.1 lbf."""
-    plant = massless(Hexapod("ifd"))
+    plant = massless("ifd")
     plant.place(NEUTRAL)
     found = plant.static_load() / units.POUND_FORCE
     np.testing.assert_allclose(found, 7200.0, rtol=0.0, atol=1.0)
@@ -281,7 +276,7 @@ def test_mode_frequencies_of_the_gfd(gfd):
 
 def test_heave_frequency_of_massless_legs_is_the_single_leg_mode():
     """Eq 4.1: 71.00 rad/s for 7200 lbm; 29 920 lbm puts heave at exactly 11.30 Hz."""
-    modes = massless(Hexapod("gfd")).hydraulic_modes()
+    modes = massless("gfd").hydraulic_modes()
     heave = np.abs(modes.leg_shape.sum(axis=0)).argmax()
     # The cab's centre of mass, 0.1 m forward, couples heave and pitch a little: 0.2 %.
     assert abs(modes.frequency[heave] / 71.00 - 1.0) < 5e-3

@@ -1,6 +1,5 @@
 """Static checks: locked valves hold, leakage sinks the platform, loads and pressures at rest."""
 
-import mujoco
 import numpy as np
 import pytest
 from hydraulic_equations import INCH, PSI, WEIGHT, areas, changed, leakage
@@ -8,19 +7,10 @@ from hydraulic_equations import INCH, PSI, WEIGHT, areas, changed, leakage
 from cmf_mj import Hexapod, SingleLegs
 from cmf_mj.core import units
 from cmf_mj.facility.simulation import drive
-from cmf_mj.plant.hexapod import hexapod_spec
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.plant import Plant
 
 MINUTE = np.zeros((60 * 2048, 6))
-
-
-class Custom(Hexapod):
-    """The hexapod with a model edited by the test."""
-
-    def __init__(self, spec: mujoco.MjSpec) -> None:
-        super().__init__("ifd")
-        Plant.__init__(self, spec.compile(), "hardware", payload=["platform"])
 
 
 def test_locked_valves_hold_the_heaviest_platform() -> None:
@@ -87,13 +77,7 @@ def test_leakage_of_piston_and_bearing_sinks_a_leg_at_the_computed_speed(
 def test_at_neutral_the_design_payload_loads_each_massless_leg_with_7200_pounds() -> None:
     """Section 2.4.2: 35 950 lbm over six legs. W / (6 cos) at the mean inclination; the six
     differ by their rounding in Appendix A and the cab's centre of mass by less than 1 lbf."""
-    spec = hexapod_spec("ifd")
-    for leg in range(1, 7):
-        for name in (f"cylinder_{leg}", f"rod_{leg}"):
-            body = spec.body(name)
-            body.mass, body.inertia = 1e-6, [1e-6] * 3
-            body.explicitinertial = True
-    machine = Custom(spec)
+    machine = Hexapod(load_cab("ifd").changed("massless legs", leg_mass=1e-9))
     machine.start()
     load = machine.static_load() / units.POUND_FORCE
     np.testing.assert_allclose(load, 7200.0, rtol=0, atol=1.0)

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine import kinematics, models
 from cmf_mj.machine.cab import Cab, RigidBody, load_cab
-from cmf_mj.plant import cylinder
+from cmf_mj.plant import cylinder, fit
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import set_timestep
@@ -79,6 +79,7 @@ class Hexapod(Plant):
     """
 
     name = "hexapod"
+    stops_end_strokes = True
 
     def __init__(
         self,
@@ -93,18 +94,46 @@ class Hexapod(Plant):
         Args:
             cab: `gfd`, `rfd` or `ifd`, a TOML file or a loaded cab.
             hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
-            spec: an edited `hexapod_spec` of the cab, its geometry unchanged; default as shipped.
+            spec: an edited `hexapod_spec` of the cab, with its masses and the machine's geometry;
+                default as shipped.
             timestep: mechanical step [s]; default one control frame.
 
         Raises:
-            InputError: a refused cab, a step that is not positive, or refused hydraulics.
+            InputError: a refused cab, a step that is not positive, refused hydraulics, or what
+                `check` refuses.
         """
         self.cab_parameters = chosen = load_cab(cab)
         self.cab = chosen.name
-        model = hexapod_model(chosen) if spec is None else spec.compile()
+        try:
+            model = hexapod_model(chosen) if spec is None else spec.compile()
+        except ValueError as error:
+            raise InputError(f"spec: does not compile: {error}") from None
         set_timestep(model.opt, timestep)
         super().__init__(model, hydraulics, payload=["platform"])
-        self.geometry = kinematics.read_geometry()
+
+    @property
+    def geometry(self) -> kinematics.Geometry:
+        """The gimbals that kinematics and control law count with; `check` compares the model."""
+        return kinematics.read_geometry()
+
+    def check(self) -> None:
+        """Refuse a model that is not the machine of kinematics, hydraulics and cab.
+
+        Gimbals, leg axes and stops must be those of the kinematics, the gimbals pinned and closed
+        at neutral, the masses those of the cab.
+
+        Raises:
+            InputError: what does not fit, with both values.
+        """
+        super().check()
+        stroke, half = kinematics.half_stroke(), self.hydraulics.cylinder.half_stroke
+        for leg in np.flatnonzero(~(np.abs(half - stroke) <= fit.SAME)):
+            raise InputError(
+                f"half_stroke: set {self.parameters.name!r} gives leg_{leg + 1} +-{half[leg]:.6g} "
+                f"m, the kinematics +-{stroke:.6g} m; allowed: both the same"
+            )
+        assert self.cab_parameters is not None
+        fit.check_hexapod(self.model, self.data, self.geometry, self.cab_parameters)
 
     @property
     def sensors(self) -> dict[str, NDArray[np.int64]]:

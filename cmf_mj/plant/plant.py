@@ -27,7 +27,7 @@ from scipy import linalg
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine.cab import Cab
-from cmf_mj.plant import native
+from cmf_mj.plant import fit, native
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, make_hydraulics, rest
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
@@ -62,6 +62,8 @@ class Plant:
     name = "plant"  #: How records and tables call the plant.
     cab = ""  #: The cab it carries, where it carries one.
     cab_parameters: Cab | None = None  #: Masses of cab, platform and legs, where it carries one.
+    stops_end_strokes = False
+    """Whether the model's stops are the ends of the cylinders; else they lie within the strokes."""
 
     def __init__(
         self,
@@ -86,7 +88,7 @@ class Plant:
 
         Raises:
             InputError: a motor that is not there or no motor, lengths that are not one finite
-                number a motor, or the hydraulics are refused.
+                number a motor, stops beyond a stroke, or the hydraulics are refused.
         """
         self.model = model
         self.data = mujoco.MjData(model)
@@ -98,7 +100,7 @@ class Plant:
         for name in self.actuators:
             if name not in names:
                 raise InputError(f"motors: {name!r} is not one of {', '.join(names)}")
-            _check_motor(model, name)
+            fit.check_motor(model, name)
         self._motors = np.array([model.actuator(name).id for name in self.actuators])
         self._payload = np.array([model.body(name).id for name in payload], dtype=np.int64)
         self.parameters = load_hydraulics(hydraulics)
@@ -114,6 +116,7 @@ class Plant:
             raise InputError(
                 f"neutral: {neutral!r} must be {self.legs} finite lengths, one a motor"
             )
+        self.check()
 
     def __repr__(self) -> str:
         """Name, cab, hydraulic set and number of legs."""
@@ -147,6 +150,23 @@ class Plant:
     ) -> dict[str, tuple[NDArray[np.float64], str]]:
         """Channels computed from recorded `channels`: name to (values, unit)."""
         return {}
+
+    def check(self) -> None:
+        """Refuse a model that does not fit its hydraulics; on construction and before every run.
+
+        Called with `data` in the configuration `qpos0`.
+
+        Raises:
+            InputError: stops that are not within the stroke of their cylinder.
+        """
+        fit.check_stops(
+            self.model,
+            self.actuators,
+            self.neutral,
+            self.hydraulics.cylinder.half_stroke,
+            self.parameters.name,
+            equal=self.stops_end_strokes,
+        )
 
     def sensor_indices(self, names: list[str], component: int | None = None) -> NDArray[np.int64]:
         """Indices into MjData.sensordata of sensors by `names`, or of one `component` of each."""
@@ -291,12 +311,16 @@ class Plant:
             pose: as `place` takes it; default neutral.
 
         Raises:
-            InputError: the supply cannot hold the machine there.
+            InputError: what `check` refuses, a closed loop that is open there, or the supply
+                cannot hold the machine there.
         """
         mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_kinematics(self.model, self.data)
+        self.check()
         if pose is not None:
             self.place(pose)
         mujoco.mj_forward(self.model, self.data)
+        fit.check_closed(self.model, self.data)
         return rest(self.hydraulics, self.static_load(), self.extensions())
 
     def mechanics(self) -> Mechanics:
@@ -335,25 +359,3 @@ class Plant:
             "model_digest": self.digest,
             "mechanical_step": self.model.opt.timestep,
         }
-
-
-def _check_motor(model: mujoco.MjModel, name: str) -> None:
-    """Refuse an actuator whose force is not its control, or that turns."""
-    actuator = model.actuator(name)
-    slide = actuator.trntype[0] == mujoco.mjtTrn.mjTRN_TENDON or (
-        actuator.trntype[0] == mujoco.mjtTrn.mjTRN_JOINT
-        and model.jnt_type[actuator.trnid[0]] == mujoco.mjtJoint.mjJNT_SLIDE
-    )
-    if not slide:
-        raise InputError(f"motors: {name!r} must drive a slide joint or a tendon")
-    fixed = actuator.gaintype[0] == mujoco.mjtGain.mjGAIN_FIXED
-    plain = fixed and actuator.biastype[0] == mujoco.mjtBias.mjBIAS_NONE
-    if not plain or actuator.gainprm[0] != 1.0 or actuator.dyntype[0] != mujoco.mjtDyn.mjDYN_NONE:
-        raise InputError(f"motors: {name!r} must be a plain motor, force = ctrl")
-    if actuator.gear[0] != 1.0 or actuator.ctrllimited[0]:
-        raise InputError(f"motors: {name!r} must have gear 1 and no ctrlrange")
-    target = actuator.trnid[0]
-    tendon = actuator.trntype[0] == mujoco.mjtTrn.mjTRN_TENDON
-    limited = model.tendon_actfrclimited if tendon else model.jnt_actfrclimited
-    if actuator.forcelimited[0] or limited[target]:
-        raise InputError(f"motors: {name!r} must have no forcerange and no actuatorfrcrange")

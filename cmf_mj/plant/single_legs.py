@@ -34,6 +34,7 @@ class SingleLegs(Plant):
     """
 
     name = "single_legs"
+    stops_end_strokes = True
 
     def __init__(
         self,
@@ -52,7 +53,8 @@ class SingleLegs(Plant):
             timestep: mechanical step [s]; default one control frame.
 
         Raises:
-            InputError: a mass or step that is not positive, or refused hydraulics.
+            InputError: a mass or step that is not positive, a half stroke other than the model's
+                stops, or refused hydraulics.
         """
         if not effective_mass > 0.0:
             raise InputError(f"effective_mass: {effective_mass} kg must be greater than 0")

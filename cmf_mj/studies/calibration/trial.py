@@ -7,10 +7,9 @@ Simulated: the report's chirp and step as `studies.compare` runs them, some seco
 
 from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import control
-import mujoco
 import numpy as np
 
 from cmf_mj.analysis.frequency_response import Bandwidths, bandwidths
@@ -24,6 +23,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import validated
 from cmf_mj.core.threads import on_threads
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -84,13 +84,15 @@ def plant_of(study: Study, values: Values, cab: str = "") -> Plant:
         return SingleLegs(
             hydraulics, effective_mass=factor * EFFECTIVE_MASS, static_load=factor * STATIC_LOAD
         )
-    plant = Hexapod(cab or study.cab, hydraulics)
+    carried = load_cab(cab or study.cab)
     if factor != 1.0:
-        carried = plant.model.body_rootid == plant.model.body("platform").rootid
-        plant.model.body_mass[carried] *= factor
-        plant.model.body_inertia[carried] *= factor
-        mujoco.mj_setConst(plant.model, plant.data)
-    return plant
+        platform, cabin = (
+            dict[str, Any](mass=factor * part.mass.si, inertia=factor * part.tensor)
+            for part in (carried.platform, carried)
+        )
+        name = f"{carried.name}, payload {factor:g}"
+        carried = carried.changed(name, platform=platform, taken_for=carried.known_as, **cabin)
+    return Hexapod(carried, hydraulics)
 
 
 def linear_results(

@@ -1,0 +1,185 @@
+"""Whether a MuJoCo model fits its hydraulics, the kinematics and the cab it is said to carry.
+
+Control law and kinematics count with gimbals, neutral lengths and strokes of their own copy, and a
+record states the masses of a cab. A model that differs would run, and the numbers would be of
+neither machine. Each function raises an `InputError` with both values.
+"""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmf_mj.core.errors import InputError
+from cmf_mj.machine.cab import Cab
+from cmf_mj.machine.kinematics import FLIP, Geometry
+
+SAME = 1e-9
+"""Values this close are the same [m, kg, kg m^2], in proportion where above 1."""
+
+CLOSED = 1e-6
+"""Largest gap of a closed loop at the start of a run [m]; the shipped models close to 1e-12 m."""
+
+_LEGS = range(1, 7)
+
+_PARTS = {
+    mujoco.mjtObj.mjOBJ_SITE: ("upper_#", "rod_end_#"),
+    mujoco.mjtObj.mjOBJ_BODY: ("cylinder_#", "rod_#"),
+    mujoco.mjtObj.mjOBJ_JOINT: ("gimbal_#_x", "gimbal_#_y", "leg_#"),
+    mujoco.mjtObj.mjOBJ_EQUALITY: ("gimbal_#",),
+}
+"""Elements of a hexapod that each leg, in the place of #, has."""
+
+
+def check_motor(model: mujoco.MjModel, name: str) -> None:
+    """Refuse an actuator whose force is not its control, or that turns."""
+    actuator = model.actuator(name)
+    slide = actuator.trntype[0] == mujoco.mjtTrn.mjTRN_TENDON or (
+        actuator.trntype[0] == mujoco.mjtTrn.mjTRN_JOINT
+        and model.jnt_type[actuator.trnid[0]] == mujoco.mjtJoint.mjJNT_SLIDE
+    )
+    if not slide:
+        raise InputError(f"motors: {name!r} must drive a slide joint or a tendon")
+    fixed = actuator.gaintype[0] == mujoco.mjtGain.mjGAIN_FIXED
+    plain = fixed and actuator.biastype[0] == mujoco.mjtBias.mjBIAS_NONE
+    if not plain or actuator.gainprm[0] != 1.0 or actuator.dyntype[0] != mujoco.mjtDyn.mjDYN_NONE:
+        raise InputError(f"motors: {name!r} must be a plain motor, force = ctrl")
+    if actuator.gear[0] != 1.0 or actuator.ctrllimited[0]:
+        raise InputError(f"motors: {name!r} must have gear 1 and no ctrlrange")
+    target = actuator.trnid[0]
+    tendon = actuator.trntype[0] == mujoco.mjtTrn.mjTRN_TENDON
+    limited = model.tendon_actfrclimited if tendon else model.jnt_actfrclimited
+    if actuator.forcelimited[0] or limited[target]:
+        raise InputError(f"motors: {name!r} must have no forcerange and no actuatorfrcrange")
+
+
+def check_stops(
+    model: mujoco.MjModel,
+    motors: Sequence[str],
+    neutral: NDArray[np.float64],
+    half: NDArray[np.float64],
+    hydraulics: str,
+    *,
+    equal: bool,
+) -> None:
+    """Compare the stops of each motor's joint or tendon with its cylinder.
+
+    They must lie within neutral +- half stroke [m], (n,), or be its ends where `equal`. A joint or
+    tendon without range has no stops: a run ends where it leaves the stroke.
+    """
+    for name, middle, most in zip(motors, neutral, half, strict=True):
+        actuator = model.actuator(name)
+        target = actuator.trnid[0]
+        if actuator.trntype[0] == mujoco.mjtTrn.mjTRN_TENDON:
+            limited, ends = model.tendon_limited[target], model.tendon_range[target]
+        else:
+            limited, ends = model.jnt_limited[target], model.jnt_range[target]
+        low, high = ends - middle
+        beyond = (abs(low + most), abs(high - most)) if equal else (-most - low, high - most)
+        if limited and not np.max(beyond) <= SAME:
+            raise InputError(
+                f"half_stroke: set {hydraulics!r} gives {name} +-{most:.6g} m, the model stops it "
+                f"at {low:.6g} and {high:.6g} m from neutral; allowed: "
+                f"{'both the same' if equal else 'stops within the stroke'}"
+            )
+
+
+def check_closed(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Refuse a configuration in which a closed loop (an equality constraint) is open."""
+    loops = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    gaps = np.where(loops, np.abs(data.efc_pos), 0.0)
+    if gaps.size and not gaps.max() <= CLOSED:
+        row = int(gaps.argmax())
+        name = model.eq(int(data.efc_id[row])).name
+        raise InputError(
+            f"start: the loop {name!r} is open by {gaps[row]:.3g} m; allowed: {CLOSED:g} m; "
+            "`Plant.configuration` closes it"
+        )
+
+
+def check_hexapod(model: mujoco.MjModel, data: mujoco.MjData, geometry: Geometry, cab: Cab) -> None:
+    """Compare gimbals, pins, leg axes and masses, all at `qpos0`, with kinematics and cab."""
+    ids = {
+        kind: [_id(model, element, kind.replace("#", str(i))) for i in _LEGS]
+        for element, kinds in _PARTS.items()
+        for kind in kinds
+    }
+    _check_geometry(model, data, geometry, ids)
+    carried = model.body_rootid == _id(model, mujoco.mjtObj.mjOBJ_BODY, "platform")
+    _check_masses(model, data, cab, carried)
+    for part, stated in (("cylinder", cab.legs.cylinder_mass), ("rod", cab.legs.rod_mass)):
+        for i, body in zip(_LEGS, ids[f"{part}_#"], strict=True):
+            _same_mass(f"mass of {part}_{i}", model.body_mass[body], stated.si, "kg", cab)
+
+
+def _id(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
+    number: int = mujoco.mj_name2id(model, kind, name)
+    if number < 0:
+        element = kind.name.removeprefix("mjOBJ_").lower()
+        raise InputError(
+            f"spec: has no {element} {name!r}; allowed: the names of the shipped model"
+        )
+    return number
+
+
+def _check_geometry(
+    model: mujoco.MjModel, data: mujoco.MjData, geometry: Geometry, ids: dict[str, list[int]]
+) -> None:
+    upper, lower = geometry.upper * FLIP, geometry.lower * FLIP
+    axes = (upper - lower) / geometry.neutral[:, None]
+    for what, values, expected, unit in (
+        ("upper gimbal # on the platform", model.site_pos[ids["upper_#"]], upper, " m"),
+        ("lower gimbal #", data.xpos[ids["cylinder_#"]], lower, " m"),
+        ("joint gimbal_#_x", data.xanchor[ids["gimbal_#_x"]], lower, " m"),
+        ("joint gimbal_#_y", data.xanchor[ids["gimbal_#_y"]], lower, " m"),
+        ("upper gimbal # at neutral", data.site_xpos[ids["upper_#"]], upper, " m"),
+        ("rod end # at neutral", data.site_xpos[ids["rod_end_#"]], upper, " m"),
+        ("axis of leg # at neutral", data.xaxis[ids["leg_#"]], axes, ""),
+    ):
+        for leg in np.flatnonzero(~(np.abs(values - expected).max(axis=1) <= SAME)):
+            raise InputError(
+                f"spec: {what.replace('#', str(leg + 1))} is {_text(values[leg])}{unit} in the "
+                f"model, {_text(expected[leg])}{unit} in the kinematics; allowed: both the same"
+            )
+    off = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EQUALITY
+    for i, pin in zip(_LEGS, ids["gimbal_#"], strict=True):
+        ends = {int(model.eq_obj1id[pin]), int(model.eq_obj2id[pin])}
+        pinned = {ids[site][i - 1] for site in ("upper_#", "rod_end_#")}
+        if off or not model.eq_active0[pin] or ends != pinned:
+            raise InputError(
+                f"spec: gimbal_{i} does not pin the rod to the platform; allowed: an active "
+                f"connect constraint of the sites rod_end_{i} and upper_{i}"
+            )
+
+
+def _check_masses(
+    model: mujoco.MjModel, data: mujoco.MjData, cab: Cab, carried: NDArray[np.bool_]
+) -> None:
+    """Compare the bodies that the platform carries, as one rigid body, with platform and cab."""
+    masses, places = model.body_mass[carried], data.xipos[carried]
+    centre = masses @ places / masses.sum()
+    inertia, payload = np.zeros((3, 3)), cab.payload
+    for mass, arm, moments, turn in zip(
+        masses, places - centre, model.body_inertia[carried], data.ximat[carried], strict=True
+    ):
+        axes = turn.reshape(3, 3)
+        inertia += (axes * moments) @ axes.T
+        inertia += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    _same_mass("mass of platform and cab", masses.sum(), payload.mass, "kg", cab)
+    _same_mass("centre of mass of platform and cab", centre, payload.centre, "m", cab)
+    _same_mass("inertia of platform and cab", inertia, payload.inertia, "kg m^2", cab)
+
+
+def _same_mass(what: str, has: ArrayLike, stated: ArrayLike, unit: str, cab: Cab) -> None:
+    difference = np.max(np.abs(np.subtract(has, stated)))
+    if not difference <= SAME * max(1.0, np.max(np.abs(stated))):
+        raise InputError(
+            f"cab: {what} is {_text(has)} {unit} in the model, {_text(stated)} {unit} in "
+            f"{cab.name!r}; allowed: both the same; other masses are a cab of their own"
+        )
+
+
+def _text(values: ArrayLike) -> str:
+    """Numbers for a message, to the micrometre."""
+    return " ".join(np.array2string(np.asarray(values), precision=6, suppress_small=True).split())
