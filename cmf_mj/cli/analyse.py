@@ -67,6 +67,7 @@ def modes_command(
     """Reflected mass, hydraulic modes at a pose and over the envelope, and the worst pose."""
     from cmf_mj.analysis.modes import over_envelope, plane_map, sweep
     from cmf_mj.core import units
+    from cmf_mj.core.files import in_folder
     from cmf_mj.machine.kinematics import DOFS
     from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import modes as report
@@ -82,7 +83,7 @@ def modes_command(
     paths = []
     name = Path(video or "")
     for plant, modes in zip(plants, at_pose, strict=True) if video else ():
-        path = out / f"{name.stem}_{plant.cab}{name.suffix}"
+        path = in_folder(out, f"{name.stem}_{plant.cab}{name.suffix}")
         swings: dict[str, Any] = {"stroke": legs, "periods": periods}
         with progress_bar("drawing") as progress:
             paths.append(swing_film(plant, modes, path, looks, **swings, progress=progress))

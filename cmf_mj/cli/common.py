@@ -60,7 +60,7 @@ def show(*parts: RenderableType, width: int = TEXT_WIDTH, unfolded: bool = False
     if console.width < width:
         console = Console(width=width)
     for part in parts:
-        console.print(part)
+        console.print(part, markup=False)
 
 
 def written(paths: Sequence[Path], folder: Path | None = None) -> str:
@@ -80,7 +80,7 @@ def progress_bar(
 
     counts = (progress.MofNCompleteColumn(), progress.TimeRemainingColumn())
     columns = (progress.TimeElapsedColumn(),) if seconds else counts
-    text, console = progress.TextColumn("{task.description}"), Console(stderr=True)
+    text, console = progress.TextColumn("{task.description}", markup=False), Console(stderr=True)
     with progress.Progress(text, progress.BarColumn(), *columns, console=console) as bar:
         task = bar.add_task(f"compiling and {work}", total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total, description=work)

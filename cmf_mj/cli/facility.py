@@ -158,6 +158,7 @@ def record_command(
 ) -> None:
     """Run the facility's session, five rounds of seven sines, and write its five CSV files."""
     from cmf_mj.core import units
+    from cmf_mj.core.files import in_folder
     from cmf_mj.machine.dof import dof_index, dof_unit
     from cmf_mj.record.writer import write_facility_csv
     from cmf_mj.signals.peaks import peaks
@@ -176,7 +177,7 @@ def record_command(
     session = facility_session(case, jobs)
     for number, record in enumerate(session, start=1):
         name = f"{record.metadata['law']}_{dof}_{number}of{len(session)}.csv"
-        print(write_facility_csv(record, out / name))
+        print(write_facility_csv(record, in_folder(out, name)))
 
 
 @command("replay")
@@ -186,11 +187,13 @@ def replay_command(
     out: options.Out = Path("out/replay"),
 ) -> None:
     """Run the control law open loop on recorded feedback; compare the compensator's output."""
+    from cmf_mj.core.files import in_folder
     from cmf_mj.facility.replay import law_of, replay
     from cmf_mj.record.reader import read_recording
     from cmf_mj.show import sensor as report
 
     record = read_recording(recording)
     replayed = replay(record, law or law_of(record))
-    path = report.save_replay(replayed, out / f"{recording.stem}_{replayed.law}.png")
+    name = f"{recording.stem}_{replayed.law}.png"
+    path = report.save_replay(replayed, in_folder(out, name))
     show(report.replay_summary(replayed), f"written: {path}")

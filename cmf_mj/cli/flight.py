@@ -43,6 +43,7 @@ def fly_command(
 ) -> None:
     """Fly an aircraft in the cab, once for each law, and compare what the pilot feels."""
     from cmf_mj.control.law import load_law
+    from cmf_mj.core.files import in_folder
     from cmf_mj.facility.operation import FacilitySettings
     from cmf_mj.pilot.aircraft.flight import load_flight
     from cmf_mj.pilot.fly import fly, transport_delay
@@ -65,8 +66,9 @@ def fly_command(
             timed = lambda done, bar=bar: bar(done, length)  # noqa: E731
             ride = fly(flown, law, washout=washout, progress=timed, **machine)
         rides.append(ride)
-        paths += save_operation(ride.operation, out / ride.law)
-        paths += report.save_ride(ride, out / ride.law)
+        folder = in_folder(out, ride.law)
+        paths += save_operation(ride.operation, folder)
+        paths += report.save_ride(ride, folder)
     paths += report.save_comparison(rides, out)
     if video is not None:
         with progress_bar("drawing") as update:

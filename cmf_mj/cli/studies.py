@@ -146,6 +146,7 @@ def calibrate_command(
     out: options.Out = Path("out/calibrate"),
 ) -> None:
     """Fit the free parameters to the published tables: values, residuals and uncertainty."""
+    from cmf_mj.core.files import in_folder
     from cmf_mj.show import calibration as report
     from cmf_mj.studies.calibration.definition import load_study
     from cmf_mj.studies.calibration.fit import calibrate
@@ -155,6 +156,6 @@ def calibrate_command(
         say = partial(typer.echo, err=True)
         fitted = calibrate(chosen, rounds=rounds, quick=quick, jobs=jobs, progress=say)
         result = examine(fitted, samples=samples, jobs=jobs)
-        folder = out / chosen.name
+        folder = in_folder(out, chosen.name)
         paths = report.save_calibration(result, folder)
         show(*report.tables(result), report.verdict_text(result), written(paths, folder))

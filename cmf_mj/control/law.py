@@ -25,7 +25,7 @@ from cmf_mj.control.plan import Plan
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, unknown_name
 from cmf_mj.core.rates import FRAME
-from cmf_mj.core.settings import Settings, merged, read_toml, validated
+from cmf_mj.core.settings import Name, Settings, checked_name, merged, read_toml, validated
 
 SIGNAL_UNITS = {
     "reference": units.INCH,
@@ -135,7 +135,7 @@ class Law(Settings):
     ('Velocity FB', 0.914)
     """
 
-    name: str  #: Name of the table.
+    name: Name  #: Name of the table.
     coordinates: Literal["legs", "hydraulic_modes"] = "legs"
     """What gains act on: legs, or the hydraulic modes of the cab."""
     modes: Mapping[str, Modes] = {}
@@ -248,6 +248,8 @@ def _law_of(name: str, table: object, tables: dict[str, Any], where: str) -> Law
 
 def _laws_of(path: Path) -> dict[str, Law]:
     tables = read_toml(path)
+    for name in tables:
+        checked_name(name, f"{path.name}: name of the table")
     laws = {
         name: _law_of(name, table, tables, f"{path.name}: {name}") for name, table in tables.items()
     }
@@ -306,6 +308,8 @@ def load_law(source: str | Path | Mapping[str, Any] | Law) -> Law:
         return source
     if isinstance(source, Mapping):
         name = source.get("name", "custom")
+        if isinstance(name, str):
+            checked_name(name, "law: name")
         return _law_of(name, dict(source), {}, f"law {name}")
     text = str(source)
     for file in _FILES.values():

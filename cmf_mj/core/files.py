@@ -29,6 +29,13 @@ def whole_file(target: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
+def in_folder(folder: Path, name: str) -> Path:
+    """A file or folder of this name in a folder; refused where the name leads anywhere else."""
+    if not name or Path(name).name != name or name[0] == "." or not name.isprintable():
+        raise InputError(f"file: {name!r} is refused: must be a plain name, without a folder")
+    return folder / name
+
+
 def write_text(target: Path, text: str) -> Path:
     """Write text in UTF-8."""
     with whole_file(target) as partial:

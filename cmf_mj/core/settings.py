@@ -1,12 +1,13 @@
 """Reading settings files: TOML in, validated immutable models out, one clear error if not."""
 
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar, get_args
+from typing import Annotated, Any, Generic, NamedTuple, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from cmf_mj.core.errors import InputError, unknown_name
 
@@ -18,6 +19,26 @@ class Settings(BaseModel):
 
 
 Model = TypeVar("Model", bound=Settings)
+
+_NAME = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_ .,+-]{0,62}[A-Za-z0-9_+-])?")
+
+
+def checked_name(name: str, field: str = "") -> str:
+    """A name of a law, cab, set, machine or study, fit for files, tables and commands.
+
+    Five of them and an ending fit into one file name, and none leaves a folder.
+    """
+    if not _NAME.fullmatch(name):
+        start = f"{field}: {name!r} is refused: " if field else ""
+        raise InputError(
+            f"{start}a name has 1 to 64 of the characters a-z, A-Z, 0-9, space and _ - + . , and "
+            "begins with a letter, digit or _ and does not end with a space, full stop or comma"
+        )
+    return name
+
+
+Name = Annotated[str, AfterValidator(checked_name)]
+"""What `checked_name` accepts."""
 
 
 def as_tuples(value: Any) -> Any:
@@ -124,6 +145,7 @@ def user_set(
     if len(content) != 1 or not isinstance(next(iter(content.values())), dict):
         raise InputError(f"{path}: has the tables {sorted(content)}; exactly one is allowed")
     name, changes = next(iter(content.items()))
+    checked_name(name, f"{path}: name of the table")
     for field in ("name", *fixed):
         if field in changes:
             origin = "the table" if field == "name" else "the base"

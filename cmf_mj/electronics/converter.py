@@ -28,7 +28,7 @@ from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Kind, Quantity, positive_in
 from cmf_mj.core.rates import FRAME
-from cmf_mj.core.settings import Loader, Settings
+from cmf_mj.core.settings import Loader, Name, Settings
 from cmf_mj.electronics.stages import low_pass, steps
 
 CONVERTER_SETS = ("off", "sixteen_bit")
@@ -51,7 +51,7 @@ class FullScale(Settings):
 class ConverterSettings(Settings):
     """The analogue input card and its anti-alias filter."""
 
-    name: str  #: Name of the set.
+    name: Name  #: Name of the set.
     quantise: bool  #: Whether range and resolution act.
     bits: Annotated[int, Field(ge=4, le=32)]  #: Resolution b of the converter.
     volts: Annotated[Quantity, positive_in("V")]  #: Full-scale volts, either way.

@@ -38,7 +38,7 @@ from pydantic import AfterValidator
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Kind, Quantities, Quantity
-from cmf_mj.core.settings import Settings, user_set, validated
+from cmf_mj.core.settings import Name, Settings, checked_name, user_set, validated
 from cmf_mj.machine import models
 
 ROUND_OFF = 1e-9
@@ -135,7 +135,7 @@ class Cab(RigidBody):
     (29920, 150.0)
     """
 
-    name: str  #: Name of the cab.
+    name: Name  #: Name of the cab.
     base: str  #: Shipped cab whose drawing and pilot's station it has.
     platform: RigidBody  #: The platform alone.
     legs: Legs  #: Cylinders and rods.
@@ -185,12 +185,14 @@ class Cab(RigidBody):
             **cab: as `platform`, of the cab.
 
         Raises:
-            InputError: name of a shipped cab, or a refused number.
+            InputError: name of a shipped cab or one that `checked_name` refuses, or a refused
+                number.
 
         >>> heavy = cmf_mj.load_cab("gfd").changed("heavy", mass=12000.0)
         >>> heavy.mass.si, heavy.platform.mass.si
         (12000.0, 4500.0)
         """
+        checked_name(name, "cab: name")
         legs = {part: leg_mass * mass.si for part, mass in self.legs}
         changes = {
             **_stated(cab, name),

@@ -21,6 +21,7 @@ import numpy as np
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
+from cmf_mj.core.settings import checked_name
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
@@ -59,7 +60,7 @@ def attach_hydraulics(
         InputError: a name that is not there, or is both a joint and a tendon; a hinge or another
             joint that does not slide; a joint or tendon with an actuator already; neither range nor
             retracted length; a range or a start beyond the stroke; an integrator or a step the loop
-            cannot run; an unreadable model or refused hydraulics.
+            cannot run; an unreadable model, a refused name of it or refused hydraulics.
 
     >>> press = mujoco.MjSpec()
     >>> load = press.worldbody.add_body(name="load", mass=2e3, inertia=[1, 1, 1])
@@ -85,7 +86,7 @@ def attach_hydraulics(
     plant = Plant(
         spec.compile(), parameters, motors=list(lengths), payload=payload, neutral=neutral
     )
-    plant.name = spec.modelname
+    plant.name = checked_name(spec.modelname, "model: name")
     stroke = plant.hydraulics.cylinder.half_stroke
     extensions = plant.extensions()
     for leg in np.flatnonzero(np.abs(extensions) > stroke + _TOLERANCE):

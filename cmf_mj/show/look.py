@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.core import units
-from cmf_mj.core.files import whole_file, write_csv, write_json
+from cmf_mj.core.files import in_folder, whole_file, write_csv, write_json
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.kinematics import DOFS
 
@@ -164,7 +164,7 @@ def save_files(files: Mapping[str, Any], folder: Path, dpi: int = 110) -> list[P
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, content in files.items():
-        path = folder / name
+        path = in_folder(folder, name)
         if isinstance(content, Figure):
             save_figure(content, path, dpi)
         elif isinstance(content, Mapping):

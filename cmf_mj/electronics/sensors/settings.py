@@ -10,7 +10,7 @@ from pydantic import model_validator
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
-from cmf_mj.core.settings import Loader, Settings
+from cmf_mj.core.settings import Loader, Name, Settings
 
 SENSOR_SETS = ("ideal", "noisy")
 """Names of the shipped sets."""
@@ -69,7 +69,7 @@ class ChannelSettings(Settings):
 class SensorSettings(Settings):
     """A whole set of sensors."""
 
-    name: str  #: Name of the set.
+    name: Name  #: Name of the set.
     gravity: bool
     """Whether the leg accelerometers sit on the rods and feel gravity and swing (Appendix C).
     Otherwise they read the second derivative of the leg extension, as the report's non-linear model

@@ -12,7 +12,7 @@ from cmf_mj.control.protection import load_protection
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_text
 from cmf_mj.core.rates import RATE
-from cmf_mj.core.settings import Settings, merged, parsed_toml, validated
+from cmf_mj.core.settings import Settings, checked_name, merged, parsed_toml, validated
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.binding import bound
 from cmf_mj.facility.scenario.signal import Signal
@@ -33,6 +33,7 @@ def _ending(*allowed: str) -> AfterValidator:
     def check(name: str) -> str:
         if Path(name).suffix not in allowed or Path(name).name != name:
             raise InputError(f"must be a plain file name that ends in {' or '.join(allowed)}")
+        checked_name(Path(name).stem)
         return name
 
     return AfterValidator(check)

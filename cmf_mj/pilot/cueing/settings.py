@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field, model_validator
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_text
 from cmf_mj.core.quantity import Kind, Quantity, positive_in
-from cmf_mj.core.settings import Settings, named_set, validated
+from cmf_mj.core.settings import Name, Settings, named_set, validated
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.kinematics import DOFS
 
@@ -77,7 +77,7 @@ class Tilted(ThirdOrder):
 class _Set(Settings):
     """What all sets share."""
 
-    name: str = Field(min_length=1)
+    name: Name
     title: str = Field(min_length=1)
     source: str = Field(min_length=1)
 

@@ -15,7 +15,7 @@ from pydantic import create_model, model_validator
 from cmf_mj.core import quantity as kind
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
-from cmf_mj.core.settings import Settings
+from cmf_mj.core.settings import Name, Settings
 
 VALVES = ("valve_1", "valve_2")
 """The two servo-valves of an actuator."""
@@ -90,7 +90,7 @@ ActuatorChanges = create_model(
 class HydraulicParameters(_Actuator):
     """Parameters of the actuators with their valves, the oil and the supply."""
 
-    name: str  #: Name of the set.
+    name: Name  #: Name of the set.
     supply: Literal["constant", "network"]
     """`constant` pressure at every valve, or a pump, accumulators, manifolds and hoses."""
     actuators: Mapping[str, ActuatorChanges] = {}

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import Published, published_results
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.settings import Settings, read_toml, validated
+from cmf_mj.core.settings import Name, Settings, read_toml, validated
 
 _FILE = Path(__file__).with_name("studies.toml")
 
@@ -96,7 +96,7 @@ class Tolerance(Settings):
 class Study(Settings):
     """One calibration."""
 
-    name: str
+    name: Name
     title: str
     hydraulics: str  #: Hydraulic set: starting values, and all that is not a parameter.
     plant: Literal["hexapod", "single_legs"]
