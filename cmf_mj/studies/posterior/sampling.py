@@ -3,10 +3,11 @@
 In the coordinates z = Phi^-1(u) of the unit cube the prior is a standard normal distribution p. The
 first round draws from it. Every later one draws from
 
-    q(z) = 0.8 t(z; m, S, 5) + 0.2 p(z)
+    q(z) = 0.5 t(z; m, S, 5) + 0.3 t(z; m, (S + 1) / 2, 5) + 0.2 p(z)
 
-with mean and covariance of all machines so far under weights w^a, a so small that `_TEMPERED` of
-the machines of a round count, Student's t for its heavy tails. With as many machines in each round
+with Student's t for its heavy tails. Mean and covariance are those of all machines so far under
+weights w^a, a so small that `_TEMPERED` of the machines of a round count; so few of them show too
+little spread, which the second part makes up for. With as many machines in each round
 all are weighted by the mixture of the rounds (balance heuristic),
 
     w = p(z) L(z) / mean(q1(z), q2(z), ...),        effective sample size = (sum w)^2 / sum w^2
@@ -23,8 +24,8 @@ Array = NDArray[np.float64]
 
 _TAILS = 5.0
 """Degrees of freedom of the second round's distribution."""
-_LOCAL = 0.8
-"""Share of the second round that is drawn from it."""
+_SHARES = (0.5, 0.3)
+"""Shares of a later round that are drawn from its two distributions; the rest is of the prior."""
 _TEMPERED = 0.08
 """Machines that count in mean and covariance, over those of a round."""
 _WIDER = 0.05
@@ -49,29 +50,33 @@ class Round:
     def __init__(self, points: Array, log_weights: Array, count: int, seed: list[int]) -> None:
         """From the points so far (n, k) and their weights (n,); it draws `count`."""
         weights = tempered(log_weights, _TEMPERED * count)
-        self._mean, self._count = weights @ points, count
-        spread = (points - self._mean).T @ ((points - self._mean) * weights[:, None])
-        # Unlikely to be narrower than what so few machines show.
-        spread += np.diag(np.full(points.shape[1], _WIDER))
-        self._factor, self._seed = np.linalg.cholesky(spread), seed
-        self._local = stats.multivariate_t(self._mean, spread * (_TAILS - 2.0) / _TAILS, df=_TAILS)
+        self._mean, self._count, self._seed = weights @ points, count, seed
+        apart, one = points - self._mean, np.eye(points.shape[1])
+        near = apart.T @ (apart * weights[:, None]) + _WIDER * one
+        self._spreads = near, 0.5 * (near + one)
 
     def draw(self) -> Array:
         """Its points, (count, k)."""
         generator = np.random.default_rng(self._seed)
         size = self._mean.size
         uniform = qmc.Sobol(size + 1, rng=generator).random(self._count)
-        whole = _normal(uniform[:, :size])
+        points = _normal(uniform[:, :size])
         chi = stats.chi2.ppf(np.clip(uniform[:, size], _EDGE, 1.0 - _EDGE), _TAILS) / (_TAILS - 2.0)
-        local = self._mean + whole @ self._factor.T / np.sqrt(chi)[:, None]
-        chosen = generator.random(self._count) < _LOCAL
-        limit = stats.norm.ppf(1.0 - _EDGE)
-        return np.where(chosen[:, None], np.clip(local, -limit, limit), whole)
+        place, limit, begin = generator.random(self._count), stats.norm.ppf(1.0 - _EDGE), 0.0
+        for share, spread in zip(_SHARES, self._spreads, strict=True):
+            here = (place >= begin) & (place < begin + share)
+            away = points[here] @ np.linalg.cholesky(spread).T / np.sqrt(chi[here])[:, None]
+            points[here] = np.clip(self._mean + away, -limit, limit)
+            begin += share
+        return points
 
     def log_density(self, points: Array, prior: Array) -> Array:
         """Ln q at points, `prior` being ln p."""
-        parts = np.log(_LOCAL) + self._local.logpdf(points), np.log(1.0 - _LOCAL) + prior
-        return np.asarray(np.logaddexp(*parts))
+        parts = [np.log(1.0 - sum(_SHARES)) + prior]
+        for share, spread in zip(_SHARES, self._spreads, strict=True):
+            local = stats.multivariate_t(self._mean, spread * (_TAILS - 2.0) / _TAILS, df=_TAILS)
+            parts.append(np.log(share) + local.logpdf(points))
+        return np.asarray(np.logaddexp.reduce(parts, axis=0))
 
 
 def log_ratio(points: Array, rounds: Sequence[Round]) -> Array:
