@@ -328,8 +328,8 @@ def line_bandwidths(frequency: ArrayLike, response: NDArray[np.complex128]) -> B
     phase = np.degrees(np.unwrap(np.angle(response))) + 90.0
     through = _falls(lines, phase, 0.0)
     return Bandwidths(
-        through[0],
-        _falls(lines, gain, -3.0)[0],
+        float(through[0]),
+        float(_falls(lines, gain, -3.0)[0]),
         float(gain.max()),
         _later(lines, phase, through),
         *_graze(lines, phase),
