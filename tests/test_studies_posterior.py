@@ -251,6 +251,9 @@ def test_statements_follow_from_the_raw_samples(results: Results, folder: Path) 
     above = sum(w for value, w in moved if value > change.posterior[1])
     assert below <= 0.5 + 1e-9 and above <= 0.5 + max(weight)
     best = best_gain(results)
+    assert best.damping[1] == max(step.damping[1] for step in answers.gain_steps(results)) or (
+        best.stable >= 0.95
+    )
     rows = [r for r in raw(folder, "gains") if r["gain"] == best.gain]
     by_machine: dict[int, list[dict[str, Any]]] = {}
     for row in rows:

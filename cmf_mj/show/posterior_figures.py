@@ -1,7 +1,9 @@
 """Figures of a study of the unknown."""
 
 import numpy as np
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.show.look import COLOURS, DARK, GREY, PALE, legend, new_figure
@@ -18,6 +20,13 @@ def _title(results: Results, name: str) -> str:
     unit = results.study.settings.unknowns[name].unit
     text = name.replace("_", " ")
     return _TITLES.get(name, f"{text} [{unit}]" if unit != "1" else f"{text}, factor")
+
+
+def _log_ticks(axis: Axis, low: float, high: float) -> None:
+    """Three ticks on a logarithmic axis, as plain numbers."""
+    values = np.geomspace(low, high, 3)
+    axis.set_minor_locator(NullLocator())
+    axis.set_ticks(values, [f"{v:,.0f}" if v > 1000.0 else f"{v:.2g}" for v in values])
 
 
 def unknown_figure(results: Results) -> Figure:
@@ -39,6 +48,7 @@ def unknown_figure(results: Results) -> Figure:
         axis.set(xlabel=_title(results, name), yticks=[])
         if one.scale == "log":
             axis.set_xscale("log")
+            _log_ticks(axis.xaxis, one.low, one.high)
     legend(axes[0])
     for axis in axes[len(unknowns) :]:
         axis.set_visible(False)
@@ -87,6 +97,7 @@ def map_figure(results: Results, law: str) -> Figure:
             axis.set(xlabel=_title(results, x), ylabel=_title(results, y), title=dof)
             if results.study.settings.unknowns[y].scale == "log":
                 axis.set_yscale("log")
+                _log_ticks(axis.yaxis, up[0], up[-1])
     figure.colorbar(drawn, ax=axes, label=f"damping ratio, {law}", shrink=0.6)  # type: ignore[arg-type]
     return figure
 
@@ -106,6 +117,7 @@ def limits_figure(results: Results) -> Figure:
             axis.set(xlabel=_title(results, x), ylabel=_title(results, y), title=dof, **ends)
             if results.study.settings.unknowns[y].scale == "log":
                 axis.set_yscale("log")
+                _log_ticks(axis.yaxis, up[0], up[-1])
     for law, colour in zip(laws, COLOURS, strict=False):
         axes[0, 0].plot([], [], color=colour, label=law)
     handles, labels = axes[0, 0].get_legend_handles_labels()
@@ -160,5 +172,7 @@ def gain_figure(results: Results) -> Figure:
     right.axhline(0.0, color=DARK, linewidth=0.9)
     left.set(xlabel="gain of acceleration [%/(in/s²)]", ylabel="stable with every cab [%]")
     right.set(xlabel="gain of acceleration [%/(in/s²)]", ylabel="least damping ratio of any cab")
+    for axis in (left, right):
+        axis.set_xticks(gains, [f"{gain:g}" for gain in gains], rotation=90)
     legend(left)
     return figure
