@@ -26,7 +26,7 @@ def _log_ticks(axis: Axis, low: float, high: float) -> None:
     """Three ticks on a logarithmic axis, as plain numbers."""
     values = np.geomspace(low, high, 3)
     axis.set_minor_locator(NullLocator())
-    axis.set_ticks(values, [f"{v:,.0f}" if v > 1000.0 else f"{v:.2g}" for v in values])
+    axis.set_ticks(values, [f"{v:,.0f}" if v > 1000.0 else f"{v:.3g}" for v in values])
 
 
 def unknown_figure(results: Results) -> Figure:
