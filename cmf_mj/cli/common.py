@@ -60,7 +60,7 @@ def show(*parts: RenderableType, width: int = TEXT_WIDTH, unfolded: bool = False
     if console.width < width:
         console = Console(width=width)
     for part in parts:
-        console.print(part, markup=False)
+        console.print(part, markup=not isinstance(part, str))  # tables escape their own
 
 
 def written(paths: Sequence[Path], folder: Path | None = None) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.identification.model import PolynomialModel
 from cmf_mj.analysis.identification.response_fit import ResponseFit, fit_response
-from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.loop import closed_loop, loop_response
 from cmf_mj.analysis.linear.plants import UnitTransferFunction
 from cmf_mj.analysis.measures import Measures, joined, measure_loop
 from cmf_mj.analysis.step_response import StepMetrics
@@ -100,7 +100,10 @@ def loop_errors(
     """Close a velocity model [in/s per %] with a law and compare it with the measured loop.
 
     `measured` is the response from reference to position under the same law, `step` its measured
-    step.
+    step. A model whose loop is unstable has its response at the measured lines and no step.
     """
-    model = measure_loop(closed_loop(law, velocity), frequencies=measured.frequency)
+    loop = closed_loop(law, velocity)
+    model = measure_loop(loop, frequencies=measured.frequency)
+    if not model.stable:
+        model = joined(bandwidths(loop_response(loop, measured.frequency)))
     return LoopErrors(model, joined(bandwidths(measured), step))
