@@ -24,13 +24,13 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, model_validator
 
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Kind, Quantity
 from cmf_mj.core.rates import FRAME
-from cmf_mj.core.settings import Loader, Settings
+from cmf_mj.core.settings import Count, Loader, Settings
 
 NO_FAULT = 0
 _LENGTH, _PRESSURE, _TIME = ("in", "m"), ("psi", "Pa"), ("s",)
@@ -57,7 +57,7 @@ class Check(Settings):
 
     enabled: bool = True
     threshold: Quantity
-    persistence: Annotated[int, Field(ge=1)]  #: Frames in a row that make a fault.
+    persistence: Count  #: Frames in a row that make a fault.
 
 
 class ProtectionSettings(Settings):

@@ -9,6 +9,7 @@ from pydantic.fields import FieldInfo
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.rates import LONGEST
 from cmf_mj.core.settings import Settings, as_tuples
 
 Value = TypeVar("Value")
@@ -58,8 +59,16 @@ def positive_in(*allowed: str) -> AfterValidator:
     return AfterValidator(Kind(allowed).check)
 
 
+_MOST = {
+    **{"s": LONGEST, "m": 1e3, "m/s": 1e3, "m^2": 10.0, "m^3": 1e4, "m^3/s": 1e2},
+    **{"kg": 1e7, "N": 1e8, "Pa": 1e12, "N s/m": 1e12, "kg/m^3": 1e5},
+}
+"""Largest size by unit in SI: ten to a thousand times that of the largest machines moved by oil,
+1e5 bar of bulk modulus and a run of twelve days included."""
+
+
 class Kind(NamedTuple):
-    """What a quantity may be."""
+    """What a quantity may be: in size at most what a machine can have, by its unit in SI."""
 
     units: tuple[str, ...]  #: Units it may be given in.
     signed: bool = False  #: Any sign.
@@ -80,8 +89,9 @@ class Kind(NamedTuple):
         size = abs(quantity.si)
         if size >= self.below:
             raise InputError(f"{refused} less than {units.from_si(unit, self.below):g} {unit}")
-        if size > self.at_most:
-            raise InputError(f"{refused} at most {units.from_si(unit, self.at_most):g} {unit}")
+        most = min(self.at_most, *(_MOST.get(name, self.at_most) for name in self.units))
+        if size > most:
+            raise InputError(f"{refused} at most {units.from_si(unit, most):g} {unit}")
         return quantity
 
 

@@ -5,3 +5,9 @@ RATE = 2048
 
 FRAME = 1.0 / RATE
 """Control frame [s]; exact in binary."""
+
+MOST_FRAMES = 2**31
+"""Control frames of the longest run: whole numbers of 32 bits count them."""
+
+LONGEST = MOST_FRAMES * FRAME
+"""Its length [s]: 2^20 s, twelve days."""

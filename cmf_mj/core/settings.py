@@ -1,21 +1,68 @@
 """Reading settings files: TOML in, validated immutable models out, one clear error if not."""
 
 import re
+import sys
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Generic, NamedTuple, TypeVar, get_args
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+)
 
 from cmf_mj.core.errors import InputError, unknown_name
+from cmf_mj.core.rates import LONGEST
+
+LARGEST = 1e20
+"""Largest number of a settings file: none of a machine in any unit of the field is beyond, and its
+square and cube are still numbers."""
+
+_SMALLEST = sys.float_info.min
+_MOST = 2**53  #: Whole numbers to here are exact as a double.
+
+Time = Annotated[float, Field(ge=0.0, le=LONGEST)]
+"""A time in a run [s], at most that of the longest."""
+
+Count = Annotated[int, Field(ge=1, lt=2**31)]
+"""A number of frames, cycles or legs, at least 1 and in 32 bits."""
+
+Seed = Annotated[int, Field(ge=0)]
+"""Seed of a random generator."""
+
+
+def in_range(value: Any) -> Any:
+    """A value whose numbers, those in lists and tables too, can be computed with.
+
+    Refused are sizes above `LARGEST`, subnormal ones and whole numbers that a double cannot hold.
+    """
+    if isinstance(value, Mapping):
+        in_range(tuple(value.values()))
+    elif isinstance(value, list | tuple):
+        for one in value:
+            in_range(one)
+    elif isinstance(value, float) and not (value == 0.0 or _SMALLEST <= abs(value) <= LARGEST):
+        raise InputError(f"a number must be 0 or {_SMALLEST:.3g} to {LARGEST:.3g} in size")
+    elif isinstance(value, int) and abs(value) > _MOST:
+        raise InputError(f"a whole number must be at most {_MOST} in size")
+    return value
 
 
 class Settings(BaseModel):
-    """A table of a settings file: immutable, no unknown keys, no infinities or NaN."""
+    """A table of a settings file: immutable, no unknown keys, numbers `in_range`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+    @field_validator("*")
+    @classmethod
+    def _numbers(cls, value: Any) -> Any:
+        return in_range(value)
 
 
 Model = TypeVar("Model", bound=Settings)

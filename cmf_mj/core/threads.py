@@ -1,7 +1,8 @@
 """Cases run side by side on threads: the compiled loops release the interpreter lock."""
 
+import threading
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from joblib import Parallel, delayed
 
@@ -9,6 +10,27 @@ from cmf_mj.core.errors import InputError
 
 Case = TypeVar("Case")
 Result = TypeVar("Result")
+
+
+class OneAtATime:
+    """Lets one thread in, `with` it, and refuses whoever comes meanwhile; a copy of it is free."""
+
+    def __init__(self, refusal: str) -> None:
+        """Refuse with this message."""
+        self._refusal, self._lock = refusal, threading.Lock()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies and pickles take the message alone."""
+        return OneAtATime, (self._refusal,)
+
+    def __enter__(self) -> None:
+        """Go in, or raise `InputError`."""
+        if not self._lock.acquire(blocking=False):
+            raise InputError(self._refusal)
+
+    def __exit__(self, *_: object) -> None:
+        """Leave."""
+        self._lock.release()
 
 
 def on_threads(

@@ -34,9 +34,9 @@ from cmf_mj.plant.oil import ATMOSPHERE
 from cmf_mj.plant.plant import Mechanics
 from cmf_mj.plant.supply import SUPPLY_PRESSURE
 
-FINITE, VACUUM, PROOF, STROKE, SOLUTION = range(5)
-"""Physical bounds a state may leave: finite numbers, absolute pressure above 0, proof pressure,
-mechanical stroke, a solvable stage."""
+FINITE, VACUUM, PROOF, STROKE, SOLUTION, WARNING = range(6)
+"""Bounds a state may leave: finite numbers, absolute pressure above 0, proof pressure, mechanical
+stroke, a solvable stage, and what MuJoCo does not warn of."""
 
 _BEYOND_STOP = 0.05
 """Travel beyond the mechanical stroke at which a run is stopped [m]; the stops are elastic."""
@@ -158,6 +158,15 @@ def _bounds(cylinders, proof_pressure, pressures, extension):  # type: ignore[no
 
 
 @inlined
+def _warned(warnings):  # type: ignore[no-untyped-def]
+    """Whether MuJoCo has warned of anything."""
+    raised = 0
+    for i in range(warnings.shape[0]):
+        raised |= warnings[i]
+    return raised != 0
+
+
+@inlined
 def _sense(truth, extension, mean, mean_before, step, pressure):  # type: ignore[no-untyped-def]
     """The true motion and pressures at a control frame."""
     for leg in range(extension.shape[0]):
@@ -240,6 +249,7 @@ def run(machine, controller, memory, recorder, first, last):  # type: ignore[no-
     neutral, ctrl = mechanics.neutral, mechanics.ctrl
     sensordata, qpos = mechanics.sensordata, mechanics.qpos
     payload, bodies = mechanics.payload, mechanics.payload_bodies
+    warnings = mechanics.warnings
     cylinders, step, delay = hydraulics.cylinder, hydraulics.step, controller.delay
     dcl, dcl_state, table = controller.dcl, controller.state, controller.table
     protection, guard, closed = controller.protection, controller.guard, controller.closed
@@ -313,5 +323,7 @@ def run(machine, controller, memory, recorder, first, last):  # type: ignore[no-
             for leg in range(legs):
                 ctrl[motors[leg]] = load[leg]
             call(mechanics.force_stage, model, data)
+            if _warned(warnings):
+                return frame, WARNING, 0
         end(pace, frame)
     return -1, -1, 0

@@ -31,8 +31,9 @@ from cmf_mj.facility.host.files import HostSession
 from cmf_mj.facility.host.handover import NEVER, Ring, logged, make_log, make_ring
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
+from cmf_mj.facility.options import Options
 from cmf_mj.facility.pace import Pace, make_pace
-from cmf_mj.facility.session import Options, Session
+from cmf_mj.facility.session import Session
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
 from cmf_mj.plant.events import Event

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.core.arrays import check_memory
 from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.core.rates import FRAME
 from cmf_mj.plant.native import call
@@ -37,6 +38,7 @@ def make_pace(frames: int) -> Pace:
     """Pace for a number of frames."""
     if sys.platform == "win32":
         raise OSError("real time: needs a system with clock_gettime and nanosleep")
+    check_memory("seconds", f"the times of {frames} control frames", 2 * frames)
     library = ctypes.CDLL(None)
 
     def address(name: str) -> int:

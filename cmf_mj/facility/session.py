@@ -2,17 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import Any, NamedTuple, TypedDict
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cmf_mj.control import dcl as control
 from cmf_mj.control.engage import engaged, handed_over
 from cmf_mj.control.law import Gains, Law
 from cmf_mj.control.protection import (
     Fault,
-    ProtectionSettings,
     latched,
     load_protection,
     make_protection,
@@ -21,7 +20,7 @@ from cmf_mj.control.protection import (
 from cmf_mj.control.states import State
 from cmf_mj.core.errors import InputError, RunError, check_name
 from cmf_mj.core.rates import FRAME
-from cmf_mj.electronics.chain import ElectronicsSettings, make_electronics, measure
+from cmf_mj.electronics.chain import make_electronics, measure
 from cmf_mj.facility.binding import bound
 from cmf_mj.facility.front import Chain, idle_chain
 from cmf_mj.facility.layout import CHAIN, LAW, make_layout
@@ -37,7 +36,9 @@ from cmf_mj.facility.loop import (
     make_memory,
     run,
 )
+from cmf_mj.facility.options import Options
 from cmf_mj.facility.pace import Pace, idle_pace
+from cmf_mj.plant import fit
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.events import OVERLOAD, Event, make_timeline, no_faults
 from cmf_mj.plant.plant import Plant
@@ -47,9 +48,6 @@ _VERSIONS = {name: version(name) for name in ("cmf-mj", "mujoco", "numpy", "numb
 
 _NO_LAW = Law(name="none", title="Open loop: the table is the valve command", direct_gain=Gains())
 """All gains are zero. The DCL of an open loop never runs; compiled code needs one of its type."""
-
-FOREVER = 2**62
-"""Frames of a run without end."""
 
 _ROWS = 2048  #: Rows that the loop writes before each channel takes its own out of them.
 
@@ -61,42 +59,6 @@ class OutOfBounds(RunError):
         """Keep what to say and the control frame it happened in."""
         super().__init__(message)
         self.frame = frame
-
-
-class RunOptions(TypedDict, total=False):
-    """Options of every run, as in `Options`."""
-
-    start: ArrayLike | None
-    events: Sequence[Event]
-    record_every: int
-    command_delay: int
-
-
-class Options(NamedTuple):
-    """What may differ between two runs of the same plant and law."""
-
-    start: ArrayLike | None = None
-    """Configuration to start from, as `plant.place` takes it; default neutral."""
-    events: Sequence[Event] = ()  #: Failures on the time line.
-    record_every: int = 1  #: Keep one frame in this many.
-    command_delay: int = 1  #: Frames from a DCL frame to its command at the valves.
-    protection: ProtectionSettings | None = None  #: Conditions that make an emergency stop.
-    electronics: ElectronicsSettings | None = None
-    """Sensors, converters, servo electronics; default ideal."""
-    frames: int | None = None  #: Control frames of the run; default the rows of the table.
-    window: int | None = None
-    """Control frames whose `rows` are kept, the latest; default all, as `history`."""
-
-    def check(self) -> None:
-        """Refuse a number that is too small."""
-        window = 1 if self.window is None else self.window
-        for field, value, least in (
-            ("record_every", self.record_every, 1),
-            ("window", window, 1),
-            ("command_delay", self.command_delay, 0),
-        ):
-            if value < least:
-                raise InputError(f"{field}: {value} frames must be at least {least}")
 
 
 class Table(NamedTuple):
@@ -194,6 +156,7 @@ class Session:
             chain=None if bare else chain or idle_chain(),
             pace=None if bare else pace or idle_pace(),
         )
+        self._started = plant.started
         self._begun: dict[str, list[float]] = {}
         absent = set() if chain else set(CHAIN) - ({"demand_pose"} if poses is not None else set())
         self.layout = make_layout(plant, absent if law else absent | set(LAW))
@@ -231,7 +194,12 @@ class Session:
         return present
 
     def run(self, frames: int | None = None) -> None:
-        """Run a number of control frames, by default all that are left."""
+        """Run a number of control frames, by default all that are left.
+
+        Raises:
+            OutOfBounds: the state left its bounds, or MuJoCo warns; what and when are named.
+            InputError: the plant is another run's by now, or another thread's.
+        """
         if self.frame == 0:
             state = self.controller.state.arrays()
             self._begun = {name: values.tolist() for name, values in state.items()}
@@ -239,9 +207,12 @@ class Session:
         block = self._recorder.out.shape[0] * self.every
         while self.frame < end:
             stop = min(end, (self.frame // block + 1) * block)
-            frame, bound, leg = run(
-                self.machine, self.controller, self.memory, self._recorder, self.frame, stop
-            )
+            with self.plant.alone:
+                if self.plant.started != self._started:
+                    raise InputError("plant: has been reset since; allowed: one run at a time")
+                frame, bound, leg = run(
+                    self.machine, self.controller, self.memory, self._recorder, self.frame, stop
+                )
             self.frame = stop if frame < 0 else frame
             self._take()
             if frame >= 0:
@@ -258,7 +229,7 @@ class Session:
         self._taken = last
 
     def _left(self, frame: int, bound: int, leg: int) -> str:
-        """What to say of a state beyond its physical bounds."""
+        """What to say of a state beyond its bounds; first what MuJoCo says of it."""
         cap, rod = self.machine.state.pressure[leg]
         extension = self.memory.extension[leg]
         pressures = f"cap {cap:.4g} Pa, rod {rod:.4g} Pa gauge"
@@ -270,10 +241,10 @@ class Session:
             PROOF: f"has a chamber beyond the proof pressure of {proof:.4g} Pa ({pressures})",
             STROKE: f"is at {extension:.4f} m, beyond its stops at +-{half:.4f} m",
             SOLUTION: "and its supply have no solution for this step",
-        }[bound]
+        }.get(bound, "")
         with_law = f" with law {self._engaged.name}" if self._engaged else ""
-        name = self.plant.actuators[leg]
-        return f"{self.plant.name}{with_law}: {name} {what} at {frame * FRAME:.4f} s"
+        said = fit.warned(self.plant.data) or f"{self.plant.actuators[leg]} {what}"
+        return f"{self.plant.name}{with_law}: {said} at {frame * FRAME:.4f} s"
 
     def describe(self) -> dict[str, Any]:
         """What a record keeps of the run."""

@@ -14,7 +14,8 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
 from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.session import Options, OutOfBounds, RunOptions, Session, Table
+from cmf_mj.facility.options import Options, RunOptions
+from cmf_mj.facility.session import OutOfBounds, Session, Table
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record

@@ -27,7 +27,7 @@ from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
-from cmf_mj.core.settings import Settings, validated
+from cmf_mj.core.settings import Count, Settings, Time, validated
 from cmf_mj.plant.valve import JAMMED, OVERRIDE
 
 Kind = Literal[
@@ -48,15 +48,18 @@ Kind = Literal[
 KINDS: tuple[str, ...] = get_args(Kind)
 """The same, in order."""
 
-_SIZES: dict[str, tuple[float, tuple[str, ...]]] = {
-    "accumulator_lost": (1.0, ("1",)),
-    "supply_hose_burst": (1.0 * units.INCH**2, ("in^2", "m^2")),
-    "valve_hard_over": (1.0, ("%", "1")),
-    "sensor_offset": (2.0 * units.INCH, ("in", "m")),
-    "sensor_open": (-38.0 * units.INCH, ("in", "m")),
-    "overload": (10_000.0 * units.POUND_FORCE, ("lbf", "N")),
+MOST_FORCE = 1e7
+"""Largest external force [N]: some eighty times the weight of platform and cab."""
+
+_SIZES: dict[str, tuple[float, tuple[str, ...], float]] = {
+    "accumulator_lost": (1.0, ("1",), 100.0),
+    "supply_hose_burst": (1.0 * units.INCH**2, ("in^2", "m^2"), 1.0),
+    "valve_hard_over": (1.0, ("%", "1"), 1.0),
+    "sensor_offset": (2.0 * units.INCH, ("in", "m"), 100.0),
+    "sensor_open": (-38.0 * units.INCH, ("in", "m"), 100.0),
+    "overload": (10_000.0 * units.POUND_FORCE, ("lbf", "N"), MOST_FORCE),
 }
-"""Size in SI where none is given, and the units it may be given in."""
+"""Size in SI where none is given, the units it may be given in, and the largest in SI."""
 
 _VALVES = ("valve_hard_over", "valve_jammed", "valve_dead")
 _SENSORS = ("sensor_stuck", "sensor_offset", "sensor_open")
@@ -65,9 +68,9 @@ _SENSORS = ("sensor_stuck", "sensor_offset", "sensor_open")
 class Event(Settings):
     """One failure."""
 
-    at: Annotated[float, Field(ge=0.0)]  #: When [s].
+    at: Time  #: When [s].
     kind: Kind  #: What fails.
-    leg: Annotated[int, Field(ge=1)] | None = None  #: Leg of a valve or sensor, from 1.
+    leg: Count | None = None  #: Leg of a valve or sensor, from 1.
     valve: Annotated[int, Field(ge=1, le=2)] | None = None
     """Valve of the leg, 1 or 2; both if left out."""
     size: tuple[float, str] | None = None  #: How much, with its unit, e.g. `(1.0, "in^2")`.
@@ -91,15 +94,17 @@ class Event(Settings):
             signed = self.kind in ("valve_hard_over", *_SENSORS)
             if value <= 0.0 and not signed:
                 raise InputError(f"size: {value:g} {unit} must be greater than 0 {unit}")
-            if self.kind == "valve_hard_over" and abs(self.magnitude) > 1.0:
-                raise InputError(f"size: {value:g} {unit} must be at most 100 % either way")
+            most = units.from_si(unit, _SIZES[self.kind][2])
+            if abs(value) > most:
+                ways = " either way" if signed else ""
+                raise InputError(f"size: {value:g} {unit} must be at most {most:g} {unit}{ways}")
         return self
 
     @property
     def magnitude(self) -> float:
         """The size in SI; 0 for kinds without one."""
         if self.size is None:
-            return _SIZES.get(self.kind, (0.0, ()))[0]
+            return _SIZES[self.kind][0] if self.kind in _SIZES else 0.0
         return units.to_si(self.size[1], self.size[0])
 
 

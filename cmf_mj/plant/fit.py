@@ -98,6 +98,16 @@ def check_closed(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         )
 
 
+def warned(data: mujoco.MjData) -> str:
+    """What MuJoCo has warned of since the state was reset, by name; empty if nothing."""
+    kinds = [mujoco.mjtWarning(i) for i in np.flatnonzero(data.warning.number)]
+    texts = (mujoco.mju_warningText(kind, data.warning[kind].lastinfo) for kind in kinds)
+    return ", ".join(
+        f"MuJoCo warns of {kind.name.removeprefix('mjWARN_')} ({text.strip(' .')})"
+        for kind, text in zip(kinds, texts, strict=True)
+    )
+
+
 def check_hexapod(model: mujoco.MjModel, data: mujoco.MjData, geometry: Geometry, cab: Cab) -> None:
     """Compare gimbals, pins, leg axes and masses, all at `qpos0`, with kinematics and cab."""
     ids = {

@@ -9,6 +9,7 @@ of the compiled code, so the compilation caches across processes.
 """
 
 import ctypes
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,11 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
+
+# The run that MuJoCo's warnings end names them; they are not to be appended to a file
+# MUJOCO_LOG.TXT of the working folder.
+if mujoco.get_mju_user_warning() is None:
+    mujoco.set_mju_user_warning(logging.getLogger("mujoco").info)
 
 
 def address(function: str) -> int:

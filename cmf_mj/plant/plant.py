@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.threads import OneAtATime
 from cmf_mj.machine.cab import Cab
 from cmf_mj.plant import fit, native
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, make_hydraulics, rest
@@ -50,6 +51,7 @@ class Mechanics(NamedTuple):
     sensordata: NDArray[np.float64]  #: All sensors.
     qpos: NDArray[np.float64]  #: Generalised positions.
     neutral: NDArray[np.float64]  #: Lengths of the hydraulic motors at neutral, (n,).
+    warnings: NDArray[np.int32]  #: How often MuJoCo has warned since the start, by kind.
 
 
 class Plant:
@@ -79,7 +81,7 @@ class Plant:
         `attach_hydraulics` does so for a model that has no motors yet.
 
         Args:
-            model: the machine.
+            model: the machine; MuJoCo's automatic reset is switched off in it.
             hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
             motors: names of the motors with a cylinder, each force = ctrl; default all actuators.
             payload: names of the bodies an overload rests on.
@@ -90,8 +92,14 @@ class Plant:
             InputError: a motor that is not there or no motor, lengths that are not one finite
                 number a motor, stops beyond a stroke, or the hydraulics are refused.
         """
+        # A state out of bounds ends a run: it must not begin again at rest, as if nothing were.
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model = model
         self.data = mujoco.MjData(model)
+        self.started = 0
+        """How often the state has been reset: a run goes on only while nobody does."""
+        self.alone = OneAtATime("plant: another thread runs it; allowed: a plant for each thread")
+        """Who changes the state."""
         names = [model.actuator(i).name for i in range(model.nu)]
         self.actuators = tuple(names if motors is None else motors)
         """Names of the hydraulic motors, in the order of all arrays with a leg axis."""
@@ -259,7 +267,8 @@ class Plant:
                 f"extensions: {self.actuators[leg]} at {target[leg]:.4f} m; "
                 f"allowed: +-{half[leg]:.4f} m"
             )
-        mujoco.mj_resetData(self.model, self.data)
+        with self.alone:
+            self._reset()
         for _ in range(200):
             mujoco.mj_forward(self.model, self.data)
             closed, gap, moment = self._jacobians()
@@ -311,17 +320,25 @@ class Plant:
             pose: as `place` takes it; default neutral.
 
         Raises:
-            InputError: what `check` refuses, a closed loop that is open there, or the supply
-                cannot hold the machine there.
+            InputError: what `check` refuses, a closed loop that is open there, what MuJoCo warns
+                of there, the supply cannot hold the machine there, or another thread runs it.
         """
+        with self.alone:
+            self._reset()
+            mujoco.mj_kinematics(self.model, self.data)
+            self.check()
+            if pose is not None:
+                self.place(pose)
+            mujoco.mj_forward(self.model, self.data)
+            fit.check_closed(self.model, self.data)
+            load = self.static_load()
+            if warned := fit.warned(self.data):
+                raise InputError(f"start: {warned}; allowed: a state without warnings")
+            return rest(self.hydraulics, load, self.extensions())
+
+    def _reset(self) -> None:
         mujoco.mj_resetData(self.model, self.data)
-        mujoco.mj_kinematics(self.model, self.data)
-        self.check()
-        if pose is not None:
-            self.place(pose)
-        mujoco.mj_forward(self.model, self.data)
-        fit.check_closed(self.model, self.data)
-        return rest(self.hydraulics, self.static_load(), self.extensions())
+        self.started += 1
 
     def mechanics(self) -> Mechanics:
         """Views and addresses for the compiled loop; valid while this plant lives."""
@@ -338,6 +355,7 @@ class Plant:
             sensordata=self.data.sensordata,
             qpos=self.data.qpos,
             neutral=self.neutral,
+            warnings=self.data.warning.number,
         )
 
     @cached_property

@@ -17,22 +17,24 @@ from pydantic import Field, field_validator
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
-from cmf_mj.core.settings import validated
+from cmf_mj.core.settings import Count, validated
 from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import DOFS
 from cmf_mj.signals.signal import (
     Amplitude,
     Command,
     Dof,
+    Duration,
     Dwell,
     Frequency,
-    NotNegative,
     Other,
-    Positive,
     Signal,
     SingleSignal,
+    Wait,
     along,
     amplitude_in_si,
+    check_highest,
+    check_length,
     command_of,
     plain,
 )
@@ -89,9 +91,15 @@ class SevenSines(SingleSignal):
 
     kind: Literal["seven_sines"]
     number: Annotated[int, Field(ge=1, le=5)]  #: Round, 1 to 5.
-    cycles: Annotated[int, Field(ge=1)] = 5  #: Whole cycles of a dwell.
-    fade: Positive = 1.0  #: Before and after each dwell [s].
-    settle: Positive = 5.5  #: Rest before, between and after the sines [s].
+    cycles: Count = 5  #: Whole cycles of a dwell.
+    fade: Duration = 1.0  #: Before and after each dwell [s].
+    settle: Duration = 5.5  #: Rest before, between and after the sines [s].
+
+    @property
+    def length(self) -> float:
+        """Length of the table [s]."""
+        around = 2.0 * self.fade + self.settle
+        return self.settle + sum(self.cycles / f + around for f in ROUNDS[self.number - 1])
 
     def _made(self) -> tuple[NDArray[np.float64], tuple[Dwell, ...]]:
         tones = [(frequency, self.size) for frequency in ROUNDS[self.number - 1]]
@@ -114,11 +122,18 @@ class SteppedSines(Signal):
     frequencies: Annotated[tuple[Frequency, ...], Field(min_length=1)]  #: One after the other [Hz].
     amplitudes: Annotated[tuple[Amplitude, ...], Field(min_length=1)]
     """At each frequency, one after the other [m or rad, or with unit]."""
-    cycles: Annotated[int, Field(ge=1)] = 10  #: Whole cycles of a dwell.
-    transient: NotNegative = 2.0
+    cycles: Count = 10  #: Whole cycles of a dwell.
+    transient: Wait = 2.0
     """At full amplitude before each dwell [s]; take it longer than the machine rings."""
-    fade: Positive = 1.0  #: Before the transient and after the dwell [s].
-    settle: Positive = 1.0  #: Rest before, between and after the sines [s].
+    fade: Duration = 1.0  #: Before the transient and after the dwell [s].
+    settle: Duration = 1.0  #: Rest before, between and after the sines [s].
+
+    @property
+    def length(self) -> float:
+        """Length of the table [s]."""
+        around = self.transient + 2.0 * self.fade + self.settle
+        once = sum(self.cycles / frequency + around for frequency in self.frequencies)
+        return self.settle + len(self.amplitudes) * once
 
     def _check(self) -> None:
         self._sizes()
@@ -156,7 +171,7 @@ class OrthogonalMultisines(Lines):
     amplitudes: dict[str, float]
     """Peak per degree of freedom [m or rad]: a mapping by name, or six values in the order of a
     pose; 0 leaves one at rest."""
-    period: Positive = 60.0  #: Length of one period [s]; a whole number of frames.
+    period: Duration = 60.0  #: Length of one period [s]; a whole number of frames.
 
     @field_validator("amplitudes", mode="before")
     @classmethod
@@ -173,6 +188,7 @@ class OrthogonalMultisines(Lines):
         driven = len(self.amplitudes)
         if not driven:
             raise InputError("amplitudes: all are 0; at least one must not be")
+        check_highest("amplitudes", *self.amplitudes.values())
         super()._check()
         if self.orders.size < driven:
             raise InputError(
@@ -207,14 +223,20 @@ class AccelerationStep(Signal):
     kind: Literal["acceleration_step"]
     dof: Dof  #: Degree of freedom.
     acceleration: float  #: In m/s^2 or rad/s^2.
-    hold: Positive  #: Time of each half [s].
-    at: Positive = 1.0  #: Start [s].
+    hold: Duration  #: Time of each half [s].
+    at: Duration = 1.0  #: Start [s].
+
+    @property
+    def length(self) -> float:
+        """Length of the table [s]."""
+        return 2.0 * (self.at + self.hold)
 
     def _check(self) -> None:
         if round(self.hold * RATE) < 2 or not self.acceleration:
             raise InputError(
                 f"acceleration: {self.acceleration} over hold {self.hold} s is no step"
             )
+        check_highest("acceleration", self.acceleration * self.hold**2)
 
     def command(self, seed: int = 0) -> Command:
         """Rest, path and rest."""
@@ -233,6 +255,22 @@ class Waypoints(Signal):
     times: tuple[float, ...]  #: Rising from 0 [s].
     poses: tuple[tuple[float, float, float, float, float, float], ...]
     """Surge, sway, heave [m], roll, pitch, yaw [rad], one a time."""
+
+    @property
+    def length(self) -> float:
+        """Length of the table [s]."""
+        return max(self.times, default=0.0)
+
+    def _check(self) -> None:
+        if len(self.times) != len(self.poses) or len(self.times) < 2:
+            raise InputError(
+                f"times: {len(self.times)} for {len(self.poses)} poses; allowed: one a pose, at "
+                "least 2"
+            )
+        check_length(self.length)
+        _rising(np.array(self.times))
+        for pose in self.poses:
+            check_highest("poses", *pose)
 
     def command(self, seed: int = 0) -> Command:
         """The path."""
@@ -265,6 +303,11 @@ def signal_of(description: Mapping[str, Any]) -> Signal:
         return Other(**table)
 
 
+def _rising(when: NDArray[np.float64]) -> None:
+    if when.ndim != 1 or when.size < 2 or when[0] != 0.0 or not (np.diff(when) > 0.0).all():
+        raise InputError(f"times: {when.tolist()} must be at least two numbers that rise from 0 s")
+
+
 def quintic(s: NDArray[np.float64]) -> NDArray[np.float64]:
     """From 0 to 1 with no velocity and no acceleration at either end: s^3 (10 - 15 s + 6 s^2)."""
     return s**3 * (10.0 - s * (15.0 - 6.0 * s))
@@ -289,8 +332,7 @@ def waypoints(times: ArrayLike, values: ArrayLike) -> NDArray[np.float64]:
     """
     when = np.asarray(times, dtype=float)
     points = np.atleast_2d(np.asarray(values, dtype=float))
-    if when.ndim != 1 or when.size < 2 or when[0] != 0.0 or not (np.diff(when) > 0.0).all():
-        raise InputError(f"times: {times!r} must be at least two numbers that rise from 0 s")
+    _rising(when)
     if points.shape[0] != when.size or points.ndim != 2 or not np.isfinite(points).all():
         raise InputError(f"values: must be {when.size} finite rows, one a time")
     time = np.arange(round(when[-1] * RATE) + 1) / RATE

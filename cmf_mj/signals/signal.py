@@ -27,14 +27,20 @@ Motion = Callable[[NDArray[np.int64]], NDArray[np.float64]]
 Dof = Literal["surge", "sway", "heave", "roll", "pitch", "yaw"]
 """Name of a degree of freedom."""
 
-Positive = Annotated[float, Field(gt=0.0)]
-"""Greater than 0."""
+LONGEST = 3600.0
+"""Longest signal that is made as a table [s]; an hour of poses takes 354 MB."""
 
-NotNegative = Annotated[float, Field(ge=0.0)]
-"""At least 0."""
+HIGHEST = 100.0
+"""Largest demand [m or rad]: a hundred times the stroke of a leg."""
 
-Frequency = Annotated[float, Field(gt=0.0, le=RATE / 2)]
-"""At most half the frame rate [Hz]."""
+Duration = Annotated[float, Field(gt=0.0, le=LONGEST)]
+"""A time above 0 [s]."""
+
+Wait = Annotated[float, Field(ge=0.0, le=LONGEST)]
+"""A time of at least 0 [s]."""
+
+Frequency = Annotated[float, Field(ge=1e-4, le=RATE / 2)]
+"""At most half the frame rate; the longest signal holds a third of the slowest cycle [Hz]."""
 
 _LENGTHS, _ANGLES = ("in", "m", "mm"), ("deg", "rad")
 
@@ -53,17 +59,33 @@ def check_not_negative(**values: float) -> None:
             raise InputError(f"{name}: {value} must be a finite number, at least 0")
 
 
-def _number_with_unit(value: object) -> float | tuple[float, str]:
-    match value:
-        case bool():
-            pass
-        case int() | float() if np.isfinite(value):
-            return float(value)
-        case (int() | float() as number, str() as unit) if np.isfinite(number):
-            if unit not in _LENGTHS + _ANGLES:
-                raise InputError(f"unit {unit!r} is not one of {', '.join(_LENGTHS + _ANGLES)}")
-            return float(number), unit
-    raise InputError('must be a number in m or rad, or a number and its unit, such as [2.0, "in"]')
+def check_length(seconds: float) -> None:
+    """Refuse a table that would be too long to hold."""
+    if not seconds <= LONGEST:
+        raise InputError(f"length: {seconds:g} s of the signal is refused: at most {LONGEST:g} s")
+
+
+def check_highest(field: str, *sizes: float) -> None:
+    """Refuse demands [m or rad] that no machine follows."""
+    for size in sizes:
+        if not abs(size) <= HIGHEST:
+            raise InputError(f"{field}: {size:g} m or rad is refused: at most {HIGHEST:g} in size")
+
+
+def _number_with_unit(value: Any) -> float | tuple[float, str]:
+    pair = isinstance(value, list | tuple) and len(value) == 2
+    number, unit = value if pair else (value, "m")
+    known = isinstance(number, int | float) and not isinstance(number, bool)
+    if not known or not abs(number) < float("inf") or not isinstance(unit, str):
+        raise InputError(
+            'must be a number in m or rad, or a number and its unit, such as [2.0, "in"]'
+        )
+    if unit not in _LENGTHS + _ANGLES:
+        raise InputError(f"unit {unit!r} is not one of {', '.join(_LENGTHS + _ANGLES)}")
+    most = units.from_si(unit, HIGHEST)
+    if not abs(number) <= most:
+        raise InputError(f"must be at most {most:g} in size")
+    return (float(number), unit) if pair else float(number)
 
 
 Amplitude = Annotated[
@@ -102,7 +124,13 @@ class Signal(Settings):
     @model_validator(mode="after")
     def _checked(self) -> Self:
         self._check()
+        check_length(self.length)
         return self
+
+    @property
+    def length(self) -> float:
+        """Length of the table [s]; 0 where it follows from a file, or there is none."""
+        return 0.0
 
     def _check(self) -> None:
         """Refuse settings that do not go together, by name."""
@@ -165,9 +193,8 @@ class SingleSignal(Signal):
     amplitude: Amplitude  #: Size [m or rad], or size and unit, such as `[2.0, "in"]`.
 
     @model_validator(mode="after")
-    def _checked(self) -> Self:
+    def _fits(self) -> Self:
         amplitude_in_si(self.dof, self.amplitude)
-        self._check()
         return self
 
     @property

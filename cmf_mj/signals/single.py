@@ -15,16 +15,21 @@ from scipy import signal
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
+from cmf_mj.core.settings import Seed
 from cmf_mj.machine.dof import dof_index
 from cmf_mj.signals.signal import (
+    LONGEST,
+    Duration,
     Frequency,
     Motion,
-    NotNegative,
-    Positive,
     Signal,
     SingleSignal,
+    Wait,
     command_of,
 )
+
+Cycles = Annotated[float, Field(gt=0.0, le=LONGEST * RATE / 2)]
+"""Cycles above 0: at most those of the longest signal at the highest frequency."""
 
 
 def raised_cosine(samples: int, fade: float, *, fade_out: bool = True) -> NDArray[np.float64]:
@@ -48,8 +53,8 @@ class Step(SingleSignal):
     """A step of `amplitude` at the time `at` [s]; the run lasts `duration` [s]."""
 
     kind: Literal["step"]
-    at: Positive = 1.0  #: Time of the step [s].
-    duration: Positive | None = 13.0  #: Length of the run [s]; None for two frames after the step.
+    at: Duration = 1.0  #: Time of the step [s].
+    duration: Duration | None = 13.0  #: Length of the run [s]; None for two frames after the step.
 
     @property
     def length(self) -> float:
@@ -68,9 +73,9 @@ class Pulse(SingleSignal):
     """A rectangular pulse: out at the time `at` [s], back `width` [s] later."""
 
     kind: Literal["pulse"]
-    width: Positive = 1.0  #: Time at the height [s], at least two frames.
-    at: Positive = 1.0  #: Start [s].
-    duration: Positive | None = 13.0  #: Length of the run [s]; None for three frames more.
+    width: Duration = 1.0  #: Time at the height [s], at least two frames.
+    at: Duration = 1.0  #: Start [s].
+    duration: Duration | None = 13.0  #: Length of the run [s]; None for three frames more.
 
     @property
     def length(self) -> float:
@@ -102,9 +107,14 @@ class Sine(SingleSignal):
 
     kind: Literal["sine"]
     frequency: Frequency  #: Frequency [Hz], at most half the frame rate.
-    cycles: Positive | None = 10.0  #: Length; None goes on for ever, as a motion only.
-    fade: Positive = 1.0  #: Of the ends [s]; at most half the sine.
-    rest: NotNegative = 0.0  #: At the pose zero afterwards [s].
+    cycles: Cycles | None = 10.0  #: Length; None goes on for ever, as a motion only.
+    fade: Duration = 1.0  #: Of the ends [s]; at most half the sine.
+    rest: Wait = 0.0  #: At the pose zero afterwards [s].
+
+    @property
+    def length(self) -> float:
+        """Length of the table [s]; 0 without an end."""
+        return 0.0 if self.cycles is None else self.cycles / self.frequency + self.rest
 
     def _history(self, seed: int) -> NDArray[np.float64]:
         if self.cycles is None:
@@ -143,9 +153,14 @@ class Chirp(SingleSignal):
     kind: Literal["chirp"]
     start: Frequency = 0.01  #: First frequency [Hz].
     stop: Frequency = 10.0  #: Last frequency [Hz], at most half the frame rate.
-    duration: Positive = 100.0  #: Length of the sweep [s].
-    settle: Positive = 2.0  #: Rest before and after, so that the record starts and ends still [s].
-    fade: NotNegative = 0.0  #: Of the two ends of the sweep [s].
+    duration: Duration = 100.0  #: Length of the sweep [s].
+    settle: Duration = 2.0  #: Rest before and after, so that the record starts and ends still [s].
+    fade: Wait = 0.0  #: Of the two ends of the sweep [s].
+
+    @property
+    def length(self) -> float:
+        """Length of the table [s]."""
+        return self.duration + 2.0 * self.settle
 
     @property
     def band(self) -> tuple[float, float]:
@@ -171,12 +186,17 @@ class Noise(SingleSignal):
     kind: Literal["noise"]
     start: Frequency = 0.1  #: Lower edge of the band [Hz].
     stop: Frequency = 10.0  #: Upper edge of the band [Hz].
-    duration: Positive = 100.0  #: Length of the noise with its fades [s].
-    settle: Positive = 2.0  #: Rest before and after [s].
-    fade: Positive = 2.0  #: Of both ends of the noise [s]; it widens the band by about 1 / fade.
+    duration: Duration = 100.0  #: Length of the noise with its fades [s].
+    settle: Duration = 2.0  #: Rest before and after [s].
+    fade: Duration = 2.0  #: Of both ends of the noise [s]; it widens the band by about 1 / fade.
     scale: Literal["peak", "rms"] = "peak"
     """What the amplitude is: `peak`, the largest displacement, or `rms`, its root mean square."""
-    seed: int | None = None  #: Of the noise; None for that of the scenario, else 0.
+    seed: Seed | None = None  #: Of the noise; None for that of the scenario, else 0.
+
+    @property
+    def length(self) -> float:
+        """Length of the table [s]."""
+        return self.duration + 2.0 * self.settle
 
     def _check(self) -> None:
         if 2.0 * self.fade > self.duration:
@@ -208,15 +228,20 @@ class Lines(Signal):
 
     start: Frequency = 0.1  #: Lowest line [Hz].
     stop: Frequency = 10.0  #: Highest line [Hz].
-    period: Positive = 20.0  #: Length of one period [s]; a whole number of frames.
-    periods: Annotated[int, Field(ge=2)] = 3  #: Periods in all.
+    period: Duration = 20.0  #: Length of one period [s]; a whole number of frames.
+    periods: Annotated[int, Field(ge=2, lt=2**31)] = 3  #: Periods in all.
     spectrum: Literal["flat", "acceleration"] = "flat"
     """`flat` for lines of equal displacement; `acceleration` for lines of equal acceleration above
     the `corner`, which spares the machine at high frequencies."""
-    corner: Positive = 1.0  #: Frequency above which displacement falls as 1/f^2 [Hz].
-    fade: NotNegative = 0.0
+    corner: Frequency = 1.0  #: Frequency above which displacement falls as 1/f^2 [Hz].
+    fade: Wait = 0.0
     """In within the first period, out in a tail after the last [s]; 0 starts in motion."""
-    seed: int | None = None  #: Of the phases; None for that of the scenario, else 0.
+    seed: Seed | None = None  #: Of the phases; None for that of the scenario, else 0.
+
+    @property
+    def length(self) -> float:
+        """Length of the table [s]."""
+        return self.periods * self.period + self.fade
 
     def _check(self) -> None:
         if abs(round(self.period * RATE) / RATE - self.period) > 1e-9:

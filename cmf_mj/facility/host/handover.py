@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.control.dcu.arrivals import Arrivals
 from cmf_mj.control.dcu.motion import copy
+from cmf_mj.core.arrays import check_memory
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.stream import HostFrame
@@ -52,6 +53,7 @@ def make_log(capacity: int) -> Arrivals:
     """An empty log for `collect`, for a number of frames."""
     if capacity < 1:
         raise InputError(f"capacity: {capacity} must be at least 1")
+    check_memory("duration", f"a log of {capacity} host frames", 21 * capacity)
     return Arrivals(
         np.full(capacity, NEVER),
         np.zeros(capacity, dtype=np.int64),

@@ -15,7 +15,7 @@ from cmf_mj.control.law import Law
 from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.rates import FRAME, MOST_FRAMES
 from cmf_mj.facility.host.handover import make_log
 from cmf_mj.facility.operation import (
     FacilitySettings,
@@ -23,9 +23,10 @@ from cmf_mj.facility.operation import (
     facility_session,
     starting_pose,
 )
+from cmf_mj.facility.options import Options
 from cmf_mj.facility.scenario.demand import Demand
 from cmf_mj.facility.scenario.settings import Scenario
-from cmf_mj.facility.session import FOREVER, Options, Session, Table
+from cmf_mj.facility.session import Session, Table
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
@@ -145,6 +146,6 @@ def _options(scenario: Scenario) -> Options:
     return Options(
         events=scenario.event,
         record_every=scenario.record_every,
-        frames=scenario.frames or FOREVER,
+        frames=scenario.frames or MOST_FRAMES,
         window=None if scenario.frames else BLOCK,
     )

@@ -1,0 +1,47 @@
+"""What may differ between two runs of the same plant and law."""
+
+from collections.abc import Sequence
+from typing import NamedTuple, TypedDict
+
+from numpy.typing import ArrayLike
+
+from cmf_mj.control.protection import ProtectionSettings
+from cmf_mj.core.errors import InputError
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.plant.events import Event
+
+
+class RunOptions(TypedDict, total=False):
+    """Options of every run, as in `Options`."""
+
+    start: ArrayLike | None
+    events: Sequence[Event]
+    record_every: int
+    command_delay: int
+
+
+class Options(NamedTuple):
+    """What may differ between two runs of the same plant and law."""
+
+    start: ArrayLike | None = None
+    """Configuration to start from, as `plant.place` takes it; default neutral."""
+    events: Sequence[Event] = ()  #: Failures on the time line.
+    record_every: int = 1  #: Keep one frame in this many.
+    command_delay: int = 1  #: Frames from a DCL frame to its command at the valves.
+    protection: ProtectionSettings | None = None  #: Conditions that make an emergency stop.
+    electronics: ElectronicsSettings | None = None
+    """Sensors, converters, servo electronics; default ideal."""
+    frames: int | None = None  #: Control frames of the run; default the rows of the table.
+    window: int | None = None
+    """Control frames whose `rows` are kept, the latest; default all, as `history`."""
+
+    def check(self) -> None:
+        """Refuse a number that is too small."""
+        window = 1 if self.window is None else self.window
+        for field, value, least in (
+            ("record_every", self.record_every, 1),
+            ("window", window, 1),
+            ("command_delay", self.command_delay, 0),
+        ):
+            if value < least:
+                raise InputError(f"{field}: {value} frames must be at least {least}")
