@@ -3,7 +3,8 @@ from typing import Any
 
 import pytest
 
-from cmf_mj.core.settings import Loader, Settings, merged, named_set
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.settings import Loader, Settings, merged, named_set, read_toml, validated
 
 SHIPPED = """
 [common]
@@ -110,6 +111,30 @@ def test_a_file_overlays_what_it_repeats(whole: Path, tmp_path: Path) -> None:
     assert (mine.size, mine.part.length, mine.part.width) == (1.0, 2.0, 5.0)
     with pytest.raises(ValueError, match="mine.toml: part.length: is missing"):
         Loader(Whole, whole, levels=0)(file)
+
+
+def test_a_byte_order_mark_is_no_part_of_a_file(whole: Path) -> None:
+    before = Loader(Whole, whole)()
+    whole.write_bytes(b"\xef\xbb\xbf" + whole.read_bytes().replace(b"\n", b"\r\n"))
+    assert Loader(Whole, whole)() == before
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["x = " + "[" * 40 + "]" * 40, "x = " + "[" * 100_000, "a" + ".a" * 5000 + " = 1"],
+    ids=["lists", "open", "keys"],
+)
+def test_nested_tables_end_before_the_stack_does(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "deep.toml"
+    file.write_text(text)
+    with pytest.raises(InputError, match="deep.toml: .* nested too deep; allowed: 16 levels"):
+        read_toml(file)
+
+
+def test_a_refused_value_is_not_shown_at_any_length(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as raised:
+        validated(Part, {"length": "x" * 10**6, "width": 1.0}, "my.toml")
+    assert len(str(raised.value)) < 600
 
 
 class Ranked(Settings):

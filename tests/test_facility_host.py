@@ -188,10 +188,10 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         read_stream(tmp_path / "run.xlsx")
     with pytest.raises(ValueError, match="must end in"):
         write_stream(wave(), tmp_path / "run.txt")
-    with pytest.raises(ValueError, match="cannot be read"):
+    with pytest.raises(ValueError, match="is not a readable Parquet file"):
         read_stream(tmp_path / "none.parquet")
     path = write_stream(wave(), tmp_path / "run.parquet")
-    with pytest.raises(ValueError, match="is not a host session"):
+    with pytest.raises(ValueError, match="carries no cmf_mj_host header"):
         HostSession.load(path)
 
 

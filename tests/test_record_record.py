@@ -1,7 +1,9 @@
 """Records: bit for bit through a file, immutable, complete, and whole or not there at all."""
 
+import copy
 import dataclasses
 import json
+import pickle
 
 import numpy as np
 import pyarrow as pa
@@ -9,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from cmf_mj import Hexapod, Record, SingleLegs, load_law, signals, simulate
-from cmf_mj.record import record
+from cmf_mj.core.arrays import frozen
 from cmf_mj.signals.single import Multisine, Step
 
 
@@ -106,7 +108,7 @@ def fail_half_way(table, where, **_):
 
 
 def test_interrupted_write_leaves_no_file(tmp_path, monkeypatch):
-    monkeypatch.setattr(record.pq, "write_table", fail_half_way)
+    monkeypatch.setattr(pq, "write_table", fail_half_way)
     with pytest.raises(OSError, match="disk full"):
         small().save(tmp_path / "run.parquet")
     assert list(tmp_path.iterdir()) == []
@@ -115,7 +117,7 @@ def test_interrupted_write_leaves_no_file(tmp_path, monkeypatch):
 def test_interrupted_write_keeps_the_old_file(tmp_path, monkeypatch):
     first = small()
     path = first.save(tmp_path / "run.parquet")
-    monkeypatch.setattr(record.pq, "write_table", fail_half_way)
+    monkeypatch.setattr(pq, "write_table", fail_half_way)
     with pytest.raises(OSError, match="disk full"):
         small(metadata={"sample_rate": 2.0}).save(path)
     monkeypatch.undo()
@@ -149,6 +151,48 @@ def test_tables_are_read_only(run):
 def test_fields_cannot_be_replaced(run):
     with pytest.raises(dataclasses.FrozenInstanceError):
         run.time = np.zeros(1)
+
+
+def test_no_depth_of_a_record_can_be_written_to():
+    given = {"sample_rate": 1.0, "law": {"gains": [1.0, {"position": 2.0}]}}
+    kept = small(metadata=given)
+    for attempt in (
+        lambda: kept.metadata["law"].update(gains=0),
+        lambda: kept.metadata["law"]["gains"].append(0),
+        lambda: kept.metadata["law"]["gains"][1].pop("position"),
+        lambda: kept.metadata["law"]["gains"][1].__delitem__("position"),
+    ):
+        with pytest.raises(TypeError, match="it is read-only"):
+            attempt()
+    for values in (kept.time, *kept.channels.values()):
+        with pytest.raises(ValueError, match="cannot set WRITEABLE"):
+            values.flags.writeable = True
+    given["law"]["gains"][1]["position"] = 3.0
+    assert kept.metadata["law"]["gains"][1] == {"position": 2.0}
+    assert json.loads(json.dumps(kept.metadata)) == kept.metadata
+
+
+@pytest.mark.parametrize(
+    "again", [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))]
+)
+def test_records_copy_and_pickle_and_stay_immutable(run, again):
+    other = again(run)
+    assert_same(other, run)
+    assert repr(other) == repr(run)
+    with pytest.raises(TypeError, match="it is read-only"):
+        other.metadata["law_parameters"]["title"] = "x"
+    for values in (other.time, *other.channels.values()):
+        assert not values.flags.writeable
+
+
+def test_a_long_history_is_not_held_twice():
+    """What is read-only and owns its values is taken over; views of it too; a part of it is not."""
+    history = np.zeros((3, 2))
+    history.setflags(write=False)
+    kept = small(channels={"leg_position": history, "gimbal_error": history[:, 0]})
+    assert np.shares_memory(kept["leg_position"], history)
+    assert np.shares_memory(frozen(kept["leg_position"]), history)
+    assert not np.shares_memory(kept["gimbal_error"], history)
 
 
 def test_dictionaries_given_may_change_later():

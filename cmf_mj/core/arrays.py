@@ -1,9 +1,11 @@
-"""Arrays that nobody can write to, and how large those of a run may be."""
+"""Arrays, mappings and lists that nobody can write to, and how large those of a run may be."""
+
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, unknown_name
 
 MEMORY = 4 * 2**30
 """Most that any one part of a run, such as its record, may take [bytes]."""
@@ -19,12 +21,58 @@ def check_memory(field: str, part: str, numbers: float) -> None:
 
 
 def frozen(values: ArrayLike) -> NDArray[np.float64]:
-    """The array itself where it owns its values and is read-only already, else a read-only copy.
+    """A read-only view, which cannot be made writable, of the array itself or of a copy.
 
-    So what makes an array freezes it and hands it over, and long histories are not held twice.
+    The array itself where it owns its values and is read-only already, or is such a view. So what
+    makes an array freezes it and hands it over, and long histories are not held twice.
     """
     array = np.asarray(values)
-    if array.flags.writeable or not array.flags.owndata:
+    owner = array if array.base is None else array.base
+    if not isinstance(owner, np.ndarray) or owner.flags.writeable or owner.size != array.size:
         array = np.array(array)
         array.setflags(write=False)
-    return array
+    view = array.view()
+    view.setflags(write=False)
+    return view
+
+
+def _refused(self: object, *_: object, **__: object) -> NoReturn:
+    raise TypeError(f"{type(self).__name__} does not support item assignment: it is read-only")
+
+
+class FrozenDict(dict[str, Any]):
+    """A mapping by name that nobody can write to; it pickles and copies."""
+
+    __setitem__ = __delitem__ = __ior__ = _refused
+    clear = pop = popitem = setdefault = update = _refused
+
+    def __missing__(self, name: str) -> NoReturn:
+        """Refuse a name that is not there."""
+        raise unknown_name("field", name, self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How to make it again."""
+        return FrozenDict, (dict(self),)
+
+
+class FrozenList(list[Any]):
+    """A list that nobody can write to; it pickles and copies."""
+
+    __setitem__ = __delitem__ = __iadd__ = __imul__ = _refused
+    append = extend = insert = pop = remove = _refused
+    clear = reverse = sort = _refused
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How to make it again."""
+        return FrozenList, (list(self),)
+
+
+def frozen_json(content: Any) -> Any:
+    """JSON values that nobody can write to, down to the last table and list."""
+    if isinstance(content, dict):
+        return FrozenDict({name: frozen_json(value) for name, value in content.items()})
+    if isinstance(content, list):
+        return FrozenList(frozen_json(value) for value in content)
+    if isinstance(content, tuple):
+        return tuple(frozen_json(value) for value in content)
+    return content

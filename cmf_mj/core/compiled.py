@@ -7,6 +7,7 @@ take anything from: the modules that import this one, and all they import.
 """
 
 import hashlib
+import os
 import re
 from collections.abc import Callable
 from functools import lru_cache
@@ -57,7 +58,7 @@ class _PackageStamp:
 
 
 class UserProvided(_PackageStamp, caching.UserProvidedCacheLocator):  # type: ignore[misc]
-    """Cache in NUMBA_CACHE_DIR, where the user has set it."""
+    """Cache in NUMBA_CACHE_DIR, where the user or `core.caches` has set it."""
 
 
 class InTree(_PackageStamp, caching.InTreeCacheLocator):  # type: ignore[misc]
@@ -80,6 +81,7 @@ class _Index(caching.IndexDataCacheFile):  # type: ignore[misc]
 
 
 caching.IndexDataCacheFile = _Index
+numba.config.CACHE_DIR = numba.config.CACHE_DIR or os.environ.get("NUMBA_CACHE_DIR", "")
 
 _LOCATORS = ",".join(f"{__name__}.{c.__name__}" for c in (UserProvided, InTree, UserWide))
 

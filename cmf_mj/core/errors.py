@@ -55,6 +55,11 @@ class MissingExtraError(CmfError, ModuleNotFoundError):
     __module__ = "cmf_mj"
 
 
+def reason(error: BaseException) -> str:
+    """What another library says of an error, in one line of at most 300 characters."""
+    return " ".join(str(error).split())[:300]
+
+
 def require(package: str, extra: str) -> Any:
     """Import a package that comes with an optional extra of this project, or say which one."""
     try:

@@ -1,10 +1,16 @@
-"""Files that appear only when they are complete, and tables in CSV and Parquet."""
+"""Files that appear only when they are complete, folders of one run, tables in CSV and Parquet.
+
+A Parquet file of this project has the library's checksum of every page, and in its schema the
+SHA-256 of names, types, values and header of the whole table. A reader refuses a file that differs
+from it. Tables that others write have none, and CSV has no place for one.
+"""
 
 import csv
+import hashlib
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +20,16 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, reason
+from cmf_mj.core.settings import Model, parsed_json, validated
+
+try:
+    import fcntl
+except ImportError:  # Windows has no locks of folders
+    fcntl = None  # type: ignore[assignment]
+
+_DIGEST = b"cmf_mj_sha256"
+_FLOAT = pa.float64()
 
 
 @contextmanager
@@ -34,6 +49,56 @@ def in_folder(folder: Path, name: str) -> Path:
     if not name or Path(name).name != name or name[0] == "." or not name.isprintable():
         raise InputError(f"file: {name!r} is refused: must be a plain name, without a folder")
     return folder / name
+
+
+def check_target(target: Path, field: str = "file") -> Path:
+    """A file that can be written, found out without writing it; its folder may be missing yet."""
+    try:
+        there = next(path for path in target.absolute().parents if os.path.exists(path))
+        fault = "is a folder" if target.is_dir() else ""
+        if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
+            fault = f"{there} is not a folder that can be written to"
+    except (OSError, ValueError) as error:
+        fault = reason(error)
+    if fault:
+        raise InputError(f"{field}: {str(target)!r} is refused: {fault}")
+    return target
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[Path]:
+    """A folder that this run alone writes to; made, and removed again if it stays empty.
+
+    The lock is the system's and on the folder itself, so that it ends with the process however
+    that ends. What a killed run left half-written is removed. A file system without locks gives
+    none.
+
+    Raises:
+        InputError: it cannot be made or written to, or another run has it.
+    """
+    check_target(folder / "x", "out")
+    made = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
+    folder.mkdir(parents=True, exist_ok=True)
+    held = os.open(folder, os.O_RDONLY) if fcntl else -1
+    try:
+        with suppress(OSError):
+            if fcntl:
+                try:
+                    fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise InputError(
+                        f"out: {str(folder)!r} is refused: another run writes to it; "
+                        "allowed: another folder, or wait"
+                    ) from None
+        for partial in (*folder.glob(".*.part"), *folder.glob("*/.*.part")):
+            partial.unlink(missing_ok=True)
+        yield folder
+    finally:
+        if held >= 0:
+            os.close(held)
+        with suppress(OSError):  # not empty
+            for path in made:
+                path.rmdir()
 
 
 def write_text(target: Path, text: str) -> Path:
@@ -73,29 +138,79 @@ def write_table(table: pa.Table, target: Path) -> Path:
     return target
 
 
-def write_parquet(table: pa.Table, target: Path) -> Path:
-    """Write a table as Parquet, whatever the name's end."""
+def write_parquet(
+    table: pa.Table, target: Path, header: tuple[str, Mapping[str, Any]] | None = None, **how: Any
+) -> Path:
+    """Write a table as Parquet with checksums, whatever the name's end.
+
+    `header` is a key of the schema and what stands there as JSON; `how` are more options of
+    pyarrow.
+    """
+    if header is not None:
+        table = table.replace_schema_metadata({header[0]: json.dumps(header[1])})
+    known = table.schema.metadata or {}
+    table = table.replace_schema_metadata({**known, _DIGEST: _digest(table)})
+    options = {"compression": "zstd", "use_dictionary": False, "write_page_checksum": True} | how
     with whole_file(target) as partial:
-        pyarrow.parquet.write_table(table, partial, compression="zstd", use_dictionary=False)
+        pyarrow.parquet.write_table(table, partial, **options)
     return target
 
 
 def read_table(path: Path) -> pa.Table:
-    """Read a CSV or Parquet file, by the name's end."""
+    """Read a CSV or Parquet file, by the name's end; one of this project is as it was written."""
+    if path.suffix == ".parquet":
+        return _read_parquet(path)
+    if path.suffix != ".csv":
+        raise InputError(f"{path}: must end in .csv or .parquet")
     try:
-        if path.suffix == ".csv":
-            return pyarrow.csv.read_csv(path)
-        if path.suffix == ".parquet":
-            return pyarrow.parquet.read_table(path)
-    except (OSError, pa.ArrowInvalid) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    raise InputError(f"{path}: must end in .csv or .parquet")
+        return pyarrow.csv.read_csv(path)
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise InputError(f"{path}: cannot be read: {reason(error)}") from error
+
+
+def read_headed(path: Path, key: str, model: type[Model]) -> tuple[pa.Table, Model]:
+    """A Parquet table with the header that `write_parquet` wrote at a key of its schema."""
+    table = _read_parquet(path)
+    raw = (table.schema.metadata or {}).get(key.encode())
+    if raw is None:
+        raise InputError(f"{path}: is Parquet, but carries no {key} header")
+    where = f"{path}: header {key}"
+    return table, validated(model, parsed_json(raw, where), where)
+
+
+def _read_parquet(path: Path) -> pa.Table:
+    try:
+        table = pyarrow.parquet.read_table(path, page_checksum_verification=True)
+        written = (table.schema.metadata or {}).get(_DIGEST)
+        changed = written is not None and written != _digest(table)
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise InputError(f"{path}: is not a readable Parquet file: {reason(error)}") from error
+    if changed:
+        raise InputError(
+            f"{path}: is damaged or changed: it does not hold what its {_DIGEST.decode()} says"
+        )
+    return table
+
+
+def _digest(table: pa.Table) -> bytes:
+    """SHA-256 of the names, types and values of the columns, and of the header."""
+    header = sorted((k, v) for k, v in (table.schema.metadata or {}).items() if k != _DIGEST)
+    digest = hashlib.sha256(repr((header, table.num_rows)).encode())
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        digest.update(repr((name, str(column.type), column.null_count)).encode())
+        if column.null_count:
+            digest.update(column.is_null().to_numpy().tobytes())
+        if pa.types.is_primitive(column.type):
+            digest.update(np.ascontiguousarray(column.drop_null().to_numpy()).data)
+        else:
+            digest.update(repr(column.to_pylist()).encode())
+    return digest.hexdigest().encode()
 
 
 def read_column(
-    path: Path, table: pa.Table, name: str, kind: pa.DataType | None = None
+    path: Path, table: pa.Table, name: str, kind: pa.DataType | None = _FLOAT
 ) -> NDArray[Any]:
-    """A column of numbers of a table read from `path`; float64 unless `kind` says otherwise."""
+    """A column of numbers of a table read from `path`, as `kind`; None leaves its own type."""
     if table.column_names.count(name) != 1:
         fault = "twice" if name in table.column_names else "missing"
         raise InputError(f"{path}: {name}: column is {fault}; it has {table.column_names}")
@@ -104,6 +219,11 @@ def read_column(
         row = column.is_null().to_pylist().index(True)
         raise InputError(f"{path}: {name}: row {row + 1} is empty or not a number")
     try:
-        return np.array(column.cast(kind or pa.float64()).to_numpy())
-    except pa.ArrowInvalid as error:
-        raise InputError(f"{path}: {name}: is not a column of numbers: {error}") from error
+        if kind is not None and pa.types.is_temporal(column.type):
+            raise pa.ArrowInvalid(f"it holds {column.type}")
+        values = np.array((column if kind is None else column.cast(kind)).to_numpy())
+    except pa.ArrowException as error:
+        raise InputError(f"{path}: {name}: is not a column of numbers: {reason(error)}") from error
+    if values.dtype.kind not in "biuf":
+        raise InputError(f"{path}: {name}: is not a column of numbers: it holds {column.type}")
+    return values

@@ -1,5 +1,7 @@
 """Reading settings files: TOML in, validated immutable models out, one clear error if not."""
 
+import hashlib
+import json
 import re
 import sys
 import tomllib
@@ -17,7 +19,7 @@ from pydantic import (
     field_validator,
 )
 
-from cmf_mj.core.errors import InputError, unknown_name
+from cmf_mj.core.errors import InputError, reason, unknown_name
 from cmf_mj.core.rates import LONGEST
 
 LARGEST = 1e20
@@ -65,6 +67,15 @@ class Settings(BaseModel):
         return in_range(value)
 
 
+class FileHeader(Settings):
+    """What a file of this project says of its content: results, whose numbers may be any."""
+
+    @field_validator("*")
+    @classmethod
+    def _numbers(cls, value: Any) -> Any:
+        return value
+
+
 Model = TypeVar("Model", bound=Settings)
 
 _NAME = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_ .,+-]{0,62}[A-Za-z0-9_+-])?")
@@ -100,15 +111,60 @@ def read_toml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not valid TOML: {error}") from error
+        raise InputError(f"{path}: is not valid TOML: {reason(error)}") from error
+
+
+_SEAL = "# cmf_mj sha256 "
+_LEVELS, _SHOWN = 16, 400
+"""Levels of tables allowed in a file; characters of a refused value that errors show."""
+
+
+def sealed(text: str) -> str:
+    """A TOML text below a comment with its SHA-256, so that `parsed_toml` notices a change."""
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    return f"{_SEAL}{digest}: who edits what follows deletes this line\n{text}"
 
 
 def parsed_toml(text: str, where: str) -> dict[str, Any]:
-    """The tables of a TOML text, called `where` in errors."""
+    """The tables of a TOML text, called `where` in errors; a sealed one is as it was written."""
+    text = text.removeprefix("\ufeff").replace("\r\n", "\n")
+    if text.startswith(_SEAL) and text != sealed(text.partition("\n")[2]):
+        raise InputError(
+            f"{where}: is damaged or edited: it does not hold what the SHA-256 in its first line "
+            "says; if the change is meant, delete that line"
+        )
     try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{where}: is not valid TOML: {error}") from error
+        table = tomllib.loads(text)
+    except RecursionError:
+        raise _too_deep(where) from None
+    except ValueError as error:  # also a number with more digits than Python reads
+        raise InputError(f"{where}: is not valid TOML: {reason(error)}") from error
+    return _shallow(table, where)
+
+
+def parsed_json(text: str | bytes, where: str) -> Any:
+    """What a JSON text says, called `where` in errors."""
+    try:
+        return _shallow(json.loads(text), where)
+    except RecursionError:
+        raise _too_deep(where) from None
+    except ValueError as error:
+        raise InputError(f"{where}: is not valid JSON: {reason(error)}") from error
+
+
+def _shallow(content: Any, where: str) -> Any:
+    """The same, if nothing that walks through it can run out of stack."""
+    layer = [content]
+    for _ in range(_LEVELS + 1):
+        nested = [v.values() if isinstance(v, dict) else v for v in layer]
+        layer = [v for values in nested for v in values if isinstance(v, dict | list)]
+        if not layer:
+            return content
+    raise _too_deep(where)
+
+
+def _too_deep(where: str) -> InputError:
+    return InputError(f"{where}: tables and lists are nested too deep; allowed: {_LEVELS} levels")
 
 
 def validated(model: type[Model], table: object, where: str) -> Model:
@@ -260,7 +316,9 @@ def _explain(model: type[BaseModel], error: Any, where: str) -> str:
         return f"{where}: {field}: is missing"
     if error["type"] == "value_error" and isinstance(error["input"], Mapping):
         return f"{where}: {field}: {message}"
-    return f"{where}: {field}: {error['input']!r} is refused: {allowed}"
+    given = repr(error["input"])
+    given = given if len(given) <= _SHOWN else f"{given[:_SHOWN]}..."
+    return f"{where}: {field}: {given} is refused: {allowed}"
 
 
 def _field_names(model: type[BaseModel], path: list[str]) -> list[str]:

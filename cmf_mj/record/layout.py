@@ -10,12 +10,13 @@ Everything else is this project's choice: the leg number after a name, the names
 of the other channels (`LAYOUT`), TIME [s] in column 1 and LAST_ROW, 1 in the last row only, in
 column 2. A column with nothing to hold is named UNUSED_<column> and holds zeros, so that any reader
 of numbers finds the block. Metadata are one comment line after the last row, `# cmf_mj {...}`:
-before the header they would move the block away from row 2. That line also has a checksum a column;
-who edits values by hand deletes it.
+before the header they would move the block away from row 2. That line also has a checksum a column,
+and of itself; who edits values by hand deletes it.
 
 The resolution of a file is 10^-decimals in each column's unit: 1e-6 in by default.
 """
 
+import json
 import re
 import zlib
 from typing import Any, NamedTuple
@@ -24,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core import units
-from cmf_mj.core.settings import Settings
+from cmf_mj.core.settings import FileHeader
 from cmf_mj.machine.kinematics import half_stroke
 
 RATE = 128
@@ -64,7 +65,8 @@ LAYOUT = (
 """Columns of the block. Only the two groups of positions are published; the rest is ours."""
 REQUIRED = ("leg_position", "leg_reference")
 """Channels no recording is without; their places, names and unit are the published ones."""
-TIME, LAST = "TIME", "LAST_ROW"
+TIME, LAST, LINE = "TIME", "LAST_ROW", "line"
+TIME_DECIMALS = 7
 NAMES = {name for group in LAYOUT for name in group.names}
 POSITIONS = {
     name: group.first - 1 + leg
@@ -77,13 +79,19 @@ NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 NOT_TEXT = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 
 
-class Trailer(Settings):
+class Trailer(FileHeader):
     """What the comment line after the last row holds."""
 
     rows: int
     decimals: int
-    checksums: dict[str, int]
+    checksums: dict[str, int]  #: Of the columns, and of this line without it as `line`.
     metadata: dict[str, Any]
+
+    def line(self) -> int:
+        """Checksum of everything else here."""
+        columns = {name: value for name, value in self.checksums.items() if name != LINE}
+        rest = [self.rows, self.decimals, columns, self.metadata]
+        return zlib.crc32(json.dumps(rest, sort_keys=True).encode())
 
 
 def stroke() -> float:

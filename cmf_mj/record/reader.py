@@ -18,6 +18,7 @@ from cmf_mj.record.layout import (
     LAST,
     LAYOUT,
     LEGS,
+    LINE,
     NAMES,
     NOT_TEXT,
     NUMBER,
@@ -25,6 +26,7 @@ from cmf_mj.record.layout import (
     RATE,
     REQUIRED,
     TIME,
+    TIME_DECIMALS,
     TRAILER,
     Trailer,
     checksum,
@@ -306,8 +308,12 @@ def _check_stroke(table: _Table, column: dict[str, NDArray[np.float64]]) -> None
 def _check_sums(table: _Table, column: dict[str, NDArray[np.float64]]) -> None:
     if table.trailer is None:
         return
-    for name, written in table.trailer.checksums.items():
-        if name in column and written != checksum(column[name] * 10.0**table.trailer.decimals):
+    sums = dict(table.trailer.checksums)
+    if sums.pop(LINE, None) != table.trailer.line():
+        raise InputError(f"{table.path}: the line {TRAILER.strip()!r} is not as it was written")
+    for name, written in sums.items():
+        decimals = TIME_DECIMALS if name == TIME else table.trailer.decimals
+        if name in column and written != checksum(column[name] * 10.0**decimals):
             raise InputError(
                 f"{table.cell(0, name)} and below are not the values written: swapped or changed? "
                 f"If that is meant, delete the line {TRAILER.strip()!r}"

@@ -1,31 +1,40 @@
 """Time histories of a run: named channels in SI with units and everything needed to repeat it.
 
-A record is immutable. Its file is one Parquet table: a column per scalar channel, `leg_position_1`
-to `_6` for a channel with a leg axis, and metadata (units, parameters, law, seed, model digest) as
-JSON in the schema, so that any Parquet reader opens it.
+A record is immutable, down to nested metadata; it pickles and copies. Its file is a Parquet table:
+a column per scalar channel, `leg_position_1` to `_6` for a channel with a leg axis, and metadata
+(units, parameters, law, seed, model digest) as JSON in the schema, so that any Parquet reader opens
+it. Checksums tell a damaged file from a whole one (`cmf_mj.core.files`).
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
+from pydantic import Field
 
-from cmf_mj.core.arrays import frozen
+from cmf_mj.core.arrays import FrozenDict, frozen, frozen_json
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.files import whole_file
+from cmf_mj.core.files import read_column, read_headed, write_parquet
+from cmf_mj.core.settings import FileHeader
 from cmf_mj.signals.composite import signal_of
 from cmf_mj.signals.signal import Signal
 
-_SCHEMA_KEY = b"cmf_mj"
+_SCHEMA_KEY = "cmf_mj"
 
 AnySignal = TypeVar("AnySignal", bound=Signal)
+
+
+class Header(FileHeader):
+    """What the schema of a record's file holds."""
+
+    units: dict[str, str]  #: Channel name to SI unit.
+    widths: dict[str, Annotated[int, Field(ge=0)]]
+    """Channel name to number of columns; 0 for a channel without a leg axis."""
+    metadata: dict[str, Any]  #: Of the record.
 
 
 @dataclass(frozen=True, repr=False)
@@ -56,9 +65,13 @@ class Record:
         if set(self.units) != set(self.channels):
             odd = sorted(set(self.units) ^ set(self.channels))
             raise InputError(f"units: every channel needs one unit; check {', '.join(odd)}")
-        object.__setattr__(self, "channels", MappingProxyType(histories))
-        object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
-        object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
+        object.__setattr__(self, "channels", FrozenDict(histories))
+        object.__setattr__(self, "units", FrozenDict(self.units))
+        object.__setattr__(self, "metadata", frozen_json(dict(self.metadata)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How to make it again: frozen, as arrays alone would not be."""
+        return Record, (self.time, dict(self.channels), dict(self.units), dict(self.metadata))
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         """A channel by name.
@@ -119,40 +132,29 @@ class Record:
             "metadata": dict(self.metadata),
         }
         table = pa.table({name: np.ascontiguousarray(v) for name, v in columns.items()})
-        table = table.replace_schema_metadata({_SCHEMA_KEY: json.dumps(header).encode()})
-        with whole_file(target) as partial:
-            pq.write_table(
-                table,
-                partial,
-                compression="zstd",
-                use_dictionary=False,
-                column_encoding="BYTE_STREAM_SPLIT",
-            )
-        return target
+        how = {"column_encoding": "BYTE_STREAM_SPLIT"}
+        return write_parquet(table, target, (_SCHEMA_KEY, header), **how)
 
     @staticmethod
     def load(path: str | Path) -> "Record":
         """Read a record that `save` wrote to `path`; values come back bit for bit.
 
         Raises:
-            InputError: the file is not a record of this project.
+            InputError: the file is damaged or not a record of this project.
         """
-        try:
-            table = pq.read_table(path)
-        except (OSError, pa.ArrowInvalid) as error:
-            raise InputError(f"{path}: is not a readable Parquet file: {error}") from error
-        raw = (table.schema.metadata or {}).get(_SCHEMA_KEY)
-        if raw is None:
-            raise InputError(f"{path}: is Parquet, but carries no {_SCHEMA_KEY.decode()} header")
-        header = json.loads(raw)
+        source = Path(path)
+        table, header = read_headed(source, _SCHEMA_KEY, Header)
 
         def column(name: str) -> NDArray[np.float64]:
-            return np.array(table[name].to_numpy())
+            return read_column(source, table, name, None)
 
         channels = {
             name: np.column_stack([column(f"{name}_{i + 1}") for i in range(width)])
             if width
             else column(name)
-            for name, width in header["widths"].items()
+            for name, width in header.widths.items()
         }
-        return Record(column("time"), channels, header["units"], header["metadata"])
+        try:
+            return Record(column("time"), channels, header.units, header.metadata)
+        except InputError as error:
+            raise InputError(f"{source}: {error}") from error

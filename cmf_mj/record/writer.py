@@ -15,11 +15,14 @@ from cmf_mj.record.layout import (
     LAST,
     LAYOUT,
     LEGS,
+    LINE,
     RATE,
     REQUIRED,
     TIME,
+    TIME_DECIMALS,
     TRAILER,
     Group,
+    Trailer,
     checksum,
     stroke,
 )
@@ -43,7 +46,7 @@ def write_facility_csv(record: Record, path: str | Path, *, decimals: int = 6) -
     names[:2], formats[:2] = [TIME, LAST], ["%.7f", "%d"]
     last = np.zeros(time.size)
     last[-1] = 1.0
-    columns, checksums = [time, last], {}
+    columns, checksums = [time, last], {TIME: checksum(time * 10.0**TIME_DECIMALS)}
     for group in LAYOUT:
         if group.channel not in record.channels and group.channel not in REQUIRED:
             continue
@@ -53,13 +56,10 @@ def write_facility_csv(record: Record, path: str | Path, *, decimals: int = 6) -
             names[index], formats[index] = group.names[leg], f"%.{decimals}f"
             columns.append(whole / 10.0**decimals + 0.0)
             checksums[names[index]] = checksum(whole)
-    trailer = {
-        "rows": time.size,
-        "decimals": decimals,
-        "checksums": checksums,
-        "metadata": dict(record.metadata) | {"sample_rate": float(RATE)},
-    }
-    footer = json.dumps(trailer)
+    metadata = dict(record.metadata) | {"sample_rate": float(RATE)}
+    trailer = Trailer(rows=time.size, decimals=decimals, checksums=checksums, metadata=metadata)
+    checksums[LINE] = trailer.line()
+    footer = json.dumps(trailer.model_dump() | {"checksums": checksums})
     with whole_file(target) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         np.savetxt(
             file,

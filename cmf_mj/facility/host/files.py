@@ -8,26 +8,34 @@ sequence                                       optional
 control_frame                                  sessions only
 """
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
+from pydantic import Field
 
 from cmf_mj.control.dcu.arrivals import Arrivals, upsample
 from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.files import read_column, read_table, write_parquet, write_table
-from cmf_mj.core.settings import validated
+from cmf_mj.core.files import read_column, read_headed, read_table, write_parquet, write_table
+from cmf_mj.core.settings import FileHeader, validated
 from cmf_mj.facility.host.stream import HostStream, make_stream
 from cmf_mj.machine.kinematics import DOFS
 
 _KINDS = ("", "_velocity", "_acceleration")
-_SCHEMA_KEY = b"cmf_mj_host"
+_SCHEMA_KEY = "cmf_mj_host"
+
+
+class Header(FileHeader):
+    """What the schema of a session's file holds."""
+
+    frames: Annotated[int, Field(ge=0)]  #: Control frames of the run.
+    start: Annotated[list[float], Field(min_length=6, max_length=6)]  #: Pose before.
+    settings: dict[str, Any]  #: Of the DCU.
 
 
 def read_stream(path: str | Path, *, derivatives: str = "spline") -> HostStream:
@@ -84,18 +92,13 @@ class HostSession:
             "start": np.asarray(self.start, dtype=float).tolist(),
             "settings": self.settings.model_dump(),
         }
-        table = table.replace_schema_metadata({_SCHEMA_KEY: json.dumps(header).encode()})
-        return write_parquet(table, Path(path))
+        return write_parquet(table, Path(path), (_SCHEMA_KEY, header))
 
     @staticmethod
     def load(path: str | Path) -> "HostSession":
         """Read a session written by `save`; numbers come back bit for bit."""
         source = Path(path)
-        table = read_table(source)
-        raw = (table.schema.metadata or {}).get(_SCHEMA_KEY)
-        if raw is None:
-            raise InputError(f"{source}: is not a host session")
-        header = json.loads(raw)
+        table, header = read_headed(source, _SCHEMA_KEY, Header)
         values = np.stack(
             [
                 np.column_stack([read_column(source, table, f"{dof}{kind}") for dof in DOFS])
@@ -109,8 +112,8 @@ class HostSession:
             read_column(source, table, "time"),
             np.ascontiguousarray(values),
         )
-        settings = validated(DcuSettings, header["settings"], str(source))
-        return HostSession(arrivals, header["frames"], np.array(header["start"]), settings)
+        settings = validated(DcuSettings, header.settings, f"{source}: settings")
+        return HostSession(arrivals, header.frames, np.array(header.start), settings)
 
 
 def _table(

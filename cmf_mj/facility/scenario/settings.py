@@ -12,7 +12,7 @@ from cmf_mj.control.protection import load_protection
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_text
 from cmf_mj.core.rates import RATE
-from cmf_mj.core.settings import Settings, checked_name, merged, parsed_toml, validated
+from cmf_mj.core.settings import Settings, checked_name, merged, parsed_toml, sealed, validated
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.binding import bound
 from cmf_mj.facility.scenario.signal import Signal
@@ -247,9 +247,9 @@ def save_scenario(scenario: Scenario, path: str | Path) -> Path:
 
 
 def scenario_toml(scenario: Scenario) -> str:
-    """A scenario as TOML text, defaults left out."""
+    """A scenario as TOML text below its checksum, defaults left out."""
     table = scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
-    return tomlkit.dumps(table)
+    return sealed(tomlkit.dumps(table))
 
 
 _FILES = (

@@ -16,7 +16,6 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated
 
 import numpy as np
@@ -26,9 +25,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError, unknown_name
-from cmf_mj.core.files import read_column, read_table, whole_file, write_parquet
-from cmf_mj.core.settings import Settings, validated
+from cmf_mj.core.arrays import FrozenDict, frozen
+from cmf_mj.core.errors import InputError, reason, unknown_name
+from cmf_mj.core.files import read_column, read_headed, whole_file, write_parquet
+from cmf_mj.core.settings import FileHeader, Settings, parsed_json, validated
 from cmf_mj.pilot.host import PilotSample, pilot_samples
 from cmf_mj.pilot.motion import COLUMNS, PilotMotion, check_finite
 
@@ -56,6 +56,13 @@ class Origin(Settings):
     seed: int | None = None  #: Of its turbulence, where there is any.
 
 
+class Header(FileHeader):
+    """What the schema of a flight's Parquet file holds."""
+
+    units: dict[str, str]  #: Column to unit.
+    origin: Origin  #: Of the flight.
+
+
 @dataclass(frozen=True)
 class Flight:
     """A recorded flight; an `AircraftHost`."""
@@ -74,8 +81,8 @@ class Flight:
                     f"{name}: shape is {values.shape}; allowed: {self.motion.time.shape}"
                 )
             check_finite(name, values)
-            values.setflags(write=False)
-        object.__setattr__(self, "others", MappingProxyType(others))
+        frozen_others = {name: frozen(values) for name, values in others.items()}
+        object.__setattr__(self, "others", FrozenDict(frozen_others))
 
     def samples(self) -> Iterator[PilotSample]:
         """The samples one by one, as a host in aircraft mode sends them."""
@@ -94,8 +101,8 @@ class Flight:
         column_units = {name: _UNITS.get(name, "1") for name in columns}
         origin = self.origin.model_dump(mode="json")
         if target.suffix == ".parquet":
-            header = json.dumps({"units": column_units, "origin": origin})
-            return write_parquet(pa.table(columns).replace_schema_metadata({_KEY: header}), target)
+            header = {"units": column_units, "origin": origin}
+            return write_parquet(pa.table(columns), target, (_KEY, header))
         if target.suffix != ".csv":
             raise InputError(f"{target}: must end in .csv or .parquet")
         titled = {f"{name} [{column_units[name]}]": values for name, values in columns.items()}
@@ -142,25 +149,21 @@ def load_flight(source: str | Path) -> Flight:
 def _parts(path: Path) -> tuple[pa.Table, dict[str, str], Origin]:
     """Table, units of its columns and origin."""
     if path.suffix != ".csv":
-        table = read_table(path)
-        raw = (table.schema.metadata or {}).get(_KEY.encode())
-        if raw is None:
-            raise InputError(f"{path}: carries no {_KEY} header; is it a flight?")
-        header = json.loads(raw)
-        return table, dict(header["units"]), validated(Origin, header["origin"], str(path))
+        table, header = read_headed(path, _KEY, Header)
+        return table, header.units, header.origin
     try:
-        first, _, rest = path.read_text(encoding="utf-8").partition("\n")
+        first, _, rest = path.read_text(encoding="utf-8-sig").partition("\n")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
+        raise InputError(f"{path}: cannot be read: {reason(error)}") from error
     if not first.startswith(f"# {_KEY} "):
         raise InputError(
             f"{path}: row 1: is {first[:40]!r}; allowed: '# {_KEY} ' and the origin as JSON"
         )
+    origin = parsed_json(first.removeprefix(f"# {_KEY} "), f"{path}: row 1")
     try:
-        origin = json.loads(first.removeprefix(f"# {_KEY} "))
         table = pyarrow.csv.read_csv(io.BytesIO(rest.encode()))
-    except (json.JSONDecodeError, pa.ArrowInvalid) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
+    except (ValueError, pa.ArrowException) as error:
+        raise InputError(f"{path}: cannot be read: {reason(error)}") from error
     matches = [_HEADER.match(cell.strip().strip('"')) for cell in table.column_names]
     if not all(matches):
         odd = table.column_names[matches.index(None)]
