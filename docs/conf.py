@@ -2,8 +2,8 @@
 
     make site    # builds it in build/site; a broken link or reference is an error
 
-Overview, machine, changes and contributing are README.md, models/README.md, CHANGELOG.md and
-CONTRIBUTING.md, whose links are turned to where they lie from here.
+Overview, machine, changes, contributing and security are README.md, models/README.md, CHANGELOG.md,
+CONTRIBUTING.md and SECURITY.md, whose links are turned to where they lie from here.
 
 The reference is read from the docstrings. They are plain text, equations set in by four columns,
 while Sphinx reads reStructuredText: `as_restructured` stands between. With the compiler switched
@@ -47,6 +47,7 @@ _BORROWED = {
     "machine": "models/README.md",
     "changes": "CHANGELOG.md",
     "contributing": "CONTRIBUTING.md",
+    "security": "SECURITY.md",
 }
 _LINK = re.compile(r"(?<=\]\()(?!\w+:|#)([^)#]+)")
 _SECTION = re.compile(r"(Args|Returns|Raises|Yields|Attributes):$")

@@ -13,6 +13,7 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
+import viser
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from cmf_mj.control.law import law_names
@@ -287,3 +288,44 @@ def test_settings_of_the_signal_chosen_act(tab: Tab) -> None:
     tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 2)
     (signal,) = tab.behind.live.scenario().result().change[1].signal or ()
     assert signal.kind == "noise" and signal.band == (0.05, 0.8)
+
+
+@pytest.mark.usefixtures("fewer_pictures")
+def test_a_file_that_names_another_is_refused_on_the_page(tab: Tab, tmp_path: Path) -> None:
+    path = tmp_path / "outside.toml"
+    path.write_text('law = "../../etc/hostname.toml"\n')
+    tab.upload("load scenario", path)
+    assert "outside.toml: law: " in tab.status("names a file; allowed: what is shipped")
+    since = tab.time()
+    tab.wait(lambda: tab.time() > since + 0.5)
+
+
+_CALLS = """address => new Promise(done => {
+    const socket = new WebSocket(address, ["viser-v" + "%s"]);
+    socket.onopen = () => done("open");
+    socket.onerror = () => done("refused");
+})"""
+"""What a page does that wants a session."""
+
+
+def test_a_page_of_another_site_gets_no_session_and_a_wrong_token_no_page(
+    browser: Browser,
+) -> None:
+    calls = _CALLS % viser.__version__
+    guarded = Studio("0.0.0.0", port=8465)
+    try:
+        address, _, _ = guarded.url.partition("/?")
+        page = browser.new_page()
+        page.set_default_timeout(PATIENCE)
+        page.route("http://evil.test/**", lambda route: route.fulfill(body="<html>hello</html>"))
+        page.goto(f"{address}/?token=guess")
+        assert "token: is missing or wrong" in page.inner_text("body")
+        assert page.evaluate(calls, address.replace("http", "ws")) == "refused"
+        page.goto(guarded.url)  # and the browser has the cookie from now on
+        page.get_by_text("real-time factor").wait_for()
+        assert page.evaluate(calls, address.replace("http", "ws")) == "open"
+        page.goto("http://evil.test/")
+        assert page.evaluate(calls, address.replace("http", "ws")) == "refused"
+        page.close()
+    finally:
+        guarded.stop()

@@ -223,9 +223,17 @@ def changed_law(law: Law, change: Change, loaded: Law | None = None) -> Law:
     return overlaid_law(law, change.gains)
 
 
-def read_scenario(text: str, where: str, folder: Path | None = None) -> Scenario:
-    """A scenario from TOML text; arguments as of `scenario_of`."""
-    return scenario_of(parsed_toml(text, where), where, folder)
+def read_scenario(
+    text: str, where: str, folder: Path | None = None, *, files: bool = True
+) -> Scenario:
+    """A scenario from TOML text; arguments as of `scenario_of`.
+
+    Without `files` it may name none: what another machine sends reads no file of this one.
+    """
+    table = parsed_toml(text, where)
+    if not files:
+        _refuse_files(table, where)
+    return scenario_of(table, where, folder)
 
 
 def scenario_of(table: Mapping[str, Any], where: str, folder: Path | None = None) -> Scenario:
@@ -257,6 +265,24 @@ _FILES = (
     *("dcu", "limits", "states"),
 )
 """Keys that hold a name or a TOML file."""
+
+_FILES_ALONE = ("file", "servo", "limits", "states")
+"""Keys that hold a file."""
+
+
+def _refuse_files(value: Any, where: str, key: str = "") -> None:
+    """Refuse a table that names a file to read."""
+    if isinstance(value, Mapping):
+        for name, entry in value.items():
+            if name != "outputs":
+                _refuse_files(entry, where, name)
+    elif isinstance(value, list):
+        for entry in value:
+            _refuse_files(entry, where, key)
+    elif isinstance(value, str) and (
+        key in _FILES_ALONE or (key in _FILES and not value.isidentifier())
+    ):
+        raise InputError(f"{where}: {key}: {value!r} names a file; allowed: what is shipped")
 
 
 def _located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:

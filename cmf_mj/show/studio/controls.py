@@ -260,7 +260,8 @@ def file_controls(desk: Desk) -> None:
 
     @upload.on_upload
     def _(_: Any) -> None:
+        file = upload.value
         try:
-            desk.begin(read_scenario(upload.value.content.decode("utf-8"), upload.value.name))
+            desk.begin(read_scenario(file.content.decode("utf-8"), file.name, files=False))
         except ValueError as error:
             desk.tell(error)

@@ -84,10 +84,10 @@ class LiveSession:
         """Set the session going."""
         self._thread.start()
 
-    def close(self) -> None:
-        """End the thread and wait for it."""
+    def close(self, *, wait: bool = True) -> None:
+        """End the thread, if it was started, and wait for it."""
         self._closed.set()
-        if self._thread is not threading.current_thread():
+        if wait and self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
 
     def begin(self, scenario: Scenario) -> "Future[None]":

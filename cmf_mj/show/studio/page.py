@@ -1,6 +1,7 @@
 """One browser tab: scene, controls, plots and the session they belong to."""
 
 import threading
+from collections.abc import Callable
 
 import viser
 
@@ -19,15 +20,26 @@ _STATUS_EVERY = 8
 """Turns from status to status."""
 
 
+class TabClosed(Exception):
+    """The tab was closed while its page was being built."""
+
+
 class Page:
     """A tab with its session."""
 
-    def __init__(self, client: viser.ClientHandle, scenario: Scenario) -> None:
-        """Build the page and set its session going with a scenario."""
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        scenario: Scenario,
+        gone: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Build the page and set its session going with a scenario, unless the tab is gone."""
         self._lock = threading.Lock()
         self._turn = 0
         place_camera(client)
         self._scene = MachineScene(client, scenario.cab)
+        if gone():
+            raise TabClosed
         self.desk = Desk(client, scenario, self._show)
         self.live = self.desk.live
         self.desk.follow(self._show_cab)

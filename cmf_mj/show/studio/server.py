@@ -1,14 +1,22 @@
 """The studio's server: one page and one session for each browser tab."""
 
+import ctypes
+import gc
+import sys
 import threading
-from concurrent.futures import Future
+from contextlib import suppress
 
 import viser
 
 from cmf_mj.facility.scenario.run import ScenarioRun
 from cmf_mj.facility.scenario.settings import Scenario
 from cmf_mj.show.studio.choices import first_scenario
-from cmf_mj.show.studio.page import Page
+from cmf_mj.show.studio.commands import check_commands
+from cmf_mj.show.studio.door import Door
+from cmf_mj.show.studio.page import Page, TabClosed
+
+_ARENA_MAX, _MMAP_THRESHOLD = -8, -3
+"""Options of glibc's mallopt."""
 
 
 class Studio:
@@ -17,19 +25,24 @@ class Studio:
     def __init__(
         self, host: str = "127.0.0.1", port: int = 8048, scenario: Scenario | None = None
     ) -> None:
-        """Begin to serve; other machines reach it with the host `0.0.0.0`.
+        """Begin to serve; other machines reach it with the host `0.0.0.0` and the token in `url`.
 
         The next free port is taken if `port` is in use. Each tab begins with `scenario`, by
         default `first_scenario`.
         """
+        _one_heap()
         self._scenario = scenario or first_scenario()
         # Compile the loop before the first tab waits for it.
         ScenarioRun(self._scenario).advance(1)
         self._host = host
-        self._lock = threading.Lock()
+        self._lock, self._building = threading.Lock(), threading.Lock()
         self._stopped = False
-        self._pages: dict[int, Future[Page]] = {}
-        self._server = viser.ViserServer(host=host, port=port, label="cmf studio", verbose=False)
+        self._pages: dict[int, Page] = {}
+        self._door = Door(host)
+        with self._door.guards():
+            self._server = viser.ViserServer(
+                host=host, port=port, label="cmf studio", verbose=False
+            )
         self._server.scene.world_axes.visible = False
         self._server.scene.configure_environment_map(None)
         theme = {"show_logo": False, "show_share_button": False, "brand_color": (31, 84, 150)}
@@ -39,48 +52,66 @@ class Studio:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Where the page is, with the token if there is one."""
         host = "127.0.0.1" if self._host == "0.0.0.0" else self._host
-        return f"http://{host}:{self._server.get_port()}"
+        host = f"[{host}]" if ":" in host else host
+        token = "" if self._door.token is None else f"/?token={self._door.token}"
+        return f"http://{host}:{self._server.get_port()}{token}"
 
     @property
     def pages(self) -> tuple[Page, ...]:
         """Pages of the tabs that are open, oldest first."""
         with self._lock:
-            done = [page for page in self._pages.values() if page.done() and not page.exception()]
-        return tuple(page.result() for page in done)
+            return tuple(self._pages.values())
 
     def stop(self) -> None:
         """End all sessions, those still being built too, and then the server."""
         with self._lock:
             self._stopped = True
-            pages = tuple(self._pages.values())
-        for page in pages:
-            _close(page)
+        for page in self.pages:
+            page.live.close(wait=False)
+        for page in self.pages:
+            page.live.close()
+        with self._building:  # the server must not end while a session draws
+            pass
         self._server.stop()
 
     def _connected(self, client: viser.ClientHandle) -> None:
-        with self._lock:
-            if self._stopped:
+        check_commands(client)
+        with self._building:  # one at a time: who is gone meanwhile is not built at all
+            if self._gone(client):
                 return
-            page = self._pages[client.client_id] = Future()
-        try:
-            page.set_result(Page(client, self._scenario))
-        except Exception as error:
-            page.set_exception(error)
-            raise
-        if client.client_id not in self._server.get_clients():
-            self._disconnected(client)
+            with suppress(TabClosed):
+                page = Page(client, self._scenario, lambda: self._gone(client))
+                with self._lock:
+                    if not self._gone(client):
+                        self._pages[client.client_id] = page
+                        return
+                page.live.close()
+                del page
+        _give_back()
+
+    def _gone(self, client: viser.ClientHandle) -> bool:
+        return self._stopped or client.client_id not in self._server.get_clients()
 
     def _disconnected(self, client: viser.ClientHandle) -> None:
-        page = self._pages.get(client.client_id)
+        with self._lock:
+            page = self._pages.pop(client.client_id, None)
         if page is not None:
-            _close(page)  # first: the server must not end while a session draws
-            with self._lock:
-                self._pages.pop(client.client_id, None)
+            page.live.close()
+            del page
+            _give_back()
 
 
-def _close(page: "Future[Page]") -> None:
-    """End a session as soon as it is built."""
-    if page.exception() is None:
-        page.result().live.close()
+def _one_heap() -> None:
+    """Keep one heap for all threads and large arrays out of it, so that it can be given back."""
+    if sys.platform == "linux":
+        for option, value in ((_ARENA_MAX, 1), (_MMAP_THRESHOLD, 2**20)):
+            ctypes.CDLL(None).mallopt(option, value)
+
+
+def _give_back() -> None:
+    """Give the memory of sessions that ended back to the system."""
+    gc.collect()
+    if sys.platform == "linux":
+        ctypes.CDLL(None).malloc_trim(0)
