@@ -3,10 +3,13 @@
 A command imports what it needs when it runs, so that help and completion wait for nothing.
 """
 
-from cmf_mj.cli import simulate, watch, analyse, facility, flight, studies, report  # noqa: F401, I001
+import signal
+
+from cmf_mj.cli import analyse, facility, flight, report, simulate, studies, watch  # noqa: F401, I001
 from cmf_mj.cli.common import app
 
 
 def main() -> None:
     """Entry point of the `cmf` command."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # clean up, as after Ctrl-C
     app(prog_name="cmf")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from cmf_mj.core.errors import CmfError, InputError, check_name
+from cmf_mj.core.errors import CmfError, InputError, check_name, reason
 
 if TYPE_CHECKING:
     import numpy as np
@@ -38,6 +38,8 @@ class Commands(TyperGroup):
             return super().invoke(ctx)
         except (CmfError, OSError) as error:
             refuse(error)
+        except MemoryError as error:
+            refuse(InputError(f"not enough memory: {reason(error)}"))
 
 
 app = typer.Typer(
@@ -47,6 +49,22 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="NASA Langley's Cockpit Motion Facility: control laws on a faithful hexapod.",
 )
+
+
+def claim(context: typer.Context, folder: Path) -> Path:
+    """Keep the folder of results for this run until the command ends, however it ends."""
+    from cmf_mj.core.files import claimed
+
+    if not context.resilient_parsing:
+        context.find_root().with_resource(claimed(folder))
+    return folder
+
+
+def target(file: Path) -> Path:
+    """Refuse a file that cannot be written, before the work for it."""
+    from cmf_mj.core.files import check_target
+
+    return check_target(file)
 
 
 def show(*parts: RenderableType, width: int = TEXT_WIDTH, unfolded: bool = False) -> None:

@@ -11,7 +11,7 @@ from typer import Argument, Option
 
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, noise_choice, progress_bar, show, written
-from cmf_mj.cli.options import argument, file
+from cmf_mj.cli.options import argument, file, new_file
 
 _PANEL = "Flight"
 command = partial(app.command, rich_help_panel=_PANEL)
@@ -56,7 +56,8 @@ def fly_command(
     flown = load_flight(flight)
     look = FilmSettings(fps, speed, camera, width, height, 300, start, seconds)
     if video is not None:
-        check_film(hexapod_model(cab), out / video, look)
+        pictures = in_folder(out, video)
+        check_film(hexapod_model(cab), pictures, look)
     facility = FacilitySettings(electronics=noise_choice(noise))
     machine: dict[str, Any] = {"cab": cab, "hydraulics": hydraulics, "facility": facility}
     length = float(flown.motion.time[-1])
@@ -75,8 +76,8 @@ def fly_command(
             records = [ride.operation.record for ride in rides]
             titles = [f"{ride.law}, {ride.cab}" for ride in rides]
             traces = [report.flight_traces(ride) for ride in rides]
-            film(records, out / video, look, titles=titles, traces=traces, progress=update)
-        paths.append(out / video)
+            film(records, pictures, look, titles=titles, traces=traces, progress=update)
+        paths.append(pictures)
     show(flown.origin.title, report.comparison_table(rides), unfolded=True)
     if delay:
         show(report.delay_table(transport_delay(loaded[0], dof=dof, **machine)))
@@ -94,7 +95,7 @@ def fly_command(
 @command("flight")
 def flight_command(
     name: Annotated[str, argument("pilot.aircraft.scripts:SCRIPTS", "SCRIPT", "what to fly")],
-    file: Annotated[Path, Option(metavar="FILE", help="CSV or Parquet file")],
+    file: Annotated[Path, new_file(help="CSV or Parquet file")],
     aircraft: Annotated[str, Option(help="of JSBSim")] = "737",
     seed: options.Seed = 1,
     single: Annotated[bool, Option("--single", help="round to single precision")] = False,

@@ -11,6 +11,7 @@ from typing import Annotated, Any, get_args
 import typer
 from typer import Argument, Option
 
+from cmf_mj.cli.common import claim, target
 from cmf_mj.core.errors import check_name
 
 
@@ -70,6 +71,9 @@ argument = partial(choice, make=Argument)
 size, file = partial(Option, metavar="SIZE"), partial(Option, metavar="FILE")
 """Options of a number with its unit, and of a file; `help` says of what."""
 
+new_file = partial(file, callback=target)
+"""Option of a file to write."""
+
 ALL, VELOCITY = ["all"], ["velocity"]
 """Defaults of options that take several names."""
 
@@ -107,7 +111,7 @@ Jobs = Annotated[int | None, Option(help="threads or processes; default one a co
 Noise = Annotated[bool, Option("--noise/--ideal", help="sensors and electronics with noise")]
 Quick = Annotated[bool, Option("--quick", help="shorter: sweeps of 30 s, not 100 s; fewer draws")]
 Seed = Annotated[int, Option(help="of all random numbers")]
-Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results")]
+Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callback=claim)]
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Simulate = Annotated[bool, Option("--simulate", help="simulate the recordings")]
 Recordings = Annotated[list[Path] | None, Argument(help="facility CSV or Parquet files")]

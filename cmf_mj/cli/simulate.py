@@ -7,12 +7,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Option
+from typer import Context, Option
 
 from cmf_mj.cli import options
 from cmf_mj.cli.common import (
     app,
     changed_scenario,
+    claim,
     in_si,
     noise_choice,
     progress_bar,
@@ -40,6 +41,7 @@ _SIZE = "of translations; rotations 0.2 deg and steps 1 in to 0.33 in"
 
 @command("run")
 def run_command(
+    context: Context,
     scenario: options.Scenario = "",
     cab: options.OtherCab = None,
     out: options.NamedOut = None,
@@ -59,9 +61,9 @@ def run_command(
             show(f"{name:24} {load_scenario(name).title}")
         return
     chosen = changed_scenario(load_scenario(scenario), cab=cab)
+    folder = claim(context, out or Path("out/run") / Path(scenario).stem)
     with progress_bar() as progress:
         record = run_scenario(chosen, progress=progress)
-    folder = out or Path("out/run") / Path(scenario).stem
     with progress_bar("drawing") as progress:
         paths = report.save_run(record, chosen, folder, progress=progress)
     show(written(paths))

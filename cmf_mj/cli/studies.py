@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer import Option
+from typer import Context, Option
 
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, progress_bar, show, written
-from cmf_mj.cli.options import argument, choice, file, name_or_file
+from cmf_mj.cli.common import app, claim, progress_bar, show, written
+from cmf_mj.cli.options import argument, choice, name_or_file, new_file
 
 command = partial(app.command, rich_help_panel="Studies")
 
@@ -71,6 +71,7 @@ def _run(
 
 @command("study")
 def study_command(
+    context: Context,
     specification: Annotated[str, argument(_READY, "STUDY", "name or TOML file", free=True)],
     out: options.NamedOut = None,
     laws: Laws = None,
@@ -82,7 +83,7 @@ def study_command(
     scheduler: Address = None,
 ) -> None:
     """Run a study of many cases, or what is left of it; the same command resumes it."""
-    folder = out or Path("out") / Path(specification).stem
+    folder = claim(context, out or Path("out") / Path(specification).stem)
     how = {"jobs": jobs, "backend": backend, "scheduler": scheduler}
     _run(specification, folder, laws, how, quick=quick, cabs=cabs, draws=draws)
 
@@ -111,7 +112,7 @@ def tune_command(
     cabs: options.Cabs = options.ALL,
     evaluations: Annotated[int, Option(help="laws to try, about")] = 24,
     seed: options.Seed = 1,
-    target: Annotated[Path, file("--file", help="law file to write")] = _TUNED,
+    target: Annotated[Path, new_file("--file", help="law file to write")] = _TUNED,
 ) -> None:
     """Search the gains of a form of law over all cabs and degrees of freedom."""
     from cmf_mj.studies.tuning.forms import make_template

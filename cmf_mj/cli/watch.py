@@ -10,7 +10,7 @@ from typer import Option
 
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, changed_scenario, progress_bar, quantity, show
-from cmf_mj.cli.options import argument, choice
+from cmf_mj.cli.options import argument, choice, new_file
 from cmf_mj.core.errors import InputError, require
 
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 command = partial(app.command, rich_help_panel="Simulate")
 
 
+_SAVED = Path("out/view/scenario.toml")
 _Law = Annotated[
     str | None, choice(options.LAWS, "LAW", "law in place of the scenario's", free=True)
 ]
@@ -36,9 +37,7 @@ def view_command(
     amplitude: Annotated[str, Option(metavar="SIZE", help="of the sine, with its unit")] = "4 in",
     frequency: Annotated[float, Option(help="of the sine [Hz]")] = 0.3,
     seconds: Annotated[float | None, Option(help="close after this wall time [s]")] = None,
-    file: Annotated[Path, Option(metavar="FILE", help="that S saves the run to")] = Path(
-        "out/view/scenario.toml"
-    ),
+    file: Annotated[Path, new_file(help="that S saves the run to")] = _SAVED,
 ) -> None:
     """Watch a live closed loop in MuJoCo's viewer and pull it about with the mouse."""
     from cmf_mj.facility.scenario.library import load_scenario
@@ -75,7 +74,7 @@ def video_command(
         list[str] | None, choice(options.LAWS, "LAWS", "laws next to each other", free=True)
     ] = None,
     cab: options.OtherCab = None,
-    file: Annotated[Path, Option(metavar="FILE", help="MP4 or GIF file")] = Path("out/video.mp4"),
+    file: Annotated[Path, new_file(help="MP4 or GIF file")] = Path("out/video.mp4"),
     fps: options.Fps = 30,
     speed: options.Speed = 1.0,
     camera: options.Camera = "overview",

@@ -61,7 +61,8 @@ def check_target(target: Path, field: str = "file") -> Path:
     except (OSError, ValueError) as error:
         fault = reason(error)
     if fault:
-        raise InputError(f"{field}: {str(target)!r} is refused: {fault}")
+        place = target.parent if field == "out" else target
+        raise InputError(f"{field}: {str(place)!r} is refused: {fault}")
     return target
 
 
@@ -76,29 +77,38 @@ def claimed(folder: Path) -> Iterator[Path]:
     Raises:
         InputError: it cannot be made or written to, or another run has it.
     """
-    check_target(folder / "x", "out")
+    check_target(folder / "any", "out")
     made = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
-    folder.mkdir(parents=True, exist_ok=True)
-    held = os.open(folder, os.O_RDONLY) if fcntl else -1
+    held = -1
     try:
-        with suppress(OSError):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
             if fcntl:
-                try:
-                    fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    raise InputError(
-                        f"out: {str(folder)!r} is refused: another run writes to it; "
-                        "allowed: another folder, or wait"
-                    ) from None
-        for partial in (*folder.glob(".*.part"), *folder.glob("*/.*.part")):
-            partial.unlink(missing_ok=True)
-        yield folder
+                held = os.open(folder, os.O_RDONLY)
+                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            fault = "another run writes to it; allowed: another folder, or to wait"
+            raise InputError(f"out: {str(folder)!r} is refused: {fault}") from None
+        except OSError as error:
+            if held < 0:
+                raise InputError(f"out: {str(folder)!r} is refused: {error.strerror}") from None
+        try:
+            _sweep(folder)
+            yield folder
+        finally:
+            _sweep(folder)
     finally:
         if held >= 0:
             os.close(held)
         with suppress(OSError):  # not empty
             for path in made:
                 path.rmdir()
+
+
+def _sweep(folder: Path) -> None:
+    """Remove what writers that no longer live have begun in a folder and in those below it."""
+    for partial in (*folder.glob(".*.part"), *folder.glob("*/.*.part")):
+        partial.unlink(missing_ok=True)
 
 
 def write_text(target: Path, text: str) -> Path:

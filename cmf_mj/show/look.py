@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
@@ -141,6 +142,13 @@ def plot_band(
         axis.fill_between(response.frequency, middle + low, middle + high, alpha=0.25, **style)
 
 
+def _numbers(axes: Axes) -> list[Text]:
+    """Numbers at the ticks, whose powers of ten are formulas."""
+    both = (axes.xaxis, axes.yaxis)
+    texts = [axis.get_offset_text() for axis in both]
+    return texts + [t for axis in both for t in axis.get_ticklabels(which="both")]
+
+
 def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
     """Write a figure by the ending of the name and release its memory.
 
@@ -148,6 +156,9 @@ def save_figure(figure: Figure, path: Path, dpi: int = 110) -> Path:
     of programs. Folders are made.
     """
     kind = path.suffix[1:]
+    numbers = {id(text) for axes in figure.axes for text in _numbers(axes)}
+    for text in figure.findobj(Text):
+        text.set_parse_math(id(text) in numbers)  # a title with $ signs is no formula
     metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
     with whole_file(path) as partial, rc_context({"svg.hashsalt": path.stem}):
         figure.savefig(partial, dpi=dpi, format=kind, metadata=metadata.get(kind))
