@@ -13,7 +13,8 @@ from numba.core.dispatcher import Dispatcher
 
 import cmf_mj
 from cmf_mj import SingleLegs, signals, simulate
-from cmf_mj.core.compiled import kernel_sources
+from cmf_mj.core.compiled import InTree, kernel_sources
+from cmf_mj.machine import kinematics
 
 FORCES = """
 import numpy as np
@@ -61,6 +62,17 @@ def test_the_stamp_covers_every_module_compiled_code_can_come_from() -> None:
     package = Path(cmf_mj.__file__).parent
     assert {package / "plant" / "valve.py", package / "core" / "units.py"} <= sources
     assert not {package / "show" / "comparison.py", package / "cli" / "__init__.py"} & sources
+
+
+def test_the_stamp_covers_the_file_of_a_function_outside_the_package(tmp_path: Path) -> None:
+    """Else a kernel of a script would go on running as it was when one number of it is edited."""
+    script, inside = tmp_path / "script.py", Path(kinematics.__file__)
+    script.write_text("GAIN = 1.0\n")
+    stamp = InTree(is_kernel, str(script)).get_source_stamp()
+    assert stamp == InTree(is_kernel, str(script)).get_source_stamp()
+    script.write_text("GAIN = 2.0\n")
+    assert stamp != InTree(is_kernel, str(script)).get_source_stamp()
+    assert stamp.startswith(InTree(is_kernel, str(inside)).get_source_stamp())
 
 
 def is_kernel(module: ModuleType | None) -> bool:

@@ -7,7 +7,6 @@ import zlib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 from dcu_bounds import output_bounds
@@ -22,6 +21,7 @@ from cmf_mj.control.dcu import play
 from cmf_mj.control.dcu.arrivals import feed, upsample
 from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting
+from cmf_mj.core.compiled import compiled
 from cmf_mj.facility.host.datagram import DATAGRAM_REASONS, SIZE, DatagramError, decode, encode
 from cmf_mj.facility.host.files import HostSession, read_stream, write_stream
 from cmf_mj.facility.host.handover import NEVER, collect, logged, make_log, make_ring, put
@@ -336,7 +336,7 @@ def test_a_slot_under_the_writers_hand_is_lost_not_torn() -> None:
     assert log.sequence[0] == 1
 
 
-@numba.njit(nogil=True)
+@compiled
 def _read_until(ring, log, last):  # type: ignore[no-untyped-def]
     """Collect without pause until the writer's last frame is read or lost."""
     filled, turns = 0, 0

@@ -1,23 +1,88 @@
-"""Fill the compile cache before workers start, so that no two of them compile the same loop.
+"""Fill the compile cache before workers start, so that no worker compiles.
 
-A compilation also leaves some 100 MB behind in its process, which a worker then would not have.
+A compilation leaves 30 to 100 MB behind in its process, which a loaded function does not. What
+tests call with types of their own, or compile of their own, is called here as they do.
 
-python tests/warm.py table    the loop that follows a table of demands, and both washouts
-python tests/warm.py chain    the loop of the facility, from host to sensors
+python tests/warm.py table    the loop that follows a table of demands, and what reads its records
+python tests/warm.py chain    the loop of the facility, from host to sensors, and motion cueing
 """
 
 import sys
 
+import numpy as np
+import test_control_limit_chain as limit_chain
+import test_control_states as operating_states
+import test_facility_host as host
+import test_facility_operation_streams as streams
+import test_plant_cylinder as cylinders
+import test_plant_friction as frictions
+import test_plant_oil as oils
+import test_plant_valve as valves
 from flights import level
+from protected_records import fault_of
 
 from cmf_mj import Hexapod, signals, simulate
+from cmf_mj.control.dcu.arrivals import upsample
+from cmf_mj.control.dcu.settings import load_dcu, make_dcu
+from cmf_mj.control.dcu.state import resting
+from cmf_mj.control.feedback import gravity_history
+from cmf_mj.control.law import load_law
+from cmf_mj.control.protection import load_protection, make_protection
+from cmf_mj.facility.replay import replay
 from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.facility.scenario.run import ScenarioRun
+from cmf_mj.machine.gravity import axial_gravity
+from cmf_mj.machine.leg_motion import leg_motion_to_pose
+from cmf_mj.pilot.cueing.flight import within_limits
 from cmf_mj.pilot.cueing.washout import Washout
+from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.pilot.perception import sense
+from cmf_mj.plant.cylinder import Cylinder, make_cylinders
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.power_balance import power_balance
+from cmf_mj.studies.tuning.evaluation import linear_cab, step_response
 
-if sys.argv[1] == "table":
-    simulate(Hexapod(), "velocity", signals.step("heave", 0.01, at=1 / 2048, duration=4 / 2048))
-    for settings in ("simona", "optimal"):
-        Washout(settings).run(level(0.1))
-else:
+
+def table() -> None:
+    machine = Hexapod()
+    step = signals.step("heave", 0.01, at=1 / 2048, duration=4 / 2048)
+    record = simulate(machine, "velocity", step)
+    replay(record, "velocity")
+    power_balance(machine, record)
+    fault_of(record, make_protection(load_protection()), 1e7)
+    gravity_history(record["leg_position"])
+    axial_gravity(np.zeros(6))
+    step_response(load_law("velocity"), linear_cab(machine), [0], np.ones(6))
+    cylinder = Cylinder(*make_cylinders(load_hydraulics("report"), ["leg"])[0])
+    cylinders.test_volumes_at_neutral_are_area_times_half_stroke(cylinder)
+    cylinders.test_force_is_pressure_times_area(cylinder)
+    cylinders.test_cushion_is_an_orifice_in_series_with_the_valve()
+    frictions.test_without_friction_nothing_resists()
+    frictions.slide(frictions.CONTACT, 0.0, 0.0, 1e-3)
+    oils.test_stored_energy_is_the_work_of_filling("report", 2e5)
+    valves.lags(valves.valve_of(18.85, 471.2), 0.0, 0.0, 0.0)
+    valves.test_opening_is_the_spool_less_the_overlap()
+
+
+def chain() -> None:
     ScenarioRun(load_scenario("operate_from_settled")).advance(4)
+    dcu = make_dcu(load_dcu())
+    upsample(dcu, resting(dcu), host.make_log(1), 1)
+    limit_chain.run(limit_chain.State.OFF, [limit_chain.Request.NONE], np.zeros((1, 6)))
+    machine = operating_states.at(operating_states.State.OFF)
+    operating_states.run(machine, [operating_states.Request.NONE])
+    operating_states.test_the_diagram_of_the_documentation_has_every_change_and_no_other()
+    live = streams.build(streams.State.ENGAGED, [])
+    streams._advance(live, 0, 1, np.zeros(6), 2**40, np.zeros((3, 1, 6)))
+    host._read_until(host.make_ring(2), host.make_log(1), 0)
+    for settings in ("simona", "optimal"):
+        flown, by_frame = level(0.1), Washout(settings)
+        stream = Washout(settings).run(flown)
+        for now in zip(flown.specific_force, flown.angular_rate, strict=True):
+            by_frame.frame(*now)
+    within_limits(stream)
+    leg_motion_to_pose(stream.pose, stream.velocity, stream.acceleration)
+    sense(PilotMotion.from_platform(stream, np.zeros(3)))
+
+
+{"table": table, "chain": chain}[sys.argv[1]]()

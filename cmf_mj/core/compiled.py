@@ -52,9 +52,12 @@ def _digest() -> str:
 
 
 class _PackageStamp:
+    _py_file: str
+
     def get_source_stamp(self) -> str:
-        """Digest of all sources that compiled code depends on."""
-        return _digest()
+        """Digests of all sources that compiled code depends on, and of the function's own file."""
+        own = hashlib.sha256(Path(self._py_file).read_bytes()).hexdigest()
+        return _digest() + own * (_PACKAGE not in Path(self._py_file).parents)
 
 
 class UserProvided(_PackageStamp, caching.UserProvidedCacheLocator):  # type: ignore[misc]
