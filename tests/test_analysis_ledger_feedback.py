@@ -50,15 +50,24 @@ def test_pressure_gains_act_in_pascal_only(entry: LedgerEntry) -> None:
     assert 0.09 < both * difference / 0.01 < 0.11  # a tenth of Table 3-3's gain
     for law in ("original", "velocity", "position_error_rate", "combined_rate", "acceleration"):
         direct = load_law(law).direct_gain
-        in_psi = on_leg(
+        loop = closed_loop(
             with_gains(
                 law,
                 cap_pressure=direct.of_legs("cap_pressure") / units.PSI,
                 rod_pressure=direct.of_legs("rod_pressure") / units.PSI,
-            )
+            ),
+            report_leg(),
         )
+        in_psi = measure_loop(loop)
         for field, name in (("phase_bandwidth_hz", "-90 deg"), ("gain_bandwidth_hz", "-3 dB")):
             before, after = getattr(SINGLE[law], field), getattr(in_psi, field)
+            if (law, name) == ("acceleration", "-3 dB"):  # where the gain is almost flat
+                flat = np.linspace(6.5, 7.4, 10)
+                assert flat[0] < before < flat[-1] < after
+                for system in (closed_loop(law, report_leg()), loop):
+                    gain = 20.0 * np.log10(loop_response(system, flat).magnitude)
+                    assert gain == pytest.approx(-3.0, abs=0.11)
+                continue
             assert 1.0 < after / before < 1.03
             if law == "position_error_rate":
                 figure = entry.figure(f"{name}, % per psi")
@@ -66,7 +75,7 @@ def test_pressure_gains_act_in_pascal_only(entry: LedgerEntry) -> None:
 
 
 def test_combination_fits_with_1_8(entry: LedgerEntry) -> None:
-    """Of the printed and the derived gain the second alone meets both numbers within 3 %."""
+    """Of the printed and the derived gain the second alone meets both numbers within 4 %."""
     print_ = printed("3-2", "combined_rate")
     for law, gain in (("combined_rate", "2.2"), ("combined_rate_1_8", "1.8")):
         ours = SINGLE[law]
@@ -74,8 +83,8 @@ def test_combination_fits_with_1_8(entry: LedgerEntry) -> None:
         assert phase == pytest.approx(entry.figure(f"-90 deg, {gain}"), abs=0.005)
         assert width == pytest.approx(entry.figure(f"-3 dB, {gain}"), abs=0.01)
         near = [
-            abs(phase / (print_.phase_bandwidth_hz or 0.0) - 1.0) < 0.03,
-            abs(width / (print_.gain_bandwidth_hz or 0.0) - 1.0) < 0.03,
+            abs(phase / (print_.phase_bandwidth_hz or 0.0) - 1.0) < 0.04,
+            abs(width / (print_.gain_bandwidth_hz or 0.0) - 1.0) < 0.04,
         ]
         assert near == [gain == "1.8"] * 2
     other = on_leg(with_gains("combined_rate", velocity=0.5))

@@ -93,10 +93,10 @@ def test_a_machine_starts_every_run_anew() -> None:
 
 
 def test_matched_ports_give_the_leg_speed_at_half_the_supply(circuit: Circuit) -> None:
-    # 0.277 in/s per per cent with 750 psi across each port: nothing is left to raise a pressure.
+    # 0.28 in/s per per cent with 750 psi across each port: nothing is left to raise a pressure.
     middle = np.full((2, 1), 750.0 * units.PSI)
     for share in (-0.4, 0.1, 1.0):
-        speed = np.array([100.0 * share * 0.277 * units.INCH])
+        speed = np.array([100.0 * share * 0.28 * units.INCH])
         rate = circuit.rates(middle, np.array([0.3]), speed, np.array([share]))
         closed = circuit.rates(middle, np.array([0.3]), speed, np.array([0.0]))
         assert (np.abs(rate) < 1e-9 * np.abs(closed)).all()

@@ -162,8 +162,8 @@ def robust_text(results: Results) -> str:
         mine = _by_cab(rows, DERIVED)
         parts = _list(f"{percent(one.posterior)} with the {one.cab.upper()}" for one in mine)
         lines.append(
-            f"`{DERIVED}`, which reaches 4.8 to 5.0 Hz on single legs, is unstable on the hexapod "
-            f"with a probability of {parts}; before any evidence of "
+            f"`{DERIVED}`, which has Table D-2's bandwidths on single legs, is unstable on the "
+            f"hexapod with a probability of {parts}; before any evidence of "
             f"{_list(percent(one.prior) for one in mine)}. Simulated, it rings on "
             f"{_list(f'{one.simulated} of {one.machines}' for one in mine)} machines."
         )

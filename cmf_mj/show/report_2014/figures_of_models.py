@@ -15,6 +15,7 @@ from cmf_mj.analysis.linear.plants import UnitTransferFunction, leg_plant
 from cmf_mj.analysis.measures import measure_loop
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME
+from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.record.record import Record
 from cmf_mj.show.chart import GREY, Curve, Dash
 from cmf_mj.show.look import COLOURS
@@ -185,4 +186,6 @@ def linear_model_a(runs: Runs, figure: ReportFigure) -> Drawing:
         "phase": measures.phase_bandwidth_hz,
         "gain": measures.gain_bandwidth_hz,
         "damping": measures.damping_ratio,
+        "stand_in_speed": load_hydraulics("hardware").leg_speed.value,
+        "model_speed": load_hydraulics("report").leg_speed.value,
     }
