@@ -70,6 +70,8 @@ def test_every_field_survives_the_file(tmp_path: Path) -> None:
 def test_files_count_from_the_scenario_s_folder(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("[soft]\ntitle = 'S'\ndirect_gain = { reference = 40.0 }\n")
     path = tmp_path / "run.toml"
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "b.parquet").touch()
     path.write_text("law = 'mine.toml'\n[[signal]]\nkind = 'recorded'\nfile = 'a/b.parquet'\n")
     found = load_scenario(path)
     assert found.law == str(tmp_path / "mine.toml")

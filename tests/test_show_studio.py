@@ -209,7 +209,7 @@ def test_session_goes_with_the_wall_clock_and_its_scenario_repeats_it(screen: Sc
 
 
 def test_session_tells_when_the_state_leaves_its_bounds_and_begins_again(screen: Screen) -> None:
-    crushed = heave(change=[{"at": 0.1, "push": {"force": [0.0, 0.0, -5e7]}}])
+    crushed = heave(change=[{"at": 0.1, "push": {"force": [0.0, 0.0, -1e7]}}])
     session = LiveSession(crushed, screen.show, screen.tell)
     session.start()
     with screen.reached:
@@ -242,6 +242,33 @@ def test_session_that_has_ended_answers_nobody_and_keeps_nobody_waiting(screen: 
     session.close()
     with pytest.raises(CancelledError):
         session.record().result(timeout=10.0)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_session_that_a_defect_ends_keeps_nobody_waiting(screen: Screen) -> None:
+    """Whoever asked before it ended, and whoever asks after."""
+
+    def broken(view: object) -> None:
+        raise TypeError("no picture")
+
+    session = LiveSession(heave(), broken, screen.tell)
+    waiting = session.record()
+    session.start()
+    waiting.result(timeout=60.0)
+    session._thread.join(60.0)
+    assert [type(error) for error in screen.errors] == [TypeError]
+    with pytest.raises(CancelledError):
+        session.record().result(timeout=10.0)
+
+
+def test_session_goes_on_when_a_caller_no_longer_waits(screen: Screen) -> None:
+    session = LiveSession(heave(), screen.show, screen.tell)
+    assert session.record().cancel()
+    session.start()
+    screen.wait_for_time(0.05)
+    session.scenario().result(timeout=60.0)
+    session.close()
+    assert not screen.errors
 
 
 def test_session_keeps_a_bounded_record() -> None:

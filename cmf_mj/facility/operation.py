@@ -23,7 +23,7 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
 from cmf_mj.control.states import Request, State, StateSettings, load_state_settings
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME, RATE
+from cmf_mj.core.rates import FRAME, LONGEST, RATE
 from cmf_mj.core.units import INCH
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.front import Blocks, make_chain
@@ -215,6 +215,8 @@ def starting_pose(pose: NDArray[np.float64], limits: MotionLimits) -> NDArray[np
 def _count(seconds: float) -> int:
     if not (np.isfinite(seconds) and seconds > 0.0):
         raise InputError(f"seconds: {seconds} must be greater than 0")
+    if seconds > LONGEST:
+        raise InputError(f"seconds: {seconds} must be at most {LONGEST:g}")
     return max(round(seconds * RATE), 1)
 
 

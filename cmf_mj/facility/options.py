@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from cmf_mj.control.protection import ProtectionSettings
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.rates import MOST_FRAMES, RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.plant.events import Event
 
@@ -36,12 +37,14 @@ class Options(NamedTuple):
     """Control frames whose `rows` are kept, the latest; default all, as `history`."""
 
     def check(self) -> None:
-        """Refuse a number that is too small."""
-        window = 1 if self.window is None else self.window
-        for field, value, least in (
-            ("record_every", self.record_every, 1),
-            ("window", window, 1),
-            ("command_delay", self.command_delay, 0),
+        """Refuse a number that is too small or too large."""
+        for field, least, most in (
+            ("record_every", 1, MOST_FRAMES),
+            ("window", 1, MOST_FRAMES),
+            ("frames", 1, MOST_FRAMES),
+            ("command_delay", 0, RATE),
         ):
-            if value < least:
-                raise InputError(f"{field}: {value} frames must be at least {least}")
+            value = getattr(self, field)
+            if value is not None and not least <= value <= most:
+                edge = f"least {least}" if value < least else f"most {most}"
+                raise InputError(f"{field}: {value} frames must be at {edge}")

@@ -18,6 +18,7 @@ from cmf_mj.control.protection import (
     protection_state,
 )
 from cmf_mj.control.states import State
+from cmf_mj.core.arrays import check_memory
 from cmf_mj.core.errors import InputError, RunError, check_name
 from cmf_mj.core.rates import FRAME
 from cmf_mj.electronics.chain import make_electronics, measure
@@ -161,6 +162,8 @@ class Session:
         absent = set() if chain else set(CHAIN) - ({"demand_pose"} if poses is not None else set())
         self.layout = make_layout(plant, absent if law else absent | set(LAW))
         rows = -(-(options.window or self.frames) // self.every)
+        part = f"a record of {rows} rows with {self.layout.width} numbers"
+        check_memory("record_every", part, 1.0 * rows * self.layout.width)
         self._taken = 0
         self._kept: dict[str, NDArray[np.float64]] = {}
         if options.window is None:

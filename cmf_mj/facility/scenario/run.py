@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control.law import Law, load_law
+from cmf_mj.control.law import Law
 from cmf_mj.control.states import Request
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME, RATE
 from cmf_mj.facility.binding import bound
 from cmf_mj.facility.scenario.demand import Demand
-from cmf_mj.facility.scenario.settings import Change, Scenario, changed_law
+from cmf_mj.facility.scenario.settings import Change, Laws, Scenario, changed_law
 from cmf_mj.facility.scenario.signal import added
 from cmf_mj.facility.scenario.source import BLOCK, ChainSource, TableSource
 from cmf_mj.facility.session import Live
@@ -31,7 +31,7 @@ class _Due(NamedTuple):
     frame: int
     change: Change
     motion: Motion | None
-    law: Law | None  #: That the change names, read when it was applied.
+    laws: Laws  #: With the one that the change names, read when it was applied.
 
 
 class ScenarioRun:
@@ -53,7 +53,8 @@ class ScenarioRun:
         )
         self._session = self._source.session
         self._filled = 0
-        self._due = deque(self._checked(change.when(), change) for change in scenario.change)
+        laws = Laws()
+        self._due = deque(self._checked(one.when(), one, laws) for one in scenario.change)
         self._laws(self._due)
         self._done: list[Change] = []
         self._pushes: dict[int, tuple[float, ...]] = {}
@@ -103,7 +104,7 @@ class ScenarioRun:
                 )
         at = sum(due.frame <= self.frame for due in self._due)
         coming = list(self._due)
-        coming.insert(at, self._checked(self.frame, change))
+        coming.insert(at, self._checked(self.frame, change, Laws()))
         self._laws(coming)
         self._due = deque(coming)
 
@@ -113,9 +114,16 @@ class ScenarioRun:
 
     def scenario(self) -> Scenario:
         """What has been done so far, as a scenario that does it again bit for bit."""
-        changes = tuple(change for change in self._done if change.when() < self.frame)
-        past = {"change": changes, "duration": max(self.frame, 1) * FRAME}
-        return self._begun.model_copy(update=past)
+        frames, begun = max(self.frame, 1), self._begun
+        past: dict[str, Any] = {
+            "change": tuple(change for change in self._done if change.when() < frames),
+            "event": tuple(event for event in begun.event if round(event.at * RATE) < frames),
+            "duration": frames * FRAME,
+        }
+        if begun.operation is not None:
+            done = tuple(r for r in begun.operation.request if round(r.at * RATE) < frames)
+            past["operation"] = begun.operation.model_copy(update={"request": done})
+        return begun.model_copy(update=past)
 
     def record(self) -> Record:
         """All signals so far; of an `open` run those of the last `keep` seconds."""
@@ -132,21 +140,13 @@ class ScenarioRun:
         context |= session.describe() | self._source.described()
         return Record(time, channels, units, context)
 
-    def _checked(self, frame: int, change: Change) -> _Due:
+    def _checked(self, frame: int, change: Change, laws: Laws) -> _Due:
         """The change with its motion, after a check that all of it is possible."""
-        legs = self.plant.legs
-        for failure in change.failure:
-            if failure.leg is not None and failure.leg > legs:
-                raise InputError(
-                    f"leg: {failure.leg} of {failure.kind} is not a leg; allowed: 1 to {legs}"
-                )
-        if change.push is not None:
-            self._session.body(change.push.body)
-        if change.request is not None and not isinstance(self._source, ChainSource):
-            raise InputError(f"request: {change.request!r} needs [operation]")
+        self._begun.check_change(change)
         signal = change.signal
         motion = None if signal is None else added(signal, self._begun.seed)
-        return _Due(frame, change, motion, None if change.law is None else load_law(change.law))
+        named = Laws() if change.law is None else Laws({change.law: laws[change.law]})
+        return _Due(frame, change, motion, named)
 
     def _laws(self, coming: Sequence[_Due]) -> list[Law]:
         """The law after each of the coming changes, bound to the plant.
@@ -155,7 +155,7 @@ class ScenarioRun:
         """
         laws = [self._law]
         for due in coming:
-            law = changed_law(laws[-1], due.change, due.law)
+            law = changed_law(laws[-1], due.change, due.laws)
             laws.append(bound(law, self.plant.law_key))
         return laws[1:]
 

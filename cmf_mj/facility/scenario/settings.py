@@ -1,32 +1,52 @@
 """A scenario: one run as a file, from plant and law to the changes that happen while it goes."""
 
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import tomlkit
 from pydantic import AfterValidator, Field, model_validator
 
+from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import load_protection
-from cmf_mj.core.errors import InputError
+from cmf_mj.control.states import load_state_settings
+from cmf_mj.core.arrays import check_memory
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_text
-from cmf_mj.core.rates import RATE
-from cmf_mj.core.settings import Settings, checked_name, merged, parsed_toml, sealed, validated
+from cmf_mj.core.rates import LONGEST, MOST_FRAMES, RATE
+from cmf_mj.core.settings import (
+    Count,
+    Seed,
+    Settings,
+    Time,
+    checked_name,
+    merged,
+    parsed_toml,
+    sealed,
+    validated,
+)
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.binding import bound
 from cmf_mj.facility.scenario.signal import Signal
 from cmf_mj.machine.cab import Cab, load_cab
-from cmf_mj.plant.events import Event, Kind
+from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.plant.build import make_plant
+from cmf_mj.plant.events import MOST_FORCE, Event, Kind
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.signals.signal import plain
+
+LEGS = 6  #: Of the machines that a scenario runs.
 
 Gains = dict[str, Any]
 """Fields of a law to replace, as `laws.toml` names them: `{direct_gain = {velocity = -2.0}}`."""
 
-Vector = tuple[float, float, float]
+_Force = Annotated[float, Field(ge=-MOST_FORCE, le=MOST_FORCE)]
+Vector = tuple[_Force, _Force, _Force]
+Signals = Annotated[tuple[Signal, ...], Field(max_length=100)]
 RequestName = Literal["off", "settle", "raise", "hold", "engage", "trip", "reset"]
-Length = Annotated[float, Field(gt=0.0)]
+Length = Annotated[float, Field(gt=0.0, le=LONGEST)]
 
 
 def _ending(*allowed: str) -> AfterValidator:
@@ -43,7 +63,7 @@ class Failure(Settings):
     """Something that fails at the time of a change."""
 
     kind: Kind  #: What fails.
-    leg: Annotated[int, Field(ge=1)] | None = None  #: Leg of a valve or sensor, from 1.
+    leg: Count | None = None  #: Leg of a valve or sensor, from 1.
     valve: Annotated[int, Field(ge=1, le=2)] | None = None
     """Valve of the leg, 1 or 2; both if left out."""
     size: tuple[float, str] | None = None  #: How much, with its unit, as in `Event`.
@@ -74,14 +94,14 @@ class Push(Settings):
 class Change(Settings):
     """What changes from a control frame on. Nothing that is left out does."""
 
-    at: Annotated[float, Field(ge=0.0)] | None = None
+    at: Time | None = None
     """When [s], to the nearest control frame; in a file this or `frame`."""
-    frame: Annotated[int, Field(ge=0)] | None = None  #: In which control frame.
+    frame: Annotated[int, Field(ge=0, lt=MOST_FRAMES)] | None = None  #: In which control frame.
     law: str | None = None  #: Law that takes over, by name or TOML file; drops earlier `gains`.
     gains: Gains = {}  #: Fields of the law in force to replace.
-    signal: tuple[Signal, ...] | None = None
+    signal: Signals | None = None
     """Signals that take over, beginning now; `[]` goes to neutral."""
-    fade: Annotated[float, Field(ge=0.0)] = 1.0  #: Time in which they do [s]; 0 jumps.
+    fade: Time = 1.0  #: Time in which they do [s]; 0 jumps.
     failure: tuple[Failure, ...] = ()  #: What fails.
     push: Push | None = None  #: External force from now on.
     request: RequestName | None = None  #: Operator's request, with `operation`.
@@ -112,7 +132,7 @@ class ElectronicsChoice(Settings):
 class RequestAt(Settings):
     """One request of the operator."""
 
-    at: Annotated[float, Field(ge=0.0)]  #: When [s].
+    at: Time  #: When [s].
     request: RequestName  #: What is requested.
 
 
@@ -121,7 +141,7 @@ class OperationChoice(Settings):
 
     begin: Literal["off", "settled", "hold", "engaged"] = "settled"  #: Operating state to begin in.
     request: tuple[RequestAt, ...] = (RequestAt(at=0.0, request="engage"),)  #: Operator's requests.
-    host_every: Annotated[int, Field(ge=1)] = 26
+    host_every: Annotated[int, Field(ge=1, le=RATE)] = 26
     """Control frames from one host frame to the next; 26 are 78.8 Hz."""
     dcu: str = "default"  #: Digital Control Unit, `default` or a file.
     limits: str | None = None  #: File of the limits of platform and legs.
@@ -134,7 +154,8 @@ class VideoChoice(Settings):
     file: Annotated[str, _ending(".mp4", ".gif")] = "video.mp4"  #: Name.
     camera: str = "overview"  #: Camera of the model.
     fps: Annotated[int, Field(ge=1, le=120)] = 30  #: Pictures a second.
-    speed: Annotated[float, Field(gt=0.0)] = 1.0  #: Times real speed; below 1 is slow motion.
+    speed: Annotated[float, Field(ge=0.01, le=100.0)] = 1.0
+    """Times real speed; below 1 is slow motion."""
 
 
 class Outputs(Settings):
@@ -156,7 +177,7 @@ class Scenario(Settings):
     hydraulics: str = "hardware"  #: `report`, `hardware`, `lossy` or a TOML file.
     law: str = "velocity"  #: Control law by name or TOML file.
     gains: Gains = {}  #: Fields of the law to replace.
-    signal: tuple[Signal, ...] = ()  #: Demand: the sum of these; none is rest at neutral.
+    signal: Signals = ()  #: Demand: the sum of these; none is rest at neutral.
     event: tuple[Event, ...] = ()  #: Failures on the time line.
     electronics: ElectronicsChoice | None = None
     """Noisy sensors and servo electronics; default ideal ones."""
@@ -165,20 +186,52 @@ class Scenario(Settings):
     operation: OperationChoice | None = None  #: The chain from host to valves; default none.
     duration: Length | Literal["open"] = 10.0
     """Length [s]; an `open` run goes on until it is ended, and can only be run live."""
-    seed: int = 0  #: Of noise and random phases.
-    record_every: Annotated[int, Field(ge=1)] = 1  #: Keep one control frame in this many.
+    seed: Seed = 0  #: Of noise and random phases.
+    record_every: Count = 1  #: Keep one control frame in this many.
     outputs: Outputs = Outputs()  #: What to write.
     change: tuple[Change, ...] = ()  #: What changes, in order of time.
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.operation is not None and self.plant != "hexapod":
-            raise InputError(f"operation: is for the hexapod, plant is {self.plant}")
+        self._files()
+        self._times()
+        law, laws = self.begun_law(), Laws()
+        for change in self.change:
+            self.check_change(change)
+            law = bound(changed_law(law, change, laws), self.law_key)
+        for event in self.event:
+            _check_leg(event)
+        if self.outputs.video is not None:
+            if self.frames is not None and self.frames <= self.record_every:
+                raise InputError(
+                    f"record_every: {self.record_every} leaves one row; allowed for a film: below "
+                    f"{self.frames}"
+                )
+            cameras = names_of(self.plant).cameras
+            check_name("outputs.video.camera", self.outputs.video.camera, cameras)
+        return self
+
+    def _files(self) -> None:
+        """Refuse settings that cannot be loaded."""
         load_hydraulics(self.hydraulics)
         load_cab(self.cab)
         if self.protection is not None:
             load_protection(self.protection)
-        law, last = self.begun_law(), 0
+        if self.electronics is not None:
+            ElectronicsSettings(**dict(self.electronics)).describe()
+        if self.operation is not None:
+            if self.plant != "hexapod":
+                raise InputError(f"operation: is for the hexapod, plant is {self.plant}")
+            load_dcu(self.operation.dcu)
+            load_motion_limits(self.operation.limits)
+            load_state_settings(self.operation.states)
+
+    def _times(self) -> None:
+        """Refuse what never happens, or not in this order, or is too much to hold."""
+        signals = [*self.signal, *(one for change in self.change for one in change.signal or ())]
+        seconds = sum(signal.length for signal in signals)
+        check_memory("signal", f"the demand of {len(signals)} signals", 6.0 * RATE * seconds)
+        last, end = 0, MOST_FRAMES if self.frames is None else self.frames
         for number, change in enumerate(self.change):
             if change.at is None and change.frame is None:
                 raise InputError(f"change.{number}: needs `at` in s or `frame`")
@@ -186,10 +239,25 @@ class Scenario(Settings):
             if frame < last:
                 raise InputError(f"change: frame {frame} comes after frame {last}; sort by time")
             last = frame
-            law = bound(changed_law(law, change), self.law_key)
-            if change.request is not None and self.operation is None:
-                raise InputError(f"change: request {change.request!r} needs [operation]")
-        return self
+        happens = [("change", change.when()) for change in self.change]
+        happens += [("event", round(event.at * RATE)) for event in self.event]
+        if self.operation is not None:
+            happens += [("operation.request", round(r.at * RATE)) for r in self.operation.request]
+        for field, frame in happens:
+            if frame >= end:
+                raise InputError(
+                    f"{field}: at {frame / RATE:g} s never happens; allowed: before the end of the "
+                    f"run at {end / RATE:g} s"
+                )
+
+    def check_change(self, change: Change) -> None:
+        """Refuse a change that this machine cannot do; the law apart."""
+        for failure in change.failure:
+            _check_leg(failure)
+        if change.push is not None and change.push.body:
+            check_name("body", change.push.body, names_of(self.plant).bodies)
+        if change.request is not None and self.operation is None:
+            raise InputError(f"change: request {change.request!r} needs [operation]")
 
     @property
     def law_key(self) -> str | Cab:
@@ -211,15 +279,44 @@ class Scenario(Settings):
         return None if parts is None else ElectronicsSettings(**dict(parts), seed=self.seed)
 
 
+class Names(NamedTuple):
+    """Names of a machine's model."""
+
+    bodies: tuple[str, ...]
+    cameras: tuple[str, ...]
+
+
+@lru_cache
+def names_of(plant: str) -> Names:
+    """The names of a plant, with whatever cab."""
+    model = make_plant(plant).model
+    bodies = tuple(model.body(i).name for i in range(1, model.nbody))
+    return Names(bodies, tuple(model.camera(i).name for i in range(model.ncam)))
+
+
+def _check_leg(failure: Failure | Event) -> None:
+    if failure.leg is not None and failure.leg > LEGS:
+        raise InputError(f"leg: {failure.leg} of {failure.kind} is not a leg; allowed: 1 to {LEGS}")
+
+
 def overlaid_law(law: Law, gains: Mapping[str, Any]) -> Law:
     """A law with some of its fields replaced, tables entry by entry."""
     return validated(Law, merged(law.model_dump(), gains), "gains") if gains else law
 
 
-def changed_law(law: Law, change: Change, loaded: Law | None = None) -> Law:
-    """The law after a change; `loaded` is the law that it names, if that is at hand."""
+class Laws(dict[str, Law]):
+    """Laws by name or TOML file, each read when it is asked for first."""
+
+    def __missing__(self, source: str) -> Law:
+        """Read one."""
+        self[source] = load_law(source)
+        return self[source]
+
+
+def changed_law(law: Law, change: Change, laws: Laws) -> Law:
+    """The law after a change."""
     if change.law is not None:
-        law = loaded or load_law(change.law)
+        law = laws[change.law]
     return overlaid_law(law, change.gains)
 
 

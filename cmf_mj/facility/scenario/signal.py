@@ -5,6 +5,7 @@ a multisine is faded. Several signals of a scenario are added.
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
@@ -17,32 +18,37 @@ from cmf_mj.core.rates import RATE
 from cmf_mj.facility.host.files import read_stream
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite, single
-from cmf_mj.signals.signal import Command, Motion
+from cmf_mj.signals.signal import Command, Duration, Motion, Wait, check_length
 from cmf_mj.signals.signal import Signal as AnySignal
 
 
 class Step(single.Step):
     """A step, held for ever."""
 
-    duration: float | None = None
+    duration: Duration | None = None
 
 
 class Pulse(single.Pulse):
     """A rectangular pulse."""
 
-    duration: float | None = None
+    duration: Duration | None = None
 
 
 class Sine(single.Sine):
     """A sine, faded in by a raised cosine; without `cycles` it goes on for ever."""
 
-    cycles: float | None = None
+    cycles: single.Cycles | None = None
 
 
 class Multisine(single.Multisine):
     """Odd random-phase multisine of whole periods."""
 
-    fade: float = 1.0
+    fade: Wait = 1.0
+
+
+def _check_file(file: str) -> None:
+    if not Path(file).is_file():
+        raise InputError(f"{file}: cannot be read: there is no such file")
 
 
 class HostFile(AnySignal):
@@ -53,12 +59,16 @@ class HostFile(AnySignal):
     derivatives: Literal["spline", "zero"] = "spline"
     """How velocities are made where the file has none."""
 
+    def _check(self) -> None:
+        _check_file(self.file)
+
     def command(self, seed: int = 0) -> Command:
         """Poses at 2048 Hz from the first frame's time to the last one's."""
         stream = read_stream(self.file, derivatives=self.derivatives)
         if stream.time.size < 2:
             raise InputError(f"{self.file}: {stream.time.size} frames; at least 2 are needed")
         since = stream.time - stream.time[0]
+        check_length(float(since[-1]))
         time = np.arange(int(np.floor(since[-1] * RATE + 1e-9)) + 1) / RATE
         return Command(BPoly.from_derivatives(since, stream.values)(time), self)
 
@@ -68,6 +78,9 @@ class Recorded(AnySignal):
 
     kind: Literal["recorded"]
     file: str  #: Parquet record with a `demand_pose` at 2048 Hz.
+
+    def _check(self) -> None:
+        _check_file(self.file)
 
     def command(self, seed: int = 0) -> Command:
         """The recorded demand."""

@@ -132,6 +132,7 @@ class LiveSession:
         def answer() -> None:
             if self._closed.is_set():
                 future.cancel()
+            if not future.set_running_or_notify_cancel():
                 return
             try:
                 future.set_result(action())
@@ -154,19 +155,21 @@ class LiveSession:
     def _go(self) -> None:
         before = time.monotonic()
         self._clock.restart(before)
-        while not self._closed.is_set():
-            begun = time.monotonic()
-            try:
+        try:
+            while not self._closed.is_set():
+                begun = time.monotonic()
                 frames = self._turn(begun)
-            except Exception as error:
-                self._tell(error)
-                raise
-            now = time.monotonic()
-            if frames:
-                self._clock.ran(begun - before, frames, now - begun)
-            before = begun
-            self._closed.wait(max(0.0, begun + TURN - now))
-        self._answer()
+                now = time.monotonic()
+                if frames:
+                    self._clock.ran(begun - before, frames, now - begun)
+                before = begun
+                self._closed.wait(max(0.0, begun + TURN - now))
+        except Exception as error:
+            self._tell(error)
+            raise
+        finally:  # whoever waits, or comes later, is told that there is no session any more
+            self._closed.set()
+            self._answer()
 
     def _turn(self, now: float) -> int:
         """Answer, advance and show; the control frames run."""
