@@ -1,7 +1,10 @@
 """Host streams, files, datagrams and sockets: what is sent arrives, bit for bit, or is counted."""
 
+import hashlib
+import runpy
 import socket
 import struct
+import threading
 import time as clock
 import zlib
 from concurrent.futures import ThreadPoolExecutor
@@ -22,9 +25,25 @@ from cmf_mj.control.dcu.arrivals import feed, upsample
 from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting
 from cmf_mj.core.compiled import compiled
-from cmf_mj.facility.host.datagram import DATAGRAM_REASONS, SIZE, DatagramError, decode, encode
+from cmf_mj.facility.host.datagram import (
+    DATAGRAM_REASONS,
+    SIZE,
+    DatagramError,
+    decode,
+    encode,
+    read_key,
+)
+from cmf_mj.facility.host.doubts import unit_doubts
 from cmf_mj.facility.host.files import HostSession, read_stream, write_stream
-from cmf_mj.facility.host.handover import NEVER, collect, logged, make_log, make_ring, put
+from cmf_mj.facility.host.handover import (
+    NEVER,
+    capacity_for,
+    collect,
+    logged,
+    make_log,
+    make_ring,
+    put,
+)
 from cmf_mj.facility.host.stream import (
     HostFrame,
     HostStream,
@@ -35,6 +54,7 @@ from cmf_mj.facility.host.stream import (
 )
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
 from cmf_mj.facility.host.udp import UdpReceiver, send_stream
+from cmf_mj.facility.operation import account
 
 RATE = 2048
 
@@ -326,6 +346,36 @@ def test_the_ring_hands_over_in_order_and_counts_what_it_lost() -> None:
     assert ring.lost[0] == 4
 
 
+def test_of_frames_that_come_too_fast_the_newest_goes_on_and_the_rest_is_counted() -> None:
+    """A host of 2048 Hz for two seconds: 256 + 200 t are handed over, spread evenly, none older."""
+    ring, log, filled = make_ring(64), make_log(capacity_for(2 * RATE)), 0
+    for now in range(2 * RATE):
+        put(ring, frame(now, now / RATE))
+        filled = collect(ring, log, filled, now)
+    kept = logged(log, filled)
+    waiting = int(ring.written[0] - ring.read[0])
+    assert filled == pytest.approx(256 + 2 * 200, abs=1)
+    assert filled + ring.thinned[0] + ring.lost[0] + waiting == 2 * RATE
+    assert ring.lost[0] == 0 and waiting <= 10
+    late = kept.sequence[-200:]
+    assert set(np.diff(late)) <= {10, 11}  # 2048 / 200 frames, to the whole one
+    assert (kept.sequence == kept.frame).all()  # what goes on is what has just come
+
+
+def test_a_host_of_80_hz_is_never_thinned_and_a_burst_keeps_its_newest() -> None:
+    ring, log, filled = make_ring(512), make_log(capacity_for(20 * RATE)), 0
+    for now in range(0, 10 * RATE, 26):
+        put(ring, frame(now))
+        filled = collect(ring, log, filled, now)
+    assert (filled, ring.thinned[0]) == (len(range(0, 10 * RATE, 26)), 0)
+    log, filled = make_log(capacity_for(20 * RATE)), 0
+    for number in range(400):
+        put(ring, frame(number))
+    filled = collect(ring, log, filled, 0)
+    assert (filled, ring.thinned[0]) == (256, 144)
+    assert logged(log, filled).sequence.tolist() == list(range(144, 400))
+
+
 def test_a_slot_under_the_writers_hand_is_lost_not_torn() -> None:
     ring, log = make_ring(4), make_log(10)
     for number in range(2):
@@ -394,7 +444,7 @@ def test_frames_cross_the_loopback_in_real_time() -> None:
 
 
 def test_garbage_never_reaches_the_ring_and_is_counted() -> None:
-    expected = dict.fromkeys(DATAGRAM_REASONS, 0)
+    expected = dict.fromkeys((*DATAGRAM_REASONS, "overrun"), 0)
     with (
         UdpReceiver() as receiver,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw,
@@ -427,6 +477,107 @@ def test_other_senders_are_dropped_and_counted() -> None:
             wait_for(receiver, 3)
             assert receiver.received == 1
             assert receiver.refused["wrong_sender"] == 2
+
+
+def test_with_a_session_key_only_its_owner_is_the_host(tmp_path: Path) -> None:
+    """The tag is BLAKE2s of RFC 7693; without the key no form of a datagram helps."""
+    path = tmp_path / "key"
+    path.write_text("0123456789abcdef\n")
+    key = read_key(path)
+    assert key == b"0123456789abcdef"
+    data = encode(frame(), key)
+    assert len(data) == SIZE + 16 and data[4:8] == b"\2\0\xbc\0"
+    assert data[SIZE:] == hashlib.blake2s(data[:SIZE], key=key, digest_size=16).digest()
+    assert np.array_equal(decode(data, key).pose, frame().pose)
+    others = [
+        (encode(frame()), "wrong_length"),
+        (encode(frame(), b"another key 1234"), "wrong_key"),
+        (data[:-1] + bytes([data[-1] ^ 1]), "wrong_key"),
+        (data[:20] + bytes([data[20] ^ 1]) + data[21:], "wrong_key"),
+    ]
+    for octets, reason in others:
+        with pytest.raises(DatagramError, match=reason):
+            decode(octets, key)
+    with pytest.raises(DatagramError, match="wrong_length"):
+        decode(data)
+    with (
+        UdpReceiver(key=key) as receiver,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw,
+    ):
+        for octets, _ in others:
+            raw.sendto(octets, receiver.address)
+        assert send_stream(wave(8), *receiver.address, key=key).frames == 8
+        wait_for(receiver, len(others) + 8)
+        assert receiver.received == 8
+        assert receiver.refused["wrong_key"] == 3
+    for text, message in (("short", "key: 5 octets; allowed: 16 to 32"), ("x" * 33, "33 octets")):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=message):
+            read_key(path)
+    with pytest.raises(ValueError, match="none: cannot be read"):
+        read_key(tmp_path / "none")
+
+
+def test_what_the_system_drops_is_counted_and_what_waits_is_taken_at_the_end() -> None:
+    """More than the buffer holds, while the thread has no turn."""
+    with UdpReceiver() as receiver, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw:
+        take, count = receiver._take, 40_000
+        begun = threading.Event()
+
+        def held() -> None:
+            begun.set()
+            closing.wait()
+            take()
+
+        closing = threading.Event()
+        receiver._take = held  # type: ignore[method-assign]
+        raw.sendto(b"", receiver.address)
+        assert begun.wait(10.0)
+        for _ in range(count):
+            raw.sendto(bytes(100), receiver.address)
+        receiver._take = take  # type: ignore[method-assign]
+        receiver._ending.set()
+        closing.set()
+    dropped = receiver.refused
+    assert dropped["overrun"] > 0 and dropped["wrong_length"] > 100
+    assert sum(dropped.values()) + receiver.received == count + 1
+
+
+def test_a_flood_of_garbage_loses_no_frame_of_the_host_and_is_counted() -> None:
+    """A short one of `scripts/flood_host.py`, whose ten minutes are in docs/operation.md."""
+    script = Path(__file__).parents[1] / "scripts" / "flood_host.py"
+    done = runpy.run_path(str(script))["flood"](3.0, 2000.0)
+    counts = account(done.operation, done.received, done.dropped)
+    assert done.received + sum(done.dropped.values()) == done.good + done.garbage
+    assert done.good - done.received <= done.dropped["overrun"]
+    assert counts["lost"] == counts["thinned"] == 0
+    assert counts["wrong_sender"] > 0.5 * done.garbage
+    assert counts["received"] == counts["early"] + counts["after_end"] + (
+        done.operation.session.arrivals.frame.size
+    )
+
+
+def test_other_units_are_said_and_the_right_ones_are_not() -> None:
+    stream = wave(200)
+    assert unit_doubts(stream.time, stream.pose) == []
+    (text,) = unit_doubts(1e3 * stream.time, stream.pose)
+    assert text == "time: 12.5 s from frame to frame; host times are in s: is this ms?"
+    assert unit_doubts(1e6 * stream.time, stream.pose)[0].endswith("is this us?")
+    turned = stream.pose * [1, 1, 1, 57.3, 57.3, 57.3]
+    lines = unit_doubts(stream.time, turned)
+    assert [line.split(":")[0] for line in lines] == ["roll", "pitch", "yaw"]
+    assert all(line.endswith("is this deg?") for line in lines)
+    assert unit_doubts(stream.time, stream.pose * [39.37, 1, 1, 1, 1, 1])[0].endswith("in?")
+    bad = np.full((3, 6), np.nan)
+    assert unit_doubts(np.array([np.nan, 0.0, np.inf]), bad) == []
+    assert unit_doubts(np.zeros(0), np.zeros((0, 6))) == []
+
+
+def test_the_command_line_says_so_before_the_run(tmp_path: Path) -> None:
+    stream = wave(8)
+    path = write_stream(stream._replace(time=1e3 * stream.time), tmp_path / "run.csv")
+    result = CliRunner().invoke(app, ["operate", str(path), "--out", "", "--seconds", "nan"])
+    assert "time: 12.5 s from frame to frame" in result.output.replace("\n", " ")
 
 
 def test_deadlines_are_absolute() -> None:

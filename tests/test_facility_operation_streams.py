@@ -145,7 +145,8 @@ def check_limits(out: NDArray[np.float64]) -> None:
 def check_account(outcome: Outcome, garbage: bool) -> None:
     """Every datagram sent is somewhere, and none but the good ones got through."""
     chain, state = outcome.chain, outcome.chain.dcu_state
-    filled, lost = int(chain.progress[0].collected), int(chain.ring.lost[0])
+    filled = int(chain.progress[0].collected)
+    lost = int(chain.ring.lost[0] + chain.ring.thinned[0])
     assert sum(outcome.refused.values()) == (len(outcome.sent) if garbage else 0)
     assert filled + lost == len(outcome.sent)
     waiting = int(state.clocks[0].holding)

@@ -26,6 +26,9 @@ _DERIVATIVES, _VELOCITIES = "facility.host.stream:DERIVATIVES", "of poses alone:
 
 Begin = Annotated[str, choice("cli.facility:BEGIN", "STATE", _BEGIN)]
 StreamFile = Annotated[Path, Argument(help="CSV or Parquet with time and six poses, SI")]
+KeyFile = Annotated[
+    Path | None, Option(help="file with the session key, 16 to 32 octets, that both ends have")
+]
 FrameRate = Annotated[float | None, Option(help="frames a second; default as stamped in the file")]
 Derivatives = Annotated[str, choice(_DERIVATIVES, "KIND", _VELOCITIES)]
 
@@ -56,10 +59,12 @@ def _end(operation: Operation) -> str:
 
 
 def _stream(file: Path, derivatives: str, rate: float | None) -> HostStream:
+    from cmf_mj.facility.host.doubts import unit_doubts
     from cmf_mj.facility.host.files import read_stream
     from cmf_mj.facility.host.stream import resample
 
     stream = read_stream(file, derivatives=derivatives)
+    show(*(f"{file}: {doubt}" for doubt in unit_doubts(stream.time, stream.pose)))
     return stream if rate is None else resample(stream, rate)
 
 
@@ -68,6 +73,10 @@ def serve_command(
     port: Annotated[int, Option(help="UDP port; 0 takes a free one")] = 2048,
     bind: Annotated[str, Option(help="IPv4 address to listen on")] = "127.0.0.1",
     host: Annotated[str, Option(help="the only host whose datagrams are taken")] = "127.0.0.1",
+    host_port: Annotated[
+        int | None, Option(help="its only port; default any program of that host")
+    ] = None,
+    key: KeyFile = None,
     seconds: Annotated[float, Option(help="length of the run [s]")] = 60.0,
     law: options.Law = "velocity",
     cab: options.Cab = "gfd",
@@ -77,13 +86,16 @@ def serve_command(
     out: options.Out = Path("out/serve"),
 ) -> None:
     """Run the facility in real time on host frames from the network."""
+    from cmf_mj.facility.host.datagram import read_key
+    from cmf_mj.facility.host.doubts import unit_doubts
     from cmf_mj.facility.host.udp import UdpReceiver
     from cmf_mj.facility.operation import serve
     from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import operation as report
 
     plant, options = Hexapod(cab, hydraulics), _start(begin, noise)
-    with UdpReceiver(port, host=host, bind=bind) as receiver:
+    secret = None if key is None else read_key(key)
+    with UdpReceiver(port, host=host, host_port=host_port, bind=bind, key=secret) as receiver:
         where = "{}:{}".format(*receiver.address)
         with progress_bar(f"serving {where}", seconds=True) as bar:
 
@@ -98,7 +110,9 @@ def serve_command(
     tables = [report.account_table(operation, received, refused)]
     if operation.timing is not None:
         tables.append(report.timing_table(operation.timing))
-    show(*tables, _end(operation), written(paths))
+    arrivals = operation.session.arrivals
+    doubts = unit_doubts(arrivals.time, arrivals.values[:, 0])
+    show(*tables, *doubts, _end(operation), written(paths))
 
 
 @command("operate")
@@ -130,14 +144,18 @@ def operate_command(
 def host_command(
     file: StreamFile,
     to: Annotated[str, Option(metavar="ADDRESS:PORT", help="of the receiver")],
+    port: Annotated[int, Option(help="UDP port to send from; 0 takes a free one")] = 0,
+    key: KeyFile = None,
     rate: FrameRate = None,
     derivatives: Derivatives = "spline",
 ) -> None:
     """Send a file of host frames over UDP in real time."""
+    from cmf_mj.facility.host.datagram import read_key
     from cmf_mj.facility.host.udp import parse_target, send_stream
 
-    target = parse_target(to)
-    sent = send_stream(_stream(file, derivatives, rate), *target)
+    target, secret = parse_target(to), None if key is None else read_key(key)
+    stream = _stream(file, derivatives, rate)
+    sent = send_stream(stream, *target, source_port=port, key=secret)
     show(
         f"{sent.frames} frames in {sent.duration:.3f} s, late by "
         f"{1e3 * sent.mean_lateness:.2f} ms on average, {1e3 * sent.worst_lateness:.2f} at most"

@@ -28,7 +28,14 @@ from cmf_mj.core.units import INCH
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.front import Blocks, make_chain
 from cmf_mj.facility.host.files import HostSession
-from cmf_mj.facility.host.handover import NEVER, Ring, logged, make_log, make_ring
+from cmf_mj.facility.host.handover import (
+    NEVER,
+    Ring,
+    capacity_for,
+    logged,
+    make_log,
+    make_ring,
+)
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
 from cmf_mj.facility.options import Options
@@ -42,9 +49,6 @@ from cmf_mj.record.record import Record
 
 _RESTING = -37.95 * INCH
 """Leg position on the stops: a little above the mechanical end at -38 in [m]."""
-
-_LOG_CAPACITY = 200.0
-"""Host frames a second to keep room for; the DCU refuses what comes faster."""
 
 
 class FacilitySettings(NamedTuple):
@@ -88,7 +92,7 @@ class Operation(NamedTuple):
     rejections: dict[str, int]  #: Frames the DCU refused, by reason.
     unused: dict[str, int]
     """Frames received that never came to the DCU, of a run in real time: `early` before the clock
-    started, `lost` between receiver and loop."""
+    started, `lost` between receiver and loop, `thinned` because newer ones came too fast."""
     timing: Timing | None  #: Of a run in real time.
 
 
@@ -161,7 +165,7 @@ def serve(
     start = _start(options, np.zeros(6))
 
     def session_of(count: int, source: Ring, pace: Pace) -> Session:
-        log = make_log(int(count / RATE * _LOG_CAPACITY) + 256)
+        log = make_log(capacity_for(count))
         run = _options(options, count, 16)
         return facility_session(plant, loaded, log, settings, start, run, ring=source, pace=pace)
 
@@ -171,13 +175,13 @@ def serve(
     session = session_of(count, ring, pace)
     if (progress := options.get("progress")) is not None:
         progress(0.0)
-    started, lost = int(ring.written[0]), int(ring.lost[0])
+    started, lost, thinned = (int(count[0]) for count in (ring.written, ring.lost, ring.thinned))
     unused = {"early": started - int(ring.read[0])}
     ring.read[0] = started
     _run(session, options)
     log = session.chain.arrivals
     arrivals = logged(log, int((log.frame < NEVER).sum()))
-    unused["lost"] = int(ring.lost[0]) - lost
+    unused |= {"lost": int(ring.lost[0]) - lost, "thinned": int(ring.thinned[0]) - thinned}
     timing = Timing(pace.busy, pace.late)
     return _operation(session, arrivals, settings, start.pose, unused, timing)
 
@@ -299,22 +303,23 @@ def account(
 
     Every frame a host sends is in exactly one line of the account:
 
-        received = early + lost + after the end + at the DCU
+        received = early + lost + thinned + after the end + at the DCU
         at the DCU = accepted + refused, by reason + the one that waits for confirmation at the end
 
     `received` counts what the receiver put into its ring until it was closed, by default what came
-    to the DCU; `datagrams` counts what it dropped, by reason.
+    to the DCU; `datagrams` counts what it dropped, by reason. Both together are all datagrams that
+    came to its port.
     """
     counts, refused = dict(operation.counts), dict(operation.rejections)
     arrived = operation.session.arrivals.frame.size
-    early, lost = (operation.unused.get(name, 0) for name in ("early", "lost"))
-    all_frames = arrived + early + lost if received is None else received
+    unused = {name: operation.unused.get(name, 0) for name in ("early", "lost", "thinned")}
+    before = arrived + sum(unused.values())
+    all_frames = before if received is None else received
     accepted = counts.pop("accepted")
     return {
         "received": all_frames,
-        "early": early,
-        "lost": lost,
-        "after_end": all_frames - early - lost - arrived,
+        **unused,
+        "after_end": all_frames - before,
         "accepted": accepted,
         "waiting": arrived - accepted - sum(refused.values()),
         **refused,

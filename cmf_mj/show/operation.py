@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cmf_mj.core.rates import FRAME
+from cmf_mj.facility.host.handover import MOST_RATE
 from cmf_mj.facility.operation import Operation, Timing, account
 from cmf_mj.show.look import BLUE, DARK, ORANGE, legend, new_figure, save_files
 from cmf_mj.show.overview import overview_figure
@@ -17,6 +18,7 @@ _MEANINGS = {
     "received": "good datagrams of the host",
     "early": "before the clock started",
     "lost": "between receiver and loop",
+    "thinned": f"faster than {MOST_RATE} a second: only the newest went on",
     "after_end": "after the last control frame",
     "accepted": "taken by the DCU",
     "waiting": "neither: held at the end until confirmed",
@@ -24,6 +26,7 @@ _MEANINGS = {
     "missing": "numbers that never came",
     "resynchronised": "starts of a stream, jumps followed, clocks set anew",
     "silent": "streams lost by timeout",
+    "overrun": "datagrams dropped by the system, its buffer being full",
 }
 
 

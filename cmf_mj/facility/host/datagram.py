@@ -10,9 +10,16 @@ octet   type      field
 72      6 float64 velocity
 120     6 float64 acceleration
 168     uint32    CRC-32 (zlib, IEEE 802.3) of octets 0 to 167
+
+With a session key it is version 2, of 188 octets: octets 172 to 187 are BLAKE2s with the key, of 16
+octets, of octets 0 to 171. Who has not the key cannot make one, only repeat one, which the DCU
+refuses by its sequence number.
 """
 
 import zlib
+from hashlib import blake2s
+from hmac import compare_digest
+from pathlib import Path
 
 import numpy as np
 
@@ -20,7 +27,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.stream import HostFrame
 
 MAGIC = b"CMFH"
-VERSION = 1
+VERSION, KEYED_VERSION = 1, 2
 
 LAYOUT = np.dtype(
     [
@@ -39,6 +46,12 @@ LAYOUT = np.dtype(
 
 SIZE = LAYOUT.itemsize
 
+TAG = 16
+"""Octets that prove the session key."""
+
+KEY_SIZES = (16, 32)
+"""Least and most octets of a session key."""
+
 MOST_SEQUENCE = 2**63 - 1
 """Largest sequence number."""
 
@@ -47,6 +60,7 @@ DATAGRAM_REASONS = (
     "wrong_length",
     "wrong_magic",
     "wrong_version",
+    "wrong_key",
     "wrong_checksum",
     "wrong_sequence",
 )
@@ -62,12 +76,24 @@ class DatagramError(InputError):
         self.reason = reason
 
 
-def encode(frame: HostFrame) -> bytes:
-    """The datagram of a frame."""
+def read_key(path: str | Path) -> bytes:
+    """A session key from a file: its octets without white space at the ends, 16 to 32 of them."""
+    try:
+        key = Path(path).read_bytes().strip()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    least, most = KEY_SIZES
+    if not least <= len(key) <= most:
+        raise InputError(f"{path}: key: {len(key)} octets; allowed: {least} to {most}")
+    return key
+
+
+def encode(frame: HostFrame, key: bytes | None = None) -> bytes:
+    """The datagram of a frame, with a session key or without."""
     if not 0 <= frame.sequence <= MOST_SEQUENCE:
         raise InputError(f"sequence: {frame.sequence} is refused; allowed: 0 to {MOST_SEQUENCE}")
     row = np.zeros((), dtype=LAYOUT)
-    row["magic"], row["version"], row["length"] = MAGIC, VERSION, SIZE
+    row["magic"], row["version"], row["length"] = MAGIC, *_form(key)
     row["sequence"], row["time"] = frame.sequence, frame.time
     for name in ("pose", "velocity", "acceleration"):
         values = np.asarray(getattr(frame, name), dtype=float)
@@ -75,20 +101,37 @@ def encode(frame: HostFrame) -> bytes:
             raise InputError(f"{name}: shape is {values.shape}; allowed: (6,)")
         row[name] = values
     row["checksum"] = zlib.crc32(row.tobytes()[:-4])
-    return row.tobytes()
+    data = row.tobytes()
+    return data if key is None else data + _tag(data, key)
 
 
-def decode(data: bytes) -> HostFrame:
-    """The frame of a datagram; its numbers are as sent, be they finite or not."""
-    if len(data) != SIZE:
-        raise DatagramError("wrong_length", f"{len(data)} octets; allowed: {SIZE}")
+def _form(key: bytes | None) -> tuple[int, int]:
+    """Version and length."""
+    return (VERSION, SIZE) if key is None else (KEYED_VERSION, SIZE + TAG)
+
+
+def _tag(data: bytes, key: bytes) -> bytes:
+    return blake2s(data, key=key, digest_size=TAG).digest()
+
+
+def decode(data: bytes, key: bytes | None = None) -> HostFrame:
+    """The frame of a datagram; its numbers are as sent, be they finite or not.
+
+    With a session key only those made with it are taken.
+    """
+    version, size = _form(key)
+    if len(data) != size:
+        raise DatagramError("wrong_length", f"{len(data)} octets; allowed: {size}")
+    data, tag = data[:SIZE], data[SIZE:]
     row = np.frombuffer(data, dtype=LAYOUT)[0]
     if data[:4] != MAGIC:
         raise DatagramError("wrong_magic", f"{data[:4]!r}; allowed: {MAGIC!r}")
-    if row["version"] != VERSION:
-        raise DatagramError("wrong_version", f"{row['version']}; allowed: {VERSION}")
-    if row["length"] != SIZE:
-        raise DatagramError("wrong_length", f"field says {row['length']}; allowed: {SIZE}")
+    if row["version"] != version:
+        raise DatagramError("wrong_version", f"{row['version']}; allowed: {version}")
+    if row["length"] != size:
+        raise DatagramError("wrong_length", f"field says {row['length']}; allowed: {size}")
+    if key is not None and not compare_digest(tag, _tag(data, key)):
+        raise DatagramError("wrong_key", "the sender has not the key of this session")
     if row["checksum"] != zlib.crc32(data[:-4]):
         raise DatagramError("wrong_checksum", "octets were changed on the way")
     if row["sequence"] > MOST_SEQUENCE:

@@ -3,7 +3,8 @@
 One writer, one reader. The writer marks a slot as being written, fills it, marks it with the
 frame's count and only then raises `written`. The reader copies a slot between two looks at the
 mark; where they differ from what it expects, the writer has lapped it and the frame is lost, which
-is counted. Neither waits. A slot's mark and the counters are aligned 8-octet words.
+is counted. Of frames faster than `MOST_RATE` it takes the newest and counts the rest. Neither
+waits. A slot's mark and the counters are aligned 8-octet words.
 """
 
 from typing import NamedTuple
@@ -16,10 +17,17 @@ from cmf_mj.control.dcu.motion import copy
 from cmf_mj.core.arrays import check_memory
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.rates import RATE
 from cmf_mj.facility.host.stream import HostFrame
 
 NEVER = np.iinfo(np.int64).max
 """Control frame of a place in a log that is not filled."""
+
+MOST_RATE = 200
+"""Frames a second that are handed over [Hz]: the DCU refuses what is faster than 100."""
+
+SPARE = 256
+"""Frames that may come sooner than that."""
 
 
 class Ring(NamedTuple):
@@ -33,13 +41,15 @@ class Ring(NamedTuple):
     read: NDArray[np.int64]  #: Frames read or lost so far, (1,); the reader's.
     lost: NDArray[np.int64]
     """Frames the reader came too late for or could not keep, (1,); the reader's."""
+    thinned: NDArray[np.int64]
+    """Frames left out because newer ones came faster than `MOST_RATE`, (1,); the reader's."""
 
 
 def make_ring(slots: int = 256) -> Ring:
     """An empty ring; 256 slots are three seconds of an 80 Hz host."""
     if slots < 2:
         raise InputError(f"slots: {slots} must be at least 2")
-    counters = (np.zeros(1, dtype=np.int64) for _ in range(3))
+    counters = (np.zeros(1, dtype=np.int64) for _ in range(4))
     return Ring(
         np.full(slots, -1),
         np.zeros(slots, dtype=np.int64),
@@ -47,6 +57,11 @@ def make_ring(slots: int = 256) -> Ring:
         np.zeros((slots, 3, 6)),
         *counters,
     )
+
+
+def capacity_for(frames: int) -> int:
+    """Frames that are handed over at most in a number of control frames."""
+    return SPARE + frames * MOST_RATE // RATE
 
 
 def make_log(capacity: int) -> Arrivals:
@@ -88,6 +103,12 @@ def collect(ring, log, filled, frame):  # type: ignore[no-untyped-def]
     if end - ring.read[0] > slots:
         ring.lost[0] += end - slots - ring.read[0]
         ring.read[0] = end - slots
+    room = SPARE + frame * MOST_RATE // RATE - filled
+    if room <= 0:
+        return filled
+    if end - ring.read[0] > room:
+        ring.thinned[0] += end - room - ring.read[0]
+        ring.read[0] = end - room
     while ring.read[0] < end:
         count = ring.read[0]
         slot = count % slots

@@ -1,10 +1,15 @@
 """Host frames over UDP: a receiving thread, and a sender that keeps its time.
 
-The receiver binds to the loopback address by default and takes datagrams of one host only; all
-others are dropped and counted.
+The receiver binds to the loopback address by default and takes datagrams of one host only, by its
+address and, if they are given, its port and a session key; all others are dropped and counted.
+What comes while the thread is not run waits in the system's buffer, and the system counts what does
+not fit (Linux).
 """
 
+import contextlib
 import socket
+import struct
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -13,7 +18,14 @@ from typing import NamedTuple
 import numpy as np
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.facility.host.datagram import DATAGRAM_REASONS, SIZE, DatagramError, decode, encode
+from cmf_mj.facility.host.datagram import (
+    DATAGRAM_REASONS,
+    SIZE,
+    TAG,
+    DatagramError,
+    decode,
+    encode,
+)
 from cmf_mj.facility.host.handover import Ring, make_ring, put
 from cmf_mj.facility.host.stream import HostStream
 
@@ -21,6 +33,12 @@ LOOPBACK = "127.0.0.1"
 
 _LONGEST_WAIT = 0.05
 """How long the thread waits before it looks whether it is to end [s]."""
+
+_BUFFER = 4 * 2**20
+"""Octets of the system's buffer asked for: some thousand datagrams, seconds of a flood."""
+
+_FORCE_BUFFER, _MEMINFO = 33, 55
+"""SO_RCVBUFFORCE and SO_MEMINFO of Linux, whose ninth number counts what did not fit."""
 
 
 class UdpReceiver:
@@ -37,11 +55,13 @@ class UdpReceiver:
         host_port: int | None = None,
         bind: str = LOOPBACK,
         ring: Ring | None = None,
+        key: bytes | None = None,
     ) -> None:
         """Bind the socket to the IPv4 address `bind` and start the thread.
 
-        Port 0 takes a free one, see `address`. Only datagrams of `host`, and of `host_port` if
-        there is one, are taken. Raises `OSError` for a port that is taken.
+        Port 0 takes a free one, see `address`. Only datagrams of `host`, of `host_port` if there is
+        one, and made with the session `key` if there is one, are taken. Raises `OSError` for a port
+        that is taken.
         """
         for name, number in (("port", port), ("host_port", host_port or 0)):
             if not 0 <= number <= 65535:
@@ -51,8 +71,13 @@ class UdpReceiver:
         self.ring = ring if ring is not None else make_ring()
         """Frames received, good form only."""
         self._refused = np.zeros(len(DATAGRAM_REASONS), dtype=np.int64)
-        self._host, self._host_port = host, host_port
+        self._host, self._host_port, self._key = host, host_port, key
+        self._overrun = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        with contextlib.suppress(OSError):  # as much as the system and our rights allow
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+            if sys.platform == "linux":
+                self._socket.setsockopt(socket.SOL_SOCKET, _FORCE_BUFFER, _BUFFER)
         try:
             self._socket.bind((bind, port))
         except OSError:
@@ -71,8 +96,10 @@ class UdpReceiver:
 
     @property
     def refused(self) -> dict[str, int]:
-        """Datagrams dropped so far, by reason."""
-        return dict(zip(DATAGRAM_REASONS, self._refused.tolist(), strict=True))
+        """Datagrams dropped so far, by reason; `overrun` by the system, its buffer being full."""
+        self._look()
+        reasons = dict(zip(DATAGRAM_REASONS, self._refused.tolist(), strict=True))
+        return reasons | {"overrun": self._overrun}
 
     @property
     def received(self) -> int:
@@ -80,9 +107,10 @@ class UdpReceiver:
         return int(self.ring.written[0])
 
     def close(self) -> None:
-        """End the thread and close the socket; what was received stays in the ring."""
+        """Take what has come, end the thread and close the socket; the ring stays as it is."""
         self._ending.set()
         self._thread.join()
+        self._look()
         self._socket.close()
 
     def __enter__(self) -> "UdpReceiver":
@@ -93,19 +121,31 @@ class UdpReceiver:
         """Close it."""
         self.close()
 
+    def _look(self) -> None:
+        """Read the system's count of what its buffer had no room for."""
+        if sys.platform == "linux" and self._socket.fileno() >= 0:
+            counts = self._socket.getsockopt(socket.SOL_SOCKET, _MEMINFO, 36)
+            self._overrun = struct.unpack("9I", counts)[8]
+
     def _receive(self) -> None:
         while not self._ending.is_set():
-            try:
-                # One octet more than a frame, so that a longer datagram is seen to be longer.
-                data, (address, port) = self._socket.recvfrom(SIZE + 1)
-            except OSError:  # nothing came, or the network refused an earlier datagram
-                continue
-            try:
-                if address != self._host or self._host_port not in (None, port):
-                    raise DatagramError("wrong_sender", f"{address}:{port}")
-                put(self.ring, decode(data))
-            except DatagramError as error:
-                self._refused[DATAGRAM_REASONS.index(error.reason)] += 1
+            with contextlib.suppress(OSError):  # nothing came, or an earlier one was refused
+                self._take()
+        self._socket.settimeout(0.0)
+        end = time.monotonic() + 1.0  # a flood does not end
+        with contextlib.suppress(OSError):
+            while time.monotonic() < end:
+                self._take()
+
+    def _take(self) -> None:
+        # One octet more than a frame, so that a longer datagram is seen to be longer.
+        data, (address, port) = self._socket.recvfrom(SIZE + TAG + 1)
+        try:
+            if address != self._host or self._host_port not in (None, port):
+                raise DatagramError("wrong_sender", f"{address}:{port}")
+            put(self.ring, decode(data, self._key))
+        except DatagramError as error:
+            self._refused[DATAGRAM_REASONS.index(error.reason)] += 1
 
 
 class SendReport(NamedTuple):
@@ -122,20 +162,24 @@ def send_stream(
     address: str,
     port: int,
     *,
+    source_port: int = 0,
+    key: bytes | None = None,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> SendReport:
     """Send a stream to one IPv4 address and port in real time, by its time stamps.
 
-    Each deadline is start + time[k] - time[0]: absolute, so that no lateness adds up.
+    From `source_port`, 0 for a free one; with the session `key` if there is one. Each deadline is
+    start + time[k] - time[0]: absolute, so that no lateness adds up.
     """
     if not 1 <= port <= 65535:
         raise InputError(f"port: {port} is refused; allowed: 1 to 65535")
     _check_address("address", address)
-    datagrams = [encode(stream.row(index)) for index in range(stream.time.size)]
+    datagrams = [encode(stream.row(index), key) for index in range(stream.time.size)]
     deadlines = stream.time - stream.time[0]
     lateness = np.zeros(stream.time.size)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.bind(("", source_port))
         start = clock()
         for index, datagram in enumerate(datagrams):
             deadline = start + float(deadlines[index])
