@@ -19,13 +19,17 @@ if TYPE_CHECKING:
 
     from cmf_mj.electronics.chain import ElectronicsSettings
 
+_SAID = 2000  # characters of an error, in which a refused value may be a whole file
+
 TEXT_WIDTH = 120
 """Width for tables that fold their text, where the terminal is narrower or there is none."""
 
 
 def refuse(error: Exception) -> NoReturn:
     """Print one clear error and leave with status 2."""
-    typer.secho(f"cmf: {error}", err=True, fg=typer.colors.RED)
+    said = str(error)
+    said = said if len(said) <= _SAID else f"{said[:_SAID]} ..."
+    typer.secho(f"cmf: {said}", err=True, fg=typer.colors.RED)
     raise SystemExit(2)
 
 

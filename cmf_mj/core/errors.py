@@ -3,7 +3,8 @@
 Catch `CmfError` to tell them from a defect. The command line prints their message alone.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from importlib import import_module
 from typing import Any
@@ -53,6 +54,17 @@ class MissingExtraError(CmfError, ModuleNotFoundError):
     """
 
     __module__ = "cmf_mj"
+
+
+@contextmanager
+def within(where: object) -> Iterator[None]:
+    """Have refusals name where the refused thing stands, such as a file, unless they do already."""
+    try:
+        yield
+    except InputError as error:
+        if str(error).startswith(str(where)):
+            raise
+        raise InputError(f"{where}: {error}") from error
 
 
 def reason(error: BaseException) -> str:

@@ -173,7 +173,9 @@ def read_table(path: Path) -> pa.Table:
     if path.suffix != ".csv":
         raise InputError(f"{path}: must end in .csv or .parquet")
     try:
-        return pyarrow.csv.read_csv(path)
+        table = pyarrow.csv.read_csv(path)
+        table.column_names  # noqa: B018 - refused here if they are not UTF-8
+        return table
     except (OSError, ValueError, pa.ArrowException) as error:
         raise InputError(f"{path}: cannot be read: {reason(error)}") from error
 
@@ -222,8 +224,9 @@ def read_column(
 ) -> NDArray[Any]:
     """A column of numbers of a table read from `path`, as `kind`; None leaves its own type."""
     if table.column_names.count(name) != 1:
-        fault = "twice" if name in table.column_names else "missing"
-        raise InputError(f"{path}: {name}: column is {fault}; it has {table.column_names}")
+        there = table.column_names
+        fault = "twice" if name in there else "missing"
+        raise InputError(f"{path}: {name}: column is {fault}; it has {str(there)[:1000]}")
     column = table[name]
     if column.null_count:
         row = column.is_null().to_pylist().index(True)

@@ -115,8 +115,9 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 _SEAL = "# cmf_mj sha256 "
-_LEVELS, _SHOWN = 16, 400
-"""Levels of tables allowed in a file; characters of a refused value that errors show."""
+_LEVELS, _SHOWN, _FAULTS = 16, 200, 10
+"""Levels of tables allowed in a file; characters of a refused value, and faults, that errors show.
+"""
 
 
 def sealed(text: str) -> str:
@@ -175,7 +176,9 @@ def validated(model: type[Model], table: object, where: str) -> Model:
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        raise InputError("\n".join(_explain(model, e, where) for e in error.errors())) from None
+        said = [_explain(model, e, where) for e in error.errors()]
+        more = [f"{where}: and {len(said) - _FAULTS} more"] if len(said) > _FAULTS else []
+        raise InputError("\n".join(said[:_FAULTS] + more)) from None
 
 
 def merged(

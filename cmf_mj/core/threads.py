@@ -8,6 +8,9 @@ from joblib import Parallel, delayed
 
 from cmf_mj.core.errors import InputError
 
+MOST_JOBS = 1024
+"""Most threads or processes of one command."""
+
 Case = TypeVar("Case")
 Result = TypeVar("Result")
 
@@ -45,8 +48,8 @@ def on_threads(
     a core. `progress` is called with (cases done, cases in all) after each, from the calling
     thread.
     """
-    if jobs is not None and jobs < 1:
-        raise InputError(f"jobs: {jobs} must be at least 1")
+    if jobs is not None and not 1 <= jobs <= MOST_JOBS:
+        raise InputError(f"jobs: {jobs} must be at least 1 and at most {MOST_JOBS}")
 
     def numbered(index: int) -> tuple[int, Result]:
         return index, work(cases[index])

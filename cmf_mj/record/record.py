@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cmf_mj.core.arrays import FrozenDict, frozen, frozen_json
-from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.errors import InputError, check_name, within
 from cmf_mj.core.files import read_column, read_headed, write_parquet
 from cmf_mj.core.settings import FileHeader
 from cmf_mj.signals.composite import signal_of
@@ -154,7 +154,5 @@ class Record:
             else column(name)
             for name, width in header.widths.items()
         }
-        try:
+        with within(source):
             return Record(column("time"), channels, header.units, header.metadata)
-        except InputError as error:
-            raise InputError(f"{source}: {error}") from error

@@ -6,6 +6,7 @@ a row with its error. A worker that dies takes no result with it: its tasks run 
 kills its worker every time is a row with an error too.
 """
 
+import re
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,12 +20,15 @@ from threadpoolctl import threadpool_limits
 
 from cmf_mj.core.errors import InputError, check_name, require
 from cmf_mj.core.files import write_parquet
+from cmf_mj.core.threads import MOST_JOBS
 from cmf_mj.studies.evaluation import ROW_COLUMNS, evaluate, failed
 from cmf_mj.studies.journal import RESULTS, Journal, Row
 from cmf_mj.studies.settings import CASE_COLUMNS, Study, StudyCase
 
 Backend = Literal["threading", "loky", "dask"]
 """Threads, for compiled simulation releases the interpreter lock; processes; a Dask cluster."""
+
+_ADDRESS = re.compile(r"((tcp|tls|ws|wss)://)?[^/:\s]+:[0-9]{1,5}")
 
 Progress = Callable[[int, int], None]
 """Called with (tasks done, tasks in all)."""
@@ -91,13 +95,16 @@ class Workers:
 
     def __post_init__(self) -> None:
         """Refuse what does not go together."""
-        if self.jobs < 1:
-            raise InputError(f"jobs: {self.jobs} must be at least 1")
+        if not 1 <= self.jobs <= MOST_JOBS:
+            raise InputError(f"jobs: {self.jobs} must be at least 1 and at most {MOST_JOBS}")
         check_name("backend", self.backend, get_args(Backend))
         if self.scheduler is not None and self.backend != "dask":
             raise InputError(
                 f"scheduler: {self.scheduler} needs the backend dask, not {self.backend}"
             )
+        if self.scheduler is not None and not _ADDRESS.fullmatch(self.scheduler):
+            allowed = "allowed: an address such as tcp://host:8786"
+            raise InputError(f"scheduler: {self.scheduler!r} is refused; {allowed}")
 
 
 def run_tasks(

@@ -24,7 +24,7 @@ from pydantic import Field
 
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError, check_name, unknown_name
+from cmf_mj.core.errors import InputError, check_name, unknown_name, within
 from cmf_mj.core.settings import Settings, read_toml, validated
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import dof_unit
@@ -155,7 +155,11 @@ def load_study(
     laws, `changes` replace its fields.
     """
     table, where = study_table(source)
-    table |= changes or {}
+    with within(where):
+        return _loaded(table | (changes or {}), where, laws)
+
+
+def _loaded(table: dict[str, Any], where: str, laws: Sequence[str | Law] | None) -> Study:
     loaded = None if laws is None else tuple(load_law(law) for law in laws)
     if loaded is not None:
         table["laws"] = [law.name for law in loaded]

@@ -391,6 +391,7 @@ def _located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         if isinstance(value, tuple):
             return tuple(one("", entry) for entry in value)
         named = key in _FILES and isinstance(value, str) and ".toml" in value
-        return str(folder / value) if named or (key == "file" and value) else value
+        text = isinstance(value, str) and value
+        return str(folder / value) if named or (key == "file" and text) else value
 
     return {key: one(key, value) for key, value in table.items()}

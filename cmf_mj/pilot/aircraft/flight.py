@@ -26,7 +26,7 @@ from pydantic import Field
 
 from cmf_mj.core import units
 from cmf_mj.core.arrays import FrozenDict, frozen
-from cmf_mj.core.errors import InputError, reason, unknown_name
+from cmf_mj.core.errors import InputError, reason, unknown_name, within
 from cmf_mj.core.files import read_column, read_headed, whole_file, write_parquet
 from cmf_mj.core.settings import FileHeader, Settings, parsed_json, validated
 from cmf_mj.pilot.host import PilotSample, pilot_samples
@@ -119,17 +119,13 @@ class Flight:
 
         def column(name: str) -> NDArray[np.float64]:
             values = read_column(source, table, name)
-            try:
+            with within(f"{source}: {name}"):
                 return np.asarray(units.to_si(column_units.get(name, "1"), values))
-            except ValueError as error:
-                raise InputError(f"{source}: {name}: {error}") from error
 
         motion = PilotMotion.from_columns(column, source)
         others = {n: column(n) for n in table.column_names if n not in motion.columns()}
-        try:
+        with within(source):
             return Flight(motion, origin, others)
-        except InputError as error:
-            raise InputError(f"{source}: {error}") from error
 
 
 def flight_names() -> list[str]:

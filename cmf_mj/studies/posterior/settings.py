@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.errors import InputError, check_name, within
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Settings, validated
 from cmf_mj.machine.cab import Cab, load_cab
@@ -167,6 +167,11 @@ def load_posterior(
     if laws is not None:
         table["laws"] = [load_law(law).name for law in laws]
     settings = validated(PosteriorSettings, table, where)
+    with within(where):
+        return _checked(settings, laws)
+
+
+def _checked(settings: PosteriorSettings, laws: Sequence[str | Law] | None) -> PosteriorStudy:
     settings.mismatch.check()
     for name, unknown in settings.unknowns.items():
         check_name("unknowns", name, (*HYDRAULIC, *CAB, POLE))
