@@ -1,14 +1,17 @@
-"""Hostile scenario files: a good one with a field or two that are odd, gone or too many."""
+"""Hostile scenario files and changes: good ones with a field or two odd, gone or too many."""
 
 import copy
 from collections.abc import Iterator
 from typing import Any
 
 from hypothesis import strategies as st
+from numpy.random import Generator
+
+from cmf_mj.control.law import law_names
 
 Path = tuple[str | int, ...]
 
-BODY, LAWS = "cab/cab", ("velocity", "modal_plan", "force", "position_error_rate", "acceleration")
+BODY, LAWS = "cab/cab", law_names("all")
 
 NUMBERS: tuple[Any, ...] = (
     *(0, -1, 1, 2, 9, 2**31, 2**53 + 1, 2**70, -(2**70)),
@@ -114,3 +117,31 @@ def hostile(draw: st.DrawFn) -> dict[str, Any]:
         if place:
             table = spoiled(table, place, draw(st.sampled_from((*ODD, ..., "many"))))
     return table
+
+
+def random_change(draw: Generator, chain: bool) -> dict[str, Any]:
+    """Something an operator may do, or a mistake: a good change, or one with a field spoiled."""
+    kinds: list[dict[str, Any]] = [
+        {"law": str(draw.choice(LAWS))},
+        {"gains": {"direct_gain": {"velocity": -float(draw.uniform(0.0, 4.0))}}},
+        {"signal": [signals()[int(draw.integers(10))]], "fade": float(draw.choice([0.0, 0.05]))},
+        {"push": {"force": (draw.uniform(-1.0, 1.0, 3) * 10.0 ** draw.uniform(0, 7)).tolist()}},
+        {"push": {}},
+        {"signal": [], "fade": 0.2},
+    ]
+    if draw.random() < 0.2:
+        leg = int(draw.integers(1, 7))
+        kind = str(draw.choice(["sensor_stuck", "sensor_offset", "valve_dead", "valve_jammed"]))
+        kinds = [{"failure": [{"kind": kind, "leg": leg}]}, {"failure": [{"kind": "overload"}]}]
+    if chain and draw.random() < 0.4:
+        names = ("off", "settle", "raise", "hold", "engage", "trip", "reset")
+        kinds = [{"request": str(draw.choice(names))}]
+    change = kinds[int(draw.integers(len(kinds)))]
+    if draw.random() < 0.15:
+        spots = list(places(change))
+        change = spoiled(
+            change,
+            spots[int(draw.integers(len(spots)))],
+            ["x", -1, 1e300, 9][int(draw.integers(4))],
+        )
+    return change

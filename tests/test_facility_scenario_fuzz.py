@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hostile import LAWS, hostile, places, scenarios, signals, spoiled
+from hostile import LAWS, hostile, random_change, scenarios, signals, spoiled
 from hypothesis import given, settings
 from lengths import examples
 from numpy.random import Generator
@@ -14,6 +14,8 @@ from cmf_mj import InputError, RunError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.facility.scenario.run import ScenarioRun
 from cmf_mj.facility.scenario.settings import Scenario, change_of, scenario_of
+
+LONGEST_RUN = 10_240  #: Frames of a run in random operation.
 
 PATIENCE = 5.0  #: Longest time that a file may take before its run begins [s].
 
@@ -54,7 +56,7 @@ def test_what_is_spoiled_below_runs_as_it_is(table: dict[str, Any]) -> None:
 
 
 @pytest.mark.fuzz
-@settings(max_examples=examples(200), deadline=None, derandomize=True)
+@settings(max_examples=examples(800), deadline=None, derandomize=True)
 @given(table=hostile())
 def test_a_hostile_file_is_refused_before_it_runs_or_runs(table: dict[str, Any]) -> None:
     tried(table)
@@ -113,34 +115,6 @@ def test_three_thousand_changes_are_done() -> None:
 # Live
 
 
-def random_change(draw: Generator, chain: bool) -> dict[str, Any]:
-    """Something an operator may do, or a mistake: a good change, or one with a field spoiled."""
-    kinds: list[dict[str, Any]] = [
-        {"law": str(draw.choice(LAWS))},
-        {"gains": {"direct_gain": {"velocity": -float(draw.uniform(0.0, 4.0))}}},
-        {"signal": [signals()[int(draw.integers(10))]], "fade": float(draw.choice([0.0, 0.05]))},
-        {"push": {"force": (draw.uniform(-1.0, 1.0, 3) * 10.0 ** draw.uniform(0, 5)).tolist()}},
-        {"push": {}},
-        {"signal": [], "fade": 0.2},
-    ]
-    if draw.random() < 0.2:
-        leg = int(draw.integers(1, 7))
-        kind = str(draw.choice(["sensor_stuck", "sensor_offset", "valve_dead", "valve_jammed"]))
-        kinds = [{"failure": [{"kind": kind, "leg": leg}]}, {"failure": [{"kind": "overload"}]}]
-    if chain and draw.random() < 0.4:
-        names = ("off", "settle", "raise", "hold", "engage", "trip", "reset")
-        kinds = [{"request": str(draw.choice(names))}]
-    change = kinds[int(draw.integers(len(kinds)))]
-    if draw.random() < 0.15:
-        spots = list(places(change))
-        change = spoiled(
-            change,
-            spots[int(draw.integers(len(spots)))],
-            ["x", -1, 1e300, 9][int(draw.integers(4))],
-        )
-    return change
-
-
 def machine(draw: Generator) -> Scenario:
     """Either machine, any cab, with or without the chain from the host, as in real use."""
     chain = bool(draw.random() < 0.5)
@@ -161,21 +135,27 @@ def machine(draw: Generator) -> Scenario:
 def operated(seed: int, frames: int) -> dict[str, int]:
     """Operate machines at random for so many control frames; what happened, counted.
 
-    A run goes on until a bound that it names ends it, or 40 000 frames; then another begins. Every
+    A run goes on until a bound that it names ends it, or for 5 s; then another begins. Every
     frame is in a run's account and in its record, every number is finite, and MuJoCo's clock shows
     that the state was never reset in between.
     """
     draw = np.random.default_rng(seed)
-    counts = dict.fromkeys(("frames", "runs", "changes", "refused", "ended", "faults"), 0)
+    counts = dict.fromkeys(("frames", "runs", "changes", "refused", "ended", "faults", "laws"), 0)
+    laws = set()
     while counts["frames"] < frames:
-        run = ScenarioRun(machine(draw), keep=5.0)
+        try:
+            run = ScenarioRun(machine(draw), keep=5.0)
+        except InputError:  # a law that is not for this machine
+            counts["refused"] += 1
+            continue
         counts["runs"] += 1
-        most = min(40_000, frames - counts["frames"])
+        most = min(LONGEST_RUN, frames - counts["frames"])
         chain = run.latest().state != ""
         try:
             while run.frame < most:
                 run.advance(int(min(draw.integers(1, 1500), most - run.frame)))
                 counts["changes"] += 1
+                laws.add(run.latest().law)
                 try:
                     run.apply(change_of(random_change(draw, chain)))
                 except InputError as error:
@@ -189,28 +169,27 @@ def operated(seed: int, frames: int) -> dict[str, int]:
         check_kept(run)
         counts["faults"] += run.latest().fault is not None
         counts["frames"] += max(run.frame, 1)
-    return counts
+    return counts | {"laws": len(laws)}
 
 
 def check_kept(run: ScenarioRun) -> None:
-    """The record ends with the last frame, counts all before, and holds numbers within bounds."""
+    """The record has a row for every sixteenth frame, with numbers within bounds."""
     record, plant = run.record(), run.plant
-    if record.time.size:
-        assert record.time[-1] == (-(-run.frame // 16) - 1) * 16 * FRAME
-        np.testing.assert_array_equal(np.diff(record.time), 16 * FRAME)
+    rows = np.arange(-(-run.frame // 16))
+    np.testing.assert_array_equal(record.time, rows * 16 * FRAME)
     for name, values in record.channels.items():
         assert np.isfinite(values).all(), name
     stroke = plant.hydraulics.cylinder.half_stroke + 0.05
     assert (np.abs(record["leg_extension"]) < stroke).all()
     pressures = np.stack([record["cap_pressure"], record["rod_pressure"]])
     assert np.abs(record["valve_command"]).max(initial=0.0) <= 1.0
-    assert pressures.size == 0 or np.abs(pressures).max() < 2.0 * plant.hydraulics.proof_pressure
-    assert not plant.data.warning.number.any() or run.frame < 40_000
+    proof = plant.hydraulics.proof_pressure
+    assert np.abs(pressures).max(initial=0.0) < 1.05 * proof  # as read, with errors of the sensors
 
 
 @pytest.mark.fuzz
 @pytest.mark.parametrize("seed", range(examples(5)))
 def test_random_operation_loses_no_frame(seed: int) -> None:
-    counts = operated(seed, 20_000)
-    assert counts["frames"] >= 20_000
+    counts = operated(seed, 60_000)
+    assert counts["frames"] >= 60_000
     assert 0 < counts["refused"] < counts["changes"]

@@ -3,15 +3,20 @@
 import subprocess
 import sys
 import threading
+import time
 import urllib.request
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from signal import SIGINT, SIGTERM, Signals
+from typing import Any
 
 import matplotlib.image
 import numpy as np
 import pytest
+from hostile import random_change
+from lengths import examples
 
+from cmf_mj import InputError, RunError
 from cmf_mj.control.law import Law, law_names, load_law
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.facility.scenario.settings import (
@@ -269,6 +274,38 @@ def test_session_goes_on_when_a_caller_no_longer_waits(screen: Screen) -> None:
     session.scenario().result(timeout=60.0)
     session.close()
     assert not screen.errors
+
+
+@pytest.mark.fuzz
+@pytest.mark.parametrize("seed", range(examples(5)))
+def test_session_answers_whoever_asks_whatever_is_asked(seed: int, screen: Screen) -> None:
+    """Random changes, good and bad, at random moments: each is done or refused, in time."""
+    draw, asked = np.random.default_rng(seed), list[Future[Any]]()
+    chain = heave(operation={"begin": "settled"}, protection="default")
+    session = LiveSession(chain, screen.show, screen.tell)
+    session.start()
+    session.set_speed(4.0)
+    for _ in range(60):
+        time.sleep(float(draw.uniform(0.0, 0.03)))
+        choice = draw.random()
+        if choice < 0.1:
+            asked.append(session.begin(chain if choice < 0.08 else heave(plant="single_legs")))
+        elif choice < 0.2:
+            asked.append(session.record())
+        elif choice < 0.3:
+            asked.append(session.scenario())
+        elif choice < 0.4:
+            session.pause(choice < 0.33)
+        else:
+            try:
+                asked.append(session.apply(change_of(random_change(draw, chain=True))))
+            except InputError as error:
+                assert str(error).startswith("change")
+    refused = [one.exception(timeout=60.0) for one in asked]
+    assert all(error is None or isinstance(error, InputError) for error in refused)
+    assert session._thread.is_alive()
+    session.close()
+    assert all(isinstance(error, RunError) for error in screen.errors)
 
 
 def test_session_keeps_a_bounded_record() -> None:
