@@ -41,7 +41,7 @@ class Soak(NamedTuple):
     """What a soak measured."""
 
     time: np.ndarray  #: Of each period's end [s], (N,).
-    memory: np.ndarray  #: Resident memory of the studio then [MB], (N,).
+    memory: np.ndarray  #: Memory of the studio then, of its own [MB], (N,).
     interrupt: float  #: From SIGINT to the end of the process, a tab being open [s].
 
     def spread(self, settle: float) -> float:
@@ -75,10 +75,11 @@ def read_until_closed(tab: ClientConnection) -> None:
             tab.recv()
 
 
-def resident(process: int) -> float:
-    """Resident memory of a process [MB]."""
+def own_memory(process: int) -> float:
+    """Memory of a process without files, whose pages the system takes as it likes [MB]."""
     lines = Path(f"/proc/{process}/status").read_text().splitlines()
-    return next(float(line.split()[1]) / 1024.0 for line in lines if line.startswith("VmRSS"))
+    sizes = (line.split()[1] for line in lines if line.startswith(("RssAnon", "VmSwap")))
+    return sum(float(size) / 1024.0 for size in sizes)
 
 
 def soak(seconds: float, period: float, hurried: int, port: int) -> Soak:
@@ -103,7 +104,7 @@ def soak(seconds: float, period: float, hurried: int, port: int) -> Soak:
                     time.sleep(float(generator.uniform(0.0, 0.5)))
                     tab.close()
                 time.sleep(max(begun + passed + period - time.monotonic(), 0.0))
-                rows.append((time.monotonic() - begun, resident(process.pid)))
+                rows.append((time.monotonic() - begun, own_memory(process.pid)))
                 print(f"{rows[-1][0]:8.1f} s {rows[-1][1]:8.1f} MB", flush=True)
                 tabs[0].close()
             send(last := connected(url), CAMERA)
