@@ -35,7 +35,10 @@ def received(tab: ClientConnection) -> Iterator[dict[str, Any]]:
         yield from msgspec.msgpack.decode(inner)["messages"]
 
 
-def refusal(tab: ClientConnection) -> str:
-    """The next refusal that the tab is told."""
-    shown = (m for m in received(tab) if m["type"] == "NotificationShowMessage")
-    return str(next(shown)["props"]["body"])
+def refusals(tab: ClientConnection) -> Iterator[str]:
+    """What the tab is told to be refused, one by one; a minute at most."""
+    until = time.monotonic() + 60.0
+    for message in received(tab):
+        assert time.monotonic() < until, "nothing more is refused"
+        if message["type"] == "NotificationShowMessage":
+            yield str(message["props"]["body"])
