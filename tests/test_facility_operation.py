@@ -322,6 +322,12 @@ def test_refusals() -> None:
         operate(plant, law, empty)
     with pytest.raises(ValueError, match="seconds: nan must be greater than 0"):
         operate(plant, law, sine(1.0), seconds=float("nan"))
+    with pytest.raises(ValueError, match="seconds: 1e.17 must be at most 1.04858e.06"):
+        operate(plant, law, sine(1.0), seconds=1e17)
+    with pytest.raises(ValueError, match="requests: hold at 1e.300 s is refused: must be 0 to"):
+        operate(plant, law, sine(1.0), requests=[(1e300, Request.HOLD)])
+    with pytest.raises(ValueError, match="record_every: a record of 2097152"):
+        operate(plant, law, sine(1.0), seconds=10_240.0)
     with pytest.raises(ValueError, match="record_every: 0 frames"):
         operate(plant, law, sine(1.0), record_every=0)
     with pytest.raises(ValueError, match="RAISE is no state to start in"):

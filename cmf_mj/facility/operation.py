@@ -241,6 +241,11 @@ def facility_session(
     electronics of the `options` are those of `start` and `settings`.
     """
     options.check()
+    for at, code in start.requests:
+        if not 0.0 <= at <= LONGEST:
+            raise InputError(
+                f"requests: {code.name.lower()} at {at} s is refused: must be 0 to {LONGEST:g} s"
+            )
     limits = load_motion_limits(settings.limits)
     down = start.state in (State.OFF, State.SETTLED)
     legs = np.full(6, _RESTING) if down else kinematics.pose_to_legs(start.pose)
