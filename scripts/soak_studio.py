@@ -36,6 +36,9 @@ CAMERA = messages.ViewerCameraMessage(
 )
 """What a tab sends first; the studio builds its session then."""
 
+BLOCK = 6
+"""Periods of which the median is taken."""
+
 
 class Soak(NamedTuple):
     """What a soak measured."""
@@ -45,10 +48,14 @@ class Soak(NamedTuple):
     interrupt: float  #: From SIGINT to the end of the process, a tab being open [s].
 
     def spread(self, settle: float) -> float:
-        """Largest departure from the median after a time [s], as a share of the median."""
+        """Largest departure from the median after a time [s], as a share of the median.
+
+        Of medians of six periods each: the tab of a period may not be built yet when it ends.
+        """
         late = self.memory[self.time >= settle]
+        ends = late[: late.size // BLOCK * BLOCK].reshape(-1, BLOCK)
         middle = np.median(late)
-        return float(np.abs(late - middle).max() / middle)
+        return float(np.abs(np.median(ends, axis=1) - middle).max(initial=0.0) / middle)
 
 
 def connected(url: str, origin: str | None = None, **headers: str) -> ClientConnection:
