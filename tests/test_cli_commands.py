@@ -68,6 +68,7 @@ def test_compare_writes_table_figures_and_records(
         (("--hydraulics", "missing.toml"), "missing.toml"),
         (("--amplitude", "0 in"), "amplitude"),
         (("--jobs", "0"), "jobs"),
+        (("--laws", "velocity,velocity"), "laws: velocity, velocity must differ in name"),
     ],
 )
 def test_compare_refuses_in_one_line_and_writes_nothing(

@@ -12,4 +12,7 @@ from cmf_mj.cli.common import app
 def main() -> None:
     """Entry point of the `cmf` command."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # clean up, as after Ctrl-C
-    app(prog_name="cmf")
+    try:
+        app(prog_name="cmf")
+    except KeyboardInterrupt:  # before a command has begun
+        raise SystemExit(130) from None

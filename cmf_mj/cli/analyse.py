@@ -209,6 +209,8 @@ def verify_command(
     from cmf_mj.show import verification as report
     from cmf_mj.studies.verification import verify
 
+    if not 0.0 < seconds <= 600.0:
+        raise InputError(f"seconds: {seconds} must be more than 0 and at most 600")
     if finest < 4 or finest & (finest - 1):
         raise InputError(f"finest: {finest} must be a power of two, at least 4")
     parts = [2**i for i in range(finest.bit_length())]

@@ -29,7 +29,9 @@ StreamFile = Annotated[Path, Argument(help="CSV or Parquet with time and six pos
 KeyFile = Annotated[
     Path | None, Option(help="file with the session key, 16 to 32 octets, that both ends have")
 ]
-FrameRate = Annotated[float | None, Option(help="frames a second; default as stamped in the file")]
+FrameRate = Annotated[
+    float | None, Option(min=1.0, max=2048.0, help="frames a second; default as stamped")
+]
 Derivatives = Annotated[str, choice(_DERIVATIVES, "KIND", _VELOCITIES)]
 
 

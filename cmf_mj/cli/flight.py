@@ -122,7 +122,7 @@ _MOTION = (
     "roll, pitch, yaw [rad] at the pilot's station"
 )
 Motion = Annotated[Path, Argument(metavar="FLIGHT", help=_MOTION)]
-Rate = Annotated[float, Option(help="host frames a second")]
+Rate = Annotated[float, Option(min=1.0, max=2048.0, help="host frames a second")]
 LimitsFile = Annotated[Path | None, file(help="TOML changes to the machine's limits")]
 
 

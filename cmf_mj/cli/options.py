@@ -110,7 +110,7 @@ Amplitude = Annotated[str | None, size(help="with its unit; default '0.33 in' or
 Jobs = Annotated[int | None, Option(help="threads or processes; default one a core")]
 Noise = Annotated[bool, Option("--noise/--ideal", help="sensors and electronics with noise")]
 Quick = Annotated[bool, Option("--quick", help="shorter: sweeps of 30 s, not 100 s; fewer draws")]
-Seed = Annotated[int, Option(help="of all random numbers")]
+Seed = Annotated[int, Option(help="of all random numbers", min=0, max=2**32 - 1)]
 Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callback=claim)]
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Simulate = Annotated[bool, Option("--simulate", help="simulate the recordings")]

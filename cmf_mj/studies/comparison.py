@@ -119,6 +119,9 @@ def compare(
             raise InputError(f"{field}: is empty; choose from {', '.join(known)}")
     if not loaded:
         raise InputError("laws: is empty; name at least one law")
+    names = [law.name for law in loaded]
+    if len(set(names)) < len(names):
+        raise InputError(f"laws: {', '.join(names)} must differ in name")
     if not (np.isfinite(amplitude) and 0.0 < amplitude <= 0.5):
         raise InputError(f"amplitude: {amplitude} m must be greater than 0 and at most 0.5")
     cases = [
