@@ -12,6 +12,7 @@ from .core.errors import CmfError as CmfError
 from .core.errors import InputError as InputError
 from .core.errors import MissingExtraError as MissingExtraError
 from .core.errors import RunError as RunError
+from .facility.many import simulate_many as simulate_many
 from .facility.scenario.library import load_scenario as load_scenario
 from .facility.scenario.run import run_scenario as run_scenario
 from .facility.simulation import drive as drive
