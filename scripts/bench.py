@@ -1,23 +1,39 @@
 """Time the closed loop against bare mj_step calls in one run; print JSON.
 
-`frame_us` and `bare_us` are microseconds per control frame of the closed loop and of mj_step alone
-on the same model, holding its static load, the least of several repetitions; the bare calls are
-made from compiled code like the loop's. `ratio` is the median over pairs of runs made one after
-the other, which other work on the machine disturbs least. `speed_up_two_threads` is the work
-done by two threads over that of one in the same time.
+All times in microseconds are of a control frame or step, the least of several repetitions, with
+CPU time, which other work on the machine disturbs least; ratios are medians over runs made one
+after the other. Bare steps are made from compiled code like the loop's, the platform held by its
+static load: `drawn` is the machine with its geoms under MuJoCo's defaults (implicitfast, islands,
+warm start, timers), `headless` what the loop steps. `outside` is the share of a simulated second
+that `simulate` spends outside the loop, `speed_up_two_threads` the work done by two threads over
+that of one in the same time, by the clock on the wall. --start adds what a user waits for: import,
+`cmf --help`, and the first comparison with nothing compiled.
 """
 
 import argparse
 import json
+import os
+import subprocess
+import sys
+import tempfile
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
 
+import mujoco
 import numpy as np
 from numba import njit
 
-from cmf_mj import Hexapod, signals, simulate
+from cmf_mj import Hexapod, load_law, signals, simulate
+from cmf_mj.core.files import write_json, write_text
 from cmf_mj.core.rates import FRAME
+from cmf_mj.facility import loop, session
 from cmf_mj.plant import native
+from cmf_mj.plant.headless import quiet
+from cmf_mj.plant.hexapod import hexapod_model
+from cmf_mj.show.table import Table
 
 
 @njit(nogil=True, cache=True)
@@ -26,22 +42,89 @@ def _bare(step, model, data, frames):  # type: ignore[no-untyped-def]
         native.call(step, model, data)
 
 
-def bare_seconds(plant: Hexapod, frames: int) -> float:
-    """Time of mj_step alone, the platform held by its static leg forces."""
-    plant.start()
-    plant.data.ctrl[:] = plant.static_load()
-    mechanics = plant.mechanics()
+def drawn_model() -> mujoco.MjModel:
+    """The machine with its geoms and MuJoCo's default settings."""
+    model = hexapod_model()
+    off = mujoco.mjtDisableBit
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model.opt.disableflags &= ~int(off.mjDSBL_ISLAND | off.mjDSBL_WARMSTART)
+    return model
+
+
+def bare_seconds(model: mujoco.MjModel, load: np.ndarray, frames: int) -> float:
+    """CPU time of mj_step alone, the platform held by its static leg forces."""
+    data = mujoco.MjData(model)
+    data.ctrl[:] = load
     step = native.address("mj_step")
-    begin = time.perf_counter()
-    _bare(step, mechanics.model, mechanics.data, frames)
-    return time.perf_counter() - begin
+    return _timed(lambda: _bare(step, model._address, data._address, frames))
 
 
-def loop_seconds(plant: Hexapod, law: str, command: signals.Command) -> float:
-    """Time of the closed loop, recording at 128 Hz as the facility does."""
-    begin = time.perf_counter()
-    simulate(plant, law, command, record_every=16)
-    return time.perf_counter() - begin
+def loop_seconds(plant: Hexapod, law: str, command: signals.Command) -> tuple[float, float]:
+    """CPU time of `simulate`, recording at 128 Hz as the facility does, and of its loop alone."""
+    inside, compiled = [0.0], loop.run
+
+    def run(*arguments: object) -> object:
+        begin = time.thread_time()
+        result = compiled(*arguments)
+        inside[0] += time.thread_time() - begin
+        return result
+
+    session.run = run  # type: ignore[attr-defined]
+    try:
+        whole = _timed(lambda: simulate(plant, law, command, record_every=16))
+    finally:
+        session.run = compiled  # type: ignore[attr-defined]
+    return whole, inside[0]
+
+
+def starting(environment: dict[str, str]) -> dict[str, float]:
+    """Seconds by the clock until a fresh process has done what a user waits for."""
+    compare = ["-m", "cmf_mj", "compare", "--laws", "velocity", "--dofs", "heave"]
+    commands = {
+        "import_s": ["-c", "import cmf_mj; cmf_mj.Hexapod"],
+        "help_s": ["-m", "cmf_mj", "--help"],
+        "first_compare_s": compare,
+        "second_compare_s": compare,
+    }
+    times = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, command in commands.items():
+            begin = time.perf_counter()
+            subprocess.run(
+                [sys.executable, *command],
+                cwd=folder,
+                env=environment | {"NUMBA_CACHE_DIR": f"{folder}/compiled"},
+                check=True,
+                capture_output=True,
+            )
+            times[name] = round(time.perf_counter() - begin, 2)
+    return times
+
+
+def table(result: dict[str, Any]) -> Table:
+    """What was measured, in words."""
+    words = {
+        "drawn_us": "bare step, drawn model, MuJoCo's defaults [us]",
+        "headless_us": "bare step, headless model [us]",
+        "frame_us": "control frame: machine, hydraulics, control law, record [us]",
+        "frame_over_drawn": "frame over drawn step",
+        "frame_over_headless": "frame over headless step",
+        "real_time_factor": "times real time, one core",
+        "outside": "share of a simulated second outside the loop",
+        "speed_up_two_threads": "two threads over one",
+        "import_s": "import [s]",
+        "help_s": "`cmf --help` [s]",
+        "first_compare_s": "first `cmf compare --laws velocity --dofs heave`, nothing compiled [s]",
+        "second_compare_s": "the same again [s]",
+    }
+    rows = [(text, f"{result[name]:.3g}") for name, text in words.items() if name in result]
+    return Table("", ("what", "measured"), rows)
+
+
+def _timed(work: Callable[[], object]) -> float:
+    begin = time.thread_time()
+    work()
+    return time.thread_time() - begin
 
 
 def main() -> None:
@@ -50,41 +133,58 @@ def main() -> None:
     parser.add_argument("--law", default="position_error_rate")
     parser.add_argument("--seconds", type=float, default=10.0, help="simulated time of one run")
     parser.add_argument("--repeat", type=int, default=15)
+    parser.add_argument("--start", action="store_true", help="also import, help, first comparison")
+    parser.add_argument("--out", type=Path, help="folder for bench.json and the table bench.md")
     options = parser.parse_args()
     if options.repeat < 1 or options.seconds < 1.0:
         parser.error("--repeat must be at least 1 and --seconds at least 1")
 
     command = signals.sine("heave", 0.33 * 0.0254, 1.0, cycles=options.seconds)
-    frames = command.pose.shape[0]
+    second = signals.sine("heave", 0.33 * 0.0254, 1.0, cycles=1)
+    frames, law = command.pose.shape[0], load_law(options.law)
     plants = [Hexapod(), Hexapod()]
-    loop_seconds(plants[0], options.law, signals.sine("heave", 0.001, 10.0))
-    bare_seconds(plants[0], 10)
+    drawn, headless = drawn_model(), quiet(plants[0].model)
+    plants[0].start()
+    load = plants[0].static_load()
+    for plant in plants:
+        loop_seconds(plant, options.law, second)
+    bare_seconds(headless, load, 10)
 
-    loops, bares, pairs = [], [], []
+    rows, shares, one, two = [], [], [], []
     with ThreadPoolExecutor(2) as pool:
         for _ in range(options.repeat):
-            loops.append(loop_seconds(plants[0], options.law, command))
-            bares.append(bare_seconds(plants[0], frames))
+            frame = loop_seconds(plants[0], options.law, command)[1]
+            bare = bare_seconds(drawn, load, frames)
+            with native.untimed():
+                rows.append((frame, bare, bare_seconds(headless, load, frames)))
+            whole, inside = loop_seconds(plants[0], options.law, second)
+            shares.append(1.0 - inside / whole)
             begin = time.perf_counter()
-            list(pool.map(lambda plant: loop_seconds(plant, options.law, command), plants))
-            pairs.append(time.perf_counter() - begin)
-    loop, bare, pair = min(loops), min(bares), min(pairs)
-    print(
-        json.dumps(
-            {
-                "frame_us": round(loop / frames * 1e6, 3),
-                "bare_us": round(bare / frames * 1e6, 3),
-                "ratio": round(float(np.median(np.array(loops) / np.array(bares))), 4),
-                "ratio_of_least": round(loop / bare, 4),
-                "real_time_factor": round(frames * FRAME / loop, 2),
-                "speed_up_two_threads": round(2.0 * loop / pair, 3),
-                "frames": frames,
-                "repeat": options.repeat,
-                "law": options.law,
-            },
-            indent=2,
-        )
-    )
+            simulate(plants[0], law, command, record_every=16)
+            one.append(time.perf_counter() - begin)
+            begin = time.perf_counter()
+            list(pool.map(lambda plant: simulate(plant, law, command, record_every=16), plants))
+            two.append(time.perf_counter() - begin)
+    times = np.array(rows)
+    least = times.min(axis=0) / frames * 1e6
+    ratios = np.median(times[:, :1] / times[:, 1:], axis=0)
+    result = {
+        **dict(zip(("frame_us", "drawn_us", "headless_us"), least.round(3).tolist(), strict=True)),
+        "frame_over_drawn": round(float(ratios[0]), 4),
+        "frame_over_headless": round(float(ratios[1]), 4),
+        "outside": round(float(np.median(shares)), 4),
+        "real_time_factor": round(FRAME / least[0] * 1e6, 1),
+        "speed_up_two_threads": round(2.0 * min(one) / min(two), 3),
+        "frames": frames,
+        "repeat": options.repeat,
+        "law": options.law,
+    }
+    if options.start:
+        result |= starting(dict(os.environ))
+    print(json.dumps(result, indent=2))
+    if options.out:
+        write_json(options.out / "bench.json", result)
+        write_text(options.out / "bench.md", table(result).markdown())
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ TABLES = (
     "omct.md",
     "share.md",
     "work_precision.md",
+    "bench.md",
 )
 COPIES = {
     "compare/bode_surge.png": "images/bode_surge.png",

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from cmf_mj.control import demand, limiter, states
 from cmf_mj.control.states import Request, State
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating
 from cmf_mj.machine.kinematics import WORKING_STROKE, pose_to_legs
 from cmf_mj.machine.leg_motion import pose_motion_to_legs
 
@@ -21,7 +21,7 @@ DEMAND = demand.make_demand()
 STATES = states.make_states()
 
 
-@compiled
+@allocating
 def _run(pose_limits, pose_state, parameters, machine, machine_state, leg_limits, leg_state,
          together, requests, pose, velocity, acceleration, out, codes):  # fmt: skip
     host, reference, motion = np.zeros((3, 6)), np.zeros((3, 6)), np.zeros((3, 6))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cmf_mj.control import states as block
 from cmf_mj.control.states import Request, State, load_state_settings, make_states, start
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating
 from cmf_mj.machine.kinematics import WORKING_STROKE
 
 T = 1.0 / 2048.0
@@ -31,7 +31,7 @@ HOST, HOST_RATES, HOST_CHANGES = smooth_host(100 * 2048)
 TIME = T * np.arange(30 * 2048)
 
 
-@compiled
+@allocating
 def _run(states, state, requests, host, rates, changes, stuck, out, codes, valve):
     measured = state.hold.copy()
     if state.code[0] < 2:

@@ -10,10 +10,14 @@ from types import ModuleType
 import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
+from numba.core.runtime import rtsys
+from numba.core.runtime._nrt_python import memsys_disable_stats, memsys_enable_stats
 
 import cmf_mj
-from cmf_mj import SingleLegs, signals, simulate
+from cmf_mj import SingleLegs, load_law, signals, simulate
 from cmf_mj.core.compiled import InTree, kernel_sources
+from cmf_mj.facility.options import Options
+from cmf_mj.facility.session import Session, Table
 from cmf_mj.machine import kinematics
 
 FORCES = """
@@ -86,7 +90,7 @@ PROGRAM = """
 import sys
 import numpy as np
 import numba
-from cmf_mj import SingleLegs, signals, simulate
+from cmf_mj import SingleLegs, load_law, signals, simulate
 
 assert numba.config.DISABLE_JIT
 command = signals.step("heave", -0.0254, at=0.02, duration=200 / 2048)
@@ -120,3 +124,36 @@ def test_the_interpreted_program_gives_the_same_record(tmp_path: Path, name: str
                 interpreted[channel], values, rtol=0, atol=share * size, err_msg=channel
             )
     assert np.abs(compiled["valve_command"]).max() > 0.1
+
+
+def calls(function: Dispatcher) -> set[Dispatcher]:
+    """Compiled functions whose names a compiled function uses, its own module's or another's."""
+    seen, names = function.py_func.__globals__, set(function.py_func.__code__.co_names)
+    found = {seen.get(name) for name in names}
+    for module in [thing for thing in found if isinstance(thing, ModuleType)]:
+        found |= {getattr(module, name, None) for name in names}
+    return {thing for thing in found if isinstance(thing, Dispatcher)}
+
+
+def test_what_counts_no_references_calls_nothing_that_makes_arrays() -> None:
+    """An array that an `allocating` function returned there would never be freed."""
+    modules = [m for m in map(sys.modules.get, list(sys.modules)) if is_kernel(m)]
+    functions = {f for m in modules for f in vars(m).values() if isinstance(f, Dispatcher)}
+    frame = {f for f in functions if f.targetoptions.get("_nrt", True) is False}
+    assert len(frame) > 120, "the check would see too few functions"
+    wrong = {f.__name__: [c.__name__ for c in calls(f) if c not in frame] for f in frame}
+    assert not any(wrong.values())
+
+
+def test_the_loop_allocates_nothing() -> None:
+    session = Session(SingleLegs(), load_law("velocity"), Table(np.zeros((64, 6))), Options())
+    session.run(32)
+    memsys_enable_stats()
+    try:
+        before = rtsys.get_allocation_stats()
+        session.run()
+        after = rtsys.get_allocation_stats()
+    finally:
+        memsys_disable_stats()
+    assert session.frame == 64
+    assert after == before

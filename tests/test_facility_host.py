@@ -24,7 +24,7 @@ from cmf_mj.control.dcu import play
 from cmf_mj.control.dcu.arrivals import feed, upsample
 from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating
 from cmf_mj.facility.host.datagram import (
     DATAGRAM_REASONS,
     SIZE,
@@ -386,7 +386,7 @@ def test_a_slot_under_the_writers_hand_is_lost_not_torn() -> None:
     assert log.sequence[0] == 1
 
 
-@compiled
+@allocating
 def _read_until(ring, log, last):  # type: ignore[no-untyped-def]
     """Collect without pause until the writer's last frame is read or lost."""
     filled, turns = 0, 0

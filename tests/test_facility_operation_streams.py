@@ -14,7 +14,7 @@ from cmf_mj.control import limiter, states
 from cmf_mj.control.dcu.settings import make_dcu
 from cmf_mj.control.demand import make_demand
 from cmf_mj.control.states import Request, State
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating
 from cmf_mj.facility.front import Blocks, Chain, follow, make_chain
 from cmf_mj.facility.host.datagram import (
     DATAGRAM_REASONS,
@@ -56,7 +56,7 @@ def build(begin: State, requests: list[tuple[int, Request]]) -> Chain:
     )
 
 
-@compiled
+@allocating
 def _advance(chain, first, last, position, tripped_at, out):
     """Legs that follow at once; a limit switch trips at a frame."""
     table = np.zeros((1, 6))

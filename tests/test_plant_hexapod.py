@@ -225,7 +225,10 @@ def test_massless_ifd_loads_each_leg_with_the_design_load():
 
 def test_start_pressures_carry_the_static_forces(plant):
     state = plant.start(POSES[1])
-    found = cylinder.force(plant.hydraulics.cylinder, *state.pressure.T)
+    found = [
+        cylinder.force(one, *pressure)
+        for one, pressure in zip(plant.hydraulics.cylinder, state.pressure, strict=True)
+    ]
     np.testing.assert_allclose(found, plant.static_load(), rtol=1e-12, atol=0.0)
     np.testing.assert_array_equal(state.spool, 0.0)
     np.testing.assert_array_equal(state.drive, 0.0)

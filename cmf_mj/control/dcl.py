@@ -45,7 +45,7 @@ from cmf_mj.control.reference_model import (
     follow,
     make_model,
 )
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import assign, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.kinematics import WORKING_STROKE
@@ -243,9 +243,9 @@ def _into_modes(shape, work, integral, feedback):  # type: ignore[no-untyped-def
 @compiled
 def _out_of_modes(shape, work):  # type: ignore[no-untyped-def]
     to_legs(shape, work.output, work.legs)
-    work.output[:] = work.legs
+    assign(work.output, work.legs)
     to_legs(shape, work.target, work.legs)
-    work.target[:] = work.legs
+    assign(work.target, work.legs)
 
 
 @compiled

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine.gravity import leg_axes_state, make_leg_axes, track, upward
 
@@ -81,7 +81,7 @@ def find_gravity(axes, state, position, gravity):  # type: ignore[no-untyped-def
         gravity[leg] = units.STANDARD_GRAVITY * upward(state, leg)
 
 
-@compiled
+@allocating
 def _histories(axes, state, position, gravity):  # type: ignore[no-untyped-def]
     for frame in range(position.shape[0]):
         find_gravity(axes, state, position[frame], gravity[frame])

@@ -13,6 +13,7 @@ one of its own file or a shipped one.
 """
 
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -258,12 +259,24 @@ def _laws_of(path: Path) -> dict[str, Law]:
     return laws
 
 
+@cache
+def _tables(family: str) -> dict[str, Any]:
+    """The tables of a shipped file, read once; not to be changed."""
+    return read_toml(_FILES[family])
+
+
+@cache
+def _shipped() -> dict[str, Law]:
+    """All shipped laws, made once; not to be changed."""
+    return {name: law for path in _FILES.values() for name, law in _laws_of(path).items()}
+
+
 def _derived(table: dict[str, Any], tables: dict[str, Any], where: str) -> dict[str, Any]:
     """A law's table laid over that of the law it is based on, whose title and source it leaves."""
     if "based_on" not in table:
         return table
     others: dict[str, Any] = {}
-    for file in (*(read_toml(file) for file in _FILES.values()), tables):
+    for file in (*(_tables(family) for family in _FILES), tables):
         others |= {k: v for k, v in file.items() if isinstance(v, dict) and "based_on" not in v}
     name = table["based_on"]
     if not isinstance(name, str) or name not in others:
@@ -287,7 +300,7 @@ def law_names(family: Literal["report", "beyond", "all"] = "report") -> tuple[st
     """
     if family == "all":
         return law_names() + law_names("beyond")
-    return tuple(read_toml(_FILES[family]))
+    return tuple(_tables(family))
 
 
 def load_law(source: str | Path | Mapping[str, Any] | Law) -> Law:
@@ -312,9 +325,8 @@ def load_law(source: str | Path | Mapping[str, Any] | Law) -> Law:
             checked_name(name, "law: name")
         return _law_of(name, dict(source), {}, f"law {name}")
     text = str(source)
-    for file in _FILES.values():
-        if text in read_toml(file):
-            return _laws_of(file)[text]
+    if text in law_names("all"):
+        return _shipped()[text]
     stem, suffix, name = text.rpartition(".toml")
     if not suffix or (name and not name.startswith(":")):
         raise unknown_name("law", text, law_names("all"), " nor a .toml file")

@@ -44,7 +44,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
@@ -219,7 +219,7 @@ def _fits(limiter, state, base, wish, share):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled
+@allocating
 def step_together(limiter, state, motion, base, wish):  # type: ignore[no-untyped-def]
     """One frame as `step`, all channels on one scale; `base` and `wish` (n,) are workspace.
 
@@ -273,7 +273,7 @@ class LimitedMotion(NamedTuple):
     """What `step_together` returned (N,); 1 throughout for channels limited alone."""
 
 
-@compiled
+@allocating
 def _limit_history(limiter, state, motions, share, together):  # type: ignore[no-untyped-def]
     base, wish = np.zeros(motions.shape[2]), np.zeros(motions.shape[2])
     for k in range(motions.shape[0]):

@@ -61,7 +61,7 @@ from cmf_mj.control.coordinates import (
     to_modes,
 )
 from cmf_mj.core import units
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import assign, compiled
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Settings, as_tuples
 
@@ -233,7 +233,7 @@ def bounded(plan, shape, modal, commands, legs):  # type: ignore[no-untyped-def]
     if modal:
         to_legs(shape, commands, legs)
     else:
-        legs[:] = commands
+        assign(legs, commands)
     beyond = False
     for leg in range(legs.shape[0]):
         beyond = beyond or abs(legs[leg]) > plan.authority
@@ -241,7 +241,7 @@ def bounded(plan, shape, modal, commands, legs):  # type: ignore[no-untyped-def]
     if beyond and modal:
         to_modes(shape, legs, commands)
     elif beyond:
-        commands[:] = legs
+        assign(commands, legs)
 
 
 @compiled

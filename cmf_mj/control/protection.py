@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, model_validator
 
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import assign, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Kind, Quantity
 from cmf_mj.core.rates import FRAME
@@ -146,7 +146,7 @@ def protection_state(position: NDArray[np.float64]) -> ProtectionState:
 def reset(state, position):  # type: ignore[no-untyped-def]
     """Forget the fault and everything counted, at the present positions (n,) [m]."""
     state.counts[:] = 0
-    state.estimate[:] = position
+    assign(state.estimate, position)
     state.last[0] = -1
     state.fault[0], state.fault[1], state.fault[2] = NO_FAULT, _MACHINE, -1
 

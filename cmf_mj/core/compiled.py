@@ -102,8 +102,10 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function in nopython mode, without the interpreter lock, cached on disk.
 
     Division by zero gives infinity or NaN, as in NumPy: testing for it costs more than dividing.
+    Arrays are taken as they are, without counting references, which took a seventh of a control
+    frame: the function makes no array, returns none, and calls none that is `allocating`.
     """
-    return _cached(function)
+    return _cached(function, _nrt=False)
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -112,4 +114,16 @@ def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     For functions that take many arrays and are called each frame from one place: handing the
     arrays over would cost more than the work done with them.
     """
-    return _cached(function, forceinline=True)
+    return _cached(function, _nrt=False, forceinline=True)
+
+
+def allocating(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function that makes or returns arrays; not for the frame loop."""
+    return _cached(function)
+
+
+@compiled
+def assign(target, source):  # type: ignore[no-untyped-def]
+    """Copy a vector into another of its length; `target[:] = source` would make an array."""
+    for i in range(target.shape[0]):
+        target[i] = source[i]

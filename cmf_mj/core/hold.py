@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
 
 
@@ -93,7 +93,7 @@ def read(system, state, inputs, out):  # type: ignore[no-untyped-def]
         out[i] = total
 
 
-@compiled
+@allocating
 def history(system, state, inputs, outputs):  # type: ignore[no-untyped-def]
     """Write outputs (N, p) of inputs (N, m); the state (n,) goes from that of the first row on."""
     work = np.empty(state.shape[0])

@@ -7,6 +7,7 @@ import sys
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Generic, NamedTuple, TypeVar, get_args
 
@@ -284,6 +285,12 @@ class Loader(Generic[Model]):
         if isinstance(source, self.model):
             return source
         chosen = self.default if source is None else str(source)
+        if chosen in (self.names or (self.default,)):
+            return _once(self, chosen)
+        return self.read(chosen)
+
+    def read(self, chosen: str) -> Model:
+        """Read the files that a shipped set or a user's file is made of; errors as of the call."""
         if self.names:
             named = named_set(
                 self.what, self.names, self.shipped, chosen, levels=self.levels, based=self.based
@@ -295,6 +302,12 @@ class Loader(Generic[Model]):
         if self.what:
             _user_file(self.what, (self.default,), chosen)
         return validated(self.model, merged(table, read_toml(Path(chosen)), self.levels), chosen)
+
+
+@cache
+def _once(loader: Loader[Model], chosen: str) -> Model:
+    """A shipped set, read once: settings are not to be changed."""
+    return loader.read(chosen)
 
 
 def _user_file(what: str, names: Sequence[str], source: str | Path) -> Path:

@@ -29,9 +29,8 @@ from cmf_mj.facility.pace import Pace, begin, end
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.events import OVERLOAD, STOPPED, Faults, Timeline, strike
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, advance, loads
-from cmf_mj.plant.native import call
+from cmf_mj.plant.native import Mechanics, call
 from cmf_mj.plant.oil import ATMOSPHERE
-from cmf_mj.plant.plant import Mechanics
 from cmf_mj.plant.supply import SUPPLY_PRESSURE
 
 FINITE, VACUUM, PROOF, STROKE, SOLUTION, WARNING = range(6)
@@ -84,7 +83,7 @@ class Recorder(NamedTuple):
     """What the loop records, and how often."""
 
     sensors: NDArray[np.int64]  #: Indices into sensordata.
-    gimbals: NDArray[np.int64]  #: First indices of the gimbal error vectors.
+    gimbals: NDArray[np.int64]  #: Sites of the two halves of each gimbal, (gimbals, 2).
     steps: int  #: Mechanical steps in a frame.
     every: int  #: Frames from row to row.
     columns: Columns  #: First column of each channel in a row.
@@ -244,10 +243,10 @@ def run(machine, controller, memory, recorder, first, last):  # type: ignore[no-
     # Everything is taken out of the tuples here, once: in the loop it would be counted each frame.
     mechanics, hydraulics, state = machine.mechanics, machine.hydraulics, machine.state
     faults, timeline = machine.faults, machine.timeline
-    model, data = mechanics.model, mechanics.data
+    model, quiet, data = mechanics.model, mechanics.quiet, mechanics.data
     motors, length = mechanics.motors, mechanics.length
     neutral, ctrl = mechanics.neutral, mechanics.ctrl
-    sensordata, qpos = mechanics.sensordata, mechanics.qpos
+    sensordata, site, qpos = mechanics.sensordata, mechanics.site, mechanics.qpos
     payload, bodies = mechanics.payload, mechanics.payload_bodies
     warnings = mechanics.warnings
     cylinders, step, delay = hydraulics.cylinder, hydraulics.step, controller.delay
@@ -264,12 +263,15 @@ def run(machine, controller, memory, recorder, first, last):  # type: ignore[no-
     compensated = dcl.feedback.gravity_compensation
     inertial = without_gravity(electronics, feedback)
     legs, events, rows = extension.shape[0], timeline.frame, recorder.out.shape[0]
-    columns, indices = recorder.columns, recorder.sensors
+    columns, indices, gimbals = recorder.columns, recorder.sensors, recorder.gimbals
+    steps = recorder.steps
     for frame in range(first, last):
         begin(pace, frame)
         row = frame // recorder.every % rows if frame % recorder.every == 0 else -1
-        for inner in range(recorder.steps):
-            call(mechanics.position_stage, model, data)
+        for inner in range(steps):
+            # Position and velocity sensors are read after this stage, those of acceleration after
+            # the force stage before it.
+            call(mechanics.position_stage, model if inner == 0 and row >= 0 else quiet, data)
             for leg in range(legs):
                 before[leg] = extension[leg]
                 extension[leg] = length[motors[leg]] - neutral[leg]
@@ -311,8 +313,9 @@ def run(machine, controller, memory, recorder, first, last):  # type: ignore[no-
                 )
                 if bound >= 0:
                     return frame, bound, leg
-            for i in recorder.gimbals:
-                x, y, z = sensordata[i], sensordata[i + 1], sensordata[i + 2]
+            for i in range(gimbals.shape[0]):
+                a, b = gimbals[i, 0], gimbals[i, 1]
+                x, y, z = site[a, 0] - site[b, 0], site[a, 1] - site[b, 1], site[a, 2] - site[b, 2]
                 closure[0] = max(closure[0], np.sqrt(x * x + y * y + z * z))
             if inner == 0 and row >= 0:
                 out = recorder.out[row]
@@ -322,7 +325,8 @@ def run(machine, controller, memory, recorder, first, last):  # type: ignore[no-
                     out[columns.sensors + i] = sensordata[indices[i]]
             for leg in range(legs):
                 ctrl[motors[leg]] = load[leg]
-            call(mechanics.force_stage, model, data)
+            sensed = inner == steps - 1 and (frame + 1) % recorder.every == 0
+            call(mechanics.force_stage, model if sensed else quiet, data)
             if _warned(warnings):
                 return frame, WARNING, 0
         end(pace, frame)

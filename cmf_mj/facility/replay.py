@@ -19,7 +19,7 @@ from cmf_mj.control import dcl as control
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback, gravity_history
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import validated
@@ -70,7 +70,7 @@ class Replay(NamedTuple):
         return self.recorded is not None and self.output.tobytes() == self.recorded.tobytes()
 
 
-@compiled
+@allocating
 def _run(dcl, state, reference, feedback, output, factor):  # type: ignore[no-untyped-def]
     for frame in range(reference.shape[0]):
         for leg in range(reference.shape[1]):

@@ -42,6 +42,8 @@ from cmf_mj.facility.pace import Pace, idle_pace
 from cmf_mj.plant import fit
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.events import OVERLOAD, Event, make_timeline, no_faults
+from cmf_mj.plant.headless import quiet
+from cmf_mj.plant.native import untimed
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.supply import RETURN_PRESSURE, SUPPLY_PRESSURE
 
@@ -127,8 +129,9 @@ class Session:
         self.frame = 0
         """Control frames run so far."""
         self.every = options.record_every
+        self._quiet = quiet(plant.model)
         self.machine = Machine(
-            plant.mechanics(),
+            plant.mechanics(self._quiet),
             plant.hydraulics,
             plant.start(options.start),
             no_faults(plant.legs),
@@ -172,7 +175,7 @@ class Session:
             rows = min(rows, _ROWS)
         self._recorder = Recorder(
             sensors=np.concatenate([*plant.sensors.values(), np.empty(0, dtype=np.int64)]),
-            gimbals=plant.gimbal_sensors,
+            gimbals=plant.gimbal_sites,
             steps=steps,
             every=self.every,
             columns=self.layout.columns,
@@ -210,7 +213,7 @@ class Session:
         block = self._recorder.out.shape[0] * self.every
         while self.frame < end:
             stop = min(end, (self.frame // block + 1) * block)
-            with self.plant.alone:
+            with self.plant.alone, untimed():
                 if self.plant.started != self._started:
                     raise InputError("plant: has been reset since; allowed: one run at a time")
                 frame, bound, leg = run(

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating, assign, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine import kinematics, models
@@ -101,10 +101,10 @@ def upward(state, leg):  # type: ignore[no-untyped-def]
     return -state.direction[leg, 2]
 
 
-@compiled
+@allocating
 def _directions(axes, state, poses, lengths, directions):  # type: ignore[no-untyped-def]
     for row in range(poses.shape[0]):
-        state.pose[:] = poses[row]
+        assign(state.pose, poses[row])
         _evaluate(axes, state)
         lengths[row] = state.length
         directions[row] = state.direction

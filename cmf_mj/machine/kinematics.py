@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
 from cmf_mj.core import units
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine import models
 
@@ -124,7 +124,7 @@ def rotate(roll, pitch, yaw, turn):  # type: ignore[no-untyped-def]
     turn[2, 0], turn[2, 1], turn[2, 2] = -st, sf * ct, cf * ct
 
 
-@compiled
+@allocating
 def rotation(roll, pitch, yaw):  # type: ignore[no-untyped-def]
     """T of Eq 2.2, (3, 3), as a new array."""
     turn = np.empty((3, 3))
@@ -132,7 +132,7 @@ def rotation(roll, pitch, yaw):  # type: ignore[no-untyped-def]
     return turn
 
 
-@compiled
+@allocating
 def euler_rate_matrix(pitch, yaw):  # type: ignore[no-untyped-def]
     """E, (3, 3): inertial angular velocity = E (roll rate, pitch rate, yaw rate)."""
     ct, st = np.cos(pitch), np.sin(pitch)
@@ -140,7 +140,7 @@ def euler_rate_matrix(pitch, yaw):  # type: ignore[no-untyped-def]
     return np.array([[ct * cp, -sp, 0.0], [ct * sp, cp, 0.0], [-st, 0.0, 1.0]])
 
 
-@compiled
+@allocating
 def _legs(geometry, pose, legs):  # type: ignore[no-untyped-def]
     turn = rotation(pose[3], pose[4], pose[5])
     for j in range(6):
@@ -153,7 +153,7 @@ def _legs(geometry, pose, legs):  # type: ignore[no-untyped-def]
         legs[j] = np.sqrt(square) - geometry.neutral[j]
 
 
-@compiled
+@allocating
 def _twist_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
     arm = geometry.upper @ rotation(pose[3], pose[4], pose[5]).T
     for j in range(6):
@@ -165,20 +165,20 @@ def _twist_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
         jacobian[j, 5] = arm[j, 0] * line[1] - arm[j, 1] * line[0]
 
 
-@compiled
+@allocating
 def write_pose_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
     """Write d(legs)/d(pose), (6, 6)."""
     _twist_jacobian(geometry, pose, jacobian)
     jacobian[:, 3:] = np.ascontiguousarray(jacobian[:, 3:]) @ euler_rate_matrix(pose[4], pose[5])
 
 
-@compiled
+@allocating
 def _legs_history(geometry, poses, legs):  # type: ignore[no-untyped-def]
     for row in range(poses.shape[0]):
         _legs(geometry, poses[row], legs[row])
 
 
-@compiled
+@allocating
 def _newton(geometry, legs, pose):  # type: ignore[no-untyped-def]
     """Newton iteration from `pose`, in place; whether it ended on the assembly of the pose zero.
 
@@ -204,7 +204,7 @@ def _newton(geometry, legs, pose):  # type: ignore[no-untyped-def]
     return turned and np.max(np.abs(error)) < 1e-11 and np.linalg.det(jacobian) * sense > 0.0
 
 
-@compiled
+@allocating
 def _pose_history(geometry, legs, poses):  # type: ignore[no-untyped-def]
     """Solve row by row; returns the first row that fails, or -1.
 

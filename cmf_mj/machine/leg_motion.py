@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine.kinematics import (
     Geometry,
@@ -22,7 +22,7 @@ from cmf_mj.machine.kinematics import (
 )
 
 
-@compiled
+@allocating
 def _leg_motion(geometry, pose, rate, turning, legs):  # type: ignore[no-untyped-def]
     """Leg velocities and the velocity part of leg accelerations (centripetal and Euler terms).
 
@@ -52,7 +52,7 @@ def _leg_motion(geometry, pose, rate, turning, legs):  # type: ignore[no-untyped
         turning[j] = line @ inward + (gimbal @ gimbal - legs[j] ** 2) / length
 
 
-@compiled
+@allocating
 def _motion_to_legs(geometry, poses, rates, accelerations, leg_rates, leg_accelerations):  # type: ignore[no-untyped-def]
     jacobian = np.empty((6, 6))
     for row in range(poses.shape[0]):
@@ -61,7 +61,7 @@ def _motion_to_legs(geometry, poses, rates, accelerations, leg_rates, leg_accele
         leg_accelerations[row] += jacobian @ accelerations[row]
 
 
-@compiled
+@allocating
 def _legs_to_motion(geometry, poses, leg_rates, leg_accelerations, rates, accelerations):  # type: ignore[no-untyped-def]
     jacobian = np.empty((6, 6))
     turning = np.empty(6)

@@ -25,7 +25,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import read_column, read_table, write_table
 from cmf_mj.core.units import STANDARD_GRAVITY
@@ -207,7 +207,7 @@ def at_lever_arm(
     return np.asarray(np.cross(angular_acceleration, arm) + inward)
 
 
-@compiled
+@allocating
 def body_rates(angles, rates, accelerations, omega, alpha):  # type: ignore[no-untyped-def]
     """Write angular velocity and acceleration in body axes of a motion in Euler angles.
 
@@ -228,7 +228,7 @@ def body_rates(angles, rates, accelerations, omega, alpha):  # type: ignore[no-u
     alpha[2] += -pitch * roll * cr - yaw * (roll * sr * cp + pitch * cr * sp)
 
 
-@compiled
+@allocating
 def turn_to_body(angles, vector, out):  # type: ignore[no-untyped-def]
     """Write T^T v: a vector (3,) of inertial axes in body axes."""
     cr, sr = np.cos(angles[0]), np.sin(angles[0])
@@ -239,7 +239,7 @@ def turn_to_body(angles, vector, out):  # type: ignore[no-untyped-def]
     out[0], out[1], out[2] = x, cr * y + sr * z, -sr * y + cr * z
 
 
-@compiled
+@allocating
 def _platform_motion(poses, rates, accelerations, omega, alpha, centroid):  # type: ignore[no-untyped-def]
     for row in range(poses.shape[0]):
         angles = poses[row, 3:]

@@ -77,7 +77,9 @@ def attach_hydraulics(
     if not timestep > 0.0:
         raise InputError(f"timestep: {timestep} s must be greater than 0")
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-        raise InputError("integrator: RK4 cannot take its step in two halves; use implicitfast")
+        raise InputError(
+            "integrator: RK4 cannot take its step in two halves; use Euler or implicitfast"
+        )
     spec.option.timestep = timestep
     neutral = [_fit(spec, name, retracted, parameters) for name, retracted in lengths.items()]
     for name in payload:

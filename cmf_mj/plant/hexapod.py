@@ -20,6 +20,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.machine import kinematics, models
 from cmf_mj.machine.cab import Cab, RigidBody, load_cab
 from cmf_mj.plant import cylinder, fit
+from cmf_mj.plant.headless import headless
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import set_timestep
@@ -105,7 +106,8 @@ class Hexapod(Plant):
         self.cab_parameters = chosen = load_cab(cab)
         self.cab = chosen.name
         try:
-            model = hexapod_model(chosen) if spec is None else spec.compile()
+            self._drawn = None if spec is None else spec.compile()
+            model = hexapod_model(chosen, drawn=False) if spec is None else headless(spec)
         except ValueError as error:
             raise InputError(f"spec: does not compile: {error}") from None
         set_timestep(model.opt, timestep)
@@ -136,6 +138,12 @@ class Hexapod(Plant):
         fit.check_hexapod(self.model, self.data, self.geometry, self.cab_parameters)
 
     @property
+    def drawn_model(self) -> mujoco.MjModel:
+        """The model with its geoms; `model` has none, and the same state at every step."""
+        assert self.cab_parameters is not None
+        return self._drawn or hexapod_model(self.cab_parameters)
+
+    @property
     def sensors(self) -> dict[str, NDArray[np.int64]]:
         """Gyro, accelerometers of platform and crew, rod accelerometers (axial part), stops."""
         rods = [f"rod_acceleration_{i}" for i in _LEGS]
@@ -148,9 +156,10 @@ class Hexapod(Plant):
         }
 
     @property
-    def gimbal_sensors(self) -> NDArray[np.int64]:
-        """First indices of the `gimbal_error` vectors."""
-        return self.sensor_indices([f"gimbal_error_{i}" for i in _LEGS], component=0)
+    def gimbal_sites(self) -> NDArray[np.int64]:
+        """Rod end and upper gimbal of each leg."""
+        pairs = [(f"rod_end_{i}", f"upper_{i}") for i in _LEGS]
+        return np.array([[self.model.site(name).id for name in pair] for pair in pairs])
 
     def derived_channels(
         self, channels: Mapping[str, NDArray[np.float64]]
@@ -239,10 +248,13 @@ def hexapod_spec(cab: str | Path | Cab = "gfd") -> mujoco.MjSpec:
     return spec
 
 
-def hexapod_model(cab: str | Path | Cab = "gfd") -> mujoco.MjModel:
-    """The compiled machine with a cab: the model that `hexapod_spec` compiles to, in less time."""
+def hexapod_model(cab: str | Path | Cab = "gfd", *, drawn: bool = True) -> mujoco.MjModel:
+    """The compiled machine with a cab: the model that `hexapod_spec` compiles to, in less time.
+
+    A model that is not `drawn` is the `headless` one.
+    """
     chosen = load_cab(cab)
-    model = copy.copy(_compiled(chosen.base))
+    model = copy.copy(_compiled(chosen.base, drawn))
     edits = list(_edits(chosen))
     for edit in edits:
         body = model.body(edit.body)
@@ -296,9 +308,10 @@ def _edits(cab: Cab) -> Iterator[_Edit]:
 
 
 @lru_cache
-def _compiled(base: str) -> mujoco.MjModel:
+def _compiled(base: str, drawn: bool) -> mujoco.MjModel:
     """The model of a shipped cab, to be copied and never changed."""
-    return hexapod_spec(base).compile()
+    spec = hexapod_spec(base)
+    return spec.compile() if drawn else headless(spec)
 
 
 def _same_frame(place: NDArray[np.float64], turn: NDArray[np.float64]) -> int:

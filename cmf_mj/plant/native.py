@@ -10,14 +10,20 @@ of the compiled code, so the compilation caches across processes.
 
 import ctypes
 import logging
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
+from numpy.typing import NDArray
 
 # The run that MuJoCo's warnings end names them; they are not to be appended to a file
 # MUJOCO_LOG.TXT of the working folder.
@@ -25,14 +31,69 @@ if mujoco.get_mju_user_warning() is None:
     mujoco.set_mju_user_warning(logging.getLogger("mujoco").info)
 
 
-def address(function: str) -> int:
-    """Address of a MuJoCo C function of the library that the Python bindings use."""
+@lru_cache
+def _library() -> ctypes.CDLL:
+    """The MuJoCo library that the Python bindings have loaded."""
     folder = Path(mujoco.__file__).parent
     names = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")
-    library = next(path for name in names for path in sorted(folder.glob(name)))
-    pointer = ctypes.cast(getattr(ctypes.CDLL(str(library)), function), ctypes.c_void_p).value
+    return ctypes.CDLL(str(next(path for name in names for path in sorted(folder.glob(name)))))
+
+
+class Mechanics(NamedTuple):
+    """What the compiled loop needs of MuJoCo: three addresses and views of MjData."""
+
+    model: int  #: Address of the mjModel.
+    quiet: int  #: Address of the same without sensors, for steps whose sensors nobody reads.
+    data: int  #: Address of the mjData.
+    position_stage: int
+    """Address of mj_step1: kinematics and position sensors at the present state."""
+    force_stage: int  #: Address of mj_step2: forces, acceleration and integration.
+    motors: NDArray[np.int64]  #: Indices of the hydraulic motors, (n,).
+    length: NDArray[np.float64]  #: Lengths of all motors, fresh after the position stage, (nu,).
+    ctrl: NDArray[np.float64]  #: Forces of all motors [N], (nu,).
+    payload: NDArray[np.float64]
+    """External force and torque on each body in the world's axes, (nbody, 6)."""
+    payload_bodies: NDArray[np.int64]  #: Bodies an overload rests on, in equal parts.
+    sensordata: NDArray[np.float64]  #: All sensors.
+    site: NDArray[np.float64]  #: Places of all sites in the world [m], (nsite, 3).
+    qpos: NDArray[np.float64]  #: Generalised positions.
+    neutral: NDArray[np.float64]  #: Lengths of the hydraulic motors at neutral, (n,).
+    warnings: NDArray[np.int32]  #: How often MuJoCo has warned since the start, by kind.
+
+
+def address(function: str) -> int:
+    """Address of a MuJoCo C function of the library that the Python bindings use."""
+    pointer = ctypes.cast(getattr(_library(), function), ctypes.c_void_p).value
     assert pointer is not None
     return pointer
+
+
+class _Clock:
+    """MuJoCo's clock `mjcb_time`, which its bindings set, and how many runs do without it."""
+
+    lock = threading.Lock()
+    runs = 0
+    kept: int | None = None
+
+
+@contextmanager
+def untimed() -> Iterator[None]:
+    """Let MuJoCo step without timing its parts, which takes a fifteenth of a step.
+
+    `MjData.timer` counts in no thread meanwhile; the last to leave sets the clock again.
+    """
+    clock = ctypes.c_void_p.in_dll(_library(), "mjcb_time")
+    with _Clock.lock:
+        if _Clock.runs == 0:
+            _Clock.kept, clock.value = clock.value, None
+        _Clock.runs += 1
+    try:
+        yield
+    finally:
+        with _Clock.lock:
+            _Clock.runs -= 1
+            if _Clock.runs == 0:
+                clock.value = _Clock.kept
 
 
 _SIGNATURE = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)

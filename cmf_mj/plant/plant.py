@@ -18,7 +18,6 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -29,29 +28,11 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import OneAtATime
 from cmf_mj.machine.cab import Cab
 from cmf_mj.plant import fit, native
+from cmf_mj.plant.headless import saved
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, make_hydraulics, rest
+from cmf_mj.plant.native import Mechanics
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
-
-
-class Mechanics(NamedTuple):
-    """What the compiled loop needs of MuJoCo: three addresses and views of MjData."""
-
-    model: int  #: Address of the mjModel.
-    data: int  #: Address of the mjData.
-    position_stage: int
-    """Address of mj_step1: kinematics and position sensors at the present state."""
-    force_stage: int  #: Address of mj_step2: forces, acceleration and integration.
-    motors: NDArray[np.int64]  #: Indices of the hydraulic motors, (n,).
-    length: NDArray[np.float64]  #: Lengths of all motors, fresh after the position stage, (nu,).
-    ctrl: NDArray[np.float64]  #: Forces of all motors [N], (nu,).
-    payload: NDArray[np.float64]
-    """External force and torque on each body in the world's axes, (nbody, 6)."""
-    payload_bodies: NDArray[np.int64]  #: Bodies an overload rests on, in equal parts.
-    sensordata: NDArray[np.float64]  #: All sensors.
-    qpos: NDArray[np.float64]  #: Generalised positions.
-    neutral: NDArray[np.float64]  #: Lengths of the hydraulic motors at neutral, (n,).
-    warnings: NDArray[np.int32]  #: How often MuJoCo has warned since the start, by kind.
 
 
 class Plant:
@@ -64,6 +45,8 @@ class Plant:
     name = "plant"  #: How records and tables call the plant.
     cab = ""  #: The cab it carries, where it carries one.
     cab_parameters: Cab | None = None  #: Masses of cab, platform and legs, where it carries one.
+    _drawn: mujoco.MjModel | None = None
+    """The model with its geoms, where `model` is headless."""
     stops_end_strokes = False
     """Whether the model's stops are the ends of the cylinders; else they lie within the strokes."""
 
@@ -96,6 +79,8 @@ class Plant:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model = model
         self.data = mujoco.MjData(model)
+        self._rest: tuple[tuple[bytes, int, bytes], NDArray[np.float64], NDArray[np.float64]] | None
+        self._rest = None  # of the last start: what was asked, generalised positions, static forces
         self.started = 0
         """How often the state has been reset: a run goes on only while nobody does."""
         self.alone = OneAtATime("plant: another thread runs it; allowed: a plant for each thread")
@@ -149,9 +134,14 @@ class Plant:
         return {}
 
     @property
-    def gimbal_sensors(self) -> NDArray[np.int64]:
-        """First indices of the three-vectors between the halves of each closed gimbal."""
-        return np.empty(0, dtype=np.int64)
+    def drawn_model(self) -> mujoco.MjModel:
+        """The model to draw the machine with; its joints, bodies and sites are those of `model`."""
+        return self.model if self._drawn is None else self._drawn
+
+    @property
+    def gimbal_sites(self) -> NDArray[np.int64]:
+        """Sites of the two halves of each closed gimbal, (gimbals, 2)."""
+        return np.empty((0, 2), dtype=np.int64)
 
     def derived_channels(
         self, channels: Mapping[str, NDArray[np.float64]]
@@ -325,6 +315,12 @@ class Plant:
         """
         with self.alone:
             self._reset()
+            strokes = self.hydraulics.cylinder.half_stroke.tobytes()
+            asked = (saved(self.model), id(self.hydraulics), strokes + _bytes(pose))
+            if self._rest is not None and self._rest[0] == asked:  # all of what follows holds
+                self.data.qpos[:] = self._rest[1]
+                mujoco.mj_forward(self.model, self.data)
+                return rest(self.hydraulics, self._rest[2], self.extensions())
             mujoco.mj_kinematics(self.model, self.data)
             self.check()
             if pose is not None:
@@ -334,16 +330,19 @@ class Plant:
             load = self.static_load()
             if warned := fit.warned(self.data):
                 raise InputError(f"start: {warned}; allowed: a state without warnings")
-            return rest(self.hydraulics, load, self.extensions())
+            state = rest(self.hydraulics, load, self.extensions())
+            self._rest = asked, self.data.qpos.copy(), load
+            return state
 
     def _reset(self) -> None:
         mujoco.mj_resetData(self.model, self.data)
         self.started += 1
 
-    def mechanics(self) -> Mechanics:
-        """Views and addresses for the compiled loop; valid while this plant lives."""
+    def mechanics(self, quiet: mujoco.MjModel) -> Mechanics:
+        """Views and addresses for the compiled loop; valid while this plant and `quiet` live."""
         return Mechanics(
             model=self.model._address,
+            quiet=quiet._address,
             data=self.data._address,
             position_stage=native.address("mj_step1"),
             force_stage=native.address("mj_step2"),
@@ -353,6 +352,7 @@ class Plant:
             payload=self.data.xfrc_applied,
             payload_bodies=self._payload,
             sensordata=self.data.sensordata,
+            site=self.data.site_xpos,
             qpos=self.data.qpos,
             neutral=self.neutral,
             warnings=self.data.warning.number,
@@ -361,9 +361,7 @@ class Plant:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the compiled MuJoCo model, taken once: the model is not to be edited."""
-        buffer = np.empty(mujoco.mj_sizeModel(self.model), dtype=np.uint8)
-        mujoco.mj_saveModel(self.model, None, buffer)
-        return hashlib.sha256(buffer.tobytes()).hexdigest()
+        return hashlib.sha256(saved(self.model)).hexdigest()
 
     def describe(self) -> Mapping[str, object]:
         """What a record keeps of the plant."""
@@ -377,3 +375,11 @@ class Plant:
             "model_digest": self.digest,
             "mechanical_step": self.model.opt.timestep,
         }
+
+
+def _bytes(pose: ArrayLike | None) -> bytes:
+    """The numbers of a pose, if that is what it is."""
+    try:
+        return b"" if pose is None else np.asarray(pose, dtype=float).tobytes()
+    except (TypeError, ValueError):
+        return b"?"

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
 from cmf_mj.plant.cylinder import volumes
 from cmf_mj.plant.hydraulics import ENERGIES
@@ -66,14 +66,14 @@ def power_balance(plant: Plant, record: Record) -> PowerBalance:
     return PowerBalance(delivered, lost, work, rise, delivered - lost - work - rise, oil)
 
 
-@compiled
+@allocating
 def _manifold(oil, volume, content, pressure, kept):  # type: ignore[no-untyped-def]
     """Add the energy stored in a manifold to each row of `kept`."""
     for row in range(kept.shape[0]):
         kept[row] += stored(oil, content[row], pressure[row], volume)
 
 
-@compiled
+@allocating
 def _chambers(hydraulics, extension, cap_pressure, rod_pressure, total, kept):  # type: ignore[no-untyped-def]
     """Add oil and energy stored in the chambers to each row of `total` and `kept`."""
     oil = hydraulics.oil

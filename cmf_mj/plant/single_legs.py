@@ -16,6 +16,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import pose_to_legs
+from cmf_mj.plant.headless import headless
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.plant import Plant
 
@@ -64,8 +65,9 @@ class SingleLegs(Plant):
         spec.option.gravity[2] = -static_load / effective_mass
         for leg in range(1, 7):
             spec.body(f"leg_{leg}").mass = effective_mass
+        self._drawn = spec.compile()
         bodies = [f"leg_{leg}" for leg in range(1, 7)]
-        super().__init__(spec.compile(), hydraulics, payload=bodies)
+        super().__init__(headless(spec), hydraulics, payload=bodies)
 
     def place(self, pose: ArrayLike) -> None:
         """Set each leg to its extension at the pose."""

@@ -9,7 +9,7 @@ from cmf_mj.control.dcu.acceptance import receive
 from cmf_mj.control.dcu.play import step
 from cmf_mj.control.dcu.settings import Dcu
 from cmf_mj.control.dcu.state import DcuState
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
 
 
@@ -36,7 +36,7 @@ def feed(dcu, state, arrivals, cursor, frame):  # type: ignore[no-untyped-def]
     return cursor
 
 
-@compiled
+@allocating
 def _run(dcu, state, arrivals, demand):  # type: ignore[no-untyped-def]
     cursor = 0
     for frame in range(demand.shape[0]):

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core import filters
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.electronics.sensors.channel import Channel, make_channel, read
@@ -158,7 +158,7 @@ def sense(sensors, state, frame, truth, reading):  # type: ignore[no-untyped-def
     read(sensors.rod_pressure, state.rod_pressure, frame, truth.rod_pressure, reading.rod_pressure)
 
 
-@compiled
+@allocating
 def sense_platform(sensors, state, frame, gyro, accelerometer, gyro_reading, accelerometer_reading):  # type: ignore[no-untyped-def]
     """Platform's rate gyros and accelerometers, one frame; (3,) each."""
     read(sensors.platform_gyro, state.platform_gyro, frame, gyro, gyro_reading)
@@ -171,7 +171,7 @@ def sense_platform(sensors, state, frame, gyro, accelerometer, gyro_reading, acc
     )
 
 
-@compiled
+@allocating
 def at_frame(histories, frame):  # type: ignore[no-untyped-def]
     """The `LegFeedback` of one frame, as views of histories (N, n)."""
     return LegFeedback(
@@ -183,7 +183,7 @@ def at_frame(histories, frame):  # type: ignore[no-untyped-def]
     )
 
 
-@compiled
+@allocating
 def _histories(sensors, state, truth, reading, platform, platform_reading):  # type: ignore[no-untyped-def]
     for frame in range(truth.position.shape[0]):
         sense(sensors, state, frame, at_frame(truth, frame), at_frame(reading, frame))

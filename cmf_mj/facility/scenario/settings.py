@@ -289,7 +289,7 @@ class Names(NamedTuple):
 @lru_cache
 def names_of(plant: str) -> Names:
     """The names of a plant, with whatever cab."""
-    model = make_plant(plant).model
+    model = make_plant(plant).drawn_model
     bodies = tuple(model.body(i).name for i in range(1, model.nbody))
     return Names(bodies, tuple(model.camera(i).name for i in range(model.ncam)))
 

@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating
 from cmf_mj.core.hold import Held, advance, hold, read, settled
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.kinematics import rotation
@@ -73,7 +73,7 @@ def settle(filtering: Filter, inputs: NDArray[np.float64]) -> None:
     filtering.inputs[:] = inputs
 
 
-@compiled
+@allocating
 def push(filtering, inputs):  # type: ignore[no-untyped-def]
     """Move a filter to the next sample, with inputs (m,)."""
     work = np.empty(filtering.state.size)
@@ -81,7 +81,7 @@ def push(filtering, inputs):  # type: ignore[no-untyped-def]
     filtering.inputs[:] = inputs
 
 
-@compiled
+@allocating
 def outputs(filtering, out):  # type: ignore[no-untyped-def]
     """Write the outputs (p,) of a filter."""
     read(filtering.system, filtering.state, filtering.inputs, out)
@@ -172,7 +172,7 @@ def settle_classical(
     settle(classical.rotation, np.concatenate([euler_rates, np.zeros(3)]))
 
 
-@compiled
+@allocating
 def tilt_demand(force, out):  # type: ignore[no-untyped-def]
     """Write A_d, A_d', A_d'' (3,) of f, f', f'' (3,) [m/s^2, m/s^3, m/s^4]; |f| below 1 g."""
     sine = force[0] / STANDARD_GRAVITY
@@ -182,7 +182,7 @@ def tilt_demand(force, out):  # type: ignore[no-untyped-def]
     out[2] = (force[2] / STANDARD_GRAVITY + out[1] * out[1] * sine) / cosine
 
 
-@compiled
+@allocating
 def _tilt_demands(low_pass, demand):  # type: ignore[no-untyped-def]
     passed = np.empty(6)
     outputs(low_pass, passed)
@@ -190,14 +190,14 @@ def _tilt_demands(low_pass, demand):  # type: ignore[no-untyped-def]
         tilt_demand(passed[axis::2], demand[axis])
 
 
-@compiled
+@allocating
 def _area(value, limit):  # type: ignore[no-untyped-def]
     """Integral of sat from 0 to `value`."""
     size = abs(value)
     return 0.5 * value * value if size <= limit else limit * size - 0.5 * limit * limit
 
 
-@compiled
+@allocating
 def _mean(first, last, limit):  # type: ignore[no-untyped-def]
     """Mean of sat along the straight line from `first` to `last`."""
     if abs(last - first) <= 1e-9 * limit:
@@ -205,7 +205,7 @@ def _mean(first, last, limit):  # type: ignore[no-untyped-def]
     return (_area(last, limit) - _area(first, limit)) / (last - first)
 
 
-@compiled
+@allocating
 def follow(tilt, demand, new_demand, limit, recovery, interval):  # type: ignore[no-untyped-def]
     """Move the tilt A, A', A'' (3,) in place by one sample of T = `interval` [s].
 
@@ -229,7 +229,7 @@ def follow(tilt, demand, new_demand, limit, recovery, interval):  # type: ignore
         tilt[1], tilt[2] = new_wish, new_demand[2] - left / recovery**2
 
 
-@compiled
+@allocating
 def move_classical(classical, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
     """One sample of Euler rates e, their change over the last interval and f1, (3,) each, SI.
 

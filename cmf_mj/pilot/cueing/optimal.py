@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating
 from cmf_mj.core.hold import hold
 from cmf_mj.core.settings import Settings
 from cmf_mj.core.units import STANDARD_GRAVITY
@@ -216,7 +216,7 @@ def settle_optimal(optimal: Optimal, euler_rates: Matrix, force: Matrix) -> None
     settle(optimal.filter, np.concatenate([euler_rates, beyond, np.zeros(6)]))
 
 
-@compiled
+@allocating
 def move_optimal(optimal, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
     """One sample; arguments as for `move_classical`."""
     inputs, out = np.empty(12), np.empty(18)

@@ -19,7 +19,7 @@ import numpy as np
 from numba.extending import overload
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostFrame, HostStream, make_stream
@@ -61,7 +61,7 @@ def _compiled_move(algorithm, *sample):  # type: ignore[no-untyped-def]
     return lambda algorithm, *sample: chosen(algorithm, *sample)
 
 
-@compiled
+@allocating
 def scaled(cueing, specific_force, angular_rate, force, rate):  # type: ignore[no-untyped-def]
     """Write f1 and w1, (3,) each."""
     for axis in range(3):
@@ -72,7 +72,7 @@ def scaled(cueing, specific_force, angular_rate, force, rate):  # type: ignore[n
         rate[axis] = min(max(turned, -cueing.rate_limit), cueing.rate_limit)
 
 
-@compiled
+@allocating
 def euler_rates_of(roll, pitch, rate, out):  # type: ignore[no-untyped-def]
     """Write the Euler rates (3,) of an angular velocity (3,) in body axes."""
     across = rate[1] * np.sin(roll) + rate[2] * np.cos(roll)
@@ -81,7 +81,7 @@ def euler_rates_of(roll, pitch, rate, out):  # type: ignore[no-untyped-def]
     out[2] = across / np.cos(pitch)
 
 
-@compiled
+@allocating
 def place(cueing, motion):  # type: ignore[no-untyped-def]
     """Write pose, velocity and acceleration of the centroid, (3, 6)."""
     station, angular, linear = cueing.station, cueing.angular, cueing.linear
@@ -99,7 +99,7 @@ def place(cueing, motion):  # type: ignore[no-untyped-def]
             motion[order, 3 + axis] = angular[order, axis]
 
 
-@compiled
+@allocating
 def step(cueing, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
     """One host frame of the specific force and angular rate at the pilot's station, (3,) each.
 
@@ -119,7 +119,7 @@ def step(cueing, specific_force, angular_rate, motion):  # type: ignore[no-untyp
     place(cueing, motion)
 
 
-@compiled
+@allocating
 def _run(cueing, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
     place(cueing, motion[0])
     for row in range(1, specific_force.shape[0]):

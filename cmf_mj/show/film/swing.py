@@ -47,7 +47,7 @@ def swing_film(
         )
     count = max(round(periods / (lowest * settings.speed) * settings.fps), 1)
     time = np.arange(count) * settings.speed / settings.fps
-    model = copy.copy(plant.model)
+    model = copy.copy(plant.drawn_model)
     model.cam_fovy *= 1.15  # the swinging machine needs a wider view
     model.cam_pos[:, 2] -= 0.5 * modes.pose[2]  # half way with the platform, whose z is down
     reels = []

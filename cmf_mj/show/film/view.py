@@ -40,7 +40,7 @@ class LiveView:
             raise InputError(f"speed: {speed} must be greater than 0")
         self.run, self.speed, self.paused = run, speed, False
         self.wants_saving = False
-        self.model = run.plant.model
+        self.model = run.plant.drawn_model
         self.drawn = mujoco.MjData(self.model)
         """A copy of the MuJoCo state for the viewer: what it does there does not act on the run."""
         self._owed = 0.0

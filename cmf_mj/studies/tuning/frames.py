@@ -3,11 +3,11 @@
 import numpy as np
 
 from cmf_mj.control import dcl as blocks
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import allocating
 from cmf_mj.electronics import servo_electronics as servo
 
 
-@compiled
+@allocating
 def run(dcl, state, drive, driven, plant, demand, feedback, legs_out):  # type: ignore[no-untyped-def]
     """Run the law against a sampled linear plant (A, B, C), one frame of delay."""
     a, b, c = plant
