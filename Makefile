@@ -2,6 +2,7 @@
 #   make compare   set up and run the main job
 #   make test      set up and check what guards a change, within ten minutes
 #   make test-all  that, and what is slow by nature: browser, films, whole studies, long searches
+#   make search    the searches ten times longer: hours
 #   make site      the documentation as a site in build/site
 #   make video     set up and film the machine in motion: out/video.mp4
 #   make studio    set up and open the machine in a web page
@@ -14,7 +15,7 @@ BIN := $(VENV)/bin
 WORKERS ?= auto
 PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --durations 40 --durations-min 1
 
-.PHONY: compare report video studio test test-all lint types imports links tests slow site constraints clean
+.PHONY: compare report video studio test test-all lint types imports links tests slow search site constraints clean
 
 compare: $(VENV)/ready
 	$(BIN)/cmf compare
@@ -52,6 +53,9 @@ slow: $(VENV)/ready-dev
 # Afresh each time, so that no page or module that is gone can satisfy a link. The check resolves
 # every link and reference as the site does and writes no pages.
 SPHINX = rm -rf docs/api build/$@ && $(BIN)/sphinx-build --jobs auto --quiet --fail-on-warning --keep-going
+
+search: $(VENV)/ready-dev
+	$(PYTEST) --dist worksteal -m fuzz --hypothesis-profile whole tests
 
 links: $(VENV)/ready-dev
 	$(SPHINX) --builder dummy docs build/links

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from figures import check_readable
 from hypothesis import settings
-from lengths import LONG
+from lengths import LONG, WHOLE
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from shared import FOLDER
@@ -22,6 +22,7 @@ from shared import FOLDER
 from cmf_mj.analysis.ledger import LedgerEntry, load_ledger
 
 settings.register_profile(LONG)
+settings.register_profile(WHOLE)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

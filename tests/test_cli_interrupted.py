@@ -20,7 +20,7 @@ from PIL import Image
 
 from cmf_mj.core.files import claimed, read_table
 
-ENDS = 20
+ENDS = 2
 """How often the long search ends each command."""
 LONGEST = 12.0
 """Latest end after the start [s]."""
@@ -119,7 +119,7 @@ def end(words: str, number: int, after: float, folder: Path) -> tuple[int, set[s
 @pytest.mark.parametrize("words", LINES)
 def test_an_end_at_any_moment_leaves_whole_files(words: str, tmp_path: Path) -> None:
     generator = np.random.default_rng([19, *words.encode()])
-    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
+    signals = generator.permutation([signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
     for number in range(examples(ENDS)):
         (folder := tmp_path / str(number)).mkdir()
-        end(words, signals[number % 3], generator.uniform(0.3, LONGEST), folder)
+        end(words, int(signals[number % 3]), generator.uniform(0.3, LONGEST), folder)

@@ -35,7 +35,7 @@ from cmf_mj.studies.posterior.settings import load_posterior
 from cmf_mj.studies.settings import load_study
 
 Read = Callable[[Path], Any]
-FILES = 10_000
+FILES = 1000
 """Files of the long search, of settings and tables together."""
 
 
