@@ -83,7 +83,8 @@ def test_a_file_with_such_a_name_is_refused(
 
 @pytest.mark.parametrize("name", BAD.values(), ids=BAD)
 def test_so_is_a_name_in_python(name: str) -> None:
-    refused = pytest.raises(InputError, match=re.escape(f"name: {name!r} is refused: a name has"))
+    shown = re.escape(repr(name)[:150])  # long ones are cut
+    refused = pytest.raises(InputError, match=f"name: {shown}.* is refused: a name has")
     with refused:
         load_law({"name": name, "based_on": "velocity", "title": "t"})
     with refused:

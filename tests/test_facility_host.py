@@ -626,7 +626,7 @@ def test_the_command_line_sends_a_file(tmp_path: Path) -> None:
         (["nothing.csv", "--to", "127.0.0.1:2048"], "nothing.csv: cannot be read"),
         ([str(path), "--to", "127.0.0.1"], "ADDRESS:PORT"),
         ([str(path), "--to", "127.0.0.1:0"], "port: 0"),
-        ([str(path), "--to", "127.0.0.1:2048", "--rate", "0"], "rate: 0"),
+        ([str(path), "--to", "127.0.0.1:2048", "--rate", "0"], "greater than or equal to 1"),
     ):
         result = CliRunner().invoke(app, ["host", *arguments])
         assert result.exit_code == 2

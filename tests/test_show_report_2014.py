@@ -318,7 +318,7 @@ def test_curves_drop_what_cannot_be_drawn() -> None:
         (["--figures", "9-9"], "figures: '9-9' is not one of 2-4, 2-12"),
         (["--tables", "9-9"], "tables: '9-9' is not one of 2-4, 2-6"),
         (["--jobs", "0"], "jobs: 0 must be at least 1"),
-        (["--seed", "-1"], "seed: -1 must be at least 0"),
+        (["--seed", "-1"], "greater than or equal to 0"),
     ],
 )
 def test_report_refuses_before_it_runs(arguments: list[str], message: str, tmp_path: Path) -> None:

@@ -19,15 +19,15 @@ from cmf_mj.studies.case import AMPLITUDE, RECORD_EVERY, make_case
 from cmf_mj.studies.measurement import facility_session
 
 
-@pytest.fixture(scope="module")
-def session() -> list[Record]:
-    return facility_session(make_case("velocity", "heave", "single_legs"))
-
-
-@pytest.fixture(scope="module")
-def files(session: list[Record], tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    folder = tmp_path_factory.mktemp("session")
+def written(plant: str, folder: Path) -> list[Path]:
+    """The five files of a session; its records, which are large, are gone."""
+    session = facility_session(make_case("velocity", "heave", plant))
     return [write_facility_csv(r, folder / f"{i}of5.csv") for i, r in enumerate(session, start=1)]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return written("single_legs", tmp_path_factory.mktemp("session"))
 
 
 @pytest.mark.parametrize("build", [SingleLegs, pytest.param(Hexapod, marks=pytest.mark.slow)])
@@ -41,11 +41,7 @@ def test_four_excitations_agree_on_the_phase_bandwidth_within_3_percent(
         return simulate(plant, "velocity", command, record_every=RECORD_EVERY)
 
     steps = np.arange(1.8, 3.7, 0.3)
-    rounds = facility_session(make_case("velocity", "heave", plant.name))
-    read = [
-        read_facility_csv(write_facility_csv(record, tmp_path / f"{i}of5.csv"))
-        for i, record in enumerate(rounds, start=1)
-    ]
+    read = [read_facility_csv(path) for path in written(plant.name, tmp_path)]
     responses = {
         "multisine": frequency_response(run(signals.multisine("heave", AMPLITUDE))),
         "chirp": frequency_response(run(signals.chirp("heave", AMPLITUDE))),
@@ -114,14 +110,17 @@ def test_the_matrix_of_one_run_has_the_single_axis_responses_on_its_diagonal() -
         matrix_frequency_response(simulate(plant, "velocity", signals.sine("heave", 0.01, 2.0)))
 
 
-def test_rounds_of_different_rates_or_without_demand_are_refused(session: list[Record]) -> None:
+def test_rounds_of_different_rates_or_without_demand_are_refused() -> None:
+    sine = signals.sine("heave", 0.01, 2.0)
+    coarse, fine = (
+        simulate(SingleLegs(), "velocity", sine, record_every=every) for every in (16, 8)
+    )
     with pytest.raises(ValueError, match="records: none given"):
         rounds_response([])
     with pytest.raises(ValueError, match="dof: the records hold no demand in yaw"):
-        rounds_response(session[4:], "yaw")
-    fine = simulate(SingleLegs(), "velocity", signals.sine("heave", 0.01, 2.0), record_every=8)
+        rounds_response([coarse], "yaw")
     with pytest.raises(ValueError, match=r"records: rates are 128\.0, 256\.0 Hz"):
-        rounds_response([session[4], fine])
+        rounds_response([coarse, fine])
 
 
 def test_record_and_measure_from_the_command_line(tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ def simulate_many(
         plant: one for all cases, of which each thread has a copy; or a function that makes the
             plant of a case by its number.
         law: for all cases, or one a case.
-        commands: platform poses (cases, N, 6) at 2048 Hz [m, rad], z down, or as many `Command`s
+        commands: platform poses (cases, N, 6) at 2048 Hz [m, rad], z down, or as many commands
             of one length.
         channels: those of `simulate`'s record to keep.
         threads: how many; default one a core.
