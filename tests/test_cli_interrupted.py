@@ -72,12 +72,13 @@ def whole(path: Path) -> bool:
     if path.suffix in (".parquet", ".csv") and not content.startswith(b"#"):
         read_table(path)
     elif path.suffix in (".png", ".gif"):
-        Image.open(path).load()
+        with Image.open(path) as picture:
+            picture.load()
     elif path.suffix == ".json":
         json.loads(content)
     elif path.suffix == ".toml":
         tomllib.loads(content.decode())
-    return content.endswith(b"\n") or path.suffix not in (".json", ".toml", ".csv", ".md")
+    return content.endswith(b"\n") or path.suffix not in (".toml", ".csv", ".md")
 
 
 def end(words: str, number: int, after: float, folder: Path) -> tuple[int, set[str]]:

@@ -324,14 +324,14 @@ def _explain(model: type[BaseModel], error: Any, where: str) -> str:
     message = error["msg"].removeprefix("Value error, ")
     allowed = message[0].lower() + message[1:]
     if not field:
-        return f"{where}: {message}"
+        return "\n".join(f"{where}: {line}" for line in message.splitlines())
     if error["type"] == "extra_forbidden":
         names = _field_names(model, location[:-1])
         return f"{where}: {field}: is not a known field; allowed: {', '.join(names)}"
     if error["type"] == "missing":
         return f"{where}: {field}: is missing"
     if error["type"] == "value_error" and isinstance(error["input"], Mapping):
-        return f"{where}: {field}: {message}"
+        return "\n".join(f"{where}: {field}: {line}" for line in message.splitlines())
     given = repr(error["input"])
     given = given if len(given) <= _SHOWN else f"{given[:_SHOWN]}..."
     return f"{where}: {field}: {given} is refused: {allowed}"
