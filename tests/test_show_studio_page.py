@@ -143,7 +143,12 @@ def tab(opened: Tab, tmp_path: Path) -> Iterator[Tab]:
         path = save_scenario(scenario, tmp_path / "first.toml")
         opened.upload("load scenario", path)
         opened.wait(begun)
-    opened.press("go on")
+
+    def goes_on() -> bool:  # a click on a page that is being filled anew may be lost
+        opened.press("go on")
+        return not opened.behind.live.paused
+
+    opened.wait(goes_on)
     yield opened
     assert opened.errors == []  # nothing was said on the console
 
