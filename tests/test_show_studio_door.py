@@ -23,8 +23,6 @@ from cmf_mj.show.studio.live import LiveSession
 from cmf_mj.show.studio.page import Page
 from cmf_mj.show.studio.server import Studio
 
-pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection")
-
 PAGE = "http://127.0.0.1:8048"
 
 

@@ -25,10 +25,7 @@ from cmf_mj.show.studio import choices, live
 from cmf_mj.show.studio.page import Page as StudioPage
 from cmf_mj.show.studio.server import Studio
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
-]
+pytestmark = pytest.mark.slow
 
 PATIENCE = 300_000
 """Longest wait for anything on the page [ms]: WebGL in software is slow on a busy machine, and only
