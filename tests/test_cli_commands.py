@@ -68,6 +68,7 @@ def test_compare_writes_table_figures_and_records(
         (("--hydraulics", "missing.toml"), "missing.toml"),
         (("--amplitude", "0 in"), "amplitude"),
         (("--jobs", "0"), "jobs"),
+        (("--jobs", "two"), "jobs: 'two' is refused: input should be a valid integer"),
         (("--laws", "velocity,velocity"), "laws: velocity, velocity must differ in name"),
     ],
 )

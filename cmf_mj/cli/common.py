@@ -40,6 +40,14 @@ class Commands(TyperGroup):
         """Run a command."""
         try:
             return super().invoke(ctx)
+        except typer.BadParameter as error:
+            from pydantic import ValidationError
+
+            if not isinstance(error.__cause__, ValidationError) or error.param is None:
+                raise
+            first = error.__cause__.errors()[0]
+            allowed = first["msg"][0].lower() + first["msg"][1:]
+            refuse(InputError(f"{error.param.name}: {first['input']!r} is refused: {allowed}"))
         except (CmfError, OSError) as error:
             refuse(error)
         except MemoryError as error:
