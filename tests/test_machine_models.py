@@ -46,7 +46,7 @@ POUNDS = {"gfd": 29920.0, "rfd": 32500.0, "ifd": 35950.0}
 
 @pytest.fixture(scope="module")
 def hexapod():
-    return mujoco.MjModel.from_xml_path(str(models.model_path("cmf_hexapod.xml")))
+    return mujoco.MjModel.from_xml_path(str(models.model_path("scene.xml")))
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def single_legs():
 
 def at_keyframe(model):
     data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("neutral").id)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
     mujoco.mj_forward(model, data)
     return data
 
@@ -250,7 +250,7 @@ def test_unknown_cab_lists_the_cabs():
         models.cab_path("bus")
 
 
-def test_hexapod_file_carries_the_gfd(hexapod):
+def test_scene_file_carries_the_gfd(hexapod):
     mounted = hexapod_spec("gfd").compile()
     np.testing.assert_array_equal(hexapod.body_mass, mounted.body_mass)
     np.testing.assert_array_equal(hexapod.body_inertia, mounted.body_inertia)
@@ -332,5 +332,5 @@ def test_keyframe_forces_hold_the_gfd(hexapod):
     """The file's forces, printed to 1e-6 N, are those of the mechanics."""
     plant = Hexapod("gfd")
     plant.place(np.zeros(6))
-    forces = hexapod.key("neutral").ctrl
+    forces = hexapod.key("home").ctrl
     np.testing.assert_allclose(forces, plant.static_load(), rtol=0.0, atol=1e-5)

@@ -26,6 +26,8 @@ run = ScenarioRun(load_scenario("heave_sine"))
 run.advance(20)
 assert run.latest().time == 20 / 2048
 assert (pathlib.Path(cmf_mj.__file__).parent / "py.typed").is_file()
+for name in ("README.md", "LICENSE", "CHANGELOG.md", "cmf_hexapod.png"):
+    assert cmf_mj.machine.models.model_path(name).is_file()
 print(len(cmf_mj.law_names()))
 """
 

@@ -257,8 +257,9 @@ def _body(base: Settings, changes: Mapping[str, Any], where: str) -> dict[str, A
 
 @lru_cache
 def floor() -> float:
-    """Height of the floor over the platform's centroid at neutral [m], from the hexapod's MJCF."""
-    return float(_numbers(_named(_machine(), "geom", "floor"), "pos")[2])
+    """Height of the hall's floor over the platform's centroid at neutral [m], from its MJCF."""
+    hall = ElementTree.parse(models.model_path("scene.xml")).getroot()
+    return float(_numbers(_named(hall, "geom", "floor"), "pos")[2])
 
 
 @lru_cache

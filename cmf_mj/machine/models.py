@@ -17,7 +17,7 @@ def directory(name: str = "models") -> Path:
 
 
 def model_path(name: str) -> Path:
-    """A file of the models, by name: `cmf_hexapod.xml`, `single_legs.xml`, `excavator.xml` ...
+    """A file of the models, by name: `scene.xml`, `cmf_hexapod.xml`, `single_legs.xml` ...
 
     The excavator has its hydraulics and control law as TOML and a digging cycle, time [s] and
     cylinder lengths [m], as CSV.

@@ -4,7 +4,6 @@ Reflected mass (section 2.4.2) and static leg forces are those of `Plant`, leg m
 """
 
 import copy
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -230,13 +229,13 @@ class Hexapod(Plant):
 
 
 def hexapod_spec(cab: str | Path | Cab = "gfd") -> mujoco.MjSpec:
-    """The editable MuJoCo model of the machine with a cab, for users who extend it."""
+    """The editable MuJoCo model of the machine in its hall with a cab, for users who extend it."""
     chosen = load_cab(cab)
-    root = ElementTree.parse(models.model_path("cmf_hexapod.xml")).getroot()
-    attached = root.find("asset/model")
-    assert attached is not None
-    attached.set("file", str(models.cab_path(chosen.base)))
-    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    mounted = f"cabs/{chosen.base}.xml"
+    scene = models.model_path("scene.xml").read_text("utf-8").replace("cabs/gfd.xml", mounted)
+    parts = ("cmf_hexapod.xml", "cabs/none.xml", mounted)
+    files = {name: models.model_path(name).read_bytes() for name in parts}
+    spec = mujoco.MjSpec.from_string(scene, files)
     for edit in _edits(chosen):
         body = spec.body(edit.body)
         if edit.part is None:
