@@ -1,6 +1,6 @@
 """Peaks of a command and the limits it must keep, known before the run.
 
-With q the pose or the leg extensions at the control frames and T = 1/2048 s,
+With q the pose or the leg extensions at the control frames and T the time between,
 
     velocity = max |q[k] - q[k-1]| / T,    acceleration = max |q[k+1] - 2 q[k] + q[k-1]| / T^2
 
@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import RATE
 from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.signals.signal import Command
@@ -71,8 +70,8 @@ class Limits(NamedTuple):
 def peaks(command: Command) -> Peaks:
     """Largest displacement, velocity and acceleration per degree of freedom and per leg."""
     legs = pose_to_legs(command.pose)
-    velocity, acceleration = _rates(command.pose)
-    leg_velocity, leg_acceleration = _rates(legs)
+    velocity, acceleration = _rates(command.pose, command.rate)
+    leg_velocity, leg_acceleration = _rates(legs, command.rate)
     if np.isinf(velocity).any():
         leg_velocity = np.where(leg_velocity > 0.0, np.inf, 0.0)
     if np.isinf(acceleration).any():
@@ -125,11 +124,11 @@ def _excess(name: str, value: float, limit: float, unit: str) -> list[str]:
 
 
 def _rates(
-    history: NDArray[np.float64],
+    history: NDArray[np.float64], rate: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Peak velocity and acceleration of each column, from rest; infinite for jumps."""
-    velocity = np.diff(history, axis=0, prepend=history[:1]) * RATE
-    acceleration = np.diff(velocity, axis=0, prepend=0.0 * velocity[:1]) * RATE
+    velocity = np.diff(history, axis=0, prepend=history[:1]) * rate
+    acceleration = np.diff(velocity, axis=0, prepend=0.0 * velocity[:1]) * rate
     jumps = _stands_alone(velocity)
     return (
         np.where(jumps, np.inf, np.abs(velocity).max(axis=0)),
