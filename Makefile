@@ -52,7 +52,7 @@ slow: $(VENV)/ready-dev
 
 # Afresh each time, so that no page or module that is gone can satisfy a link. The check resolves
 # every link and reference as the site does and writes no pages.
-SPHINX = rm -rf docs/api build/$@ && $(BIN)/sphinx-build --jobs auto --quiet --fail-on-warning --keep-going
+SPHINX = rm -rf docs/reference/api build/$@ && $(BIN)/sphinx-build --jobs auto --quiet --fail-on-warning --keep-going
 
 search: $(VENV)/ready-dev
 	$(PYTEST) --dist worksteal -m fuzz --hypothesis-profile whole tests

@@ -22,7 +22,7 @@ def _leave(namespace: dict[str, Any]) -> None:
 
 pytest_collect_file = Sybil(
     parsers=[PythonCodeBlockParser(doctest_optionflags=doctest.ELLIPSIS)],
-    patterns=["README.md", "docs/*.md", "models/README.md"],
+    patterns=["README.md", "docs/*.md", "docs/*/*.md", "models/README.md"],
     setup=_enter,
     teardown=_leave,
 ).pytest()

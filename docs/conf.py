@@ -2,8 +2,9 @@
 
     make site    # builds it in build/site; a broken link or reference is an error
 
-Overview, machine, changes, contributing and security are README.md, models/README.md, CHANGELOG.md,
-CONTRIBUTING.md and SECURITY.md, whose links are turned to where they lie from here.
+The machine, changes, contributing and security are models/README.md, CHANGELOG.md, CONTRIBUTING.md
+and SECURITY.md, whose links are turned to where they lie from here. A link to the README leads to
+the first page. Equations become MathML, so that a page needs neither a script nor the network.
 
 The reference is read from the docstrings. They are plain text, equations set in by four columns,
 while Sphinx reads reStructuredText: `as_restructured` stands between. With the compiler switched
@@ -16,6 +17,8 @@ from importlib.metadata import version as installed
 from pathlib import Path
 from typing import Any
 
+from docutils.nodes import SkipNode
+from docutils.utils.math.latex2mathml import tex2mathml
 from pygments.lexers.special import TextLexer
 
 os.environ["NUMBA_DISABLE_JIT"] = "1"
@@ -32,7 +35,11 @@ extensions = [
 templates_path = ["_templates"]
 exclude_patterns = ["_templates", "data"]
 myst_heading_anchors = 4
+myst_enable_extensions = ["colon_fence", "dollarmath"]
 html_theme = "furo"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_math_renderer = "mathml"
 html_title = f"cmf-mj {release}"
 default_role = "code"
 highlight_language = "text"
@@ -43,12 +50,12 @@ autodoc_default_options = {"members": True, "ignore-module-all": True, "show-inh
 
 _HERE = Path(__file__).parent
 _BORROWED = {
-    "index": "README.md",
-    "machine": "models/README.md",
-    "changes": "CHANGELOG.md",
-    "contributing": "CONTRIBUTING.md",
-    "security": "SECURITY.md",
+    "reference/machine": "models/README.md",
+    "reference/changes": "CHANGELOG.md",
+    "reference/contributing": "CONTRIBUTING.md",
+    "reference/security": "SECURITY.md",
 }
+_PLACES = {"README.md": "index", **{path: page for page, path in _BORROWED.items()}}
 _LINK = re.compile(r"(?<=\]\()(?!\w+:|#)([^)#]+)")
 _SECTION = re.compile(r"(Args|Returns|Raises|Yields|Attributes):$")
 _ITEM = re.compile(r"\s*(- |\* |\d+\. )")
@@ -88,11 +95,11 @@ def _process(_app: Any, _kind: str, _name: str, _it: Any, _options: Any, lines: 
 def _read(_app: Any, page: str, source: list[str]) -> None:
     """Put the borrowed text before a page's own and turn all links between pages to the site's."""
     borrowed = _HERE.parent / _BORROWED.get(page, f"docs/{page}.md")
-    pages = {_HERE.parent / path: f"{name}.md" for name, path in _BORROWED.items()}
+    places = {_HERE.parent / path: _HERE / f"{name}.md" for path, name in _PLACES.items()}
 
     def turned(match: re.Match[str]) -> str:
         target = Path(os.path.normpath(borrowed.parent / match[1]))
-        return pages.get(target, os.path.relpath(target, _HERE))
+        return os.path.relpath(places.get(target, target), (_HERE / page).parent)
 
     if page in _BORROWED:
         source[0] = _LINK.sub(turned, borrowed.read_text(encoding="utf-8")) + "\n" + source[0]
@@ -100,8 +107,15 @@ def _read(_app: Any, page: str, source: list[str]) -> None:
         source[0] = _LINK.sub(turned, source[0])
 
 
+def _mathml(translator: Any, node: Any) -> None:
+    block = node.tagname == "math_block"
+    translator.body.append(tex2mathml(node.astext(), as_block=block))
+    raise SkipNode
+
+
 def setup(app: Any) -> None:
-    """Put `as_restructured` before the reader of Google sections; read the borrowed pages."""
+    """Read docstrings as they are written, borrow pages, write equations as MathML."""
     app.connect("autodoc-process-docstring", _process, priority=400)
     app.connect("source-read", _read)
+    app.add_html_math_renderer("mathml", (_mathml, None), (_mathml, None))
     app.add_lexer("mermaid", TextLexer)

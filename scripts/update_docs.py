@@ -13,9 +13,13 @@ import textwrap
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
+
+from typer.main import get_command
 
 from cmf_mj import load_hydraulics
 from cmf_mj.analysis.ledger import LedgerEntry, load_ledger
+from cmf_mj.cli import app
 from cmf_mj.show.listing import figures_text, parameter_table
 from cmf_mj.show.table import Table
 
@@ -94,7 +98,29 @@ def _section(entry: LedgerEntry) -> str:
     return f"## {entry.number}. {entry.title}\n\n{entry.where}.\n\n" + "\n".join(lines) + "\n"
 
 
+def commands() -> str:
+    """All commands by the headings of `cmf --help`, each with its first sentence."""
+    panels: dict[str, list[tuple[str, ...]]] = {}
+
+    def gather(group: Any, before: str, heading: str) -> None:
+        for name, command in sorted(group.commands.items()):
+            panel = command.rich_help_panel or heading
+            if hasattr(command, "commands"):
+                gather(command, f"{before} {name}", panel)
+                continue
+            sentence = command.help.split("\n\n")[0].replace("\n", " ")
+            panels.setdefault(panel, []).append((f"`{before} {name}`", sentence))
+
+    gather(get_command(app), "cmf", "")
+    tables = (
+        f"## {panel}\n\n{Table('', ('command', 'what it does'), rows).markdown()}"
+        for panel, rows in sorted(panels.items())
+    )
+    return "\n".join(tables)
+
+
 DATA: dict[str, Callable[[], str]] = {
+    "commands": commands,
     "ledger": ledger,
     **{f"parameters-{name}": partial(parameters, name) for name in ("report", "hardware", "lossy")},
 }
@@ -105,7 +131,7 @@ _DATA = re.compile(r"(<!-- data: ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 def pages(root: Path) -> list[Path]:
     """README and all pages of the documentation."""
-    return [root / "README.md", *sorted((root / "docs").glob("*.md"))]
+    return [root / "README.md", *sorted((root / "docs").rglob("*.md"))]
 
 
 def refresh(text: str, results: Path) -> str:

@@ -290,7 +290,9 @@ def test_the_misprinted_law_is_stopped(hexapod: Hexapod) -> None:
 
 
 def test_the_documented_table_is_the_default() -> None:
-    text = (Path(__file__).parents[1] / "docs" / "sensors.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[1] / "docs" / "reference" / "sensors.md").read_text(
+        encoding="utf-8"
+    )
     rows = [line.split("|")[1:-1] for line in text.splitlines() if line.startswith("| `")]
     told = {name.strip(" `"): (size.strip(), int(frames)) for name, _, size, frames in rows}
     assert list(told) == list(FAULTS[1:])

@@ -179,7 +179,9 @@ def test_stop_beyond_the_stroke_holds_on_the_stroke():
 def test_the_diagram_of_the_documentation_has_every_change_and_no_other():
     """From every state, every request, legs on the stops, at neutral and between, fade begun, ended
     and long ended, valve faded in or out, hold at neutral or not."""
-    drawn = Path(__file__).resolve().parents[1].joinpath("docs", "limits.md").read_text()
+    drawn = (
+        Path(__file__).resolve().parents[1].joinpath("docs", "explanation", "limits.md").read_text()
+    )
     diagram = set(re.findall(r"^    (\w+) --> (\w+)", drawn, re.MULTILINE))
     still, found = np.zeros((3, LEGS)), set()
     for code, request, place, time, valve, hold in itertools.product(

@@ -276,7 +276,7 @@ def test_level_flight_moves_nothing():
 @pytest.mark.parametrize(("rate", "sensed"), [(5.0, 0.120), (10.0, 0.256)])
 def test_false_side_force_in_a_coordinated_turn_entry(rate, sensed):
     """None in flight. The default set stays below the threshold of 0.17 m/s^2 up to 20 deg of
-    bank at 5 deg/s, and does not at 10 deg/s: the figures of docs/cueing.md."""
+    bank at 5 deg/s, and does not at 10 deg/s: the figures of docs/how_to/cueing.md."""
     flown = turn_entry(20.0, rate)
     error = cue(flown).error
     assert not error.aircraft.specific_force[:, 1].any()

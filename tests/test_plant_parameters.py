@@ -35,7 +35,7 @@ def own(tmp_path):
 
 @pytest.mark.parametrize("name", HYDRAULICS)
 def test_areas_are_the_published_ones(name):
-    """23.758 and 11.965 in^2 to the digits of docs/model.md; section 3.4.1 prints 11.97."""
+    """23.758 and 11.965 in^2 to the digits that the docs print; section 3.4.1 prints 11.97."""
     parameters = load_hydraulics(name)
     assert abs(parameters.cap_area / units.INCH**2 - 23.758) < 5e-4
     assert abs(parameters.rod_area / units.INCH**2 - 11.965) < 5e-4

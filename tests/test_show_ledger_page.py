@@ -73,8 +73,8 @@ def test_a_shared_demonstration_is_refused(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_page_is_what_the_data_give() -> None:
-    """docs/ledger.md holds the text that scripts/update_docs.py makes."""
-    page = (TESTS.parent / "docs" / "ledger.md").read_text(encoding="utf-8")
+    """docs/reference/ledger.md holds the text that scripts/update_docs.py makes."""
+    page = (TESTS.parent / "docs" / "reference" / "ledger.md").read_text(encoding="utf-8")
     script = runpy.run_path(str(TESTS.parent / "scripts" / "update_docs.py"))
     assert f"<!-- data: ledger -->\n\n{script['ledger']()}\n<!-- end -->" in page
 

@@ -71,8 +71,10 @@ def test_shares_of_agreement_regression(runs: Runs) -> None:
 
 
 def test_docs_have_the_verdicts_and_shares_regression(runs: Runs) -> None:
-    """docs/report.md, from sweeps of 100 s; medians apart, those of 30 s give the same."""
-    page = (Path(__file__).parents[1] / "docs" / "report.md").read_text(encoding="utf-8")
+    """In report.md, from sweeps of 100 s; medians apart, those of 30 s give the same."""
+    page = (Path(__file__).parents[1] / "docs" / "explanation" / "report.md").read_text(
+        encoding="utf-8"
+    )
     assert accounting.verdict_table(runs, tuple(TITLES)).table.markdown() in page
     for row in accounting.agreement_table(runs).table.cells:
         assert f"| {' | '.join(row[:5])} |" in page

@@ -9,7 +9,10 @@ from types import ModuleType
 
 import pytest
 
+import cmf_mj
+
 ROOT = Path(__file__).resolve().parents[1]
+PARTS = ("tutorials", "how_to", "explanation", "reference")
 
 
 def loaded(path: Path) -> ModuleType:
@@ -41,6 +44,7 @@ def test_sections_are_left_to_their_reader() -> None:
     ("text", "passes"),
     [
         ("[laws](../README.md) and [here](#second)\n\n## Second\n", True),
+        ("Energy $E = m v^2 / 2$ and\n\n$$ M = J^{-T} M J^{-1} $$\n", True),
         ("[nothing](nothing.md)\n", False),
         ("[nothing](#third)\n\n## Second\n", False),
     ],
@@ -49,6 +53,7 @@ def test_a_broken_link_fails(tmp_path: Path, text: str, passes: bool) -> None:
     pages = tmp_path / "docs"
     pages.mkdir()
     shutil.copy(ROOT / "docs" / "conf.py", pages / "conf.py")
+    shutil.copytree(ROOT / "docs" / "_static", pages / "_static")
     (tmp_path / "README.md").write_text("# Overview\n")
     (pages / "index.md").write_text("```{toctree}\npage\n```\n")
     (pages / "page.md").write_text("# Page\n\n" + text)
@@ -58,8 +63,18 @@ def test_a_broken_link_fails(tmp_path: Path, text: str, passes: bool) -> None:
 
 
 def test_every_page_is_in_the_contents() -> None:
-    contents = (ROOT / "docs" / "index.md").read_text().split()
-    assert {page.stem for page in (ROOT / "docs").glob("*.md")} - {"index"} <= set(contents)
+    """In one of the four parts, and in the list of `index.md`, so that none is out of reach."""
+    docs = ROOT / "docs"
+    contents = (docs / "index.md").read_text(encoding="utf-8").split()
+    pages = {str(page.relative_to(docs).with_suffix("")) for page in docs.rglob("*.md")}
+    assert pages - {"index"} <= set(contents)
+    assert {Path(page).parent.name for page in pages} == {"", *PARTS}
+
+
+def test_every_public_name_is_in_the_index_by_task() -> None:
+    page = (ROOT / "docs" / "reference" / "api.md").read_text(encoding="utf-8")
+    listed = {line.strip().split(".")[-1] for line in page.split("## All modules")[0].splitlines()}
+    assert set(cmf_mj.__all__) - {"signals"} <= listed
 
 
 def test_generated_tables_are_current(tmp_path: Path) -> None:
@@ -68,5 +83,5 @@ def test_generated_tables_are_current(tmp_path: Path) -> None:
     for path in script.pages(ROOT):
         page = path.read_text(encoding="utf-8")
         assert script.refresh(page, tmp_path) == page, f"run scripts/update_docs.py: {path.name}"
-    page = (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "parameters.md").read_text(encoding="utf-8")
     assert script.refresh(page.replace("0.28", "0.29"), tmp_path) == page

@@ -268,7 +268,7 @@ TEXTS: Mapping[str, Any] = {
     "held_out": held_out_text,
     "sample": sample_text,
 }
-"""Sentences of docs/acceleration_in_rotation.md by the name of their file."""
+"""Sentences of docs/explanation/acceleration_in_rotation.md by the name of their file."""
 
 
 def save_posterior(results: Results, folder: Path) -> list[Path]:
