@@ -7,12 +7,18 @@ static load: `drawn` is the machine with its geoms under MuJoCo's defaults (impl
 warm start, timers), `headless` what the loop steps. `outside` is the share of a simulated second
 that `simulate` spends outside the loop, `speed_up_two_threads` the work done by two threads over
 that of one in the same time, by the clock on the wall. --start adds what a user waits for: import,
-`cmf --help`, and the first comparison with nothing compiled.
+`cmf --help`, and the first comparison with nothing compiled. --exudyn adds the CPU time of the
+open-loop run of `cmf verify` in Exudyn over that of ours: with steps of one frame in both, and with
+steps at which both are off by at most 1 um of leg extension. Ours takes no longer step than a
+frame; Exudyn's step and time for an error follow from its order 2, error ~ step^2 ~ 1 / time^2.
+--many adds ten thousand one-second cases of `simulate_many`, their time by the clock on the wall
+and what the process grew by meanwhile.
 """
 
 import argparse
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -26,14 +32,16 @@ import mujoco
 import numpy as np
 from numba import njit
 
-from cmf_mj import Hexapod, load_law, signals, simulate
+from cmf_mj import Hexapod, load_hydraulics, load_law, signals, simulate, simulate_many
 from cmf_mj.core.files import write_json, write_text
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.rates import FRAME, RATE
 from cmf_mj.facility import loop, session
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant import native
 from cmf_mj.plant.headless import quiet
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.show.table import Table
+from cmf_mj.studies.verification import ENGINES, in_mujoco, valve_sines, verify
 
 
 @njit(nogil=True, cache=True)
@@ -101,6 +109,41 @@ def starting(environment: dict[str, str]) -> dict[str, float]:
     return times
 
 
+def against_exudyn(repeat: int) -> dict[str, float]:
+    """Exudyn's CPU time over ours at equal step and at an equal error."""
+    result = verify(parts=(1, 2, 4))
+    ours, theirs = (next(r for r in result.runs if r.engine == e) for e in ENGINES)
+    cab, hydraulics, valves = load_cab("gfd"), load_hydraulics("report"), valve_sines(4.0)
+    least = min(in_mujoco(valves, FRAME, cab, hydraulics).cpu_time for _ in range(repeat))
+    equal = theirs.cpu_time / least
+    return {
+        "exudyn_equal_step": round(equal, 1),
+        "exudyn_at_1_um": round(equal * (theirs.extension_error / 1e-6) ** 0.5, 1),
+        "exudyn_at_our_error": round(
+            equal * (theirs.extension_error / ours.extension_error) ** 0.5, 1
+        ),
+        "our_error_um": round(ours.extension_error * 1e6, 3),
+        "exudyn_error_um": round(theirs.extension_error * 1e6, 3),
+    }
+
+
+def ten_thousand() -> dict[str, float]:
+    """Seconds by the clock for 10 000 heave cases of a second, and growth in memory [MiB]."""
+    time_axis = np.arange(RATE) / RATE
+    shape = np.sin(2.0 * np.pi * time_axis)
+    plant, amplitudes = Hexapod(), np.linspace(0.001, 0.02, 10_000)
+    grown, seconds = [], 0.0
+    for part in np.split(amplitudes, 10):
+        poses = np.zeros((part.size, RATE, 6))
+        poses[:, :, 2] = part[:, None] * shape
+        begin = time.perf_counter()
+        runs = simulate_many(plant, "velocity", poses, record_every=64)
+        seconds += time.perf_counter() - begin
+        assert not any(runs.left)
+        grown.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
+    return {"many_s": round(seconds, 1), "many_growth_mib": round(grown[-1] - grown[0], 1)}
+
+
 def table(result: dict[str, Any]) -> Table:
     """What was measured, in words."""
     words = {
@@ -116,6 +159,11 @@ def table(result: dict[str, Any]) -> Table:
         "help_s": "`cmf --help` [s]",
         "first_compare_s": "first `cmf compare --laws velocity --dofs heave`, nothing compiled [s]",
         "second_compare_s": "the same again [s]",
+        "many_s": "10 000 one-second heave cases, `simulate_many`, two cores [s]",
+        "many_growth_mib": "memory that the last 9000 of them took [MiB]",
+        "exudyn_equal_step": "Exudyn's CPU time over ours, steps of 1/2048 s",
+        "exudyn_at_our_error": "the same at the error of our step of 1/2048 s",
+        "exudyn_at_1_um": "the same at an error of at most 1 um",
     }
     rows = [(text, f"{result[name]:.3g}") for name, text in words.items() if name in result]
     return Table("", ("what", "measured"), rows)
@@ -134,6 +182,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0, help="simulated time of one run")
     parser.add_argument("--repeat", type=int, default=15)
     parser.add_argument("--start", action="store_true", help="also import, help, first comparison")
+    parser.add_argument("--exudyn", action="store_true", help="also against Exudyn")
+    parser.add_argument("--many", action="store_true", help="also ten thousand short cases")
     parser.add_argument("--out", type=Path, help="folder for bench.json and the table bench.md")
     options = parser.parse_args()
     if options.repeat < 1 or options.seconds < 1.0:
@@ -181,6 +231,10 @@ def main() -> None:
     }
     if options.start:
         result |= starting(dict(os.environ))
+    if options.many:
+        result |= ten_thousand()
+    if options.exudyn:
+        result |= against_exudyn(options.repeat)
     print(json.dumps(result, indent=2))
     if options.out:
         write_json(options.out / "bench.json", result)

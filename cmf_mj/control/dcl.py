@@ -45,7 +45,7 @@ from cmf_mj.control.reference_model import (
     follow,
     make_model,
 )
-from cmf_mj.core.compiled import assign, compiled
+from cmf_mj.core.compiled import assign, compiled, inlined
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.kinematics import WORKING_STROKE
@@ -248,7 +248,7 @@ def _out_of_modes(shape, work):  # type: ignore[no-untyped-def]
     assign(work.target, work.legs)
 
 
-@compiled
+@inlined
 def step(dcl, state, demand, feedback):  # type: ignore[no-untyped-def]
     """One frame of the DCL from leg demands (n,) [m]; its results are in `dcl.workspace`."""
     # In one piece: handing all arrays to a function with branches costs more than its work.

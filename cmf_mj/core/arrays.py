@@ -67,12 +67,14 @@ class FrozenList(list[Any]):
         return FrozenList, (list(self),)
 
 
+_PLAIN = frozenset((str, float, int, bool, type(None)))
+
+
 def frozen_json(content: Any) -> Any:
     """JSON values that nobody can write to, down to the last table and list."""
     if isinstance(content, dict):
-        return FrozenDict({name: frozen_json(value) for name, value in content.items()})
-    if isinstance(content, list):
-        return FrozenList(frozen_json(value) for value in content)
-    if isinstance(content, tuple):
-        return tuple(frozen_json(value) for value in content)
+        return FrozenDict(zip(content, frozen_json(tuple(content.values())), strict=True))
+    if isinstance(content, list | tuple):
+        kind = FrozenList if isinstance(content, list) else tuple
+        return kind(v if type(v) in _PLAIN else frozen_json(v) for v in content)
     return content

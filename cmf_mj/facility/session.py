@@ -42,7 +42,6 @@ from cmf_mj.facility.pace import Pace, idle_pace
 from cmf_mj.plant import fit
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.events import OVERLOAD, Event, make_timeline, no_faults
-from cmf_mj.plant.headless import quiet
 from cmf_mj.plant.native import untimed
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.supply import RETURN_PRESSURE, SUPPLY_PRESSURE
@@ -129,11 +128,11 @@ class Session:
         self.frame = 0
         """Control frames run so far."""
         self.every = options.record_every
-        self._quiet = quiet(plant.model)
+        state = plant.start(options.start)
         self.machine = Machine(
-            plant.mechanics(self._quiet),
+            plant.mechanics(),
             plant.hydraulics,
-            plant.start(options.start),
+            state,
             no_faults(plant.legs),
             make_timeline(self._events, plant.legs),
         )

@@ -140,9 +140,10 @@ def euler_rate_matrix(pitch, yaw):  # type: ignore[no-untyped-def]
     return np.array([[ct * cp, -sp, 0.0], [ct * sp, cp, 0.0], [-st, 0.0, 1.0]])
 
 
-@allocating
-def _legs(geometry, pose, legs):  # type: ignore[no-untyped-def]
-    turn = rotation(pose[3], pose[4], pose[5])
+@compiled
+def _legs(geometry, pose, turn, legs):  # type: ignore[no-untyped-def]
+    """Write the extensions of a pose; its rotation goes through `turn`, (3, 3)."""
+    rotate(pose[3], pose[4], pose[5], turn)
     for j in range(6):
         square = 0.0
         for i in range(3):
@@ -174,8 +175,9 @@ def write_pose_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-de
 
 @allocating
 def _legs_history(geometry, poses, legs):  # type: ignore[no-untyped-def]
+    turn = np.empty((3, 3))
     for row in range(poses.shape[0]):
-        _legs(geometry, poses[row], legs[row])
+        _legs(geometry, poses[row], turn, legs[row])
 
 
 @allocating
@@ -184,13 +186,13 @@ def _newton(geometry, legs, pose):  # type: ignore[no-untyped-def]
 
     The assemblies are separated by singular poses, so the determinant's sign tells theirs.
     """
-    tried = np.empty(6)
+    tried, turn = np.empty(6), np.empty((3, 3))
     jacobian = np.empty((6, 6))
     write_pose_jacobian(geometry, np.zeros(6), jacobian)
     sense = np.linalg.det(jacobian)
     error = legs.copy()
     for _ in range(_NEWTON_ITERATIONS):
-        _legs(geometry, pose, tried)
+        _legs(geometry, pose, turn, tried)
         error[:] = legs - tried
         if np.max(np.abs(error)) < _NEWTON_TOLERANCE:
             break

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.core.compiled import compiled
+from cmf_mj.core.compiled import inlined
 from cmf_mj.core.errors import InputError
 from cmf_mj.plant.cylinder import (
     CAP,
@@ -139,7 +139,7 @@ def rest(
     )
 
 
-@compiled
+@inlined
 def _open(hydraulics, state, faults, last, command, before, after):  # type: ignore[no-untyped-def]
     """Volumes and flow gains of all actuators at the end of a stage; the last moves the spools."""
     head = state.supply[SUPPLY_PRESSURE] - state.supply[RETURN_PRESSURE]
@@ -185,7 +185,7 @@ def _open(hydraulics, state, faults, last, command, before, after):  # type: ign
         pair.cap_in, pair.cap_out, pair.rod_in, pair.rod_out = cap_in, cap_out, rod_in, rod_out
 
 
-@compiled
+@inlined
 def _count(hydraulics, energy, stage, time, part, before, after):  # type: ignore[no-untyped-def]
     """Add to the energies what a stage passes in its time, over its part of the motion."""
     for i in range(len(FLOWS)):
@@ -196,7 +196,7 @@ def _count(hydraulics, energy, stage, time, part, before, after):  # type: ignor
         energy[_MECHANICAL] += part * load * (after[leg] - before[leg])
 
 
-@compiled
+@inlined
 def advance(hydraulics, state, faults, command, before, after):  # type: ignore[no-untyped-def]
     """Advance all actuators and the supply by one mechanical step; whether both stages converged.
 
@@ -290,7 +290,7 @@ def advance(hydraulics, state, faults, command, before, after):  # type: ignore[
     return converged
 
 
-@compiled
+@inlined
 def loads(cylinders, pressure, friction, out):  # type: ignore[no-untyped-def]
     """Write the axial forces [N], (n,), of all actuators on their rods, friction taken off."""
     for leg in range(out.shape[0]):

@@ -14,6 +14,7 @@ per unit actuator velocity, and
 The soft closing of loops does not enter: T comes from their Jacobian alone.
 """
 
+import copy
 import hashlib
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -28,7 +29,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import OneAtATime
 from cmf_mj.machine.cab import Cab
 from cmf_mj.plant import fit, native
-from cmf_mj.plant.headless import saved
+from cmf_mj.plant.headless import quiet, saved
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, make_hydraulics, rest
 from cmf_mj.plant.native import Mechanics
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -79,8 +80,9 @@ class Plant:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model = model
         self.data = mujoco.MjData(model)
-        self._rest: tuple[tuple[bytes, int, bytes], NDArray[np.float64], NDArray[np.float64]] | None
-        self._rest = None  # of the last start: what was asked, generalised positions, static forces
+        self._quiet = quiet(model)  # for steps that nobody records
+        # Of the last start: what was asked, generalised positions, hydraulic state.
+        self._rest: tuple[tuple[object, ...], NDArray[np.float64], HydraulicState] | None = None
         self.started = 0
         """How often the state has been reset: a run goes on only while nobody does."""
         self.alone = OneAtATime("plant: another thread runs it; allowed: a plant for each thread")
@@ -315,12 +317,14 @@ class Plant:
         """
         with self.alone:
             self._reset()
-            strokes = self.hydraulics.cylinder.half_stroke.tobytes()
-            asked = (saved(self.model), id(self.hydraulics), strokes + _bytes(pose))
+            tables = b"".join(part.tobytes() for part in (*self.hydraulics[:3], self.neutral))
+            asked = (saved(self.model), _bytes(pose), tables, self.hydraulics[3:])
+            if self._rest is None or self._rest[0][0] != asked[0]:
+                self._quiet = quiet(self.model)
             if self._rest is not None and self._rest[0] == asked:  # all of what follows holds
                 self.data.qpos[:] = self._rest[1]
                 mujoco.mj_forward(self.model, self.data)
-                return rest(self.hydraulics, self._rest[2], self.extensions())
+                return copy.deepcopy(self._rest[2])
             mujoco.mj_kinematics(self.model, self.data)
             self.check()
             if pose is not None:
@@ -331,18 +335,18 @@ class Plant:
             if warned := fit.warned(self.data):
                 raise InputError(f"start: {warned}; allowed: a state without warnings")
             state = rest(self.hydraulics, load, self.extensions())
-            self._rest = asked, self.data.qpos.copy(), load
+            self._rest = asked, self.data.qpos.copy(), copy.deepcopy(state)
             return state
 
     def _reset(self) -> None:
         mujoco.mj_resetData(self.model, self.data)
         self.started += 1
 
-    def mechanics(self, quiet: mujoco.MjModel) -> Mechanics:
-        """Views and addresses for the compiled loop; valid while this plant and `quiet` live."""
+    def mechanics(self) -> Mechanics:
+        """Views and addresses for the compiled loop; valid from a `start` to the next."""
         return Mechanics(
             model=self.model._address,
-            quiet=quiet._address,
+            quiet=self._quiet._address,
             data=self.data._address,
             position_stage=native.address("mj_step1"),
             force_stage=native.address("mj_step2"),
