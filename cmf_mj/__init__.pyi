@@ -19,10 +19,11 @@ from .facility.simulation import drive as drive
 from .facility.simulation import simulate as simulate
 from .machine.cab import Cab as Cab
 from .machine.cab import load_cab as load_cab
-from .machine.kinematics import Geometry as Geometry
+from .machine.geometry import Geometry as Geometry
 from .machine.kinematics import legs_to_pose as legs_to_pose
 from .machine.kinematics import pose_to_legs as pose_to_legs
-from .machine.kinematics import read_geometry as read_geometry
+from .machine.machine import Machine as Machine
+from .machine.machine import load_machine as load_machine
 from .plant.attach import attach_hydraulics as attach_hydraulics
 from .plant.hexapod import Hexapod as Hexapod
 from .plant.parameters.loading import load_hydraulics as load_hydraulics

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cmf_mj import load_law
 from cmf_mj.control.law import Law
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.show.table import Table

@@ -21,7 +21,7 @@ from cmf_mj.core import units
 from cmf_mj.core.files import write_csv, write_text
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.machine.dof import dof_unit
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.record.record import Record

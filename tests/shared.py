@@ -17,11 +17,15 @@ from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.reduction import leg_model
 from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import Published, published_results
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.core.units import INCH
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.studies.case import AMPLITUDE, ROTATION_PER_TRANSLATION
 
 FOLDER = "CMF_MJ_SHARED_RUNS"
 """Variable of the environment with the folder that all workers of a suite see."""
+
+WORKING_STROKE = 37.5 * INCH
+"""Leg travel of the CMF's control law either way [m] (section 3.2.1)."""
 
 Result = TypeVar("Result")
 

@@ -6,7 +6,8 @@ from identified_systems import RATE, driven, series
 
 from cmf_mj import Record, SingleLegs, signals, simulate
 from cmf_mj.analysis.identification.data import Experiment, decimated, experiment
-from cmf_mj.machine.kinematics import DOFS, pose_jacobian
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import pose_jacobian
 
 
 @pytest.fixture(scope="module")

@@ -31,7 +31,7 @@ from cmf_mj.analysis.identification.response_fit import fit_response
 from cmf_mj.analysis.identification.validation import simulation_fit
 from cmf_mj.analysis.linear.catalogue import hardware_velocity
 from cmf_mj.analysis.linear.loop import closed_loop, closed_loop_response
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.signals.composite import orthogonal_multisines
 from cmf_mj.signals.signal import Command
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shared import SINGLE, printed, report_leg
+from shared import SINGLE, WORKING_STROKE, printed, report_leg
 
 from cmf_mj.analysis.frequency_response import bandwidths
 from cmf_mj.analysis.ledger import LedgerEntry
@@ -16,6 +16,8 @@ from cmf_mj.control.error import integrate, make_error_calculations
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.machine import kinematics
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.machine import load_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 
 TESTS = Path(__file__).parent
@@ -34,7 +36,7 @@ def test_legs_reach_beyond_two_mechanical_limits(entry: LedgerEntry) -> None:
     assert down == pytest.approx(entry.figure("heave down"), abs=0.1)
     assert nose == pytest.approx(entry.figure("nose down"), abs=0.1)
     beyond = []
-    for dof, (low, high) in zip(kinematics.DOFS, reach, strict=True):
+    for dof, (low, high) in zip(DOFS, reach, strict=True):
         stated = getattr(limits, dof).mechanical
         near = 1.2 if stated.unit == "in" else 0.8
         for leg, table in ((low, stated.low), (high, stated.high)):
@@ -47,14 +49,14 @@ def test_legs_reach_beyond_two_mechanical_limits(entry: LedgerEntry) -> None:
 def test_yaw_limit_fits_in_degrees_only(entry: LedgerEntry) -> None:
     limits = load_motion_limits()
     shares = {}
-    for dof in kinematics.DOFS:
+    for dof in DOFS:
         axis = getattr(limits, dof)
         shares[dof] = axis.operational.high / axis.mechanical.high
     yaw = shares.pop("yaw")
     assert yaw == pytest.approx(entry.figure("yaw, degrees over degrees"), abs=0.005)
     assert min(shares.values()) == pytest.approx(0.93, abs=0.005)
     assert max(shares.values()) == pytest.approx(0.96, abs=0.005)
-    radius = np.linalg.norm(kinematics.read_geometry().upper[0, :2]) / INCH
+    radius = np.linalg.norm(load_machine().geometry.upper[0, :2]) / INCH
     arc = np.degrees(38.0 / radius) / limits.yaw.mechanical.high
     assert arc == pytest.approx(entry.figure("yaw, inches as an arc"), abs=0.01)
     assert arc < 0.9 * min(shares.values())
@@ -86,7 +88,7 @@ def test_amplitude_is_not_one_per_cent_of_a_leg(entry: LedgerEntry) -> None:
     pose[2] = -0.33 * INCH
     legs = kinematics.pose_to_legs(pose)
     np.testing.assert_allclose(legs / INCH, entry.figure("leg motion"), atol=5e-4)
-    share = 100.0 * legs / kinematics.WORKING_STROKE
+    share = 100.0 * legs / WORKING_STROKE
     np.testing.assert_allclose(share, entry.figure("share of the leg's travel"), atol=5e-3)
 
 
@@ -163,7 +165,9 @@ def test_integrator_limit_never_acts(entry: LedgerEntry) -> None:
 def test_trigger_at_the_stop_winds_up(entry: LedgerEntry) -> None:
     law = load_law("velocity_integral")
     for trigger in (-37.5, -37.0):
-        error = make_error_calculations(law.model_copy(update={"integrator_trigger": trigger}))
+        error = make_error_calculations(
+            law.model_copy(update={"integrator_trigger": trigger}), WORKING_STROKE
+        )
         seen = integrate(error, 0.0, -37.5 * INCH, -37.2 * INCH) * 2048.0 / INCH
         name = f"error seen at -37.2 in, trigger {trigger:g} in"
         assert seen == pytest.approx(entry.figure(name), abs=1e-9)

@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from shared import SINGLE, chirp_bandwidths, printed, report_leg
+from shared import SINGLE, WORKING_STROKE, chirp_bandwidths, printed, report_leg
 
 from cmf_mj import SingleLegs, signals, simulate
 from cmf_mj.analysis.ledger import LedgerEntry
@@ -157,7 +157,7 @@ def test_accelerometer_filter_delays_six_times_as_long(entry: LedgerEntry) -> No
 def test_no_rest_reads_0_86_g(entry: LedgerEntry) -> None:
     reads = axial_gravity(np.zeros(6)) / units.STANDARD_GRAVITY
     np.testing.assert_allclose(reads, entry.figure("at neutral"), atol=5e-4)
-    bottom = kinematics.legs_to_pose(np.full(6, -kinematics.WORKING_STROKE))
+    bottom = kinematics.legs_to_pose(np.full(6, -WORKING_STROKE))
     reads = axial_gravity(bottom) / units.STANDARD_GRAVITY
     np.testing.assert_allclose(reads, entry.figure("at the bottom"), atol=5e-3)
     out = kinematics.legs_to_pose(np.full(6, 13.8 * INCH))

@@ -15,6 +15,7 @@ from cmf_mj.analysis.response.welch import report_response, welch_response
 from cmf_mj.core import units
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.gravity import axial_gravity, projected_gravity
+from cmf_mj.machine.machine import load_machine
 
 INCH = units.INCH
 AREAS = (np.pi / 4.0 * 5.5**2, np.pi / 4.0 * (5.5**2 - 3.875**2))
@@ -118,7 +119,7 @@ def test_conclusion_names_the_wrong_equation(
 
 
 def test_113_5_is_not_the_neutral_length(entry: LedgerEntry) -> None:
-    geometry = kinematics.read_geometry()
+    geometry = load_machine().geometry
     length = np.linalg.norm(geometry.upper - geometry.lower, axis=1) / INCH
     name = "distance of the gimbals"
     np.testing.assert_allclose(length, entry.figure(name), atol=3e-3)
@@ -133,7 +134,7 @@ def test_113_5_is_not_the_neutral_length(entry: LedgerEntry) -> None:
 
 def pitch_column(pose: Real, *, printed: bool = False, exchanged: bool = False) -> Real:
     """df(i, 5) of invXform, half of it, in inches: half the derivative of the squared length."""
-    geometry = kinematics.read_geometry()
+    geometry = load_machine().geometry
     a, b = geometry.upper.T / INCH, geometry.lower.T / INCH
     x, y, z = pose[:3] / INCH
     roll, pitch, yaw = pose[3:]
@@ -151,7 +152,7 @@ def pitch_column(pose: Real, *, printed: bool = False, exchanged: bool = False) 
 
 def true_pitch_column(pose: Real) -> Real:
     """Length times derivative of the length with pitch, in^2/rad."""
-    geometry = kinematics.read_geometry()
+    geometry = load_machine().geometry
     length = kinematics.pose_to_legs(pose) + geometry.neutral
     return np.asarray(length * kinematics.pose_jacobian(pose)[:, 4] / INCH**2)
 
@@ -238,7 +239,7 @@ def test_ceil_of_the_rate_can_be_one_too_many(entry: LedgerEntry) -> None:
 
 def test_eq_c_3_is_no_component(entry: LedgerEntry) -> None:
     neutral = np.zeros(6)
-    length = float(kinematics.read_geometry().neutral[0])
+    length = float(load_machine().geometry.neutral[0])
     half = projected_gravity(neutral, 0.5 * length) / units.STANDARD_GRAVITY
     np.testing.assert_allclose(
         half, entry.figure("Eq C.3 with r half the leg, at neutral"), atol=5e-4

@@ -25,7 +25,8 @@ from cmf_mj.analysis.linear.reduction import dof_model, leg_model, reduced
 from cmf_mj.analysis.sine import fit_sines
 from cmf_mj.core import units
 from cmf_mj.facility.simulation import drive
-from cmf_mj.machine.kinematics import DOFS, legs_to_pose, pose_jacobian, pose_to_legs
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import legs_to_pose, pose_jacobian, pose_to_legs
 from cmf_mj.plant.events import no_faults
 from cmf_mj.plant.hydraulics import advance, loads
 from cmf_mj.plant.oil import density

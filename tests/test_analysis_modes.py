@@ -13,7 +13,8 @@ from cmf_mj.analysis.modes import Range, over_envelope, plane_map, sweep
 from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.machine.dof import dof_unit
-from cmf_mj.machine.kinematics import DOFS, pose_jacobian, pose_to_legs
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant import cylinder
 
@@ -35,7 +36,7 @@ def envelope(plant: Hexapod) -> Range:
 def test_a_mode_is_a_leg_on_its_spring(plant: Hexapod, pose: np.ndarray) -> None:
     """w^2 = s'Ks / s'Ms; with equal springs k that is k over the mass a leg feels."""
     hydraulic = plant.hydraulic_modes(pose)
-    legs = pose_to_legs(pose, plant.geometry)
+    legs = pose_to_legs(pose, plant.machine.geometry)
     oil = plant.hydraulics.oil.bulk_modulus
     spring = cylinder.stiffness(plant.hydraulics.cylinder, oil, legs)
     stored = np.sum(spring[:, None] * hydraulic.leg_shape**2, axis=0)
@@ -51,7 +52,7 @@ def test_shares_are_of_the_kinetic_energy(plant: Hexapod, pose: np.ndarray) -> N
     """By the platform's inertia, they sum to 1; by the legs, it is half the unit mass."""
     hydraulic = plant.hydraulic_modes(pose)
     assert hydraulic.share.sum(axis=0) == pytest.approx(np.ones(6), abs=1e-12)
-    moved = pose_jacobian(pose, plant.geometry) @ hydraulic.pose_shape
+    moved = pose_jacobian(pose, plant.machine.geometry) @ hydraulic.pose_shape
     assert moved == pytest.approx(hydraulic.leg_shape, abs=1e-12)
 
 
@@ -151,7 +152,7 @@ def check_mass_and_shapes(folder: Path, pose: list[float], frequency_hz: np.ndar
     )
     plant = Hexapod("gfd")
     oil = plant.hydraulics.oil.bulk_modulus
-    legs = pose_to_legs(pose, plant.geometry)
+    legs = pose_to_legs(pose, plant.machine.geometry)
     spring = cylinder.stiffness(plant.hydraulics.cylinder, oil, legs)
     for row, frequency in zip(shapes, frequency_hz, strict=True):
         shape = np.array([float(row[f"leg_{i}"]) for i in range(1, 7)])
@@ -163,7 +164,7 @@ def check_mass_and_shapes(folder: Path, pose: list[float], frequency_hz: np.ndar
         assert float(row["leg_mass_lbm"]) * units.POUND_MASS == pytest.approx(leg_mass, rel=1e-4)
         by_unit = [(dof, dof_unit(dof)) for dof in DOFS]
         moved = [units.to_si(unit, float(row[f"{dof}_{unit}_per_in"])) for dof, unit in by_unit]
-        along = pose_jacobian(pose, plant.geometry) @ moved
+        along = pose_jacobian(pose, plant.machine.geometry) @ moved
         assert along == pytest.approx(units.INCH * shape, abs=1e-4 * units.INCH)
         assert sum(float(row[f"share_{dof}"]) for dof in DOFS) == pytest.approx(1.0, abs=1e-5)
 

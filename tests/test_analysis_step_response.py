@@ -12,7 +12,7 @@ from scipy import optimize, signal
 
 from cmf_mj import Record, signals, step_metrics
 from cmf_mj.analysis.step_response import damping_from_overshoot, resonant_damping
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 
 RATE = 2048
 STEP = -0.0254

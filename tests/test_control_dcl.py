@@ -7,6 +7,7 @@ assembled here from the printed equations and run by python-control.
 import control
 import numpy as np
 import pytest
+from shared import WORKING_STROKE
 
 from cmf_mj import Law, law_names, load_law
 from cmf_mj.control import dcl as blocks
@@ -204,7 +205,7 @@ def test_the_derivative_filter_is_s_p_over_s_plus_p_by_forward_euler() -> None:
     """Figure 3-6's integrator in forward Euler form, T/(z - 1): s p/(s + p) becomes
     p (z - 1)/(z - 1 + p T). Oracle: python-control on random signals; 1e-12: round-off."""
     law = load_law("position_error_rate")
-    error, pole = make_error_calculations(law), law.derivative_pole
+    error, pole = make_error_calculations(law, WORKING_STROKE), law.derivative_pole
     values = np.random.default_rng(4).normal(size=300)
     state, found = 0.0, []
     for value in values:
@@ -218,7 +219,7 @@ def test_the_derivative_filter_is_s_p_over_s_plus_p_by_forward_euler() -> None:
 
 def test_the_derivative_filter_settles_on_the_rate_of_a_ramp() -> None:
     """DC gain of s p/(s + p) over s is 1: after 1 s the rate of 0.3 m/s is read to e^-90."""
-    error = make_error_calculations(load_law("velocity_error"))
+    error = make_error_calculations(load_law("velocity_error"), WORKING_STROKE)
     state = 0.0
     for k in range(2048):
         rate, state = filtered_rate(error, 0.3 * k * FRAME, state)
@@ -237,7 +238,7 @@ def test_the_accelerometer_filter_is_the_hold_of_its_lag(name: str) -> None:
     0.5 %: the printed pole and gain have four digits, the pole's distance from 1 only two.
     """
     law, lag = load_law(name), LAGS.get(name, 0.02 / 0.312)
-    filtering = make_feedback(law)
+    filtering = make_feedback(law, 1.0)
     state, response = 0.0, []
     for _ in range(8 * 2048):
         response.append(state)
@@ -275,7 +276,7 @@ def test_the_acceleration_acts_one_frame_late_through_its_filter() -> None:
 def test_the_integral_saturates_at_50_in_s(sign: float) -> None:
     """Section 3.2.1: limits of +-50. 30 in of error for 4 s would be 120 in s; 1e-12: round-off of
     the sum. It unwinds from the limit at once."""
-    error = make_error_calculations(load_law("velocity_integral"))
+    error = make_error_calculations(load_law("velocity_integral"), WORKING_STROKE)
     integral, path = 0.0, []
     for _ in range(4 * 2048):
         integral = integrate(error, integral, sign * 15 * INCH, sign * -15 * INCH)
@@ -293,7 +294,7 @@ def test_the_integral_saturates_at_50_in_s(sign: float) -> None:
 def test_below_the_trigger_the_integrator_sees_the_bottom(position: float, seen: float) -> None:
     """Half an inch above the bottom stop at -37.5 in the true position is switched in (section
     3.2.1); below, -37.5 in stands for it, so that a parked leg told to be there has no error."""
-    error = make_error_calculations(load_law("velocity_integral"))
+    error = make_error_calculations(load_law("velocity_integral"), WORKING_STROKE)
     for reference in (-37.5, -30.0):
         moved = integrate(error, 0.0, reference * INCH, position * INCH) / INCH
         assert moved == pytest.approx(FRAME * (reference - seen), rel=1e-12, abs=1e-15)
@@ -313,9 +314,9 @@ def test_only_the_integrator_sees_the_bottom_below_the_trigger() -> None:
 def test_demands_are_limited_to_the_working_stroke() -> None:
     """+-37.5 in (section 3.2.1); inside they pass unchanged."""
     for inches in (-37.5, -3.0, 0.0, 37.4):
-        assert limit(inches * INCH) == inches * INCH
-    assert limit(45 * INCH) == pytest.approx(37.5 * INCH, rel=1e-15)
-    assert limit(-45 * INCH) == pytest.approx(-37.5 * INCH, rel=1e-15)
+        assert limit(inches * INCH, WORKING_STROKE) == inches * INCH
+    assert limit(45 * INCH, WORKING_STROKE) == pytest.approx(37.5 * INCH, rel=1e-15)
+    assert limit(-45 * INCH, WORKING_STROKE) == pytest.approx(-37.5 * INCH, rel=1e-15)
     dcl, far = make_dcl(load_law("velocity_error"), 2), np.array([[50.0, -50.0]]) * INCH
     _, _, read = run(
         dcl, zeros(2), far, LegFeedback(*(np.zeros((1, 2)) for _ in LegFeedback._fields))
@@ -408,7 +409,7 @@ def test_engaged_laws_without_an_integral_give_their_dc_command() -> None:
 def test_force_feedback_is_eq_3_7() -> None:
     """F = (p_cap - p_rod) 11.97 in^2: 100 psi are 1197 lbf."""
     psi = POUND_FORCE / INCH**2
-    found = pressure_force(900 * psi, 800 * psi)
+    found = pressure_force(make_feedback(load_law("force"), 11.97 * INCH**2), 900 * psi, 800 * psi)
     assert found / POUND_FORCE == pytest.approx(1197.0, rel=1e-12)
 
 

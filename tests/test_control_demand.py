@@ -5,8 +5,10 @@ import pytest
 
 from cmf_mj import Hexapod, legs_to_pose, pose_to_legs
 from cmf_mj.control import demand as block
-from cmf_mj.machine.kinematics import about, leg_jacobian, make_geometry, read_geometry
+from cmf_mj.machine.geometry import make_geometry
+from cmf_mj.machine.kinematics import about, leg_jacobian
 from cmf_mj.machine.leg_motion import pose_motion_to_legs
+from cmf_mj.machine.machine import load_machine
 
 GRAVITY = np.array([0.0, 0.0, 9.80665])
 RNG = np.random.default_rng(7)
@@ -32,7 +34,7 @@ def turn(roll, pitch, yaw):
 
 def lengths(upper, pose):
     """Pin-to-pin lengths (6,), analytic in a complex pose."""
-    lines = pose[:3] + upper @ turn(*pose[3:]).T - read_geometry().lower
+    lines = pose[:3] + upper @ turn(*pose[3:]).T - load_machine().geometry.lower
     return np.sqrt((lines * lines).sum(axis=1))
 
 
@@ -41,7 +43,7 @@ def test_velocity_is_the_complex_step_of_the_length(motion):
     """Im l(x + i h v) / h with h = 1e-30 has no truncation and no cancellation."""
     pose, velocity, acceleration = motion
     found = frame(block.make_demand(), *motion)
-    upper, neutral = read_geometry().upper, read_geometry().neutral
+    upper, neutral = load_machine().geometry.upper, load_machine().geometry.neutral
     np.testing.assert_allclose(found[0], lengths(upper, pose) - neutral, rtol=0, atol=1e-14)
     first = lengths(upper, pose + 1e-30j * velocity).imag / 1e-30
     np.testing.assert_allclose(found[1], first, rtol=0, atol=1e-13)
@@ -53,7 +55,7 @@ def test_acceleration_is_the_complex_step_of_the_velocity(motion):
     with one Richardson step. Truncation of the order h^4 l^(6) / 30, below 1e-9; round-off 1e-12 /
     h."""
     pose, velocity, acceleration = motion
-    upper = read_geometry().upper
+    upper = load_machine().geometry.upper
 
     def rate(t):
         x, v = pose + velocity * t + acceleration * t * t / 2, velocity + acceleration * t
@@ -78,11 +80,11 @@ def test_frame_and_history_agree():
 
 def test_constant_deflection_is_a_platform_with_other_gimbals():
     deflection = RNG.uniform(-0.01, 0.01, (6, 3))
-    bent = make_geometry(read_geometry().upper + deflection, read_geometry().lower)
+    bent = make_geometry(load_machine().geometry.upper + deflection, load_machine().geometry.lower)
     demand = block.make_demand(deflection=deflection)
     for motion in MOTIONS[:10]:
         found, other = frame(demand, *motion), frame(block.make_demand(bent), *motion)
-        other[0] += bent.neutral - read_geometry().neutral
+        other[0] += bent.neutral - load_machine().geometry.neutral
         np.testing.assert_allclose(found, other, rtol=1e-13, atol=1e-13)
 
 
@@ -94,7 +96,10 @@ def test_compliance_displaces_the_gimbals_by_the_specific_force():
         force = turn(*pose[3:]).T @ (acceleration[:3] - GRAVITY)
         deflection = compliance @ force
         found = frame(demand, pose, velocity, acceleration)
-        wanted = lengths(read_geometry().upper + deflection, pose) - read_geometry().neutral
+        wanted = (
+            lengths(load_machine().geometry.upper + deflection, pose)
+            - load_machine().geometry.neutral
+        )
         np.testing.assert_allclose(found[0], wanted, rtol=0, atol=1e-14)
         frozen = frame(block.make_demand(deflection=deflection), pose, velocity, acceleration)
         np.testing.assert_allclose(found, frozen, rtol=1e-12, atol=1e-12)
@@ -134,7 +139,7 @@ def test_a_demand_about_the_centre_of_mass_is_eq_2_1(motion):
     are those of the centroid's motion p = c - T r, differentiated by complex steps."""
     pose, velocity, acceleration = motion
     found = frame(block.make_demand(about(CENTRE)), *motion)
-    upper, lower, neutral = read_geometry()
+    upper, lower, neutral = load_machine().geometry
     matrix, centre = turn(*pose[3:]), CENTRE + pose[:3]
     lines = upper - CENTRE + (centre - lower) @ matrix
     np.testing.assert_allclose(found[0], np.linalg.norm(lines, axis=1) - neutral, atol=1e-14)
@@ -170,8 +175,8 @@ def test_about_the_centre_of_mass_force_and_moment_do_not_mix():
         return np.abs((jacobian.T @ plant.reflected_mass() @ jacobian)[:3, 3:]).max()
 
     payload = plant.model.body_subtreemass[body]
-    assert coupling(read_geometry()) > 0.3 * payload  # kg m: the centre is that far above
-    assert coupling(about(centre)) < 0.1 * coupling(read_geometry())
+    assert coupling(load_machine().geometry) > 0.3 * payload  # kg m: the centre is that far above
+    assert coupling(about(centre)) < 0.1 * coupling(load_machine().geometry)
 
 
 def test_a_point_must_be_three_numbers():

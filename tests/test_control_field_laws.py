@@ -26,7 +26,7 @@ from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.units import INCH, POUND_FORCE
 from cmf_mj.facility.replay import replay
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.plant import Plant
 from cmf_mj.studies.case import make_case, run_case

@@ -7,11 +7,12 @@ The leg reference that reaches the error block stays within position, velocity a
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shared import WORKING_STROKE
 
 from cmf_mj.control import demand, limiter, states
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.compiled import allocating
-from cmf_mj.machine.kinematics import WORKING_STROKE, pose_to_legs
+from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.leg_motion import pose_motion_to_legs
 
 T = 1.0 / 2048.0

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lengths import examples
+from shared import WORKING_STROKE
 
 from cmf_mj.control import limiter as block
 from cmf_mj.control.limiter import limit_history, make_leg_limiter, make_limiter, make_pose_limiter
-from cmf_mj.machine.kinematics import WORKING_STROKE
 
 T = 1.0 / 2048.0
 G = 9.80665

@@ -18,7 +18,7 @@ from cmf_mj.control.plan import actuator_polynomial, response_polynomial
 from cmf_mj.core.rates import FRAME
 from cmf_mj.facility.binding import nominal_modes
 from cmf_mj.facility.replay import replay
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.models import CABS
 from cmf_mj.studies.mismatch import valve_gains, with_valve_gains
 

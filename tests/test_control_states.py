@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shared import WORKING_STROKE
 
 from cmf_mj.control import states as block
 from cmf_mj.control.states import Request, State, load_state_settings, make_states, start
 from cmf_mj.core.compiled import allocating
-from cmf_mj.machine.kinematics import WORKING_STROKE
 
 T = 1.0 / 2048.0
 LEGS = 3

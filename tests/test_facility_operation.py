@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import signal
+from shared import WORKING_STROKE
 
 from cmf_mj import Hexapod, Record, load_law, signals, simulate
 from cmf_mj.control import limiter
@@ -54,7 +55,7 @@ def check_reference(record: Record) -> None:
     slack = 8 * np.finfo(float).eps * RATE
     velocity = np.diff(reference, axis=0) * RATE
     acceleration = np.diff(velocity, axis=0) * RATE
-    assert np.abs(reference).max() <= kinematics.WORKING_STROKE
+    assert np.abs(reference).max() <= WORKING_STROKE
     assert np.abs(velocity).max() <= LEGS.velocity[0] * (1 + 1e-12) + slack
     assert np.abs(acceleration).max() <= LEGS.acceleration[0] * (1 + 1e-12) + slack * RATE
 

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lengths import examples
 from numpy.typing import NDArray
+from shared import WORKING_STROKE
 from test_control_dcu_streams import KINDS, stream
 
 from cmf_mj.control import limiter, states
@@ -25,7 +26,6 @@ from cmf_mj.facility.host.datagram import (
 )
 from cmf_mj.facility.host.handover import logged, make_log, make_ring, put
 from cmf_mj.facility.host.stream import HostFrame
-from cmf_mj.machine.kinematics import WORKING_STROKE
 
 T = 1.0 / 2048.0
 DCU = make_dcu()

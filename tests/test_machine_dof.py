@@ -5,7 +5,7 @@ import doctest
 import pytest
 
 from cmf_mj.machine import dof
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 
 
 def test_three_lengths_then_three_angles():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from shared import WORKING_STROKE
 
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.gravity import (
@@ -13,6 +14,7 @@ from cmf_mj.machine.gravity import (
     track,
     upward,
 )
+from cmf_mj.machine.machine import load_machine
 
 GRAVITY = 9.80665
 INCH = 0.0254
@@ -23,7 +25,7 @@ def some_poses(count: int, share: float = 1.0) -> np.ndarray:
     limits = kinematics.excursion_envelope()
     poses = rng.uniform(limits[:, 0], limits[:, 1], (20 * count, 6))
     poses *= share * rng.uniform(size=(20 * count, 1))
-    reach = np.abs(kinematics.pose_to_legs(poses)).max(axis=1) < kinematics.WORKING_STROKE
+    reach = np.abs(kinematics.pose_to_legs(poses)).max(axis=1) < WORKING_STROKE
     assert reach.sum() >= count
     return poses[reach][:count]
 
@@ -58,7 +60,7 @@ def test_equation_c3_between_its_limits() -> None:
 
 
 def test_lengths_and_directions_are_those_of_the_kinematics() -> None:
-    geometry = kinematics.read_geometry()
+    geometry = load_machine().geometry
     for pose in some_poses(20):
         lengths, directions = leg_directions(pose)
         legs = kinematics.pose_to_legs(pose)

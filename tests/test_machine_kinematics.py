@@ -9,10 +9,13 @@ import itertools
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from shared import WORKING_STROKE
 
 from cmf_mj.core import units
 from cmf_mj.machine import kinematics
-from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE, legs_to_pose, pose_to_legs
+from cmf_mj.machine.geometry import DOFS, make_geometry
+from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
+from cmf_mj.machine.machine import load_machine
 
 POSE_UNITS = np.array([units.INCH] * 3 + [units.DEGREE] * 3)
 MIRROR = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
@@ -32,7 +35,7 @@ def single(dof, excursion):
     return pose
 
 
-def poses_within(travel, seed, draws, reach, geometry=None):
+def poses_within(travel, seed, draws, reach, geometry="cmf"):
     """Random poses, all six axes at once, whose legs lie within the travel; never a handful."""
     poses = np.random.default_rng(seed).uniform(-1.0, 1.0, (draws, 6)) * reach
     inside = (np.abs(pose_to_legs(poses, geometry)) <= travel).all(axis=1)
@@ -61,13 +64,13 @@ def test_legs_are_zero_at_the_pose_zero():
 
 def test_neutral_pin_to_pin_length():
     """159.845 in. Appendix A rounds to 0.01 in, a length thus to about 0.005 in."""
-    lengths = kinematics.read_geometry().neutral / units.INCH
+    lengths = load_machine().geometry.neutral / units.INCH
     np.testing.assert_allclose(lengths, 159.845, rtol=0.0, atol=0.005)
 
 
 def test_neutral_leg_direction():
     """By hand from Appendix A: 133.03 in down, 88.62 in across, direction cosine 0.8323."""
-    geometry = kinematics.read_geometry()
+    geometry = load_machine().geometry
     line = geometry.lower - geometry.upper
     np.testing.assert_allclose(line[:, 2] / units.INCH, 133.03, rtol=0.0, atol=1e-9)
     across = np.hypot(line[:, 0], line[:, 1]) / units.INCH
@@ -346,7 +349,7 @@ def test_jacobian_of_a_wrong_shape_is_refused(function, shape):
 
 def test_gimbals_of_a_wrong_shape_are_refused():
     with pytest.raises(ValueError, match=r"upper, lower: shapes are \(5, 3\), \(6, 3\)"):
-        kinematics.make_geometry(np.ones((5, 3)), np.zeros((6, 3)))
+        make_geometry(np.ones((5, 3)), np.zeros((6, 3)))
 
 
 @pytest.mark.parametrize("travel", [0.0, -1.0, np.nan])
@@ -370,7 +373,7 @@ def simona():
 
     upper = ring(1.600, 2.0 * np.arcsin(1.0 / 16.0), 0.0, 0.0)
     lower = ring(1.650, 2.0 * np.arcsin(3.0 / 16.5), 60.0, 2.39)
-    return kinematics.make_geometry(upper, np.roll(lower, 1, axis=0))
+    return make_geometry(upper, np.roll(lower, 1, axis=0))
 
 
 def test_simona_neutral_legs():

@@ -9,6 +9,8 @@ import pytest
 
 from cmf_mj.core import units
 from cmf_mj.machine import kinematics, models
+from cmf_mj.machine.cab import load_cab
+from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant.hexapod import Hexapod, hexapod_spec
 
 LEGS = range(1, 7)
@@ -177,7 +179,7 @@ def test_lower_gimbals_are_appendix_a(hexapod):
 
 
 def test_geometry_read_from_the_file_is_appendix_a():
-    geometry = kinematics.read_geometry()
+    geometry = load_machine().geometry
     np.testing.assert_allclose(geometry.upper / units.INCH, UPPER, rtol=0.0, atol=1e-10)
     np.testing.assert_allclose(geometry.lower / units.INCH, LOWER, rtol=0.0, atol=1e-10)
 
@@ -233,13 +235,13 @@ def test_motors_apply_their_force_and_nothing_else(hexapod, single_legs):
 
 @pytest.mark.parametrize("cab", models.CABS)
 def test_cab_loads_alone(cab):
-    model = mujoco.MjModel.from_xml_path(str(models.cab_path(cab)))
+    model = mujoco.MjModel.from_xml_path(str(load_machine().cabs[cab].mjcf))
     assert model.body("cab").mass[0] > 0.0
 
 
 @pytest.mark.parametrize("cab", models.CABS)
 def test_cab_weighs_the_same_alone_and_on_the_machine(cab):
-    alone = mujoco.MjModel.from_xml_path(str(models.cab_path(cab))).body("cab")
+    alone = mujoco.MjModel.from_xml_path(str(load_machine().cabs[cab].mjcf)).body("cab")
     mounted = hexapod_spec(cab).compile().body("cab/cab")
     for name in ("mass", "ipos", "inertia", "iquat"):
         np.testing.assert_array_equal(getattr(mounted, name), getattr(alone, name))
@@ -247,7 +249,7 @@ def test_cab_weighs_the_same_alone_and_on_the_machine(cab):
 
 def test_unknown_cab_lists_the_cabs():
     with pytest.raises(ValueError, match="cab: 'bus' is not one of gfd, rfd, ifd"):
-        models.cab_path("bus")
+        load_cab("bus")
 
 
 def test_scene_file_carries_the_gfd(hexapod):

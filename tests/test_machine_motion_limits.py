@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from shared import WORKING_STROKE
 
-from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE, pose_jacobian
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.parameters.loading import load_hydraulics
 

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from flights import pushed, sustained, turn_entry
+from shared import WORKING_STROKE
 from typer.testing import CliRunner
 
 from cmf_mj.cli.common import app
 from cmf_mj.facility.host.files import read_stream
-from cmf_mj.machine.kinematics import WORKING_STROKE, pose_to_legs
+from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.leg_motion import pose_motion_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing.flight import cue, excursion, tune, within_limits

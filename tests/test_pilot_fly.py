@@ -9,6 +9,7 @@ import av
 import numpy as np
 import pytest
 from PIL import Image
+from shared import WORKING_STROKE
 from typer.testing import CliRunner
 
 from cmf_mj import signals
@@ -166,7 +167,7 @@ def test_the_use_of_the_envelope_is_that_of_a_pose_held() -> None:
     use = envelope_use(ride.operation.record, load_motion_limits())
     # The law's own offset moves the platform by an inch or so.
     np.testing.assert_allclose(use.pose, np.maximum(pose / low, pose / high), atol=0.06)
-    legs = np.abs(kinematics.pose_to_legs(pose)).max() / kinematics.WORKING_STROKE
+    legs = np.abs(kinematics.pose_to_legs(pose)).max() / WORKING_STROKE
     assert use.leg_position == pytest.approx(legs, abs=0.06)
 
 

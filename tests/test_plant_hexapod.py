@@ -44,7 +44,7 @@ class Rigid:
         with n (n . u) + s n'. Its turning about its own axis is left out: 3.5 kg m^2 on a
         lever of 4 m.
         """
-        model, geometry = plant.model, plant.geometry
+        model, geometry = plant.model, plant.machine.geometry
         turn = Rotation.from_euler("ZYX", pose[:2:-1]).as_matrix()
         self.mass = np.zeros((6, 6))
         self.wrench = np.zeros(6)
@@ -162,7 +162,7 @@ def test_heave_effective_mass_of_massless_legs(cab):
     plant = massless(cab)
     payload = plant.model.body("platform").mass[0] + plant.model.body("cab/cab").mass[0]
     effective = plant.reflected_mass().sum() / 6.0
-    geometry = plant.geometry
+    geometry = plant.machine.geometry
     cosine = np.mean((geometry.lower - geometry.upper)[:, 2] / geometry.neutral)
     # Appendix A's rounding makes the six cosines differ by 1e-5.
     assert abs(effective / (payload / (6.0 * cosine**2)) - 1.0) < 1e-4
@@ -332,7 +332,7 @@ def test_placed_upper_gimbals_are_where_the_pose_puts_them(gfd):
     pose = POSES[1]
     gfd.place(pose)
     turn = Rotation.from_euler("ZYX", pose[:2:-1]).as_matrix()
-    expected = (pose[:3] + gfd.geometry.upper @ turn.T) * FLIP
+    expected = (pose[:3] + gfd.machine.geometry.upper @ turn.T) * FLIP
     found = [gfd.data.site(f"upper_{i}").xpos for i in range(1, 7)]
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12)
 

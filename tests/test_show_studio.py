@@ -27,7 +27,7 @@ from cmf_mj.facility.scenario.settings import (
     scenario_of,
     scenario_toml,
 )
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.studio import choices
 from cmf_mj.show.studio.clock import LARGEST, Clock
 from cmf_mj.show.studio.gains import knobs

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
+from shared import WORKING_STROKE
 from typer.testing import CliRunner
 
 from cmf_mj import Hexapod
 from cmf_mj.analysis.modes import largest_stroke, reserve, swinging
 from cmf_mj.cli.common import app
 from cmf_mj.core import units
-from cmf_mj.machine.kinematics import WORKING_STROKE, pose_to_legs
+from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.show.film import film
 from cmf_mj.show.film.film import FilmSettings
 from cmf_mj.show.film.swing import caption_of, swing_film
@@ -78,7 +79,7 @@ def test_the_legs_swing_as_the_equation_says(plant: Hexapod) -> None:
         scale = stroke / np.abs(modes.leg_shape[:, mode]).max()
         swung = scale * np.sin(2.0 * np.pi * modes.frequency_hz[mode] * time)[:, None]
         qpos = swinging(plant, modes, mode, time, stroke=stroke)
-        rest = pose_to_legs(LEANING, plant.geometry)
+        rest = pose_to_legs(LEANING, plant.machine.geometry)
         legs = rest + swung * modes.leg_shape[:, mode]
         assert legs_of(plant, qpos) == pytest.approx(legs, abs=1e-10)
         moved = plant.pose_of(qpos) - LEANING

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from cmf_mj import signals
-from cmf_mj.machine.kinematics import DOFS, excursion_envelope, pose_jacobian
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import excursion_envelope, pose_jacobian
 from cmf_mj.signals import composite
-from cmf_mj.signals.peaks import Limits, check_limits, peaks
+from cmf_mj.signals.peaks import check_limits, command_limits, peaks
 from cmf_mj.signals.signal import Command
 
 INCH = 0.0254
@@ -78,15 +79,17 @@ def test_default_limits_are_table_2_1_and_the_leg_travel():
     """Inches and degrees as printed; longitudinal, lateral, vertical, roll, pitch, yaw."""
     scale = np.array([INCH] * 3 + [DEGREE] * 3)
     printed = [[-55, 67], [-55, 55], [-41, 41], [-28, 28], [-25, 28], [-38, 38]]
-    np.testing.assert_allclose(np.array(Limits().displacement).T / scale, np.array(printed).T)
-    assert Limits().leg_displacement == pytest.approx(37.5 * INCH, rel=1e-15)
-    assert np.isinf([*Limits().velocity, *Limits().acceleration]).all()
+    np.testing.assert_allclose(
+        np.array(command_limits().displacement).T / scale, np.array(printed).T
+    )
+    assert command_limits().leg_displacement == pytest.approx(37.5 * INCH, rel=1e-15)
+    assert np.isinf([*command_limits().velocity, *command_limits().acceleration]).all()
 
 
 def test_operational_limits_lie_within_the_leg_travel():
     """Each alone: a command to a limit of Table 2-1 uses up the platform's limit first."""
-    assert (np.array(Limits().displacement)[:, 0] > excursion_envelope()[:, 0]).all()
-    assert (np.array(Limits().displacement)[:, 1] < excursion_envelope()[:, 1]).all()
+    assert (np.array(command_limits().displacement)[:, 0] > excursion_envelope()[:, 0]).all()
+    assert (np.array(command_limits().displacement)[:, 1] < excursion_envelope()[:, 1]).all()
 
 
 @pytest.mark.parametrize("dof", DOFS)
@@ -105,32 +108,32 @@ def test_command_within_the_limits_passes_and_gives_its_peaks(dof):
         (signals.step("pitch", -0.45), None, r"pitch: -0\.45 rad; allowed: -0\.4363 to 0\.4887"),
         (
             signals.sine("yaw", 0.1, 1.0),
-            Limits(velocity=(9, 9, 9, 9, 9, 0.5)),
+            command_limits()._replace(velocity=(9, 9, 9, 9, 9, 0.5)),
             r"^yaw velocity: 0\.6283 rad/s; allowed: at most 0\.5 rad/s$",
         ),
         (
             signals.sine("heave", 0.1, 1.0, fade=4.0),
-            Limits(acceleration=(9, 9, 3, 9, 9, 9)),
+            command_limits()._replace(acceleration=(9, 9, 3, 9, 9, 9)),
             r"^heave acceleration: 3\.948 m/s\^2; allowed: at most 3 m/s\^2$",
         ),
         (
             signals.step("heave", 0.01),
-            Limits(velocity=(1,) * 6),
+            command_limits()._replace(velocity=(1,) * 6),
             r"^heave velocity: infinite \(it jumps\); allowed: at most 1 m/s$",
         ),
         (
             signals.sine("heave", 0.1, 1.0),
-            Limits(leg_velocity=0.5),
+            command_limits()._replace(leg_velocity=0.5),
             r"leg 1 velocity: 0\.52\d* m/s; allowed: at most 0\.5 m/s; leg 2 velocity",
         ),
         (
             signals.sine("heave", 0.1, 1.0),
-            Limits(leg_acceleration=3.0),
+            command_limits()._replace(leg_acceleration=3.0),
             r"leg 1 acceleration: 3\.\d+ m/s\^2; allowed: at most 3 m/s\^2",
         ),
         (
             signals.sine("heave", 0.1, 1.0),
-            Limits(leg_displacement=0.05),
+            command_limits()._replace(leg_displacement=0.05),
             r"leg 1 displacement: 0\.08\d* m; allowed: at most 0\.05 m",
         ),
     ],

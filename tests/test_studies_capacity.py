@@ -18,7 +18,8 @@ from typer.testing import CliRunner
 from cmf_mj import Hexapod, SingleLegs, load_hydraulics
 from cmf_mj.cli.common import app
 from cmf_mj.facility.simulation import drive
-from cmf_mj.machine.kinematics import DOFS, pose_jacobian, pose_to_legs
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.studies.capacity.asymptotes import asymptotes, full_speed
 from cmf_mj.studies.capacity.envelope import largest_sine, performance_envelope

@@ -10,7 +10,7 @@ from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.core.rates import FRAME
 from cmf_mj.electronics.sensors.settings import load_sensors
 from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.studies import effects, evaluation
 from cmf_mj.studies.evaluation import StudyRow, evaluate

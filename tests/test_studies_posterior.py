@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from cmf_mj import Hexapod, load_law
 from cmf_mj.cli.common import app
 from cmf_mj.core.rates import FRAME
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.posterior import TEXTS, best_gain
 from cmf_mj.studies.journal import JOURNAL
 from cmf_mj.studies.posterior import answers, evidence, sampling

@@ -7,7 +7,7 @@ from shared import chirp_bandwidths
 from cmf_mj import Hexapod, signals, simulate
 from cmf_mj.analysis.published import published_results
 from cmf_mj.analysis.step_response import step_metrics
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.models import CABS
 from cmf_mj.show.comparison import AGREEMENT
 from cmf_mj.studies.case import make_case, small_motion

@@ -26,7 +26,9 @@ from cmf_mj.analysis.response.welch import from_h1, report_response, welch_respo
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.dof import dof_index
-from cmf_mj.machine.kinematics import DOFS, legs_to_pose
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import legs_to_pose
+from cmf_mj.machine.machine import recorded_machine
 from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import OrthogonalMultisines
 from cmf_mj.signals.signal import Signal
@@ -123,7 +125,7 @@ def dof_history(record: Record, channel: str, dof: str) -> NDArray[np.float64]:
     """A leg channel (N, 6) along a degree of freedom, or of one leg, `leg_1` and so on, (N,)."""
     if not dof.startswith("leg_"):
         index = dof_index(dof)
-        return legs_to_pose(record[channel])[:, index]
+        return legs_to_pose(record[channel], recorded_machine(record.metadata))[:, index]
     legs = [f"leg_{i + 1}" for i in range(record[channel].shape[1])]
     check_name("dof", dof, legs)
     return record[channel][:, legs.index(dof)]
@@ -278,8 +280,9 @@ def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
     """
     command = record.signal_as(OrthogonalMultisines)
     whole = slice(round(command.period * record.rate) * command.periods)
+    machine = recorded_machine(record.metadata)
     demand, feedback = (
-        legs_to_pose(record[name][whole]) for name in ("leg_reference", "leg_position")
+        legs_to_pose(record[name][whole], machine) for name in ("leg_reference", "leg_position")
     )
     estimate = matrix_response(
         demand,

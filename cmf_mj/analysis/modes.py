@@ -24,7 +24,8 @@ from scipy.stats import qmc
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine import kinematics
-from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE, legs_to_pose, pose_to_legs
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod, HydraulicModes
 
@@ -67,14 +68,14 @@ class Range(NamedTuple):
 
 def reserve(pose: ArrayLike, plant: Hexapod) -> NDArray[np.float64]:
     """Stroke left to the leg nearest its working limit [m] at poses (..., 6), < 0 beyond it."""
-    return WORKING_STROKE - np.abs(pose_to_legs(pose, plant.geometry)).max(axis=-1)
+    return plant.machine.working_stroke - np.abs(pose_to_legs(pose, plant.machine)).max(axis=-1)
 
 
 def sweep(plant: Hexapod, dof: str, *, count: int = 21) -> Sweep:
     """Frequencies along one degree of freedom, neutral included, denser to the ends."""
     index = DOFS.index(dof)
-    reach = kinematics.excursion_envelope(WORKING_STROKE, plant.geometry)[index]
-    allowed = load_motion_limits().operational[index]
+    reach = kinematics.excursion_envelope(None, plant.machine)[index]
+    allowed = load_motion_limits(None, plant.machine).operational[index]
     low, high = max(reach[0], allowed[0]), min(reach[1], allowed[1])
     along = np.sin(0.5 * np.pi * np.linspace(-1.0, 1.0, 2 * (count // 2) + 1))
     excursions = np.where(along < 0.0, -low, high) * along
@@ -87,7 +88,7 @@ def sweep(plant: Hexapod, dof: str, *, count: int = 21) -> Sweep:
 
 def _reach(plant: Hexapod, direction: NDArray[np.float64]) -> float:
     """How many times a direction (6,) leads from neutral to the end of the envelope."""
-    low, high = load_motion_limits().operational.T
+    low, high = load_motion_limits(None, plant.machine).operational.T
     moved = np.flatnonzero(direction)
     end = float((np.where(direction > 0.0, high, low)[moved] / direction[moved]).min())
     tried = np.linspace(0.0, end, 65)
@@ -108,7 +109,7 @@ def plane_map(plant: Hexapod, dofs: tuple[str, str], *, count: int = 21) -> Plan
         raise InputError(f"dofs: {dofs} must be two different ones of {', '.join(DOFS)}")
     if count < 3:
         raise InputError(f"count: {count} poses along each axis must be at least 3")
-    operational = load_motion_limits().operational
+    operational = load_motion_limits(None, plant.machine).operational
     indices = [DOFS.index(dof) for dof in dofs]
     rays, rings = 4 * (count - 1), count // 2 + 1
     poses = np.zeros((rays + 1, rings, 6))
@@ -130,7 +131,7 @@ def plane_map(plant: Hexapod, dofs: tuple[str, str], *, count: int = 21) -> Plan
 
 def envelope_poses(plant: Hexapod, count: int, *, seed: int = 0) -> NDArray[np.float64]:
     """Neutral, and poses spread over the envelope by a scrambled Sobol sequence, (count, 6)."""
-    low, high = load_motion_limits().operational.T
+    low, high = load_motion_limits(None, plant.machine).operational.T
     source = qmc.Sobol(6, seed=seed)
     poses = [np.zeros(6)]
     while len(poses) < count:
@@ -175,7 +176,7 @@ def over_envelope(
 
     search = optimize.differential_evolution(
         lowest,
-        list(zip(*load_motion_limits().operational.T, strict=True)),
+        list(zip(*load_motion_limits(None, plant.machine).operational.T, strict=True)),
         init=poses[np.argsort(lowest_ones)[:90]],
         maxiter=rounds,
         tol=1e-6,
@@ -193,7 +194,7 @@ def largest_stroke(plant: Hexapod, modes: HydraulicModes, mode: int) -> float:
     With extensions l and a leg shape s whose largest part is 1 it is min_j (L - |l_j|) / |s_j|, L
     the working stroke.
     """
-    left = WORKING_STROKE - np.abs(pose_to_legs(modes.pose, plant.geometry))
+    left = plant.machine.working_stroke - np.abs(pose_to_legs(modes.pose, plant.machine))
     least = int(left.argmin())
     if left[least] <= 0.0:
         raise InputError(
@@ -222,8 +223,8 @@ def swinging(
         )
     shape = modes.leg_shape[:, mode] / np.abs(modes.leg_shape[:, mode]).max()
     phase = 2.0 * np.pi * modes.frequency_hz[mode] * np.asarray(time, dtype=float)
-    rest = pose_to_legs(modes.pose, plant.geometry)
-    poses = legs_to_pose(rest + stroke * np.sin(phase)[:, None] * shape, plant.geometry)
+    rest = pose_to_legs(modes.pose, plant.machine)
+    poses = legs_to_pose(rest + stroke * np.sin(phase)[:, None] * shape, plant.machine)
     configurations = np.empty((poses.shape[0], plant.model.nq))
     for row, pose in enumerate(poses):
         plant.place(pose)

@@ -68,7 +68,7 @@ def modes_command(
     from cmf_mj.analysis.modes import over_envelope, plane_map, sweep
     from cmf_mj.core import units
     from cmf_mj.core.files import in_folder
-    from cmf_mj.machine.kinematics import DOFS
+    from cmf_mj.machine.geometry import DOFS
     from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import modes as report
     from cmf_mj.show.film.film import FilmSettings

@@ -48,7 +48,7 @@ from cmf_mj.control.reference_model import (
 from cmf_mj.core.compiled import assign, compiled, inlined
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
-from cmf_mj.machine.kinematics import WORKING_STROKE
+from cmf_mj.machine.machine import Machine, load_machine
 
 OFFSET_STAYS = float(np.exp(-FRAME / 0.5))
 """What is left of the offset of a hand-over after a frame."""
@@ -142,8 +142,8 @@ def _arrays(block: Any, prefix: str) -> dict[str, NDArray[np.float64]]:
     return arrays
 
 
-def make_dcl(law: Law, legs: int) -> Dcl:
-    """Compile a law for a number of legs.
+def make_dcl(law: Law, legs: int, machine: Machine | None = None) -> Dcl:
+    """Compile a law for a number of legs and the numbers of a machine, by default the CMF.
 
     Refused: a law in hydraulic modes for other than six legs, or not bound to a cab.
     """
@@ -153,12 +153,13 @@ def make_dcl(law: Law, legs: int) -> Dcl:
             f"coordinates: law {law.name} runs in hydraulic modes of {len(modes.mass)} legs; "
             f"there are {legs}"
         )
+    carrier = machine or load_machine()
     return Dcl(
         modal=modes is not None,
         planned=law.plan is not None,
         damped=law.load_feedback is not None,
-        feedback=make_feedback(law),
-        error=make_error_calculations(law),
+        feedback=make_feedback(law, carrier.piston_area),
+        error=make_error_calculations(law, carrier.working_stroke),
         compensator=make_compensator(law, legs),
         model=make_model(law.reference_model),
         plan=make_plan(law.plan, modes, legs),
@@ -179,9 +180,9 @@ def _workspace(legs: int) -> Workspace:
 
 
 @compiled
-def limit(demand):  # type: ignore[no-untyped-def]
-    """The demand of one leg [m], within the working stroke of +-37.5 in (section 3.2.1)."""
-    return min(max(demand, -WORKING_STROKE), WORKING_STROKE)
+def limit(demand, travel):  # type: ignore[no-untyped-def]
+    """The demand of one leg [m], within the working stroke, +-37.5 in (section 3.2.1)."""
+    return min(max(demand, -travel), travel)
 
 
 @compiled
@@ -211,7 +212,7 @@ def fill(dcl, state, leg, reference, target, integral, feedback, signals):  # ty
     inputs.velocity_error = reference_rate - feedback.velocity[leg]
     inputs.error_integral = integral
     inputs.acceleration = state.acceleration[leg]
-    inputs.force = pressure_force(cap, rod)
+    inputs.force = pressure_force(dcl.feedback, cap, rod)
     return error_filter, reference_filter
 
 
@@ -254,7 +255,7 @@ def step(dcl, state, demand, feedback):  # type: ignore[no-untyped-def]
     # In one piece: handing all arrays to a function with branches costs more than its work.
     work, modal = dcl.workspace, dcl.modal
     for leg in range(demand.shape[0]):
-        limited = limit(demand[leg])
+        limited = limit(demand[leg], dcl.error.travel)
         work.moved[leg] = limited - work.limited[leg]
         work.limited[leg] = limited
     if modal:

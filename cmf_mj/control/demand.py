@@ -32,23 +32,25 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.machine import kinematics
+from cmf_mj.machine import kinematics, models
+from cmf_mj.machine.geometry import Geometry
+from cmf_mj.machine.machine import geometry_of
 
 
 class Demand(NamedTuple):
     """Compiled parameters of the demand block."""
 
-    geometry: kinematics.Geometry  #: Gimbals and neutral lengths of the unloaded platform.
+    geometry: Geometry  #: Gimbals and neutral lengths of the unloaded platform.
     deflection: NDArray[np.float64]  #: Constant part of dA, platform axes [m], (6, 3).
     compliance: NDArray[np.float64]  #: dA per specific force, platform axes [m/(m/s^2)], (6, 3, 3).
 
 
 def make_demand(
-    geometry: kinematics.Geometry | None = None,
+    machine: kinematics.MachineOrGimbals = models.CMF,
     deflection: ArrayLike | None = None,
     compliance: ArrayLike | None = None,
 ) -> Demand:
-    """Parameters of the demand block; default the CMF's gimbals on a rigid platform.
+    """Parameters of the demand block; default a rigid platform.
 
     The constant displacement of the upper gimbals is (6, 3) [m], their displacement per specific
     force (6, 3, 3) [m/(m/s^2)], both in platform axes.
@@ -63,7 +65,7 @@ def make_demand(
         return array
 
     return Demand(
-        geometry or kinematics.read_geometry(),
+        geometry_of(machine),
         checked("deflection", deflection, (6, 3)),
         checked("compliance", compliance, (6, 3, 3)),
     )

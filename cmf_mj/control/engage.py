@@ -40,7 +40,6 @@ from cmf_mj.control.law import SIGNALS
 from cmf_mj.control.load_feedback import load
 from cmf_mj.control.plan import correct
 from cmf_mj.core.rates import FRAME
-from cmf_mj.machine.kinematics import WORKING_STROKE
 
 _INTEGRAL, _POSITION = SIGNALS.index("error_integral"), SIGNALS.index("position")
 
@@ -66,7 +65,7 @@ def engaged(
     """
     legs = reference.shape[0]
     state = DclState.zeros(legs)
-    limited = np.clip(reference, -WORKING_STROKE, WORKING_STROKE)
+    limited = _within(dcl, reference)
     shape, work = dcl.shape, dcl.workspace
     if dcl.modal:
         limited = shape @ limited
@@ -99,6 +98,11 @@ def engaged(
     return state
 
 
+def _within(dcl: Dcl, reference: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A leg reference [m] within the working stroke."""
+    return np.clip(reference, -dcl.error.travel, dcl.error.travel)
+
+
 def handed_over(
     before: Dcl,
     state: DclState,
@@ -116,7 +120,7 @@ def handed_over(
     begun.offset[:] = 0.0
     if not np.array_equal(before.shape, after.shape):
         _turn(begun, after.shape @ before.shape.T)
-    now = np.clip(reference, -WORKING_STROKE, WORKING_STROKE)
+    now = _within(after, reference)
     moved = np.clip(before.workspace.moved, -_FASTEST * FRAME, _FASTEST * FRAME)
     leads = [dcl.compensator.direct_gain[:, _POSITION] for dcl in (before, after)]
     if _follows(before) or _follows(after) or not np.array_equal(leads[0], leads[1]):

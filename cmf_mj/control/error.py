@@ -19,7 +19,6 @@ from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.rates import FRAME
-from cmf_mj.machine.kinematics import WORKING_STROKE
 
 
 class ErrorState(NamedTuple):
@@ -36,14 +35,16 @@ class ErrorCalculations(NamedTuple):
     derivative_pole: float  #: p [rad/s].
     integrator_limit: float  #: Saturation of the integral [m s].
     integrator_trigger: float  #: Position below which the integrator sees the bottom [m].
+    travel: float  #: Working stroke either way [m]; the bottom is its lower end.
 
 
-def make_error_calculations(law: Law) -> ErrorCalculations:
-    """Take the error block's parameters from a law."""
+def make_error_calculations(law: Law, travel: float) -> ErrorCalculations:
+    """Take the error block's parameters from a law, on legs of a working stroke +-travel [m]."""
     return ErrorCalculations(
         derivative_pole=law.derivative_pole,
         integrator_limit=law.integrator_limit * units.INCH,
         integrator_trigger=law.integrator_trigger * units.INCH,
+        travel=travel,
     )
 
 
@@ -57,6 +58,6 @@ def filtered_rate(error, signal, state):  # type: ignore[no-untyped-def]
 @compiled
 def integrate(error, integral, reference, position):  # type: ignore[no-untyped-def]
     """Next value of the error integral of one leg [m s]."""
-    seen = position if position > error.integrator_trigger else -WORKING_STROKE
+    seen = position if position > error.integrator_trigger else -error.travel
     moved = integral + FRAME * (reference - seen)
     return min(max(moved, -error.integrator_limit), error.integrator_limit)

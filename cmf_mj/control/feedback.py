@@ -1,7 +1,7 @@
 """Feedback calculations: sensor signals to what the compensator reads (Figure 2-6).
 
     a[k+1] = pole a[k] + gain a_measured[k]          accelerometer filter, Eq 3.6
-    F = (p_cap - p_rod) A,  A = 11.97 in^2           force from pressures, Eq 3.7
+    F = (p_cap - p_rod) A,  A = 11.97 in^2 (CMF)     force from pressures, Eq 3.7
 
 Eq 3.5 prints a time constant of 0.2 s; Eq 3.6 is the zero-order hold of 0.02 s and is what runs.
 
@@ -27,10 +27,9 @@ from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
+from cmf_mj.machine import models
 from cmf_mj.machine.gravity import leg_axes_state, make_leg_axes, track, upward
-
-FORCE_AREA = 11.97 * units.INCH**2
-"""Area the pressure difference acts on in Eq 3.7 [m^2]: the annulus, as the report states it."""
+from cmf_mj.machine.kinematics import MachineOrGimbals
 
 
 class LegFeedback(NamedTuple):
@@ -49,11 +48,12 @@ class Feedback(NamedTuple):
     accelerometer_pole: float  #: Pole of Eq 3.6, per frame.
     accelerometer_gain: float  #: Gain of Eq 3.6.
     gravity_compensation: bool  #: Whether the law reads accelerations without gravity.
+    area: float  #: A that the pressure difference acts on [m^2].
 
 
-def make_feedback(law: Law) -> Feedback:
-    """Take the feedback block's parameters from a law."""
-    return Feedback(law.accelerometer_pole, law.accelerometer_gain, law.gravity_compensation)
+def make_feedback(law: Law, area: float) -> Feedback:
+    """Take the feedback block's parameters from a law, with the area of Eq 3.7 [m^2]."""
+    return Feedback(law.accelerometer_pole, law.accelerometer_gain, law.gravity_compensation, area)
 
 
 @compiled
@@ -63,9 +63,9 @@ def filter_acceleration(feedback, filtered, measured):  # type: ignore[no-untype
 
 
 @compiled
-def pressure_force(cap_pressure, rod_pressure):  # type: ignore[no-untyped-def]
+def pressure_force(feedback, cap_pressure, rod_pressure):  # type: ignore[no-untyped-def]
     """Force feedback of Eq 3.7 [N]."""
-    return (cap_pressure - rod_pressure) * FORCE_AREA
+    return (cap_pressure - rod_pressure) * feedback.area
 
 
 def noise_gain(law: Law) -> float:
@@ -87,13 +87,15 @@ def _histories(axes, state, position, gravity):  # type: ignore[no-untyped-def]
         find_gravity(axes, state, position[frame], gravity[frame])
 
 
-def gravity_history(position: NDArray[np.float64]) -> NDArray[np.float64]:
+def gravity_history(
+    position: NDArray[np.float64], machine: MachineOrGimbals = models.CMF
+) -> NDArray[np.float64]:
     """Gravity along six legs at measured extensions (N, 6) [m], as the DCL finds it [m/s^2]."""
     if position.shape[1:] != (6,):
         raise InputError(
             f"position: shape is {position.shape[1:]}; gravity along the legs needs (6,)"
         )
-    axes, gravity = make_leg_axes(), np.empty(position.shape)
+    axes, gravity = make_leg_axes(machine), np.empty(position.shape)
     position = np.ascontiguousarray(position)
     _histories(axes, leg_axes_state(axes, position[0]), position, gravity)
     return gravity

@@ -47,7 +47,8 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
-from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
+from cmf_mj.machine.limits import MotionLimits
+from cmf_mj.machine.motion_limits import load_motion_limits
 
 _HALVINGS = 40
 """Bisections for the shared scale, resolving it to 1e-12."""
@@ -87,7 +88,7 @@ def make_limiter(
 
 
 def make_leg_limiter(limits: MotionLimits | None = None, legs: int = 6) -> Limiter:
-    """Limiter of leg demands: working stroke, leg speed and acceleration; default the shipped."""
+    """Limiter of leg demands: working stroke, leg speed and acceleration; default the CMF's."""
     leg = (limits or load_motion_limits()).leg
     travel = np.full(legs, leg.position.si)
     return make_limiter(

@@ -40,7 +40,8 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity, positive_in
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Loader, Settings
-from cmf_mj.machine.kinematics import WORKING_STROKE
+from cmf_mj.machine import models
+from cmf_mj.machine.machine import Machine, load_machine
 
 _SPEED_PEAK = 1.875
 """Largest s'."""
@@ -128,8 +129,10 @@ class OperatingState(NamedTuple):
     host: NDArray[np.float64]  #: The host's last position that was a number [m], (n,).
 
 
-def make_states(settings: StateSettings | None = None) -> States:
-    """Compile the settings; default the shipped ones."""
+def make_states(
+    settings: StateSettings | None = None, machine: str | Machine = models.CMF
+) -> States:
+    """Compile the settings, default the shipped ones, for the working stroke of a machine."""
     settings = settings or load_state_settings()
     fade = np.zeros(len(State))
     fade[State.RAISE] = settings.raise_time.si
@@ -143,7 +146,7 @@ def make_states(settings: StateSettings | None = None) -> States:
         valve_time=settings.valve_time.si,
         speed=settings.speed.si,
         acceleration=settings.acceleration.si,
-        travel=WORKING_STROKE,
+        travel=load_machine(machine).working_stroke,
         settled_tolerance=settings.settled_tolerance.si,
         arrival_tolerance=settings.arrival_tolerance.si,
         arrival_timeout=settings.arrival_timeout.si,

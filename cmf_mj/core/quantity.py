@@ -54,6 +54,15 @@ class Quantities(_Known[Annotated[tuple[float, ...], BeforeValidator(as_tuples)]
         return units.to_si(self.unit, np.array(self.value))
 
 
+class Points(_Known[Annotated[tuple[tuple[float, float, float], ...], BeforeValidator(as_tuples)]]):
+    """Points in space of one unit as a source gives them."""
+
+    @property
+    def si(self) -> NDArray[np.float64]:
+        """The points in SI, (n, 3)."""
+        return units.to_si(self.unit, np.array(self.value))
+
+
 def positive_in(*allowed: str) -> AfterValidator:
     """Validator of an `Annotated` quantity greater than 0 in one of the units `allowed`."""
     return AfterValidator(Kind(allowed).check)

@@ -244,7 +244,7 @@ def user_set(
     based: bool = True,
 ) -> UserSet:
     """Read the table of a user's file; arguments as of `named_set`."""
-    path = _user_file(what, names, source)
+    path = user_file(what, names, source)
     content = read_toml(path)
     base = content.pop("base", None) if based else ""
     if based and base not in names:
@@ -300,7 +300,7 @@ class Loader(Generic[Model]):
         if chosen == self.default:
             return validated(self.model, table, self.shipped.name)
         if self.what:
-            _user_file(self.what, (self.default,), chosen)
+            user_file(self.what, (self.default,), chosen)
         return validated(self.model, merged(table, read_toml(Path(chosen)), self.levels), chosen)
 
 
@@ -310,7 +310,8 @@ def _once(loader: Loader[Model], chosen: str) -> Model:
     return loader.read(chosen)
 
 
-def _user_file(what: str, names: Sequence[str], source: str | Path) -> Path:
+def user_file(what: str, names: Sequence[str], source: str | Path) -> Path:
+    """The TOML file that a source names which is none of the shipped `names`."""
     path = Path(source)
     if path.suffix != ".toml":
         raise unknown_name(what, str(source), names, " nor a .toml file")

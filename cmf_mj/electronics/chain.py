@@ -35,7 +35,9 @@ from cmf_mj.electronics.sensors.suite import (
     sensor_state,
 )
 from cmf_mj.electronics.servo_electronics import ServoElectronics, ServoSettings, ServoState
+from cmf_mj.machine import models
 from cmf_mj.machine.gravity import LegAxesState, leg_axes_state
+from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.events import read_position
 
 
@@ -77,7 +79,11 @@ class Electronics(NamedTuple):
     volts: NDArray[np.float64]  #: At the DAC [V], (n,).
 
 
-def make_electronics(settings: ElectronicsSettings | None, at_rest: LegFeedback) -> Electronics:
+def make_electronics(
+    settings: ElectronicsSettings | None,
+    at_rest: LegFeedback,
+    machine: str | Machine = models.CMF,
+) -> Electronics:
     """Electronics, idle ones for None, that have seen a machine at rest for a long time.
 
     Sensors that feel gravity on other than six legs are refused.
@@ -86,7 +92,7 @@ def make_electronics(settings: ElectronicsSettings | None, at_rest: LegFeedback)
     settings = settings or ElectronicsSettings(sensors="ideal", converters="off")
     legs = at_rest.position.shape[0]
     truth = LegFeedback(*(np.array(values, dtype=float) for values in at_rest))
-    sensors = make_sensors(load_sensors(settings.sensors), 1.0 / FRAME, settings.seed)
+    sensors = make_sensors(load_sensors(settings.sensors), 1.0 / FRAME, settings.seed, machine)
     converters = make_converters(load_converters(settings.converters))
     state = sensor_state(sensors, truth)
     reading = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))

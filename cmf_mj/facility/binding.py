@@ -1,8 +1,8 @@
 """Laws in hydraulic modes, bound to the machine that they run on.
 
-A law has the modes of the shipped cabs, and of any other cab or plant that its table names. For a
-user's cab that it does not name they are computed, from the same nominal plant as the shipped ones:
-the cab on the `hardware` set, at neutral.
+A law has the modes of the CMF's cabs, and of any other cab or plant that its table names. For any
+other cab they are computed, from the same nominal plant as the CMF's: the cab on its machine's
+hydraulic set, of the CMF `hardware`, at neutral.
 """
 
 from functools import lru_cache
@@ -14,6 +14,7 @@ from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine.cab import Cab
+from cmf_mj.machine.models import CMF
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hexapod import Hexapod, oil_modes
 from cmf_mj.plant.plant import Plant
@@ -47,7 +48,7 @@ def nominal_modes(plant: Plant) -> Modes:
 
 @lru_cache
 def modes_of_cab(cab: Cab) -> Modes:
-    """Hydraulic modes of a cab on the `hardware` set, at neutral."""
+    """Hydraulic modes of a cab on its machine's hydraulic set, at neutral."""
     return nominal_modes(Hexapod(cab))
 
 
@@ -59,10 +60,11 @@ def bound(law: Law, machine: str | Cab) -> Law:
         machine: cab, or name of a plant without cabs, as `Plant.law_key` has it.
 
     Raises:
-        InputError: a law in hydraulic modes has none of a shipped cab or of a plant without cabs.
+        InputError: a law in hydraulic modes has none of a CMF's cab or of a plant without cabs.
     """
     if isinstance(machine, str):
         return law.bound_to(machine)
-    if law.coordinates == "legs" or machine.shipped or machine.name in law.modes:
+    stated = machine.name in law.modes or (machine.own and machine.machine.name == CMF)
+    if law.coordinates == "legs" or stated:
         return law.bound_to(machine.name)
     return law.model_copy(update={"modes": {machine.name: modes_of_cab(machine)}})

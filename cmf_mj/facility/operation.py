@@ -42,13 +42,15 @@ from cmf_mj.facility.options import Options
 from cmf_mj.facility.pace import Pace, make_pace
 from cmf_mj.facility.session import Session
 from cmf_mj.machine import kinematics
-from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
+from cmf_mj.machine.limits import MotionLimits
+from cmf_mj.machine.machine import Machine
+from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
 
-_RESTING = -37.95 * INCH
-"""Leg position on the stops: a little above the mechanical end at -38 in [m]."""
+_RESTING = 0.05
+"""What a leg on the stops is above its mechanical end [in]."""
 
 
 class FacilitySettings(NamedTuple):
@@ -140,7 +142,9 @@ def operate(
     settings = options.get("facility") or FacilitySettings()
     last = arrivals.frame[-1] / RATE + load_dcu(settings.dcu).delay.total
     count = _count(last if seconds is None else seconds)
-    pose = starting_pose(arrivals.values[0, 0], load_motion_limits(settings.limits))
+    pose = starting_pose(
+        arrivals.values[0, 0], load_motion_limits(settings.limits, plant.machine), plant.machine
+    )
     session = facility_session(
         plant, load_law(law), arrivals, settings, _start(options, pose), _options(options, count, 1)
     )
@@ -207,13 +211,20 @@ def _run(session: Session, options: OperationOptions) -> None:
             progress(session.frame / RATE)
 
 
-def starting_pose(pose: NDArray[np.float64], limits: MotionLimits) -> NDArray[np.float64]:
+def starting_pose(
+    pose: NDArray[np.float64], limits: MotionLimits, machine: Machine
+) -> NDArray[np.float64]:
     """The pose, or neutral where the limits forbid it."""
     low, high = limits.operational.T
     inside = bool(((pose >= low) & (pose <= high)).all())
-    if inside and np.abs(kinematics.pose_to_legs(pose)).max() <= limits.leg.position.si:
+    if inside and np.abs(kinematics.pose_to_legs(pose, machine)).max() <= limits.leg.position.si:
         return np.array(pose)
     return np.zeros(6)
+
+
+def _resting(machine: Machine) -> float:
+    """Position of a leg on the stops [m]."""
+    return -round(machine.half_stroke / INCH - _RESTING, 9) * INCH
 
 
 def _count(seconds: float) -> int:
@@ -246,15 +257,16 @@ def facility_session(
             raise InputError(
                 f"requests: {code.name.lower()} at {at} s is refused: must be 0 to {LONGEST:g} s"
             )
-    limits = load_motion_limits(settings.limits)
+    machine = plant.machine
+    limits = load_motion_limits(settings.limits, machine)
     down = start.state in (State.OFF, State.SETTLED)
-    legs = np.full(6, _RESTING) if down else kinematics.pose_to_legs(start.pose)
+    legs = np.full(6, _resting(machine)) if down else kinematics.pose_to_legs(start.pose, machine)
     chain = make_chain(
         Blocks(
             make_dcu(load_dcu(settings.dcu)),
             limiter.make_pose_limiter(limits),
-            settings.demand or make_demand(),
-            states.make_states(load_state_settings(settings.states)),
+            settings.demand or make_demand(machine),
+            states.make_states(load_state_settings(settings.states), machine),
             limiter.make_leg_limiter(limits),
         ),
         arrivals,
@@ -266,7 +278,7 @@ def facility_session(
     )
     protection = settings.protection
     run = options._replace(
-        start=kinematics.legs_to_pose(legs) if down else start.pose,
+        start=kinematics.legs_to_pose(legs, machine) if down else start.pose,
         protection=None if protection is None else load_protection(protection),
         electronics=settings.electronics,
     )

@@ -26,6 +26,7 @@ from cmf_mj.core.settings import validated
 from cmf_mj.electronics.sensors.suite import at_frame
 from cmf_mj.facility.binding import bound
 from cmf_mj.machine.cab import recorded_cab
+from cmf_mj.machine.machine import recorded_machine
 from cmf_mj.record.record import Record
 
 FEEDBACK = {
@@ -97,7 +98,7 @@ def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = 
         reference = _raised(reference, every)
         histories = LegFeedback(*(_raised(h, every) for h in histories))
     frames, legs = reference.shape
-    dcl = control.make_dcl(loaded, legs)
+    dcl = control.make_dcl(loaded, legs, recorded_machine(made))
     first = LegFeedback(*(history[0].copy() for history in histories))
     state = _begun(record, loaded, legs) or engaged(dcl, reference[0], first)
     output = np.empty((frames, legs))
@@ -178,7 +179,7 @@ def _felt(record: Record) -> NDArray[np.float64]:
     position = _legs(record, "leg_position")
     if not electronics.get("sensors", {}).get("gravity", False):
         return np.zeros(position.shape)
-    return gravity_history(position)
+    return gravity_history(position, recorded_machine(record.metadata))
 
 
 def _raised(values: NDArray[np.float64], every: int) -> NDArray[np.float64]:

@@ -140,8 +140,8 @@ class Session:
         at_rest, feedback = self.memory.truth, self.memory.feedback
         chain = source if isinstance(source, Chain) else None
         bare = options.electronics is None and chain is None
-        parts = None if bare else make_electronics(options.electronics, at_rest)
-        dcl = control.make_dcl(law or _NO_LAW, plant.legs)
+        parts = None if bare else make_electronics(options.electronics, at_rest, plant.machine)
+        dcl = control.make_dcl(law or _NO_LAW, plant.legs, plant.machine)
         compensated = dcl.feedback.gravity_compensation
         measure(parts, self.machine.faults, 0, at_rest, compensated, feedback)
         poses = table.poses
@@ -299,7 +299,7 @@ class Session:
         """Hand over to another law, from the next frame on, as `control.engage` says."""
         self._engaged = bound(law, self.plant.law_key)
         controller, memory = self.controller, self.memory
-        dcl = control.make_dcl(self._engaged, self.plant.legs)
+        dcl = control.make_dcl(self._engaged, self.plant.legs, self.plant.machine)
         limited = controller.dcl.workspace.limited
         reference = limited.copy() if self.frame else memory.feedback.position
         parts = controller.electronics

@@ -80,7 +80,7 @@ def simulate(
         table, demanded = Table(reference), None
     else:
         demanded = command if isinstance(command, Command) else Command.from_pose(command)
-        table = Table(pose_to_legs(demanded.pose), demanded.pose)
+        table = Table(pose_to_legs(demanded.pose, plant.machine), demanded.pose)
         if options.get("start") is None:
             options["start"] = demanded.pose[0]
     context: dict[str, Any] = {

@@ -18,113 +18,25 @@ Axes are those of the models: origin in the platform's centroid, which lies in t
 upper gimbals, x forward, y left, **z up**. Inertia is about the body's own centre of mass: Ixx,
 Iyy, Izz, and where there are products the tensor's entries Ixy, Ixz, Iyz. Inertia that is left out
 while the mass changes is that of the base in proportion to the mass; so is that of a leg's parts.
-What is drawn and where the pilot sits stay as in the base.
-
-A principal moment I_a of a rigid body is the sum of two second moments, each of them not negative;
-whatever the body is made of, then,
-
-    I_a > 0,    I_a <= I_b + I_c
+What is drawn and where the pilot sits stay as in the base, a cab of the same machine.
 """
 
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import AfterValidator
+from pydantic import Field, model_validator
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Kind, Quantities, Quantity
+from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Name, Settings, checked_name, user_set, validated
 from cmf_mj.machine import models
-
-ROUND_OFF = 1e-9
-"""Share of the largest moment by which the inequalities may fail for round-off."""
-
-_LENGTHS = ("m", "mm", "in", "ft")
-_INERTIAS = ("kg m^2", "lbm ft^2", "lbm in^2", "slug ft^2")
-_TENSOR = ((0, 3, 4), (3, 1, 5), (4, 5, 2))
-"""Which of Ixx, Iyy, Izz, Ixy, Ixz, Iyz stands where in the tensor."""
-_ENTRIES = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
-"""Rows and columns where they stand."""
-_PARTS = ("cylinder", "rod")
-
-
-def _several(quantities: Quantities, counts: tuple[int, ...], units: tuple[str, ...]) -> None:
-    if quantities.unit not in units:
-        allowed = ", ".join(units)
-        raise InputError(f"{quantities.unit!r} is refused: unit must be one of {allowed}")
-    if len(quantities.value) not in counts:
-        allowed = " or ".join(map(str, counts))
-        raise InputError(f"has {len(quantities.value)} values; allowed: {allowed}")
-
-
-def _placed(quantities: Quantities) -> Quantities:
-    _several(quantities, (3,), _LENGTHS)
-    height = float(quantities.si[2])
-    if height < floor():
-        raise InputError(
-            f"is {height:g} m above the upper gimbals, below the floor; allowed: at least "
-            f"{floor():g} m, z is up"
-        )
-    return quantities
-
-
-def _possible(quantities: Quantities) -> Quantities:
-    _several(quantities, (3, 6), _INERTIAS)
-    least, middle, most = np.linalg.eigvalsh(_tensor(quantities))
-    found = f"principal moments are {least:g}, {middle:g}, {most:g} kg m^2"
-    if not least > 0.0:
-        raise InputError(f"{found}; allowed: all greater than 0, a positive definite tensor")
-    if least + middle < (1.0 - ROUND_OFF) * most:
-        raise InputError(
-            f"{found}; allowed: none greater than the sum of the others (triangle inequality)"
-        )
-    return quantities
-
-
-def _tensor(inertia: Quantities) -> NDArray[np.float64]:
-    entries = np.zeros(6)
-    entries[: len(inertia.value)] = inertia.si
-    return entries[np.array(_TENSOR)]
-
-
-Mass = Annotated[Quantity, AfterValidator(Kind(("kg", "lbm")).check)]
-Place = Annotated[Quantities, AfterValidator(_placed)]
-Inertia = Annotated[Quantities, AfterValidator(_possible)]
-
-
-class RigidBody(Settings):
-    """Mass properties of a part of the machine."""
-
-    mass: Mass  #: [kg or lbm].
-    centre_of_mass: (
-        Place  #: Of the part alone, x forward, y left, z up from the platform's centroid.
-    )
-    inertia: Inertia  #: About the part's centre of mass: Ixx, Iyy, Izz and Ixy, Ixz, Iyz or none.
-
-    @property
-    def tensor(self) -> NDArray[np.float64]:
-        """Inertia about the centre of mass [kg m^2], (3, 3)."""
-        return _tensor(self.inertia)
-
-
-class Legs(Settings):
-    """Masses of the parts of one leg; all six are alike."""
-
-    cylinder_mass: Mass  #: Of a cylinder.
-    rod_mass: Mass  #: Of a rod.
-
-
-class Payload(NamedTuple):
-    """Platform and cab as one rigid body, axes as of the module."""
-
-    mass: float  #: [kg].
-    centre: NDArray[np.float64]  #: Centre of mass [m], (3,).
-    inertia: NDArray[np.float64]  #: About the centre of mass [kg m^2], (3, 3).
+from cmf_mj.machine.bodies import ENTRIES, Legs, Payload, RigidBody
+from cmf_mj.machine.geometry import FLIP
+from cmf_mj.machine.machine import Machine, load_machine, recorded_machine
 
 
 class Cab(RigidBody):
@@ -136,16 +48,29 @@ class Cab(RigidBody):
     """
 
     name: Name  #: Name of the cab.
-    base: str  #: Shipped cab whose drawing and pilot's station it has.
+    base: str  #: The machine's cab whose drawing and pilot's station it has.
     platform: RigidBody  #: The platform alone.
     legs: Legs  #: Cylinders and rods.
     taken_for: "Cab | None" = None
     """Cab that control laws in hydraulic modes take it for; None for itself."""
+    machine: Machine = Field(exclude=True, repr=False)  #: The machine it is on.
+
+    @model_validator(mode="after")
+    def _above_floor(self) -> "Cab":
+        for part, body in (("", self), ("platform", self.platform)):
+            self.machine.check_above_floor(part, body)
+        return self
 
     @property
-    def shipped(self) -> bool:
-        """Whether it is one of `CABS`."""
-        return self.name in models.CABS
+    def own(self) -> bool:
+        """Whether it is one of its machine's cabs, not a changed one."""
+        return self.name in self.machine.cabs
+
+    @property
+    def station(self) -> NDArray[np.float64]:
+        """Where the crew feels the motion, from the platform's centroid, z down [m], (3,)."""
+        place: NDArray[np.float64] = self.machine.cabs[self.base].station.si
+        return place * FLIP
 
     @property
     def known_as(self) -> "Cab":
@@ -213,7 +138,7 @@ def _stated(values: Mapping[str, Any], source: str) -> dict[str, Any]:
     for field, value in values.items():
         given = np.asarray(value, dtype=float)
         if given.shape == (3, 3):
-            given = given[_ENTRIES]
+            given = given[ENTRIES]
         table[field] = {
             "value": given.tolist(),
             "unit": _SI.get(field, "kg"),
@@ -225,16 +150,20 @@ def _stated(values: Mapping[str, Any], source: str) -> dict[str, Any]:
 
 def _overlaid(base: Cab, name: str, changes: Mapping[str, Any], where: str) -> Cab:
     """A cab with what it changes in the place of what the base has."""
-    if name in models.CABS:
-        raise InputError(
-            f"{where}: {name!r} is the name of a shipped cab; a changed one needs another"
-        )
+    if name in base.machine.cabs:
+        raise _taken(where, name)
     table = _body(base, changes, where)
     for part in ("platform", "legs"):
         given, before = changes.get(part, {}), getattr(base, part)
         if isinstance(given, Mapping):
             table[part] = _body(before, given, f"{where}: {part}")
     return validated(Cab, table | {"name": name, "base": base.base}, where)
+
+
+def _taken(where: str, name: str) -> InputError:
+    return InputError(
+        f"{where}: {name!r} is the name of a shipped cab; a changed one needs another"
+    )
 
 
 def _body(base: Settings, changes: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -256,79 +185,64 @@ def _body(base: Settings, changes: Mapping[str, Any], where: str) -> dict[str, A
 
 
 @lru_cache
-def floor() -> float:
-    """Height of the hall's floor over the platform's centroid at neutral [m], from its MJCF."""
-    hall = ElementTree.parse(models.model_path("scene.xml")).getroot()
-    return float(_numbers(_named(hall, "geom", "floor"), "pos")[2])
-
-
-@lru_cache
-def _machine() -> ElementTree.Element:
-    return ElementTree.parse(models.model_path("cmf_hexapod.xml")).getroot()
-
-
-def _named(root: ElementTree.Element, tag: str, name: str) -> ElementTree.Element:
-    return next(element for element in root.iter(tag) if element.get("name") == name)
-
-
-def _numbers(element: ElementTree.Element, name: str) -> tuple[float, ...]:
-    return tuple(map(float, element.get(name, "").split()))
-
-
-def _inertial(root: ElementTree.Element, body: str, where: str) -> dict[str, Any]:
-    """Mass properties that an MJCF gives a body."""
-    inertial = _named(root, "body", body).find("inertial")
-    assert inertial is not None
-    about = {"status": "assumed", "source": f"models/{where}; models/README.md says why"}
-    return {
-        "mass": {"value": _numbers(inertial, "mass")[0], "unit": "kg", **about},
-        "centre_of_mass": {"value": _numbers(inertial, "pos"), "unit": "m", **about},
-        "inertia": {"value": _numbers(inertial, "diaginertia"), "unit": "kg m^2", **about},
-    }
-
-
-@lru_cache
-def _shipped(name: str) -> Cab:
-    path = models.cab_path(name)
-    machine, file = _machine(), f"cabs/{path.name}"
-    parts = {part: _inertial(machine, f"{part}_1", "cmf_hexapod.xml") for part in _PARTS}
-    table = _inertial(ElementTree.parse(path).getroot(), "cab", file) | {
+def _own(machine: Machine, name: str) -> Cab:
+    """One of a machine's cabs, z up."""
+    design, platform, legs = machine.cabs[name], machine.platform, machine.legs
+    bodies = [body if machine.upward > 0.0 else body.turned() for body in (design, platform)]
+    table = {field: getattr(bodies[0], field) for field in RigidBody.model_fields} | {
         "name": name,
         "base": name,
-        "platform": _inertial(machine, "platform", "cmf_hexapod.xml"),
-        "legs": {f"{part}_mass": body["mass"] for part, body in parts.items()},
+        "platform": RigidBody(**{f: getattr(bodies[1], f) for f in RigidBody.model_fields}),
+        "legs": Legs(cylinder_mass=legs.cylinder_mass, rod_mass=legs.rod_mass),
+        "machine": machine,
     }
-    return validated(Cab, table, file)
+    return validated(Cab, table, f"{machine.name}: {name}")
 
 
-def load_cab(source: str | Path | Cab = "gfd") -> Cab:
-    """Load a cab.
+def load_cab(
+    source: str | Path | Cab | None = None, machine: str | Path | Machine | None = None
+) -> Cab:
+    """Load a cab of a machine.
 
     Args:
-        source: `gfd`, `rfd` or `ifd`, a TOML file of the form that heads this module, or a cab
-            loaded already.
+        source: one of the machine's cabs by name, a TOML file of the form that heads this module,
+            or a cab loaded already; default the machine's first.
+        machine: by name, TOML file or loaded; default that of a loaded cab, or the CMF.
 
     Raises:
-        InputError: no such cab, unreadable file, a refused field with what is allowed, or a
-            changed cab under a shipped one's name.
+        InputError: no such machine or cab, unreadable file, a refused field with what is allowed,
+            a changed cab under the name of one of the machine's, or a cab of another machine.
 
     >>> cmf_mj.load_cab("rfd").centre_of_mass.value
     (0.05, 0.0, 0.9)
     """
     if isinstance(source, Cab):
-        if source.shipped and source != _shipped(source.name):
+        if machine is not None and load_machine(machine) != source.machine:
             raise InputError(
-                f"cab: {source.name!r} is the name of a shipped cab; a changed one needs another"
+                f"cab: {source.name!r} is one of machine {source.machine.name!r}, not of "
+                f"{load_machine(machine).name!r}"
             )
+        if source.own and source != _own(source.machine, source.name):
+            raise _taken("cab", source.name)
         return source
-    if str(source) in models.CABS:
-        return _shipped(str(source))
-    user = user_set("cab", models.CABS, source, fixed=("base", "taken_for"))
-    return _overlaid(_shipped(user.base), user.name, user.changes, user.where)
+    carrier = load_machine(models.CMF if machine is None else machine)
+    names = carrier.cab_names
+    if source is None or str(source) in names:
+        return _own(carrier, names[0] if source is None else str(source))
+    user = user_set("cab", names, source, fixed=("base", "taken_for", "machine"))
+    return _overlaid(_own(carrier, user.base), user.name, user.changes, user.where)
 
 
 def recorded_cab(metadata: Mapping[str, Any]) -> Cab | None:
     """The cab that the metadata of a record tell of; None where they tell of none."""
+    machine = recorded_machine(metadata)
     if metadata.get("cab_parameters"):
-        return validated(Cab, metadata["cab_parameters"], "cab_parameters")
-    return load_cab(metadata["cab"]) if metadata.get("cab") else None
+        return validated(Cab, _on(machine, metadata["cab_parameters"]), "cab_parameters")
+    return load_cab(metadata["cab"], machine) if metadata.get("cab") else None
+
+
+def _on(machine: Machine, table: Mapping[str, Any]) -> dict[str, Any]:
+    """The table of a recorded cab, and of the one it is taken for, on their machine."""
+    other = table.get("taken_for")
+    known = {"taken_for": _on(machine, other)} if isinstance(other, Mapping) else {}
+    return {**table, **known, "machine": machine}

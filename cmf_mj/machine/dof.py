@@ -3,7 +3,7 @@
 from typing import TypeVar
 
 from cmf_mj.core.errors import check_name
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 
 Choice = TypeVar("Choice")
 

@@ -14,8 +14,6 @@ Each step shrinks the error to at most 0.36 of it within the working strokes, so
 legs by half a frame at most.
 """
 
-import xml.etree.ElementTree as ElementTree
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +23,9 @@ from cmf_mj.core.compiled import allocating, assign, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine import kinematics, models
-from cmf_mj.machine.kinematics import Geometry
+from cmf_mj.machine.geometry import Geometry
+from cmf_mj.machine.kinematics import MachineOrGimbals
+from cmf_mj.machine.machine import geometry_of
 
 
 class LegAxes(NamedTuple):
@@ -44,9 +44,9 @@ class LegAxesState(NamedTuple):
     direction: NDArray[np.float64]  #: n, (6, 3), report axes.
 
 
-def make_leg_axes(geometry: Geometry | None = None) -> LegAxes:
-    """Parameters of the tracker; default the CMF's gimbals."""
-    shape = geometry or kinematics.read_geometry()
+def make_leg_axes(machine: MachineOrGimbals = models.CMF) -> LegAxes:
+    """Parameters of the tracker."""
+    shape = geometry_of(machine)
     jacobian = kinematics.pose_jacobian(np.zeros(6), shape)
     return LegAxes(shape, np.array(np.linalg.inv(jacobian), dtype=np.float64))
 
@@ -111,13 +111,13 @@ def _directions(axes, state, poses, lengths, directions):  # type: ignore[no-unt
 
 
 def leg_directions(
-    pose: ArrayLike, geometry: Geometry | None = None
+    pose: ArrayLike, machine: MachineOrGimbals = models.CMF
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lengths (..., 6) [m] and unit vectors (..., 6, 3) of the legs at poses (..., 6), Eq C.6."""
     poses = np.asarray(pose, dtype=float)
     if poses.ndim == 0 or poses.shape[-1] != 6:
         raise InputError(f"pose: shape is {poses.shape}; the last axis must have length 6")
-    axes = make_leg_axes(geometry)
+    axes = make_leg_axes(machine)
     lengths, directions = np.empty(poses.shape), np.empty((*poses.shape, 3))
     state = leg_axes_state(axes, np.zeros(6))
     flat = np.ascontiguousarray(poses.reshape(-1, 6))
@@ -125,28 +125,20 @@ def leg_directions(
     return lengths, directions
 
 
-def axial_gravity(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
+def axial_gravity(pose: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDArray[np.float64]:
     """What accelerometers along the legs read at rest, g n . up [m/s^2], (..., 6)."""
-    return -STANDARD_GRAVITY * leg_directions(pose, geometry)[1][..., 2]
+    return -STANDARD_GRAVITY * leg_directions(pose, machine)[1][..., 2]
 
 
 def projected_gravity(
-    pose: ArrayLike, distance: float, geometry: Geometry | None = None
+    pose: ArrayLike, distance: float, machine: MachineOrGimbals = models.CMF
 ) -> NDArray[np.float64]:
     """Magnitude of Eq C.3, |(I - r/L P) g| [m/s^2], (..., 6).
 
     The distance r [m] is from the upper gimbal to the centre of mass of the leg's moving part.
     """
-    length, direction = leg_directions(pose, geometry)
+    length, direction = leg_directions(pose, machine)
     gravity = np.array([0.0, 0.0, STANDARD_GRAVITY])
     along = (direction @ gravity)[..., None] * direction
     across = gravity - along
     return np.linalg.norm(along + (1.0 - distance / length)[..., None] * across, axis=-1)
-
-
-@lru_cache
-def accelerometer_distance() -> float:
-    """Distance d [m] of the accelerometers below the upper gimbals, from the hexapod's MJCF."""
-    root = ElementTree.parse(models.model_path("cmf_hexapod.xml")).getroot()
-    height = {e.get("name"): float(e.get("pos", "0 0 0").split()[2]) for e in root.iter("site")}
-    return round(height["rod_end_1"] - height["rod_accelerometer_1"], 9)

@@ -7,32 +7,22 @@ With A_j the upper gimbals in platform axes and B_j the lower gimbals in inertia
 
 Axes are the report's everywhere here: x forward, y right, z **down**; a pose is
 (surge, sway, heave, roll, pitch, yaw) in m and rad, a leg is its extension from neutral in m.
-The geometry itself is read from the MJCF, which owns it, and turned from MuJoCo's z-up axes,
-(x, y, z)_mj = (x, -y, -z)_report, in this module only.
+Functions take gimbals (a `Geometry`) or whose they are: a machine by name, its file, or loaded.
 """
 
-import xml.etree.ElementTree as ElementTree
-from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
-from cmf_mj.core import units
 from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine import models
+from cmf_mj.machine.geometry import Geometry
+from cmf_mj.machine.machine import Machine, geometry_of, load_machine
 
-DOFS = ("surge", "sway", "heave", "roll", "pitch", "yaw")
-"""Names of the six degrees of freedom, in the order of a pose."""
-
-WORKING_STROKE = 37.5 * units.INCH
-"""Half of the leg travel the control law works in [m]: -37.5 in to +37.5 in (section 3.2.1)."""
-
-FLIP = np.array([1.0, -1.0, -1.0])
-"""Report axes to MuJoCo axes and back, componentwise."""
+MachineOrGimbals = str | Path | Machine | Geometry
 
 _NEWTON_ITERATIONS = 50
 _NEWTON_TOLERANCE = 1e-13
@@ -40,28 +30,7 @@ _CLOSE = 0.02
 """Leg change from row to row [m] up to which the solution before is a safe start."""
 
 
-class Geometry(NamedTuple):
-    """Gimbal positions of a Stewart platform, report axes.
-
-    >>> cmf_mj.read_geometry().neutral.round(2).tolist()
-    [4.06, 4.06, 4.06, 4.06, 4.06, 4.06]
-    """
-
-    upper: NDArray[np.float64]  #: Upper gimbals A in the platform frame [m], (6, 3).
-    lower: NDArray[np.float64]  #: Lower gimbals B in the inertial frame [m], (6, 3).
-    neutral: NDArray[np.float64]  #: Pin-to-pin leg lengths at the pose zero [m], (6,).
-
-
-def make_geometry(upper: ArrayLike, lower: ArrayLike) -> Geometry:
-    """Build a `Geometry` from upper (6, 3) and lower (6, 3) gimbals [m], report axes."""
-    a = np.ascontiguousarray(upper, dtype=float)
-    b = np.ascontiguousarray(lower, dtype=float)
-    if a.shape != (6, 3) or b.shape != (6, 3):
-        raise InputError(f"upper, lower: shapes are {a.shape}, {b.shape}; both must be (6, 3)")
-    return Geometry(a, b, np.linalg.norm(a - b, axis=1))
-
-
-def about(point: ArrayLike, geometry: Geometry | None = None) -> Geometry:
+def about(point: ArrayLike, machine: MachineOrGimbals = models.CMF) -> Geometry:
     """The geometry for poses that count at a point of the platform instead of its centroid.
 
     With r from the centroid to the static centre of mass (r_cg of Eq 2.1) and c its movement from
@@ -74,43 +43,16 @@ def about(point: ArrayLike, geometry: Geometry | None = None) -> Geometry:
 
     Args:
         point: r in platform axes, z down [m], (3,).
-        geometry: gimbals from the centroid; default the CMF's.
+        machine: whose gimbals, from the centroid.
 
     >>> tilt = [0, 0, 0, 0, 0.1, 0]  # the head of a pilot 2 m above stays where it is
     >>> cmf_mj.legs_to_pose(cmf_mj.pose_to_legs(tilt, about([0, 0, -2]))).round(3)[0].item()
     0.2
     """
-    offset, shape = np.array(point, dtype=float), geometry or read_geometry()
+    offset, shape = np.array(point, dtype=float), geometry_of(machine)
     if offset.shape != (3,) or not np.isfinite(offset).all():
         raise InputError(f"point: {offset.tolist()} must be three finite numbers")
     return Geometry(shape.upper - offset, shape.lower - offset, shape.neutral)
-
-
-@lru_cache
-def read_geometry(path: Path | None = None) -> Geometry:
-    """Read the gimbal positions from the MJCF at `path` (default: the CMF hexapod).
-
-    Upper gimbals are the sites `upper_1`..`upper_6`, lower gimbals the bodies
-    `cylinder_1`..`cylinder_6`.
-
-    >>> cmf_mj.read_geometry().upper.shape
-    (6, 3)
-    """
-    root = ElementTree.parse(path or models.model_path("cmf_hexapod.xml")).getroot()
-
-    def positions(tag: str, prefix: str) -> NDArray[np.float64]:
-        elements = {e.get("name"): e.get("pos", "0 0 0") for e in root.iter(tag)}
-        return np.array([elements[f"{prefix}_{i}"].split() for i in range(1, 7)], dtype=float)
-
-    return make_geometry(positions("site", "upper") * FLIP, positions("body", "cylinder") * FLIP)
-
-
-@lru_cache
-def half_stroke() -> float:
-    """Mechanical travel of a leg from neutral either way [m], from the hexapod's MJCF."""
-    root = ElementTree.parse(models.model_path("cmf_hexapod.xml")).getroot()
-    (slide,) = (e for e in root.iter("joint") if e.get("type") == "slide" and e.get("range"))
-    return float(slide.get("range", "").split()[1])
 
 
 @compiled
@@ -242,12 +184,12 @@ def one_pose(values: ArrayLike) -> NDArray[np.float64]:
     return pose
 
 
-def pose_to_legs(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
+def pose_to_legs(pose: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDArray[np.float64]:
     """Leg extensions from neutral [m] of platform poses, Eq C.6.
 
     Args:
         pose: (..., 6): surge, sway, heave [m], roll, pitch, yaw [rad], z down.
-        geometry: gimbals; default the CMF's.
+        machine: machine or gimbals.
 
     Returns:
         (..., 6) extensions [m]; zero at the pose zero.
@@ -257,11 +199,11 @@ def pose_to_legs(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[n
     """
     poses = rows_of("pose", pose)
     legs = np.empty(poses.shape)
-    _legs_history(geometry or read_geometry(), poses.reshape(-1, 6), legs.reshape(-1, 6))
+    _legs_history(geometry_of(machine), poses.reshape(-1, 6), legs.reshape(-1, 6))
     return legs
 
 
-def legs_to_pose(legs: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
+def legs_to_pose(legs: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDArray[np.float64]:
     """Platform poses of leg extensions: Newton iteration on Eq C.6 with the exact Jacobian.
 
     Of the several assemblies a Stewart platform has, the solution is the one that holds the pose
@@ -269,7 +211,7 @@ def legs_to_pose(legs: ArrayLike, geometry: Geometry | None = None) -> NDArray[n
 
     Args:
         legs: (..., 6) extensions from neutral [m].
-        geometry: gimbals; default the CMF's.
+        machine: machine or gimbals.
 
     Returns:
         (..., 6) poses: m and rad, z down. `pose_to_legs` gives the legs back within 1e-11 m.
@@ -284,7 +226,7 @@ def legs_to_pose(legs: ArrayLike, geometry: Geometry | None = None) -> NDArray[n
     rows = rows_of("legs", legs)
     poses = np.empty(rows.shape)
     flat = rows.reshape(-1, 6)
-    failed = _pose_history(geometry or read_geometry(), flat, poses.reshape(-1, 6))
+    failed = _pose_history(geometry_of(machine), flat, poses.reshape(-1, 6))
     if failed >= 0:
         where = [int(i) for i in np.unravel_index(failed, rows.shape[:-1])]
         raise InputError(
@@ -294,34 +236,39 @@ def legs_to_pose(legs: ArrayLike, geometry: Geometry | None = None) -> NDArray[n
     return poses
 
 
-def leg_jacobian(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
+def leg_jacobian(pose: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDArray[np.float64]:
     """J of l_dot = J (v, w), (6, 6): centroid velocity and angular velocity in inertial axes.
 
     Row j is (n_j, T A_j x n_j) with n_j the unit vector along leg j; its last three columns are
     in m. J^-T M J^-1 turns a mass matrix of the platform into the reflected mass of the legs.
     """
     jacobian = np.empty((6, 6))
-    _twist_jacobian(geometry or read_geometry(), one_pose(pose), jacobian)
+    _twist_jacobian(geometry_of(machine), one_pose(pose), jacobian)
     return jacobian
 
 
-def pose_jacobian(pose: ArrayLike, geometry: Geometry | None = None) -> NDArray[np.float64]:
+def pose_jacobian(pose: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDArray[np.float64]:
     """d(legs)/d(pose), (6, 6): as `leg_jacobian`, but for the rates of the Euler angles."""
     jacobian = np.empty((6, 6))
-    write_pose_jacobian(geometry or read_geometry(), one_pose(pose), jacobian)
+    write_pose_jacobian(geometry_of(machine), one_pose(pose), jacobian)
     return jacobian
 
 
 def excursion_envelope(
-    travel: float = WORKING_STROKE, geometry: Geometry | None = None
+    travel: float | None = None, machine: MachineOrGimbals = models.CMF
 ) -> NDArray[np.float64]:
     """Single-axis excursions at which the first leg reaches its travel [m] from neutral, (6, 2).
 
-    Per degree of freedom the negative and the positive limit, m and rad, z down.
+    Per degree of freedom the negative and the positive limit, m and rad, z down; a rotation ends at
+    90 deg at the latest. Default travel is the working stroke.
     """
+    if travel is None:
+        if isinstance(machine, Geometry):
+            raise InputError("travel: is missing; gimbals alone have none")
+        travel = load_machine(machine).working_stroke
     if not travel > 0.0:
         raise InputError(f"travel: {travel} m must be greater than 0")
-    shape = geometry or read_geometry()
+    shape = geometry_of(machine)
 
     def reserve(excursion: float, dof: int) -> float:
         pose = np.zeros(6)
@@ -332,7 +279,10 @@ def excursion_envelope(
     for dof in range(6):
         for side, sign in enumerate((-1.0, 1.0)):
             inner, outer = 0.0, sign * 0.01
-            while reserve(outer, dof) > 0.0:
+            while reserve(outer, dof) > 0.0 and (dof < 3 or abs(outer) < 0.5 * np.pi):
                 inner, outer = outer, outer + sign * 0.01
+            if reserve(outer, dof) > 0.0:
+                limits[dof, side] = sign * 0.5 * np.pi
+                continue
             limits[dof, side] = brentq(reserve, inner, outer, args=(dof,), xtol=1e-12)
     return limits

@@ -12,14 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
+from cmf_mj.machine import models
 from cmf_mj.machine.kinematics import (
-    Geometry,
+    MachineOrGimbals,
     euler_rate_matrix,
-    read_geometry,
     rotation,
     rows_of,
     write_pose_jacobian,
 )
+from cmf_mj.machine.machine import geometry_of
 
 
 @allocating
@@ -80,33 +81,39 @@ class Motion(NamedTuple):
     acceleration: NDArray[np.float64]  #: (..., 6): m/s^2, and rad/s^2 of the Euler angles.
 
 
-def _converted(kernel: Any, geometry: Geometry | None, **arrays: ArrayLike) -> Motion:
+def _converted(kernel: Any, machine: MachineOrGimbals, **arrays: ArrayLike) -> Motion:
     """What a kernel makes of a pose and two derivatives, all of the pose's shape."""
     rows = {name: rows_of(name, values) for name, values in arrays.items()}
     for name, values in rows.items():
         if values.shape != rows["pose"].shape:
             raise InputError(f"{name}: shape is {values.shape}; pose has {rows['pose'].shape}")
     motion = Motion(np.empty(rows["pose"].shape), np.empty(rows["pose"].shape))
-    kernel(geometry or read_geometry(), *(a.reshape(-1, 6) for a in (*rows.values(), *motion)))
+    kernel(geometry_of(machine), *(a.reshape(-1, 6) for a in (*rows.values(), *motion)))
     return motion
 
 
 def pose_motion_to_legs(
-    pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike, geometry: Geometry | None = None
+    pose: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    machine: MachineOrGimbals = models.CMF,
 ) -> Motion:
     """Leg velocities and accelerations of poses (..., 6) and their derivatives, exact.
 
-    Poses are in m and rad, z down; default gimbals are the CMF's.
+    Poses are in m and rad, z down.
     """
     return _converted(
-        _motion_to_legs, geometry, pose=pose, velocity=velocity, acceleration=acceleration
+        _motion_to_legs, machine, pose=pose, velocity=velocity, acceleration=acceleration
     )
 
 
 def leg_motion_to_pose(
-    pose: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike, geometry: Geometry | None = None
+    pose: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    machine: MachineOrGimbals = models.CMF,
 ) -> Motion:
     """Platform motion of leg velocities and accelerations (..., 6) at known poses (..., 6)."""
     return _converted(
-        _legs_to_motion, geometry, pose=pose, velocity=velocity, acceleration=acceleration
+        _legs_to_motion, machine, pose=pose, velocity=velocity, acceleration=acceleration
     )

@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
-from cmf_mj.core.errors import check_name
+CMF = "cmf"
+"""Name of the Cockpit Motion Facility among the machines."""
 
 CABS = ("gfd", "rfd", "ifd")
-"""The three flight decks: Generic, Research and Integration."""
+"""Its three flight decks: Generic, Research and Integration."""
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -25,6 +26,7 @@ def model_path(name: str) -> Path:
     return directory() / name
 
 
-def cab_path(cab: str) -> Path:
-    """The MJCF of a shipped cab."""
-    return directory() / "cabs" / f"{check_name('cab', cab, CABS)}.xml"
+def machine_names() -> tuple[str, ...]:
+    """Names of the shipped machines, the CMF first."""
+    names = {path.stem for path in (directory() / "machines").glob("*.toml")}
+    return (CMF, *sorted(names - {CMF}))

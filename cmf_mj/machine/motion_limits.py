@@ -1,139 +1,85 @@
-"""Limits of the motion base as data: Table 2-1 of the report, and rates that nobody published.
+"""Limits of a machine: those its file states, derived where it states none, or a user's own.
 
-The numbers live in `motion_limits.toml`; this module names and checks them. Axes are the report's,
-z down.
+A degree of freedom whose limits nobody stated has, alone from neutral, with J the Jacobian there,
+
+    displacements    at which the first leg ends: its cylinder (mechanical), its working stroke
+    rates            leg rate / max_j |J_jd|, of velocity and of acceleration
 """
 
+from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, model_validator
 
-from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Quantity, positive_in
-from cmf_mj.core.settings import Loader, Settings
-from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE
+from cmf_mj.core.settings import merged, read_toml, validated
+from cmf_mj.machine import models
+from cmf_mj.machine.dof import by_kind
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import excursion_envelope, pose_jacobian
+from cmf_mj.machine.limits import MotionLimits
+from cmf_mj.machine.machine import Machine, load_machine
 
-_TRAVEL = Quantity(
-    value=units.from_si("in", WORKING_STROKE),
-    unit="in",
-    status="stated",
-    source="section 3.2.1, the working stroke",
-)
-
-
-class Range(Settings):
-    """A displacement range around zero as a source gives it."""
-
-    low: float = Field(lt=0.0)  #: Lowest displacement, in `unit`.
-    high: float = Field(gt=0.0)  #: Highest displacement, in `unit`.
-    unit: Literal["in", "m", "deg", "rad"]  #: Unit as published.
-    status: Literal["stated", "derived", "calibrated", "assumed"]  #: How the range is known.
-    source: str = Field(min_length=1)  #: Where it comes from, or why it was chosen.
-
-    @property
-    def si(self) -> tuple[float, float]:
-        """Lowest and highest in SI."""
-        return units.to_si(self.unit, self.low), units.to_si(self.unit, self.high)
+_REJOIN = {
+    "value": 0.5,
+    "unit": "1",
+    "status": "assumed",
+    "source": "half closes in on the demand, half follows the demand's own acceleration",
+}
 
 
-def _range_in(*allowed: str) -> AfterValidator:
-    def check(value: Range) -> Range:
-        if value.unit not in allowed:
-            raise InputError(f"unit must be one of {', '.join(allowed)}")
-        return value
+def load_motion_limits(
+    source: str | Path | MotionLimits | None = None, machine: str | Path | Machine = models.CMF
+) -> MotionLimits:
+    """Limits of a machine, or those of a TOML file, which repeats what it changes of them.
 
-    return AfterValidator(check)
-
-
-class _Axis(Settings):
-    @model_validator(mode="after")
-    def _nested(self) -> "_Axis":
-        inner, outer = self.operational.si, self.mechanical.si  # type: ignore[attr-defined]
-        if not (outer[0] <= inner[0] and inner[1] <= outer[1]):
-            raise InputError("operational must lie within mechanical")
-        return self
-
-
-class Translation(_Axis):
-    """Limits of surge, sway or heave."""
-
-    mechanical: Annotated[Range, _range_in("in", "m")]  #: Displacement at which the machine ends.
-    operational: Annotated[Range, _range_in("in", "m")]  #: Displacement a demand may ask for.
-    velocity: Annotated[Quantity, positive_in("in/s", "m/s")]  #: Largest speed either way.
-    acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
-    """Largest acceleration either way."""
+    Raises:
+        InputError: a refused machine, an unreadable file or a refused field; each is named.
+    """
+    if isinstance(source, MotionLimits):
+        return source
+    limits = _of(load_machine(machine))
+    if source is None or source == "default":
+        return limits
+    return validated(
+        MotionLimits, merged(limits.model_dump(), read_toml(Path(source)), 1), str(source)
+    )
 
 
-class Rotation(_Axis):
-    """Limits of roll, pitch or yaw."""
-
-    mechanical: Annotated[Range, _range_in("deg", "rad")]
-    """Displacement at which the machine ends."""
-    operational: Annotated[Range, _range_in("deg", "rad")]  #: Displacement a demand may ask for.
-    velocity: Annotated[Quantity, positive_in("deg/s", "rad/s")]
-    """Largest rate of the Euler angle either way."""
-    acceleration: Annotated[Quantity, positive_in("deg/s^2", "rad/s^2")]
-    """Largest second derivative of the Euler angle either way."""
+@lru_cache
+def _of(machine: Machine) -> MotionLimits:
+    """Limits of a machine as its file states them and as derived."""
+    stated = machine.limits.model_dump(exclude_none=True)
+    leg = {"position": machine.legs.working_stroke.model_dump(), "rejoin": _REJOIN} | stated["leg"]
+    derived = {} if all(dof in stated for dof in DOFS) else _derived(machine)
+    return validated(MotionLimits, derived | stated | {"leg": leg}, machine.name)
 
 
-def _share(quantity: Quantity) -> Quantity:
-    if quantity.value > 1.0:
-        raise InputError("must be at most 1")
-    return quantity
+def _derived(machine: Machine) -> dict[str, Any]:
+    """Tables of all degrees of freedom, from geometry and legs."""
+    geometry, leg = machine.geometry, machine.limits.leg
+    ends = excursion_envelope(machine.half_stroke, geometry)
+    reach = excursion_envelope(machine.working_stroke, geometry)
+    arms = np.abs(pose_jacobian(np.zeros(6), geometry)).max(axis=0)
+    tables = {}
+    for index, dof in enumerate(DOFS):
+        length = by_kind(dof, "m", "rad")
 
+        def known(source: str, unit: str, **values: float) -> dict[str, Any]:
+            return {**values, "unit": unit, "status": "derived", "source": source}
 
-class Leg(Settings):
-    """Limits of one leg, and how a limited motion returns to its demand."""
+        def span(what: str, low: float, high: float, unit: str = length) -> dict[str, Any]:
+            return known(
+                f"alone from neutral, to the legs' {what} stroke", unit, low=low, high=high
+            )
 
-    position: Annotated[Quantity, positive_in("in", "m")] = _TRAVEL
-    """Largest extension and retraction from neutral."""
-    velocity: Annotated[Quantity, positive_in("in/s", "m/s")]  #: Largest leg speed either way.
-    acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
-    """Largest leg acceleration either way."""
-    rejoin: Annotated[Quantity, positive_in("1"), AfterValidator(_share)]
-    """Share of the acceleration, of legs and degrees of freedom, spent on closing in."""
+        def most(rate: float, unit: str, arm: float = float(arms[index])) -> dict[str, Any]:
+            return known("alone at neutral, where it uses up a leg's", unit, value=rate / arm)
 
-
-class MotionLimits(Settings):
-    """Displacement, velocity and acceleration limits of the platform and its legs."""
-
-    surge: Translation
-    sway: Translation
-    heave: Translation
-    roll: Rotation
-    pitch: Rotation
-    yaw: Rotation
-    leg: Leg
-
-    @property
-    def axes(self) -> tuple[Translation | Rotation, ...]:
-        """The six degrees of freedom in the order of a pose."""
-        return tuple(getattr(self, dof) for dof in DOFS)
-
-    @property
-    def mechanical(self) -> NDArray[np.float64]:
-        """Lowest and highest displacement the machine can make [m, rad], (6, 2)."""
-        return np.array([axis.mechanical.si for axis in self.axes])
-
-    @property
-    def operational(self) -> NDArray[np.float64]:
-        """Lowest and highest displacement a demand may ask for [m, rad], (6, 2)."""
-        return np.array([axis.operational.si for axis in self.axes])
-
-    @property
-    def velocity(self) -> NDArray[np.float64]:
-        """Of the degrees of freedom [m/s, rad/s], (6,)."""
-        return np.array([axis.velocity.si for axis in self.axes])
-
-    @property
-    def acceleration(self) -> NDArray[np.float64]:
-        """Of the degrees of freedom [m/s^2, rad/s^2], (6,)."""
-        return np.array([axis.acceleration.si for axis in self.axes])
-
-
-load_motion_limits = Loader(MotionLimits, Path(__file__).with_suffix(".toml"))
-"""Loads the limits of the motion base."""
+        tables[dof] = {
+            "mechanical": span("half", *ends[index].tolist()),
+            "operational": span("working", *reach[index].tolist()),
+            "velocity": most(leg.velocity.si, f"{length}/s"),
+            "acceleration": most(leg.acceleration.si, f"{length}/s^2"),
+        }
+    return tables

@@ -38,15 +38,16 @@ from cmf_mj.core.rates import RATE
 from cmf_mj.facility.host.stream import HostStream, from_command, resample
 from cmf_mj.facility.operation import FacilitySettings, Operation, operate
 from cmf_mj.machine import kinematics
-from cmf_mj.machine.cab import Cab
+from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import by_kind, dof_index
-from cmf_mj.machine.kinematics import FLIP
-from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
+from cmf_mj.machine.geometry import FLIP
+from cmf_mj.machine.limits import MotionLimits
+from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot import host as pilot_host
 from cmf_mj.pilot.cueing.flight import cue, within_limits
 from cmf_mj.pilot.cueing.settings import WashoutSettings
 from cmf_mj.pilot.host import MOST_RATE
-from cmf_mj.pilot.motion import COLUMNS, PilotMotion, interpolated, pilot_station
+from cmf_mj.pilot.motion import COLUMNS, PilotMotion, interpolated
 from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -112,9 +113,9 @@ def fly(
     host: pilot_host.AircraftHost | pilot_host.PlatformHost | PilotMotion,
     law: str | Path | Law = "velocity",
     *,
-    cab: str | Path | Cab = "gfd",
+    cab: str | Path | Cab | None = None,
     washout: str | WashoutSettings = "simona",
-    hydraulics: str | HydraulicParameters = "hardware",
+    hydraulics: str | HydraulicParameters | None = None,
     facility: FacilitySettings | None = None,
     senses: Senses | str | None = None,
     progress: Callable[[float], None] | None = None,
@@ -125,24 +126,26 @@ def fly(
     is called with the seconds flown, about once a second of them.
     """
     settings = facility or FacilitySettings()
-    limits = load_motion_limits(settings.limits)
+    carried = load_cab(cab)
+    machine = carried.machine
+    limits = load_motion_limits(settings.limits, machine)
     aircraft = None
     if isinstance(host, PilotMotion | pilot_host.AircraftHost):
         flown = host if isinstance(host, PilotMotion) else pilot_host.pilot_motion(host)
-        cued = cue(flown, washout, cab=cab, limits=limits, senses=senses)
+        cued = cue(flown, washout, cab=carried, limits=limits, senses=senses)
         aircraft, stream, limited, asked = cued.aircraft, cued.stream, cued.limited, cued.simulator
     else:
         sent = pilot_host.host_stream(host)
         step = np.diff(sent.time)
         if step.size and np.ptp(step) > 1e-6 * step.mean():  # the limiters take even frames
             sent = resample(sent, MOST_RATE)
-        stream, limited = within_limits(sent, limits)
-        asked = PilotMotion.from_platform(stream, pilot_station(cab))
-    plant, rows = Hexapod(cab, hydraulics), RECORD_EVERY
+        stream, limited = within_limits(sent, limits, machine)
+        asked = PilotMotion.from_platform(stream, carried.station)
+    plant, rows = Hexapod(carried, hydraulics), RECORD_EVERY
     operation = operate(plant, law, stream, facility=settings, record_every=rows, progress=progress)
     record = operation.record
     simulator = crew_motion(record, asked.time)
-    legs = kinematics.pose_to_legs(resample(stream, record.rate).pose)
+    legs = kinematics.pose_to_legs(resample(stream, record.rate).pose, machine)
     return FlightResult(
         str(record.metadata["law"]),
         plant.cab,
@@ -235,10 +238,10 @@ class TransportDelay(NamedTuple):
 def transport_delay(
     law: str | Path | Law = "velocity",
     *,
-    cab: str | Path | Cab = "gfd",
+    cab: str | Path | Cab | None = None,
     dof: str = "heave",
     frequency: float = 1.0,
-    hydraulics: str | HydraulicParameters = "hardware",
+    hydraulics: str | HydraulicParameters | None = None,
     facility: FacilitySettings | None = None,
 ) -> TransportDelay:
     """Measure the delay from host to pilot and its parts.
@@ -256,7 +259,8 @@ def transport_delay(
     size, cycles = by_kind(dof, 0.01, np.radians(0.5)), _SETTLE + _CYCLES + 2.0
     command = signals.sine(dof, size, frequency, cycles=cycles, fade=1.0)
     stream = from_command(command, MOST_RATE)
-    record = operate(Hexapod(cab, hydraulics), law, stream, facility=settings).record
+    plant = Hexapod(cab, hydraulics)
+    record = operate(plant, law, stream, facility=settings).record
     omega = 2.0 * np.pi * frequency
     first = round(_SETTLE * RATE / frequency)
     count = round(_CYCLES * RATE / frequency)
@@ -265,7 +269,7 @@ def transport_delay(
         fit = metrics.harmonics(values[first : first + count], RATE, frequency, 1)
         return complex(fit.amplitude[0] * np.exp(1j * fit.phase[0]))
 
-    pattern = kinematics.pose_jacobian(np.zeros(6))[:, index]
+    pattern = kinematics.pose_jacobian(np.zeros(6), plant.machine)[:, index]
 
     def legs(name: str) -> complex:
         return fundamental(record[name] @ pattern)
@@ -273,7 +277,7 @@ def transport_delay(
     def late(before: complex, after: complex) -> float:
         return phase_delay(before, after, frequency)
 
-    sent = fundamental(kinematics.pose_to_legs(command.pose) @ pattern)
+    sent = fundamental(kinematics.pose_to_legs(command.pose, plant.machine) @ pattern)
     reference, valve, opening = map(legs, ("leg_reference", "valve_command", "valve_opening"))
     moved = legs("leg_extension")
     if index < 3:  # an accelerometer's row is of one mechanical step before

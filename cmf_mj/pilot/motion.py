@@ -15,7 +15,6 @@ specific force at the pilot's station; its constructors take the centre of gravi
 the platform of the simulator or a record of a run.
 """
 
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,9 +29,8 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import read_column, read_table, write_table
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostStream
-from cmf_mj.machine import models
 from cmf_mj.machine.cab import Cab, load_cab
-from cmf_mj.machine.kinematics import FLIP
+from cmf_mj.machine.geometry import FLIP
 from cmf_mj.record.record import Record
 
 COLUMNS = {
@@ -182,11 +180,9 @@ class PilotMotion:
         return PilotMotion.from_columns(lambda name: read_column(source, table, name), source)
 
 
-def pilot_station(cab: str | Path | Cab = "gfd") -> NDArray[np.float64]:
-    """Site `crew` of a cab from the platform's centroid, platform axes, z down [m], (3,)."""
-    root = ElementTree.parse(models.cab_path(load_cab(cab).base)).getroot()
-    site = next(element for element in root.iter("site") if element.get("name") == "crew")
-    return np.array(site.get("pos", "0 0 0").split(), dtype=float) * FLIP
+def pilot_station(cab: str | Path | Cab | None = None) -> NDArray[np.float64]:
+    """Where a cab's crew sits, from the platform's centroid, platform axes, z down [m], (3,)."""
+    return load_cab(cab).station
 
 
 def gravity_in_body(attitude: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -42,7 +42,7 @@ from cmf_mj.facility.operation import FacilitySettings, operate
 from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import by_kind, dof_index
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.pilot.cueing.settings import WashoutSettings, load_washout
 from cmf_mj.pilot.cueing.washout import Washout
 from cmf_mj.pilot.host import MOST_RATE

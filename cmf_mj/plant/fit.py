@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine.cab import Cab
-from cmf_mj.machine.kinematics import FLIP, Geometry
+from cmf_mj.machine.geometry import FLIP, Geometry
 
 SAME = 1e-9
 """Values this close are the same [m, kg, kg m^2], in proportion where above 1."""

@@ -16,11 +16,16 @@ from scipy import linalg
 from scipy.spatial.transform import Rotation
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.machine import kinematics, models
-from cmf_mj.machine.cab import Cab, RigidBody, load_cab
+from cmf_mj.machine import kinematics
+from cmf_mj.machine.bodies import RigidBody
+from cmf_mj.machine.cab import Cab, load_cab
+from cmf_mj.machine.geometry import FLIP
+from cmf_mj.machine.machine import Machine
 from cmf_mj.plant import cylinder, fit
 from cmf_mj.plant.headless import headless
+from cmf_mj.plant.model_text import model_texts
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters.loading import hydraulics_of
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import set_timestep
 
@@ -71,7 +76,7 @@ def oil_modes(
 
 
 class Hexapod(Plant):
-    """Plant A: the Cockpit Motion Facility with one of its cabs.
+    """Plant A: a motion base with one of its cabs, by default the Cockpit Motion Facility.
 
     >>> plant = cmf_mj.Hexapod("ifd", hydraulics="report")
     >>> plant.legs, plant.cab
@@ -83,26 +88,30 @@ class Hexapod(Plant):
 
     def __init__(
         self,
-        cab: str | Path | Cab = "gfd",
-        hydraulics: str | Path | HydraulicParameters = "hardware",
+        cab: str | Path | Cab | None = None,
+        hydraulics: str | Path | HydraulicParameters | None = None,
         *,
+        machine: str | Path | Machine | None = None,
         spec: mujoco.MjSpec | None = None,
         timestep: float | None = None,
     ) -> None:
         """Load the machine, put a cab on it and attach the hydraulics.
 
         Args:
-            cab: `gfd`, `rfd` or `ifd`, a TOML file or a loaded cab.
-            hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
+            cab: one of the machine's by name, a TOML file or a loaded cab; default its first, of
+                the CMF `gfd`.
+            hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set; default that of
+                the machine, of the CMF `hardware`.
+            machine: by name, TOML file or loaded; default that of a loaded cab, or the CMF.
             spec: an edited `hexapod_spec` of the cab, with its masses and the machine's geometry;
                 default as shipped.
             timestep: mechanical step [s]; default one control frame.
 
         Raises:
-            InputError: a refused cab, a step that is not positive, refused hydraulics, or what
-                `check` refuses.
+            InputError: a refused machine or cab, a step that is not positive, refused hydraulics,
+                or what `check` refuses.
         """
-        self.cab_parameters = chosen = load_cab(cab)
+        self.cab_parameters = chosen = load_cab(cab, machine)
         self.cab = chosen.name
         try:
             self._drawn = None if spec is None else spec.compile()
@@ -110,12 +119,8 @@ class Hexapod(Plant):
         except ValueError as error:
             raise InputError(f"spec: does not compile: {error}") from None
         set_timestep(model.opt, timestep)
-        super().__init__(model, hydraulics, payload=["platform"])
-
-    @property
-    def geometry(self) -> kinematics.Geometry:
-        """The gimbals that kinematics and control law count with; `check` compares the model."""
-        return kinematics.read_geometry()
+        parameters = hydraulics_of(chosen.machine, hydraulics)
+        super().__init__(model, parameters, payload=["platform"], machine=chosen.machine)
 
     def check(self) -> None:
         """Refuse a model that is not the machine of kinematics, hydraulics and cab.
@@ -127,14 +132,14 @@ class Hexapod(Plant):
             InputError: what does not fit, with both values.
         """
         super().check()
-        stroke, half = kinematics.half_stroke(), self.hydraulics.cylinder.half_stroke
+        stroke, half = self.machine.half_stroke, self.hydraulics.cylinder.half_stroke
         for leg in np.flatnonzero(~(np.abs(half - stroke) <= fit.SAME)):
             raise InputError(
                 f"half_stroke: set {self.parameters.name!r} gives leg_{leg + 1} +-{half[leg]:.6g} "
                 f"m, the kinematics +-{stroke:.6g} m; allowed: both the same"
             )
         assert self.cab_parameters is not None
-        fit.check_hexapod(self.model, self.data, self.geometry, self.cab_parameters)
+        fit.check_hexapod(self.model, self.data, self.machine.geometry, self.cab_parameters)
 
     @property
     def drawn_model(self) -> mujoco.MjModel:
@@ -176,23 +181,23 @@ class Hexapod(Plant):
             InputError: a leg would leave its mechanical stroke.
         """
         target = kinematics.one_pose(pose)
-        legs = kinematics.pose_to_legs(target, self.geometry)
+        legs = kinematics.pose_to_legs(target, self.machine)
         stroke = self.hydraulics.cylinder.half_stroke
         for leg in np.flatnonzero(np.abs(legs) >= stroke):
             raise InputError(
                 f"pose: puts leg {leg + 1} at {legs[leg]:.4f} m; allowed: +-{stroke[leg]:.4f} m"
             )
-        turn = kinematics.FLIP[:, None] * kinematics.rotation(*target[3:]) * kinematics.FLIP
+        turn = FLIP[:, None] * kinematics.rotation(*target[3:]) * FLIP
         qpos = self.data.qpos
         free = self.model.joint("platform").qposadr[0]
-        qpos[free : free + 3] = target[:3] * kinematics.FLIP
+        qpos[free : free + 3] = target[:3] * FLIP
         qpos[free + 3 : free + 7] = Rotation.from_matrix(turn).as_quat(scalar_first=True)
-        upper = target[:3] + self.geometry.upper @ kinematics.rotation(*target[3:]).T
+        upper = target[:3] + self.machine.geometry.upper @ kinematics.rotation(*target[3:]).T
         for i in _LEGS:
             # Leg direction in the frame of its lower gimbal: Rx(a) Ry(b) z = (sin b, -sin a cos b,
             # cos a cos b).
             body = self.model.body(f"cylinder_{i}")
-            line = (upper[i - 1] - self.geometry.lower[i - 1]) * kinematics.FLIP
+            line = (upper[i - 1] - self.machine.geometry.lower[i - 1]) * FLIP
             frame = Rotation.from_quat(body.quat, scalar_first=True)
             x, y, z = frame.inv().apply(line / np.linalg.norm(line))
             qpos[self.model.joint(f"gimbal_{i}_x").qposadr[0]] = np.arctan2(-y, z)
@@ -203,7 +208,7 @@ class Hexapod(Plant):
     def pose_of(self, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
         """Platform pose (..., 6), report axes, of generalised positions `qpos`, (..., nq)."""
         free = self.model.joint("platform").qposadr[0]
-        where = qpos[..., free : free + 3] * kinematics.FLIP
+        where = qpos[..., free : free + 3] * FLIP
         quaternion = qpos[..., free + 3 : free + 7] * np.array([1.0, 1.0, -1.0, -1.0])
         turn = Rotation.from_quat(quaternion.reshape(-1, 4), scalar_first=True)
         angles = turn.as_euler("ZYX").reshape((*qpos.shape[:-1], 3))[..., ::-1]
@@ -217,24 +222,23 @@ class Hexapod(Plant):
         """
         target = np.zeros(6) if pose is None else kinematics.one_pose(pose)
         mass = self.reflected_mass(target)
-        legs = kinematics.pose_to_legs(target, self.geometry)
+        legs = kinematics.pose_to_legs(target, self.machine)
         springs = cylinder.stiffness(
             self.hydraulics.cylinder, self.hydraulics.oil.bulk_modulus, legs
         )
         frequency, shapes = oil_modes(mass, springs)
-        jacobian = kinematics.pose_jacobian(target, self.geometry)
+        jacobian = kinematics.pose_jacobian(target, self.machine)
         moved = np.linalg.inv(jacobian) @ shapes
         momentum = jacobian.T @ mass @ shapes
         return HydraulicModes(self.cab, target, mass, frequency, shapes, moved, moved * momentum)
 
 
-def hexapod_spec(cab: str | Path | Cab = "gfd") -> mujoco.MjSpec:
-    """The editable MuJoCo model of the machine in its hall with a cab, for users who extend it."""
-    chosen = load_cab(cab)
-    mounted = f"cabs/{chosen.base}.xml"
-    scene = models.model_path("scene.xml").read_text("utf-8").replace("cabs/gfd.xml", mounted)
-    parts = ("cmf_hexapod.xml", "cabs/none.xml", mounted)
-    files = {name: models.model_path(name).read_bytes() for name in parts}
+def hexapod_spec(
+    cab: str | Path | Cab | None = None, machine: str | Path | Machine | None = None
+) -> mujoco.MjSpec:
+    """The editable MuJoCo model of a machine in its hall with a cab, for users who extend it."""
+    chosen = load_cab(cab, machine)
+    scene, files = model_texts(load_cab(chosen.base, chosen.machine))
     spec = mujoco.MjSpec.from_string(scene, files)
     for edit in _edits(chosen):
         body = spec.body(edit.body)
@@ -247,13 +251,13 @@ def hexapod_spec(cab: str | Path | Cab = "gfd") -> mujoco.MjSpec:
     return spec
 
 
-def hexapod_model(cab: str | Path | Cab = "gfd", *, drawn: bool = True) -> mujoco.MjModel:
+def hexapod_model(cab: str | Path | Cab | None = None, *, drawn: bool = True) -> mujoco.MjModel:
     """The compiled machine with a cab: the model that `hexapod_spec` compiles to, in less time.
 
     A model that is not `drawn` is the `headless` one.
     """
     chosen = load_cab(cab)
-    model = copy.copy(_compiled(chosen.base, drawn))
+    model = copy.copy(_compiled(load_cab(chosen.base, chosen.machine), drawn))
     edits = list(_edits(chosen))
     for edit in edits:
         body = model.body(edit.body)
@@ -296,7 +300,7 @@ class _Edit(NamedTuple):
 
 def _edits(cab: Cab) -> Iterator[_Edit]:
     """What a cab changes in the model of its base."""
-    base = load_cab(cab.base)
+    base = load_cab(cab.base, cab.machine)
     for name, part, before in (("platform", cab.platform, base.platform), ("cab/cab", cab, base)):
         if any(getattr(part, field) != getattr(before, field) for field in RigidBody.model_fields):
             yield _Edit(name, part)
@@ -307,8 +311,8 @@ def _edits(cab: Cab) -> Iterator[_Edit]:
 
 
 @lru_cache
-def _compiled(base: str, drawn: bool) -> mujoco.MjModel:
-    """The model of a shipped cab, to be copied and never changed."""
+def _compiled(base: Cab, drawn: bool) -> mujoco.MjModel:
+    """The model of one of a machine's own cabs, to be copied and never changed."""
     spec = hexapod_spec(base)
     return spec.compile() if drawn else headless(spec)
 

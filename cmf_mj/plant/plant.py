@@ -28,6 +28,7 @@ from scipy import linalg
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import OneAtATime
 from cmf_mj.machine.cab import Cab
+from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant import fit, native
 from cmf_mj.plant.headless import quiet, saved
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, make_hydraulics, rest
@@ -46,6 +47,9 @@ class Plant:
     name = "plant"  #: How records and tables call the plant.
     cab = ""  #: The cab it carries, where it carries one.
     cab_parameters: Cab | None = None  #: Masses of cab, platform and legs, where it carries one.
+    machine: Machine
+    """Motion base whose kinematics, strokes and limits a control law counts with; of a model that
+    is none, the CMF, whose working stroke then bounds the demand."""
     _drawn: mujoco.MjModel | None = None
     """The model with its geoms, where `model` is headless."""
     stops_end_strokes = False
@@ -59,6 +63,7 @@ class Plant:
         motors: Sequence[str] | None = None,
         payload: Sequence[str] = (),
         neutral: ArrayLike | None = None,
+        machine: Machine | None = None,
     ) -> None:
         """Attach one cylinder to each of some motors of a compiled model.
 
@@ -71,12 +76,14 @@ class Plant:
             payload: names of the bodies an overload rests on.
             neutral: lengths of the motors with the cylinders at half stroke [m], (n,); default
                 those of the configuration the model starts in, `qpos0`.
+            machine: the motion base that the model is, if it is one.
 
         Raises:
             InputError: a motor that is not there or no motor, lengths that are not one finite
                 number a motor, stops beyond a stroke, or the hydraulics are refused.
         """
         # A state out of bounds ends a run: it must not begin again at rest, as if nothing were.
+        self.machine = load_machine() if machine is None else machine
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model = model
         self.data = mujoco.MjData(model)
@@ -372,6 +379,8 @@ class Plant:
         cab = self.cab_parameters
         return {
             "plant": self.name,
+            "machine": self.machine.name,
+            "machine_parameters": self.machine.recorded(),
             "cab": self.cab,
             "cab_parameters": {} if cab is None else cab.model_dump(mode="json", exclude_none=True),
             "hydraulics": self.parameters.name,

@@ -1,30 +1,54 @@
 """The report's original mechanics: six single legs, each a static load and an effective mass.
 
-    m d2x/dt2 = F - W,    m = 7200 lbm,  W = 7200 lbf    (section 2.4.2, Eq 4.1)
+    m d2x/dt2 = F - W,    of the CMF m = 7200 lbm, W = 7200 lbf    (section 2.4.2, Eq 4.1)
 
 The legs share neither payload nor inertia. In `models/single_legs.xml` they are six vertical slide
 joints whose weight at standard gravity is exactly the stated load.
 """
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
+import numpy as np
 from numpy.typing import ArrayLike
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine import models
+from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.kinematics import pose_to_legs
+from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant.headless import headless
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters.loading import hydraulics_of
 from cmf_mj.plant.plant import Plant
 
-EFFECTIVE_MASS = 7200.0 * units.POUND_MASS
-"""Effective mass of a leg at the design point [kg] (section 4.1)."""
 
-STATIC_LOAD = 7200.0 * units.POUND_FORCE
-"""Static load of a leg at the design point [N] (section 4.1)."""
+class DesignPoint(NamedTuple):
+    """What one leg alone carries."""
+
+    effective_mass: float  #: Inertia that it moves [kg].
+    static_load: float  #: Axial load at rest [N].
+
+
+def design_point(machine: Machine) -> DesignPoint:
+    """The design point of a machine's file, or derived for heave with its first cab.
+
+    Legs whose unit vectors have the vertical parts n_j share payload and weight alike:
+
+        m = M / sum n_j^2,    W = M g / sum n_j
+
+    The CMF's GFD gives 7203 lbm so, where the report states 7200 lbm.
+    """
+    shape, single = machine.geometry, machine.single_leg
+    upward = (shape.lower[:, 2] - shape.upper[:, 2]) / shape.neutral
+    payload = load_cab(None, machine).payload.mass
+    mass, load = single.effective_mass, single.static_load
+    return DesignPoint(
+        payload / float(upward @ upward) if mass is None else mass.si,
+        payload * units.STANDARD_GRAVITY / float(upward.sum()) if load is None else load.si,
+    )
 
 
 class SingleLegs(Plant):
@@ -39,39 +63,49 @@ class SingleLegs(Plant):
 
     def __init__(
         self,
-        hydraulics: str | Path | HydraulicParameters = "hardware",
+        hydraulics: str | Path | HydraulicParameters | None = None,
         *,
-        effective_mass: float = EFFECTIVE_MASS,
-        static_load: float = STATIC_LOAD,
+        machine: str | Path | Machine = models.CMF,
+        effective_mass: float | None = None,
+        static_load: float | None = None,
         timestep: float | None = None,
     ) -> None:
         """Build the six legs.
 
         Args:
-            hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set.
-            effective_mass: inertia each leg moves [kg].
-            static_load: constant axial load pressing each leg together [N].
+            hydraulics: `report`, `hardware`, `lossy`, a TOML file or a loaded set; default that of
+                the machine.
+            machine: by name, TOML file or loaded.
+            effective_mass: inertia each leg moves [kg]; default `design_point`.
+            static_load: constant axial load pressing each leg together [N]; default likewise.
             timestep: mechanical step [s]; default one control frame.
 
         Raises:
             InputError: a mass or step that is not positive, a half stroke other than the model's
                 stops, or refused hydraulics.
         """
-        if not effective_mass > 0.0:
-            raise InputError(f"effective_mass: {effective_mass} kg must be greater than 0")
+        carrier = load_machine(machine)
+        point = design_point(carrier)
+        mass = point.effective_mass if effective_mass is None else effective_mass
+        load = point.static_load if static_load is None else static_load
+        if not mass > 0.0:
+            raise InputError(f"effective_mass: {mass} kg must be greater than 0")
         spec = mujoco.MjSpec.from_file(str(models.model_path("single_legs.xml")))
         set_timestep(spec.option, timestep)
         # The load is the weight under a gravity of its own: MuJoCo ignores a negative `gravcomp`.
-        spec.option.gravity[2] = -static_load / effective_mass
+        spec.option.gravity[2] = -load / mass
         for leg in range(1, 7):
-            spec.body(f"leg_{leg}").mass = effective_mass
+            spec.body(f"leg_{leg}").mass = mass
+            spec.joint(f"leg_{leg}").range = np.array([-1.0, 1.0]) * carrier.half_stroke
         self._drawn = spec.compile()
         bodies = [f"leg_{leg}" for leg in range(1, 7)]
-        super().__init__(headless(spec), hydraulics, payload=bodies)
+        super().__init__(
+            headless(spec), hydraulics_of(carrier, hydraulics), payload=bodies, machine=carrier
+        )
 
     def place(self, pose: ArrayLike) -> None:
         """Set each leg to its extension at the pose."""
-        super().place(pose_to_legs(pose))
+        super().place(pose_to_legs(pose, self.machine))
 
 
 def set_timestep(option: Any, timestep: float | None) -> None:

@@ -19,6 +19,7 @@ The resolution of a file is 10^-decimals in each column's unit: 1e-6 in by defau
 import json
 import re
 import zlib
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core import units
 from cmf_mj.core.settings import FileHeader
-from cmf_mj.machine.kinematics import half_stroke
+from cmf_mj.machine.machine import recorded_machine
 
 RATE = 128
 """Samples a second of the facility's recorder [Hz]."""
@@ -94,9 +95,9 @@ class Trailer(FileHeader):
         return zlib.crc32(json.dumps(rest, sort_keys=True).encode())
 
 
-def stroke() -> float:
-    """Largest leg position either way [in]."""
-    return round(units.from_si("in", half_stroke()), 9)
+def stroke(metadata: Mapping[str, Any]) -> float:
+    """Largest leg position either way [in] of the machine that metadata tell of."""
+    return round(units.from_si("in", recorded_machine(metadata).half_stroke), 9)
 
 
 def checksum(whole: NDArray[np.float64]) -> int:

@@ -295,7 +295,7 @@ def _check_rows(table: _Table, column: dict[str, NDArray[np.float64]]) -> None:
 
 
 def _check_stroke(table: _Table, column: dict[str, NDArray[np.float64]]) -> None:
-    limit = stroke()
+    limit = stroke(table.trailer.metadata if table.trailer else {})
     for name in POSITIONS:
         beyond = np.abs(column[name]) > limit
         if beyond.any():

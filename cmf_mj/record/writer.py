@@ -93,7 +93,7 @@ def _legs(record: Record, group: Group, picked: slice) -> NDArray[np.float64]:
     if values.ndim != 2 or values.shape[1] != LEGS:
         raise InputError(f"{group.channel}: shape is {values.shape}; allowed: (N, {LEGS})")
     values = units.from_si(group.unit, values[picked])
-    limit = stroke() if group.channel in REQUIRED else np.inf
+    limit = stroke(record.metadata) if group.channel in REQUIRED else np.inf
     bad = ~(np.isfinite(values) & (np.abs(values) <= limit))
     if bad.any():
         sample, leg = np.argwhere(bad)[0]

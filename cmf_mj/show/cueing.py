@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from cmf_mj.core.units import DEGREE, INCH
 from cmf_mj.facility.host.files import write_stream
 from cmf_mj.machine.dof import by_kind
-from cmf_mj.machine.kinematics import DOFS, pose_to_legs
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.pilot.cueing.flight import LIMITS, Cue, Excursion, Tuned
 from cmf_mj.pilot.perception import QUANTITIES
 from cmf_mj.show.look import BLUE, GREY, legend, save_files, shade

@@ -16,7 +16,7 @@ from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.core import units
 from cmf_mj.core.files import in_folder, whole_file, write_csv, write_json
 from cmf_mj.machine.dof import dof_unit
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 
 BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9",

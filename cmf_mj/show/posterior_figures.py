@@ -5,7 +5,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.look import COLOURS, DARK, GREY, PALE, legend, new_figure
 from cmf_mj.studies.posterior import answers
 from cmf_mj.studies.posterior.run import MAPS, Results, column

@@ -8,7 +8,7 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from cmf_mj.analysis.measures import Measures
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.comparison import phase_text
 from cmf_mj.show.look import COLOURS, new_figure, save_files
 from cmf_mj.show.table import Cell, Table, number

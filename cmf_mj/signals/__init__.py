@@ -1,4 +1,4 @@
-"""Signals: demands of one degree of freedom or of several, as commands at the control rate."""
+"""Signals: demands of one degree of freedom or of several, as commands at 2048 Hz."""
 
 from cmf_mj.signals.composite import (
     acceleration_step,

@@ -1,6 +1,6 @@
 """Peaks of a command and the limits it must keep, known before the run.
 
-With q the pose or the leg extensions at the control frames and T the time between,
+With q the pose or the leg extensions at the control frames and T = 1/2048 s,
 
     velocity = max |q[k] - q[k-1]| / T,    acceleration = max |q[k+1] - 2 q[k] + q[k-1]| / T^2
 
@@ -13,13 +13,18 @@ starts or stops in motion (a chirp or multisine without `fade`).
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE, pose_to_legs
+from cmf_mj.core.rates import RATE
+from cmf_mj.machine import models
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import pose_to_legs
+from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.signals.signal import Command
 
@@ -29,8 +34,6 @@ _ALONE = 4.0
 _DOF_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 _UNLIMITED = (np.inf,) * 6
-
-_OPERATIONAL = tuple(axis.operational.si for axis in load_motion_limits().axes)
 
 
 class Peaks(NamedTuple):
@@ -49,29 +52,34 @@ class Peaks(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What a command must stay within.
+    """What a command must stay within; `command_limits` gives those of a machine.
 
     Velocity and acceleration limits of the facility are not published: unlimited unless set. The
     assumed ones of `cmf_mj.machine.motion_limits` bound what the control law does, not what may
     be tried.
     """
 
-    displacement: Sequence[tuple[float, float]] = _OPERATIONAL
-    """Lowest and highest of each degree of freedom [m, rad], (6, 2), z down: the operational limits
-    of Table 2-1, from `motion_limits.toml`."""
-    leg_displacement: float = WORKING_STROKE
-    """Largest leg extension and retraction from neutral [m]."""
+    displacement: Sequence[tuple[float, float]]
+    """Lowest and highest of each degree of freedom [m, rad], (6, 2), z down."""
+    leg_displacement: float  #: Largest leg extension and retraction from neutral [m].
     velocity: Sequence[float] = _UNLIMITED  #: Of each degree of freedom [m/s, rad/s], (6,).
     acceleration: Sequence[float] = _UNLIMITED  #: Of each degree of freedom [m/s^2, rad/s^2], (6,).
     leg_velocity: float = np.inf  #: Of each leg [m/s].
     leg_acceleration: float = np.inf  #: Of each leg [m/s^2].
 
 
-def peaks(command: Command) -> Peaks:
+def command_limits(machine: str | Path | Machine = models.CMF) -> Limits:
+    """Operational displacements and working stroke of a machine; of the CMF, Table 2-1."""
+    carrier = load_machine(machine)
+    axes = load_motion_limits(None, carrier).axes
+    return Limits(tuple(axis.operational.si for axis in axes), carrier.working_stroke)
+
+
+def peaks(command: Command, machine: str | Path | Machine = models.CMF) -> Peaks:
     """Largest displacement, velocity and acceleration per degree of freedom and per leg."""
-    legs = pose_to_legs(command.pose)
-    velocity, acceleration = _rates(command.pose, command.rate)
-    leg_velocity, leg_acceleration = _rates(legs, command.rate)
+    legs = pose_to_legs(command.pose, machine)
+    velocity, acceleration = _rates(command.pose)
+    leg_velocity, leg_acceleration = _rates(legs)
     if np.isinf(velocity).any():
         leg_velocity = np.where(leg_velocity > 0.0, np.inf, 0.0)
     if np.isinf(acceleration).any():
@@ -86,13 +94,17 @@ def peaks(command: Command) -> Peaks:
     )
 
 
-def check_limits(command: Command, limits: Limits | None = None) -> Peaks:
-    """Peaks of a command within the limits; call it before the run.
+def check_limits(
+    command: Command,
+    limits: Limits | None = None,
+    machine: str | Path | Machine = models.CMF,
+) -> Peaks:
+    """Peaks of a command within the limits, default those of the machine; call it before the run.
 
     Raises an `InputError` that lists each quantity beyond its limit, with both.
     """
-    allowed = limits or Limits()
-    largest = peaks(command)
+    allowed = limits or command_limits(machine)
+    largest = peaks(command, machine)
     faults = []
     for i, (dof, unit) in enumerate(zip(DOFS, _DOF_UNITS, strict=True)):
         low, high = allowed.displacement[i]
@@ -124,11 +136,11 @@ def _excess(name: str, value: float, limit: float, unit: str) -> list[str]:
 
 
 def _rates(
-    history: NDArray[np.float64], rate: int
+    history: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Peak velocity and acceleration of each column, from rest; infinite for jumps."""
-    velocity = np.diff(history, axis=0, prepend=history[:1]) * rate
-    acceleration = np.diff(velocity, axis=0, prepend=0.0 * velocity[:1]) * rate
+    velocity = np.diff(history, axis=0, prepend=history[:1]) * RATE
+    acceleration = np.diff(velocity, axis=0, prepend=0.0 * velocity[:1]) * RATE
     jumps = _stands_alone(velocity)
     return (
         np.where(jumps, np.inf, np.abs(velocity).max(axis=0)),

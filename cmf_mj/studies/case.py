@@ -24,7 +24,7 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import by_kind, dof_index
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.build import PLANTS, make_plant
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics

@@ -17,7 +17,7 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_csv
 from cmf_mj.core.threads import on_threads
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.build import PLANTS
 from cmf_mj.studies.case import (
     AMPLITUDE,

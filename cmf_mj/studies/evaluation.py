@@ -37,7 +37,7 @@ from cmf_mj.analysis.response.welch import welch_response
 from cmf_mj.analysis.step_response import measure_step, step_metrics
 from cmf_mj.core.rates import FRAME
 from cmf_mj.facility.binding import bound
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite

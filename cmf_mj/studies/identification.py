@@ -38,7 +38,8 @@ from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, law_names
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.facility.binding import bound
-from cmf_mj.machine.kinematics import DOFS, pose_jacobian
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.signals.signal import Command

@@ -27,7 +27,7 @@ from cmf_mj.core.rates import RATE
 from cmf_mj.facility.binding import bound
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.dof import by_kind, dof_index
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite

@@ -31,8 +31,10 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import check_name
 from cmf_mj.core.threads import on_threads
 from cmf_mj.machine.dof import by_kind
-from cmf_mj.machine.kinematics import DOFS, legs_to_pose
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.machine.leg_motion import leg_motion_to_pose
+from cmf_mj.machine.machine import recorded_machine
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.reader import read_recording
 from cmf_mj.record.record import Record
@@ -126,9 +128,10 @@ def plain(value: Any) -> Any:
 
 def dof_accelerations(record: Record) -> NDArray[np.float64]:
     """Acceleration of the platform pose from the leg sensors, (N, 6) [m/s^2, rad/s^2]."""
-    pose = legs_to_pose(record["leg_position"])
+    machine = recorded_machine(record.metadata)
+    pose = legs_to_pose(record["leg_position"], machine)
     legs = (record["leg_velocity"], record["leg_acceleration"])
-    return leg_motion_to_pose(pose, *legs).acceleration
+    return leg_motion_to_pose(pose, *legs, machine).acceleration
 
 
 def session_commands(dof: str, amplitude: float | None = None) -> list[Command]:

@@ -28,7 +28,7 @@ from cmf_mj.core.errors import InputError, check_name, unknown_name, within
 from cmf_mj.core.settings import Settings, read_toml, validated
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import dof_unit
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.studies.case import Case, dof_amplitude

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.analysis.linear.law import FEEDBACK, labels, spread
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.machine.dof import dof_index
-from cmf_mj.machine.kinematics import DOFS, pose_jacobian, read_geometry
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.plant.plant import Plant
 
 Matrix = NDArray[np.float64]
@@ -81,8 +82,7 @@ def jacobian_of(plant: Plant, pose: ArrayLike | None = None) -> Matrix:
         raise InputError(
             f"plant: has {plant.legs} legs; degrees of freedom need the facility's {len(DOFS)}"
         )
-    geometry = getattr(plant, "geometry", None) or read_geometry()
-    return pose_jacobian(np.zeros(6) if pose is None else pose, geometry)
+    return pose_jacobian(np.zeros(6) if pose is None else pose, plant.machine)
 
 
 def dof_model(

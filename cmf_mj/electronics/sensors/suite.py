@@ -24,15 +24,16 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.electronics.sensors.channel import Channel, make_channel, read
 from cmf_mj.electronics.sensors.settings import CHANNELS, SensorSettings
+from cmf_mj.machine import models
 from cmf_mj.machine.gravity import (
     LegAxes,
     LegAxesState,
-    accelerometer_distance,
     leg_axes_state,
     make_leg_axes,
     track,
     upward,
 )
+from cmf_mj.machine.machine import Machine, load_machine
 
 _FIELDS = {name.removeprefix("leg_"): name for name in CHANNELS}
 """Fields of `Sensors` and `SensorState` to channels."""
@@ -71,8 +72,14 @@ class SensorState(NamedTuple):
     before: NDArray[np.float64]  #: Directions of the legs one frame ago, (6, 3).
 
 
-def make_sensors(settings: SensorSettings, rate: float, seed: int = 0) -> Sensors:
-    """Derive all sensors from a set, for a rate of frames [Hz]; each channel has its own noise."""
+def make_sensors(
+    settings: SensorSettings, rate: float, seed: int = 0, machine: str | Machine = models.CMF
+) -> Sensors:
+    """Derive a machine's sensors from a set, for a rate of frames [Hz].
+
+    Each channel has its own noise.
+    """
+    carrier = load_machine(machine)
     channels = {
         field: make_channel(name, settings.channel(name), rate, seed)
         for field, name in _FIELDS.items()
@@ -80,8 +87,8 @@ def make_sensors(settings: SensorSettings, rate: float, seed: int = 0) -> Sensor
     return Sensors(
         **channels,
         gravity=settings.gravity,
-        axes=make_leg_axes(),
-        distance=accelerometer_distance(),
+        axes=make_leg_axes(carrier),
+        distance=carrier.accelerometer_distance,
         rate=rate,
     )
 

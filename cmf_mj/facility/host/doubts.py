@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core import units
 from cmf_mj.machine.dof import dof_unit
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.motion_limits import load_motion_limits
 
 SLOWEST = 0.25

@@ -24,7 +24,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import read_column, read_headed, read_table, write_parquet, write_table
 from cmf_mj.core.settings import FileHeader, validated
 from cmf_mj.facility.host.stream import HostStream, make_stream
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 
 _KINDS = ("", "_velocity", "_acceleration")
 _SCHEMA_KEY = "cmf_mj_host"

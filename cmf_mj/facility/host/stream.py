@@ -15,7 +15,7 @@ from scipy.interpolate import BPoly, make_interp_spline
 from cmf_mj.control.dcu.arrivals import Arrivals
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import RATE
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.signals.signal import Command, check_positive
 
 DERIVATIVES = ("spline", "zero")

@@ -42,6 +42,7 @@ class TableSource:
     def __init__(self, demand: Demand, plant: Plant, law: Law, scenario: Scenario) -> None:
         """Make the session of a scenario without chain."""
         self._demand = demand
+        self._machine = plant.machine
         self._poses = np.zeros((BLOCK, 6))
         self._table = np.zeros((BLOCK, plant.legs))
         self.fill(0)
@@ -60,7 +61,7 @@ class TableSource:
     def fill(self, first: int) -> None:
         """Make the block of frames from `first` on."""
         self._poses[:] = self._demand.poses(first, BLOCK)
-        self._table[:] = pose_to_legs(self._poses)
+        self._table[:] = pose_to_legs(self._poses, self._machine)
 
     def described(self) -> dict[str, Any]:
         """What a record keeps of it."""
@@ -79,7 +80,7 @@ class ChainSource:
         self._every = operation.host_every
         self._arrivals = make_log((scenario.frames or BLOCK) // self._every + BLOCK)
         self.fill(0)
-        limits = load_motion_limits(operation.limits)
+        limits = load_motion_limits(operation.limits, plant.machine)
         self._settings = FacilitySettings(
             dcu=operation.dcu,
             limits=operation.limits,
@@ -94,7 +95,7 @@ class ChainSource:
             self._settings,
             Start(
                 State[operation.begin.upper()],
-                starting_pose(self._arrivals.values[0, 0], limits),
+                starting_pose(self._arrivals.values[0, 0], limits, plant.machine),
                 [(one.at, Request[one.request.upper()]) for one in operation.request],
             ),
             _options(scenario),

@@ -16,14 +16,18 @@ from numpy.typing import NDArray
 from cmf_mj.control.limiter import limit_history, make_leg_limiter, make_pose_limiter
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.facility.host.stream import HostStream
-from cmf_mj.machine.cab import Cab
-from cmf_mj.machine.kinematics import DOFS, legs_to_pose, pose_to_legs
+from cmf_mj.machine import models
+from cmf_mj.machine.cab import Cab, load_cab
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.leg_motion import leg_motion_to_pose, pose_motion_to_legs
-from cmf_mj.machine.motion_limits import MotionLimits, load_motion_limits
+from cmf_mj.machine.limits import MotionLimits
+from cmf_mj.machine.machine import Machine
+from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing.settings import WashoutSettings, load_washout
 from cmf_mj.pilot.cueing.washout import Washout
 from cmf_mj.pilot.host import MOST_RATE
-from cmf_mj.pilot.motion import PilotMotion, pilot_station
+from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
 
 LIMITS = (
@@ -56,12 +60,16 @@ class Excursion(NamedTuple):
         return f"{LIMITS[row]} of {DOFS[column] if row < 3 else f'leg_{column + 1}'}"
 
 
-def excursion(stream: HostStream, limits: MotionLimits | None = None) -> Excursion:
-    """Peaks of host frames over the limits of platform and legs, by default those of Table 2-1."""
-    bounds = limits or load_motion_limits()
+def excursion(
+    stream: HostStream,
+    limits: MotionLimits | None = None,
+    machine: str | Path | Machine = models.CMF,
+) -> Excursion:
+    """Peaks of host frames over the limits of platform and legs, by default the machine's."""
+    bounds = load_motion_limits(limits, machine)
     low, high = bounds.operational.T
-    legs = pose_to_legs(stream.pose)
-    rates = pose_motion_to_legs(stream.pose, stream.velocity, stream.acceleration)
+    legs = pose_to_legs(stream.pose, machine)
+    rates = pose_motion_to_legs(stream.pose, stream.velocity, stream.acceleration, machine)
     leg = bounds.leg
     used = np.array(
         [
@@ -77,25 +85,27 @@ def excursion(stream: HostStream, limits: MotionLimits | None = None) -> Excursi
 
 
 def within_limits(
-    stream: HostStream, limits: MotionLimits | None = None
+    stream: HostStream,
+    limits: MotionLimits | None = None,
+    machine: str | Path | Machine = models.CMF,
 ) -> tuple[HostStream, NDArray[np.bool_]]:
     """Evenly spaced frames from rest, held back where they would leave the limits; and which."""
     if stream.time.size < 2:
         return stream, np.zeros(stream.time.size, dtype=bool)
-    bounds = limits or load_motion_limits()
+    bounds = load_motion_limits(limits, machine)
     frame = float(stream.time[-1] - stream.time[0]) / (stream.time.size - 1)
     demand = (stream.pose, stream.velocity, stream.acceleration)
     platform = limit_history(make_pose_limiter(bounds)._replace(frame=frame), *demand)
     pose, velocity, acceleration = (values.copy() for values in platform[:3])
-    legs = pose_to_legs(pose)
-    rates = pose_motion_to_legs(pose, velocity, acceleration)
+    legs = pose_to_legs(pose, machine)
+    rates = pose_motion_to_legs(pose, velocity, acceleration, machine)
     limiter = make_leg_limiter(bounds)._replace(frame=frame)
     limited = limit_history(limiter, legs, *rates, together=True)
     moved = (limited.position != legs).any(axis=1)
     if moved.any():
-        pose[moved] = legs_to_pose(limited.position[moved])
+        pose[moved] = legs_to_pose(limited.position[moved], machine)
         velocity[moved], acceleration[moved] = leg_motion_to_pose(
-            pose[moved], limited.velocity[moved], limited.acceleration[moved]
+            pose[moved], limited.velocity[moved], limited.acceleration[moved], machine
         )
     changed = (pose != stream.pose).any(axis=1)
     return stream._replace(pose=pose, velocity=velocity, acceleration=acceleration), changed
@@ -117,7 +127,7 @@ def cue(
     motion: PilotMotion,
     washout: str | WashoutSettings = "simona",
     *,
-    cab: str | Path | Cab = "gfd",
+    cab: str | Path | Cab | None = None,
     limits: MotionLimits | None = None,
     senses: Senses | str | None = None,
     rate: float = MOST_RATE,
@@ -126,17 +136,18 @@ def cue(
 
     Takes a washout by name, TOML file or loaded parameters, and the frames a second `rate` [Hz].
     """
-    algorithm = Washout(washout, station=pilot_station(cab), rate=rate)
+    carried = load_cab(cab)
+    algorithm = Washout(washout, station=carried.station, rate=rate)
     flown = algorithm.flown(motion)
     demanded = algorithm.run(flown)
-    stream, limited = within_limits(demanded, limits)
+    stream, limited = within_limits(demanded, limits, carried.machine)
     simulator = PilotMotion.from_platform(stream, algorithm.station)
     return Cue(
         algorithm.settings,
         flown,
         stream,
         limited,
-        excursion(demanded, limits),
+        excursion(demanded, limits, carried.machine),
         simulator,
         cueing_error(flown, simulator, senses),
     )
@@ -155,7 +166,7 @@ def tune(
     motion: PilotMotion,
     washout: str | WashoutSettings = "simona",
     *,
-    cab: str | Path | Cab = "gfd",
+    cab: str | Path | Cab | None = None,
     dofs: tuple[str, ...] = DOFS,
     share: float = 1.0,
     largest_gain: float = 1.0,
@@ -177,11 +188,12 @@ def tune(
     scaled = np.array([dof in dofs for dof in DOFS])
     if not (settings.gains[scaled] > 0.0).any():
         raise InputError(f"dofs: {', '.join(dofs)} have no gain above 0 to scale")
-    station, bounds = pilot_station(cab), limits or load_motion_limits()
+    carried = load_cab(cab)
 
     def tried(factor: float) -> Tuned:
         changed = settings.with_gains(np.where(scaled, factor, 1.0) * settings.gains)
-        use = excursion(Washout(changed, station=station, rate=rate).run(motion), bounds)
+        demanded = Washout(changed, station=carried.station, rate=rate).run(motion)
+        use = excursion(demanded, limits, carried.machine)
         return Tuned(changed, factor, use, use.binding)
 
     top = tried(largest_gain / float(settings.gains[scaled].max()))

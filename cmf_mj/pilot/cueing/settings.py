@@ -16,7 +16,7 @@ from cmf_mj.core.files import write_text
 from cmf_mj.core.quantity import Kind, Quantity, positive_in
 from cmf_mj.core.settings import Name, Settings, named_set, validated
 from cmf_mj.core.units import STANDARD_GRAVITY
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 
 WASHOUTS = ("simona", "reid_nahon", "optimal")
 """Names of the shipped sets."""

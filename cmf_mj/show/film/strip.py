@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core import units
 from cmf_mj.machine.dof import dof_unit
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.record.record import Record
 from cmf_mj.show.chart import Curve, Panel
 from cmf_mj.show.look import BLUE, DARK, GREEN, GREY, ORANGE

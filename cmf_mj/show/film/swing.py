@@ -9,7 +9,7 @@ import numpy as np
 from cmf_mj.analysis.modes import largest_stroke, swinging
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod, HydraulicModes
 from cmf_mj.show.film.film import FilmSettings, Reel, check_settings, write_reels
 from cmf_mj.show.modes import title_of
@@ -35,8 +35,9 @@ def swing_film(
     check_settings(path, settings)
     if not (np.isfinite(periods) and periods > 0.0):
         raise InputError(f"periods: {periods} of the lowest mode must be greater than 0")
-    if not 0.0 < stroke <= WORKING_STROKE:
-        text = f"must be greater than 0 and at most {WORKING_STROKE:.4f} m"
+    most_stroke = plant.machine.working_stroke
+    if not 0.0 < stroke <= most_stroke:
+        text = f"must be greater than 0 and at most {most_stroke:.4f} m"
         raise InputError(f"stroke: {stroke:.4f} m {text}")
     lowest, fastest = float(modes.frequency_hz[0]), float(modes.frequency_hz[-1])
     most = settings.fps / (LEAST_PICTURES * fastest)

@@ -10,7 +10,7 @@ from cmf_mj.analysis.frequency_response import FrequencyResponse, dof_history
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.record.record import Record
 from cmf_mj.show.chart import GREY, Curve, Dash, Panel
 from cmf_mj.show.look import COLOURS

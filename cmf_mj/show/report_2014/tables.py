@@ -10,7 +10,8 @@ from cmf_mj.analysis.linear.table_4_1 import table_4_1
 from cmf_mj.analysis.published import Published, published_gains, published_results
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
-from cmf_mj.machine.kinematics import DOFS, excursion_envelope
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import excursion_envelope
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.show.report_2014.contents import CONTENTS, texts
 from cmf_mj.show.report_2014.curves import law_title

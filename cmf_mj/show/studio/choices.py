@@ -7,7 +7,7 @@ from cmf_mj.core.settings import merged
 from cmf_mj.facility.scenario.settings import Push, Scenario, scenario_of
 from cmf_mj.facility.scenario.signal import Signal
 from cmf_mj.machine.dof import dof_unit
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.signals.signal import SingleSignal
 

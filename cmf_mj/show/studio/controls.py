@@ -21,7 +21,7 @@ from cmf_mj.facility.scenario.settings import (
 )
 from cmf_mj.machine import models
 from cmf_mj.machine.dof import dof_unit
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.parameters.loading import HYDRAULICS
 from cmf_mj.show.studio import choices

@@ -9,7 +9,7 @@ from viser import uplot
 
 from cmf_mj.core import units
 from cmf_mj.machine.dof import dof_unit
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.look import BLUE, COLOURS, ORANGE
 from cmf_mj.show.studio.live import PLOT_RATE, View
 

@@ -24,12 +24,13 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import validated
 from cmf_mj.core.threads import on_threads
 from cmf_mj.machine.cab import load_cab
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
-from cmf_mj.plant.single_legs import EFFECTIVE_MASS, STATIC_LOAD, SingleLegs
+from cmf_mj.plant.single_legs import SingleLegs, design_point
 from cmf_mj.studies.calibration.definition import Study
 from cmf_mj.studies.case import make_case, run_case
 from cmf_mj.studies.linearization import loop_between
@@ -81,8 +82,11 @@ def plant_of(study: Study, values: Values, cab: str = "") -> Plant:
     """
     hydraulics, factor = hydraulics_of(study, values), values.get("payload", 1.0)
     if study.plant == "single_legs":
+        point = design_point(load_machine())
         return SingleLegs(
-            hydraulics, effective_mass=factor * EFFECTIVE_MASS, static_load=factor * STATIC_LOAD
+            hydraulics,
+            effective_mass=factor * point.effective_mass,
+            static_load=factor * point.static_load,
         )
     carried = load_cab(cab or study.cab)
     if factor != 1.0:

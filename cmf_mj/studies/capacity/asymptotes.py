@@ -37,7 +37,7 @@ from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.oil import density
-from cmf_mj.signals.peaks import Limits
+from cmf_mj.signals.peaks import command_limits
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def asymptotes(plant: Hexapod, dof: str) -> Asymptotes:
     index = dof_index(dof)
     hydraulics = plant.hydraulics
     supply, cylinder = hydraulics.supply, hydraulics.cylinder
-    jacobian = pose_jacobian(np.zeros(6), plant.geometry)
+    jacobian = pose_jacobian(np.zeros(6), plant.machine)
     column = jacobian[:, index]
     mass = plant.reflected_mass()
     load = plant.static_load()
@@ -129,8 +129,8 @@ def asymptotes(plant: Hexapod, dof: str) -> Asymptotes:
     both = cylinder.half_stroke * (cylinder.cap_area + cylinder.rod_area)
     return Asymptotes(
         dof=dof,
-        displacement=float(np.abs(Limits().displacement[index]).min()),
-        leg_stroke=float(np.abs(excursion_envelope(geometry=plant.geometry)[index]).min()),
+        displacement=float(np.abs(command_limits(plant.machine).displacement[index]).min()),
+        leg_stroke=float(np.abs(excursion_envelope(None, plant.machine)[index]).min()),
         leg_speed=float((speed[used] / np.abs(column[used])).min()),
         pump_flow=float("inf") if supply.constant else supply.pump_flow / drawn,
         acceleration=float((np.minimum(high - load, load - low) / force).min()),

@@ -32,13 +32,13 @@ from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import dof_index
-from cmf_mj.machine.kinematics import DOFS, WORKING_STROKE
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import stepped_sines
-from cmf_mj.signals.peaks import Limits
+from cmf_mj.signals.peaks import command_limits
 from cmf_mj.signals.signal import Command, check_positive
 from cmf_mj.studies.capacity.asymptotes import Asymptotes, asymptotes
 from cmf_mj.studies.capacity.verdict import least_allowed, relief_flow
@@ -207,12 +207,12 @@ def _run(
     pressure = record["supply_pressure"][rows]
     supply = plant.hydraulics.supply
     legs = max(float(np.abs(record[n][rows]).max()) for n in ("leg_reference", "leg_extension"))
-    limits = np.array(Limits().displacement)
+    limits = np.array(command_limits(plant.machine).displacement)
     excursion = np.vstack([demand[::every], pose])
     used = np.maximum(excursion / limits[:, 1], excursion / limits[:, 0]).max()
     ratios = {
         "displacement": float(used),
-        "leg_stroke": legs / WORKING_STROKE,
+        "leg_stroke": legs / plant.machine.working_stroke,
         "valve_command": float(np.abs(record["compensator_output"][rows]).max()),
         "supply_pressure": float((supply.pressure - pressure.min()) / (supply.pressure - allowed)),
     }

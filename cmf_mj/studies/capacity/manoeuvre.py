@@ -17,7 +17,7 @@ from cmf_mj.core.errors import InputError, unknown_name
 from cmf_mj.core.files import read_column, read_table
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.dof import dof_index, dof_unit
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.signals.signal import Command, Other
 
 SIGNALS = ("sine", "step", "chirp", "noise", "multisine")

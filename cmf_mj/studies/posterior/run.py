@@ -23,7 +23,7 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.files import read_table, write_parquet
 from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.cab import Cab
-from cmf_mj.machine.kinematics import DOFS
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.studies.engine import Progress, Work, Workers, run_tasks
 from cmf_mj.studies.evaluation import MEASURED
 from cmf_mj.studies.journal import Journal, Row

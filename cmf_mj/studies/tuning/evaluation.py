@@ -25,7 +25,8 @@ from cmf_mj.control.law import Law
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics import servo_electronics as servo
-from cmf_mj.machine.kinematics import DOFS, pose_jacobian
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.studies.case import REPORT_AMPLITUDES, STEP_PER_AMPLITUDE
 from cmf_mj.studies.mismatch import valve_gains
@@ -64,7 +65,7 @@ def linear_cab(plant: Hexapod) -> LinearCab:
     a, b, c = (np.ascontiguousarray(part) for part in (sampled.A, sampled.B, sampled.C))
     return LinearCab(
         plant.cab,
-        pose_jacobian(np.zeros(6), plant.geometry),
+        pose_jacobian(np.zeros(6), plant.machine),
         rows["leg_velocity"],
         (rows["cap_pressure"], rows["rod_pressure"]),
         (a, b, np.ascontiguousarray(c[: len(FEEDBACK) * legs])),

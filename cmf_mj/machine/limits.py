@@ -1,0 +1,151 @@
+"""Limits of a motion base as data: displacements, rates and accelerations of platform and legs.
+
+Axes are the report's, z down.
+"""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, Field, model_validator
+
+from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.quantity import Quantity, positive_in
+from cmf_mj.core.settings import Settings
+from cmf_mj.machine.geometry import DOFS
+
+
+class Range(Settings):
+    """A displacement range around zero as a source gives it."""
+
+    low: float = Field(lt=0.0)  #: Lowest displacement, in `unit`.
+    high: float = Field(gt=0.0)  #: Highest displacement, in `unit`.
+    unit: Literal["in", "m", "deg", "rad"]  #: Unit as published.
+    status: Literal["stated", "derived", "calibrated", "assumed"]  #: How the range is known.
+    source: str = Field(min_length=1)  #: Where it comes from, or why it was chosen.
+
+    @property
+    def si(self) -> tuple[float, float]:
+        """Lowest and highest in SI."""
+        return units.to_si(self.unit, self.low), units.to_si(self.unit, self.high)
+
+
+def _range_in(*allowed: str) -> AfterValidator:
+    def check(value: Range) -> Range:
+        if value.unit not in allowed:
+            raise InputError(f"unit must be one of {', '.join(allowed)}")
+        return value
+
+    return AfterValidator(check)
+
+
+class _Axis(Settings):
+    @model_validator(mode="after")
+    def _nested(self) -> "_Axis":
+        inner, outer = self.operational.si, self.mechanical.si  # type: ignore[attr-defined]
+        if not (outer[0] <= inner[0] and inner[1] <= outer[1]):
+            raise InputError("operational must lie within mechanical")
+        return self
+
+
+class Translation(_Axis):
+    """Limits of surge, sway or heave."""
+
+    mechanical: Annotated[Range, _range_in("in", "m")]  #: Displacement at which the machine ends.
+    operational: Annotated[Range, _range_in("in", "m")]  #: Displacement a demand may ask for.
+    velocity: Annotated[Quantity, positive_in("in/s", "m/s")]  #: Largest speed either way.
+    acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
+    """Largest acceleration either way."""
+
+
+class Rotation(_Axis):
+    """Limits of roll, pitch or yaw."""
+
+    mechanical: Annotated[Range, _range_in("deg", "rad")]
+    """Displacement at which the machine ends."""
+    operational: Annotated[Range, _range_in("deg", "rad")]  #: Displacement a demand may ask for.
+    velocity: Annotated[Quantity, positive_in("deg/s", "rad/s")]
+    """Largest rate of the Euler angle either way."""
+    acceleration: Annotated[Quantity, positive_in("deg/s^2", "rad/s^2")]
+    """Largest second derivative of the Euler angle either way."""
+
+
+def _share(quantity: Quantity) -> Quantity:
+    if quantity.value > 1.0:
+        raise InputError("must be at most 1")
+    return quantity
+
+
+class _LegRates(Settings):
+    velocity: Annotated[Quantity, positive_in("in/s", "m/s")]  #: Largest leg speed either way.
+    acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
+    """Largest leg acceleration either way."""
+
+
+_Position = Annotated[Quantity, positive_in("in", "m")]
+_Rejoin = Annotated[Quantity, positive_in("1"), AfterValidator(_share)]
+
+
+class Leg(_LegRates):
+    """Limits of one leg, and how a limited motion returns to its demand."""
+
+    position: _Position  #: Largest extension and retraction from neutral.
+    rejoin: _Rejoin
+    """Share of the acceleration, of legs and degrees of freedom, spent on closing in."""
+
+
+class StatedLeg(_LegRates):
+    """Limits of one leg as a machine file gives them."""
+
+    position: _Position | None = None  #: Default the working stroke.
+    rejoin: _Rejoin | None = None  #: Default half.
+
+
+class MotionLimits(Settings):
+    """Displacement, velocity and acceleration limits of the platform and its legs."""
+
+    surge: Translation
+    sway: Translation
+    heave: Translation
+    roll: Rotation
+    pitch: Rotation
+    yaw: Rotation
+    leg: Leg
+
+    @property
+    def axes(self) -> tuple[Translation | Rotation, ...]:
+        """The six degrees of freedom in the order of a pose."""
+        return tuple(getattr(self, dof) for dof in DOFS)
+
+    @property
+    def mechanical(self) -> NDArray[np.float64]:
+        """Lowest and highest displacement the machine can make [m, rad], (6, 2)."""
+        return np.array([axis.mechanical.si for axis in self.axes])
+
+    @property
+    def operational(self) -> NDArray[np.float64]:
+        """Lowest and highest displacement a demand may ask for [m, rad], (6, 2)."""
+        return np.array([axis.operational.si for axis in self.axes])
+
+    @property
+    def velocity(self) -> NDArray[np.float64]:
+        """Of the degrees of freedom [m/s, rad/s], (6,)."""
+        return np.array([axis.velocity.si for axis in self.axes])
+
+    @property
+    def acceleration(self) -> NDArray[np.float64]:
+        """Of the degrees of freedom [m/s^2, rad/s^2], (6,)."""
+        return np.array([axis.acceleration.si for axis in self.axes])
+
+
+class StatedLimits(Settings):
+    """Limits as a machine file gives them; a degree of freedom left out has derived ones."""
+
+    surge: Translation | None = None
+    sway: Translation | None = None
+    heave: Translation | None = None
+    roll: Rotation | None = None
+    pitch: Rotation | None = None
+    yaw: Rotation | None = None
+    leg: StatedLeg

@@ -1,0 +1,373 @@
+"""A motion base as a file: some thirty numbers, each with value, unit, status and source.
+
+    name = "mine"
+    title = "a motion base of six legs"
+    axes = "z up"                       # of all coordinates here: "z up", x forward and y left, or
+                                        # "z down", x forward and y right, as poses have it
+    hydraulics = "hardware"             # a set of the CMF, or a table of what differs from one
+    law = "velocity"                    # by default; a name or a TOML file
+
+    [gimbals]                           # in three pairs on two circles, or `upper` and `lower`
+    upper_radius = { value = 1.6, unit = "m", status = "published", source = "data sheet" }
+
+    [legs]                              # strokes from neutral either way, and masses
+    [platform]                          # mass, centre of mass, inertia, without cabs
+    [cabs.NAME]                         # the same three of a cab, and the station of its crew
+    [limits.leg]                        # velocity and acceleration of a leg; others are derived
+
+A machine whose drawn model exists names it as `mjcf`, and so does a cab: geometry, masses and
+inertia are then those of the model, which owns them, and the tables have only what it cannot say.
+Origin of all coordinates is the platform's centroid at neutral, in the plane of the upper gimbals.
+Files that a machine names lie beside it.
+"""
+
+from collections.abc import Mapping
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, Field, model_validator
+
+from cmf_mj.core.errors import InputError, within
+from cmf_mj.core.quantity import Area, Kind, Length, Points, Quantity
+from cmf_mj.core.rates import RATE
+from cmf_mj.core.settings import Name, Settings, merged, read_toml, user_file, validated
+from cmf_mj.core.units import HERTZ
+from cmf_mj.machine import mjcf, models
+from cmf_mj.machine.bodies import Legs, Mass, Place, RigidBody
+from cmf_mj.machine.geometry import FLIP, Geometry, make_geometry, paired_circles
+from cmf_mj.machine.limits import StatedLimits
+
+_LENGTHS = ("m", "mm", "in", "ft")
+_SINGULAR = 1e3
+"""Condition number of the Jacobian at neutral above which the legs do not hold the platform; 3 to 6
+in usual machines."""
+
+_COORDINATES = ("upper", "lower")
+_CIRCLES = ("upper_radius", "upper_spacing", "lower_radius", "lower_spacing", "height")
+
+
+def _six(points: Points) -> Points:
+    if points.unit not in _LENGTHS:
+        raise InputError(f"{points.unit!r} is refused: unit must be one of {', '.join(_LENGTHS)}")
+    if len(points.value) != 6:
+        raise InputError(f"has {len(points.value)} points; allowed: 6, one a leg")
+    return points
+
+
+def _at_control_rate(rate: Quantity) -> Quantity:
+    if round(rate.si / HERTZ, 9) != RATE:
+        raise InputError(f"{rate} is refused; allowed: {RATE} Hz")
+    return rate
+
+
+_Points = Annotated[Points, AfterValidator(_six)]
+_Spacing = Annotated[Quantity, AfterValidator(Kind(("deg", "rad"), below=2.0 * np.pi / 3.0).check)]
+_Direction = Annotated[Quantity, AfterValidator(Kind(("deg", "rad"), signed=True).check)]
+_Height = Annotated[Quantity, AfterValidator(Kind(_LENGTHS, signed=True).check)]
+_Rate = Annotated[Quantity, AfterValidator(Kind(("Hz",)).check), AfterValidator(_at_control_rate)]
+
+
+class Gimbals(Settings):
+    """Where the legs are joined: coordinates, or three pairs on each of two circles.
+
+    The circles are those of `geometry.paired_circles`.
+    """
+
+    upper: _Points | None = None  #: Upper gimbals at neutral, legs 1 to 6.
+    lower: _Points | None = None  #: Lower gimbals.
+    upper_radius: Length | None = None  #: Of the circle through the upper gimbals.
+    upper_spacing: _Spacing | None = None  #: Angle between the two gimbals of an upper pair.
+    lower_radius: Length | None = None  #: Of the circle through the lower gimbals.
+    lower_spacing: _Spacing | None = None  #: Angle between the two gimbals of a lower pair.
+    height: Length | None = None  #: Of the upper circle above the lower one at neutral.
+    forward: _Direction | None = None
+    """Direction of the middle of upper gimbals 6 and 1, clockwise from above; default ahead."""
+
+    @model_validator(mode="after")
+    def _either(self) -> "Gimbals":
+        ways = [[name for name in way if getattr(self, name) is not None] for way in _WAYS]
+        if all(ways) or (ways[0] and self.forward):
+            raise InputError(f"{ways[0][0]}: is given with {(ways[1] or ['forward'])[0]}; {_WAY}")
+        for way, given in zip(_WAYS, ways, strict=True):
+            missing = sorted(set(way) - set(given))
+            if given and missing:
+                raise InputError(f"{missing[0]}: is missing; {_WAY}")
+        if not any(ways):
+            raise InputError(f"upper: is missing; {_WAY}")
+        return self
+
+    def in_report_axes(self, turn: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+        """Upper and lower gimbals, z down [m], (6, 3) each; `turn` are the file's axes in it."""
+        if self.upper is not None and self.lower is not None:
+            return self.upper.si * turn, self.lower.si * turn
+        upper_radius, upper_spacing, lower_radius, lower_spacing, height = (
+            getattr(self, name).si for name in _CIRCLES
+        )
+        forward = 0.0 if self.forward is None else self.forward.si
+        return paired_circles(
+            (upper_radius, upper_spacing), (lower_radius, lower_spacing), height, forward
+        )
+
+
+_WAYS = (_COORDINATES, _CIRCLES)
+_WAY = f"allowed: either {' and '.join(_COORDINATES)}, or {', '.join(_CIRCLES)} and forward"
+
+
+class LegDesign(Legs):
+    """One leg, all six alike; what is left out is that of a homogeneous bar.
+
+    Cylinder and rod are then bars of the retracted length b from gimbal to gimbal, a twentieth of
+    it thick: centre at b/2 from their gimbal, inertia m b^2 / 12 across.
+    """
+
+    half_stroke: Length  #: Travel from neutral to either end of the cylinder.
+    working_stroke: Length  #: Travel from neutral either way that a demand may use.
+    cylinder_centre: Length | None = None  #: Centre of mass above the lower gimbal.
+    rod_centre: Length | None = None  #: Centre of mass below the upper gimbal.
+    accelerometer: Length | None = None  #: Below the upper gimbal; default a tenth of b.
+
+    @model_validator(mode="after")
+    def _within(self) -> "LegDesign":
+        if self.working_stroke.si > self.half_stroke.si:
+            raise InputError(
+                f"working_stroke: {self.working_stroke} must be at most half_stroke, "
+                f"{self.half_stroke}"
+            )
+        return self
+
+
+class CabDesign(RigidBody):
+    """A cab of a machine."""
+
+    station: Place  #: Where the motion is felt: between the heads of the crew.
+    mjcf: str | None = None  #: Drawn model that owns these numbers.
+
+
+class SingleLeg(Settings):
+    """Design point of a leg alone; see `plant.single_legs` for what is derived by default."""
+
+    effective_mass: Mass | None = None  #: Inertia that a leg moves.
+    static_load: Annotated[Quantity, AfterValidator(Kind(("lbf", "N", "kN")).check)] | None = None
+    """Axial load at rest."""
+
+
+class Machine(Settings):
+    """A motion base with six legs, as a data sheet describes it; see `load_machine`."""
+
+    name: Name  #: Name of the machine.
+    title: str = Field(min_length=1)  #: What it is, in a line.
+    axes: Literal["z up", "z down"]  #: Of all coordinates of the file.
+    mjcf: str | None = None  #: Drawn model that owns geometry and inertia; default generated.
+    hydraulics: str | Mapping[str, Any]
+    """Hydraulic set by default: one of the CMF's, or a table of what differs from its `base`."""
+    law: str = "velocity"  #: Control law by default.
+    dcu: str = "default"  #: Digital control unit by default.
+    control_rate: _Rate | None = None  #: Frames of the control law [Hz]; default 2048.
+    gimbals: Gimbals
+    legs: LegDesign
+    platform: RigidBody
+    cabs: Mapping[Name, CabDesign] = Field(min_length=1)  #: By name, the default one first.
+    limits: StatedLimits
+    single_leg: SingleLeg = SingleLeg()
+    floor: _Height | None = None
+    """Height of the floor, z as in `axes`; default a tenth of the height below the gimbals."""
+    force_area: Area | None = None
+    """Area that turns pressures into force in the control law (Eq 3.7); see `piston_area`."""
+
+    def __hash__(self) -> int:
+        """By name: machines of one name are told apart by `==`."""
+        return hash(self.name)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Machine":
+        shape, half = self.geometry, self.legs.half_stroke
+        if not (shape.lower[:, 2].min() > shape.upper[:, 2].max()):
+            raise InputError(
+                f"gimbals: lower gimbals reach {-shape.lower[:, 2].min():g} m, upper ones "
+                f"{-shape.upper[:, 2].max():g} m in height; allowed: all lower ones below all "
+                f"upper ones; axes are {self.axes!r}"
+            )
+        shortest = float(shape.neutral.min())
+        if shortest - half.si <= 2.0 * half.si:
+            raise InputError(
+                f"legs.half_stroke: {half} is refused: a retracted leg, {shortest - half.si:.4g} m "
+                f"from gimbal to gimbal, must be longer than its stroke, {2.0 * half.si:.4g} m; "
+                f"allowed: below {shortest / 3.0:.4g} m, a third of the neutral length"
+            )
+        worst = _conditioning(shape)
+        if not worst < _SINGULAR:
+            raise InputError(
+                f"gimbals: the legs do not hold the platform at neutral, condition number "
+                f"{worst:.3g}; allowed: below {_SINGULAR:g}; six parallel or concurrent legs, or "
+                "pairs above pairs, leave it free to move"
+            )
+        for name in self.cabs:
+            if self.name != models.CMF and name in models.CABS:
+                raise InputError(
+                    f"cabs.{name}: is the name of a cab of {models.CMF}; allowed: another name"
+                )
+            for part, body in (("platform", self.platform), (f"cabs.{name}", self.cabs[name])):
+                self.check_above_floor(part, body)
+        return self
+
+    def check_above_floor(self, part: str, body: RigidBody) -> None:
+        """Refuse a centre of mass below the floor: an axis is likely to be upside down."""
+        height = float(body.centre_of_mass.si[2]) * self.upward
+        if height < self.floor_height:
+            field = f"{part}.centre_of_mass" if part else "centre_of_mass"
+            raise InputError(
+                f"{field}: is {height:g} m above the upper gimbals, below the floor; allowed: at "
+                f"least {self.floor_height:g} m, {'z is up' if self.upward > 0 else 'z is down'}"
+            )
+
+    @property
+    def upward(self) -> float:
+        """Sign of a height in the file's axes."""
+        return 1.0 if self.axes == "z up" else -1.0
+
+    @cached_property
+    def geometry(self) -> Geometry:
+        """Gimbals and neutral lengths, z down."""
+        return make_geometry(
+            *self.gimbals.in_report_axes(FLIP if self.upward > 0.0 else np.ones(3))
+        )
+
+    @property
+    def working_stroke(self) -> float:
+        """Half of the leg travel that the control law works in [m]."""
+        return self.legs.working_stroke.si
+
+    @property
+    def half_stroke(self) -> float:
+        """Mechanical travel of a leg from neutral either way [m]."""
+        return self.legs.half_stroke.si
+
+    @property
+    def retracted(self) -> float:
+        """Shortest leg from gimbal to gimbal [m]."""
+        return float(self.geometry.neutral.min()) - self.half_stroke
+
+    @property
+    def piston_area(self) -> float:
+        """Area of Eq 3.7 [m^2]: the annulus of the table `hydraulics`, or the CMF's, as stated."""
+        if self.force_area is not None:
+            return self.force_area.si
+        table = {} if isinstance(self.hydraulics, str) else self.hydraulics
+        sizes = [table.get(f"{part}_diameter") for part in ("bore", "rod")]
+        if None in sizes:
+            return load_machine().piston_area
+        bore, rod = (validated(Quantity, size, "hydraulics").si for size in sizes)
+        return 0.25 * np.pi * (bore**2 - rod**2)
+
+    @property
+    def accelerometer_distance(self) -> float:
+        """Distance of the legs' accelerometers below the upper gimbals [m]."""
+        given = self.legs.accelerometer
+        return 0.1 * self.retracted if given is None else given.si
+
+    @property
+    def floor_height(self) -> float:
+        """Height of the floor over the platform's centroid at neutral [m], z up."""
+        if self.floor is not None:
+            return self.upward * self.floor.si
+        return -1.1 * float(self.geometry.lower[:, 2].max())
+
+    @property
+    def cab_names(self) -> tuple[str, ...]:
+        """Names of the cabs, the default one first."""
+        return tuple(self.cabs)
+
+    @property
+    def shipped(self) -> bool:
+        """Whether it has the name of a shipped machine."""
+        return self.name in models.machine_names()
+
+    def recorded(self) -> dict[str, Any]:
+        """What a record keeps of it besides the name: nothing of a shipped one."""
+        return {} if self.shipped else self.model_dump(mode="json", exclude_none=True)
+
+
+def _conditioning(shape: Geometry) -> float:
+    """Condition number of the Jacobian at neutral, turning columns per radius of the gimbals."""
+    lines = (shape.upper - shape.lower) / shape.neutral[:, None]
+    radius = np.linalg.norm(shape.upper[:, :2], axis=1).mean()
+    return float(np.linalg.cond(np.hstack([lines, np.cross(shape.upper, lines) / radius])))
+
+
+def load_machine(source: str | Path | Machine = models.CMF) -> Machine:
+    """Load a machine.
+
+    Args:
+        source: a shipped machine by name, a TOML file of the form that heads this module, or a
+            machine loaded already.
+
+    Raises:
+        InputError: no such machine, an unreadable file, a refused field with what is allowed, or
+            another machine under a shipped one's name.
+
+    >>> cmf_mj.load_machine("cmf").legs.half_stroke.si
+    0.9652
+    """
+    if isinstance(source, Machine):
+        return source
+    if str(source) in models.machine_names():
+        return _shipped(str(source))
+    path = user_file("machine", models.machine_names(), source)
+    made = read_machine(path)
+    if made.shipped:
+        raise InputError(
+            f"{path}: name: {made.name!r} is the name of a shipped machine; another one needs "
+            "another name"
+        )
+    return made
+
+
+@lru_cache
+def _shipped(name: str) -> Machine:
+    return read_machine(models.directory() / "machines" / f"{name}.toml")
+
+
+def read_machine(path: Path) -> Machine:
+    """The machine of a file, what its models own included."""
+    table = read_toml(path)
+    folder = path.parent.resolve()
+    with within(path):
+        for field in ("mjcf", "law", "dcu"):
+            table |= _beside(folder, table, field)
+        if isinstance(table.get("mjcf"), str):
+            table = merged(mjcf.machine_tables(Path(table["mjcf"])), table)
+        cabs = table.get("cabs")
+        if isinstance(cabs, Mapping):
+            table["cabs"] = {name: _cab(folder, cab) for name, cab in cabs.items()}
+    return validated(Machine, table, str(path))
+
+
+def _cab(folder: Path, table: Any) -> Any:
+    if not isinstance(table, Mapping) or not isinstance(table.get("mjcf"), str):
+        return table
+    named = dict(table) | _beside(folder, table, "mjcf")
+    return merged(mjcf.cab_table(Path(named["mjcf"])), named)
+
+
+def _beside(folder: Path, table: Mapping[str, Any], field: str) -> dict[str, Any]:
+    """A field that names a file, with its folder."""
+    value = table.get(field)
+    if isinstance(value, str) and value.endswith((".toml", ".xml")):
+        return {field: str((folder / value).resolve())}
+    return {}
+
+
+def recorded_machine(metadata: Mapping[str, Any]) -> Machine:
+    """The machine that the metadata of a record tell of; the CMF where they tell of none."""
+    name, parameters = metadata.get("machine", models.CMF), metadata.get("machine_parameters")
+    if name in models.machine_names() or not parameters:
+        return load_machine(name)
+    return validated(Machine, parameters, "machine_parameters")
+
+
+def geometry_of(machine: "str | Path | Machine | Geometry") -> Geometry:
+    """The gimbals of a machine, or what are gimbals already."""
+    return machine if isinstance(machine, Geometry) else load_machine(machine).geometry

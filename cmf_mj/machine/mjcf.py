@@ -1,0 +1,100 @@
+"""What an MJCF says of a machine: gimbals, stroke, masses and where the crew sits.
+
+A model that owns its geometry and inertia has the names of the shipped ones: sites `upper_1` to
+`upper_6`, bodies `cylinder_#` and `rod_#`, slide joints `leg_#`, the body `platform`, and in the
+model of a cab the body `cab` and the site `crew`. Axes are MuJoCo's, z up.
+"""
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+from cmf_mj.core.errors import InputError, reason
+from cmf_mj.machine import models
+
+_LEGS = range(1, 7)
+
+
+def machine_tables(path: Path) -> dict[str, Any]:
+    """Tables `gimbals`, `platform` and `legs` of a machine file, from its MJCF."""
+    root, about = _read(path), _about(path, "derived")
+    upper = [_numbers(_named(root, "site", f"upper_{i}", path), "pos") for i in _LEGS]
+    lower = [_numbers(_named(root, "body", f"cylinder_{i}", path), "pos") for i in _LEGS]
+    slide = _default_slide(root)
+    heights = [
+        _numbers(_named(root, "site", f"{name}_1", path), "pos")[2]
+        for name in ("rod_end", "rod_accelerometer")
+    ]
+    parts = {part: _body(root, f"{part}_1", path) for part in ("cylinder", "rod")}
+    return {
+        "gimbals": {
+            "upper": {"value": upper, "unit": "m", **about},
+            "lower": {"value": lower, "unit": "m", **about},
+        },
+        "platform": _body(root, "platform", path),
+        "legs": {
+            "half_stroke": {"value": _numbers(slide, "range")[1], "unit": "m", **about},
+            "accelerometer": {
+                "value": round(heights[0] - heights[1], 9),
+                "unit": "m",
+                **about,
+            },
+            **{f"{part}_mass": body["mass"] for part, body in parts.items()},
+        },
+    }
+
+
+def cab_table(path: Path) -> dict[str, Any]:
+    """Mass properties and station of a cab, from its MJCF."""
+    root = _read(path)
+    station = _numbers(_named(root, "site", "crew", path), "pos")
+    return {
+        **_body(root, "cab", path),
+        "station": {"value": station, "unit": "m", **_about(path)},
+    }
+
+
+def _read(path: Path) -> ElementTree.Element:
+    try:
+        return ElementTree.parse(path).getroot()
+    except OSError as error:
+        raise InputError(f"mjcf: {path} cannot be read: {error.strerror}") from None
+    except ElementTree.ParseError as error:
+        raise InputError(f"mjcf: {path} is not XML: {reason(error)}") from None
+
+
+def _about(path: Path, status: str = "assumed") -> dict[str, str]:
+    if path.is_relative_to(models.directory()):
+        name = f"models/{path.relative_to(models.directory())}; models/README.md says why"
+    else:
+        name = f"the model {path.name}"
+    return {"status": status, "source": name}
+
+
+def _named(root: ElementTree.Element, tag: str, name: str, path: Path) -> ElementTree.Element:
+    for element in root.iter(tag):
+        if element.get("name") == name:
+            return element
+    raise InputError(f"mjcf: {path} has no {tag} {name!r}; allowed: the names of models/")
+
+
+def _default_slide(root: ElementTree.Element) -> ElementTree.Element:
+    """The slide joint of the legs, whose range is a default of the model."""
+    return next(e for e in root.iter("joint") if e.get("type") == "slide" and e.get("range"))
+
+
+def _numbers(element: ElementTree.Element, name: str) -> tuple[float, ...]:
+    return tuple(map(float, element.get(name, "0 0 0").split()))
+
+
+def _body(root: ElementTree.Element, name: str, path: Path) -> dict[str, Any]:
+    """Mass properties that an MJCF gives a body."""
+    inertial, about = _named(root, "body", name, path).find("inertial"), _about(path)
+    if inertial is None:
+        raise InputError(f"mjcf: body {name!r} of {path} has no inertial; every body needs one")
+    moments = _numbers(inertial, "diaginertia" if inertial.get("diaginertia") else "fullinertia")
+    return {
+        "mass": {"value": _numbers(inertial, "mass")[0], "unit": "kg", **about},
+        "centre_of_mass": {"value": _numbers(inertial, "pos"), "unit": "m", **about},
+        "inertia": {"value": moments, "unit": "kg m^2", **about},
+    }

@@ -1,0 +1,195 @@
+"""The MJCF of a machine in its hall with one of its cabs: drawn models, or generated ones.
+
+A machine or cab without a drawn model has the shipped hexapod's in other sizes: joints, pins,
+stops, sensors, solver and names are those of `models/cmf_hexapod.xml`; gimbals, neutral lengths,
+stroke and masses are the machine's. What is drawn then is plain, in proportion to the legs.
+"""
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmf_mj.machine import models
+from cmf_mj.machine.bodies import RigidBody
+from cmf_mj.machine.cab import Cab
+from cmf_mj.machine.geometry import FLIP
+from cmf_mj.machine.machine import Machine, load_machine
+
+Element = ElementTree.Element
+
+_MACHINE, _CAB_FILE, _NO_CAB = "cmf_hexapod.xml", "cabs/gfd.xml", "cabs/none.xml"
+"""Files that the scene includes."""
+_DRAWN = ("geom", "frame", "replicate")
+"""What only draws."""
+
+_CAB = """
+<mujoco model="cab">
+  <compiler angle="radian" autolimits="true"/>
+  <worldbody>
+    <body name="cab">
+      <inertial {inertial}/>
+      <site name="crew" pos="{station}" group="4"/>
+      <geom type="box" group="2" contype="0" conaffinity="0" mass="0" rgba="0.9 0.91 0.92 1"
+        pos="{middle}" size="{size}"/>
+    </body>
+  </worldbody>
+  <sensor><accelerometer name="crew_accelerometer" site="crew"/></sensor>
+</mujoco>
+"""
+
+
+def model_texts(cab: Cab) -> tuple[str, dict[str, bytes]]:
+    """The scene of a machine with one of its own cabs, z up, and the files that it includes."""
+    machine, drawn = cab.machine, cab.machine.cabs[cab.name].mjcf
+    files = {
+        _MACHINE: Path(machine.mjcf).read_bytes() if machine.mjcf else _machine(machine, cab),
+        _CAB_FILE: Path(drawn).read_bytes() if drawn else _cab(cab),
+        _NO_CAB: models.model_path(_NO_CAB).read_bytes(),
+    }
+    return _scene(machine), files
+
+
+def _scale(machine: Machine) -> float:
+    """Size of a machine, that of the CMF 1."""
+    return float(machine.geometry.neutral.mean() / load_machine().geometry.neutral.mean())
+
+
+def _scene(machine: Machine) -> str:
+    """The hall, of a generated machine with floor, cameras and lights at its size."""
+    text = models.model_path("scene.xml").read_text("utf-8")
+    if machine.mjcf:
+        return text
+    root, scale = ElementTree.fromstring(text), _scale(machine)
+    root.set("model", f"{machine.name} scene")
+    for world in root.iter("worldbody"):
+        for geom in world.findall("geom"):
+            if geom.get("name") != "floor":
+                world.remove(geom)
+    for tag, name in (("camera", "pos"), ("light", "pos"), ("statistic", "center")):
+        for element in root.iter(tag):
+            _set(element, **{name: scale * _numbers(element, name)})
+    for statistic in root.iter("statistic"):
+        _set(statistic, extent=scale * _numbers(statistic, "extent"))
+    _set(_named(root, "geom", "floor"), pos=[0.0, 0.0, machine.floor_height])
+    for key in root.iter("key"):
+        key.attrib.pop("ctrl")
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _machine(machine: Machine, cab: Cab) -> bytes:
+    """The shipped hexapod with a machine's geometry, masses and drawing."""
+    root, scale = ElementTree.parse(models.model_path(_MACHINE)).getroot(), _scale(machine)
+    root.set("model", machine.name)
+    for parent in list(root.iter()):
+        for child in [c for c in parent if parent.tag in ("worldbody", "body") and c.tag in _DRAWN]:
+            parent.remove(child)
+    half = machine.half_stroke
+    for joint in root.iter("joint"):
+        if joint.get("type") == "slide":
+            _set(joint, range=[-half, half])
+    upper, lower = machine.geometry.upper * FLIP, machine.geometry.lower * FLIP
+    for leg in range(6):
+        _set(_named(root, "site", f"upper_{leg + 1}"), pos=upper[leg])
+        _make_leg(root, machine, leg, scale)
+    _draw_platform(root, upper, scale)
+    world = next(root.iter("worldbody"))
+    for leg in range(6):
+        foot = lower[leg] * [1.0, 1.0, 0.0] + [0.0, 0.0, machine.floor_height]
+        _add(world, "base", type="capsule", size=[0.16 * scale], fromto=[*foot, *lower[leg]])
+    inertial = _named(root, "body", "platform").find("inertial")
+    assert inertial is not None
+    inertial.attrib.clear()
+    _weigh(inertial, cab.platform)
+    return ElementTree.tostring(root)
+
+
+def _make_leg(root: Element, machine: Machine, leg: int, scale: float) -> None:
+    """Place, weigh and draw a cylinder and its rod."""
+    geometry, design, bar = machine.geometry, machine.legs, machine.retracted
+    length = float(geometry.neutral[leg])
+    lower, axis = geometry.lower[leg] * FLIP, (geometry.upper - geometry.lower)[leg] * FLIP
+    cylinder = _named(root, "body", f"cylinder_{leg + 1}")
+    rod = _named(root, "body", f"rod_{leg + 1}")
+    _set(cylinder, pos=lower, zaxis=axis)
+    centres = [
+        0.5 * bar if design.cylinder_centre is None else design.cylinder_centre.si,
+        length - (0.5 * bar if design.rod_centre is None else design.rod_centre.si),
+    ]
+    radius = bar / 40.0
+    for body, centre, mass in zip(
+        (cylinder, rod), centres, (design.cylinder_mass.si, design.rod_mass.si), strict=True
+    ):
+        across = mass * (3.0 * radius**2 + bar**2) / 12.0
+        inertial = body.find("inertial")
+        assert inertial is not None
+        moments = [across, across, 0.5 * mass * radius**2]
+        _set(inertial, pos=[0.0, 0.0, centre], mass=[mass], diaginertia=moments)
+    _set(_named(rod, "site", f"rod_end_{leg + 1}"), pos=[0.0, 0.0, length])
+    felt = length - machine.accelerometer_distance
+    _set(_named(rod, "site", f"rod_accelerometer_{leg + 1}"), pos=[0.0, 0.0, felt])
+    thick, thin, top = 0.105 * scale, 0.05 * scale, length - machine.half_stroke - 0.1 * scale
+    _add(cylinder, "barrel", size=[thick], fromto=[0, 0, 0, 0, 0, top])
+    _add(cylinder, "barrel", size=[1.3 * thick], fromto=[0, 0, top - 0.1 * scale, 0, 0, top])
+    _add(rod, "rod", size=[thin], fromto=[0, 0, 0.4 * length, 0, 0, length])
+    _add(rod, "visual", type="sphere", size=[2.0 * thin], pos=[0, 0, length])
+
+
+def _draw_platform(root: Element, upper: NDArray[np.float64], scale: float) -> None:
+    platform = _named(root, "body", "platform")
+    for start, end in zip(upper, np.roll(upper, -1, axis=0), strict=True):
+        _add(platform, "tube", size=[0.07 * scale], fromto=[*start, *end])
+        _add(platform, "tube", size=[0.05 * scale], fromto=[*start, 0.0, 0.0, 0.1 * scale])
+
+
+def _cab(cab: Cab) -> bytes:
+    """A cab drawn as the homogeneous box of its inertia."""
+    moments = np.diag(cab.tensor)
+    square = 6.0 * (moments.sum() - 2.0 * moments) / cab.mass.si
+    inertial = Element("inertial")
+    _weigh(inertial, cab)
+    text = _CAB.format(
+        inertial=" ".join(f'{name}="{value}"' for name, value in inertial.attrib.items()),
+        station=_text(cab.station * FLIP),
+        middle=_text(cab.centre_of_mass.si),
+        size=_text(0.5 * np.sqrt(np.maximum(square, 1e-4))),
+    )
+    return text.encode()
+
+
+def _weigh(inertial: Element, part: RigidBody) -> None:
+    tensor = part.tensor
+    moments = np.diag(tensor)
+    products = tensor[[0, 0, 1], [1, 2, 2]]
+    _set(inertial, pos=part.centre_of_mass.si, mass=[part.mass.si])
+    if products.any():
+        _set(inertial, fullinertia=[*moments, *products])
+    else:
+        _set(inertial, diaginertia=moments)
+
+
+def _named(root: Element, tag: str, name: str) -> Element:
+    return next(element for element in root.iter(tag) if element.get("name") == name)
+
+
+def _numbers(element: Element, name: str) -> NDArray[np.float64]:
+    return np.array(element.get(name, "0 0 0").split(), dtype=float)
+
+
+def _add(parent: Element, looks: str, type: str | None = None, **values: Iterable[float]) -> None:  # noqa: A002
+    """Add a geom of a class of the shipped model."""
+    geom = ElementTree.SubElement(parent, "geom", {"class": looks})
+    if type is not None:
+        geom.set("type", type)
+    _set(geom, **values)
+
+
+def _set(element: Element, **values: ArrayLike | Iterable[float]) -> None:
+    for name, numbers in values.items():
+        element.set(name, _text(numbers))
+
+
+def _text(numbers: ArrayLike | Iterable[float]) -> str:
+    return " ".join(repr(float(number)) for number in np.atleast_1d(np.asarray(numbers)))
