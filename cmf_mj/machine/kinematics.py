@@ -56,14 +56,33 @@ def about(point: ArrayLike, machine: MachineOrGimbals = models.CMF) -> Geometry:
 
 
 @compiled
-def rotate(roll, pitch, yaw, turn):  # type: ignore[no-untyped-def]
-    """Write T of Eq 2.2, (3, 3): platform axes to inertial axes, Euler order yaw, pitch, roll."""
+def _turn(roll, pitch, yaw):  # type: ignore[no-untyped-def]
+    """T of Eq 2.2, row by row: platform axes to inertial axes, Euler order yaw, pitch, roll."""
     cf, sf = np.cos(roll), np.sin(roll)
     ct, st = np.cos(pitch), np.sin(pitch)
     cp, sp = np.cos(yaw), np.sin(yaw)
-    turn[0, 0], turn[0, 1], turn[0, 2] = ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp
-    turn[1, 0], turn[1, 1], turn[1, 2] = ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp
-    turn[2, 0], turn[2, 1], turn[2, 2] = -st, sf * ct, cf * ct
+    forward = ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp
+    right = ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp
+    return *forward, *right, -st, sf * ct, cf * ct
+
+
+@compiled
+def _turned(turn, arm):  # type: ignore[no-untyped-def]
+    """T times an arm (3,), three numbers."""
+    x, y, z = arm[0], arm[1], arm[2]
+    return (
+        turn[0] * x + turn[1] * y + turn[2] * z,
+        turn[3] * x + turn[4] * y + turn[5] * z,
+        turn[6] * x + turn[7] * y + turn[8] * z,
+    )
+
+
+@compiled
+def rotate(roll, pitch, yaw, turn):  # type: ignore[no-untyped-def]
+    """Write T of Eq 2.2, (3, 3)."""
+    rows = _turn(roll, pitch, yaw)
+    for i in range(9):
+        turn[i // 3, i % 3] = rows[i]
 
 
 @allocating
@@ -83,69 +102,112 @@ def euler_rate_matrix(pitch, yaw):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _legs(geometry, pose, turn, legs):  # type: ignore[no-untyped-def]
-    """Write the extensions of a pose; its rotation goes through `turn`, (3, 3)."""
-    rotate(pose[3], pose[4], pose[5], turn)
+def _legs(geometry, pose, legs):  # type: ignore[no-untyped-def]
+    """Write the extensions of a pose, (6,)."""
+    turn = _turn(pose[3], pose[4], pose[5])
     for j in range(6):
-        square = 0.0
-        for i in range(3):
-            upper = 0.0
-            for k in range(3):
-                upper += turn[i, k] * geometry.upper[j, k]
-            square += (pose[i] + upper - geometry.lower[j, i]) ** 2
-        legs[j] = np.sqrt(square) - geometry.neutral[j]
+        a, b, c = _turned(turn, geometry.upper[j])
+        x = pose[0] + a - geometry.lower[j, 0]
+        y = pose[1] + b - geometry.lower[j, 1]
+        z = pose[2] + c - geometry.lower[j, 2]
+        legs[j] = np.sqrt(x * x + y * y + z * z) - geometry.neutral[j]
 
 
-@allocating
+@compiled
 def _twist_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
-    arm = geometry.upper @ rotation(pose[3], pose[4], pose[5]).T
+    turn = _turn(pose[3], pose[4], pose[5])
     for j in range(6):
-        line = pose[:3] + arm[j] - geometry.lower[j]
-        line /= np.sqrt(line @ line)
-        jacobian[j, :3] = line
-        jacobian[j, 3] = arm[j, 1] * line[2] - arm[j, 2] * line[1]
-        jacobian[j, 4] = arm[j, 2] * line[0] - arm[j, 0] * line[2]
-        jacobian[j, 5] = arm[j, 0] * line[1] - arm[j, 1] * line[0]
+        a, b, c = _turned(turn, geometry.upper[j])
+        x = pose[0] + a - geometry.lower[j, 0]
+        y = pose[1] + b - geometry.lower[j, 1]
+        z = pose[2] + c - geometry.lower[j, 2]
+        length = np.sqrt(x * x + y * y + z * z)
+        x, y, z = x / length, y / length, z / length
+        jacobian[j, 0], jacobian[j, 1], jacobian[j, 2] = x, y, z
+        jacobian[j, 3], jacobian[j, 4], jacobian[j, 5] = b * z - c * y, c * x - a * z, a * y - b * x
 
 
-@allocating
+@compiled
 def write_pose_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
     """Write d(legs)/d(pose), (6, 6)."""
     _twist_jacobian(geometry, pose, jacobian)
-    jacobian[:, 3:] = np.ascontiguousarray(jacobian[:, 3:]) @ euler_rate_matrix(pose[4], pose[5])
+    ct, st = np.cos(pose[4]), np.sin(pose[4])
+    cp, sp = np.cos(pose[5]), np.sin(pose[5])
+    for j in range(6):
+        x, y, z = jacobian[j, 3], jacobian[j, 4], jacobian[j, 5]
+        jacobian[j, 3], jacobian[j, 4] = ct * cp * x + ct * sp * y - st * z, cp * y - sp * x
 
 
 @allocating
 def _legs_history(geometry, poses, legs):  # type: ignore[no-untyped-def]
-    turn = np.empty((3, 3))
     for row in range(poses.shape[0]):
-        _legs(geometry, poses[row], turn, legs[row])
+        _legs(geometry, poses[row], legs[row])
 
 
-@allocating
-def _newton(geometry, legs, pose):  # type: ignore[no-untyped-def]
+@compiled
+def solve(matrix, vector):  # type: ignore[no-untyped-def]
+    """Put x of `matrix` x = `vector` into the vector, by elimination; returns the determinant.
+
+    The matrix is overwritten; where it is singular the vector is left half-way.
+    """
+    count, determinant = vector.shape[0], 1.0
+    for k in range(count):
+        pivot = k
+        for i in range(k + 1, count):
+            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+                pivot = i
+        if pivot != k:
+            determinant = -determinant
+            vector[k], vector[pivot] = vector[pivot], vector[k]
+            for j in range(k, count):
+                matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+        determinant *= matrix[k, k]
+        if matrix[k, k] == 0.0:
+            return 0.0
+        for i in range(k + 1, count):
+            share = matrix[i, k] / matrix[k, k]
+            vector[i] -= share * vector[k]
+            for j in range(k + 1, count):
+                matrix[i, j] -= share * matrix[k, j]
+    for k in range(count - 1, -1, -1):
+        for j in range(k + 1, count):
+            vector[k] -= matrix[k, j] * vector[j]
+        vector[k] /= matrix[k, k]
+    return determinant
+
+
+@compiled
+def _within(values, bound):  # type: ignore[no-untyped-def]
+    """Whether all values are smaller than the bound; NaN is not."""
+    for value in values:
+        if not abs(value) < bound:
+            return False
+    return True
+
+
+@compiled
+def _newton(geometry, sense, legs, pose, error, change, jacobian):  # type: ignore[no-untyped-def]
     """Newton iteration from `pose`, in place; whether it ended on the assembly of the pose zero.
 
-    The assemblies are separated by singular poses, so the determinant's sign tells theirs.
+    The assemblies are separated by singular poses, so the determinant's sign tells theirs; `sense`
+    is that of the pose zero. Work is done in `error` and `change`, (6,), and `jacobian`, (6, 6).
     """
-    tried, turn = np.empty(6), np.empty((3, 3))
-    jacobian = np.empty((6, 6))
-    write_pose_jacobian(geometry, np.zeros(6), jacobian)
-    sense = np.linalg.det(jacobian)
-    error = legs.copy()
     for _ in range(_NEWTON_ITERATIONS):
-        _legs(geometry, pose, turn, tried)
-        error[:] = legs - tried
-        if np.max(np.abs(error)) < _NEWTON_TOLERANCE:
+        _legs(geometry, pose, error)
+        for j in range(6):
+            error[j] = legs[j] - error[j]
+            change[j] = error[j]
+        if _within(error, _NEWTON_TOLERANCE):
             break
         write_pose_jacobian(geometry, pose, jacobian)
-        if abs(np.linalg.det(jacobian)) < 1e-9 * abs(sense):
+        if abs(solve(jacobian, change)) < 1e-9 * abs(sense):
             return False
-        pose += np.linalg.solve(jacobian, error)
+        for j in range(6):
+            pose[j] += change[j]
     # Round-off can hold the error a little above the tolerance, never above the accuracy promised.
     write_pose_jacobian(geometry, pose, jacobian)
-    turned = np.max(np.abs(pose[3:])) < 0.5 * np.pi
-    return turned and np.max(np.abs(error)) < 1e-11 and np.linalg.det(jacobian) * sense > 0.0
+    turned = _within(pose[3:], 0.5 * np.pi)
+    return turned and _within(error, 1e-11) and solve(jacobian, change) * sense > 0.0
 
 
 @allocating
@@ -154,13 +216,20 @@ def _pose_history(geometry, legs, poses):  # type: ignore[no-untyped-def]
 
     A row close to the one before starts from its solution, any other from the pose zero.
     """
+    error, change, jacobian = np.zeros(6), np.zeros(6), np.empty((6, 6))
+    write_pose_jacobian(geometry, error, jacobian)
+    sense = solve(jacobian, change)
     for row in range(legs.shape[0]):
-        if row > 0 and np.max(np.abs(legs[row] - legs[row - 1])) < _CLOSE:
-            poses[row] = poses[row - 1]
-            if _newton(geometry, legs[row], poses[row]):
+        if row > 0:
+            for j in range(6):
+                error[j] = legs[row, j] - legs[row - 1, j]
+                poses[row, j] = poses[row - 1, j]
+            if _within(error, _CLOSE) and _newton(
+                geometry, sense, legs[row], poses[row], error, change, jacobian
+            ):
                 continue
         poses[row] = 0.0
-        if not _newton(geometry, legs[row], poses[row]):
+        if not _newton(geometry, sense, legs[row], poses[row], error, change, jacobian):
             return row
     return -1
 
