@@ -47,6 +47,7 @@ from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 
 _RESTING = 0.05
@@ -236,7 +237,7 @@ def _count(seconds: float) -> int:
 
 
 def facility_session(
-    plant: Hexapod,
+    plant: Plant,
     law: Law,
     arrivals: Arrivals,
     settings: FacilitySettings,

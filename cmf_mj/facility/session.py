@@ -33,6 +33,7 @@ from cmf_mj.facility.loop import (
     VACUUM,
     Controller,
     Machine,
+    Memory,
     Recorder,
     make_memory,
     run,
@@ -182,6 +183,11 @@ class Session:
         )
 
     @property
+    def parts(self) -> tuple[Machine, Controller, Memory, Recorder]:
+        """All that the loop works on, in the order of its arguments."""
+        return self.machine, self.controller, self.memory, self._recorder
+
+    @property
     def chain(self) -> Chain:
         """The chain from the host to the leg reference."""
         chain = self.controller.chain
@@ -215,9 +221,7 @@ class Session:
             with self.plant.alone, untimed():
                 if self.plant.started != self._started:
                     raise InputError("plant: has been reset since; allowed: one run at a time")
-                frame, bound, leg = run(
-                    self.machine, self.controller, self.memory, self._recorder, self.frame, stop
-                )
+                frame, bound, leg = run(*self.parts, self.frame, stop)
             self.frame = stop if frame < 0 else frame
             self._take()
             if frame >= 0:

@@ -1,0 +1,1 @@
+"""The loop and the laws as machine code for hosts without Python."""

@@ -1,0 +1,152 @@
+"""A machine as an image: plant, control law and electronics at rest, and what a host must know."""
+
+from typing import NamedTuple
+
+import mujoco
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.control import demand
+from cmf_mj.control.law import Law
+from cmf_mj.control.protection import load_protection
+from cmf_mj.control.states import Request, State
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.export.image import Image, make_image
+from cmf_mj.export.machine_code import machine_code
+from cmf_mj.facility.host.handover import NEVER, make_log
+from cmf_mj.facility.loop import Controller, Machine, Memory, Recorder, run
+from cmf_mj.facility.operation import FacilitySettings, Start, facility_session
+from cmf_mj.facility.options import Options
+from cmf_mj.facility.session import Session, Table
+from cmf_mj.plant.build import PLANTS
+from cmf_mj.plant.events import Timeline
+from cmf_mj.plant.headless import saved
+from cmf_mj.plant.plant import Plant
+
+ARRIVALS = 64
+"""Host frames that may wait for the next step."""
+
+EVENTS = 64
+"""Failures of a run."""
+
+IN_MUJOCO = {
+    f"machine.mechanics.{name}"
+    for name in ("length", "ctrl", "payload", "sensordata", "site", "qpos", "warnings")
+}
+"""Arrays that MuJoCo owns."""
+
+
+class Parts(NamedTuple):
+    """All that the frame loop works on."""
+
+    machine: Machine
+    controller: Controller
+    memory: Memory
+    recorder: Recorder
+    outcome: NDArray[np.int64]  #: Frame, bound and leg where the state left its bounds, else -1.
+
+
+def frames(parts, first, last):  # type: ignore[no-untyped-def]
+    """Run frames of the loop; compiled where it is used."""
+    frame, bound, leg = run(
+        parts.machine, parts.controller, parts.memory, parts.recorder, first, last
+    )
+    parts.outcome[0], parts.outcome[1], parts.outcome[2] = frame, bound, leg
+
+
+class PoseParts(NamedTuple):
+    """What the leg demand of a pose is computed with, as it follows in the table."""
+
+    blocks: demand.Demand
+    motion: NDArray[np.float64]
+    legs: NDArray[np.float64]
+
+
+def legs_of_pose(parts, first, last):  # type: ignore[no-untyped-def]
+    """Write the leg demand of a motion; compiled where it is used."""
+    demand.step(parts.blocks, parts.motion, parts.legs)
+
+
+class Frozen(NamedTuple):
+    """A machine at rest as data."""
+
+    plant: Plant
+    session: Session
+    parts: Parts
+    image: Image
+    model: NDArray[np.uint8]  #: As MuJoCo saves it.
+    mechanics: NDArray[np.float64]  #: MuJoCo's state.
+    sensors: NDArray[np.float64]  #: MuJoCo's sensors.
+    chain: bool  #: Whether a host's frames can move it.
+
+    def objects(self) -> dict[str, bytes]:
+        """Object files of the loop by their names."""
+        chain = self.parts.controller.chain
+        made = {"cmf_loop": machine_code("cmf_loop", frames, numba.typeof(self.parts))}
+        if self.chain and chain is not None:
+            posed = PoseParts(chain.blocks.demand, chain.motion, chain.legs)
+            made["cmf_demand"] = machine_code("cmf_demand", legs_of_pose, numba.typeof(posed))
+        return made
+
+
+def freeze(
+    plant: Plant,
+    law: Law | None,
+    electronics: ElectronicsSettings | None = None,
+    protection: bool = True,
+) -> Frozen:
+    """A plant with a law at rest at neutral, the law engaged.
+
+    A plant of the facility stands behind the whole chain from the host. Any other follows a table
+    of extensions, or without law one of valve commands.
+    """
+    chain = plant.name in PLANTS and law is not None
+    session = _session(plant, law, electronics, protection, chain)
+    first = session.machine.mechanics.sensordata.copy()
+    session.run(1)
+    row = session.rows(0, 1)
+    session = _session(plant, law, electronics, protection, chain)
+    size = mujoco.mj_stateSize(plant.model, mujoco.mjtState.mjSTATE_INTEGRATION)
+    mechanics = np.empty(size)
+    mujoco.mj_getState(plant.model, plant.data, mechanics, mujoco.mjtState.mjSTATE_INTEGRATION)
+    machine, controller, memory, recorder = session.parts
+    recorder.out[:] = row
+    never = np.full(EVENTS, NEVER)
+    kind, leg, valve = np.zeros((3, EVENTS), dtype=np.int64)
+    machine = machine._replace(timeline=Timeline(never, kind, leg, valve, np.zeros(EVENTS)))
+    if chain:
+        assert controller.chain is not None
+        controller.chain.request_frame[:] = -1
+        poses = np.zeros((1, 6))
+        poses.flags.writeable = False
+        resting = controller.chain._replace(active=False)
+        controller = controller._replace(poses=poses, chain=resting)
+    parts = Parts(machine, controller, memory, recorder, np.full(3, -1))
+    image = make_image(parts, IN_MUJOCO)
+    model = np.frombuffer(saved(plant.model), dtype=np.uint8)
+    return Frozen(plant, session, parts, image, model, mechanics, first, chain)
+
+
+def _session(
+    plant: Plant,
+    law: Law | None,
+    electronics: ElectronicsSettings | None,
+    protection: bool,
+    chain: bool,
+) -> Session:
+    options = Options(frames=1, window=1, electronics=electronics)
+    if chain and law is not None:
+        settings = FacilitySettings(
+            electronics=electronics, protection="default" if protection else None
+        )
+        start = Start(State.ENGAGED, np.zeros(6), [(0.0, Request.NONE)])
+        log = make_log(ARRIVALS)
+        return facility_session(plant, law, log, settings, start, options)
+    guard = load_protection("default") if protection and law is not None else None
+    options = options._replace(protection=guard, command_delay=0 if law is None else 1)
+    rows = np.zeros((1, plant.legs))
+    if law is not None:
+        plant.start()
+        rows[0] = plant.extensions()
+    return Session(plant, law, Table(rows), options)
