@@ -1,4 +1,4 @@
-"""The digital control law: the blocks of Figure 2-6 in signal order, one frame of 2048 Hz.
+"""The digital control law: the blocks of Figure 2-6 in signal order, one control frame.
 
 demand -> limits -> error -> compensator -> valve command
                       ^ feedback
@@ -47,11 +47,10 @@ from cmf_mj.control.reference_model import (
 )
 from cmf_mj.core.compiled import assign, compiled, inlined
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.machine import Machine, load_machine
 
-OFFSET_STAYS = float(np.exp(-FRAME / 0.5))
-"""What is left of the offset of a hand-over after a frame."""
+OFFSET_TIME = 0.5
+"""Time constant with which the offset of a hand-over fades [s]."""
 
 
 class Workspace(NamedTuple):
@@ -89,6 +88,7 @@ class Dcl(NamedTuple):
     plan: CompiledPlan
     load_feedback: CompiledLoadFeedback
     shape: NDArray[np.float64]  #: Modes of legs, V^T, (n, n).
+    offset_stays: float  #: What is left of the offset of a hand-over after a frame.
     workspace: Workspace
 
 
@@ -161,10 +161,13 @@ def make_dcl(law: Law, legs: int, machine: Machine | None = None) -> Dcl:
         feedback=make_feedback(law, carrier.piston_area),
         error=make_error_calculations(law, carrier.working_stroke),
         compensator=make_compensator(law, legs),
-        model=make_model(law.reference_model),
-        plan=make_plan(law.plan, modes, legs),
-        load_feedback=make_load_feedback(law.load_feedback, modes if law.plan else None, legs),
+        model=make_model(law.reference_model, law.frame),
+        plan=make_plan(law.plan, modes, legs, law.frame),
+        load_feedback=make_load_feedback(
+            law.load_feedback, modes if law.plan else None, legs, law.frame
+        ),
         shape=make_shape(modes, legs),
+        offset_stays=float(np.exp(-law.frame / OFFSET_TIME)),
         workspace=_workspace(legs),
     )
 
@@ -299,5 +302,5 @@ def step(dcl, state, demand, feedback):  # type: ignore[no-untyped-def]
         )
         if state.offset[leg] != 0.0:
             work.output[leg] += state.offset[leg]
-            state.offset[leg] *= OFFSET_STAYS
+            state.offset[leg] *= dcl.offset_stays
         work.command[leg] = clamp(work.output[leg])

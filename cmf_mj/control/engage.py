@@ -39,7 +39,6 @@ from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import SIGNALS
 from cmf_mj.control.load_feedback import load
 from cmf_mj.control.plan import correct
-from cmf_mj.core.rates import FRAME
 
 _INTEGRAL, _POSITION = SIGNALS.index("error_integral"), SIGNALS.index("position")
 
@@ -121,10 +120,11 @@ def handed_over(
     if not np.array_equal(before.shape, after.shape):
         _turn(begun, after.shape @ before.shape.T)
     now = _within(after, reference)
-    moved = np.clip(before.workspace.moved, -_FASTEST * FRAME, _FASTEST * FRAME)
+    frame = before.error.frame
+    moved = np.clip(before.workspace.moved, -_FASTEST * frame, _FASTEST * frame)
     leads = [dcl.compensator.direct_gain[:, _POSITION] for dcl in (before, after)]
     if _follows(before) or _follows(after) or not np.array_equal(leads[0], leads[1]):
-        ahead = feedback.position + FRAME * feedback.velocity
+        ahead = feedback.position + frame * feedback.velocity
         reference, feedback = now + moved, feedback._replace(position=ahead)
     seen = feedback
     if gravity is not None:

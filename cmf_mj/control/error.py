@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.rates import FRAME
 
 
 class ErrorState(NamedTuple):
@@ -36,6 +35,7 @@ class ErrorCalculations(NamedTuple):
     integrator_limit: float  #: Saturation of the integral [m s].
     integrator_trigger: float  #: Position below which the integrator sees the bottom [m].
     travel: float  #: Working stroke either way [m]; the bottom is its lower end.
+    frame: float  #: T [s].
 
 
 def make_error_calculations(law: Law, travel: float) -> ErrorCalculations:
@@ -45,6 +45,7 @@ def make_error_calculations(law: Law, travel: float) -> ErrorCalculations:
         integrator_limit=law.integrator_limit * units.INCH,
         integrator_trigger=law.integrator_trigger * units.INCH,
         travel=travel,
+        frame=law.frame,
     )
 
 
@@ -52,12 +53,12 @@ def make_error_calculations(law: Law, travel: float) -> ErrorCalculations:
 def filtered_rate(error, signal, state):  # type: ignore[no-untyped-def]
     """Rate of `signal` [1/s] and the filter's next state."""
     rate = error.derivative_pole * (signal - state)
-    return rate, state + FRAME * rate
+    return rate, state + error.frame * rate
 
 
 @compiled
 def integrate(error, integral, reference, position):  # type: ignore[no-untyped-def]
     """Next value of the error integral of one leg [m s]."""
     seen = position if position > error.integrator_trigger else -error.travel
-    moved = integral + FRAME * (reference - seen)
+    moved = integral + error.frame * (reference - seen)
     return min(max(moved, -error.integrator_limit), error.integrator_limit)

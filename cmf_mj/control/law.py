@@ -25,7 +25,7 @@ from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.control.plan import Plan
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, unknown_name
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.rates import FASTEST_RATE, RATE, SLOWEST_RATE
 from cmf_mj.core.settings import Name, Settings, checked_name, merged, read_toml, validated
 
 SIGNAL_UNITS = {
@@ -100,8 +100,8 @@ class Adaptation(Settings):
     """Feed-forward, root mean square, at which the normalisation halves the correction [%]."""
     dead_zone: Annotated[float, Field(ge=0.0)] = 0.0
     """Error below which nothing is learned [in/s]."""
-    leak: Annotated[float, Field(ge=0.0, lt=1.0 / FRAME)] = 0.0
-    """Rate at which the factor returns to 1 [1/s]."""
+    leak: Annotated[float, Field(ge=0.0)] = 0.0
+    """Rate at which the factor returns to 1, below the control rate [1/s]."""
     lowest: Annotated[float, Field(gt=0.0, le=1.0)]  #: Least factor.
     highest: Annotated[float, Field(ge=1.0)]  #: Largest factor.
 
@@ -142,6 +142,8 @@ class Law(Settings):
     modes: Mapping[str, Modes] = {}
     """Hydraulic modes by cab, or by plant where there is none; a law that is bound to a cab has
     those alone. A table of a law file without modes has the shipped ones, `modes.toml`."""
+    rate: Annotated[int, Field(ge=SLOWEST_RATE, le=FASTEST_RATE)] = RATE
+    """Control frames a second for which A, B and the accelerometer filter are given [Hz]."""
     title: str = Field(min_length=1)  #: Name for figures and tables.
     source: str = ""  #: Where the gains come from.
     state_gain: Annotated[float, Field(gt=-1.0, lt=1.0)] = 0.0
@@ -149,9 +151,9 @@ class Law(Settings):
     output_gain: float = 0.0  #: C [% per unit of state].
     input_gain: Gains = Gains()  #: B.
     direct_gain: Gains  #: D.
-    derivative_pole: Annotated[float, Field(gt=0.0, lt=2.0 / FRAME)] = 90.0
+    derivative_pole: Annotated[float, Field(gt=0.0)] = 90.0
     """Corner p of the derivative filter s p / (s + p) [rad/s]; calibrated, the report prints
-    none. Below 4096 rad/s, where the filter's forward integration is stable."""
+    none. Below twice the control rate, where the filter's forward integration is stable."""
     integrator_limit: Annotated[float, Field(gt=0.0)] = 50.0
     """Saturation of the error integral [in s] (section 3.2.1)."""
     integrator_trigger: Annotated[float, Field(ge=-40.0, le=37.5)] = -37.0
@@ -176,6 +178,17 @@ class Law(Settings):
         if modal != bool(self.modes):
             said = "needs a table [modes.CAB] for each cab" if modal else "takes no modes"
             raise InputError(f"coordinates: {self.coordinates} {said}")
+        if not self.derivative_pole < 2.0 * self.rate:
+            raise InputError(
+                f"derivative_pole: {self.derivative_pole:g} rad/s must be below twice the control "
+                f"rate, {2.0 * self.rate:g} rad/s"
+            )
+        adaptation = self.reference_model.adaptation if self.reference_model else None
+        if adaptation is not None and not adaptation.leak < self.rate:
+            raise InputError(
+                f"reference_model.adaptation.leak: {adaptation.leak:g} 1/s must be below the "
+                f"control rate, {self.rate} 1/s"
+            )
         if self.plan is not None and self.reference_model is not None:
             raise InputError("plan: is not allowed beside a reference_model; choose one")
         if self.plan is not None and modal == (self.plan.frequency is not None):
@@ -207,6 +220,42 @@ class Law(Settings):
                 f"modes: law {self.name} has none of {cab!r}; it has {', '.join(self.modes)}"
             )
         return self.model_copy(update={"modes": {cab: self.modes[cab]}})
+
+    @property
+    def frame(self) -> float:
+        """Control frame T [s]."""
+        return 1.0 / self.rate
+
+    def at(self, rate: int) -> "Law":
+        """The same law at another control rate [Hz].
+
+        A pole p of the z plane becomes p^(rate before / rate), the pole of the same decay in time,
+        and what enters its state is scaled by (1 - p') / (1 - p), so that the state settles at the
+        same value: the zero-order hold of the same first-order filter.
+
+        Raises:
+            InputError: a rate or derivative pole that the new frame does not allow, or a pole A
+                below 0, which has no decay in time.
+        """
+        if rate == self.rate:
+            return self
+        if self.state_gain < 0.0:
+            raise InputError(
+                f"state_gain: {self.state_gain} of law {self.name} is made for {self.rate} Hz "
+                f"alone; it cannot run at {rate} Hz"
+            )
+        poles = np.array([self.state_gain, self.accelerometer_pole])
+        moved = np.where(poles > 0.0, poles ** (self.rate / rate), 0.0)
+        entering, accelerometer = ((1.0 - moved) / (1.0 - poles)).tolist()
+        gains = {name: (np.multiply(gain, entering)).tolist() for name, gain in self.input_gain}
+        changes = {
+            "rate": rate,
+            "state_gain": float(moved[0]),
+            "input_gain": gains,
+            "accelerometer_pole": float(moved[1]),
+            "accelerometer_gain": self.accelerometer_gain * accelerometer,
+        }
+        return validated(Law, dict(self) | changes, f"law {self.name}")
 
     @property
     def bound_modes(self) -> Modes | None:

@@ -87,7 +87,9 @@ def make_limiter(
     return Limiter(**arrays, rejoin=rejoin, frame=frame)
 
 
-def make_leg_limiter(limits: MotionLimits | None = None, legs: int = 6) -> Limiter:
+def make_leg_limiter(
+    limits: MotionLimits | None = None, legs: int = 6, frame: float = FRAME
+) -> Limiter:
     """Limiter of leg demands: working stroke, leg speed and acceleration; default the CMF's."""
     leg = (limits or load_motion_limits()).leg
     travel = np.full(legs, leg.position.si)
@@ -97,14 +99,17 @@ def make_leg_limiter(limits: MotionLimits | None = None, legs: int = 6) -> Limit
         np.full(legs, leg.velocity.si),
         np.full(legs, leg.acceleration.si),
         leg.rejoin.si,
+        frame,
     )
 
 
-def make_pose_limiter(limits: MotionLimits | None = None) -> Limiter:
+def make_pose_limiter(limits: MotionLimits | None = None, frame: float = FRAME) -> Limiter:
     """Limiter of pose demands: operational limits of Table 2-1 and the rates assumed with them."""
     limits = limits or load_motion_limits()
     low, high = limits.operational.T
-    return make_limiter(low, high, limits.velocity, limits.acceleration, limits.leg.rejoin.si)
+    return make_limiter(
+        low, high, limits.velocity, limits.acceleration, limits.leg.rejoin.si, frame
+    )
 
 
 def start(limiter: Limiter, position: ArrayLike) -> LimiterState:

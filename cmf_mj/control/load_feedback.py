@@ -20,7 +20,6 @@ from pydantic import Field
 from cmf_mj.control.coordinates import Modes, PerMode, mode_mass, spread
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Settings
 
 BORE, ROD = 5.5 * units.INCH, 3.875 * units.INCH
@@ -45,7 +44,7 @@ class CompiledLoadFeedback(NamedTuple):
 
 
 def make_load_feedback(
-    settings: LoadFeedback | None, modes: Modes | None, legs: int
+    settings: LoadFeedback | None, modes: Modes | None, legs: int, frame: float
 ) -> CompiledLoadFeedback:
     """Compile the block; None for none. Modes are those of a plan, whose forces are not damped."""
     mass = np.zeros(legs) if modes is None else mode_mass(modes)
@@ -53,7 +52,7 @@ def make_load_feedback(
     if settings is None:
         return CompiledLoadFeedback(cap, rod, np.zeros(legs), mass, 0.0)
     gain = spread(settings.gain, legs) * units.PERCENT / (1000.0 * units.POUND_FORCE)
-    passes = float(-np.expm1(-2.0 * np.pi * settings.corner * FRAME))
+    passes = float(-np.expm1(-2.0 * np.pi * settings.corner * frame))
     return CompiledLoadFeedback(cap, rod, gain, mass, passes)
 
 

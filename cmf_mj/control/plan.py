@@ -62,7 +62,6 @@ from cmf_mj.control.coordinates import (
 )
 from cmf_mj.core import units
 from cmf_mj.core.compiled import assign, compiled
-from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Settings, as_tuples
 
 ORDER = 5
@@ -144,7 +143,7 @@ def response_polynomial(plan: Plan) -> NDArray[np.float64]:
     return polynomial
 
 
-def make_plan(plan: Plan | None, modes: Modes | None, legs: int) -> CompiledPlan:
+def make_plan(plan: Plan | None, modes: Modes | None, legs: int, frame: float) -> CompiledPlan:
     """Compile a plan for legs, or the modes of a cab; None for none."""
     empty = np.zeros((legs, ORDER))
     none = np.zeros(legs)
@@ -160,7 +159,7 @@ def make_plan(plan: Plan | None, modes: Modes | None, legs: int) -> CompiledPlan
         a, b = np.diag(np.ones(ORDER - 1), 1), np.zeros((ORDER, 1))
         a[-1], b[-1] = -actuator[:ORDER] / actuator[ORDER], speed / actuator[ORDER]
         system = (a, b, np.eye(ORDER), np.zeros((ORDER, 1)))
-        a, b, *_ = signal.cont2discrete(system, FRAME, method="zoh")
+        a, b, *_ = signal.cont2discrete(system, frame, method="zoh")
         share = actuator[ORDER] / response[ORDER]
         transitions.append(a)
         inputs.append(b[:, 0])
@@ -172,9 +171,9 @@ def make_plan(plan: Plan | None, modes: Modes | None, legs: int) -> CompiledPlan
         input=np.array(inputs),
         feedback=np.array(feedbacks),
         forward=np.array(forwards),
-        rate=spread(plan.rate, legs) * units.INCH * FRAME,
-        acceleration=spread(plan.acceleration, legs) * units.INCH * FRAME**2,
-        pull=2.0 * np.pi * plan.approach * FRAME,
+        rate=spread(plan.rate, legs) * units.INCH * frame,
+        acceleration=spread(plan.acceleration, legs) * units.INCH * frame**2,
+        pull=2.0 * np.pi * plan.approach * frame,
         authority=plan.authority * units.PERCENT,
         position_gain=spread(plan.position, legs) * scale,
         velocity_gain=spread(plan.velocity, legs) * scale,

@@ -24,11 +24,11 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, model_validator
+from pydantic import model_validator
 
 from cmf_mj.core.compiled import assign, compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.quantity import Kind, Quantity
+from cmf_mj.core.quantity import Quantity, positive_in
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Count, Loader, Settings
 
@@ -71,7 +71,7 @@ class ProtectionSettings(Settings):
     over_acceleration: Check
     host_watchdog: Check
     frame_watchdog: Check
-    washout: Annotated[Quantity, AfterValidator(Kind(("1/s",), below=1.0 / FRAME).check)]
+    washout: Annotated[Quantity, positive_in("1/s")]
     """Rate r at which the integrated velocity follows the position; below 1/T."""
 
     @model_validator(mode="after")
@@ -94,6 +94,7 @@ class Protection(NamedTuple):
     threshold: NDArray[np.float64]  #: SI; seconds and frames for the watchdogs.
     persistence: NDArray[np.int64]
     washout: float  #: r T, per frame.
+    frame: float  #: T [s].
 
 
 class ProtectionState(NamedTuple):
@@ -120,14 +121,20 @@ load_protection = Loader(
 """Loads protection settings: `default`, or a file with the conditions it changes, each whole."""
 
 
-def make_protection(settings: ProtectionSettings) -> Protection:
-    """Derive the compiled parameters."""
+def make_protection(settings: ProtectionSettings, frame: float = FRAME) -> Protection:
+    """Derive the compiled parameters for a control frame [s]."""
+    if not settings.washout.si * frame < 1.0:
+        raise InputError(
+            f"washout: {settings.washout.si:g} 1/s must be below the control rate, "
+            f"{1.0 / frame:g} 1/s"
+        )
     checks = [getattr(settings, name) for name in FAULTS[1:]]
     return Protection(
         np.array([False] + [check.enabled for check in checks]),
         np.array([0.0] + [check.threshold.si for check in checks]),
         np.array([0] + [check.persistence for check in checks]),
-        settings.washout.si * FRAME,
+        settings.washout.si * frame,
+        frame,
     )
 
 
@@ -177,7 +184,7 @@ def protect(protection, state, frame, reference, feedback, supply_pressure, host
     for leg in range(reference.shape[0]):
         position, velocity = feedback.position[leg], feedback.velocity[leg]
         apart = position - state.estimate[leg]
-        state.estimate[leg] += FRAME * velocity + protection.washout * apart
+        state.estimate[leg] += protection.frame * velocity + protection.washout * apart
         cap, rod = feedback.cap_pressure[leg], feedback.rod_pressure[leg]
         pressure = cap if cap > rod or cap != cap else rod
         error = abs(reference[leg] - position)

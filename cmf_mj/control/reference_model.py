@@ -61,7 +61,6 @@ from scipy import signal
 from cmf_mj.control.law import ReferenceModel
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.rates import FRAME
 
 
 class AdaptationState(NamedTuple):
@@ -85,6 +84,7 @@ class CompiledModel(NamedTuple):
     """Compiled parameters, SI: m, m/s, m/s^2; commands as fractions."""
 
     active: bool = False  #: Whether the law has a reference model; all else is unused if not.
+    frame: float = 1.0  #: T [s].
     position_stays: float = 1.0  #: Next p_m of p_m.
     position_of_velocity: float = 0.0  #: Next p_m of v_m [s].
     position_of_reference: float = 0.0  #: Next p_m of r.
@@ -106,17 +106,18 @@ class CompiledModel(NamedTuple):
     highest: float = 0.0  #: Largest d.
 
 
-def make_model(settings: ReferenceModel | None) -> CompiledModel:
-    """Compile the reference model of a law; None for none."""
+def make_model(settings: ReferenceModel | None, frame: float) -> CompiledModel:
+    """Compile the reference model of a law for its control frame [s]; None for none."""
     if settings is None:
         return CompiledModel()
     omega = 2.0 * np.pi * settings.natural_frequency
     a = np.array([[0.0, 1.0], [-(omega**2), -2.0 * settings.damping_ratio * omega]])
     b = np.array([[0.0], [omega**2]])
-    a, b, *_ = signal.cont2discrete((a, b, np.eye(2), np.zeros((2, 1))), FRAME, method="zoh")
+    a, b, *_ = signal.cont2discrete((a, b, np.eye(2), np.zeros((2, 1))), frame, method="zoh")
     scale = units.PERCENT / units.INCH
     fixed = CompiledModel(
         active=True,
+        frame=frame,
         position_stays=float(a[0, 0]),
         position_of_velocity=float(a[0, 1]),
         position_of_reference=float(b[0, 0]),
@@ -133,12 +134,12 @@ def make_model(settings: ReferenceModel | None) -> CompiledModel:
         return fixed
     return fixed._replace(
         adapting=True,
-        adaptation_gain=FRAME * adaptation.rate * settings.velocity * scale,
+        adaptation_gain=frame * adaptation.rate * settings.velocity * scale,
         slope=adaptation.slope,
-        stays=float(np.exp(-2.0 * np.pi * adaptation.corner * FRAME)),
+        stays=float(np.exp(-2.0 * np.pi * adaptation.corner * frame)),
         level=adaptation.level * units.PERCENT,
         dead_zone=adaptation.dead_zone * units.INCH,
-        leak=FRAME * adaptation.leak,
+        leak=frame * adaptation.leak,
         lowest=adaptation.lowest - 1.0,
         highest=adaptation.highest - 1.0,
     )
@@ -172,7 +173,7 @@ def follow(model, state, leg, reference, feedback, output):  # type: ignore[no-u
         + model.velocity_stays * velocity
         + model.velocity_of_reference * reference
     )
-    acceleration = (next_velocity - velocity) / FRAME
+    acceleration = (next_velocity - velocity) / model.frame
     feed_forward = model.velocity_gain * velocity + model.acceleration_gain * acceleration
     error = position - feedback.position[leg]
     rate = velocity - feedback.velocity[leg]

@@ -38,7 +38,6 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity, positive_in
-from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Loader, Settings
 from cmf_mj.machine import models
 from cmf_mj.machine.machine import Machine, load_machine
@@ -115,6 +114,7 @@ class States(NamedTuple):
     settled_tolerance: float  #: [m].
     arrival_tolerance: float  #: [m].
     arrival_timeout: float  #: [s].
+    frame: float  #: T [s].
 
 
 class OperatingState(NamedTuple):
@@ -132,8 +132,8 @@ class OperatingState(NamedTuple):
 def make_states(
     settings: StateSettings | None = None, machine: str | Machine = models.CMF
 ) -> States:
-    """Compile the settings, default the shipped ones, for the working stroke of a machine."""
-    settings = settings or load_state_settings()
+    """Compile the settings, default the shipped ones, for stroke and control frame of a machine."""
+    settings, carrier = settings or load_state_settings(), load_machine(machine)
     fade = np.zeros(len(State))
     fade[State.RAISE] = settings.raise_time.si
     fade[State.HOLD] = settings.hold_time.si
@@ -146,10 +146,11 @@ def make_states(
         valve_time=settings.valve_time.si,
         speed=settings.speed.si,
         acceleration=settings.acceleration.si,
-        travel=load_machine(machine).working_stroke,
+        travel=carrier.working_stroke,
         settled_tolerance=settings.settled_tolerance.si,
         arrival_tolerance=settings.arrival_tolerance.si,
         arrival_timeout=settings.arrival_timeout.si,
+        frame=carrier.frame,
     )
 
 
@@ -309,9 +310,9 @@ def _fade_valve(states, state):  # type: ignore[no-untyped-def]
     phase = state.valve[0]
     ended = state.clock[0] >= max(state.clock[1], state.clock[2])
     if code == State.OFF or (code == State.FAULT and ended):
-        phase -= FRAME / states.valve_time
+        phase -= states.frame / states.valve_time
     elif code != State.FAULT:
-        phase += FRAME / states.valve_time
+        phase += states.frame / states.valve_time
     state.valve[0] = min(max(phase, 0.0), 1.0)
     state.valve[1], _, _ = smooth(state.valve[0])
 
@@ -344,5 +345,5 @@ def step(states, state, request, demand, measured, reference):  # type: ignore[n
     if following != state.code[0]:
         _enter(states, state, following, demand, reference)
     _fade_valve(states, state)
-    state.clock[0] += FRAME
+    state.clock[0] += states.frame
     return state.code[0]

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from cmf_mj.control.feedback import LegFeedback, find_gravity
 from cmf_mj.core.compiled import compiled, inlined
-from cmf_mj.core.rates import FRAME
 from cmf_mj.electronics import servo_electronics as servo
 from cmf_mj.electronics.converter import (
     Converters,
@@ -92,8 +91,9 @@ def make_electronics(
     settings = settings or ElectronicsSettings(sensors="ideal", converters="off")
     legs = at_rest.position.shape[0]
     truth = LegFeedback(*(np.array(values, dtype=float) for values in at_rest))
-    sensors = make_sensors(load_sensors(settings.sensors), 1.0 / FRAME, settings.seed, machine)
-    converters = make_converters(load_converters(settings.converters))
+    frame = load_machine(machine).frame
+    sensors = make_sensors(load_sensors(settings.sensors), 1.0 / frame, settings.seed, machine)
+    converters = make_converters(load_converters(settings.converters), frame)
     state = sensor_state(sensors, truth)
     reading = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
     sense(sensors, state, 0, truth, reading)
@@ -106,7 +106,7 @@ def make_electronics(
         leg_axes_state(sensors.axes, reading.position if sensors.gravity else np.zeros(6)),
         np.zeros(legs),
         np.zeros(legs),
-        servo.make_servo_electronics(servo.load_servo_settings(settings.servo)),
+        servo.make_servo_electronics(servo.load_servo_settings(settings.servo), frame),
         servo.start(legs),
         reading,
         np.zeros(legs),

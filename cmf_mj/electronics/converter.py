@@ -91,10 +91,14 @@ load_converters = Loader(
 `converters.toml` has."""
 
 
-def make_converters(settings: ConverterSettings) -> Converters:
-    """Derive the converters of all channels."""
+def make_converters(settings: ConverterSettings, frame: float = FRAME) -> Converters:
+    """Derive the converters of all channels for a control frame [s]."""
     corner = settings.filter_corner.si / (2.0 * np.pi)
-    sections = filters.low_pass(settings.filter_order, corner, 1.0 / FRAME)
+    if not corner < 0.5 / frame:
+        raise InputError(
+            f"filter_corner: {corner:g} Hz must be below half the control rate, {0.5 / frame:g} Hz"
+        )
+    sections = filters.low_pass(settings.filter_order, corner, 1.0 / frame)
     codes = 2.0 ** (settings.bits - 1)
 
     def channel(name: str) -> Converter:

@@ -73,14 +73,16 @@ class ServoState(NamedTuple):
     command: NDArray[np.float64]  #: Command behind the rate limiter, fractions, (n,).
 
 
-def make_servo_electronics(settings: ServoSettings | None = None) -> ServoElectronics:
-    """Compile the settings, default the shipped ones."""
+def make_servo_electronics(
+    settings: ServoSettings | None = None, frame: float = FRAME
+) -> ServoElectronics:
+    """Compile the settings, default the shipped ones, for a control frame [s]."""
     chosen = settings or load_servo_settings()
     bits = chosen.dac_bits.value
     return ServoElectronics(
         switch_position=chosen.switch_position.si,
         velocity_clamp=chosen.velocity_clamp.si,
-        change=chosen.rate_limit.si * FRAME,
+        change=chosen.rate_limit.si * frame,
         full_command=chosen.full_command.si,
         dac_range=chosen.dac_range.si,
         quantum=2.0 * chosen.dac_range.si / 2.0**bits if bits else 0.0,

@@ -32,7 +32,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from cmf_mj.core.errors import InputError, within
 from cmf_mj.core.quantity import Area, Kind, Length, Points, Quantity
-from cmf_mj.core.rates import RATE
+from cmf_mj.core.rates import FASTEST_RATE, RATE, SLOWEST_RATE
 from cmf_mj.core.settings import Name, Settings, merged, read_toml, user_file, validated
 from cmf_mj.core.units import HERTZ
 from cmf_mj.machine import mjcf, models
@@ -58,8 +58,12 @@ def _six(points: Points) -> Points:
 
 
 def _at_control_rate(rate: Quantity) -> Quantity:
-    if round(rate.si / HERTZ, 9) != RATE:
-        raise InputError(f"{rate} is refused; allowed: {RATE} Hz")
+    hertz = rate.si / HERTZ
+    whole = abs(hertz - round(hertz)) < 1e-9
+    if not (whole and SLOWEST_RATE <= round(hertz) <= FASTEST_RATE):
+        raise InputError(
+            f"{rate} is refused; allowed: a whole number from {SLOWEST_RATE} to {FASTEST_RATE} Hz"
+        )
     return rate
 
 
@@ -234,6 +238,16 @@ class Machine(Settings):
         return make_geometry(
             *self.gimbals.in_report_axes(FLIP if self.upward > 0.0 else np.ones(3))
         )
+
+    @property
+    def rate(self) -> int:
+        """Frames of the control law a second [Hz]."""
+        return RATE if self.control_rate is None else round(self.control_rate.si / HERTZ)
+
+    @property
+    def frame(self) -> float:
+        """Control frame T [s]."""
+        return 1.0 / self.rate
 
     @property
     def working_stroke(self) -> float:

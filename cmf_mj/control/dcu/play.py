@@ -25,7 +25,6 @@ from cmf_mj.control.dcu.motion import (
 )
 from cmf_mj.control.dcu.state import CAPACITY
 from cmf_mj.core.compiled import compiled
-from cmf_mj.core.rates import FRAME
 
 
 @compiled
@@ -150,7 +149,7 @@ def _advance_clocks(dcu, state):  # type: ignore[no-untyped-def]
     The play clock's slew u is smoothed so that its time is twice differentiable:
     Tc^2 u'' + 2 Tc u' + u = target, integrated exactly for u'' constant in the frame.
     """
-    clocks = state.clocks[0]
+    clocks, frame = state.clocks[0], dcu.frame
     target = 0.0
     beyond = abs(clocks.lateness) - dcu.clock_tolerance
     if clocks.synchronised and beyond > 0.0:
@@ -159,17 +158,17 @@ def _advance_clocks(dcu, state):  # type: ignore[no-untyped-def]
             target = -target
     time = dcu.slew_time
     bend = (target - clocks.slew - 2.0 * time * clocks.slew_rate) / (time * time)
-    passed = FRAME * (
-        1.0 + clocks.slew + 0.5 * FRAME * clocks.slew_rate + FRAME * FRAME * bend / 6.0
+    passed = frame * (
+        1.0 + clocks.slew + 0.5 * frame * clocks.slew_rate + frame * frame * bend / 6.0
     )
-    clocks.slew += FRAME * (clocks.slew_rate + 0.5 * FRAME * bend)
-    clocks.slew_rate += FRAME * bend
+    clocks.slew += frame * (clocks.slew_rate + 0.5 * frame * bend)
+    clocks.slew_rate += frame * bend
     clocks.play += passed
     clocks.local += passed
-    clocks.since_gap += FRAME
-    clocks.silence += FRAME
-    clocks.held_age += FRAME
-    clocks.late_age += FRAME
+    clocks.since_gap += frame
+    clocks.silence += frame
+    clocks.held_age += frame
+    clocks.late_age += frame
     if clocks.holding and clocks.held_age > dcu.timeout:
         drop_held(state)
     if clocks.synchronised and clocks.silence > dcu.timeout:

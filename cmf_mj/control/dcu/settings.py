@@ -2,7 +2,7 @@
 
 The delay from a host's stamp to the leg demand adds up,
 
-    total = host interval + interpolation hold + (transmission + DCL frame) / 2048 Hz
+    total = host interval + interpolation hold + (transmission + DCL frame) / control rate
 
 and the report finds about 0.03 s (section 3.4.2).
 """
@@ -16,7 +16,7 @@ from pydantic import AfterValidator, model_validator
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Kind, Quantity, positive_in
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.rates import FRAME, RATE
 from cmf_mj.core.settings import Loader, Settings
 
 
@@ -62,16 +62,19 @@ class DelayBreakdown(Settings):
 
     @property
     def total(self) -> float:
-        """From a host's stamp to the leg demand [s]."""
+        """From a host's stamp to the leg demand at 2048 Hz [s]."""
         return self.play_delay + self.line_frames * FRAME
 
-    def parts(self) -> dict[str, float]:
-        """Every part in s, in the order of the signal; they add up to `total`."""
+    def parts(self, rate: int = RATE) -> dict[str, float]:
+        """Every part at a control rate [Hz] in s, in the order of the signal.
+
+        At 2048 Hz they add up to `total`.
+        """
         return {
-            "transmission": self.transmission.value * FRAME,
+            "transmission": self.transmission.value / rate,
             "host_interval": self.host_interval.si,
             "interpolation_hold": self.interpolation_hold.si,
-            "dcl_frame": self.dcl_frame.value * FRAME,
+            "dcl_frame": self.dcl_frame.value / rate,
         }
 
 
@@ -108,11 +111,6 @@ class DcuLimits(Settings):
 
     @model_validator(mode="after")
     def _consistent(self) -> "DcuLimits":
-        if self.minimum_interval.si < 2.0 * FRAME:
-            raise InputError(
-                f"minimum_interval: {self.minimum_interval.si} s must be at least two control "
-                f"frames, {2.0 * FRAME} s"
-            )
         if not self.minimum_interval.si < self.timeout.si <= MOST_TIMEOUT:
             raise InputError(
                 f"timeout: {self.timeout.si} s must exceed minimum_interval, "
@@ -175,16 +173,25 @@ class Dcu(NamedTuple):
     clock_time: float  #: Time constant of its correction [s].
     slew_time: float  #: Time constant that smooths its rate [s].
     line: int  #: Control frames in the transport line.
+    frame: float  #: T [s].
 
 
 load_dcu = Loader(DcuSettings, Path(__file__).with_name("dcu.toml"), what="dcu")
 """Loads the settings of a DCU: `default`, or a file with numbers of `[delay]` and `[dcu]`."""
 
 
-def make_dcu(source: str | Path | DcuSettings = "default") -> Dcu:
-    """Compile the settings of a DCU; arguments and errors are those of `load_dcu`."""
+def make_dcu(source: str | Path | DcuSettings = "default", frame: float = FRAME) -> Dcu:
+    """Compile the settings of a DCU for a control frame [s]; errors are those of `load_dcu`.
+
+    Frames of the host must be at least two control frames apart.
+    """
     settings = load_dcu(source)
     delay, limits = settings.delay, settings.dcu
+    if limits.minimum_interval.si < 2.0 * frame:
+        raise InputError(
+            f"minimum_interval: {limits.minimum_interval.si} s must be at least two control "
+            f"frames, {2.0 * frame} s"
+        )
     times = ("rejoin_time", "minimum_interval", "timeout", "stop_time", "clock_tolerance")
     numbers: dict[str, Any] = {name: getattr(limits, name).si for name in times}
     motions = ("pose", "velocity", "acceleration", "overtravel")
@@ -198,5 +205,6 @@ def make_dcu(source: str | Path | DcuSettings = "default") -> Dcu:
         clock_time=limits.clock_time.si,
         slew_time=limits.clock_time.si / _SMOOTHER,
         line=delay.line_frames,
+        frame=frame,
         **numbers,
     )
