@@ -270,7 +270,7 @@ def test_a_loaded_law_cannot_be_changed() -> None:
         (
             "derivative_pole = 60",
             "derivative_pole = 4096",
-            ["derivative_pole", "4096", "less than 4096"],
+            ["derivative_pole", "4096", "below twice the control rate, 4096 rad/s"],
         ),
         ("limit = 10.0", "limit = -1", ["integrator_limit", "-1", "greater than 0"]),
         ("trigger = -30.0", "trigger = -41", ["integrator_trigger", "-41", "-40"]),

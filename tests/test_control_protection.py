@@ -323,7 +323,7 @@ def test_settings_of_ones_own_and_refusals(tmp_path: Path) -> None:
             f"[tracking_error]\npersistence = 1\nthreshold = {quantity.format(0.0, 'in')}",
             "greater than 0 in",
         ),
-        (f"washout = {quantity.format(2048.0, '1/s')}", "washout: 2048.0 1/s is refused"),
+        (f"washout = {quantity.format(0.0, '1/s')}", "washout: 0.0 1/s is refused"),
         ("[over_heat]\npersistence = 1", "over_heat: is not a known field"),
     ):
         file.write_text(text)
