@@ -3,6 +3,9 @@
 RATE = 2048
 """Control frames a second [Hz]; the facility's DCL runs at 2048 Hz."""
 
+SLOWEST_RATE, FASTEST_RATE = 200, 10_000
+"""Control rates that a machine may have [Hz]."""
+
 FRAME = 1.0 / RATE
 """Control frame [s]; exact in binary."""
 

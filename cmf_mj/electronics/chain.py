@@ -36,7 +36,7 @@ from cmf_mj.electronics.sensors.suite import (
 from cmf_mj.electronics.servo_electronics import ServoElectronics, ServoSettings, ServoState
 from cmf_mj.machine import models
 from cmf_mj.machine.gravity import LegAxesState, leg_axes_state
-from cmf_mj.machine.machine import Machine
+from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant.events import read_position
 
 

@@ -1,4 +1,4 @@
-"""Signals: demands of one degree of freedom or of several, as commands at 2048 Hz."""
+"""Signals: demands of one degree of freedom or of several, as commands at the control rate."""
 
 from cmf_mj.signals.composite import (
     acceleration_step,

@@ -60,19 +60,23 @@ ROUNDS = (
 
 
 def _dwells(
-    tones: Sequence[tuple[float, float]], cycles: int, transient: float, fade: float, settle: float
+    tones: Sequence[tuple[float, float]],
+    transient: float,
+    signal: "SevenSines | SteppedSines",
 ) -> tuple[NDArray[np.float64], tuple[Dwell, ...]]:
     """History and dwells of (frequency [Hz], amplitude) tones in sequence."""
-    rest = np.zeros(round(settle * RATE))
-    before = round((fade + transient) * RATE)
-    after = round(fade * RATE)
+    rate, fade, cycles = signal.rate, signal.fade, signal.cycles
+    rest = np.zeros(round(signal.settle * rate))
+    before = round((fade + transient) * rate)
+    after = round(fade * rate)
     pieces, dwells, length = [rest], list[Dwell](), rest.size
     for frequency, amplitude in tones:
-        frames = round(cycles / frequency * RATE)
+        frames = round(cycles / frequency * rate)
         dwells.append(Dwell(length + before, frames, frequency, amplitude, cycles))
         samples = before + frames + after
-        time = (np.arange(samples) - before) / RATE
-        tone = amplitude * np.sin(2.0 * np.pi * frequency * time) * raised_cosine(samples, fade)
+        time = (np.arange(samples) - before) / rate
+        edges = raised_cosine(samples, fade, rate)
+        tone = amplitude * np.sin(2.0 * np.pi * frequency * time) * edges
         pieces += [tone, rest]
         length += samples + rest.size
     return np.concatenate(pieces), tuple(dwells)
@@ -103,7 +107,7 @@ class SevenSines(SingleSignal):
 
     def _made(self) -> tuple[NDArray[np.float64], tuple[Dwell, ...]]:
         tones = [(frequency, self.size) for frequency in ROUNDS[self.number - 1]]
-        return _dwells(tones, self.cycles, 0.0, self.fade, self.settle)
+        return _dwells(tones, 0.0, self)
 
     @property
     def dwells(self) -> tuple[Dwell, ...]:
@@ -146,7 +150,7 @@ class SteppedSines(Signal):
 
     def _made(self) -> tuple[NDArray[np.float64], tuple[Dwell, ...]]:
         tones = [(f, a) for f in self.frequencies for a in self._sizes()]
-        return _dwells(tones, self.cycles, self.transient, self.fade, self.settle)
+        return _dwells(tones, self.transient, self)
 
     @property
     def dwells(self) -> tuple[Dwell, ...]:
@@ -232,7 +236,7 @@ class AccelerationStep(Signal):
         return 2.0 * (self.at + self.hold)
 
     def _check(self) -> None:
-        if round(self.hold * RATE) < 2 or not self.acceleration:
+        if round(self.hold * self.rate) < 2 or not self.acceleration:
             raise InputError(
                 f"acceleration: {self.acceleration} over hold {self.hold} s is no step"
             )
@@ -240,8 +244,8 @@ class AccelerationStep(Signal):
 
     def command(self, seed: int = 0) -> Command:
         """Rest, path and rest."""
-        rest = round(self.at * RATE)
-        time = np.arange(1, round(self.hold * RATE) + 1) / RATE
+        rest = round(self.at * self.rate)
+        time = np.arange(1, round(self.hold * self.rate) + 1) / self.rate
         rise = 0.5 * self.acceleration * time**2
         end = self.acceleration * self.hold**2
         history = np.concatenate([np.zeros(rest), rise, end - rise[::-1], np.full(rest, end)])
@@ -274,7 +278,7 @@ class Waypoints(Signal):
 
     def command(self, seed: int = 0) -> Command:
         """The path."""
-        return Command(waypoints(self.times, self.poses), self)
+        return Command(waypoints(self.times, self.poses, self.rate), self)
 
 
 seven_sines = command_of(SevenSines)
@@ -313,7 +317,7 @@ def quintic(s: NDArray[np.float64]) -> NDArray[np.float64]:
     return s**3 * (10.0 - s * (15.0 - 6.0 * s))
 
 
-def waypoints(times: ArrayLike, values: ArrayLike) -> NDArray[np.float64]:
+def waypoints(times: ArrayLike, values: ArrayLike, rate: int = RATE) -> NDArray[np.float64]:
     """A path at rest at each of its points, of least jerk between them, for `legs=True`.
 
     From a to b, with s from 0 to 1 over the stretch: a + (b - a) (10 s^3 - 15 s^4 + 6 s^5), whose
@@ -322,9 +326,10 @@ def waypoints(times: ArrayLike, values: ArrayLike) -> NDArray[np.float64]:
     Args:
         times: of the points [s], from 0 upwards, (m,).
         values: at the points, e.g. extensions [m], (m, n).
+        rate: of the machine's control law [Hz].
 
     Returns:
-        (N, n) at 2048 Hz, the last point included.
+        (N, n), one row a control frame, the last point included.
 
     Raises:
         InputError: fewer than two points, times that do not rise from 0, or values that are not
@@ -335,7 +340,7 @@ def waypoints(times: ArrayLike, values: ArrayLike) -> NDArray[np.float64]:
     _rising(when)
     if points.shape[0] != when.size or points.ndim != 2 or not np.isfinite(points).all():
         raise InputError(f"values: must be {when.size} finite rows, one a time")
-    time = np.arange(round(when[-1] * RATE) + 1) / RATE
+    time = np.arange(round(when[-1] * rate) + 1) / rate
     index = np.clip(np.searchsorted(when, time, side="right") - 1, 0, when.size - 2)
     s = np.clip((time - when[index]) / np.diff(when)[index], 0.0, 1.0)[:, None]
     blend = quintic(s)

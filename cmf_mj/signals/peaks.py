@@ -1,6 +1,6 @@
 """Peaks of a command and the limits it must keep, known before the run.
 
-With q the pose or the leg extensions at the control frames and T = 1/2048 s,
+With q the pose or the leg extensions at the control frames and T the time between,
 
     velocity = max |q[k] - q[k-1]| / T,    acceleration = max |q[k+1] - 2 q[k] + q[k-1]| / T^2
 
@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import RATE
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_to_legs
@@ -78,8 +77,8 @@ def command_limits(machine: str | Path | Machine = models.CMF) -> Limits:
 def peaks(command: Command, machine: str | Path | Machine = models.CMF) -> Peaks:
     """Largest displacement, velocity and acceleration per degree of freedom and per leg."""
     legs = pose_to_legs(command.pose, machine)
-    velocity, acceleration = _rates(command.pose)
-    leg_velocity, leg_acceleration = _rates(legs)
+    velocity, acceleration = _rates(command.pose, command.rate)
+    leg_velocity, leg_acceleration = _rates(legs, command.rate)
     if np.isinf(velocity).any():
         leg_velocity = np.where(leg_velocity > 0.0, np.inf, 0.0)
     if np.isinf(acceleration).any():
@@ -136,11 +135,11 @@ def _excess(name: str, value: float, limit: float, unit: str) -> list[str]:
 
 
 def _rates(
-    history: NDArray[np.float64],
+    history: NDArray[np.float64], rate: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Peak velocity and acceleration of each column, from rest; infinite for jumps."""
-    velocity = np.diff(history, axis=0, prepend=history[:1]) * RATE
-    acceleration = np.diff(velocity, axis=0, prepend=0.0 * velocity[:1]) * RATE
+    velocity = np.diff(history, axis=0, prepend=history[:1]) * rate
+    acceleration = np.diff(velocity, axis=0, prepend=0.0 * velocity[:1]) * rate
     jumps = _stands_alone(velocity)
     return (
         np.where(jumps, np.inf, np.abs(velocity).max(axis=0)),

@@ -17,7 +17,7 @@ from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, model_v
 from cmf_mj.core import units
 from cmf_mj.core.arrays import frozen
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import RATE
+from cmf_mj.core.rates import FASTEST_RATE, RATE, SLOWEST_RATE
 from cmf_mj.core.settings import Settings, validated
 from cmf_mj.machine.dof import by_kind, dof_index
 
@@ -28,7 +28,7 @@ Dof = Literal["surge", "sway", "heave", "roll", "pitch", "yaw"]
 """Name of a degree of freedom."""
 
 LONGEST = 3600.0
-"""Longest signal that is made as a table [s]; an hour of poses takes 354 MB."""
+"""Longest signal that is made as a table, up to 2048 Hz [s]; an hour of poses takes 354 MB."""
 
 HIGHEST = 100.0
 """Largest demand [m or rad]: a hundred times the stroke of a leg."""
@@ -39,8 +39,13 @@ Duration = Annotated[float, Field(gt=0.0, le=LONGEST)]
 Wait = Annotated[float, Field(ge=0.0, le=LONGEST)]
 """A time of at least 0 [s]."""
 
-Frequency = Annotated[float, Field(ge=1e-4, le=RATE / 2)]
-"""At most half the frame rate; the longest signal holds a third of the slowest cycle [Hz]."""
+Frequency = Annotated[float, Field(ge=1e-4, le=FASTEST_RATE / 2)]
+"""At most half the control rate; the longest signal holds a third of the slowest cycle [Hz]."""
+
+Rate = Annotated[int, Field(ge=SLOWEST_RATE, le=FASTEST_RATE)]
+"""Control frames a second."""
+
+_FREQUENCIES = ("frequency", "frequencies", "start", "stop")
 
 _LENGTHS, _ANGLES = ("in", "m", "mm"), ("deg", "rad")
 
@@ -59,10 +64,11 @@ def check_not_negative(**values: float) -> None:
             raise InputError(f"{name}: {value} must be a finite number, at least 0")
 
 
-def check_length(seconds: float) -> None:
+def check_length(seconds: float, rate: int = RATE) -> None:
     """Refuse a table that would be too long to hold."""
-    if not seconds <= LONGEST:
-        raise InputError(f"length: {seconds:g} s of the signal is refused: at most {LONGEST:g} s")
+    most = LONGEST * min(RATE / rate, 1.0)
+    if not seconds <= most:
+        raise InputError(f"length: {seconds:g} s of the signal is refused: at most {most:g} s")
 
 
 def check_highest(field: str, *sizes: float) -> None:
@@ -120,11 +126,19 @@ class Signal(Settings):
     """A demand of platform pose, as its settings."""
 
     kind: str  #: Name of the kind of signal.
+    rate: Rate = RATE  #: Of the machine's control law [Hz]: poses a second.
 
     @model_validator(mode="after")
     def _checked(self) -> Self:
+        for name in set(_FREQUENCIES) & set(type(self).model_fields):
+            highest = float(np.max(getattr(self, name)))
+            if highest > self.rate / 2:
+                raise InputError(
+                    f"{name}: {highest:g} Hz must be at most half the control rate, "
+                    f"{self.rate / 2:g} Hz"
+                )
         self._check()
-        check_length(self.length)
+        check_length(self.length, self.rate)
         return self
 
     @property
@@ -137,7 +151,7 @@ class Signal(Settings):
 
     @abstractmethod
     def command(self, seed: int = 0) -> "Command":
-        """The signal at 2048 Hz; the seed is that of a signal with none in its settings."""
+        """The signal at its rate; the seed is that of a signal with none in its settings."""
 
     def motion(self, seed: int = 0) -> Motion:
         """The signal as a function of the control frames since it began; holds its last pose."""
@@ -145,7 +159,8 @@ class Signal(Settings):
 
     def described(self) -> dict[str, Any]:
         """The settings in SI as plain JSON values, without the seed."""
-        table = self.model_dump(mode="json", exclude={"seed"}, exclude_none=True)
+        usual = {"rate"} if self.rate == RATE else set[str]()
+        table = self.model_dump(mode="json", exclude={"seed"} | usual, exclude_none=True)
         return table | self._sizes_in_si()
 
     def _sizes_in_si(self) -> dict[str, Any]:
@@ -207,10 +222,10 @@ class SingleSignal(Signal):
 
     @abstractmethod
     def _history(self, seed: int) -> NDArray[np.float64]:
-        """Displacement at 2048 Hz [m or rad], (N,)."""
+        """Displacement at each frame [m or rad], (N,)."""
 
     def command(self, seed: int = 0) -> "Command":
-        """The signal as a table of poses at 2048 Hz."""
+        """The signal as a table of poses."""
         fixed = getattr(self, "seed", None)
         seed = seed if fixed is None else fixed
         poses = along({self.dof: self._history(seed)})
@@ -237,9 +252,25 @@ class Command:
         object.__setattr__(self, "pose", frozen(np.asarray(self.pose, dtype=float)))
 
     @staticmethod
-    def from_pose(pose: ArrayLike) -> "Command":
-        """A command from an array `pose` (N, 6) at 2048 Hz."""
-        return Command(np.asarray(pose, dtype=float))
+    def from_pose(pose: ArrayLike, rate: int = RATE) -> "Command":
+        """A command from an array `pose` (N, 6) at a control rate [Hz]."""
+        return Command(np.asarray(pose, dtype=float), Other(rate=rate))
+
+    @property
+    def rate(self) -> int:
+        """Poses a second [Hz]."""
+        return self.signal.rate
+
+    def at(self, rate: int) -> "Command":
+        """The same signal at another control rate [Hz]; an array of poses has its own alone."""
+        if rate == self.rate:
+            return self
+        if isinstance(self.signal, Other):
+            raise InputError(
+                f"command: its poses are {self.rate} a second; the machine takes {rate} a second"
+            )
+        table = self.signal.model_dump() | {"rate": rate}
+        return validated(type(self.signal), table, "command").command(self.seed or 0)
 
     @property
     def description(self) -> dict[str, Any]:
@@ -249,7 +280,7 @@ class Command:
     @property
     def duration(self) -> float:
         """Length [s]."""
-        return self.pose.shape[0] / RATE
+        return self.pose.shape[0] / self.rate
 
 
 def tabulated(poses: NDArray[np.float64]) -> Motion:

@@ -1,4 +1,4 @@
-"""Excitations of one degree of freedom, at 2048 Hz.
+"""Excitations of one degree of freedom.
 
 Steps, pulses, sines, noise and chirps start at rest; a multisine repeats without a gap, and its
 first period is the transient. Where a history would start or end in motion, a `fade` [s] takes
@@ -14,7 +14,7 @@ from pydantic import Field
 from scipy import signal
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import RATE
+from cmf_mj.core.rates import FASTEST_RATE
 from cmf_mj.core.settings import Seed
 from cmf_mj.machine.dof import dof_index
 from cmf_mj.signals.signal import (
@@ -28,24 +28,26 @@ from cmf_mj.signals.signal import (
     command_of,
 )
 
-Cycles = Annotated[float, Field(gt=0.0, le=LONGEST * RATE / 2)]
+Cycles = Annotated[float, Field(gt=0.0, le=LONGEST * FASTEST_RATE / 2)]
 """Cycles above 0: at most those of the longest signal at the highest frequency."""
 
 
-def raised_cosine(samples: int, fade: float, *, fade_out: bool = True) -> NDArray[np.float64]:
+def raised_cosine(
+    samples: int, fade: float, rate: int, *, fade_out: bool = True
+) -> NDArray[np.float64]:
     """Envelope (samples,): 0 to 1 within the first `fade` [s], 1 to 0 within the last."""
-    time = np.arange(samples) / RATE
-    left = samples / RATE - time if fade_out else np.inf
+    time = np.arange(samples) / rate
+    left = samples / rate - time if fade_out else np.inf
     edge = np.minimum(time, left) / fade if fade > 0.0 else np.ones(samples)
     return 0.5 * (1.0 - np.cos(np.pi * np.clip(edge, 0.0, 1.0)))
 
 
-def _time(duration: float) -> NDArray[np.float64]:
-    return np.arange(round(duration * RATE)) / RATE
+def _time(duration: float, rate: int) -> NDArray[np.float64]:
+    return np.arange(round(duration * rate)) / rate
 
 
-def _rested(history: NDArray[np.float64], settle: float) -> NDArray[np.float64]:
-    rest = np.zeros(round(settle * RATE))
+def _rested(history: NDArray[np.float64], settle: float, rate: int) -> NDArray[np.float64]:
+    rest = np.zeros(round(settle * rate))
     return np.concatenate([rest, history, rest])
 
 
@@ -59,14 +61,14 @@ class Step(SingleSignal):
     @property
     def length(self) -> float:
         """Length of the table [s]."""
-        return self.at + 2.0 / RATE if self.duration is None else self.duration
+        return self.at + 2.0 / self.rate if self.duration is None else self.duration
 
     def _check(self) -> None:
         if self.at >= self.length:
             raise InputError(f"at: {self.at} s must be less than the duration of {self.length} s")
 
     def _history(self, seed: int) -> NDArray[np.float64]:
-        return np.where(_time(self.length) >= self.at, self.size, 0.0)
+        return np.where(_time(self.length, self.rate) >= self.at, self.size, 0.0)
 
 
 class Pulse(SingleSignal):
@@ -80,24 +82,26 @@ class Pulse(SingleSignal):
     @property
     def length(self) -> float:
         """Length of the table [s]."""
-        return self.at + self.width + 3.0 / RATE if self.duration is None else self.duration
+        return self.at + self.width + 3.0 / self.rate if self.duration is None else self.duration
 
     def _check(self) -> None:
         begin, frames = self._frames()
         if frames < 2:
-            raise InputError(f"width: {self.width} s must be at least two frames, {2 / RATE} s")
-        if begin + frames >= round(self.length * RATE):
+            raise InputError(
+                f"width: {self.width} s must be at least two frames, {2 / self.rate} s"
+            )
+        if begin + frames >= round(self.length * self.rate):
             raise InputError(
                 f"width: {self.width} s after {self.at} s must be within the {self.length} s of "
                 "the run"
             )
 
     def _frames(self) -> tuple[int, int]:
-        return max(round(self.at * RATE), 1), round(self.width * RATE)
+        return max(round(self.at * self.rate), 1), round(self.width * self.rate)
 
     def _history(self, seed: int) -> NDArray[np.float64]:
         begin, frames = self._frames()
-        history = np.zeros(round(self.length * RATE))
+        history = np.zeros(round(self.length * self.rate))
         history[begin : begin + frames] = self.size
         return history
 
@@ -106,7 +110,7 @@ class Sine(SingleSignal):
     """A sine of whole or part `cycles`, faded in and out by raised cosines of `fade` [s]."""
 
     kind: Literal["sine"]
-    frequency: Frequency  #: Frequency [Hz], at most half the frame rate.
+    frequency: Frequency  #: Frequency [Hz], at most half the control rate.
     cycles: Cycles | None = 10.0  #: Length; None goes on for ever, as a motion only.
     fade: Duration = 1.0  #: Of the ends [s]; at most half the sine.
     rest: Wait = 0.0  #: At the pose zero afterwards [s].
@@ -121,11 +125,11 @@ class Sine(SingleSignal):
             raise InputError("cycles: a sine without an end has no table")
         duration = self.cycles / self.frequency
         fade = min(self.fade, 0.5 * duration)
-        time = _time(duration)
+        time = _time(duration, self.rate)
         edge = np.clip(np.minimum(time, duration - time) / fade, 0.0, 1.0)
         sine = self.size * np.sin(2 * np.pi * self.frequency * time)
         history = sine * 0.5 * (1 - np.cos(np.pi * edge))
-        return np.concatenate([history, np.zeros(round(self.rest * RATE))])
+        return np.concatenate([history, np.zeros(round(self.rest * self.rate))])
 
     def motion(self, seed: int = 0) -> Motion:
         """The sine, endless without `cycles`."""
@@ -134,7 +138,7 @@ class Sine(SingleSignal):
         index, size = dof_index(self.dof), self.size
 
         def endless(frames: NDArray[np.int64]) -> NDArray[np.float64]:
-            time = np.maximum(frames, 0) / RATE
+            time = np.maximum(frames, 0) / self.rate
             grown = 0.5 * (1.0 - np.cos(np.pi * np.minimum(time / self.fade, 1.0)))
             poses = np.zeros((frames.size, 6))
             poses[:, index] = size * grown * np.sin(2.0 * np.pi * self.frequency * time)
@@ -152,7 +156,7 @@ class Chirp(SingleSignal):
 
     kind: Literal["chirp"]
     start: Frequency = 0.01  #: First frequency [Hz].
-    stop: Frequency = 10.0  #: Last frequency [Hz], at most half the frame rate.
+    stop: Frequency = 10.0  #: Last frequency [Hz], at most half the control rate.
     duration: Duration = 100.0  #: Length of the sweep [s].
     settle: Duration = 2.0  #: Rest before and after, so that the record starts and ends still [s].
     fade: Wait = 0.0  #: Of the two ends of the sweep [s].
@@ -175,9 +179,11 @@ class Chirp(SingleSignal):
     def _history(self, seed: int) -> NDArray[np.float64]:
         start, stop = self.band
         sweep = self.size * signal.chirp(
-            _time(self.duration), start, self.duration, stop, method="linear", phi=-90.0
+            _time(self.duration, self.rate), start, self.duration, stop, method="linear", phi=-90.0
         )
-        return _rested(sweep * raised_cosine(sweep.size, self.fade), self.settle)
+        return _rested(
+            sweep * raised_cosine(sweep.size, self.fade, self.rate), self.settle, self.rate
+        )
 
 
 class Noise(SingleSignal):
@@ -210,17 +216,17 @@ class Noise(SingleSignal):
             )
 
     def _inside(self) -> NDArray[np.bool_]:
-        frequency = np.fft.rfftfreq(round(self.duration * RATE), 1.0 / RATE)
+        frequency = np.fft.rfftfreq(round(self.duration * self.rate), 1.0 / self.rate)
         return (frequency >= self.start) & (frequency <= self.stop)
 
     def _history(self, seed: int) -> NDArray[np.float64]:
-        samples, band = round(self.duration * RATE), self._inside()
+        samples, band = round(self.duration * self.rate), self._inside()
         draw = np.random.default_rng(seed).standard_normal((2, np.count_nonzero(band)))
         spectrum = np.zeros(band.size, dtype=complex)
         spectrum[band] = draw[0] + 1j * draw[1]
-        history = np.fft.irfft(spectrum, samples) * raised_cosine(samples, self.fade)
+        history = np.fft.irfft(spectrum, samples) * raised_cosine(samples, self.fade, self.rate)
         size = np.abs(history).max() if self.scale == "peak" else np.sqrt(np.mean(history**2))
-        return _rested(history * (self.size / size), self.settle)
+        return _rested(history * (self.size / size), self.settle, self.rate)
 
 
 class Lines(Signal):
@@ -244,9 +250,9 @@ class Lines(Signal):
         return self.periods * self.period + self.fade
 
     def _check(self) -> None:
-        if abs(round(self.period * RATE) / RATE - self.period) > 1e-9:
+        if abs(round(self.period * self.rate) / self.rate - self.period) > 1e-9:
             raise InputError(
-                f"period: {self.period} s must be a whole number of frames of 1/{RATE} s"
+                f"period: {self.period} s must be a whole number of frames of 1/{self.rate} s"
             )
         if self.orders.size == 0:
             raise InputError(
@@ -259,7 +265,7 @@ class Lines(Signal):
     @property
     def orders(self) -> NDArray[np.int64]:
         """Numbers of the lines: odd multiples of 1/period."""
-        orders = np.arange(1, round(self.period * RATE) // 2, 2)
+        orders = np.arange(1, round(self.period * self.rate) // 2, 2)
         inside = (orders >= self.start * self.period) & (orders <= self.stop * self.period)
         return orders[inside]
 
@@ -267,7 +273,7 @@ class Lines(Signal):
         self, amplitude: float, orders: NDArray[np.int64], generator: np.random.Generator
     ) -> NDArray[np.float64]:
         """The periods and the tail: of this peak, from the sample nearest to zero."""
-        samples, weights = round(self.period * RATE), np.ones(orders.size)
+        samples, weights = round(self.period * self.rate), np.ones(orders.size)
         if self.spectrum == "acceleration":
             weights = np.minimum(1.0, (self.corner / (orders / self.period)) ** 2)
         phases = generator.uniform(0.0, 2.0 * np.pi, orders.size)
@@ -276,10 +282,12 @@ class Lines(Signal):
         once = np.fft.irfft(spectrum, samples)
         once *= amplitude / np.abs(once).max()
         once = np.roll(once, -int(np.abs(once).argmin()))
-        tail = round(self.fade * RATE)
+        tail = round(self.fade * self.rate)
         history = np.concatenate([np.tile(once, self.periods), once[:tail]])
-        history[:tail] *= raised_cosine(tail, self.fade, fade_out=False)
-        history[history.size - tail :] *= raised_cosine(tail, self.fade, fade_out=False)[::-1]
+        history[:tail] *= raised_cosine(tail, self.fade, self.rate, fade_out=False)
+        history[history.size - tail :] *= raised_cosine(tail, self.fade, self.rate, fade_out=False)[
+            ::-1
+        ]
         return history
 
 

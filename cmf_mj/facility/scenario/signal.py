@@ -14,7 +14,6 @@ from pydantic import Field
 from scipy.interpolate import BPoly
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import RATE
 from cmf_mj.facility.host.files import read_stream
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite, single
@@ -63,13 +62,13 @@ class HostFile(AnySignal):
         _check_file(self.file)
 
     def command(self, seed: int = 0) -> Command:
-        """Poses at 2048 Hz from the first frame's time to the last one's."""
+        """Poses from the first frame's time to the last one's."""
         stream = read_stream(self.file, derivatives=self.derivatives)
         if stream.time.size < 2:
             raise InputError(f"{self.file}: {stream.time.size} frames; at least 2 are needed")
         since = stream.time - stream.time[0]
-        check_length(float(since[-1]))
-        time = np.arange(int(np.floor(since[-1] * RATE + 1e-9)) + 1) / RATE
+        check_length(float(since[-1]), self.rate)
+        time = np.arange(int(np.floor(since[-1] * self.rate + 1e-9)) + 1) / self.rate
         return Command(BPoly.from_derivatives(since, stream.values)(time), self)
 
 
@@ -77,7 +76,7 @@ class Recorded(AnySignal):
     """The demand of a record of an earlier run."""
 
     kind: Literal["recorded"]
-    file: str  #: Parquet record with a `demand_pose` at 2048 Hz.
+    file: str  #: Parquet record with a `demand_pose` of every frame.
 
     def _check(self) -> None:
         _check_file(self.file)
@@ -85,8 +84,10 @@ class Recorded(AnySignal):
     def command(self, seed: int = 0) -> Command:
         """The recorded demand."""
         record = Record.load(self.file)
-        if abs(record.rate - RATE) > 1e-9:
-            raise InputError(f"{self.file}: sample_rate: {record.rate:g} Hz; allowed: {RATE} Hz")
+        if abs(record.rate - self.rate) > 1e-9:
+            raise InputError(
+                f"{self.file}: sample_rate: {record.rate:g} Hz; allowed: {self.rate} Hz"
+            )
         return Command(record["demand_pose"], self)
 
 
