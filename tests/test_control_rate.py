@@ -20,7 +20,7 @@ from cmf_mj.facility.host.stream import arrivals, make_stream
 
 def held(law: Law, frames: int) -> np.ndarray:
     """Outputs of compensator and accelerometer filter for inputs held at 1, frame by frame."""
-    compensator, feedback = make_compensator(law, 1), make_feedback(law)
+    compensator, feedback = make_compensator(law, 1), make_feedback(law, 1.0)
     state = filtered = 0.0
     found = np.empty((frames, 2))
     for k in range(frames):
@@ -66,7 +66,7 @@ def test_what_a_rate_forbids_is_refused() -> None:
 def test_the_valve_fades_in_the_same_time(rate: int) -> None:
     """From off, raised: the gain on the valve command is 1 after `valve_time`, not before."""
     settings = states.load_state_settings()
-    compiled = states.make_states(settings, 1.0 / rate)
+    compiled = states.make_states(settings)._replace(frame=1.0 / rate)
     state = states.start(compiled, State.OFF, np.full(6, -0.96))
     demand, reference = np.zeros((3, 6)), np.zeros((3, 6))
     frames = 0
