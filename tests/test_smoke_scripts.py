@@ -102,7 +102,7 @@ def test_update_docs_takes_tables_and_figures_of_studies(tmp_path: Path) -> None
         (results / name).parent.mkdir(parents=True, exist_ok=True)
         (results / name).write_text(f"new {name}")
     run("update_docs.py", "--results", str(results), "--root", str(root), cwd=tmp_path)
-    page = (root / "docs" / "explanation" / "acceleration_in_rotation.md").read_text()
+    page = (root / "docs" / "reference" / "rotation_tables.md").read_text()
     assert "<!-- table: rotation/stability -->\n\nnew rotation/stability.md\n" in page
     assert (root / "docs/data/rotation_stability.csv").read_text() == "new rotation/stability.csv"
     assert (root / "docs" / "images" / "ladder.png").read_text() == "new ablation/ladder.png"
@@ -194,7 +194,7 @@ def test_update_docs_takes_tables_from_studies_and_data(tmp_path: Path) -> None:
     (study / "calibration.md").write_text("| a table |\n", encoding="utf-8")
     run("update_docs.py", "--root", str(tmp_path), cwd=tmp_path)
     assert ledger.read_text(encoding="utf-8") == shipped
-    page = (tmp_path / "docs" / "explanation" / "calibration.md").read_text(encoding="utf-8")
+    page = (tmp_path / "docs" / "reference" / "calibration_tables.md").read_text(encoding="utf-8")
     assert "<!-- table: calibrate/report -->\n\n| a table |\n\n<!-- end -->" in page
 
 

@@ -103,7 +103,7 @@ def verdict_text(result: Examination) -> str:
 
 
 def markdown(result: Examination) -> str:
-    """The tables as Markdown, for docs/explanation/calibration.md."""
+    """The tables as Markdown, for docs/reference/calibration_tables.md."""
     parts = [table.markdown() for table in tables(result)]
     if result.verdicts:
         parts.append(f"{verdict_text(result).capitalize()}.\n")
