@@ -5,7 +5,7 @@ A command imports what it needs when it runs, so that help and completion wait f
 
 import signal
 
-from cmf_mj.cli import analyse, export, facility, flight, report, simulate, studies, watch  # noqa: F401, I001
+from cmf_mj.cli import analyse, export, facility, flight, machine, report, simulate, studies, watch  # noqa: E501, F401, I001
 from cmf_mj.cli.common import app
 
 

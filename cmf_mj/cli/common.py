@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
@@ -33,8 +33,62 @@ def refuse(error: Exception) -> NoReturn:
     raise SystemExit(2)
 
 
+MACHINE = "cmf_mj.machine"
+"""Key of the machine that `--machine` chooses, in the context of a command."""
+
+
+def _choose_machine(ctx: typer.Context, value: str) -> str:
+    if not ctx.resilient_parsing:
+        ctx.meta[MACHINE] = value
+    return value
+
+
+def _complete_machine(incomplete: str) -> list[str]:
+    from cmf_mj.machine.models import machine_names
+
+    return [name for name in machine_names() if name.startswith(incomplete)]
+
+
+_CHOICE = typer.Option(
+    metavar="MACHINE",
+    help="motion base by name or TOML file",
+    is_eager=True,
+    expose_value=False,
+    callback=_choose_machine,
+    autocompletion=_complete_machine,
+)
+
+
+def _machine_option() -> Any:
+    """The option `--machine` as Typer makes it, for commands that need not know of it."""
+    alone = typer.Typer(add_completion=False)
+
+    @alone.command()
+    def _(machine: Annotated[str, _CHOICE] = "cmf") -> None: ...
+
+    return typer.main.get_command(alone).params[0]
+
+
+def _add_machine(commands: Iterable[Any]) -> None:
+    """Give every command that takes a cab or a hydraulic set the option `--machine`."""
+    for command in commands:
+        _add_machine(getattr(command, "commands", {}).values())
+        names = [parameter.name for parameter in command.params]
+        places = [names.index(name) for name in ("cab", "cabs", "hydraulics") if name in names]
+        if places and "machine" not in names:
+            command.params.insert(min(places), _machine_option())
+
+
 class Commands(TyperGroup):
-    """Commands whose errors of use are one line; a defect keeps its traceback."""
+    """Commands whose errors of use are one line; a defect keeps its traceback.
+
+    Those that build a machine take `--machine`.
+    """
+
+    def __init__(self, **attributes: Any) -> None:
+        """Make the group of its commands."""
+        super().__init__(**attributes)
+        _add_machine(self.commands.values())
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""

@@ -137,12 +137,14 @@ def run_command(
     out: options.Out = Path("out/cue"),
 ) -> None:
     """Turn a flight into host frames and report what the pilot senses of it."""
+    from cmf_mj.machine.cab import load_cab
     from cmf_mj.machine.motion_limits import load_motion_limits
     from cmf_mj.pilot.cueing.flight import cue
     from cmf_mj.pilot.motion import PilotMotion
     from cmf_mj.show import cueing as report
 
-    motion, bounds = PilotMotion.load(flight), load_motion_limits(limits)
+    motion = PilotMotion.load(flight)
+    bounds = load_motion_limits(limits, load_cab(cab).machine)
     thresholds = None if senses is None else str(senses)
     flown = cue(motion, washout, cab=cab, limits=bounds, senses=thresholds, rate=rate)
     paths = report.save_cue(flown, out)
@@ -163,6 +165,7 @@ def tune_command(
     out: options.Out = Path("out/cue"),
 ) -> None:
     """Find the gains with which a flight just uses the machine."""
+    from cmf_mj.machine.cab import load_cab
     from cmf_mj.machine.motion_limits import load_motion_limits
     from cmf_mj.pilot.cueing.flight import tune
     from cmf_mj.pilot.cueing.settings import load_washout, save_washout
@@ -171,7 +174,7 @@ def tune_command(
 
     before, motion = load_washout(washout), PilotMotion.load(flight)
     use: dict[str, Any] = {"share": share, "largest_gain": largest_gain, "rate": rate}
-    bounds = load_motion_limits(limits)
+    bounds = load_motion_limits(limits, load_cab(cab).machine)
     tuned = tune(motion, before, cab=cab, dofs=tuple(dofs), limits=bounds, **use)
     path = save_washout(tuned.settings, out / "washout.toml")
     gains = report.tuned_table(tuned, before.gains)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args
 import typer
 from typer import Argument, Option
 
-from cmf_mj.cli.common import claim, target
+from cmf_mj.cli.common import MACHINE, claim, target
 from cmf_mj.core.errors import check_name
 
 
@@ -62,6 +62,44 @@ def choice(
     return make(help=text, metavar=metavar, autocompletion=complete, callback=checked)
 
 
+def of_machine(source: str, metavar: str, text: str, make: Callable[..., Any] = Option) -> Any:
+    """An option whose names and default are those of the machine that `--machine` chooses.
+
+    The command gets what is loaded: a cab, several, or a hydraulic set; of laws the name. A default
+    stands for the machine's own unless that is the CMF.
+    """
+    plain = choice(source, metavar, text, free=True, make=make)
+    named = plain.callback
+
+    def loaded(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
+        names = named(ctx, param, value)
+        if ctx.resilient_parsing or not names:
+            return names
+        return _on_machine(ctx, param.name or "", names)
+
+    plain.callback = loaded
+    return plain
+
+
+def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
+    from cmf_mj.machine.cab import load_cab
+    from cmf_mj.machine.machine import load_machine
+    from cmf_mj.machine.models import CMF
+    from cmf_mj.plant.parameters.loading import hydraulics_of
+
+    machine = load_machine(ctx.meta.get(MACHINE, CMF))
+    given = ctx.get_parameter_source(field)
+    own = machine.name != CMF and given is not None and given.name.startswith("DEFAULT")
+    if field == "hydraulics":
+        return hydraulics_of(machine, None if own else names)
+    if field == "law":
+        return machine.law if own else names
+    if field == "cab":
+        return load_cab(None if own else names, machine)
+    everything = own or names == names_in(CABS)
+    return [load_cab(name, machine) for name in (machine.cab_names if everything else names)]
+
+
 name_or_file = partial(choice, free=True)
 """As `choice`, for names and files."""
 
@@ -80,10 +118,11 @@ ALL, VELOCITY = ["all"], ["velocity"]
 CAMERAS = ("overview", "side", "front")
 """Cameras of the machine."""
 
-DOFS, LAWS = "machine.kinematics:DOFS", "cli.options:shipped_laws"
+DOFS, LAWS = "machine.geometry:DOFS", "cli.options:shipped_laws"
 """Where names stand, for `names_in`."""
 CABS, _PLANTS = "machine.models:CABS", "plant.build:PLANTS"
 OIL, SENSORS = "plant.parameters.loading:HYDRAULICS", "electronics.sensors.settings:SENSOR_SETS"
+MACHINES = "machine.models:machine_names"
 SCENARIOS = "facility.scenario.library:scenario_names"
 _SETS, _REPORT = "report, hardware, lossy or TOML file", "control.law:law_names"
 _WASHOUTS, _SHIPPED = "pilot.cueing.settings:WASHOUTS", "simona, reid_nahon, optimal or TOML file"
@@ -93,16 +132,19 @@ Dof = Annotated[str, choice(DOFS, "DOF", "surge, sway, heave, roll, pitch or yaw
 AnyDof = Annotated[str, name_or_file(DOFS, "DOF", "degree of freedom, or leg_1 to leg_6")]
 AnyDofs = Annotated[list[str], name_or_file(DOFS, "DOFS", "degrees of freedom or legs, or `all`")]
 Dofs = Annotated[list[str], choice(DOFS, "DOFS", "degrees of freedom, or `all`")]
-Law = Annotated[str, name_or_file(LAWS, "LAW", "law by name or TOML file")]
+Law = Annotated[str, of_machine(LAWS, "LAW", "law by name or TOML file")]
 OtherLaw = Annotated[str | None, name_or_file(LAWS, "LAW", "default that of the file")]
 Laws = Annotated[list[str], name_or_file(LAWS, "LAWS", _MANY_LAWS, every=_REPORT)]
-Cab = Annotated[str, name_or_file(CABS, "CAB", "gfd, rfd, ifd or TOML file")]
-Cabs = Annotated[list[str], name_or_file(CABS, "CABS", "gfd, rfd, ifd, TOML files, or `all`")]
+Cab = Annotated[str, of_machine(CABS, "CAB", "of the machine, by name or TOML file")]
+Cabs = Annotated[list[str], of_machine(CABS, "CABS", "of the machine, TOML files, or `all`")]
+OtherMachine = Annotated[
+    str | None, name_or_file(MACHINES, "MACHINE", "in place of the scenario's")
+]
 OtherCab = Annotated[str | None, name_or_file(CABS, "CAB", "in place of the scenario's")]
 PlantName = Annotated[str, choice(_PLANTS, "PLANT", "hexapod or single_legs")]
 Plants = Annotated[list[str], choice(_PLANTS, "PLANTS", "hexapod, single_legs, or `all`")]
-Hydraulics = Annotated[str, name_or_file(OIL, "SET", _SETS)]
-HydraulicSet = Annotated[str, argument(OIL, "[SET]", _SETS, free=True)]
+Hydraulics = Annotated[str, of_machine(OIL, "SET", _SETS)]
+HydraulicSet = Annotated[str, of_machine(OIL, "[SET]", _SETS, make=Argument)]
 Washout = Annotated[str, name_or_file(_WASHOUTS, "WASHOUT", _SHIPPED)]
 Scenario = Annotated[str, argument(SCENARIOS, "[SCENARIO]", "name or TOML file", free=True)]
 Pose = Annotated[str, Option(metavar="POSE", help="x,y,z [in],roll,pitch,yaw [deg], z down")]

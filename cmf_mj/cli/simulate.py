@@ -43,6 +43,7 @@ _SIZE = "of translations; rotations 0.2 deg and steps 1 in to 0.33 in"
 def run_command(
     context: Context,
     scenario: options.Scenario = "",
+    machine: options.OtherMachine = None,
     cab: options.OtherCab = None,
     out: options.NamedOut = None,
     schema: Annotated[bool, Option("--schema", help="print a scenario's JSON schema")] = False,
@@ -60,7 +61,7 @@ def run_command(
         for name in scenario_names():
             show(f"{name:24} {load_scenario(name).title}")
         return
-    chosen = changed_scenario(load_scenario(scenario), cab=cab)
+    chosen = changed_scenario(load_scenario(scenario), machine=machine, cab=cab)
     folder = claim(context, out or Path("out/run") / Path(scenario).stem)
     with progress_bar() as progress:
         record = run_scenario(chosen, progress=progress)

@@ -29,6 +29,7 @@ _Law = Annotated[
 def view_command(
     scenario: options.Scenario = "heave_sine",
     law: _Law = None,
+    machine: options.OtherMachine = None,
     cab: options.OtherCab = None,
     speed: options.Speed = 1.0,
     dof: Annotated[
@@ -49,7 +50,9 @@ def view_command(
     if dof is not None:
         size = list(quantity("amplitude", amplitude))
         sine = [{"kind": "sine", "dof": dof, "amplitude": size, "frequency": frequency}]
-    chosen = changed_scenario(load_scenario(scenario), law=law, cab=cab, signal=sine)
+    chosen = changed_scenario(
+        load_scenario(scenario), law=law, machine=machine, cab=cab, signal=sine
+    )
     if sine is not None:
         chosen = changed_scenario(chosen, duration="open")
 
@@ -73,6 +76,7 @@ def video_command(
     laws: Annotated[
         list[str] | None, choice(options.LAWS, "LAWS", "laws next to each other", free=True)
     ] = None,
+    machine: options.OtherMachine = None,
     cab: options.OtherCab = None,
     file: Annotated[Path, new_file(help="MP4 or GIF file")] = Path("out/video.mp4"),
     fps: options.Fps = 30,
@@ -101,7 +105,7 @@ def video_command(
                 continue
             base = load_scenario(source)
             for law in laws or [base.law]:
-                one = changed_scenario(base, law=law, cab=cab)
+                one = changed_scenario(base, law=law, machine=machine, cab=cab)
                 records.append(run_scenario(one, progress=progress))
                 titles.append(one.law if laws else one.title or Path(source).stem)
     settings = FilmSettings(fps, speed, camera, width, height, start=start, seconds=seconds)

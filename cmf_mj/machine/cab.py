@@ -70,7 +70,7 @@ class Cab(RigidBody):
     def station(self) -> NDArray[np.float64]:
         """Where the crew feels the motion, from the platform's centroid, z down [m], (3,)."""
         place: NDArray[np.float64] = self.machine.cabs[self.base].station.si
-        return place * FLIP
+        return place * FLIP if self.machine.upward > 0.0 else place
 
     @property
     def known_as(self) -> "Cab":

@@ -22,7 +22,7 @@ Files that a machine names lie beside it.
 """
 
 from collections.abc import Mapping
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -159,7 +159,12 @@ class SingleLeg(Settings):
 
 
 class Machine(Settings):
-    """A motion base with six legs, as a data sheet describes it; see `load_machine`."""
+    """A motion base with six legs, as a data sheet describes it; see `load_machine`.
+
+    >>> machine = cmf_mj.load_machine("simona")
+    >>> round(machine.geometry.neutral[0].item(), 4), machine.working_stroke
+    (2.7061, 0.525)
+    """
 
     name: Name  #: Name of the machine.
     title: str = Field(min_length=1)  #: What it is, in a line.
@@ -170,12 +175,12 @@ class Machine(Settings):
     law: str = "velocity"  #: Control law by default.
     dcu: str = "default"  #: Digital control unit by default.
     control_rate: _Rate | None = None  #: Frames of the control law [Hz]; default 2048.
-    gimbals: Gimbals
-    legs: LegDesign
-    platform: RigidBody
+    gimbals: Gimbals  #: Where the legs are joined.
+    legs: LegDesign  #: Strokes and masses of a leg.
+    platform: RigidBody  #: Without cabs.
     cabs: Mapping[Name, CabDesign] = Field(min_length=1)  #: By name, the default one first.
-    limits: StatedLimits
-    single_leg: SingleLeg = SingleLeg()
+    limits: StatedLimits  #: Of platform and legs; see `load_motion_limits`.
+    single_leg: SingleLeg = SingleLeg()  #: Design point of a leg alone.
     floor: _Height | None = None
     """Height of the floor, z as in `axes`; default a tenth of the height below the gimbals."""
     force_area: Area | None = None
@@ -218,7 +223,7 @@ class Machine(Settings):
         return self
 
     def check_above_floor(self, part: str, body: RigidBody) -> None:
-        """Refuse a centre of mass below the floor: an axis is likely to be upside down."""
+        """Refuse a `body`, the table `part`, below the floor: its axes may be upside down."""
         height = float(body.centre_of_mass.si[2]) * self.upward
         if height < self.floor_height:
             field = f"{part}.centre_of_mass" if part else "centre_of_mass"
@@ -232,12 +237,10 @@ class Machine(Settings):
         """Sign of a height in the file's axes."""
         return 1.0 if self.axes == "z up" else -1.0
 
-    @cached_property
+    @property
     def geometry(self) -> Geometry:
         """Gimbals and neutral lengths, z down."""
-        return make_geometry(
-            *self.gimbals.in_report_axes(FLIP if self.upward > 0.0 else np.ones(3))
-        )
+        return _geometry(self.gimbals, self.axes)
 
     @property
     def rate(self) -> int:
@@ -302,6 +305,11 @@ class Machine(Settings):
     def recorded(self) -> dict[str, Any]:
         """What a record keeps of it besides the name: nothing of a shipped one."""
         return {} if self.shipped else self.model_dump(mode="json", exclude_none=True)
+
+
+@lru_cache
+def _geometry(gimbals: Gimbals, axes: str) -> Geometry:
+    return make_geometry(*gimbals.in_report_axes(FLIP if axes == "z up" else np.ones(3)))
 
 
 def _conditioning(shape: Geometry) -> float:

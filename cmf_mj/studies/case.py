@@ -4,7 +4,7 @@ The report sweeps 0.33 in or 0.2 deg (Appendix D) from 0 to 10 Hz and steps 1 in
 both on a machine built for the case, so that cases share nothing and may run anywhere.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict
 
@@ -25,9 +25,10 @@ from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import by_kind, dof_index
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant.build import PLANTS, make_plant
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters.loading import hydraulics_of
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, check_positive
@@ -72,6 +73,7 @@ class Case:
     electronics: ElectronicsSettings | None = None
     """Sensors, converters, servo electronics; None for ideal ones."""
     pose: tuple[float, ...] = (0.0,) * 6  #: About which it moves [m, rad], z down.
+    machine: Machine = field(default_factory=load_machine)  #: Of the legs where there is no cab.
     command_delay: int = 1  #: Frames from the control law to the valves.
 
     @property
@@ -83,6 +85,11 @@ class Case:
     def segment(self) -> float:
         """Length of the segments the sweep is estimated from [s]."""
         return 10.0 if self.quick else 20.0
+
+    @property
+    def on(self) -> Machine:
+        """The motion base."""
+        return self.cab.machine if self.cab else self.machine
 
     @property
     def cab_name(self) -> str:
@@ -97,7 +104,7 @@ class Case:
 
     def build(self) -> Plant:
         """A new plant."""
-        return make_plant(self.plant, self.cab or "gfd", self.hydraulics)
+        return make_plant(self.plant, self.cab, self.hydraulics, self.on)
 
     def run(
         self, command: Command, plant: Plant | None = None, *, every: int = RECORD_EVERY
@@ -132,8 +139,8 @@ class Case:
 class CaseOptions(TypedDict, total=False):
     """What the cases of a comparison share, see `make_case`."""
 
-    cab: str | Path | Cab
-    hydraulics: str | Path | HydraulicParameters
+    cab: str | Path | Cab | None
+    hydraulics: str | Path | HydraulicParameters | None
     quick: bool
     electronics: ElectronicsSettings | None
 
@@ -142,8 +149,8 @@ def make_case(
     law: str | Path | Law,
     dof: str = "heave",
     plant: str = "hexapod",
-    cab: str | Path | Cab = "gfd",
-    hydraulics: str | Path | HydraulicParameters = "hardware",
+    cab: str | Path | Cab | None = None,
+    hydraulics: str | Path | HydraulicParameters | None = None,
     *,
     amplitude: float | None = None,
     **options: Any,
@@ -157,8 +164,12 @@ def make_case(
     check_name("plant", plant, PLANTS)
     if amplitude is not None:
         check_positive(amplitude=amplitude)
-    chosen, parameters, loaded = load_cab(cab), load_hydraulics(hydraulics), load_law(law)
-    with_cab = chosen if plant == "hexapod" else None
+    chosen, loaded = load_cab(cab), load_law(law)
+    parameters, with_cab = hydraulics_of(chosen.machine, hydraulics), None
+    if plant == "hexapod":
+        with_cab = chosen
+    else:
+        options["machine"] = chosen.machine
     return Case(plant, with_cab, parameters, loaded, dof, amplitude, **options)
 
 

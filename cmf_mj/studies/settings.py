@@ -29,8 +29,10 @@ from cmf_mj.core.settings import Settings, read_toml, validated
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.machine import load_machine
+from cmf_mj.machine.models import CMF
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters.loading import hydraulics_of
 from cmf_mj.studies.case import Case, dof_amplitude
 from cmf_mj.studies.mismatch import Mismatch
 from cmf_mj.studies.variants import rung_named
@@ -58,14 +60,15 @@ class StudySettings(Settings):
     method: Method
     laws: Annotated[list[str], Field(min_length=1)]
     """Names, TOML files, or one of several laws of a file, file.toml:name."""
-    cabs: Annotated[list[str], Field(min_length=1)] = ["gfd"]  #: Names or TOML files.
+    cabs: list[str] = []  #: Names or TOML files; default the machine's first.
     dofs: Annotated[list[str], Field(min_length=1)] = list(DOFS)
     """Degrees of freedom, each a case of a `sweep`; the other methods give all at once."""
     rungs: Annotated[list[str], Field(min_length=1)] = ["machine"]
     """Plants: rungs of the ladder of `variants`, or `machine`."""
     poses: Annotated[list[list[float]], Field(min_length=1)] = [[0.0] * 6]
     """Poses [in, deg], z down, that the motion is about."""
-    hydraulics: str = "hardware"  #: Set by name or TOML file.
+    machine: str = CMF  #: Motion base by name or TOML file.
+    hydraulics: str | None = None  #: Set by name or TOML file; default the machine's.
     amplitude: Annotated[float, Field(gt=0.0, le=20.0)] = 0.33
     """Of sweeps in translation [in]; rotations and steps in the report's proportions."""
     quick: bool = True  #: Sweep in 30 s instead of 100 s.
@@ -134,6 +137,7 @@ class Study:
             "settings": self.settings.model_dump(mode="json"),
             "laws": [law.model_dump(mode="json") for law in self.laws],
             "cabs": [cab.model_dump(mode="json", exclude_none=True) for cab in self.cabs],
+            "machine": self.cabs[0].machine.recorded(),
             "hydraulics": self.hydraulics.model_dump(mode="json", exclude_none=True),
         }
 
@@ -166,12 +170,13 @@ def _loaded(table: dict[str, Any], where: str, laws: Sequence[str | Law] | None)
     settings = validated(StudySettings, table, where)
     _check(settings)
     chosen = tuple(load_law(law) for law in settings.laws) if loaded is None else loaded
-    cabs = tuple(load_cab(cab) for cab in settings.cabs)
+    machine = load_machine(settings.machine)
+    cabs = tuple(load_cab(cab, machine) for cab in settings.cabs or machine.cab_names[:1])
     for field, named in (("laws", chosen), ("cabs", cabs)):
         names = [one.name for one in named]
         if len(set(names)) < len(names):
             raise InputError(f"{field}: {', '.join(names)} must differ in name")
-    return Study(settings, chosen, cabs, load_hydraulics(settings.hydraulics))
+    return Study(settings, chosen, cabs, hydraulics_of(machine, settings.hydraulics))
 
 
 def study_table(source: str | Path | dict[str, Any]) -> tuple[dict[str, Any], str]:

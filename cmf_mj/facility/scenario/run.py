@@ -43,7 +43,7 @@ class ScenarioRun:
         Of an `open` run, the record keeps the last `keep` seconds.
         """
         self._begun = scenario
-        self.plant = make_plant(scenario.plant, scenario.cab, scenario.hydraulics)
+        self.plant = make_plant(scenario.plant, scenario.carried, scenario.hydraulics)
         """The machine; its MuJoCo data is that of the run."""
         self._law = scenario.begun_law()
         self._demand = Demand(added(scenario.signal, scenario.seed))

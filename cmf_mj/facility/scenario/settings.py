@@ -31,10 +31,11 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.binding import bound
 from cmf_mj.facility.scenario.signal import Signal
 from cmf_mj.machine.cab import Cab, load_cab
+from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.build import make_plant
 from cmf_mj.plant.events import MOST_FORCE, Event, Kind
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters.loading import hydraulics_of
 from cmf_mj.signals.signal import plain
 
 LEGS = 6  #: Of the machines that a scenario runs.
@@ -172,9 +173,12 @@ class Scenario(Settings):
     """One run."""
 
     title: str = ""  #: What it shows.
-    plant: Literal["hexapod", "single_legs"] = "hexapod"  #: The machine.
-    cab: str = "gfd"  #: Its cab, `gfd`, `rfd`, `ifd` or a TOML file; single legs have none.
-    hydraulics: str = "hardware"  #: `report`, `hardware`, `lossy` or a TOML file.
+    plant: Literal["hexapod", "single_legs"] = "hexapod"  #: The whole machine, or its legs alone.
+    machine: str = CMF  #: The motion base by name or TOML file.
+    cab: str | None = None
+    """Its cab by name or TOML file, default its first, of the CMF `gfd`; single legs have none."""
+    hydraulics: str | None = None
+    """`report`, `hardware`, `lossy` or a TOML file; default the machine's own, here `hardware`."""
     law: str = "velocity"  #: Control law by name or TOML file.
     gains: Gains = {}  #: Fields of the law to replace.
     signal: Signals = ()  #: Demand: the sum of these; none is rest at neutral.
@@ -213,8 +217,7 @@ class Scenario(Settings):
 
     def _files(self) -> None:
         """Refuse settings that cannot be loaded."""
-        load_hydraulics(self.hydraulics)
-        load_cab(self.cab)
+        hydraulics_of(self.carried.machine, self.hydraulics)
         if self.protection is not None:
             load_protection(self.protection)
         if self.electronics is not None:
@@ -223,7 +226,7 @@ class Scenario(Settings):
             if self.plant != "hexapod":
                 raise InputError(f"operation: is for the hexapod, plant is {self.plant}")
             load_dcu(self.operation.dcu)
-            load_motion_limits(self.operation.limits)
+            load_motion_limits(self.operation.limits, self.carried.machine)
             load_state_settings(self.operation.states)
 
     def _times(self) -> None:
@@ -262,7 +265,12 @@ class Scenario(Settings):
     @property
     def law_key(self) -> str | Cab:
         """What a law is bound to, as of its plant."""
-        return load_cab(self.cab).known_as if self.plant == "hexapod" else self.plant
+        return self.carried.known_as if self.plant == "hexapod" else self.plant
+
+    @property
+    def carried(self) -> Cab:
+        """The cab on its machine."""
+        return load_cab(self.cab, self.machine)
 
     def begun_law(self) -> Law:
         """The law at the start, bound to the machine."""
@@ -358,7 +366,7 @@ def scenario_toml(scenario: Scenario) -> str:
 
 
 _FILES = (
-    *("cab", "hydraulics", "law", "protection", "sensors", "converters", "servo"),
+    *("machine", "cab", "hydraulics", "law", "protection", "sensors", "converters", "servo"),
     *("dcu", "limits", "states"),
 )
 """Keys that hold a name or a TOML file."""

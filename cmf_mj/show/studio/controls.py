@@ -23,7 +23,7 @@ from cmf_mj.machine import models
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.events import KINDS, default_event
-from cmf_mj.plant.parameters.loading import HYDRAULICS
+from cmf_mj.plant.parameters.loading import HYDRAULICS, hydraulics_of
 from cmf_mj.show.studio import choices
 from cmf_mj.show.studio.desk import Desk, by_hand, pick
 from cmf_mj.show.studio.gains import Knob, knobs
@@ -195,11 +195,15 @@ def machine_controls(desk: Desk) -> None:
 
     def moved(_: Any) -> None:
         protected = "default" if protection.value else None
-        desk.again(cab=cab.value, hydraulics=hydraulics.value, protection=protected)
+        chosen = hydraulics.value if hydraulics.value in HYDRAULICS else None
+        desk.again(cab=cab.value, hydraulics=chosen, protection=protected)
 
     def follow(scenario: Scenario) -> None:
-        pick(cab, scenario.cab)
-        pick(hydraulics, scenario.hydraulics)
+        carrier = scenario.carried.machine
+        cab.options = carrier.cab_names
+        hydraulics.options = HYDRAULICS if carrier.name == models.CMF else (carrier.name,)
+        pick(cab, scenario.carried.name)
+        pick(hydraulics, hydraulics_of(carrier, scenario.hydraulics).name)
         protection.value = scenario.protection is not None
 
     by_hand(moved, cab, hydraulics, protection)

@@ -37,7 +37,7 @@ class Page:
         self._lock = threading.Lock()
         self._turn = 0
         place_camera(client)
-        self._scene = MachineScene(client, scenario.cab)
+        self._scene = MachineScene(client, scenario.carried)
         if gone():
             raise TabClosed
         self.desk = Desk(client, scenario, self._show)
@@ -88,5 +88,5 @@ class Page:
 
     def _show_cab(self, scenario: Scenario) -> None:
         with self._lock:
-            if self._scene.cab != scenario.cab:
-                self._scene = MachineScene(self.desk.client, scenario.cab)
+            if self._scene.cab != scenario.carried:
+                self._scene = MachineScene(self.desk.client, scenario.carried)

@@ -6,6 +6,7 @@ import viser
 from mjviser import ViserMujocoScene
 from numpy.typing import ArrayLike, NDArray
 
+from cmf_mj.machine.cab import Cab
 from cmf_mj.plant.hexapod import hexapod_model
 
 _PUSH_LENGTH = 5.0
@@ -28,7 +29,7 @@ def place_camera(client: viser.ClientHandle) -> None:
 class MachineScene:
     """The hexapod with one cab in one tab, and the push on it."""
 
-    def __init__(self, client: viser.ClientHandle, cab: str) -> None:
+    def __init__(self, client: viser.ClientHandle, cab: Cab) -> None:
         """Send the geometry, in the place of all that the tab showed."""
         self.cab = cab
         """The cab in the scene."""

@@ -35,7 +35,7 @@ from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.parameters.loading import hydraulics_of
 from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import stepped_sines
 from cmf_mj.signals.peaks import command_limits
@@ -252,8 +252,8 @@ def _flow(plant: Hexapod, record: Record, rows: slice) -> tuple[float, float]:
 
 def performance_envelope(
     law: str | Law = "velocity",
-    cab: str | Path | Cab = "gfd",
-    hydraulics: str | Path | HydraulicParameters = "hardware",
+    cab: str | Path | Cab | None = None,
+    hydraulics: str | Path | HydraulicParameters | None = None,
     *,
     dofs: Sequence[str] = DOFS,
     frequencies: Sequence[float] = FREQUENCIES,
@@ -266,7 +266,8 @@ def performance_envelope(
     `least_pressure` of the supply manifold [Pa] defaults to 80 % of the set; `progress` is called
     with (points done, points in all). What is refused is named before anything runs.
     """
-    loaded, carried, parameters = load_law(law), load_cab(cab), load_hydraulics(hydraulics)
+    loaded, carried = load_law(law), load_cab(cab)
+    parameters = hydraulics_of(carried.machine, hydraulics)
     allowed = least_allowed(parameters, least_pressure)
     for field, chosen in (("dofs", dofs), ("frequencies", frequencies)):
         if not chosen:

@@ -105,8 +105,8 @@ def relief_flow(parameters: HydraulicParameters, record: Record) -> NDArray[np.f
 def capacity(
     command: Command | ArrayLike,
     law: str | Law = "velocity",
-    cab: str | Path | Cab = "gfd",
-    hydraulics: str | Path | HydraulicParameters = "hardware",
+    cab: str | Path | Cab | None = None,
+    hydraulics: str | Path | HydraulicParameters | None = None,
     *,
     plant: Plant | None = None,
     least_pressure: float | None = None,

@@ -64,7 +64,7 @@ def run_failure(
     `event.at`. `protection` is `default`, a TOML file, or None for none.
     """
     chosen = make_case("velocity") if case is None else case
-    machine = Hexapod(chosen.cab or "gfd", chosen.hydraulics)
+    machine = Hexapod(chosen.cab, chosen.hydraulics, machine=chosen.on)
     size = by_kind(chosen.dof, *AMPLITUDES) if chosen.amplitude is None else chosen.amplitude
     if command is None:
         command = manoeuvre(chosen.dof, size, frequency, at=event.at, after=after)

@@ -1,0 +1,165 @@
+"""Whether the numbers of a machine fit together: what `cmf machine check` tells.
+
+closure        largest gap of a gimbal over poses of the envelope, the model put together there
+envelope       single-axis excursions at which the first leg has used up its working stroke
+conditioning   condition number of J, its turning columns per mean radius of the upper gimbals,
+at neutral and at worst over the envelope; a change of sign of det J between
+neutral and a pose says that the legs pass a singular pose on the way
+static loads   leg forces at rest, against the stall force of a cylinder, A_cap Ps - A_rod Pt
+pushing and A_rod Ps - A_cap Pt pulling
+reach          leg speed with valves fully open under the static load, against the limit of leg
+speed, and the heave speed amplitude whose mean flow is the pump's
+modes          hydraulic modes at neutral
+"""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.analysis.modes import envelope_poses
+from cmf_mj.control.law import load_law
+from cmf_mj.core.errors import InputError
+from cmf_mj.facility.binding import bound
+from cmf_mj.machine.cab import load_cab
+from cmf_mj.machine.kinematics import excursion_envelope, leg_jacobian
+from cmf_mj.machine.limits import MotionLimits
+from cmf_mj.machine.machine import Machine
+from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.studies.capacity.asymptotes import asymptotes, full_speed
+
+POSES = 200
+"""Poses of the envelope that are looked at."""
+
+POOR = 100.0
+"""Condition number above which a pose is told as nearly singular."""
+
+
+class CabCheck(NamedTuple):
+    """A machine with one of its cabs, at neutral."""
+
+    cab: str
+    mass: float  #: Of platform and cab [kg].
+    load: NDArray[np.float64]  #: Static leg forces [N], (6,).
+    speed: NDArray[np.float64]  #: Leg speeds, valves fully open [m/s], (6, 2): out, in.
+    sustained: float  #: Heave speed amplitude that the pump sustains [m/s].
+    modes: NDArray[np.float64]  #: Hydraulic modes [Hz], (6,).
+
+
+class MachineCheck(NamedTuple):
+    """What is known of a machine, and what does not fit."""
+
+    machine: Machine
+    limits: MotionLimits
+    envelope: NDArray[np.float64]  #: Single-axis excursions [m, rad], (6, 2).
+    gap: float  #: Largest gap of a gimbal over the envelope [m].
+    conditioning: tuple[float, float]  #: At neutral, at worst over the envelope.
+    worst_pose: NDArray[np.float64]  #: Where it is worst [m, rad], (6,).
+    stall: tuple[float, float]  #: Force of a cylinder pushing and pulling [N].
+    cabs: tuple[CabCheck, ...]
+    statuses: dict[str, list[str]]  #: Fields of the file by status.
+    faults: tuple[str, ...]  #: What does not fit, each with its reason.
+
+
+def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
+    """Look at a machine with all its cabs.
+
+    Raises:
+        InputError: the machine cannot be built: refused hydraulics, law or cab.
+    """
+    plants = [Hexapod(load_cab(name, machine)) for name in machine.cab_names]
+    bound(load_law(machine.law), plants[0].law_key)
+    limits = load_motion_limits(None, machine)
+    faults: list[str] = []
+    cabs = tuple(_cab(plant, limits, faults) for plant in plants)
+    plant = plants[0]
+    radius = float(np.linalg.norm(machine.geometry.upper[:, :2], axis=1).mean())
+    looked_at = envelope_poses(plant, poses)
+    conditions, gaps, sense = [], [], 0.0
+    for pose in looked_at:
+        jacobian = leg_jacobian(pose, machine)
+        jacobian[:, 3:] /= radius
+        conditions.append(float(np.linalg.cond(jacobian)))
+        sign = float(np.sign(np.linalg.det(jacobian)))
+        sense = sense or sign
+        if sign != sense:
+            faults.append(
+                f"legs.working_stroke: reaches across a singular pose, at {_pose(pose)}; allowed: "
+                "a stroke that keeps det J of the sign it has at neutral"
+            )
+            break
+        plant.place(pose)
+        sites = plant.data.site_xpos[plant.gimbal_sites]
+        gaps.append(float(np.linalg.norm(sites[:, 0] - sites[:, 1], axis=1).max()))
+    worst = int(np.argmax(conditions))
+    if conditions[worst] > POOR and not faults:
+        faults.append(
+            f"legs.working_stroke: condition number {conditions[worst]:.3g} at "
+            f"{_pose(looked_at[worst])}; allowed: below {POOR:g}"
+        )
+    cylinder, supply = plant.hydraulics.cylinder, plant.hydraulics.supply
+    cap, rod = float(cylinder.cap_area[0]), float(cylinder.rod_area[0])
+    high, low = supply.pressure, supply.return_pressure
+    return MachineCheck(
+        machine,
+        limits,
+        excursion_envelope(None, machine),
+        max(gaps),
+        (conditions[0], conditions[worst]),
+        looked_at[worst],
+        (cap * high - rod * low, rod * high - cap * low),
+        cabs,
+        _by_status(machine),
+        tuple(faults),
+    )
+
+
+def _cab(plant: Hexapod, limits: MotionLimits, faults: list[str]) -> CabCheck:
+    """One cab; what does not fit is added to `faults`."""
+    where = f"cabs.{plant.cab}"
+    try:
+        plant.start()
+    except InputError as error:
+        faults.append(f"{where}: cannot be held at neutral: {error}")
+    supply = plant.hydraulics.supply
+    load = plant.static_load()
+    speed = full_speed(plant.hydraulics, load, supply.pressure, supply.return_pressure)
+    asked = limits.leg.velocity.si
+    if speed.min() < asked:
+        faults.append(
+            f"{where}: valves fully open give a leg {speed.min():.4g} m/s under its static load; "
+            f"limits.leg.velocity asks for {asked:.4g} m/s; allowed: at most what the valves give"
+        )
+    assert plant.cab_parameters is not None
+    return CabCheck(
+        plant.cab,
+        plant.cab_parameters.payload.mass,
+        load,
+        speed,
+        asymptotes(plant, "heave").pump_flow,
+        plant.hydraulic_modes().frequency_hz,
+    )
+
+
+def _pose(pose: NDArray[np.float64]) -> str:
+    length = " ".join(f"{value:.3g}" for value in pose[:3])
+    return f"{length} m, {' '.join(f'{value:.3g}' for value in np.degrees(pose[3:]))} deg"
+
+
+def _by_status(machine: Machine) -> dict[str, list[str]]:
+    """Fields of a machine's own table by status, in order."""
+    found: dict[str, list[str]] = {}
+
+    def walk(table: dict[str, Any], path: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+        if "status" in table:
+            yield str(table["status"]), ".".join(path)
+            return
+        for name, entry in table.items():
+            if isinstance(entry, dict):
+                yield from walk(entry, (*path, name))
+
+    for status, field in walk(machine.model_dump(mode="json", exclude_none=True), ()):
+        found.setdefault(status, []).append(field)
+    return found
