@@ -58,6 +58,14 @@ class Chambers(NamedTuple):
     rod_yield: float  #: The same.
     cap_alone: float  #: Newton change with the manifolds fixed.
     rod_alone: float  #: The same.
+    cap_enters: float  #: Flow from the supply [m^3/s].
+    cap_in_slope: float  #: Its slope with the drop.
+    cap_leaves: float  #: Flow to the return.
+    cap_out_slope: float  #: Its slope.
+    rod_enters: float  #: The same of the rod chamber.
+    rod_in_slope: float  #: The same.
+    rod_leaves: float  #: The same.
+    rod_out_slope: float  #: The same.
     cap_high: float  #: Newton change per change of the supply manifold.
     rod_high: float  #: The same.
     cap_low: float  #: Newton change per change of the return manifold.
@@ -149,14 +157,21 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
         pull_high, pull_low = 0.0, 0.0
         lost, lost_hose, lost_leak = 0.0, 0.0, 0.0
         for leg in range(legs):
+            # In a loop of its own, the roots of all actuators are taken side by side.
+            pair, cylinder = chambers[leg], cylinders[leg]
+            cap, rod = pair.cap, pair.rod
+            inward, outward = cylinder.supply_hose, cylinder.return_hose
+            pair.cap_enters, pair.cap_in_slope = _path(pair.cap_in, inward, laminar, high - cap)
+            pair.cap_leaves, pair.cap_out_slope = _path(pair.cap_out, outward, laminar, cap - low)
+            pair.rod_enters, pair.rod_in_slope = _path(pair.rod_in, inward, laminar, high - rod)
+            pair.rod_leaves, pair.rod_out_slope = _path(pair.rod_out, outward, laminar, rod - low)
+        for leg in range(legs):
             pair, cylinder = chambers[leg], cylinders[leg]
             cap, rod = pair.cap, pair.rod
             inward, outward = cylinder.supply_hose, cylinder.return_hose
             leak, bearing = cylinder.leakage, cylinder.bearing
-            cap_in, cap_in_slope = _path(pair.cap_in, inward, laminar, high - cap)
-            cap_out, cap_out_slope = _path(pair.cap_out, outward, laminar, cap - low)
-            rod_in, rod_in_slope = _path(pair.rod_in, inward, laminar, high - rod)
-            rod_out, rod_out_slope = _path(pair.rod_out, outward, laminar, rod - low)
+            cap_in, cap_out = pair.cap_enters, pair.cap_leaves
+            rod_in, rod_out = pair.rod_enters, pair.rod_leaves
             piston = leak * (cap - rod)
             seep = bearing * (rod - low)
             cap_density, cap_slope = density(oil, cap)
@@ -170,8 +185,8 @@ def solve(cylinders, oil, supply, laminar, stage, weight):  # type: ignore[no-un
                 pair.rod_content - pair.rod_known - weight * (rod_in - rod_out - seep + piston)
             )
             # The actuator's block and what ties it to the manifolds.
-            high_cap, high_rod = weight * cap_in_slope, weight * rod_in_slope
-            low_cap, low_rod = weight * cap_out_slope, weight * (rod_out_slope + bearing)
+            high_cap, high_rod = weight * pair.cap_in_slope, weight * pair.rod_in_slope
+            low_cap, low_rod = weight * pair.cap_out_slope, weight * (pair.rod_out_slope + bearing)
             tie = weight * leak
             a = pair.cap_yield + high_cap + low_cap + tie
             d = pair.rod_yield + high_rod + low_rod + tie
