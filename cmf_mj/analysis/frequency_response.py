@@ -24,7 +24,6 @@ from cmf_mj.analysis.response.matrix import matrix_response, stitch
 from cmf_mj.analysis.response.periodic import periodic_response, sine_response
 from cmf_mj.analysis.response.welch import from_h1, report_response, welch_response
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.rates import RATE
 from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import legs_to_pose
@@ -250,7 +249,7 @@ def rounds_response(
     if all(record.signal.dwells for record in records):
         fits = []
         for record, (x, y) in zip(records, pairs, strict=True):
-            per_frame = record.rate / RATE
+            per_frame = record.rate / record.signal.rate
             for dwell in record.signal.dwells:
                 # Inwards to whole samples; the fit takes the whole cycles that are left.
                 first = int(np.ceil(dwell.start * per_frame))

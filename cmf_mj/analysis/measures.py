@@ -145,29 +145,35 @@ def measure_loop(
     are the lines the bandwidths are read from, `duration` is the length of the step [s].
     """
     poles = np.asarray(loop.poles(), dtype=complex)
-    pairs = oscillations(poles)
+    pairs = oscillations(poles, loop.dt)
     pairs = pairs[-pairs.real < OSCILLATING * np.abs(pairs)]
     mode = _mode(pairs, np.abs(pairs))
     if not np.all(np.abs(poles) < _INSIDE):
         return joined(mode=mode)
     static = float(np.real(np.atleast_2d(control.dcgain(loop))[0, 0]))
     _, reached = loop_step(loop, duration)
-    step = measure_step(reached, 1.0 / FRAME, final=static)
+    step = measure_step(reached, 1.0 / loop.dt, final=static)
     lines = np.asarray(frequencies, dtype=np.float64)
     return joined(bandwidths(loop_response(loop, lines)), step, mode)
 
 
-def oscillations(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Continuous poles [rad/s] above the real axis of a discrete loop at 2048 Hz."""
+def oscillations(poles: NDArray[np.complex128], frame: float = FRAME) -> NDArray[np.complex128]:
+    """Continuous poles [rad/s] above the real axis of a loop discrete in frames [s]."""
     upper: NDArray[np.complex128] = poles[poles.imag > 1e-9]
-    return np.asarray(np.log(upper) / FRAME, dtype=complex)
+    return np.asarray(np.log(upper) / frame, dtype=complex)
 
 
 def least_damped_mode(
-    poles: NDArray[np.complex128], highest_hz: float = 50.0, lowest_hz: float = 0.0
+    poles: NDArray[np.complex128],
+    highest_hz: float = 50.0,
+    lowest_hz: float = 0.0,
+    frame: float = FRAME,
 ) -> tuple[float, float]:
-    """Damping ratio and frequency [Hz] of the least damped pair of a loop between frequencies."""
-    pairs = oscillations(poles)
+    """Damping ratio and frequency [Hz] of the least damped pair of a loop between frequencies.
+
+    The loop is discrete in frames [s].
+    """
+    pairs = oscillations(poles, frame)
     size = np.abs(pairs)
     pairs = pairs[(size < 2.0 * np.pi * highest_hz) & (size > 2.0 * np.pi * lowest_hz)]
     return _mode(pairs, -pairs.real / np.abs(pairs))

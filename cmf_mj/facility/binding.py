@@ -52,18 +52,21 @@ def modes_of_cab(cab: Cab) -> Modes:
     return nominal_modes(Hexapod(cab))
 
 
-def bound(law: Law, machine: str | Cab) -> Law:
-    """A law bound to a machine.
+def bound(law: Law, machine: str | Cab | Plant) -> Law:
+    """A law bound to a machine, at its control rate.
 
     Args:
         law: in legs, which needs no modes, or in hydraulic modes.
-        machine: cab, or name of a plant without cabs, as `Plant.law_key` has it.
+        machine: plant or cab, or name of a plant without cabs, which tells no rate.
 
     Raises:
         InputError: a law in hydraulic modes has none of a CMF's cab or of a plant without cabs.
     """
+    if isinstance(machine, Plant):
+        return bound(law, machine.law_key).at(machine.machine.rate)
     if isinstance(machine, str):
         return law.bound_to(machine)
+    law = law.at(machine.machine.rate)
     stated = machine.name in law.modes or (machine.own and machine.machine.name == CMF)
     if law.coordinates == "legs" or stated:
         return law.bound_to(machine.name)

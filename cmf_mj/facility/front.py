@@ -126,7 +126,8 @@ def _follow(chain, frame, position, fault, tripped, reference):  # type: ignore[
     if (fault != NO_FAULT or tripped) and not leaving:
         request = Request.TRIP.value
     if chain.live:
-        progress.collected = collect(chain.ring, chain.arrivals, progress.collected, frame)
+        rate = round(1.0 / blocks.dcu.frame)
+        progress.collected = collect(chain.ring, chain.arrivals, progress.collected, frame, rate)
     progress.arrival = feed(blocks.dcu, chain.dcu_state, chain.arrivals, progress.arrival, frame)
     motion, legs, out = chain.motion, chain.legs, chain.reference
     play.step(blocks.dcu, chain.dcu_state, motion)

@@ -15,12 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.options import RunOptions
 from cmf_mj.facility.simulation import OutOfBounds, simulate
 from cmf_mj.plant.plant import Plant
-from cmf_mj.signals.signal import Command
+from cmf_mj.signals.signal import Command, commanded
 
 
 class ManyRuns(NamedTuple):
@@ -78,7 +77,9 @@ def simulate_many(
         raise InputError(f"law: {len(laws)} for {count} cases; allowed: one, or one a case")
     if count == 0 or not channels:
         raise InputError("commands, channels: none is given; allowed: at least one")
-    poses = [c.pose if isinstance(c, Command) else np.asarray(c, dtype=float) for c in cases]
+    rate = (plant if isinstance(plant, Plant) else plant(0)).machine.rate
+    made = [commanded(case, rate) for case in cases]
+    poses = [case.pose for case in made]
     for case, pose in enumerate(poses):
         if pose.shape != poses[0].shape:
             raise InputError(
@@ -99,7 +100,7 @@ def simulate_many(
     def run(case: int) -> str:
         chosen = machine(case)
         try:
-            record = simulate(chosen, laws[case % len(laws)], cases[case], **options)
+            record = simulate(chosen, laws[case % len(laws)], made[case], **options)
         except OutOfBounds as end:
             return str(end)
         except InputError as refusal:
@@ -120,5 +121,5 @@ def simulate_many(
     if not kept:
         raise OutOfBounds(f"all {count} cases: {left[0]}", 0)
     every = options.get("record_every", 1)
-    time = np.arange(0, poses[0].shape[0], every, dtype=np.float64) * FRAME
+    time = np.arange(0, poses[0].shape[0], every, dtype=np.float64) / rate
     return ManyRuns(time, kept, units, tuple(left))

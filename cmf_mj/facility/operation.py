@@ -23,7 +23,7 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
 from cmf_mj.control.states import Request, State, StateSettings, load_state_settings
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME, LONGEST, RATE
+from cmf_mj.core.rates import FRAME, LONGEST
 from cmf_mj.core.units import INCH
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.front import Blocks, make_chain
@@ -73,11 +73,12 @@ class Timing(NamedTuple):
 
     busy: NDArray[np.float64]  #: Computing time of each control frame [s], (N,).
     late: NDArray[np.float64]  #: How late each began [s], (N,).
+    frame: float = FRAME  #: Control frame [s].
 
     @property
     def over(self) -> int:
         """Frames that computed for longer than a control frame."""
-        return int((self.busy > FRAME).sum())
+        return int((self.busy > self.frame).sum())
 
     def percentile(self, share: float) -> float:
         """Computing time that a share of the frames, in per cent, stays below [s]."""
@@ -137,12 +138,13 @@ def operate(
     The run lasts some `seconds`, by default until the last frame has had its turn. The host's
     silence trips the host watchdog soon after.
     """
-    arrivals = arrivals_of(frames) if isinstance(frames, HostStream) else frames
+    rate = plant.machine.rate
+    arrivals = arrivals_of(frames, rate=rate) if isinstance(frames, HostStream) else frames
     if not arrivals.frame.size:
         raise InputError("frames: the host sends none; give at least one")
     settings = options.get("facility") or FacilitySettings()
-    last = arrivals.frame[-1] / RATE + load_dcu(settings.dcu).delay.total
-    count = _count(last if seconds is None else seconds)
+    last = arrivals.frame[-1] / rate + sum(load_dcu(settings.dcu).delay.parts(rate).values())
+    count = _count(last if seconds is None else seconds, rate)
     pose = starting_pose(
         arrivals.values[0, 0], load_motion_limits(settings.limits, plant.machine), plant.machine
     )
@@ -170,12 +172,12 @@ def serve(
     start = _start(options, np.zeros(6))
 
     def session_of(count: int, source: Ring, pace: Pace) -> Session:
-        log = make_log(capacity_for(count))
+        log = make_log(capacity_for(count, plant.machine.rate))
         run = _options(options, count, 16)
         return facility_session(plant, loaded, log, settings, start, run, ring=source, pace=pace)
 
     session_of(8, make_ring(2), make_pace(8)).run()
-    count = _count(seconds)
+    count = _count(seconds, plant.machine.rate)
     pace = make_pace(count)
     session = session_of(count, ring, pace)
     if (progress := options.get("progress")) is not None:
@@ -187,7 +189,7 @@ def serve(
     log = session.chain.arrivals
     arrivals = logged(log, int((log.frame < NEVER).sum()))
     unused |= {"lost": int(ring.lost[0]) - lost, "thinned": int(ring.thinned[0]) - thinned}
-    timing = Timing(pace.busy, pace.late)
+    timing = Timing(pace.busy, pace.late, plant.machine.frame)
     return _operation(session, arrivals, settings, start.pose, unused, timing)
 
 
@@ -207,9 +209,9 @@ def _run(session: Session, options: OperationOptions) -> None:
     """Run a session to its end, a second at a time."""
     progress = options.get("progress")
     while session.frame < session.frames:
-        session.run(RATE)
+        session.run(session.rate)
         if progress is not None:
-            progress(session.frame / RATE)
+            progress(session.frame / session.rate)
 
 
 def starting_pose(
@@ -228,12 +230,12 @@ def _resting(machine: Machine) -> float:
     return -round(machine.half_stroke / INCH - _RESTING, 9) * INCH
 
 
-def _count(seconds: float) -> int:
+def _count(seconds: float, rate: int) -> int:
     if not (np.isfinite(seconds) and seconds > 0.0):
         raise InputError(f"seconds: {seconds} must be greater than 0")
     if seconds > LONGEST:
         raise InputError(f"seconds: {seconds} must be at most {LONGEST:g}")
-    return max(round(seconds * RATE), 1)
+    return max(round(seconds * rate), 1)
 
 
 def facility_session(
@@ -264,14 +266,14 @@ def facility_session(
     legs = np.full(6, _resting(machine)) if down else kinematics.pose_to_legs(start.pose, machine)
     chain = make_chain(
         Blocks(
-            make_dcu(load_dcu(settings.dcu)),
-            limiter.make_pose_limiter(limits),
+            make_dcu(load_dcu(settings.dcu), machine.frame),
+            limiter.make_pose_limiter(limits, machine.frame),
             settings.demand or make_demand(machine),
             states.make_states(load_state_settings(settings.states), machine),
-            limiter.make_leg_limiter(limits),
+            limiter.make_leg_limiter(limits, frame=machine.frame),
         ),
         arrivals,
-        sorted((round(at * RATE), code) for at, code in start.requests),
+        sorted((round(at * machine.rate), code) for at, code in start.requests),
         start.state,
         position=legs,
         pose=start.pose,

@@ -32,6 +32,7 @@ class Pace(NamedTuple):
     origin: NDArray[np.float64]  #: When frame 0 began [s]; NaN before, (1,).
     busy: NDArray[np.float64]  #: Computing time of each frame [s], (N,).
     late: NDArray[np.float64]  #: How late each frame began [s], (N,).
+    frame: float = FRAME  #: T [s].
 
 
 def make_pace(frames: int) -> Pace:
@@ -73,8 +74,8 @@ def _now(pace):  # type: ignore[no-untyped-def]
 def _begin(pace, frame):  # type: ignore[no-untyped-def]
     now = _now(pace)
     if np.isnan(pace.origin[0]):
-        pace.origin[0] = now - frame * FRAME
-    due = pace.origin[0] + frame * FRAME
+        pace.origin[0] = now - frame * pace.frame
+    due = pace.origin[0] + frame * pace.frame
     if due - now > _SPIN:
         wait = int((due - now - _SPIN) * 1e9)
         pace.spec[0], pace.spec[1] = wait // 1_000_000_000, wait % 1_000_000_000

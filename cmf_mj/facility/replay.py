@@ -21,7 +21,6 @@ from cmf_mj.control.feedback import LegFeedback, gravity_history
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import validated
 from cmf_mj.electronics.sensors.suite import at_frame
 from cmf_mj.facility.binding import bound
@@ -90,15 +89,16 @@ def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = 
     """
     made = record.metadata
     cab = recorded_cab(made)
+    carrier = recorded_machine(made)
     loaded = bound(load_law(law), cab.known_as if cab else str(made.get("plant", "")))
-    every = _every(record)
+    loaded, every = loaded.at(carrier.rate), _every(record, carrier.rate)
     histories = _feedback(record, loaded, feedback or {})
     reference = _legs(record, "leg_reference")
     if every > 1:
         reference = _raised(reference, every)
         histories = LegFeedback(*(_raised(h, every) for h in histories))
     frames, legs = reference.shape
-    dcl = control.make_dcl(loaded, legs, recorded_machine(made))
+    dcl = control.make_dcl(loaded, legs, carrier)
     first = LegFeedback(*(history[0].copy() for history in histories))
     state = _begun(record, loaded, legs) or engaged(dcl, reference[0], first)
     output = np.empty((frames, legs))
@@ -120,11 +120,11 @@ def _begun(record: Record, law: Law, legs: int) -> control.DclState | None:
     return control.DclState.of(said) if fits else None
 
 
-def _every(record: Record) -> int:
-    every = 1.0 / (FRAME * record.rate)
+def _every(record: Record, rate: int) -> int:
+    every = rate / record.rate
     if not (every >= 1.0 and every.is_integer()):
         raise InputError(
-            f"sample_rate: {record.rate} Hz is refused; allowed: {1 / FRAME:g} Hz over an integer"
+            f"sample_rate: {record.rate} Hz is refused; allowed: {rate} Hz over an integer"
         )
     return int(every)
 

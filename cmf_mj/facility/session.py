@@ -20,7 +20,6 @@ from cmf_mj.control.protection import (
 from cmf_mj.control.states import State
 from cmf_mj.core.arrays import check_memory
 from cmf_mj.core.errors import InputError, RunError, check_name
-from cmf_mj.core.rates import FRAME
 from cmf_mj.electronics.chain import make_electronics, measure
 from cmf_mj.facility.binding import bound
 from cmf_mj.facility.front import Chain, idle_chain
@@ -115,11 +114,13 @@ class Session:
         run goes as fast as possible.
         """
         options.check()
-        step = float(plant.model.opt.timestep)
-        steps = round(FRAME / step)
-        if steps < 1 or abs(steps * step - FRAME) > 1e-12:
-            raise InputError(f"timestep: {step} s must divide the control frame of {FRAME} s")
-        law = None if law is None else bound(law, plant.law_key)
+        self.rate = plant.machine.rate
+        """Control frames a second [Hz]."""
+        step, frame = float(plant.model.opt.timestep), plant.machine.frame
+        steps = round(frame / step)
+        if steps < 1 or abs(steps * step - frame) > 1e-12:
+            raise InputError(f"timestep: {step} s must divide the control frame of {frame} s")
+        law = None if law is None else bound(law, plant)
         table = Table(source.reference[:1].copy()) if isinstance(source, Chain) else source
         self.plant = plant
         self._law = self._engaged = law
@@ -135,14 +136,14 @@ class Session:
             plant.hydraulics,
             state,
             no_faults(plant.legs),
-            make_timeline(self._events, plant.legs),
+            make_timeline(self._events, plant.legs, self.rate),
         )
         self.memory = make_memory(self.machine, options.command_delay)
         at_rest, feedback = self.memory.truth, self.memory.feedback
         chain = source if isinstance(source, Chain) else None
         bare = options.electronics is None and chain is None
         parts = None if bare else make_electronics(options.electronics, at_rest, plant.machine)
-        dcl = control.make_dcl(law or _NO_LAW, plant.legs, plant.machine)
+        dcl = control.make_dcl(law or _NO_LAW.at(self.rate), plant.legs, plant.machine)
         compensated = dcl.feedback.gravity_compensation
         measure(parts, self.machine.faults, 0, at_rest, compensated, feedback)
         poses = table.poses
@@ -154,11 +155,11 @@ class Session:
             poses=_fixed(np.empty((1, 0)) if poses is None else poses),
             delay=options.command_delay,
             guarded=options.protection is not None,
-            protection=make_protection(options.protection or load_protection()),
+            protection=make_protection(options.protection or load_protection(), frame),
             guard=protection_state(feedback.position),
             electronics=parts,
             chain=None if bare else chain or idle_chain(),
-            pace=None if bare else pace or idle_pace(),
+            pace=None if bare else (pace or idle_pace())._replace(frame=frame),
         )
         self._started = plant.started
         self._begun: dict[str, list[float]] = {}
@@ -253,14 +254,14 @@ class Session:
         }.get(bound, "")
         with_law = f" with law {self._engaged.name}" if self._engaged else ""
         said = fit.warned(self.plant.data) or f"{self.plant.actuators[leg]} {what}"
-        return f"{self.plant.name}{with_law}: {said} at {frame * FRAME:.4f} s"
+        return f"{self.plant.name}{with_law}: {said} at {frame / self.rate:.4f} s"
 
     def describe(self) -> dict[str, Any]:
         """What a record keeps of the run."""
         fault, law = self.fault, self._law
         detected = None
         if fault is not None:
-            detected = {"name": fault.name, "leg": fault.leg, "time": fault.frame * FRAME}
+            detected = {"name": fault.name, "leg": fault.leg, "time": fault.frame / self.rate}
         electronics = self._options.electronics
         return {
             **self.plant.describe(),
@@ -270,7 +271,7 @@ class Session:
             "events": [event.model_dump(exclude_none=True) for event in self._events],
             "fault": detected,
             "electronics": electronics.describe() if electronics else None,
-            "sample_rate": 1.0 / (FRAME * self.every),
+            "sample_rate": self.rate / self.every,
             "command_delay": self.controller.delay,
             "versions": dict(_VERSIONS),
         }
@@ -283,7 +284,7 @@ class Session:
         if chain is not None and chain.active:
             demand, operating = chain.motion[0], State(chain.progress[0].state).name.lower()
         return Live(
-            time=self.frame * FRAME,
+            time=self.frame / self.rate,
             qpos=self.plant.data.qpos.copy(),
             demand=demand.copy(),
             reference=memory.reference.copy(),
@@ -301,7 +302,7 @@ class Session:
 
     def engage(self, law: Law) -> None:
         """Hand over to another law, from the next frame on, as `control.engage` says."""
-        self._engaged = bound(law, self.plant.law_key)
+        self._engaged = bound(law, self.plant)
         controller, memory = self.controller, self.memory
         dcl = control.make_dcl(self._engaged, self.plant.legs, self.plant.machine)
         limited = controller.dcl.workspace.limited
@@ -346,12 +347,12 @@ class Session:
 
     def inject(self, event: Event) -> None:
         """Put one more event on the time line, not before the present frame."""
-        if round(event.at / FRAME) < self.frame:
-            raise InputError(
-                f"at: {event.at} s of {event.kind} is past; allowed: from {self.frame * FRAME} s"
-            )
+        if round(event.at * self.rate) < self.frame:
+            now = self.frame / self.rate
+            raise InputError(f"at: {event.at} s of {event.kind} is past; allowed: from {now} s")
         events = (*self._events, event)
-        self.machine = self.machine._replace(timeline=make_timeline(events, self.plant.legs))
+        timeline = make_timeline(events, self.plant.legs, self.rate)
+        self.machine = self.machine._replace(timeline=timeline)
         self._events = events
 
     def rows(self, first: int, last: int) -> NDArray[np.float64]:
@@ -376,5 +377,5 @@ class Session:
         for name, (values, unit) in self.plant.derived_channels(channels).items():
             channels[name], units[name] = values, unit
         count = channels["leg_position"].shape[0]
-        time = np.arange(first, first + count, dtype=np.float64) * (self.every * FRAME)
+        time = np.arange(first, first + count, dtype=np.float64) * self.every / self.rate
         return time, channels, units

@@ -19,7 +19,7 @@ from cmf_mj.facility.session import OutOfBounds, Session, Table
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
-from cmf_mj.signals.signal import Command
+from cmf_mj.signals.signal import Command, commanded
 
 __all__ = ["OutOfBounds", "drive", "simulate"]
 
@@ -43,8 +43,8 @@ def simulate(
         plant: `Hexapod`, `SingleLegs`, or any `Plant`; its mechanical step must divide the
             control frame.
         law: name, TOML file or loaded `Law`.
-        command: a `Command`, platform poses (N, 6) at 2048 Hz [m, rad], z down, or with `legs`
-            extensions of the actuators (N, n) [m].
+        command: a `Command`, platform poses (N, 6) at the control rate [m, rad], z down, or with
+            `legs` extensions of the actuators (N, n) [m].
         legs: whether `command` are extensions.
         protection: conditions that make an emergency stop, `default` or a TOML file; the metadata
             tell the `fault` and its time. Default none.
@@ -79,7 +79,7 @@ def simulate(
             )
         table, demanded = Table(reference), None
     else:
-        demanded = command if isinstance(command, Command) else Command.from_pose(command)
+        demanded = commanded(command, plant.machine.rate)
         table = Table(pose_to_legs(demanded.pose, plant.machine), demanded.pose)
         if options.get("start") is None:
             options["start"] = demanded.pose[0]
@@ -101,8 +101,8 @@ def drive(plant: Plant, valves: ArrayLike, **options: Unpack[RunOptions]) -> Rec
 
     Args:
         plant: any `Plant`.
-        valves: valve commands as fractions, -1 to 1, positive extending, (N, n) at 2048 Hz, each
-            held over its frame.
+        valves: valve commands as fractions, -1 to 1, positive extending, (N, n), each held
+            over its control frame.
         **options: as for `simulate`; `command_delay` is that from a row to the valves, by
             default 0.
 

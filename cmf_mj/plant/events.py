@@ -26,7 +26,7 @@ from pydantic import Field, model_validator
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.rates import RATE
 from cmf_mj.core.settings import Count, Settings, Time, validated
 from cmf_mj.plant.valve import JAMMED, OVERRIDE
 
@@ -162,14 +162,14 @@ class Timeline(NamedTuple):
     size: NDArray[np.float64]  #: In SI.
 
 
-def make_timeline(events: Sequence[Event], legs: int) -> Timeline:
-    """Put events in order; one that names a leg that is not there is refused."""
+def make_timeline(events: Sequence[Event], legs: int, rate: int = RATE) -> Timeline:
+    """Put events in order, at a control rate [Hz]; a leg that is not there is refused."""
     for event in events:
         if event.leg is not None and event.leg > legs:
             raise InputError(f"leg: {event.leg} of {event.kind} is not a leg; allowed: 1 to {legs}")
     ordered = sorted(events, key=lambda event: event.at)
     rows = [
-        (round(e.at / FRAME), KINDS.index(e.kind), (e.leg or 0) - 1, (e.valve or 0) - 1)
+        (round(e.at * rate), KINDS.index(e.kind), (e.leg or 0) - 1, (e.valve or 0) - 1)
         for e in ordered
     ]
     frame, kind, leg, valve = np.array(rows, dtype=np.int64).reshape(-1, 4).T.copy()

@@ -105,7 +105,7 @@ class Hexapod(Plant):
             machine: by name, TOML file or loaded; default that of a loaded cab, or the CMF.
             spec: an edited `hexapod_spec` of the cab, with its masses and the machine's geometry;
                 default as shipped.
-            timestep: mechanical step [s]; default one control frame.
+            timestep: mechanical step [s]; default that of the `spec`, else as `set_timestep`.
 
         Raises:
             InputError: a refused machine or cab, a step that is not positive, refused hydraulics,
@@ -118,7 +118,8 @@ class Hexapod(Plant):
             model = hexapod_model(chosen, drawn=False) if spec is None else headless(spec)
         except ValueError as error:
             raise InputError(f"spec: does not compile: {error}") from None
-        set_timestep(model.opt, timestep)
+        if spec is None or timestep is not None:
+            set_timestep(model.opt, timestep, chosen.machine)
         parameters = hydraulics_of(chosen.machine, hydraulics)
         super().__init__(model, parameters, payload=["platform"], machine=chosen.machine)
 

@@ -6,6 +6,7 @@ The legs share neither payload nor inertia. In `models/single_legs.xml` they are
 joints whose weight at standard gravity is exactly the stated load.
 """
 
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.rates import FRAME
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.kinematics import pose_to_legs
@@ -78,7 +80,7 @@ class SingleLegs(Plant):
             machine: by name, TOML file or loaded.
             effective_mass: inertia each leg moves [kg]; default `design_point`.
             static_load: constant axial load pressing each leg together [N]; default likewise.
-            timestep: mechanical step [s]; default one control frame.
+            timestep: mechanical step [s]; default as `set_timestep`.
 
         Raises:
             InputError: a mass or step that is not positive, a half stroke other than the model's
@@ -91,7 +93,7 @@ class SingleLegs(Plant):
         if not mass > 0.0:
             raise InputError(f"effective_mass: {mass} kg must be greater than 0")
         spec = mujoco.MjSpec.from_file(str(models.model_path("single_legs.xml")))
-        set_timestep(spec.option, timestep)
+        set_timestep(spec.option, timestep, carrier)
         # The load is the weight under a gravity of its own: MuJoCo ignores a negative `gravcomp`.
         spec.option.gravity[2] = -load / mass
         for leg in range(1, 7):
@@ -108,10 +110,14 @@ class SingleLegs(Plant):
         super().place(pose_to_legs(pose, self.machine))
 
 
-def set_timestep(option: Any, timestep: float | None) -> None:
-    """Set the mechanical step [s] in the options of a model; None leaves it."""
+def set_timestep(option: Any, timestep: float | None, machine: Machine) -> None:
+    """Set the mechanical step [s] in the options of a model.
+
+    None is the longest share of the machine's control frame that is no longer than 1/2048 s, for
+    which the models are made.
+    """
     if timestep is None:
-        return
+        timestep = machine.frame / math.ceil(machine.frame / FRAME)
     if not timestep > 0.0:
         raise InputError(f"timestep: {timestep} s must be greater than 0")
     option.timestep = timestep

@@ -283,6 +283,11 @@ class Command:
         return self.pose.shape[0] / self.rate
 
 
+def commanded(command: Command | ArrayLike, rate: int) -> Command:
+    """A command, or an array of poses (N, 6), at a control rate [Hz]."""
+    return command.at(rate) if isinstance(command, Command) else Command.from_pose(command, rate)
+
+
 def tabulated(poses: NDArray[np.float64]) -> Motion:
     """A table (N, 6) that holds its first pose before and its last one after."""
     last = poses.shape[0] - 1

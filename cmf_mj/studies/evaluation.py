@@ -35,7 +35,6 @@ from cmf_mj.analysis.measures import (
 )
 from cmf_mj.analysis.response.welch import welch_response
 from cmf_mj.analysis.step_response import measure_step, step_metrics
-from cmf_mj.core.rates import FRAME
 from cmf_mj.facility.binding import bound
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.plant import Plant
@@ -175,7 +174,7 @@ def _linear(
         for name, part in zip(labels((channel,), plant.legs), error, strict=True):
             system.C[system.output_labels.index(name)] *= 1.0 + part
     delay = rung_named(study_case.rung).command_delay
-    law = bound(case.law, plant.law_key)
+    law = bound(case.law, plant)
     loop = pose_loop(closed_loop(law, system, command_delay=delay), plant, case.pose)
     measures, response = loop_measures(loop)
     if response is None:
@@ -194,17 +193,17 @@ def _linear(
 def loop_measures(
     loop: control.StateSpace,
 ) -> tuple[tuple[Measures, ...], NDArray[np.complex128] | None]:
-    """Measures of each axis of a loop at 2048 Hz, and its response (n, n, K).
+    """Measures of each axis of a discrete loop, and its response (n, n, K).
 
     `loop` goes from n demands to n motions. Its lines are `FREQUENCIES` and those of its poles. A
     loop that is not stable has no response and only a mode, the least damped of all.
     """
     poles = np.linalg.eigvals(np.asarray(loop.A))
-    mode = least_damped_mode(poles)
+    mode = least_damped_mode(poles, frame=loop.dt)
     axes = int(loop.noutputs)
     if not np.abs(poles).max() < 1.0:
         return (joined(mode=mode),) * axes, None
-    modes = np.abs(oscillations(poles)) / (2.0 * np.pi)
+    modes = np.abs(oscillations(poles, loop.dt)) / (2.0 * np.pi)
     lines = np.union1d(FREQUENCIES, modes[(modes > BAND[0]) & (modes < BAND[1])])
     omega = 2.0 * np.pi * lines
     response = np.asarray(control.frequency_response(loop, omega).frdata)
@@ -213,7 +212,7 @@ def loop_measures(
     measures = []
     for i in range(axes):
         widths = bandwidths(control.FrequencyResponseData(response[i, i], omega))
-        step = measure_step(steps[:, i, i], 1.0 / FRAME, final=float(final[i, i]))
+        step = measure_step(steps[:, i, i], 1.0 / loop.dt, final=float(final[i, i]))
         measures.append(joined(widths, step, mode))
     return tuple(measures), response
 
@@ -234,7 +233,7 @@ def _steps(loop: control.StateSpace) -> NDArray[np.float64]:
     stride = np.linalg.matrix_power(whole, _BLOCK)
     state = np.vstack([np.zeros((order, inputs)), np.eye(inputs)])
     blocks = []
-    for _ in range(round(STEP_DURATION / FRAME / _BLOCK)):
+    for _ in range(round(STEP_DURATION / loop.dt / _BLOCK)):
         blocks.append((reader @ state).reshape(_BLOCK, c.shape[0], inputs))
         state = stride @ state
     return np.concatenate(blocks)

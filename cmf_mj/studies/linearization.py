@@ -140,7 +140,7 @@ def loop_between(
     `system` is the plant linearised in `pose`; `signal` is a degree of freedom, or a leg, `leg_1`
     and so on. The loop has one input and one output, at 2048 Hz; all other demands are zero.
     """
-    loop = closed_loop(bound(load_law(law), plant.law_key), system, command_delay=command_delay)
+    loop = closed_loop(bound(load_law(law), plant), system, command_delay=command_delay)
     legs = [f"leg_{leg + 1}" for leg in range(plant.legs)]
     if not signal.startswith("leg_"):
         index = dof_index(signal)

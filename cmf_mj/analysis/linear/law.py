@@ -13,7 +13,6 @@ from cmf_mj.control.dcl import Dcl, DclState, make_dcl, step
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME
 
 FEEDBACK = ("leg_position", "leg_velocity", "leg_acceleration", "cap_pressure", "rod_pressure")
 """What a leg's sensors give the DCL [m, m/s, m/s^2, Pa, Pa]."""
@@ -86,7 +85,7 @@ def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
         b[kept],
         c[:, kept],
         d,
-        FRAME,
+        loaded.frame,
         inputs=labels(DCL_INPUTS, legs),
         outputs=labels(("command",), legs),
         states=[labels(_STATES, legs)[i].replace(".", "_") for i in kept],

@@ -32,7 +32,6 @@ from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space, la
 from cmf_mj.analysis.linear.plants import UnitTransferFunction, leg_plant
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.rates import FRAME
 
 OUTPUTS = (*FEEDBACK, "command")
 """Outputs a closed loop can have."""
@@ -58,13 +57,13 @@ def closed_loop(
     """Close the loop of a law around a linear plant; the clamps do not act.
 
     `plant` is a transfer function as for `leg_plant`, or a state space in SI units, continuous or
-    discrete at 2048 Hz; a single input may have any name. Of its outputs, position must be there,
-    velocity and acceleration where the law reads them. `command_delay` counts frames between the
-    DCL's output and the plant, at least 1. With `zero` pressures the law does not see the plant's,
-    as in the report. `outputs` are some of `OUTPUTS`.
+    discrete at the law's rate; a single input may have any name. Of its outputs, position must be
+    there, velocity and acceleration where the law reads them. `command_delay` counts frames between
+    the DCL's output and the plant, at least 1. With `zero` pressures the law does not see the
+    plant's, as in the report. `outputs` are some of `OUTPUTS`.
 
-    The loop is discrete at 2048 Hz, SI: from `reference` [m] to the outputs; with several legs from
-    `reference_1` and on to `leg_position_1` and on, leg by leg within an output. Raises
+    The loop is discrete at the law's rate, SI: from `reference` [m] to the outputs; with several
+    legs from `reference_1` and on to `leg_position_1` and on, leg by leg within an output. Raises
     `InputError` for a plant that has other names, another rate, or lacks what the law reads.
     """
     if command_delay < 1:
@@ -73,7 +72,7 @@ def closed_loop(
         check_name("outputs", name, OUTPUTS)
     check_name("pressures", pressures, get_args(Pressures))
     loaded = load_law(law)
-    sampled = _at_frames(plant)
+    sampled = _at_frames(plant, loaded.frame)
     columns = _commands(sampled)
     legs = len(columns)
     law_system = dcl_state_space(loaded, legs)
@@ -101,26 +100,28 @@ def closed_loop(
         loop_b,
         np.vstack([rows[name][0] for name in outputs]),
         np.vstack([rows[name][1] for name in outputs]),
-        FRAME,
+        loaded.frame,
         inputs=labels(("reference",), legs),
         outputs=labels(outputs, legs),
         name=f"closed_loop_{re.sub(r'[^A-Za-z0-9_]', '_', loaded.name)}",
     )
 
 
-def _at_frames(plant: UnitTransferFunction | control.StateSpace) -> control.StateSpace:
-    """The plant as a state space at 2048 Hz, its input constant over a frame."""
+def _at_frames(
+    plant: UnitTransferFunction | control.StateSpace, frame: float
+) -> control.StateSpace:
+    """The plant as a state space of control frames [s], its input constant over each."""
     if isinstance(plant, UnitTransferFunction):
-        return leg_plant(plant)
+        return leg_plant(plant, frame=frame)
     if not isinstance(plant, control.StateSpace):
         raise InputError(
             f"plant: {type(plant).__name__} is refused: a StateSpace is needed, or a transfer "
             "function with units, UnitTransferFunction"
         )
     if plant.isctime(strict=True):
-        return control.sample_system(plant, FRAME, method="zoh", copy_names=True)
-    if plant.dt is True or plant.dt is None or not np.isclose(plant.dt, FRAME, rtol=1e-9):
-        raise InputError(f"plant: its sampling time {plant.dt} must be {FRAME} s or continuous")
+        return control.sample_system(plant, frame, method="zoh", copy_names=True)
+    if plant.dt is True or plant.dt is None or not np.isclose(plant.dt, frame, rtol=1e-9):
+        raise InputError(f"plant: its sampling time {plant.dt} must be {frame} s or continuous")
     return plant
 
 
@@ -196,8 +197,8 @@ def loop_response(loop: control.StateSpace, frequency: NDArray[np.float64]) -> F
 def loop_step(
     loop: control.StateSpace, duration: float = STEP_DURATION
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Time [s] and response of a SISO loop to a unit step at 2048 Hz, both (N,)."""
-    time = np.arange(round(duration / FRAME)) * FRAME
+    """Time [s] and response of a discrete SISO loop to a unit step, both (N,)."""
+    time = np.arange(round(duration / loop.dt)) * loop.dt
     response = control.step_response(loop, time)
     return np.asarray(time, dtype=np.float64), np.asarray(response.outputs).reshape(-1)
 
@@ -225,9 +226,10 @@ def closed_loop_response(
     v = _square("velocity", velocity, f.size)
     s = 2j * np.pi * f[:, None, None]
     turn = np.eye(v.shape[1]) if legs_of_axes is None else np.asarray(legs_of_axes, dtype=float)
-    gain = _law_gains(load_law(law), f, turn)
-    hold = (1.0 - np.exp(-s * FRAME)) / (s * FRAME) * np.exp(-s * FRAME)
-    late = s * np.exp(-s * FRAME)
+    loaded = load_law(law)
+    gain, frame = _law_gains(loaded, f, turn), loaded.frame
+    hold = (1.0 - np.exp(-s * frame)) / (s * frame) * np.exp(-s * frame)
+    late = s * np.exp(-s * frame)
     back = (gain["leg_position"] / s + gain["leg_velocity"] + gain["leg_acceleration"] * late) @ v
     if pressures is not None:
         for name, values in zip(("cap_pressure", "rod_pressure"), pressures, strict=True):

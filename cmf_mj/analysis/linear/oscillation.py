@@ -21,7 +21,6 @@ from cmf_mj.analysis.linear.reduction import leg_model
 from cmf_mj.analysis.measures import least_damped_mode
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
-from cmf_mj.core.rates import FRAME
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.record.record import Record
@@ -44,19 +43,21 @@ class Oscillation(NamedTuple):
 def open_loop(law: Law, leg: control.StateSpace, f: NDArray[np.float64]) -> NDArray[np.complex128]:
     """L at `f` [Hz], (K,): from the command at the valve around to the DCL's output."""
     omega = 2.0 * np.pi * f
-    sampled = control.sample_system(leg, FRAME, method="zoh", copy_names=True)
+    sampled = control.sample_system(leg, law.frame, method="zoh", copy_names=True)
     plant = control.frequency_response(sampled, omega).frdata[:, 0, :]
     dcl = control.frequency_response(dcl_state_space(law), omega).frdata[0]
     rows = {name: plant[sampled.output_labels.index(name)] for name in FEEDBACK}
     total = sum(dcl[DCL_INPUTS.index(name)] * rows[name] for name in FEEDBACK)
-    return np.asarray(total * np.exp(-1j * omega * FRAME))
+    return np.asarray(total * np.exp(-1j * omega * law.frame))
 
 
 def oscillation(law: Law, parameters: HydraulicParameters) -> Oscillation:
     """Least damped poles and phase crossover of one leg under a law."""
     leg = leg_model(linearize(SingleLegs(parameters)), 1)
     # Slower pairs belong to the law's integrator, not to an oscillation.
-    damping, frequency = least_damped_mode(closed_loop(law, leg).poles(), 200.0, lowest_hz=4.0)
+    damping, frequency = least_damped_mode(
+        closed_loop(law, leg).poles(), 200.0, lowest_hz=4.0, frame=law.frame
+    )
     loop = open_loop(law, leg, _FREQUENCY)
     turns = np.flatnonzero((loop.imag[1:] * loop.imag[:-1] < 0.0) & (loop.real[1:] > 0.0))
     crossover, gain = float("nan"), float("nan")

@@ -74,8 +74,8 @@ class _System(NamedTuple):
     rows: dict[str, tuple[NDArray[np.float64], float]]
 
 
-def leg_plant(*models: UnitTransferFunction) -> control.StateSpace:
-    """One leg from continuous models of different outputs of `FEEDBACK`: at 2048 Hz, SI.
+def leg_plant(*models: UnitTransferFunction, frame: float = FRAME) -> control.StateSpace:
+    """One leg from continuous models of different outputs of `FEEDBACK`: per frame [s], SI.
 
     At least one is of position, velocity or acceleration. The derivative of an output without a
     direct term is exact; with one it is the difference over a frame, since a stepped command makes
@@ -95,11 +95,12 @@ def leg_plant(*models: UnitTransferFunction) -> control.StateSpace:
     d = np.zeros((len(FEEDBACK), 1))
     for name, (row, direct) in system.rows.items():
         c[FEEDBACK.index(name)], d[FEEDBACK.index(name), 0] = row, direct
-    a, b, c, d, _ = signal.cont2discrete((system.a, system.b, c, d), FRAME, method="zoh")
+    a, b, c, d, _ = signal.cont2discrete((system.a, system.b, c, d), frame, method="zoh")
     for before, after in ((_POSITION, _VELOCITY), (_VELOCITY, _ACCELERATION)):
         if after not in system.rows:
-            a, b, c, d = _difference((a, b, c, d), FEEDBACK.index(before), FEEDBACK.index(after))
-    return control.ss(a, b, c, d, FRAME, inputs=["command"], outputs=list(FEEDBACK), name="plant")
+            places = FEEDBACK.index(before), FEEDBACK.index(after)
+            a, b, c, d = _difference((a, b, c, d), *places, frame)
+    return control.ss(a, b, c, d, frame, inputs=["command"], outputs=list(FEEDBACK), name="plant")
 
 
 def _joined(models: tuple[UnitTransferFunction, ...]) -> _System:
@@ -154,7 +155,7 @@ def _derived(system: _System, output: str, rate: str) -> _System:
 
 
 def _difference(
-    matrices: tuple[NDArray[np.float64], ...], output: int, rate: int
+    matrices: tuple[NDArray[np.float64], ...], output: int, rate: int, frame: float
 ) -> tuple[NDArray[np.float64], ...]:
     """Set the row `rate` to the difference of the row `output` over a frame; one more state."""
     a, b, c, d = matrices
@@ -163,7 +164,7 @@ def _difference(
     b = np.vstack([b, d[output]])
     c = np.hstack([c, np.zeros((c.shape[0], 1))])
     d = d.copy()
-    c[rate] = c[output] / FRAME
-    c[rate, -1] = -1.0 / FRAME
-    d[rate] = d[output] / FRAME
+    c[rate] = c[output] / frame
+    c[rate, -1] = -1.0 / frame
+    d[rate] = d[output] / frame
     return a, b, c, d

@@ -59,9 +59,9 @@ def make_ring(slots: int = 256) -> Ring:
     )
 
 
-def capacity_for(frames: int) -> int:
+def capacity_for(frames: int, rate: int = RATE) -> int:
     """Frames that are handed over at most in a number of control frames."""
-    return SPARE + frames * MOST_RATE // RATE
+    return SPARE + frames * MOST_RATE // rate
 
 
 def make_log(capacity: int) -> Arrivals:
@@ -92,7 +92,7 @@ def put(ring: Ring, frame: HostFrame) -> None:
 
 
 @compiled
-def collect(ring, log, filled, frame):  # type: ignore[no-untyped-def]
+def collect(ring, log, filled, frame, rate=RATE):  # type: ignore[no-untyped-def]
     """Move all new frames from the ring to the log, as arrived in this control frame.
 
     `filled` places of the log were in use; returns how many are now. Hand the log to `feed`
@@ -103,7 +103,7 @@ def collect(ring, log, filled, frame):  # type: ignore[no-untyped-def]
     if end - ring.read[0] > slots:
         ring.lost[0] += end - slots - ring.read[0]
         ring.read[0] = end - slots
-    room = SPARE + frame * MOST_RATE // RATE - filled
+    room = SPARE + frame * MOST_RATE // rate - filled
     if room <= 0:
         return filled
     if end - ring.read[0] > room:

@@ -124,19 +124,19 @@ def differentiate(
 def from_command(
     command: Command, rate: float = 80.0, *, derivatives: str = "spline"
 ) -> HostStream:
-    """The stream of a host that means a command, at a rate of at most 2048 Hz.
+    """The stream of a host that means a command, at a rate of at most the command's own [Hz].
 
     `spline` samples the quintic spline through the command and its derivatives; `zero` takes the
     newest pose of the command and sends no derivatives (steps, pulses).
     """
     check_positive(rate=rate)
-    if rate > RATE:
-        raise InputError(f"rate: {rate} Hz must be at most {RATE} Hz")
+    if rate > command.rate:
+        raise InputError(f"rate: {rate} Hz must be at most {command.rate} Hz")
     frames = command.pose.shape[0]
-    grid = np.arange(frames) / RATE
+    grid = np.arange(frames) / command.rate
     time = np.arange(int(np.floor(grid[-1] * rate + 1e-9)) + 1) / rate
     if derivatives != "spline":
-        newest = np.minimum(np.floor(time * RATE + 1e-6).astype(int), frames - 1)
+        newest = np.minimum(np.floor(time * command.rate + 1e-6).astype(int), frames - 1)
         return make_stream(time, command.pose[newest], derivatives=derivatives)
     if frames < LEAST:
         raise InputError(f"command: {frames} frames; a spline needs at least {LEAST}")
@@ -156,12 +156,15 @@ def resample(stream: HostStream, rate: float) -> HostStream:
     return make_stream(time + start, *motion)
 
 
-def arrivals(stream: HostStream, *, delay: int = 0) -> Arrivals:
-    """The stream as it reaches a DCU, the first frame after `delay` whole control frames."""
+def arrivals(stream: HostStream, *, delay: int = 0, rate: int = RATE) -> Arrivals:
+    """The stream as it reaches a DCU, the first frame after `delay` whole control frames.
+
+    The DCU runs at a control rate [Hz].
+    """
     if delay < 0:
         raise InputError(f"delay: {delay} control frames must be at least 0")
     since = stream.time - stream.time[0]
-    frame = np.ceil(since * RATE - 1e-6).astype(np.int64) + delay
+    frame = np.ceil(since * rate - 1e-6).astype(np.int64) + delay
     return Arrivals(frame, stream.sequence, stream.time, stream.values)
 
 

@@ -156,7 +156,7 @@ class ScenarioRun:
         laws = [self._law]
         for due in coming:
             law = changed_law(laws[-1], due.change, due.laws)
-            laws.append(bound(law, self.plant.law_key))
+            laws.append(bound(law, self.plant))
         return laws[1:]
 
     def _happen(self, due: _Due) -> None:

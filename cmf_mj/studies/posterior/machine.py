@@ -60,7 +60,7 @@ class Machine:
 
     def loop(self, law: Law) -> control.StateSpace:
         """From demands to motions of the six degrees of freedom under a law."""
-        closed = closed_loop(bound(law, self.plant.law_key), self.system)
+        closed = closed_loop(bound(law, self.plant), self.system)
         return pose_loop(closed, self.plant)
 
     def damping(self, law: Law) -> dict[str, float]:

@@ -1,0 +1,101 @@
+"""Runs at other control rates than the facility's 2048 Hz."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from cmf_mj import Hexapod, load_law, simulate
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.quantity import Quantity
+from cmf_mj.facility.host.stream import make_stream
+from cmf_mj.facility.many import simulate_many
+from cmf_mj.facility.operation import FacilitySettings, operate
+from cmf_mj.machine.machine import Machine, load_machine
+from cmf_mj.record.record import Record
+from cmf_mj.signals import Command, step
+
+STEP = step("heave", 0.0254, at=0.5, duration=1.5)
+
+
+def machine(rate: int) -> Machine:
+    """The CMF with one cab and another control rate."""
+    cmf = load_machine()
+    hertz = Quantity(value=rate, unit="Hz", status="assumed", source="test")
+    return load_machine(
+        cmf.model_copy(
+            update={"name": "other", "control_rate": hertz, "cabs": {"deck": cmf.cabs["gfd"]}}
+        )
+    )
+
+
+@cache
+def stepped(rate: int) -> Record:
+    return simulate(Hexapod(machine=machine(rate)), "velocity", STEP)
+
+
+@pytest.mark.parametrize("rate", [500, 1024, 2048, 5000])
+def test_the_mechanical_step_divides_the_frame_and_is_no_longer_than_the_facility_s(
+    rate: int,
+) -> None:
+    step = Hexapod(machine=machine(rate)).model.opt.timestep
+    count = 1.0 / (rate * step)
+    assert count == pytest.approx(round(count), abs=1e-9)
+    assert step <= 1.0 / 2048
+
+
+def test_a_step_approaches_that_of_short_frames_in_proportion_to_the_frame() -> None:
+    """Delay and holds are whole frames, so the overshoot grows by an equal part of each frame.
+
+    20 %: terms of the second order in a frame of 1 ms.
+    """
+    top = {rate: stepped(rate)["platform_pose"][:, 2].max() for rate in (1024, 2048, 5000, 10_000)}
+    slopes = [
+        (top[rate] - top[10_000]) / (1.0 / rate - 1.0 / 10_000) for rate in (5000, 2048, 1024)
+    ]
+    assert slopes[0] > 0.0
+    np.testing.assert_allclose(slopes, slopes[0], rtol=0.2)
+
+
+def test_a_record_knows_its_rate() -> None:
+    record = stepped(5000)
+    assert record.rate == 5000.0
+    assert record.time.size == 7500 and record.time[-1] == pytest.approx(7499 / 5000)
+    assert record.metadata["law_parameters"]["rate"] == 5000
+    assert record.signal.rate == 5000
+
+
+def test_many_runs_are_those_of_single_ones() -> None:
+    poses = np.zeros((2, 300, 6))
+    poses[:, 100:, 2] = np.array([[0.002], [0.004]])
+    plant = Hexapod(machine=machine(1000))
+    runs = simulate_many(plant, "velocity", poses)
+    single = simulate(plant, "velocity", Command.from_pose(poses[1], 1000))
+    assert runs.time.tobytes() == single.time.tobytes()
+    assert runs["leg_extension"][1].tobytes() == single["leg_extension"].tobytes()
+
+
+def test_poses_of_another_rate_are_refused() -> None:
+    plant = Hexapod(machine=machine(1000))
+    with pytest.raises(InputError, match="2048 a second; the machine takes 1000 a second"):
+        simulate(plant, "velocity", Command.from_pose(np.zeros((100, 6))))
+
+
+def test_the_facility_follows_a_host_at_another_rate() -> None:
+    """1 s after its last change the demand of a slow wave is where the host has it, at any rate.
+
+    Oracle: the host's quintic at the time less the delays, counted in frames of the rate.
+    """
+    time = np.arange(240) / 80.0
+    pose = np.zeros((240, 6))
+    pose[:, 2] = 0.02 * (1.0 - np.cos(np.pi * time))
+    ideal = FacilitySettings(electronics=None)
+    for rate in (1000, 2048):
+        plant = Hexapod(machine=machine(rate))
+        run = operate(plant, "velocity", make_stream(time, pose), facility=ideal, record_every=10)
+        delay = sum(run.session.settings.delay.parts(rate).values())
+        late = run.record.time[(run.record.time > 1.5) & (run.record.time < 2.8)]
+        demand = np.interp(late, run.record.time, run.record["demand_pose"][:, 2])
+        meant = 0.02 * (1.0 - np.cos(np.pi * (late - delay)))
+        np.testing.assert_allclose(demand, meant, rtol=0, atol=0.064 / rate)
+    assert load_law("velocity").rate == 2048
