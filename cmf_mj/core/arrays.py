@@ -72,6 +72,8 @@ _PLAIN = frozenset((str, float, int, bool, type(None)))
 
 def frozen_json(content: Any) -> Any:
     """JSON values that nobody can write to, down to the last table and list."""
+    if isinstance(content, FrozenDict | FrozenList):
+        return content
     if isinstance(content, dict):
         return FrozenDict(zip(content, frozen_json(tuple(content.values())), strict=True))
     if isinstance(content, list | tuple):

@@ -1,5 +1,6 @@
 """Where the MJCF models and data files lie, in a checkout and in an installed wheel."""
 
+from functools import cache
 from pathlib import Path
 
 CMF = "cmf"
@@ -26,6 +27,7 @@ def model_path(name: str) -> Path:
     return directory() / name
 
 
+@cache
 def machine_names() -> tuple[str, ...]:
     """Names of the shipped machines, the CMF first."""
     names = {path.stem for path in (directory() / "machines").glob("*.toml")}

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
+from cmf_mj.core.arrays import frozen_json
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import OneAtATime
 from cmf_mj.machine.cab import Cab
@@ -374,20 +375,25 @@ class Plant:
         """SHA-256 of the compiled MuJoCo model, taken once: the model is not to be edited."""
         return hashlib.sha256(saved(self.model)).hexdigest()
 
-    def describe(self) -> Mapping[str, object]:
-        """What a record keeps of the plant."""
+    @cached_property
+    def _described(self) -> Mapping[str, object]:
         cab = self.cab_parameters
-        return {
-            "plant": self.name,
-            "machine": self.machine.name,
-            "machine_parameters": self.machine.recorded(),
-            "cab": self.cab,
-            "cab_parameters": {} if cab is None else cab.model_dump(mode="json", exclude_none=True),
-            "hydraulics": self.parameters.name,
-            "hydraulic_parameters": self.parameters.model_dump(exclude_none=True),
-            "model_digest": self.digest,
-            "mechanical_step": self.model.opt.timestep,
-        }
+        return frozen_json(
+            {
+                "plant": self.name,
+                "machine": self.machine.name,
+                "machine_parameters": self.machine.recorded(),
+                "cab": self.cab,
+                "cab_parameters": cab.model_dump(mode="json", exclude_none=True) if cab else {},
+                "hydraulics": self.parameters.name,
+                "hydraulic_parameters": self.parameters.model_dump(exclude_none=True),
+                "model_digest": self.digest,
+            }
+        )
+
+    def describe(self) -> Mapping[str, object]:
+        """What a record keeps of the plant, taken once but for the step."""
+        return {**self._described, "mechanical_step": self.model.opt.timestep}
 
 
 def _bytes(pose: ArrayLike | None) -> bytes:
