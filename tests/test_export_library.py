@@ -92,6 +92,22 @@ def test_the_library_needs_c_and_mujoco_alone(noisy: tuple[Path, list[Channel]])
 
 
 @pytest.mark.slow
+def test_cmake_builds_the_example_and_the_machine_does_what_it_says(
+    noisy: tuple[Path, list[Channel]],
+) -> None:
+    """It rises by a decimetre; without pump the accumulators lose pressure."""
+    build = noisy[0] / "build"
+    for command in (["cmake", "-S", noisy[0], "-B", build], ["cmake", "--build", build]):
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert not done.returncode, done.stderr
+    said = subprocess.run([build / "example"], env={}, capture_output=True, text=True).stdout
+    rows = [line.split() for line in said.splitlines()]
+    legs, supply = (np.array([float(row[place]) for row in rows]) for place in (4, 7))
+    assert legs[0] == 0.0 and 0.05 < legs[-1] < 0.1
+    assert (np.diff(supply[5:]) < 0.0).all()
+
+
+@pytest.mark.slow
 def test_a_minute_with_noise_is_the_record_bit_for_bit(noisy: tuple[Path, list[Channel]]) -> None:
     folder, table = noisy
     time = np.arange(60 * 2048)[:, None] / 2048

@@ -1,1 +1,1 @@
-"""The loop and the laws as machine code for hosts without Python."""
+"""The loop, the laws and the hydraulics as machine code for hosts without Python."""

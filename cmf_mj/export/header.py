@@ -1,6 +1,5 @@
 """What the C source must know of one machine: its header, and its data as bytes."""
 
-import hashlib
 from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any, NamedTuple
@@ -48,7 +47,7 @@ def parameters(frozen: Frozen) -> list[Parameter]:
     listed = [
         Parameter("settle", "s", "rest after a change of parameters", 5.0, 0.0, 60.0),
         Parameter("protection", "1", "1: faults make an emergency stop", guarded, 0.0, 1.0),
-        Parameter("supply_pressure", "Pa", "set pressure", supply.pressure, low, high),
+        Parameter("supply.pressure", "Pa", "set pressure", supply.pressure, low, high),
     ]
     for name in SIGNALS:
         text = f"factor on the law's gains of {name}"
@@ -87,8 +86,7 @@ def contents(frozen: Frozen) -> tuple[dict[str, NDArray[np.uint8]], str]:
     """Constant bytes by their C names, and the text of `cmf_machine.h`."""
     image, model = frozen.image, frozen.plant.model
     listed, table = parameters(frozen), channels(frozen)
-    hashed = hashlib.sha256(image.block.tobytes() + frozen.model.tobytes())
-    machine = int.from_bytes(hashed.digest()[:7], "little")
+    machine = int(frozen.digest, 16)
     head = np.array([0, machine, 0, 0, 0, 0, 0], dtype=np.int64)
     starts = np.array([parameter.start for parameter in listed])
     warned = np.zeros(2 * int(mujoco.mjtWarning.mjNWARNING), dtype=np.int32)

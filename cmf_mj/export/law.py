@@ -17,6 +17,7 @@ from cmf_mj.export.library import build, copy_licences, copy_sources
 from cmf_mj.export.machine_code import constant_data, machine_code
 from cmf_mj.facility.binding import bound
 from cmf_mj.machine.cab import Cab, load_cab
+from cmf_mj.machine.machine import Machine
 
 LEGS = 6
 """Those of the facility."""
@@ -36,9 +37,9 @@ def law_frame(parts, first, last):  # type: ignore[no-untyped-def]
     dcl.step(parts.dcl, parts.state, parts.reference, parts.feedback)
 
 
-def law_parts(law: Law) -> LawParts:
-    """A law bound to its machine, engaged at neutral at rest."""
-    block, still = dcl.make_dcl(law, LEGS), np.zeros(LEGS)
+def law_parts(law: Law, machine: Machine | None = None) -> LawParts:
+    """A law bound to its machine, by default the CMF, engaged at neutral at rest."""
+    block, still = dcl.make_dcl(law, LEGS, machine), np.zeros(LEGS)
     feedback = LegFeedback(*(np.zeros(LEGS) for _ in LegFeedback._fields))
     return LawParts(block, engaged(block, still, feedback), still, feedback)
 
@@ -48,17 +49,19 @@ def law_code(parts: LawParts) -> bytes:
     return machine_code("cmf_law_code", law_frame, numba.typeof(parts))
 
 
-def export_law(law: str | Path | Law, out: Path, cab: str | Path | Cab = "gfd") -> list[Path]:
+def export_law(law: str | Path | Law, out: Path, cab: str | Path | Cab | None = None) -> list[Path]:
     """Write a law as a C library into a folder and build it; the files written.
 
-    A law in hydraulic modes is bound to the cab. The library depends on the C library alone.
+    A law in hydraulic modes is bound to the cab, by default the CMF's first; stroke and piston area
+    are those of the cab's machine. The library depends on the C library alone.
 
     Raises:
         InputError: there is no such law or cab, or no C compiler.
         RunError: the compiler refuses the code.
     """
-    chosen = bound(load_law(law), load_cab(cab).known_as)
-    parts = law_parts(chosen)
+    carried = load_cab(cab)
+    chosen = bound(load_law(law), carried.known_as)
+    parts = law_parts(chosen, carried.machine)
     image = make_image(parts)
     out.mkdir(parents=True, exist_ok=True)
     files = copy_sources("law", out)
@@ -92,7 +95,8 @@ def _header(law: Law, parts: LawParts, image: Image) -> str:
     }
     lines = [f"/* {law.title.replace('*/', '')}", " *"]
     lines += [" * x[k+1] = A x[k] + B u[k], y[k] = C x[k] + D u[k]; y in per cent of full command,"]
-    lines += [" * u in in, in/s, in s, in/s^2, Pa, lbf, per leg or hydraulic mode.", " *"]
+    lines += [" * u in in, in/s, in s, in/s^2, Pa, lbf, per leg or hydraulic mode."]
+    lines += [f" * A frame is 1/{law.rate} s.", " *"]
     lines += [f" * A {law.state_gain}, C {law.output_gain}"]
     for letter, gains in (("B", law.input_gain), ("D", law.direct_gain)):
         values = {name: getattr(gains, name) for name in SIGNALS}

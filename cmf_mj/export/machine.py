@@ -1,5 +1,6 @@
 """A machine as an image: plant, control law and electronics at rest, and what a host must know."""
 
+import hashlib
 from typing import NamedTuple
 
 import mujoco
@@ -79,6 +80,12 @@ class Frozen(NamedTuple):
     mechanics: NDArray[np.float64]  #: MuJoCo's state.
     sensors: NDArray[np.float64]  #: MuJoCo's sensors.
     chain: bool  #: Whether a host's frames can move it.
+
+    @property
+    def digest(self) -> str:
+        """What tells the machine from others, 14 hexadecimal digits."""
+        blocks = self.image.slots.tobytes(), self.image.block.tobytes(), self.model.tobytes()
+        return hashlib.sha256(b"".join(blocks)).hexdigest()[:14]
 
     def objects(self) -> dict[str, bytes]:
         """Object files of the loop by their names."""

@@ -120,6 +120,7 @@ def _called_with_a_table(function: Callable[..., Any], kind: Any) -> Any:
 
 @lru_cache
 def _target() -> Any:
+    llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     target = llvm.Target.from_triple(llvm.get_default_triple())
     return target.create_target_machine(

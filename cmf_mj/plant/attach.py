@@ -69,24 +69,13 @@ def attach_hydraulics(
     >>> cmf_mj.attach_hydraulics(press, ["lift"]).legs
     1
     """
-    spec = _read(model)
-    parameters = load_hydraulics(hydraulics)
-    lengths = dict(cylinders) if isinstance(cylinders, Mapping) else dict.fromkeys(cylinders)
-    if isinstance(cylinders, str) or not lengths:
-        raise InputError(f"cylinders: {cylinders!r} names no joints or tendons; allowed: a list")
-    if not timestep > 0.0:
-        raise InputError(f"timestep: {timestep} s must be greater than 0")
-    if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-        raise InputError(
-            "integrator: RK4 cannot take its step in two halves; use Euler or implicitfast"
-        )
-    spec.option.timestep = timestep
-    neutral = [_fit(spec, name, retracted, parameters) for name, retracted in lengths.items()]
+    spec, parameters, neutral = equipped(model, cylinders, hydraulics, timestep)
     for name in payload:
         if spec.body(name) is None:
             raise InputError(f"payload: {name!r} is not one of {_names(spec.bodies)}")
+    lengths = list(neutral.values())
     plant = Plant(
-        spec.compile(), parameters, motors=list(lengths), payload=payload, neutral=neutral
+        spec.compile(), parameters, motors=list(neutral), payload=payload, neutral=lengths
     )
     plant.name = checked_name(spec.modelname, "model: name")
     stroke = plant.hydraulics.cylinder.half_stroke
@@ -99,6 +88,32 @@ def attach_hydraulics(
             f"{middle + stroke[leg]:.4f} m"
         )
     return plant
+
+
+def equipped(
+    model: str | Path | mujoco.MjSpec,
+    cylinders: Sequence[str] | Mapping[str, float | None],
+    hydraulics: str | Path | HydraulicParameters = "hardware",
+    timestep: float = FRAME,
+) -> tuple[mujoco.MjSpec, HydraulicParameters, dict[str, float]]:
+    """The editable model with a motor and stops a cylinder, the set, and lengths at half stroke.
+
+    Arguments and refusals are those of `attach_hydraulics`.
+    """
+    spec = _read(model)
+    parameters = load_hydraulics(hydraulics)
+    lengths = dict(cylinders) if isinstance(cylinders, Mapping) else dict.fromkeys(cylinders)
+    if isinstance(cylinders, str) or not lengths:
+        raise InputError(f"cylinders: {cylinders!r} names no joints or tendons; allowed: a list")
+    if not timestep > 0.0:
+        raise InputError(f"timestep: {timestep} s must be greater than 0")
+    if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        raise InputError(
+            "integrator: RK4 cannot take its step in two halves; use Euler or implicitfast"
+        )
+    spec.option.timestep = timestep
+    neutral = {name: _fit(spec, name, retracted, parameters) for name, retracted in lengths.items()}
+    return spec, parameters, neutral
 
 
 def _read(model: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:

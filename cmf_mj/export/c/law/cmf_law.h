@@ -1,4 +1,4 @@
-/* One control law of a motion base: the DCL from leg reference to valve command, 2048 Hz.
+/* One control law of a motion base: the DCL from leg reference to valve command, a frame at a time.
  *
  * A cmf_law is plain memory of the caller's, any number of them. Nothing is allocated, nothing is
  * shared, and nothing but the C mathematics library is called. Arrays have one entry a leg.

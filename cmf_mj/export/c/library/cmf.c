@@ -276,7 +276,7 @@ void cmf_free(cmf_machine *m) {
 
 /* Inputs. */
 
-static int finite(const double *values, int count) {
+static int all_finite(const double *values, int count) {
   for (int i = 0; i < count; i++)
     if (!isfinite(values[i])) return 0;
   return 1;
@@ -294,7 +294,7 @@ int cmf_set_input(cmf_machine *m, enum cmf_input input) {
 
 int cmf_set_reference(cmf_machine *m, const double *legs) {
   if (m->head.host) return refused(m, "reference: comes from the host");
-  if (!finite(legs, CMF_LEGS)) return refused(m, "reference: is not finite");
+  if (!all_finite(legs, CMF_LEGS)) return refused(m, "reference: is not finite");
   memcpy(numbers(m, AT_controller_table), legs, 8 * CMF_LEGS);
   return CMF_OK;
 }
@@ -302,7 +302,7 @@ int cmf_set_reference(cmf_machine *m, const double *legs) {
 int cmf_set_pose(cmf_machine *m, const double pose[6]) {
 #if CMF_CHAIN
   if (m->head.host) return refused(m, "pose: comes from the host");
-  if (!finite(pose, 6)) return refused(m, "pose: is not finite");
+  if (!all_finite(pose, 6)) return refused(m, "pose: is not finite");
   void *result, *fault;
   double *motion = numbers(m, AT_controller_chain_motion);
   memset(motion, 0, 18 * 8);

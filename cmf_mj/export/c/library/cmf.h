@@ -14,7 +14,7 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
-#ifdef __GNUC__
+#if defined(__GNUC__) && !defined(CMF_HIDDEN)
 #pragma GCC visibility push(default)
 #endif
 
@@ -100,7 +100,7 @@ size_t cmf_state_size(void);
 void cmf_get_state(const cmf_machine *, void *state);
 int cmf_set_state(cmf_machine *, const void *state, size_t size);
 
-#ifdef __GNUC__
+#if defined(__GNUC__) && !defined(CMF_HIDDEN)
 #pragma GCC visibility pop
 #endif
 #ifdef __cplusplus

@@ -1,0 +1,337 @@
+"""`cmf export fmu`: a machine as a Functional Mock-up Unit for co-simulation, FMI 2.0 or 3.0.
+
+Inputs are the demand of the platform, or references of the actuators of any other plant; outputs
+are all channels; parameters those of the library and some failures. Value references count in the
+order of `variables`, as the C source does.
+"""
+
+import shutil
+import tempfile
+import zipfile
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.control import demand
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.files import whole_file, write_csv, write_text
+from cmf_mj.core.rates import LONGEST, RATE
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.export.header import channels, parameters
+from cmf_mj.export.library import build, copy_mujoco, copy_sources, write_machine
+from cmf_mj.export.machine import Frozen, freeze
+from cmf_mj.facility.simulation import drive, simulate
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.plant.events import KINDS
+from cmf_mj.plant.plant import Plant
+from cmf_mj.record.record import Record
+
+FAILURES = 4
+"""Failures that parameters may name."""
+
+_BASE = {
+    "1": {},
+    "s": {"s": 1},
+    "m": {"m": 1},
+    "kg": {"kg": 1},
+    "rad": {"rad": 1},
+    "m/s": {"m": 1, "s": -1},
+    "rad/s": {"rad": 1, "s": -1},
+    "m/s^2": {"m": 1, "s": -2},
+    "rad/s^2": {"rad": 1, "s": -2},
+    "m^3": {"m": 3},
+    "m^3/s": {"m": 3, "s": -1},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "Pa": {"kg": 1, "m": -1, "s": -2},
+    "J": {"kg": 1, "m": 2, "s": -2},
+}
+"""Units by their SI base units."""
+
+_SECONDS, _STEPS = 1.0, 80
+"""Length and steps a second of the reference result."""
+
+
+class Variable(NamedTuple):
+    """A variable of the model description."""
+
+    name: str
+    kind: str  #: Float64, Int32 or Boolean.
+    causality: str  #: input, parameter or output.
+    text: str
+    unit: str = ""
+    start: float | None = None
+    least: float | None = None
+    most: float | None = None
+
+
+def variables(frozen: Frozen) -> list[Variable]:
+    """All variables of a machine in the order of their value references."""
+    listed = _inputs(frozen)
+    for name, unit, text, start, least, most in parameters(frozen):
+        listed.append(Variable(name, "Float64", "parameter", text, unit, start, least, most))
+    text = "whether the inputs are frames of a host, 80 a second, through DCU and limits"
+    listed.append(Variable("host", "Boolean", "parameter", text, start=0))
+    kinds = "0 none, " + ", ".join(f"{n} {kind}" for n, kind in enumerate(KINDS, start=1))
+    legs = frozen.plant.legs
+    for number in range(1, FAILURES + 1):
+        rows: list[tuple[str, str, str, str, float | None]] = [
+            ("at", "Float64", "s", "when", LONGEST),
+            ("kind", "Int32", "", kinds, len(KINDS)),
+            ("leg", "Int32", "", "leg of a valve or sensor, 0 for the others", legs),
+            ("valve", "Int32", "", "valve of the leg, 0 for both", 2),
+            ("size", "Float64", "1", "how much, SI; 0 as the kind has it", None),
+        ]
+        for name, kind, unit, said, high in rows:
+            low = None if high is None else 0.0
+            where = f"failure[{number}].{name}"
+            listed.append(Variable(where, kind, "parameter", said, unit, 0.0, low, high))
+    for channel in channels(frozen):
+        units = channel.unit.split(", ")
+        if len(units) == 3:  # generalised positions
+            continue
+        for index in range(channel.width):
+            unit = units[index * len(units) // channel.width]
+            name = channel.name + (f"[{index + 1}]" if channel.width > 1 else "")
+            text = channel.name.replace("_", " ")
+            listed.append(Variable(name, "Float64", "output", text, unit))
+    return listed
+
+
+def _inputs(frozen: Frozen) -> list[Variable]:
+    if not frozen.chain:
+        start, unit = (
+            frozen.parts.controller.table[0],
+            "m" if frozen.parts.controller.closed else "1",
+        )
+        text = "extension asked of an actuator" if unit == "m" else "valve command, fraction"
+        return [
+            Variable(f"reference[{leg}]", "Float64", "input", text, unit, float(value))
+            for leg, value in enumerate(start, start=1)
+        ]
+    return [
+        Variable(f"{name}.{dof}", "Float64", "input", f"{text}, z down", unit + per, 0.0)
+        for name, text, per in (
+            ("demand", "platform demand", ""),
+            ("demand_velocity", "its velocity, for a host", "/s"),
+            ("demand_acceleration", "its acceleration, for a host", "/s^2"),
+        )
+        for dof, unit in zip(DOFS, ["m"] * 3 + ["rad"] * 3, strict=True)
+    ]
+
+
+def export_fmu(
+    plant: Plant,
+    law: str | Path | Law | None,
+    file: Path,
+    *,
+    fmi: int = 2,
+    electronics: ElectronicsSettings | None = None,
+    protection: bool = True,
+) -> Path:
+    """Write a machine as an FMU; arguments as of `export_library`.
+
+    Raises:
+        InputError: another version of FMI than 2 or 3, or what `export_library` refuses.
+        RunError: the compiler refuses the code.
+    """
+    if fmi not in (2, 3):
+        raise InputError(f"fmi: {fmi} is refused; allowed: 2, 3")
+    loaded = None if law is None else load_law(law)
+    frozen = freeze(plant, loaded, electronics, protection)
+    listed = variables(frozen)
+    with tempfile.TemporaryDirectory() as folder, whole_file(file) as partial:
+        work, root = Path(folder) / "work", Path(folder) / "fmu"
+        token = write_fmu_sources(frozen, listed, work)
+        binaries = root / "binaries" / ("linux64" if fmi == 2 else "x86_64-linux")
+        binaries.mkdir(parents=True)
+        objects = [path.name for path in work.glob("*.o")]
+        build(work, work / "cmf.so", ["cmf.c", f"fmi{fmi}.c", "-DCMF_HIDDEN"], objects)
+        for name in ("cmf.so", *(path.name for path in work.glob("libmujoco.so.*"))):
+            shutil.copy(work / name, binaries)
+        shutil.copytree(work / "licences", root / "documentation" / "licenses")
+        describe = _describe2 if fmi == 2 else _describe3
+        tree = ElementTree.ElementTree(describe(frozen, listed, token))
+        ElementTree.indent(tree)
+        tree.write(root / "modelDescription.xml", encoding="UTF-8", xml_declaration=True)
+        _write_reference(frozen, loaded, electronics, protection, root / "resources")
+        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
+            for path in sorted(path for path in root.rglob("*") if path.is_file()):
+                archive.write(path, path.relative_to(root))
+    return file
+
+
+def write_fmu_sources(frozen: Frozen, listed: list[Variable], out: Path) -> str:
+    """Write all that an FMU is compiled of into a folder; the token it asks for."""
+    for kind in ("library", "fmu"):
+        copy_sources(kind, out)
+    write_machine(frozen, out)
+    copy_mujoco(out)
+    token = f"{{{frozen.digest}}}"
+    write_text(out / "cmf_fmu.h", _header(frozen, listed, token))
+    return token
+
+
+def _header(frozen: Frozen, listed: list[Variable], token: str) -> str:
+    count = {c: sum(v.causality == c for v in listed) for c in ("input", "output")}
+    starts = ", ".join(repr(v.start) for v in listed if v.causality == "input")
+    places = [
+        f"{{{number}, {index}}}"
+        for number, channel in enumerate(channels(frozen))
+        for index in range(channel.width)
+        if channel.unit.count(",") < 2
+    ]
+    return f"""/* One machine as an FMU. */
+#define FMU_TOKEN "{token}"
+#define FMU_CHAIN {int(frozen.chain)}
+#define FMU_INPUTS {count["input"]}
+#define FMU_PARAMETERS {len(parameters(frozen))}
+#define FMU_FAILURES {FAILURES}
+#define FMU_OUTPUTS {count["output"]}
+static const double fmu_starts[] = {{{starts}}};
+static const short fmu_outputs[][2] = {{{", ".join(places)}}};
+"""
+
+
+def _described(frozen: Frozen, fmi: int, token: str) -> tuple[Element, Element]:
+    """Root and co-simulation element that both versions have, with units, logging and times."""
+    state = "FMUstate" if fmi == 2 else "FMUState"
+    plant, law = frozen.plant, frozen.session.describe()["law"]
+    head = {
+        "fmiVersion": f"{fmi}.0",
+        "modelName": " ".join(filter(None, (plant.name, plant.cab, law))),
+        "guid" if fmi == 2 else "instantiationToken": token,
+        "description": "Motion base with hydraulics, electronics and control law at 2048 Hz",
+        "license": "MIT; documentation/licenses",
+        "generationTool": f"cmf-mj {version('cmf-mj')}",
+        "variableNamingConvention": "structured",
+    }
+    root = Element("fmiModelDescription", head)
+    able = {"modelIdentifier": "cmf", "canHandleVariableCommunicationStepSize": "true"}
+    able |= {f"canGetAndSet{state}": "true", f"canSerialize{state}": "true"}
+    SubElement(root, "CoSimulation", able)
+    units = SubElement(root, "UnitDefinitions")
+    for name, powers in _BASE.items():
+        unit = SubElement(units, "Unit", name=name)
+        SubElement(unit, "BaseUnit", {base: str(power) for base, power in powers.items()})
+    logged = SubElement(root, "LogCategories")
+    SubElement(
+        logged, "Category", name="logStatusError", description="refusals, and with logging steps"
+    )
+    times = {"startTime": "0", "stopTime": repr(_SECONDS), "stepSize": repr(1.0 / _STEPS)}
+    SubElement(root, "DefaultExperiment", times)
+    return root, SubElement(root, "ModelVariables")
+
+
+def _attributes(variable: Variable) -> tuple[dict[str, str], dict[str, str]]:
+    """Of a variable in both versions, and of its type."""
+    varies = "continuous" if variable.causality != "parameter" else "fixed"
+    said = {
+        "name": variable.name,
+        "causality": variable.causality,
+        "variability": varies,
+        "description": variable.text,
+    }
+    if variable.causality != "input":
+        said["initial"] = "calculated" if variable.causality == "output" else "exact"
+    kind = {"unit": variable.unit} if variable.unit else {}
+    integer = variable.kind != "Float64"
+    for name, value in (("start", variable.start), ("min", variable.least), ("max", variable.most)):
+        if value is not None:
+            kind[name] = str(int(value)) if integer else repr(float(value))
+    if variable.kind == "Boolean":
+        kind["start"] = "false"
+    return said, kind
+
+
+def _describe2(frozen: Frozen, listed: list[Variable], token: str) -> Element:
+    root, table = _described(frozen, 2, token)
+    kinds = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
+    structure = SubElement(root, "ModelStructure")
+    parts = [SubElement(structure, name) for name in ("Outputs", "InitialUnknowns")]
+    for reference, variable in enumerate(listed):
+        said, kind = _attributes(variable)
+        entry = SubElement(table, "ScalarVariable", said, valueReference=str(reference))
+        SubElement(entry, kinds[variable.kind], kind)
+        if variable.causality == "output":
+            SubElement(parts[0], "Unknown", index=str(reference + 1), dependencies="")
+            SubElement(parts[1], "Unknown", index=str(reference + 1))
+    return root
+
+
+def _describe3(frozen: Frozen, listed: list[Variable], token: str) -> Element:
+    root, table = _described(frozen, 3, token)
+    time = {"name": "time", "causality": "independent", "variability": "continuous", "unit": "s"}
+    SubElement(table, "Float64", time, valueReference=str(len(listed)))
+    structure = SubElement(root, "ModelStructure")
+    outputs = [str(n) for n, variable in enumerate(listed) if variable.causality == "output"]
+    for reference, variable in enumerate(listed):
+        said, kind = _attributes(variable)
+        if variable.causality == "input":
+            said.pop("initial", None)
+        SubElement(table, variable.kind, said | kind, valueReference=str(reference))
+    for output in outputs:
+        SubElement(structure, "Output", valueReference=output, dependencies="")
+    for output in outputs:
+        SubElement(structure, "InitialUnknown", valueReference=output)
+    return root
+
+
+def _write_reference(
+    frozen: Frozen,
+    law: Law | None,
+    electronics: ElectronicsSettings | None,
+    protection: bool,
+    folder: Path,
+) -> None:
+    """Write inputs, and what the Python loop makes of them, at every communication point."""
+    points = np.arange(int(_SECONDS * _STEPS) + 1)
+    frame = np.round(points * RATE / _STEPS).astype(np.int64)
+    wave = np.sin(2.0 * np.pi * points / _STEPS) ** 3
+    given = np.zeros((points.size, sum(v.causality == "input" for v in variables(frozen))))
+    given += [v.start or 0.0 for v in variables(frozen)[: given.shape[1]]]
+    given[:, 2 if frozen.chain else 0] += 0.02 * wave
+    rows = np.repeat(given[:-1], np.diff(frame), axis=0)
+    record = _run(frozen, law, electronics, protection, rows)
+    legs = frozen.plant.legs
+    names = [
+        f"{name}[{leg}]"
+        for name in ("leg_extension", "valve_command")
+        for leg in range(1, legs + 1)
+    ]
+    at = np.maximum(frame - 1, 0)
+    found = np.concatenate([record["leg_extension"][at], record["valve_command"][at]], axis=1)
+    inputs = [variable.name for variable in variables(frozen) if variable.causality == "input"]
+    time = points[:, None] / _STEPS
+    for name, header, values in (("in", inputs, given), ("out", names, found)):
+        rows = np.concatenate([time, values], axis=1).tolist()
+        write_csv(folder / f"reference_{name}.csv", ["time", *header], rows, digits=17)
+
+
+def _run(
+    frozen: Frozen,
+    law: Law | None,
+    electronics: ElectronicsSettings | None,
+    protection: bool,
+    rows: NDArray[np.float64],
+) -> Record:
+    """The Python loop on inputs that a row a frame has."""
+    plant = frozen.plant
+    if law is None:
+        return drive(plant, rows)
+    guard = "default" if protection else None
+    if not frozen.chain:
+        return simulate(plant, law, rows, legs=True, protection=guard, electronics=electronics)
+    block, motion, legs = demand.make_demand(plant.machine), np.zeros((3, 6)), np.zeros((3, 6))
+    table = np.empty((rows.shape[0], 6))
+    for frame, pose in enumerate(rows[:, :6]):
+        motion[0] = pose
+        demand.step(block, motion, legs)
+        table[frame] = legs[0]
+    how: Any = {"legs": True, "start": np.zeros(6), "protection": guard, "electronics": electronics}
+    return simulate(plant, law, table, **how)
