@@ -15,6 +15,7 @@ from cmf_mj.cli.options import choice
 if TYPE_CHECKING:
     from cmf_mj.facility.host.stream import HostStream
     from cmf_mj.facility.operation import Operation
+    from cmf_mj.machine.cab import Cab
 
 command = partial(app.command, rich_help_panel="Facility")
 
@@ -60,13 +61,19 @@ def _end(operation: Operation) -> str:
     return f"ended {state}: {fault['name']}{where} at {fault['time']:.3f} s"
 
 
-def _stream(file: Path, derivatives: str, rate: float | None) -> HostStream:
+def _stream(file: Path, derivatives: str, rate: float | None, cab: Cab | None = None) -> HostStream:
     from cmf_mj.facility.host.doubts import unit_doubts
     from cmf_mj.facility.host.files import read_stream
     from cmf_mj.facility.host.stream import resample
+    from cmf_mj.machine.cab import load_cab
 
     stream = read_stream(file, derivatives=derivatives)
-    show(*(f"{file}: {doubt}" for doubt in unit_doubts(stream.time, stream.pose)))
+    show(
+        *(
+            f"{file}: {doubt}"
+            for doubt in unit_doubts(stream.time, stream.pose, load_cab(cab).machine)
+        )
+    )
     return stream if rate is None else resample(stream, rate)
 
 
@@ -113,7 +120,7 @@ def serve_command(
     if operation.timing is not None:
         tables.append(report.timing_table(operation.timing))
     arrivals = operation.session.arrivals
-    doubts = unit_doubts(arrivals.time, arrivals.values[:, 0])
+    doubts = unit_doubts(arrivals.time, arrivals.values[:, 0], plant.machine)
     show(*tables, *doubts, _end(operation), written(paths))
 
 
@@ -135,8 +142,8 @@ def operate_command(
     from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import operation as report
 
-    stream = _stream(file, derivatives, rate)
     plant = Hexapod(cab, hydraulics)
+    stream = _stream(file, derivatives, rate, plant.cab_parameters)
     operation = operate(plant, law, stream, seconds=seconds, **_start(begin, noise))
     paths = report.save_operation(operation, out)
     show(report.account_table(operation), _end(operation), written(paths))
@@ -187,7 +194,7 @@ def record_command(
 
     sensors, size = noise_choice(noise), in_si(dof, amplitude)
     case = make_case(law, dof, plant, cab, hydraulics, amplitude=size, electronics=sensors)
-    largest = [peaks(command) for command in session_commands(dof, case.size)]
+    largest = [peaks(command) for command in session_commands(dof, case.size, case.on)]
     index, unit = dof_index(dof), dof_unit(dof)
     velocity, acceleration = (
         units.from_si(unit, max(float(getattr(peak, kind)[index]) for peak in largest))

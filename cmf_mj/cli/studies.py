@@ -115,6 +115,8 @@ def tune_command(
     target: Annotated[Path, new_file("--file", help="law file to write")] = _TUNED,
 ) -> None:
     """Search the gains of a form of law over all cabs and degrees of freedom."""
+    from cmf_mj.machine.cab import load_cab
+    from cmf_mj.machine.models import CMF
     from cmf_mj.studies.tuning.forms import make_template
     from cmf_mj.studies.tuning.search import Limits, save_law, search
 
@@ -122,9 +124,11 @@ def tune_command(
     how: dict[str, Any] = {"form": form, "evaluations": evaluations, "seed": seed}
     with progress_bar() as update:
         result = search(template, limits, progress=update, **how)
+    names, machine = ",".join(one.cab for one in template.cabs), load_cab(cabs[0]).machine
+    on = "" if machine.name == CMF else f"--machine {machine.name} "
     command_line = (
-        f"cmf tune --form {form} --peak {peak:g} --overshoot {overshoot:g} "
-        f"--cabs {','.join(cabs)} --evaluations {evaluations} --seed {seed}"
+        f"cmf tune {on}--form {form} --peak {peak:g} --overshoot {overshoot:g} "
+        f"--cabs {names} --evaluations {evaluations} --seed {seed}"
     )
     law = result.law.model_copy(update={"source": f"this project: {command_line}"})
     save_law(law, target, f"Written by `{command_line}`.")

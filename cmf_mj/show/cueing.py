@@ -71,7 +71,7 @@ def motion_figure(flown: Cue) -> Figure:
         rows=5,
     )
     time, pose = flown.aircraft.time, flown.stream.pose
-    legs = pose_to_legs(pose) / INCH
+    legs = pose_to_legs(pose, flown.machine) / INCH
     for column, (unit, scale) in enumerate((("m", 1.0), ("deg", DEGREE))):
         platform, leg = axes[3:, column]
         for i in range(3 * column, 3 * column + 3):

@@ -211,7 +211,7 @@ def loop_bandwidths(
     the `whole` one: velocities, cap and rod pressures of all, 18 outputs of 6 inputs.
     """
     frequency = np.arange(0.1, 10.0, 0.02)
-    law, legs = bound(case.law, case.build()), pose_jacobian(np.zeros(6))
+    law, legs = bound(case.law, case.build()), pose_jacobian(np.zeros(6), case.on)
     velocity, cap, rod = np.split(whole.response(frequency), 3, axis=1)
     alike = np.eye(len(DOFS)) * common.response(frequency)
     loops = (

@@ -34,7 +34,8 @@ from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.machine.leg_motion import leg_motion_to_pose
-from cmf_mj.machine.machine import recorded_machine
+from cmf_mj.machine.machine import Machine, recorded_machine
+from cmf_mj.machine.models import CMF
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.reader import read_recording
 from cmf_mj.record.record import Record
@@ -134,8 +135,10 @@ def dof_accelerations(record: Record) -> NDArray[np.float64]:
     return leg_motion_to_pose(pose, *legs, machine).acceleration
 
 
-def session_commands(dof: str, amplitude: float | None = None) -> list[Command]:
-    """The five rounds of seven sines of Table 2-3, checked against the operational limits.
+def session_commands(
+    dof: str, amplitude: float | None = None, machine: str | Machine = CMF
+) -> list[Command]:
+    """The five rounds of seven sines of Table 2-3, within a machine's operational limits.
 
     `amplitude` of each sine [m or rad] defaults to the report's 0.33 in or 0.2 deg.
     """
@@ -143,13 +146,13 @@ def session_commands(dof: str, amplitude: float | None = None) -> list[Command]:
     numbers = range(1, len(composite.ROUNDS) + 1)
     commands = [composite.seven_sines(dof, size, number) for number in numbers]
     for command in commands:
-        check_limits(command)
+        check_limits(command, machine=machine)
     return commands
 
 
 def facility_session(case: Case, jobs: int | None = None) -> list[Record]:
     """The facility's frequency-response session: five rounds of seven sines, at 128 Hz."""
-    return on_threads(case.run, session_commands(case.dof, case.size), jobs)
+    return on_threads(case.run, session_commands(case.dof, case.size, case.on), jobs)
 
 
 def _whole_cycles(record: Record, frequency: float, cycles: int) -> slice:

@@ -94,7 +94,7 @@ class Rung:
         """The plant of the rung with a cab and a hydraulic set."""
         chosen, parameters = load_cab(cab), self.hydraulics(hydraulics)
         if "point_mass" not in self.effects:
-            return SingleLegs(parameters)
+            return SingleLegs(parameters, machine=chosen.machine)
         if "leg_inertia" in self.effects:
             return Hexapod(chosen, parameters)
         return Hexapod(

@@ -28,6 +28,7 @@ from cmf_mj.core.rates import RATE as FRAMES
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.machine.leg_motion import leg_motion_to_pose
+from cmf_mj.machine.machine import Machine, recorded_machine
 from cmf_mj.record.record import Record
 
 Real = NDArray[np.float64]
@@ -153,16 +154,16 @@ def _indices(field: str, have: tuple[str, ...], names: Sequence[str] | None) -> 
     return [have.index(check_name(field, name, have)) for name in names]
 
 
-def _along(legs: Mapping[str, Real], channel: str, axes: Sequence[str]) -> Real:
+def _along(legs: Mapping[str, Real], channel: str, axes: Sequence[str], machine: Machine) -> Real:
     """A leg channel (N, n) along the axes, (N, axes)."""
     values = legs[channel]
     names = [*DOFS, *(f"leg_{i + 1}" for i in range(values.shape[1]))]
     chosen = _indices("axes", tuple(names), axes)
     if min(chosen) >= len(DOFS):
         return values[:, [i - len(DOFS) for i in chosen]]
-    pose = legs_to_pose(legs[channel if channel in POSITIONS else "leg_position"])
+    pose = legs_to_pose(legs[channel if channel in POSITIONS else "leg_position"], machine)
     if channel not in POSITIONS:
-        pose = leg_motion_to_pose(pose, values, np.zeros_like(values)).velocity
+        pose = leg_motion_to_pose(pose, values, np.zeros_like(values), machine).velocity
     return np.column_stack([pose, values])[:, chosen]
 
 
@@ -202,7 +203,8 @@ def experiment(
     legs = {channel: record[channel] for channel in needed}
     legs["valve_command"] = _at_valve(legs["valve_command"], frames, record.rate)
     legs = {channel: decimated(values, factor) for channel, values in legs.items()}
-    along = {channel: _along(legs, channel, names) for channel in needed}
+    machine = recorded_machine(record.metadata)
+    along = {channel: _along(legs, channel, names, machine) for channel in needed}
     measured = Experiment(
         input=along["valve_command"],
         output=np.column_stack([along[channel] for channel in channels]),

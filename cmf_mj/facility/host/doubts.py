@@ -6,6 +6,8 @@ from numpy.typing import NDArray
 from cmf_mj.core import units
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.machine import Machine
+from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
 
 SLOWEST = 0.25
@@ -18,12 +20,14 @@ _TIMES = {"ms": 1e-3, "us": 1e-6}
 """Other units of time that hosts count in [s]."""
 
 
-def unit_doubts(time: NDArray[np.float64], pose: NDArray[np.float64]) -> list[str]:
+def unit_doubts(
+    time: NDArray[np.float64], pose: NDArray[np.float64], machine: str | Machine = CMF
+) -> list[str]:
     """One line for each quantity that would fit in another unit and does not in its own.
 
     Frames have times (N,) [s] and poses (N, 6) [m, rad]. A median interval beyond `SLOWEST` is
-    doubted if it fits in ms or us; a pose beyond its operational limit if it would be within that
-    in inches or degrees.
+    doubted if it fits in ms or us; a pose beyond the machine's operational limit if it would be
+    within that in inches or degrees.
     """
     doubts = []
     stamps = time[np.isfinite(time)]
@@ -33,7 +37,7 @@ def unit_doubts(time: NDArray[np.float64], pose: NDArray[np.float64]) -> list[st
             doubts.append(
                 f"time: {interval:g} s from frame to frame; host times are in s: is this {unit}?"
             )
-    limits = np.abs(load_motion_limits().operational).max(axis=1)
+    limits = np.abs(load_motion_limits(None, machine).operational).max(axis=1)
     for dof, values, limit in zip(DOFS, pose.T, limits, strict=True):
         largest = float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
         unit = dof_unit(dof)

@@ -121,6 +121,7 @@ class Cue(NamedTuple):
     excursion: Excursion  #: Of what the washout asked.
     simulator: PilotMotion  #: At the pilot's station, if the machine follows exactly.
     error: CueingError  #: Sensed in flight less sensed in the simulator.
+    machine: Machine  #: That it is given with.
 
 
 def cue(
@@ -150,6 +151,7 @@ def cue(
         excursion(demanded, limits, carried.machine),
         simulator,
         cueing_error(flown, simulator, senses),
+        carried.machine,
     )
 
 

@@ -8,6 +8,7 @@ from cmf_mj.facility.scenario.settings import Push, Scenario, scenario_of
 from cmf_mj.facility.scenario.signal import Signal
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.signals.signal import SingleSignal
 
@@ -38,9 +39,9 @@ RECORD_EVERY = 16
 """Control frames between rows of a session's record: 128 Hz, the facility's recorder."""
 
 
-def largest_amplitude(dof: str) -> float:
+def largest_amplitude(dof: str, machine: str = CMF) -> float:
     """Operational excursion of a degree of freedom that both ends have, in in or deg."""
-    low, high = load_motion_limits().operational[DOFS.index(dof)]
+    low, high = load_motion_limits(None, machine).operational[DOFS.index(dof)]
     return round(units.from_si(dof_unit(dof), float(min(-low, high))), 1)
 
 

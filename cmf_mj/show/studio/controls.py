@@ -79,7 +79,7 @@ class SignalControls:
     def __init__(self, desk: Desk) -> None:
         """Add them to the container in force."""
         gui = desk.client.gui
-        self._desk = desk
+        self._desk, self._machine = desk, models.CMF
         self._dof = gui.add_dropdown("DOF", DOFS, initial_value="heave")
         self._kind = gui.add_dropdown("signal", ("rest", *choices.SIGNALS), initial_value="sine")
         self._amplitude = gui.add_slider("amplitude", 0.05, 41.0, 0.05, 2.0)
@@ -102,6 +102,7 @@ class SignalControls:
 
     def _follow(self, scenario: Scenario) -> None:
         """Show the signal of a scenario, where the page has such a one."""
+        self._machine = scenario.machine
         signals = scenario.signal
         if not signals:
             self._kind.value = "rest"
@@ -124,7 +125,7 @@ class SignalControls:
     def _limit(self) -> None:
         """Scale the amplitude to the degree of freedom."""
         self._amplitude.label = f"amplitude [{dof_unit(self.dof)}]"
-        self._amplitude.max = choices.largest_amplitude(self.dof)
+        self._amplitude.max = choices.largest_amplitude(self.dof, self._machine)
         self._amplitude.value = min(self._amplitude.value, self._amplitude.max)
 
     def _show_settings(self, chosen: dict[str, Any]) -> None:

@@ -119,8 +119,8 @@ def capacity(
     leaves its physical bounds.
     """
     demanded = command if isinstance(command, Command) else Command.from_pose(command)
-    check_limits(demanded)
     machine = Hexapod(cab, hydraulics) if plant is None else plant
+    check_limits(demanded, machine=machine.machine)
     allowed = least_allowed(machine.parameters, least_pressure)
     record = simulate(machine, law, demanded, record_every=_FRAMES)
     supply = machine.hydraulics.supply

@@ -42,9 +42,7 @@ def manoeuvre(
     if not after >= 2.0 * REST:
         raise InputError(f"after: {after} s must be at least {2.0 * REST:g} s")
     cycles = (at + after - REST) * frequency
-    command = sine(dof, amplitude, frequency, cycles=cycles, fade=FADE, rest=REST)
-    check_limits(command)
-    return command
+    return sine(dof, amplitude, frequency, cycles=cycles, fade=FADE, rest=REST)
 
 
 def run_failure(
@@ -68,6 +66,7 @@ def run_failure(
     size = by_kind(chosen.dof, *AMPLITUDES) if chosen.amplitude is None else chosen.amplitude
     if command is None:
         command = manoeuvre(chosen.dof, size, frequency, at=event.at, after=after)
+        check_limits(command, machine=chosen.on)
     frames = command.pose.shape[0]
     if not event.at < (frames - 1) * FRAME:
         raise InputError(

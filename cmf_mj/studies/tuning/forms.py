@@ -81,7 +81,7 @@ def make_template(name: str, title: str, cabs: Sequence[str | Path | Cab] = CABS
     """What a search needs besides the form."""
     plants = [Hexapod(cab) for cab in cabs]
     modes = {plant.cab: nominal_modes(plant) for plant in plants}
-    legs = SingleLegs()
+    legs = SingleLegs(machine=plants[0].machine)
     linear = tuple(linear_cab(plant) for plant in plants)
     moved = [
         np.abs(np.array(modes[cab.cab].shape) @ cab.jacobian * REPORT_AMPLITUDES).max(axis=1)
