@@ -145,16 +145,20 @@ def _draw_platform(root: Element, upper: NDArray[np.float64], scale: float) -> N
 
 
 def _cab(cab: Cab) -> bytes:
-    """A cab drawn as the homogeneous box of its inertia."""
+    """A cab drawn as the homogeneous box of its inertia, cut to platform and upper gimbals."""
     moments = np.diag(cab.tensor)
     square = 6.0 * (moments.sum() - 2.0 * moments) / cab.mass.si
+    half = 0.5 * np.sqrt(np.maximum(square, 1e-4))
+    half[:2] = np.minimum(half[:2], np.abs(cab.machine.geometry.upper).max())
+    if cab.centre_of_mass.si[2] > 0.0:
+        half[2] = min(half[2], cab.centre_of_mass.si[2])
     inertial = Element("inertial")
     _weigh(inertial, cab)
     text = _CAB.format(
         inertial=" ".join(f'{name}="{value}"' for name, value in inertial.attrib.items()),
         station=_text(cab.station * FLIP),
         middle=_text(cab.centre_of_mass.si),
-        size=_text(0.5 * np.sqrt(np.maximum(square, 1e-4))),
+        size=_text(half),
     )
     return text.encode()
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.analysis.modes import envelope_poses
 from cmf_mj.control.law import load_law
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import within
 from cmf_mj.facility.binding import bound
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.kinematics import excursion_envelope, leg_jacobian
@@ -67,7 +67,8 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
     """Look at a machine with all its cabs.
 
     Raises:
-        InputError: the machine cannot be built: refused hydraulics, law or cab.
+        InputError: the machine cannot be built: refused hydraulics, law or cab; or a cab cannot be
+            held at neutral.
     """
     plants = [Hexapod(load_cab(name, machine)) for name in machine.cab_names]
     bound(load_law(machine.law), plants[0].law_key)
@@ -119,10 +120,8 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
 def _cab(plant: Hexapod, limits: MotionLimits, faults: list[str]) -> CabCheck:
     """One cab; what does not fit is added to `faults`."""
     where = f"cabs.{plant.cab}"
-    try:
+    with within(where):
         plant.start()
-    except InputError as error:
-        faults.append(f"{where}: cannot be held at neutral: {error}")
     supply = plant.hydraulics.supply
     load = plant.static_load()
     speed = full_speed(plant.hydraulics, load, supply.pressure, supply.return_pressure)

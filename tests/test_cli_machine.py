@@ -1,0 +1,69 @@
+"""`cmf machine` and `--machine`: a file from the template to a model, and what does not fit."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from cmf_mj import Hexapod
+from cmf_mj.cli.common import app
+from cmf_mj.machine.models import machine_names
+
+TAKING = ("cab", "cabs", "hydraulics")
+
+
+def run(*arguments: str) -> tuple[int, str]:
+    result = CliRunner().invoke(app, list(arguments))
+    return result.exit_code, " ".join(result.output.split())
+
+
+def test_a_new_machine_is_checked_and_built(tmp_path: Path) -> None:
+    """The template fits together; its MJCF is the model that runs."""
+    file, out = tmp_path / "mine.toml", tmp_path / "model"
+    assert run("machine", "new", "mine", "--file", str(file)) == (0, f"written: {file}")
+    code, said = run("machine", "check", str(file))
+    assert code == 0 and "does not fit" not in said, said
+    assert "neutral legs 1.0366 to 1.0366 m" in said and "assumed: hydraulics.bore_diameter" in said
+    code, said = run("machine", "build", str(file), "--out", str(out))
+    assert code == 0, said
+    model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
+    drawn = Hexapod(machine=file).drawn_model
+    for field in ("body_mass", "body_pos", "body_inertia", "site_pos", "jnt_range"):
+        np.testing.assert_allclose(getattr(model, field), getattr(drawn, field), atol=1e-12)
+
+
+def test_what_does_not_fit_is_told(tmp_path: Path) -> None:
+    """A payload a hundred times too heavy, and legs asked for more speed than their valves give."""
+    file = tmp_path / "mine.toml"
+    run("machine", "new", "mine", "--file", str(file))
+    text = file.read_text()
+    file.write_text(text.replace("value = 300,", "value = 30000,"))
+    code, said = run("machine", "check", str(file))
+    assert code == 2
+    assert "cabs.payload: static load of leg 1: " in said and "cannot be held by a supply" in said
+    file.write_text(text.replace("value = 0.4,", "value = 4.0,"))
+    code, said = run("machine", "check", str(file))
+    assert code == 1 and "limits.leg.velocity asks for 4 m/s" in said
+
+
+def test_shipped_machines_are_listed_and_not_written_over() -> None:
+    code, said = run("machine", "list")
+    assert code == 0 and all(name in said for name in machine_names())
+    code, said = run("machine", "new", "cmf")
+    assert code == 2 or "is a shipped machine" in said
+
+
+@pytest.mark.parametrize("command", ["compare", "linearize", "operate", "fly", "tune", "serve"])
+def test_commands_that_build_a_machine_take_one(command: str) -> None:
+    parameters = [p.name for p in get_command(app).commands[command].params]  # type: ignore[attr-defined]
+    assert "machine" in parameters and set(TAKING) & set(parameters)
+
+
+def test_the_set_of_a_machine_is_shown() -> None:
+    code, said = run("parameters", "--machine", "simona")
+    assert code == 0 and "hydraulics: simona" in said and "160 bar" in said
+    code, said = run("parameters", "--machine", "simon")
+    assert code != 0
