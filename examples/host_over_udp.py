@@ -26,5 +26,6 @@ with UdpReceiver() as receiver:
     operation = serve(cmf_mj.Hexapod(), "velocity", receiver.ring, SECONDS, progress=started)
     host.join()
 heave = operation.record["platform_pose"][:, 2]
-print(f"frames accepted: {operation.counts['accepted']} of {flight.time.size}")
+counts = operation.counts
+print(f"frames accepted: {counts['accepted']} of {flight.time.size}, {counts['late']} late")
 print(f"heave from {heave.min():.3f} to {heave.max():.3f} m")

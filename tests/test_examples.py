@@ -42,11 +42,15 @@ def test_lift_rises_by_flow_over_area(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_facility_follows_a_host_on_the_network(capsys: pytest.CaptureFixture[str]) -> None:
+    """Where frames came in time the platform moves as asked; a busy machine stalls the host, and
+    the demand then stops smoothly and joins it again, some overshoot included."""
     text = printed("host_over_udp", capsys)
-    accepted, sent = (int(value) for value in re.findall(r"accepted: (\d+) of (\d+)", text)[0])
+    accepted, sent, late = map(int, re.findall(r"accepted: (\d+) of (\d+), (\d+) late", text)[0])
     assert 0.9 * sent <= accepted <= sent
     low, high = (float(value) for value in re.findall(r"-?\d\.\d{3}", text))
-    assert -0.13 < low < -0.08 and 0.08 < high < 0.13
+    assert low < -0.08 and 0.08 < high
+    if accepted == sent and late == 0:
+        assert -0.13 < low and high < 0.13
 
 
 def test_identified_model_predicts_the_bandwidth(capsys: pytest.CaptureFixture[str]) -> None:
