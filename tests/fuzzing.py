@@ -163,7 +163,7 @@ def line(
             given.append(str(pick(generator, flags)))
             continue
         value = value_of(
-            option, hints[option.name], generator, files, good=generator.random() < 0.5
+            option, hints.get(option.name, str), generator, files, good=generator.random() < 0.5
         )
         given += [option.opts[-1], value]
     for argument in command.params:

@@ -50,6 +50,11 @@ LINES = {
     "calibrate": "calibrate report --quick --samples 2 --out {out}",
     "report": "report --figures none --tables none --quick --out {out}",
     "linear": "linear --out {out}",
+    "machine new": "machine new mine --file {out}/mine.toml",
+    "machine show": "machine show cmf --file {out}/x.png",
+    "machine build": "machine build cmf --out {out}",
+    "export library": "export library --out {out}",
+    "export law": "export law velocity --out {out}",
     "video": "video heave_step --seconds 0.5 --file {out}/x.gif",
 }
 """A short line of every command that writes results, by its words."""

@@ -81,7 +81,7 @@ def test_at_neutral_the_design_payload_loads_each_massless_leg_with_7200_pounds(
     machine.start()
     load = machine.static_load() / units.POUND_FORCE
     np.testing.assert_allclose(load, 7200.0, rtol=0, atol=1.0)
-    geometry = machine.geometry
+    geometry = machine.machine.geometry
     cosine = ((geometry.lower - geometry.upper)[:, 2] / geometry.neutral).mean()
     assert load.mean() == pytest.approx(35950.0 / (6 * cosine), rel=1e-4)
 

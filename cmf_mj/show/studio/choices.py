@@ -52,7 +52,7 @@ def signal_settings(kind: str) -> dict[str, Any]:
     """
     fields = SIGNALS[kind].model_fields.items() if kind in SIGNALS else ()
     begun = {name: GENTLE.get(name, field.default) for name, field in fields}
-    basic = ("kind", "dof", "amplitude")
+    basic = ("kind", "rate", "dof", "amplitude")
     return {name: value for name, value in begun.items() if name not in basic and value is not None}
 
 
