@@ -34,14 +34,14 @@ def held(law: Law, frames: int) -> np.ndarray:
 def test_a_filter_settles_in_the_same_time_at_half_the_rate(name: str) -> None:
     """x = b (1 - a^k) / (1 - a) with inputs held: at common times the same to round-off."""
     law = load_law(name)
-    whole, half = held(law, 400), held(law.at(1024), 200)
+    whole, half = held(law, 400), held(law.at_rate(1024), 200)
     np.testing.assert_allclose(half, whole[::2], rtol=1e-9, atol=1e-15)
 
 
 def test_a_rate_there_and_back_leaves_the_gains() -> None:
     law = load_law("acceleration")
-    assert law.at(2048) is law
-    back = law.at(500).at(2048)
+    assert law.at_rate(2048) is law
+    back = law.at_rate(500).at_rate(2048)
     assert back.state_gain == pytest.approx(law.state_gain, rel=1e-12)
     assert back.accelerometer_pole == pytest.approx(law.accelerometer_pole, rel=1e-12)
     for name in SIGNALS:
@@ -52,10 +52,10 @@ def test_a_rate_there_and_back_leaves_the_gains() -> None:
 def test_what_a_rate_forbids_is_refused() -> None:
     fast = load_law({"direct_gain": {"reference": 1.0}, "title": "fast", "derivative_pole": 3000.0})
     with pytest.raises(InputError, match="derivative_pole: 3000 rad/s must be below twice"):
-        fast.at(1000)
+        fast.at_rate(1000)
     turns = load_law({"direct_gain": {"reference": 1.0}, "title": "turns", "state_gain": -0.5})
     with pytest.raises(InputError, match="state_gain: -0.5 of law custom is made for 2048 Hz"):
-        turns.at(1000)
+        turns.at_rate(1000)
     with pytest.raises(InputError, match="minimum_interval: .* two control frames, 0.02 s"):
         make_dcu("default", 1.0 / 100)
     with pytest.raises(InputError, match="washout: .* must be below the control rate, 0.01 1/s"):

@@ -1,6 +1,7 @@
 """Runs at other control rates than the facility's 2048 Hz."""
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,9 @@ from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.facility.many import simulate_many
 from cmf_mj.facility.operation import FacilitySettings, operate
+from cmf_mj.facility.scenario.run import run_scenario
+from cmf_mj.facility.scenario.settings import scenario_of
+from cmf_mj.machine import models
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.record.record import Record
 from cmf_mj.signals import Command, step
@@ -99,3 +103,30 @@ def test_the_facility_follows_a_host_at_another_rate() -> None:
         meant = 0.02 * (1.0 - np.cos(np.pi * (late - delay)))
         np.testing.assert_allclose(demand, meant, rtol=0, atol=0.064 / rate)
     assert load_law("velocity").rate == 2048
+
+
+def test_a_scenario_runs_at_the_rate_of_its_machine(tmp_path: Path) -> None:
+    """Changes, events and the end fall on the same times; the demand is that of the signal."""
+    text = (models.directory() / "machines" / "lab.toml").read_text()
+    assert "control_rate" not in text
+    slow = text.replace('name = "lab"', 'name = "slow"', 1).replace(
+        "[gimbals]",
+        '[control_rate]\nvalue = 1000\nunit = "Hz"\nstatus = "assumed"\nsource = "test"\n[gimbals]',
+        1,
+    )
+    (file := tmp_path / "slow.toml").write_text(slow)
+    scenario = scenario_of(
+        {
+            "machine": str(file),
+            "signal": [{"kind": "sine", "dof": "heave", "amplitude": 0.01, "frequency": 2.0}],
+            "change": [{"at": 0.5, "signal": [], "fade": 0.2}],
+            "duration": 1.0,
+        },
+        "test",
+    )
+    record = run_scenario(scenario)
+    assert record.rate == 1000.0 and record.time.size == 1000
+    time = record.time[:500]
+    meant = 0.005 * (1.0 - np.cos(np.pi * time)) * np.sin(4.0 * np.pi * time)
+    np.testing.assert_allclose(record["demand_pose"][:500, 2], meant, rtol=0, atol=1e-12)
+    assert np.abs(record["demand_pose"][700:]).max() == 0.0

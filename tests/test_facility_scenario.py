@@ -162,7 +162,7 @@ def test_a_second_take_over_starts_from_the_first() -> None:
 def test_an_endless_sine_is_the_sine_after_its_fade() -> None:
     (sine,) = scenario().signal
     frames = np.arange(2 * RATE)
-    heave = added([sine], 0)(frames)[:, 2]
+    heave = added([sine], 0, RATE)(frames)[:, 2]
     time = frames / RATE
     late = time >= 0.2
     expected = units.INCH * np.sin(2.0 * np.pi * 2.0 * time[late])

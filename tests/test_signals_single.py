@@ -274,7 +274,7 @@ def test_unknown_degree_of_freedom_lists_the_six(kind):
 def test_a_signal_at_another_control_rate_is_the_same_in_time(rate):
     """Each sample is the sine of its time; at common times both rates agree to round-off."""
     usual = signals.sine("heave", 0.1, frequency=0.5, cycles=4)
-    other = usual.at(rate)
+    other = usual.at_rate(rate)
     assert (other.rate, other.duration) == (rate, usual.duration)
     time = np.arange(other.pose.shape[0]) / rate
     middle = (time >= 1.0) & (time <= 7.0)
@@ -285,12 +285,12 @@ def test_a_signal_at_another_control_rate_is_the_same_in_time(rate):
     np.testing.assert_allclose(
         other.pose[:: rate // common], usual.pose[:: 2048 // common], rtol=0, atol=1e-12
     )
-    assert other.description["rate"] == rate and usual.at(2048) is usual
-    assert other.at(2048).description == usual.description
+    assert other.description["rate"] == rate and usual.at_rate(2048) is usual
+    assert other.at_rate(2048).description == usual.description
 
 
 def test_an_array_of_poses_has_its_own_rate_alone():
     command = signals.Command.from_pose(np.zeros((1000, 6)), rate=500)
     assert command.duration == 2.0
     with pytest.raises(InputError, match="500 a second; the machine takes 2048 a second"):
-        command.at(2048)
+        command.at_rate(2048)

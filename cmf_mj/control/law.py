@@ -226,7 +226,7 @@ class Law(Settings):
         """Control frame T [s]."""
         return 1.0 / self.rate
 
-    def at(self, rate: int) -> "Law":
+    def at_rate(self, rate: int) -> "Law":
         """The same law at another control rate [Hz].
 
         A pole p of the z plane becomes p^(rate before / rate), the pole of the same decay in time,

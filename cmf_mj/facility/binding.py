@@ -63,10 +63,10 @@ def bound(law: Law, machine: str | Cab | Plant) -> Law:
         InputError: a law in hydraulic modes has none of a CMF's cab or of a plant without cabs.
     """
     if isinstance(machine, Plant):
-        return bound(law, machine.law_key).at(machine.machine.rate)
+        return bound(law, machine.law_key).at_rate(machine.machine.rate)
     if isinstance(machine, str):
         return law.bound_to(machine)
-    law = law.at(machine.machine.rate)
+    law = law.at_rate(machine.machine.rate)
     stated = machine.name in law.modes or (machine.own and machine.machine.name == CMF)
     if law.coordinates == "legs" or stated:
         return law.bound_to(machine.name)

@@ -91,7 +91,7 @@ def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = 
     cab = recorded_cab(made)
     carrier = recorded_machine(made)
     loaded = bound(load_law(law), cab.known_as if cab else str(made.get("plant", "")))
-    loaded, every = loaded.at(carrier.rate), _every(record, carrier.rate)
+    loaded, every = loaded.at_rate(carrier.rate), _every(record, carrier.rate)
     histories = _feedback(record, loaded, feedback or {})
     reference = _legs(record, "leg_reference")
     if every > 1:

@@ -143,7 +143,7 @@ class Session:
         chain = source if isinstance(source, Chain) else None
         bare = options.electronics is None and chain is None
         parts = None if bare else make_electronics(options.electronics, at_rest, plant.machine)
-        dcl = control.make_dcl(law or _NO_LAW.at(self.rate), plant.legs, plant.machine)
+        dcl = control.make_dcl(law or _NO_LAW.at_rate(self.rate), plant.legs, plant.machine)
         compensated = dcl.feedback.gravity_compensation
         measure(parts, self.machine.faults, 0, at_rest, compensated, feedback)
         poses = table.poses

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from cmf_mj.core.rates import RATE
 from cmf_mj.facility.scenario.settings import Scenario, save_scenario
 from cmf_mj.record.record import Record
 from cmf_mj.show.film.film import FilmSettings, film
@@ -26,7 +25,7 @@ def save_run(
     if outputs.record:
         paths.append(record.save(folder / outputs.record))
     if outputs.plot:
-        changes = [change.when() / RATE for change in scenario.change]
+        changes = [change.when(scenario.rate) / scenario.rate for change in scenario.change]
         events = [event.at for event in scenario.event]
         figure = overview_figure(record, scenario.title, changes, events)
         paths.append(save_figure(figure, folder / outputs.plot))

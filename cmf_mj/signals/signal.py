@@ -149,6 +149,12 @@ class Signal(Settings):
     def _check(self) -> None:
         """Refuse settings that do not go together, by name."""
 
+    def at_rate(self, rate: int) -> Self:
+        """The same signal at another control rate [Hz]."""
+        if rate == self.rate:
+            return self
+        return validated(type(self), self.model_dump() | {"rate": rate}, self.kind)
+
     @abstractmethod
     def command(self, seed: int = 0) -> "Command":
         """The signal at its rate; the seed is that of a signal with none in its settings."""
@@ -195,6 +201,14 @@ class Other(Signal):
     model_config = ConfigDict(extra="allow")
 
     kind: str = "array"
+
+    def at_rate(self, rate: int) -> Self:
+        """Itself; refused at another rate, since the poses are not known between frames."""
+        if rate != self.rate:
+            raise InputError(
+                f"command: its poses are {self.rate} a second; the machine takes {rate} a second"
+            )
+        return self
 
     def command(self, seed: int = 0) -> "Command":
         """Refused: the table is not part of the description."""
@@ -261,16 +275,11 @@ class Command:
         """Poses a second [Hz]."""
         return self.signal.rate
 
-    def at(self, rate: int) -> "Command":
+    def at_rate(self, rate: int) -> "Command":
         """The same signal at another control rate [Hz]; an array of poses has its own alone."""
         if rate == self.rate:
             return self
-        if isinstance(self.signal, Other):
-            raise InputError(
-                f"command: its poses are {self.rate} a second; the machine takes {rate} a second"
-            )
-        table = self.signal.model_dump() | {"rate": rate}
-        return validated(type(self.signal), table, "command").command(self.seed or 0)
+        return self.signal.at_rate(rate).command(self.seed or 0)
 
     @property
     def description(self) -> dict[str, Any]:
@@ -285,7 +294,9 @@ class Command:
 
 def commanded(command: Command | ArrayLike, rate: int) -> Command:
     """A command, or an array of poses (N, 6), at a control rate [Hz]."""
-    return command.at(rate) if isinstance(command, Command) else Command.from_pose(command, rate)
+    return (
+        command.at_rate(rate) if isinstance(command, Command) else Command.from_pose(command, rate)
+    )
 
 
 def tabulated(poses: NDArray[np.float64]) -> Motion:

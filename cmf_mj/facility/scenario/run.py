@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from cmf_mj.control.law import Law
 from cmf_mj.control.states import Request
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME, RATE
 from cmf_mj.facility.binding import bound
 from cmf_mj.facility.scenario.demand import Demand
 from cmf_mj.facility.scenario.settings import Change, Laws, Scenario, changed_law
@@ -45,8 +44,8 @@ class ScenarioRun:
         self._begun = scenario
         self.plant = make_plant(scenario.plant, scenario.carried, scenario.hydraulics)
         """The machine; its MuJoCo data is that of the run."""
-        self._law = scenario.begun_law()
-        self._demand = Demand(added(scenario.signal, scenario.seed))
+        self._law, self._rate = scenario.begun_law(), self.plant.machine.rate
+        self._demand = Demand(added(scenario.signal, scenario.seed, self._rate))
         source = TableSource if scenario.operation is None else ChainSource
         self._source: TableSource | ChainSource = source(
             self._demand, self.plant, self._law, scenario
@@ -54,14 +53,14 @@ class ScenarioRun:
         self._session = self._source.session
         self._filled = 0
         laws = Laws()
-        self._due = deque(self._checked(one.when(), one, laws) for one in scenario.change)
+        self._due = deque(self._checked(one.when(self._rate), one, laws) for one in scenario.change)
         self._laws(self._due)
         self._done: list[Change] = []
         self._pushes: dict[int, tuple[float, ...]] = {}
-        self._strikes = sorted(round(event.at / FRAME) + 1 for event in scenario.event)
+        self._strikes = sorted(round(event.at * self._rate) + 1 for event in scenario.event)
         self._parts: deque[NDArray[np.float64]] = deque()
         self._first = self._next = 0
-        self._most = 0 if scenario.frames else max(round(keep * RATE / BLOCK), 1)
+        self._most = 0 if scenario.frames else max(round(keep * self._rate / BLOCK), 1)
 
     @property
     def frame(self) -> int:
@@ -114,14 +113,14 @@ class ScenarioRun:
 
     def scenario(self) -> Scenario:
         """What has been done so far, as a scenario that does it again bit for bit."""
-        frames, begun = max(self.frame, 1), self._begun
+        frames, begun, rate = max(self.frame, 1), self._begun, self._rate
         past: dict[str, Any] = {
-            "change": tuple(change for change in self._done if change.when() < frames),
-            "event": tuple(event for event in begun.event if round(event.at * RATE) < frames),
-            "duration": frames * FRAME,
+            "change": tuple(change for change in self._done if change.when(rate) < frames),
+            "event": tuple(event for event in begun.event if round(event.at * rate) < frames),
+            "duration": frames / rate,
         }
         if begun.operation is not None:
-            done = tuple(r for r in begun.operation.request if round(r.at * RATE) < frames)
+            done = tuple(r for r in begun.operation.request if round(r.at * rate) < frames)
             past["operation"] = begun.operation.model_copy(update={"request": done})
         return begun.model_copy(update=past)
 
@@ -144,7 +143,7 @@ class ScenarioRun:
         """The change with its motion, after a check that all of it is possible."""
         self._begun.check_change(change)
         signal = change.signal
-        motion = None if signal is None else added(signal, self._begun.seed)
+        motion = None if signal is None else added(signal, self._begun.seed, self._rate)
         named = Laws() if change.law is None else Laws({change.law: laws[change.law]})
         return _Due(frame, change, motion, named)
 
@@ -166,11 +165,11 @@ class ScenarioRun:
             (self._law,) = self._laws([due])
             session.engage(self._law)
         if due.motion is not None:
-            self._demand.change(self.frame, due.motion, round(change.fade * RATE))
+            self._demand.change(self.frame, due.motion, round(change.fade * self._rate))
             if self.frame % BLOCK:
                 self._fill(self._filled)
         for failure in change.failure:
-            session.inject(failure.event(self.frame * FRAME))
+            session.inject(failure.event(self.frame / self._rate))
             self._strikes.append(self.frame + 1)
         if change.push is not None:
             push = change.push

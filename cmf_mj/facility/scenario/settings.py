@@ -113,13 +113,13 @@ class Change(Settings):
             raise InputError("at, frame: both are given; allowed: one of them")
         return self
 
-    def when(self) -> int:
-        """Control frame of the change."""
+    def when(self, rate: int = RATE) -> int:
+        """Control frame of the change at a control rate [Hz]."""
         if self.frame is not None:
             return self.frame
         if self.at is None:
             raise InputError("at: is missing; a change in a scenario needs `at` or `frame`")
-        return round(self.at * RATE)
+        return round(self.at * rate)
 
 
 class ElectronicsChoice(Settings):
@@ -231,26 +231,27 @@ class Scenario(Settings):
 
     def _times(self) -> None:
         """Refuse what never happens, or not in this order, or is too much to hold."""
-        signals = [*self.signal, *(one for change in self.change for one in change.signal or ())]
-        seconds = sum(signal.length for signal in signals)
-        check_memory("signal", f"the demand of {len(signals)} signals", 6.0 * RATE * seconds)
+        rate, signals = self.rate, list(self.signal)
+        signals += [one for change in self.change for one in change.signal or ()]
+        seconds = sum(signal.at_rate(rate).length for signal in signals)
+        check_memory("signal", f"the demand of {len(signals)} signals", 6.0 * rate * seconds)
         last, end = 0, MOST_FRAMES if self.frames is None else self.frames
         for number, change in enumerate(self.change):
             if change.at is None and change.frame is None:
                 raise InputError(f"change.{number}: needs `at` in s or `frame`")
-            frame = change.when()
+            frame = change.when(rate)
             if frame < last:
                 raise InputError(f"change: frame {frame} comes after frame {last}; sort by time")
             last = frame
-        happens = [("change", change.when()) for change in self.change]
-        happens += [("event", round(event.at * RATE)) for event in self.event]
+        happens = [("change", change.when(rate)) for change in self.change]
+        happens += [("event", round(event.at * rate)) for event in self.event]
         if self.operation is not None:
-            happens += [("operation.request", round(r.at * RATE)) for r in self.operation.request]
+            happens += [("operation.request", round(r.at * rate)) for r in self.operation.request]
         for field, frame in happens:
             if frame >= end:
                 raise InputError(
-                    f"{field}: at {frame / RATE:g} s never happens; allowed: before the end of the "
-                    f"run at {end / RATE:g} s"
+                    f"{field}: at {frame / rate:g} s never happens; allowed: before the end of the "
+                    f"run at {end / rate:g} s"
                 )
 
     def check_change(self, change: Change) -> None:
@@ -272,14 +273,19 @@ class Scenario(Settings):
         """The cab on its machine."""
         return load_cab(self.cab, self.machine)
 
+    @property
+    def rate(self) -> int:
+        """Control frames a second [Hz]."""
+        return self.carried.machine.rate
+
     def begun_law(self) -> Law:
         """The law at the start, bound to the machine."""
-        return bound(overlaid_law(load_law(self.law), self.gains), self.law_key)
+        return bound(overlaid_law(load_law(self.law), self.gains), self.law_key).at_rate(self.rate)
 
     @property
     def frames(self) -> int | None:
         """Control frames of the run; None for ever."""
-        return None if self.duration == "open" else max(round(self.duration * RATE), 1)
+        return None if self.duration == "open" else max(round(self.duration * self.rate), 1)
 
     def chosen_electronics(self) -> ElectronicsSettings | None:
         """Electronics of the run."""

@@ -109,9 +109,9 @@ Signal = Annotated[
 """Any of them, told apart by `kind`."""
 
 
-def added(parts: Sequence[AnySignal], seed: int) -> Motion:
-    """The sum of signals; at rest at neutral without any."""
-    motions = [part.motion(seed) for part in parts]
+def added(parts: Sequence[AnySignal], seed: int, rate: int) -> Motion:
+    """The sum of signals at a control rate [Hz]; at rest at neutral without any."""
+    motions = [part.at_rate(rate).motion(seed) for part in parts]
 
     def total(frames: NDArray[np.int64]) -> NDArray[np.float64]:
         poses = np.zeros((frames.size, 6))

@@ -15,7 +15,7 @@ from cmf_mj.control.law import Law
 from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME, MOST_FRAMES
+from cmf_mj.core.rates import MOST_FRAMES
 from cmf_mj.facility.host.handover import make_log
 from cmf_mj.facility.operation import (
     FacilitySettings,
@@ -77,7 +77,7 @@ class ChainSource:
         if operation is None or not isinstance(plant, Hexapod):
             raise InputError("operation: needs the hexapod")
         self._demand = demand
-        self._every = operation.host_every
+        self._every, self._rate = operation.host_every, plant.machine.rate
         self._arrivals = make_log((scenario.frames or BLOCK) // self._every + BLOCK)
         self.fill(0)
         limits = load_motion_limits(operation.limits, plant.machine)
@@ -109,12 +109,12 @@ class ChainSource:
         frames = numbers * self._every
         at = frames - first + 1
         before, here, after = poses[at - 1], poses[at], poses[at + 1]
-        log = self._arrivals
+        log, rate = self._arrivals, self._rate
         log.frame[numbers], log.sequence[numbers] = frames, numbers
-        log.time[numbers] = frames * FRAME
+        log.time[numbers] = frames / rate
         log.values[numbers, 0] = here
-        log.values[numbers, 1] = (after - before) / (2.0 * FRAME)
-        log.values[numbers, 2] = (after - 2.0 * here + before) / FRAME**2
+        log.values[numbers, 1] = (after - before) * (rate / 2.0)
+        log.values[numbers, 2] = (after - 2.0 * here + before) * float(rate) ** 2
 
     def _extend(self, count: int) -> None:
         if count <= self._arrivals.frame.size:
