@@ -235,8 +235,9 @@ def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Pope
     subprocess.run(command, cwd=out, check=True)
     process = subprocess.Popen([out / "fuzz"], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     yield process
-    assert process.stdin is not None
+    assert process.stdin is not None and process.stdout is not None
     process.stdin.close()
+    process.stdout.close()
     assert process.wait(60) == 0, "memory was not given back"
 
 

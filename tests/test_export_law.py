@@ -13,7 +13,7 @@ import pytest
 
 from cmf_mj import Hexapod, Record, law_names, load_law, pose_to_legs, signals, simulate
 from cmf_mj.control.dcl import DclState
-from cmf_mj.core.errors import RunError
+from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.image import make_image
 from cmf_mj.export.law import export_law, law_code, law_parts
@@ -82,6 +82,25 @@ def test_code_that_calls_what_no_one_knows_is_refused() -> None:
     assert machine_code("known", known, kind)
     with pytest.raises(RunError, match="machine code of unknown: calls erf; Numba has changed"):
         machine_code("unknown", unknown, kind)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("CC", "no-such-compiler", "cc: there is no C compiler"),
+        ("machine", "arm64", "system: Linux"),
+    ],
+)
+def test_without_compiler_or_on_another_system_nothing_is_written(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, field: str, value: str, said: str
+) -> None:
+    if field == "CC":
+        monkeypatch.setenv(field, value)
+    else:
+        monkeypatch.setattr("platform.machine", lambda: value)
+    with pytest.raises(InputError, match=said):
+        export_law("velocity", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

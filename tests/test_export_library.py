@@ -95,7 +95,7 @@ def test_the_library_needs_c_and_mujoco_alone(noisy: tuple[Path, list[Channel]])
 def test_cmake_builds_the_example_and_the_machine_does_what_it_says(
     noisy: tuple[Path, list[Channel]],
 ) -> None:
-    """It rises by a decimetre; without pump the accumulators lose pressure."""
+    """It rises by a decimetre; from 2 s on, without pump, each stroke takes oil and pressure."""
     build = noisy[0] / "build"
     for command in (["cmake", "-S", noisy[0], "-B", build], ["cmake", "--build", build]):
         done = subprocess.run(command, capture_output=True, text=True)
@@ -103,8 +103,8 @@ def test_cmake_builds_the_example_and_the_machine_does_what_it_says(
     said = subprocess.run([build / "example"], env={}, capture_output=True, text=True).stdout
     rows = [line.split() for line in said.splitlines()]
     legs, supply = (np.array([float(row[place]) for row in rows]) for place in (4, 7))
-    assert legs[0] == 0.0 and 0.05 < legs[-1] < 0.1
-    assert (np.diff(supply[5:]) < 0.0).all()
+    assert abs(legs[0]) < 1e-9 and 0.05 < legs.max() < 0.1
+    assert supply[-1] < supply[4] - 0.1
 
 
 @pytest.mark.slow

@@ -63,7 +63,6 @@ def export_law(law: str | Path | Law, out: Path, cab: str | Path | Cab | None = 
     chosen = bound(load_law(law), carried.known_as)
     parts = law_parts(chosen, carried.machine)
     image = make_image(parts)
-    out.mkdir(parents=True, exist_ok=True)
     files = copy_sources("law", out)
     blocks = {
         "cmf_law_slots_data": np.frombuffer(image.slots.tobytes(), dtype=np.uint8),

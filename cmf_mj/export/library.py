@@ -5,6 +5,7 @@ build it again, an example, and the licences. The library depends on MuJoCo and 
 """
 
 import os
+import platform
 import shutil
 import subprocess
 from collections.abc import Iterable
@@ -56,7 +57,8 @@ def export_library(
 
 
 def copy_sources(kind: str, out: Path) -> list[Path]:
-    """Copy what is the same in every export of a kind."""
+    """Copy what is the same in every export of a kind; first of all, nothing lies there before."""
+    _compiler()
     out.mkdir(parents=True, exist_ok=True)
     return [Path(shutil.copy(path, out)) for path in sorted((_SOURCES / kind).iterdir())]
 
@@ -95,10 +97,7 @@ def copy_licences(out: Path, packages: Iterable[str]) -> list[Path]:
 
 def build(folder: Path, library: Path, sources: list[str], objects: Iterable[str]) -> None:
     """Build a shared library of C sources and object files in their folder."""
-    compiler = shutil.which(os.environ.get("CC", "cc"))
-    if compiler is None:
-        raise InputError("cc: there is no C compiler; install one, such as gcc, or set CC")
-    command = [compiler, "-std=c99", "-O2", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off"]
+    command = [_compiler(), "-std=c99", "-O2", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off"]
     command += [
         "-shared",
         "-isystem",
@@ -114,3 +113,14 @@ def build(folder: Path, library: Path, sources: list[str], objects: Iterable[str
     run = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     if run.returncode:
         raise RunError(f"cc: {run.stderr.strip()[:1000]}")
+
+
+def _compiler() -> str:
+    """The C compiler of a system that exports are made for."""
+    system = f"{platform.system()} {platform.machine()}"
+    if system != "Linux x86_64":
+        raise InputError(f"system: {system} has no exports; allowed: Linux x86_64")
+    compiler = shutil.which(os.environ.get("CC", "cc"))
+    if compiler is None:
+        raise InputError("cc: there is no C compiler; install one, such as gcc, or set CC")
+    return compiler

@@ -1,4 +1,4 @@
-/* Heave by a decimetre in one second, then lose the pump; print what the machine does. */
+/* Heave by a decimetre and back, again and again; after two seconds without the pump. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -20,8 +20,8 @@ int main(void) {
     fprintf(stderr, "%s\n", cmf_message(machine));
 
   for (int frame = 0; frame < 4 * 2048; frame++) {
-    double t = frame / CMF_RATE, x = t < 1.0 ? t : 1.0;
-    double pose[6] = {0.0, 0.0, -0.1 * x * x * x * (10.0 - 15.0 * x + 6.0 * x * x), 0.0, 0.0, 0.0};
+    double t = frame / CMF_RATE, up = 0.05 * (1.0 - cos(3.14159265 * t));
+    double pose[6] = {0.0, 0.0, -up, 0.0, 0.0, 0.0}; /* z is down */
     if (cmf_set_pose(machine, pose) || cmf_step(machine, 1)) {
       fprintf(stderr, "%s\n", cmf_message(machine));
       break;
