@@ -55,6 +55,7 @@ LINES = {
     "machine build": "machine build cmf --out {out}",
     "export library": "export library --out {out}",
     "export law": "export law velocity --out {out}",
+    "export fmu": "export fmu --file {out}/x.fmu",
     "video": "video heave_step --seconds 0.5 --file {out}/x.gif",
 }
 """A short line of every command that writes results, by its words."""
