@@ -261,7 +261,7 @@ def test_scenario_of_another_cab_can_be_loaded_and_reset(tab: Tab, tmp_path: Pat
     path.write_text('cab = "ifd"\nlaw = "velocity_integral"\nrecord_every = 16\n')
     tab.upload("load scenario", path)
     tab.status("law velocity_integral")
-    tab.wait(lambda: tab.behind._scene.cab == "ifd")
+    tab.wait(lambda: tab.behind._scene.cab.name == "ifd")
     tab.wait(lambda: tab.time() > 1.5)
     tab.press("reset")
     tab.wait(lambda: tab.time() < 1.5)

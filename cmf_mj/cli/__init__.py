@@ -20,3 +20,10 @@ def main() -> None:
         app(prog_name="cmf")
     except KeyboardInterrupt:  # before a command has begun
         raise SystemExit(130) from None
+    except ImportError as error:  # an extension that is interrupted says that it failed
+        cause: BaseException | None = error
+        while isinstance(cause, ImportError):
+            cause = cause.__cause__
+        if not isinstance(cause, KeyboardInterrupt):
+            raise
+        raise SystemExit(130) from None

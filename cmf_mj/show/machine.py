@@ -8,6 +8,8 @@ import mujoco
 import numpy as np
 
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.files import whole_file
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.geometry import DOFS
@@ -86,9 +88,12 @@ def check_text(check: MachineCheck) -> list[str]:
 
 def save_picture(machine: Machine, cab: str | None, path: Path, size: tuple[int, int]) -> Path:
     """Draw a machine with a cab at neutral, width and height in pixels."""
+    if path.suffix != ".png":
+        raise InputError(f"file: {path} must end in .png")
     model = hexapod_model(load_cab(cab, machine))
     with Stage(model, *size, "overview") as stage:
         pixels = stage.picture(mujoco.MjData(model).qpos)
     path.parent.mkdir(parents=True, exist_ok=True)
-    matplotlib.image.imsave(path, pixels)
+    with whole_file(path) as part:
+        matplotlib.image.imsave(part, pixels, format="png")
     return path
