@@ -93,7 +93,6 @@ def save_picture(machine: Machine, cab: str | None, path: Path, size: tuple[int,
     model = hexapod_model(load_cab(cab, machine))
     with Stage(model, *size, "overview") as stage:
         pixels = stage.picture(mujoco.MjData(model).qpos)
-    path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as part:
         matplotlib.image.imsave(part, pixels, format="png")
     return path
