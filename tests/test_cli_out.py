@@ -138,3 +138,28 @@ def test_a_package_that_cannot_be_written_to_keeps_its_cache_elsewhere(
     monkeypatch.setenv("NUMBA_CACHE_DIR", "mine")
     caches.place()
     assert os.environ["NUMBA_CACHE_DIR"] == "mine"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_that_a_library_turns_into_its_own_error_is_one(
+    number: signal.Signals,
+) -> None:
+    """As extension modules do while they are imported, and engines in functions of the user."""
+    text = (
+        "import os, cmf_mj.cli as cli\n"
+        "def app(**_):\n"
+        "    try:\n"
+        f"        os.kill(os.getpid(), {int(number)})\n"
+        "    except KeyboardInterrupt as error:\n"
+        "        raise ImportError('initialization failed') from error\n"
+        "cli.app = app\n"
+        "cli.main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (130, b"")
+
+
+def test_an_error_without_an_interrupt_keeps_its_traceback() -> None:
+    text = "import cmf_mj.cli as cli\ncli.app = lambda **_: 1 / 0\ncli.main()\n"
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, check=False)
+    assert done.returncode == 1 and b"ZeroDivisionError" in done.stderr

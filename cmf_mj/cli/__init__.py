@@ -5,6 +5,7 @@ A command imports what it needs when it runs, so that help and completion wait f
 
 import os
 import signal
+from types import FrameType
 
 # Cases run side by side: a linear algebra's own threads would only wait on the cores they need.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -14,16 +15,24 @@ from cmf_mj.cli.common import app
 
 
 def main() -> None:
-    """Entry point of the `cmf` command."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # clean up, as after Ctrl-C
+    """Entry point of the `cmf` command.
+
+    An interrupt ends it with status 130, also where a library says instead that it failed.
+    """
+    ended: list[int] = []
+
+    def end(number: int, frame: FrameType | None) -> None:
+        ended.append(number)
+        signal.default_int_handler(number, frame)
+
+    signal.signal(signal.SIGTERM, end)  # clean up, as after Ctrl-C
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not one that is ignored
+        signal.signal(signal.SIGINT, end)
     try:
         app(prog_name="cmf")
     except KeyboardInterrupt:  # before a command has begun
         raise SystemExit(130) from None
-    except ImportError as error:  # an extension that is interrupted says that it failed
-        cause: BaseException | None = error
-        while isinstance(cause, ImportError):
-            cause = cause.__cause__
-        if not isinstance(cause, KeyboardInterrupt):
+    except Exception:
+        if not ended:
             raise
         raise SystemExit(130) from None
