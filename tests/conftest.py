@@ -4,6 +4,7 @@ import ctypes
 import gc
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -26,10 +27,12 @@ settings.register_profile(WHOLE)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile the loops once, side by side, before workers start."""
+    """What workers take over: an environment, signals, and loops compiled once, side by side."""
     config = session.config
     if hasattr(config, "workerinput") or config.option.collectonly:
         return
+    # A shell that puts the tests in the background has all they start ignore SIGINT.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     os.environ[FOLDER] = tempfile.mkdtemp(prefix="cmf-mj-")
     os.environ.setdefault("MALLOC_ARENA_MAX", "1")  # one heap, which can be given back
     os.environ.setdefault("MALLOC_MMAP_THRESHOLD_", "1048576")  # so can large arrays, at once

@@ -101,7 +101,6 @@ def end(words: str, number: int, after: float, folder: Path) -> tuple[int, set[s
         cwd=folder,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     try:
         process.wait(after)

@@ -38,7 +38,6 @@ def test_a_folder_is_of_one_run_and_free_after_any_end_of_it(tmp_path: Path, num
         [sys.executable, "-c", HOLD, str(out)],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     assert holder.stdout is not None and holder.stdout.readline() == b"held\n"
     code, said = run("linear", "--out", str(out))

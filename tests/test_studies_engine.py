@@ -201,8 +201,6 @@ def begin(specification: Path, folder: Path) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         text=True,
-        # A shell that has put the tests in the background has its children ignore Ctrl-C.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     limit = time.monotonic() + 120.0
     while lines(folder) < 1 and process.poll() is None and time.monotonic() < limit:
