@@ -2,18 +2,13 @@
 
 import io
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from identified_systems import lag, noisy, pair
 from rich.console import Console
 from typer.testing import CliRunner
 
-from cmf_mj.analysis.frequency_response import line_bandwidths
-from cmf_mj.analysis.identification.arx import arx
-from cmf_mj.analysis.linear.loop import closed_loop_response
 from cmf_mj.cli.common import app
 from cmf_mj.record.record import Record
 from cmf_mj.record.writer import write_facility_csv
@@ -23,7 +18,6 @@ from cmf_mj.studies.identification import (
     Identified,
     excitation,
     identify,
-    loop_bandwidths,
     simulated_records,
 )
 
@@ -110,24 +104,6 @@ def test_records_of_a_pulse_alone_have_no_measured_loop() -> None:
     assert "closed loop" not in text(model_table(lone))
 
 
-def test_all_axes_of_a_diagonal_matrix_have_the_bandwidth_of_their_common_model() -> None:
-    """A drive lag and an oil mode on each axis, pressures zero: the loop of a single axis."""
-    common = arx(noisy(lag(3.0) * pair(11.3, 0.11), 1, noise=0.0), (3, 3, 1))
-    diagonal = np.eye(6)[:, :, None] * common.numerators
-    whole = replace(
-        common,
-        denominators=np.tile(common.denominators, (18, 1)),
-        numerators=np.concatenate([diagonal, 0.0 * diagonal, 0.0 * diagonal]),
-    )
-    shared_hz, matrix_hz = loop_bandwidths(CASE, common, whole)
-    frequency = np.arange(0.1, 10.0, 0.02)
-    alone = closed_loop_response(CASE.law, common.response(frequency)[:, 0, 0], frequency)
-    expected = line_bandwidths(frequency, alone[:, 0, 0]).phase_hz
-    assert 0.5 < expected < 9.0
-    assert shared_hz == pytest.approx((expected,) * 6)
-    assert matrix_hz == pytest.approx((expected,) * 6)
-
-
 def test_command_line_identifies_recordings_and_simulations_alike(
     records: list[Record], tmp_path: Path
 ) -> None:
@@ -149,7 +125,6 @@ def test_command_line_identifies_recordings_and_simulations_alike(
         ((), "not both and not neither"),
         (("--simulate", "--dof", "up"), "'up'"),
         (("--simulate", "--orders", "4,3"), "orders: '4,3' is refused"),
-        (("none.parquet", "--matrix"), "matrix: needs --simulate"),
         (("none.csv",), "none.csv"),
         (("--simulate", "--plant", "boat"), "'boat'"),
         (("--simulate", "--law", "fast"), "'fast'"),

@@ -159,7 +159,6 @@ def identify_command(
     simulate: options.Simulate = False,
     law: options.OtherLaw = None,
     dof: options.AnyDof = "heave",
-    matrix: Annotated[bool, Option("--matrix", help="all degrees of freedom, 6 by 6")] = False,
     plant: options.PlantName = "hexapod",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
@@ -178,12 +177,6 @@ def identify_command(
     _files_or(simulate, files)
     chosen = None if orders is None else parse_orders(orders)
     name, machine = law or "velocity", (plant, cab, hydraulics)
-    if matrix:
-        if not simulate:
-            raise InputError("matrix: needs --simulate")
-        case = make_case(name, "heave", *machine)
-        show(report.matrix_table(studies.identify_matrix(case)))
-        return
     step = None
     if simulate:
         case, law = make_case(name, dof, *machine, amplitude=in_si(dof, amplitude)), name

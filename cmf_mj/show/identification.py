@@ -14,7 +14,7 @@ from cmf_mj.analysis.identification.model import PolynomialModel, Root
 from cmf_mj.analysis.identification.validation import Residuals, fit_percentage, simulated
 from cmf_mj.show import look
 from cmf_mj.show.table import Table
-from cmf_mj.studies.identification import Identified, MatrixStudy
+from cmf_mj.studies.identification import Identified
 from cmf_mj.studies.measurement import plain
 
 CONFIDENCE = 0.95
@@ -87,21 +87,6 @@ def model_table(result: Identified) -> Table:
             rows.append((f"closed loop, {label}", f"{mine:.3f}{unit}", "", text))
     title = f"{result.axis}: {model.method}, orders {tuple(model.orders)}"
     return Table(title, ("quantity", "value", "standard error", "note"), rows)
-
-
-def matrix_table(study: MatrixStudy) -> Table:
-    """One model for every degree of freedom against one each and the matrix."""
-    one = f"{study.comparison.shared} model"
-    rows = []
-    loops = zip(study.measured_hz, study.shared_hz, study.matrix_hz, strict=True)
-    for score, (measured, common, whole) in zip(study.comparison.scores, loops, strict=True):
-        widths = (f"{hz:.2f} ({100.0 * (hz / measured - 1.0):+.1f} %)" for hz in (common, whole))
-        rows.append((score.axis, score.shared, score.single, score.matrix, measured, *widths))
-    columns = (
-        *("dof", (f"fit, {one}", ".1f"), ("own model", ".1f"), ("6 by 6", ".1f")),
-        *(("measured -90", ".2f"), (one, ""), ("6 by 6", "")),
-    )
-    return Table(f"validation fit [%] and closed loop [Hz], law {study.law}", columns, rows)
 
 
 def fit_figure(result: Identified) -> Figure:

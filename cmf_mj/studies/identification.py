@@ -10,15 +10,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, get_args
 
-import numpy as np
-
 from cmf_mj import signals
-from cmf_mj.analysis.frequency_response import (
-    FrequencyResponse,
-    bandwidths,
-    frequency_response,
-    line_bandwidths,
-)
+from cmf_mj.analysis.frequency_response import FrequencyResponse, frequency_response
 from cmf_mj.analysis.identification.arx import Selection, arx, select_orders
 from cmf_mj.analysis.identification.continuous import (
     LoopErrors,
@@ -28,22 +21,16 @@ from cmf_mj.analysis.identification.continuous import (
 )
 from cmf_mj.analysis.identification.data import RATE, Experiment, experiment
 from cmf_mj.analysis.identification.model import Orders, PolynomialModel
-from cmf_mj.analysis.identification.multi_dof import DofComparison, compare_dofs
 from cmf_mj.analysis.identification.plant_response import plant_response
 from cmf_mj.analysis.identification.refinement import instrumental_variable, output_error
 from cmf_mj.analysis.identification.response_fit import ResponseFit
 from cmf_mj.analysis.identification.validation import Residuals, residual_analysis, simulation_fit
-from cmf_mj.analysis.linear.loop import closed_loop_response
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, law_names
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.facility.binding import bound
-from cmf_mj.machine.geometry import DOFS
-from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.record.record import Record
-from cmf_mj.signals import composite
 from cmf_mj.signals.signal import Command
-from cmf_mj.studies.case import REPORT_AMPLITUDES, Case, dof_amplitude
+from cmf_mj.studies.case import Case, dof_amplitude
 
 Method = Literal["arx", "iv", "oe"]
 Signal = Literal["multisine", "chirp", "noise", "pulse", "sine"]
@@ -54,12 +41,8 @@ SHARE = 0.6
 HIGHEST = 16.0
 """Highest frequency of the simulated broad excitations [Hz], above the oil modes."""
 
-MATRIX_ORDERS = Orders(6, 5, 1)
-"""Orders of the models of all degrees of freedom: two lags and a pair of coupled modes."""
-
 _GRID = {"na": range(2, 8), "nb": range(1, 7), "nk": range(0, 3)}
 _BROAD = ("multisine", "chirp", "noise")
-_CHANNELS = ("leg_velocity", "cap_pressure", "rod_pressure")
 
 
 @dataclass(frozen=True)
@@ -163,63 +146,3 @@ def simulated_records(case: Case, kind: Signal = "multisine") -> list[Record]:
     """A run to fit and one of another multisine to validate."""
     fitted = excitation(kind, case.dof, case.size)
     return [case.run(fitted), case.run(excitation("multisine", case.dof, case.size, seed=1))]
-
-
-@dataclass(frozen=True)
-class MatrixStudy:
-    """Models of all degrees of freedom, and their loops with the measured ones."""
-
-    law: str
-    comparison: DofComparison
-    measured_hz: tuple[float, ...]  #: -90 deg bandwidths, each degree of freedom moved alone [Hz].
-    shared_hz: tuple[float, ...]  #: Of the heave model closed with the law, pressures zero.
-    matrix_hz: tuple[float, ...]
-    """Of the 6 by 6 model closed with the law, pressures identified too."""
-
-
-def identify_matrix(case: Case) -> MatrixStudy:
-    """Identify all degrees of freedom at once on orthogonal multisines and score the models.
-
-    The model of heave is tried everywhere.
-    """
-    sizes = REPORT_AMPLITUDES.tolist()
-    first, second = (
-        case.run(
-            composite.orthogonal_multisines(
-                sizes, stop=HIGHEST, spectrum="acceleration", periods=2, seed=seed
-            )
-        )
-        for seed in (1, 2)
-    )
-    series = experiment(first, DOFS), experiment(second, DOFS)
-    comparison = compare_dofs(*series, MATRIX_ORDERS, shared="heave")
-    whole = arx(experiment(first, DOFS, outputs=_CHANNELS), MATRIX_ORDERS)
-    shared_hz, matrix_hz = loop_bandwidths(case, comparison.model, whole)
-    measured = []
-    for dof, size in zip(DOFS, sizes, strict=True):
-        record = case.run(signals.multisine(dof, size, periods=2))
-        measured.append(bandwidths(frequency_response(record)).phase_hz)
-    return MatrixStudy(first.metadata["law"], comparison, tuple(measured), shared_hz, matrix_hz)
-
-
-def loop_bandwidths(
-    case: Case, common: PolynomialModel, whole: PolynomialModel
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """-90 deg bandwidths of the degrees of freedom closed with the law of a case [Hz], (6,) each.
-
-    First with the `common` velocity model for all degrees of freedom and no pressures, then with
-    the `whole` one: velocities, cap and rod pressures of all, 18 outputs of 6 inputs.
-    """
-    frequency = np.arange(0.1, 10.0, 0.02)
-    law, legs = bound(case.law, case.build()), pose_jacobian(np.zeros(6), case.on)
-    velocity, cap, rod = np.split(whole.response(frequency), 3, axis=1)
-    alike = np.eye(len(DOFS)) * common.response(frequency)
-    loops = (
-        closed_loop_response(law, alike, frequency, legs_of_axes=legs),
-        closed_loop_response(law, velocity, frequency, pressures=(cap, rod), legs_of_axes=legs),
-    )
-    shared, matrix = (
-        tuple(line_bandwidths(frequency, loop[:, i, i]).phase_hz for i in range(len(DOFS)))
-        for loop in loops
-    )
-    return shared, matrix

@@ -30,31 +30,17 @@ BAND = (0.1, 10.0)
 _LINES = 200
 
 
-def to_continuous(
-    model: PolynomialModel,
-    *,
-    band: tuple[float, float] = BAND,
-    poles: int | None = None,
-    zeros: int | None = None,
-) -> ResponseFit:
-    """Continuous transfer function with the response of a discrete model over a band [Hz].
+def to_continuous(model: PolynomialModel) -> ResponseFit:
+    """Continuous transfer function with the response of a discrete model over `BAND`.
 
     The model, of one input and one output, was identified from band-limited series. It keeps its
-    number of `poles`, with one `zeros` less, unless they are stated. The fit is relative over 200
-    lines evenly spaced in log frequency; look at its `misfit`.
+    number of poles, with one zero less. The fit is relative over 200 lines evenly spaced in log
+    frequency; look at its `misfit`.
     """
-    low, high = band
-    nyquist = 0.5 / model.step
-    if not 0.0 < low < high < nyquist:
-        raise InputError(f"band: {low} to {high} Hz; allowed: rising, above 0, below {nyquist} Hz")
-    frequency = np.geomspace(low, high, _LINES)
-    count = model.orders.na if poles is None else poles
-    return fit_response(
-        frequency,
-        model.response(frequency)[:, 0, 0],
-        count,
-        count - 1 if zeros is None else zeros,
-    )
+    if not BAND[1] < 0.5 / model.step:
+        raise InputError(f"step: {model.step} s; allowed: below {0.5 / BAND[1]} s")
+    frequency, count = np.geomspace(*BAND, _LINES), model.orders.na
+    return fit_response(frequency, model.response(frequency)[:, 0, 0], count, count - 1)
 
 
 def in_field_units(velocity: control.TransferFunction) -> UnitTransferFunction:
