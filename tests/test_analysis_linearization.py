@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hydraulic_equations import EQ_4_1, MASS, with_leak_rate
 from scipy import special
+from simulated_loops import Comparison, compare_with_simulation
 
 from cmf_mj import Hexapod, Plant, SingleLegs
 from cmf_mj.analysis.linear.assembly import linearize
@@ -33,7 +34,7 @@ from cmf_mj.plant.oil import density
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.supply import ACCUMULATOR, PUMP, RETURN, RETURN_PRESSURE, SUPPLY, SUPPLY_PRESSURE
-from cmf_mj.studies.linearization import Comparison, compare_with_simulation, loop_between
+from cmf_mj.studies.linearization import loop_between
 
 DEGREE = np.pi / 180.0
 POSES = {

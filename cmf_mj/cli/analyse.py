@@ -31,7 +31,6 @@ def linearize_command(
     law: options.Law = "velocity",
     pose: options.Pose = _NEUTRAL,
     dofs: options.AnyDofs = options.ALL,
-    measure: Annotated[bool, Option("--measure", help="simulate each loop too, 5 s each")] = False,
     out: options.Out = Path("out/linearize"),
 ) -> None:
     """Linearise a plant: modes, Bode diagrams, a law around it."""
@@ -40,7 +39,7 @@ def linearize_command(
     from cmf_mj.studies.linearization import linearization_study
 
     machine = make_plant(plant, cab, hydraulics)
-    study = linearization_study(machine, law, pose_option(pose), dofs, measure=measure)
+    study = linearization_study(machine, law, pose_option(pose), dofs)
     paths = report.save_study(study, out)
     show(report.mode_table(study), report.loop_table(study), written(paths, out))
 

@@ -1,4 +1,4 @@
-"""Tables, figures and files of a linearised plant: modes, Bode diagrams, poles, loops measured."""
+"""Tables, figures and files of a linearised plant: modes, Bode diagrams, loops of a law."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -70,28 +70,20 @@ def mode_table(study: LinearizationStudy) -> Table:
 
 
 def loop_table(study: LinearizationStudy) -> Table:
-    """Bandwidths of the law's loops, and how far the simulation is off where it ran."""
-    band, rows = "0.5 to 8 Hz", []
+    """Bandwidths of the law's loops."""
+    rows = []
     for name, loop in study.loops.items():
-        run = study.comparisons.get(name)
-        off = ["not measured", ""]
-        if run is not None:
-            band = f"{run.frequency.min():g} to {run.frequency.max():g} Hz"
-            off = [
-                f"{np.abs(run.gain_error).max():.2f} dB",
-                f"{np.abs(run.phase_error).max():.2f} deg",
-            ]
         measures = joined(bandwidths(loop))
         cells: list[Cell] = (
             [phase_text(measures), *measures[1:3]] if study.stable else ["unstable"] * 3
         )
-        rows.append((name, *cells, *off))
+        rows.append((name, *cells))
     widths = (("-90 deg [Hz]", ".2f"), ("-3 dB [Hz]", ".2f"), ("peak [dB]", ".2f"))
     return Table(
         f"{study.law} around the linearised plant",
-        ("dof", *widths, ("gain off", ""), ("phase off", "")),
+        ("dof", *widths),
         rows,
-        f"measured less linear, largest from {band}; '-': not reached below {FREQUENCIES[-1]:g} Hz",
+        f"'-': not reached below {FREQUENCIES[-1]:g} Hz",
     )
 
 
@@ -106,26 +98,17 @@ def bode_figure(study: LinearizationStudy) -> Figure:
 
 
 def loop_figure(study: LinearizationStudy) -> Figure:
-    """The law's loops; dots where the simulation was run too."""
-    dots = "; dots: simulation" if study.comparisons else ""
-    title = f"{study.law}, demand to position{dots}\n{_title(study)}"
+    """The law's loops."""
+    title = f"{study.law}, demand to position\n{_title(study)}"
     figure, gain, phase = bode_axes(title, limits=True)
     for name, loop in study.loops.items():
-        colour = plot_bode(gain, phase, loop, label=name)
-        run = study.comparisons.get(name)
-        if run is not None:
-            near = np.interp(run.frequency, loop.frequency, loop.phase_deg)
-            angle = np.degrees(np.angle(run.measured))
-            angle += 360.0 * np.round((near - angle) / 360.0)
-            level = 20.0 * np.log10(np.abs(run.measured))
-            gain.plot(run.frequency, level, "o", color=colour, markersize=4.0)
-            phase.plot(run.frequency, angle, "o", color=colour, markersize=4.0)
+        plot_bode(gain, phase, loop, label=name)
     legend(gain)
     return figure
 
 
 def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
-    """Write the state space as JSON, modes and comparison as CSV, all figures as PNG."""
+    """Write the state space as JSON, modes as CSV, all figures as PNG."""
     point = study.point
     description = {
         **{k: v for k, v in study.plant.describe().items() if k != "hydraulic_parameters"},
@@ -154,13 +137,5 @@ def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
         for m in study.modes
     ]
     files["modes.csv"] = (header, rows)
-    if study.comparisons:
-        measured = ("measured_gain_db", "measured_phase_deg", "gain_error_db", "phase_error_deg")
-        lines = []
-        for name, c in study.comparisons.items():
-            level, angle = 20.0 * np.log10(np.abs(c.measured)), np.degrees(np.angle(c.measured))
-            columns = (c.frequency, level, angle, c.gain_error, c.phase_error)
-            lines += [(name, *map(float, values)) for values in zip(*columns, strict=True)]
-        files["comparison.csv"] = (["dof", "frequency", *measured], lines)
     files |= {"bode.png": bode_figure(study), "loop.png": loop_figure(study)}
     return save_files(files, folder)
