@@ -287,9 +287,8 @@ def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
         demand,
         feedback,
         record.rate,
-        period=command.period,
+        command.period,
         band=command.band,
-        interpolate=True,
     )
     return control.FrequencyResponseData(
         np.moveaxis(estimate.response, 0, -1),

@@ -53,10 +53,6 @@ class Estimate(NamedTuple):
     """Radius of the 95 % circle about `response`, its shape; infinite where nothing is known."""
     averages: Real
     """Effective number of independent averages behind the noise estimate, n + 1, (K,)."""
-    noise_variance: Real | None = None
-    """Variance of `response` due to noise, (K,); from periods and sines only."""
-    distortion_variance: Real | None = None
-    """Variance of one realisation's response due to non-linearity, (K,); from several only."""
 
     @property
     def gain_db(self) -> Real:

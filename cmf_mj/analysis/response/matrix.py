@@ -1,66 +1,45 @@
-"""Full response matrices from one run or several, and the joining of rounds."""
+"""Full response matrices from one run, and the joining of rounds."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from cmf_mj.analysis.response import spectra
-from cmf_mj.analysis.response.estimate import DRIVEN, SEGMENT, Complex, Estimate, Real
+from cmf_mj.analysis.response.estimate import DRIVEN, Complex, Estimate, Real
 from cmf_mj.core.errors import InputError
 
 
 def matrix_response(
-    inputs: ArrayLike,
-    outputs: ArrayLike,
+    inputs: Real,
+    outputs: Real,
     rate: float,
+    period: float,
     *,
-    period: float | None = None,
-    segment: float = SEGMENT,
     transient: int = 1,
     band: tuple[float, float] | None = None,
-    interpolate: bool = False,
 ) -> Estimate:
     """Response matrix from several inputs to several outputs, H = S_yx S_xx^-1 at each line.
 
-    From several runs, such as one an axis, or six with orthogonal multisines, every line gives the
-    whole matrix. From a single run with interleaved lines, each driven by one input, a column is
-    known at its lines only and is NaN at the others; `interpolate` draws straight lines in the
-    complex plane between a column's lines (error up to the spacing squared times H''/8, which
-    `radius` does not hold) and leaves NaN outside them. A line driven by several inputs needs as
-    many independent periods, segments or runs.
+    `inputs` are (N, nu) of one run with interleaved lines, each driven by one input, `outputs`
+    (N, ny). Spectra are taken over whole periods [s] after `transient` ones. A column is known at
+    its own lines; straight lines in the complex plane join these (error up to the spacing squared
+    times H''/8, which `radius` does not hold), and outside them it is NaN. A line driven by several
+    inputs needs as many periods that differ.
 
-    `inputs` are (N, nu) of one run or (E, N, nu) of several, `outputs` (N, ny) or (E, N, ny).
-    With a `period` [s] spectra are taken over whole periods after `transient` ones, else by
-    Welch's method as by `welch_response`, and every input counts as driven. The response is
-    (K, ny, nu), its radius alike, the multiple coherence (K, ny).
+    The response is (K, ny, nu), its radius alike, the multiple coherence (K, ny).
     """
-    xs, ys = _runs("inputs", inputs), _runs("outputs", outputs)
-    if xs.shape[:2] != ys.shape[:2]:
-        raise InputError(f"inputs, outputs: {xs.shape}, {ys.shape}; runs and samples must agree")
-    if period is None:
-        windowing = spectra.Windowing(rate, segment, band=band)
-        runs = [spectra.segment_spectra(x.T, y.T, windowing) for x, y in zip(xs, ys, strict=True)]
-        frequency = runs[0][0]
-        spectra_x, spectra_y = (np.concatenate([r[i] for r in runs], axis=2) for i in (1, 2))
-        correlation: Real = np.asarray(np.kron(np.eye(len(runs)), runs[0][3]), dtype=np.float64)
-        driven = np.ones(spectra_x.shape[:2], dtype=bool)
-    else:
-        spectra_x = _stacked(
-            spectra.period_spectra("inputs", np.swapaxes(xs, 1, 2), rate, period, transient)
-        )
-        spectra_y = _stacked(
-            spectra.period_spectra("outputs", np.swapaxes(ys, 1, 2), rate, period, transient)
-        )
-        correlation = np.eye(spectra_x.shape[2])
-        power = np.sum(np.abs(spectra_x) ** 2, axis=2)
-        power[0] = 0.0
-        driven = power > DRIVEN**2 * power.max(axis=0)
-        frequency = np.arange(power.shape[0]) / period
-        chosen = spectra.within(frequency, band, 0.5 / period) & driven.any(axis=1)
-        frequency, driven = frequency[chosen], driven[chosen]
-        spectra_x, spectra_y = spectra_x[chosen], spectra_y[chosen]
+    spectra_x, spectra_y = (
+        spectra.period_spectra(x.T, rate, period, transient).transpose(2, 0, 1)
+        for x in (inputs, outputs)
+    )
+    power = np.sum(np.abs(spectra_x) ** 2, axis=2)
+    power[0] = 0.0
+    driven = power > DRIVEN**2 * power.max(axis=0)
+    frequency = np.arange(power.shape[0]) / period
+    chosen = spectra.within(frequency, band, 0.5 / period) & driven.any(axis=1)
+    frequency, driven = frequency[chosen], driven[chosen]
+    spectra_x, spectra_y = spectra_x[chosen], spectra_y[chosen]
     if frequency.size == 0:
         raise InputError("inputs: no line is driven within the band")
     shape = (frequency.size, spectra_y.shape[1], spectra_x.shape[1])
@@ -69,15 +48,15 @@ def matrix_response(
     for pattern in np.unique(driven, axis=0):
         rows = np.flatnonzero((driven == pattern).all(axis=1))
         columns = np.flatnonzero(pattern)
-        fit = spectra.least_squares(spectra_x[np.ix_(rows, columns)], spectra_y[rows], correlation)
+        x = spectra_x[np.ix_(rows, columns)]
+        fit = spectra.least_squares(x, spectra_y[rows], np.eye(x.shape[2]))
         place = np.ix_(rows, np.arange(shape[1]), columns)
         response[place], radius[place] = fit.response, fit.radius
         coherence[rows], averages[rows] = fit.coherence, fit.averages
-    if interpolate:
-        for i, j in np.ndindex(shape[1:]):
-            known = driven[:, j]
-            response[:, i, j] = _between(frequency, frequency[known], response[known, i, j])
-            radius[:, i, j] = _between(frequency, frequency[known], radius[known, i, j]).real
+    for i, j in np.ndindex(shape[1:]):
+        known = driven[:, j]
+        response[:, i, j] = _between(frequency, frequency[known], response[known, i, j])
+        radius[:, i, j] = _between(frequency, frequency[known], radius[known, i, j]).real
     return spectra.frozen(Estimate(frequency, response, coherence, radius, averages))
 
 
@@ -103,26 +82,8 @@ def stitch(estimates: Sequence[Estimate]) -> Estimate:
         else:
             kept.append(int(i))
 
-    def joined(name: str) -> Any:
-        parts = [getattr(estimate, name) for estimate in rounds]
-        if any(part is None for part in parts):
-            return None
-        return np.concatenate(parts)[kept]
-
-    return spectra.frozen(Estimate(*(joined(name) for name in Estimate._fields)))
-
-
-def _runs(name: str, values: ArrayLike) -> Real:
-    history = np.asarray(values, dtype=float)
-    if history.ndim not in (2, 3):
-        raise InputError(f"{name}: shape is {history.shape}; allowed: (N, n) or (runs, N, n)")
-    return history if history.ndim == 3 else history[None]
-
-
-def _stacked(spectra: Complex) -> Complex:
-    """Runs' spectra (E, channels, P, F) as (F, channels, E P)."""
-    runs, channels, periods, lines = spectra.shape
-    return spectra.transpose(3, 1, 0, 2).reshape(lines, channels, runs * periods)
+    parts = (np.concatenate(part)[kept] for part in zip(*rounds, strict=True))
+    return spectra.frozen(Estimate(*parts))
 
 
 def _between(frequency: Real, known: Real, values: ArrayLike) -> Complex:

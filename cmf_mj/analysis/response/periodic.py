@@ -18,53 +18,35 @@ def periodic_response(
     transient: int = 1,
     lines: ArrayLike | None = None,
 ) -> Estimate:
-    """Response to a periodic input, averaged over whole periods and over realisations.
+    """Response to a periodic input, averaged over whole periods: no leakage, no window.
 
-    No leakage, no window. The scatter from period to period is noise, the scatter of realisations
-    beyond it is stochastic non-linear distortion: the robust method of Pintelon and Schoukens,
-    System Identification, 2nd ed., chapter 4. With G_mp of realisation m and period p,
+    The scatter from period to period is noise (Pintelon and Schoukens, System Identification, 2nd
+    ed., chapter 4). With G_p of period p, var = sum_p |G_p - G|^2 / (P (P - 1)).
 
-        var_n = sum_m scatter_p(G_mp) / (P M^2),    var = scatter_m(G_m) / M
-        distortion = M (var - var_n), at least 0
-
-    Two periods and seven realisations of an odd random-phase multisine tell the two apart. One
-    realisation's bound holds the noise alone, several realisations' both.
-
-    x and y are (N,), or sequences of realisations, whose inputs share amplitude spectrum and length
-    and differ in phases. `period` [s] is a whole number of samples; a rest of the record is
-    ignored. `lines` are the driven multiples of 1 / `period`, (K,); default those on which the
-    input has more than `DRIVEN` of its largest amplitude. State them where the input was measured.
+    x and y are (N,). `period` [s] is a whole number of samples; a rest of the record is ignored.
+    `lines` are the driven multiples of 1 / `period`, (K,); default those on which the input has
+    more than `DRIVEN` of its largest amplitude. State them where the input was measured.
     """
-    spectra_x = spectra.period_spectra("x", x, rate, period, transient)
-    spectra_y = spectra.period_spectra("y", y, rate, period, transient)
-    if spectra_x.shape != spectra_y.shape:
-        raise InputError(f"x, y: shapes are {np.shape(x)}, {np.shape(y)}; must be the same")
-    power = np.mean(np.abs(spectra_x) ** 2, axis=(0, 1))
+    spectra_x, spectra_y = (
+        spectra.period_spectra(each, rate, period, transient) for each in spectra.as_pair(x, y)
+    )
+    power = np.mean(np.abs(spectra_x) ** 2, axis=0)
     chosen = _orders(lines, power.size) if lines is not None else _driven(power)
-    xs, ys = spectra_x[..., chosen], spectra_y[..., chosen]
+    xs, ys = spectra_x[:, chosen], spectra_y[:, chosen]
     if not np.all(power[chosen] > 0.0):
         raise InputError(f"lines: {chosen[power[chosen] == 0.0][0]} holds no input")
-    realisations, periods, _ = xs.shape
-    power_x = np.mean(np.abs(xs) ** 2, axis=1)
-    each = np.mean(np.conj(xs) * ys, axis=1) / power_x  # (M, K)
-    response = each.mean(axis=0)
-    noise = _variance(np.sum(np.abs(ys - each[:, None] * xs) ** 2, axis=1) / power_x, periods)
-    noise = noise.sum(axis=0) / realisations**2
-    total = _variance(np.sum(np.abs(each - response) ** 2, axis=0), realisations)
-    if realisations > 1:
-        radius, averages = spectra.confidence_radius(total, realisations - 1.0), realisations
-    else:
-        radius, averages = spectra.confidence_radius(noise, periods - 1.0), periods
-    cross = np.abs(np.mean(np.conj(xs) * ys, axis=(0, 1))) ** 2
+    periods = xs.shape[0]
+    power_x = np.mean(np.abs(xs) ** 2, axis=0)
+    response = np.mean(np.conj(xs) * ys, axis=0) / power_x
+    noise = _variance(np.sum(np.abs(ys - response * xs) ** 2, axis=0) / power_x, periods)
+    cross = np.abs(np.mean(np.conj(xs) * ys, axis=0)) ** 2
     return spectra.frozen(
         Estimate(
             chosen / period,
             response,
-            spectra.share_of(cross, power[chosen] * np.mean(np.abs(ys) ** 2, axis=(0, 1))),
-            radius,
-            np.full(chosen.size, float(averages)),
-            noise,
-            np.clip(realisations * (total - noise), 0.0, None),
+            spectra.share_of(cross, power[chosen] * np.mean(np.abs(ys) ** 2, axis=0)),
+            spectra.confidence_radius(noise, periods - 1.0),
+            np.full(chosen.size, float(periods)),
         )
     )
 
@@ -122,7 +104,6 @@ def sine_response(
             spectra.share_of(explained, explained + np.nan_to_num(noise)),
             spectra.confidence_radius(noise, count),
             count + 1.0,
-            noise,
         )
     )
 

@@ -1,55 +1,13 @@
 """Spectra, fits, variances and checks that the estimators share."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-from cmf_mj.analysis.response.estimate import (
-    CONFIDENCE,
-    SEGMENT,
-    Complex,
-    Estimate,
-    Real,
-)
+from cmf_mj.analysis.response.estimate import CONFIDENCE, Complex, Estimate, Real
 from cmf_mj.core.errors import InputError
-
-
-class Windowing(NamedTuple):
-    """Options of Welch's method, as `welch_response` names them."""
-
-    rate: float
-    segment: float = SEGMENT
-    overlap: float = 0.75
-    window: Any = "hann"
-    band: tuple[float, float] | None = None
-    pad: bool = False
-
-
-def segment_spectra(x: Real, y: Real, options: Windowing) -> tuple[Real, Complex, Complex, Real]:
-    """Lines, spectra (K, nu, S) and (K, ny, S) of x (nu, N) and y (ny, N), correlation (S, S)."""
-    if options.segment <= 0.0 or not 0.0 <= options.overlap < 1.0:
-        raise InputError(
-            f"segment, overlap: {options.segment} s, {options.overlap}; "
-            "allowed: above 0 s, and 0 to below 1"
-        )
-    size, length = x.shape[-1], round(options.segment * options.rate)
-    if size < length or length < 4:
-        raise InputError(
-            f"segment: {options.segment} s must not exceed the record's {size / options.rate:.3f} s"
-        )
-    hop = max(length - int(options.overlap * length), 1)
-    rest = length if options.pad else 0
-    both = np.pad(np.vstack([x, y]), ((0, 0), (rest, rest)))
-    measured = np.pad(np.ones(size, dtype=bool), rest)
-    taper = signal.get_window(options.window, length)
-    frequency = line_frequencies(length, options.rate)
-    chosen = within(frequency, options.band, 1.5 / options.segment)
-    spectra = transform(both, taper, hop, length)[chosen]
-    nu = x.shape[0]
-    correlation = segment_correlation(taper, hop, measured)
-    return frequency[chosen], spectra[:, :nu], spectra[:, nu:], correlation
 
 
 def transform(x: Real, window: Real, hop: int, size: int) -> Complex:
@@ -74,22 +32,18 @@ def segment_correlation(window: Real, hop: int, measured: NDArray[np.bool_]) -> 
     return correlation / np.sum(window**2)
 
 
-def period_spectra(name: str, x: ArrayLike, rate: float, period: float, transient: int) -> Complex:
+def period_spectra(x: Real, rate: float, period: float, transient: int) -> Complex:
     """Spectra (..., P, F) of the whole periods of x (..., N) after the transient ones."""
-    try:
-        history = np.atleast_2d(np.asarray(x, dtype=float))
-    except ValueError as error:
-        raise InputError(f"{name}: realisations must be of one length") from error
     size = round(period * rate)
     if size < 3 or abs(size - period * rate) > 1e-6:
         raise InputError(f"period: {period} s is not a whole number of samples at {rate} Hz")
-    count = history.shape[-1] // size
+    count = x.shape[-1] // size
     if not 0 <= transient < count:
         raise InputError(
             f"transient: {transient} of the record's {count} periods leave none; allowed: 0 to "
             f"{count - 1}"
         )
-    whole = history[..., transient * size : count * size]
+    whole = x[..., transient * size : count * size]
     return np.asarray(np.fft.rfft(whole.reshape(*whole.shape[:-1], -1, size), axis=-1))
 
 

@@ -40,8 +40,24 @@ def welch_response(
     """
     check_name("estimator", estimator, get_args(Estimator))
     xs, ys = spectra.as_pair(x, y)
-    windowing = spectra.Windowing(rate, segment, overlap, window, band, pad)
-    return _single(*spectra.segment_spectra(xs[None], ys[None], windowing), estimator)
+    if segment <= 0.0 or not 0.0 <= overlap < 1.0:
+        raise InputError(
+            f"segment, overlap: {segment} s, {overlap}; allowed: above 0 s, and 0 to below 1"
+        )
+    length = round(segment * rate)
+    if xs.size < length or length < 4:
+        raise InputError(
+            f"segment: {segment} s must not exceed the record's {xs.size / rate:.3f} s"
+        )
+    hop, rest = max(length - int(overlap * length), 1), length if pad else 0
+    both = np.pad(np.stack([xs, ys]), ((0, 0), (rest, rest)))
+    measured = np.pad(np.ones(xs.size, dtype=bool), rest)
+    taper = signal.get_window(window, length)
+    frequency = spectra.line_frequencies(length, rate)
+    chosen = spectra.within(frequency, band, 1.5 / segment)
+    lines = spectra.transform(both, taper, hop, length)[chosen]
+    correlation = spectra.segment_correlation(taper, hop, measured)
+    return _single(frequency[chosen], lines[:, :1], lines[:, 1:], correlation, estimator)
 
 
 def report_response(
@@ -110,7 +126,4 @@ def from_h1(estimate: Estimate, estimator: Estimator) -> Estimate:
         inverse = 1.0 / estimate.coherence
         factor = {"h2": inverse, "hv": np.sqrt(inverse), "report": 0.5 * (1.0 + inverse)}[estimator]
         scaled = {name: getattr(estimate, name) * factor for name in ("response", "radius")}
-        for name in ("noise_variance", "distortion_variance"):
-            if (variance := getattr(estimate, name)) is not None:
-                scaled[name] = variance * factor**2
         return spectra.frozen(estimate._replace(**scaled))
