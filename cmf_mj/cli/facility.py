@@ -22,6 +22,10 @@ command = partial(app.command, rich_help_panel="Facility")
 BEGIN = {"engaged": "ENGAGED", "settled": "OFF"}
 """Operating states in which a run may begin."""
 
+PROTOCOLS = ("cmf", "moog")
+"""What a host may speak to `cmf serve`."""
+
+_PROTOCOL = "cmf, or moog: a virtual Moog 6DOF2000E, begun off"
 _BEGIN = "engaged, or settled: off on the stops, raised and engaged at once"
 _DERIVATIVES, _VELOCITIES = "facility.host.stream:DERIVATIVES", "of poses alone: spline or zero"
 
@@ -86,6 +90,8 @@ def serve_command(
         int | None, Option(help="its only port; default any program of that host")
     ] = None,
     key: KeyFile = None,
+    protocol: Annotated[str, choice("cli.facility:PROTOCOLS", "NAME", _PROTOCOL)] = "cmf",
+    lockstep: Annotated[bool, Option("--lockstep", help="moog: 1/60 s a command")] = False,
     seconds: Annotated[float, Option(help="length of the run [s]")] = 60.0,
     law: options.Law = "velocity",
     cab: options.Cab = "gfd",
@@ -95,16 +101,25 @@ def serve_command(
     out: options.Out = Path("out/serve"),
 ) -> None:
     """Run the facility in real time on host frames from the network."""
+    from cmf_mj.control.states import State
     from cmf_mj.facility.host.datagram import read_key
     from cmf_mj.facility.host.doubts import unit_doubts
+    from cmf_mj.facility.host.moog import MoogServer
     from cmf_mj.facility.host.udp import UdpReceiver
     from cmf_mj.facility.operation import serve
     from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import operation as report
 
     plant, options = Hexapod(cab, hydraulics), _start(begin, noise)
-    secret = None if key is None else read_key(key)
-    with UdpReceiver(port, host=host, host_port=host_port, bind=bind, key=secret) as receiver:
+    opened: Any
+    if protocol == "moog":
+        opened = MoogServer(port, host=host, host_port=host_port, bind=bind, lockstep=lockstep)
+        options |= {"begin": State.OFF, "requests": (), "attend": opened.attend}
+        options["paced"] = not lockstep
+    else:
+        secret = None if key is None else read_key(key)
+        opened = UdpReceiver(port, host=host, host_port=host_port, bind=bind, key=secret)
+    with opened as receiver:
         where = "{}:{}".format(*receiver.address)
         with progress_bar(f"serving {where}", seconds=True) as bar:
 
@@ -114,7 +129,7 @@ def serve_command(
                 bar(done, seconds)
 
             operation = serve(plant, law, receiver.ring, seconds, progress=progress, **options)
-    received, refused = receiver.received, receiver.refused
+    received, refused = int(receiver.ring.written[0]), receiver.refused
     paths = report.save_operation(operation, out, received, refused)
     tables = [report.account_table(operation, received, refused)]
     if operation.timing is not None:

@@ -117,6 +117,10 @@ class OperationOptions(TypedDict, total=False):
     starts."""
 
 
+Attendant = Callable[[Session], int]
+"""Attends to a run between its parts; returns the control frames of the next."""
+
+
 class Start(NamedTuple):
     """How a run of the chain begins, and what the operator does."""
 
@@ -160,36 +164,41 @@ def serve(
     law: str | Path | Law,
     ring: Ring,
     seconds: float,
+    *,
+    attend: Attendant | None = None,
+    paced: bool = True,
     **options: Unpack[OperationOptions],
 ) -> Operation:
     """Run the facility in real time on frames that a receiver puts into a ring.
 
     Compiles and warms up first; the clock starts after that. The ring is that of a `UdpReceiver`,
-    or filled by `put`; the pose at the start is neutral. Raises `OSError` on systems without a
-    monotonic clock to keep time by.
+    or filled by `put`; the pose at the start is neutral. `attend` is called with the session
+    between parts of the run and returns the control frames until it wants to be called again; if
+    not `paced`, the run waits for nothing else. Raises `OSError` on systems without a monotonic
+    clock to keep time by.
     """
     settings, loaded = options.get("facility") or FacilitySettings(), load_law(law)
     start = _start(options, np.zeros(6))
 
-    def session_of(count: int, source: Ring, pace: Pace) -> Session:
+    def session_of(count: int, source: Ring, pace: Pace | None) -> Session:
         log = make_log(capacity_for(count, plant.machine.rate))
         run = _options(options, count, 16)
         return facility_session(plant, loaded, log, settings, start, run, ring=source, pace=pace)
 
     session_of(8, make_ring(2), make_pace(8)).run()
     count = _count(seconds, plant.machine.rate)
-    pace = make_pace(count)
+    pace = make_pace(count) if paced else None
     session = session_of(count, ring, pace)
     if (progress := options.get("progress")) is not None:
         progress(0.0)
     started, lost, thinned = (int(count[0]) for count in (ring.written, ring.lost, ring.thinned))
     unused = {"early": started - int(ring.read[0])}
     ring.read[0] = started
-    _run(session, options)
+    _run(session, options, attend)
     log = session.chain.arrivals
     arrivals = logged(log, int((log.frame < NEVER).sum()))
     unused |= {"lost": int(ring.lost[0]) - lost, "thinned": int(ring.thinned[0]) - thinned}
-    timing = Timing(pace.busy, pace.late, plant.machine.frame)
+    timing = None if pace is None else Timing(pace.busy, pace.late, plant.machine.frame)
     return _operation(session, arrivals, settings, start.pose, unused, timing)
 
 
@@ -205,12 +214,13 @@ def _options(options: OperationOptions, frames: int, every: int) -> Options:
     )
 
 
-def _run(session: Session, options: OperationOptions) -> None:
-    """Run a session to its end, a second at a time."""
-    progress = options.get("progress")
+def _run(session: Session, options: OperationOptions, attend: Attendant | None = None) -> None:
+    """Run a session to its end, by default a second at a time."""
+    progress, told = options.get("progress"), 0
     while session.frame < session.frames:
-        session.run(session.rate)
-        if progress is not None:
+        session.run(session.rate if attend is None else attend(session))
+        if progress is not None and session.frame >= min(told + session.rate, session.frames):
+            told = session.frame
             progress(session.frame / session.rate)
 
 

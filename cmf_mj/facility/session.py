@@ -232,7 +232,7 @@ class Session:
         """Let each channel take its own out of the rows that are new."""
         first, last = self._taken, -(-self.frame // self.every)
         rows = self._recorder.out[first % self._recorder.out.shape[0] :][: last - first]
-        for channel in self.layout.channels if self._kept else ():
+        for channel in self.layout.channels if self._kept and last > first else ():
             values = self._kept[channel.name]
             values[first:last] = channel.of(rows)
             values.setflags(write=last < values.shape[0])

@@ -63,26 +63,15 @@ class UdpReceiver:
         one, and made with the session `key` if there is one, are taken. Raises `OSError` for a port
         that is taken.
         """
-        for name, number in (("port", port), ("host_port", host_port or 0)):
-            if not 0 <= number <= 65535:
-                raise InputError(f"{name}: {number} is refused; allowed: 0 to 65535")
-        for name, address in (("host", host), ("bind", bind)):
-            _check_address(name, address)
+        if not 0 <= (host_port or 0) <= 65535:
+            raise InputError(f"host_port: {host_port} is refused; allowed: 0 to 65535")
+        check_address("host", host)
         self.ring = ring if ring is not None else make_ring()
         """Frames received, good form only."""
         self._refused = np.zeros(len(DATAGRAM_REASONS), dtype=np.int64)
         self._host, self._host_port, self._key = host, host_port, key
         self._overrun = 0
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        with contextlib.suppress(OSError):  # as much as the system and our rights allow
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
-            if sys.platform == "linux":
-                self._socket.setsockopt(socket.SOL_SOCKET, _FORCE_BUFFER, _BUFFER)
-        try:
-            self._socket.bind((bind, port))
-        except OSError:
-            self._socket.close()
-            raise
+        self._socket = open_socket(port, bind)
         self._socket.settimeout(_LONGEST_WAIT)
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._receive, name="host frames", daemon=True)
@@ -148,6 +137,27 @@ class UdpReceiver:
             self._refused[DATAGRAM_REASONS.index(error.reason)] += 1
 
 
+def open_socket(port: int, bind: str) -> socket.socket:
+    """A UDP socket at an IPv4 address and port, 0 for a free one, with a large buffer.
+
+    Raises `OSError` for a port that is taken.
+    """
+    if not 0 <= port <= 65535:
+        raise InputError(f"port: {port} is refused; allowed: 0 to 65535")
+    check_address("bind", bind)
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    with contextlib.suppress(OSError):  # as much as the system and our rights allow
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+        if sys.platform == "linux":
+            made.setsockopt(socket.SOL_SOCKET, _FORCE_BUFFER, _BUFFER)
+    try:
+        made.bind((bind, port))
+    except OSError:
+        made.close()
+        raise
+    return made
+
+
 class SendReport(NamedTuple):
     """How a stream was sent."""
 
@@ -174,7 +184,7 @@ def send_stream(
     """
     if not 1 <= port <= 65535:
         raise InputError(f"port: {port} is refused; allowed: 1 to 65535")
-    _check_address("address", address)
+    check_address("address", address)
     datagrams = [encode(stream.row(index), key) for index in range(stream.time.size)]
     deadlines = stream.time - stream.time[0]
     lateness = np.zeros(stream.time.size)
@@ -200,11 +210,12 @@ def parse_target(text: str) -> tuple[str, int]:
     address, colon, port = text.rpartition(":")
     if not (colon and port.isascii() and port.isdigit()):
         raise InputError(f"to: {text!r} is refused; allowed: ADDRESS:PORT, e.g. 127.0.0.1:2048")
-    _check_address("to", address)
+    check_address("to", address)
     return address, int(port)
 
 
-def _check_address(name: str, address: str) -> None:
+def check_address(name: str, address: str) -> None:
+    """Refuse what is no IPv4 address."""
     try:
         socket.inet_pton(socket.AF_INET, address)
     except OSError as error:

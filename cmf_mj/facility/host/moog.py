@@ -1,0 +1,344 @@
+"""A virtual Moog 6DOF2000E: its real-time Ethernet interface in front of the facility.
+
+The host sends 60 commands a second and the base answers each; all numbers are big-endian.
+
+command   uint32 command word, six float32, uint32 spare                             32 octets
+answer    uint32 latched faults, discrete I/O, machine state, six float32, spare     40 octets
+
+The six are roll, pitch, heave, surge, yaw, lateral [rad, m], heave positive down from neutral, in
+degree-of-freedom mode; in length mode the legs' extensions from the settled position [m]. Words,
+masks, states and the states a word is valid in are those of two public clients
+(`docs/how_to/moog.md`, which also says what no source could confirm).
+
+A position without velocity and acceleration gets both from its neighbours: with p0, p1, p2 at the
+times -a, 0, b
+
+    p1' = (a^2 p2 - b^2 p0 + (b^2 - a^2) p1) / (a b (a + b))
+    p1'' = 2 (a p2 + b p0 - (a + b) p1) / (a b (a + b))
+
+so that it goes on to the DCU one command later: that and the DCU's delay are `MoogBase.delay`.
+"""
+
+import math
+import struct
+import sys
+from enum import IntEnum, IntFlag
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmf_mj.control.states import Request, State
+from cmf_mj.core.errors import InputError
+from cmf_mj.facility.host.handover import make_ring, put
+from cmf_mj.facility.host.stream import HostFrame
+from cmf_mj.facility.host.udp import LOOPBACK, check_address, open_socket
+from cmf_mj.facility.session import Session
+from cmf_mj.machine.kinematics import legs_to_pose
+from cmf_mj.plant.events import STOPPED
+
+RATE = 60
+"""Commands a second [Hz]."""
+
+COMMAND, ANSWER = struct.Struct(">I6fI"), struct.Struct(">3I6fI")
+
+ORDER = (3, 4, 2, 0, 5, 1)
+"""Degree of freedom of each of the six numbers."""
+
+POWER_UP = 1.0
+"""Time from the start to idle [s]; assumed."""
+
+REFUSALS = ("wrong_sender", "wrong_length", "wrong_word", "not_finite", "out_of_range", "disabled")
+"""Why a datagram is dropped: nothing moves by it."""
+
+_POLL = 8
+"""Control frames between two looks at the network in real time: 4 ms."""
+
+_MOST = 64
+"""Datagrams taken at one look, so that a flood does not hold up the machine."""
+
+_PATIENCE = 10.0
+"""Longest wait for a command in lockstep [s]; then the host is taken to have gone."""
+
+
+class Word(IntEnum):
+    """Command words."""
+
+    NEW_POSITION = 130
+    MDA_MODE = 140
+    INHIBIT = 150
+    RESET = 160
+    DOF_MODE = 170
+    LENGTH_MODE = 172
+    START = 175
+    ENGAGE = 180
+    LOW_LIMIT_DISABLE = 190
+    LOW_LIMIT_ENABLE = 200
+    PARK = 210
+    DISABLE = 220
+
+
+class MachineState(IntEnum):
+    """Low nibble of the machine state; a fault of the facility is `FAULT_2`, which can be reset."""
+
+    POWER_UP, IDLE, STANDBY, ENGAGED, PARKING = 0, 1, 2, 3, 7
+    FAULT_1, FAULT_2, FAULT_3, DISABLED, INHIBITED = 8, 9, 10, 11, 12
+
+
+class Latched(IntFlag):
+    """Latched faults that the facility can have."""
+
+    ACTUATOR_RUNAWAY, COMMAND_RANGE, INVALID_FRAME = 0x2000, 0x0200, 0x0100
+    WATCHDOG, LIMIT_SWITCH, DRIVE_BUS = 0x80, 0x40, 0x20
+    AMPLIFIER, COMMUNICATION = 0x10, 0x08
+
+
+class Discrete(IntFlag):
+    """Discrete I/O."""
+
+    AMPLIFIER_ENABLE, DRIVE_BUS, LIMIT_SWITCH, AT_HOME = 0x40, 0x20, 0x08, 0x01
+
+
+_MODES = {Word.LENGTH_MODE: 0x00, Word.DOF_MODE: 0x20}
+"""Mode bits of the machine state."""
+
+_VALID = {
+    Word.PARK: (MachineState.ENGAGED, MachineState.STANDBY),
+    Word.ENGAGE: (MachineState.IDLE,),
+    Word.START: (MachineState.IDLE,),
+    Word.DOF_MODE: (MachineState.IDLE, MachineState.POWER_UP),
+    Word.LENGTH_MODE: (MachineState.IDLE, MachineState.POWER_UP),
+    Word.INHIBIT: (MachineState.IDLE, MachineState.POWER_UP),
+    Word.RESET: (MachineState.FAULT_2, MachineState.INHIBITED),
+    Word.NEW_POSITION: tuple(MachineState),
+    Word.DISABLE: tuple(MachineState),
+}
+"""States in which a word is obeyed; in others, and words without an entry, it is answered only."""
+
+_OF_FAULT = {
+    "host_watchdog": Latched.COMMUNICATION,
+    "frame_watchdog": Latched.WATCHDOG,
+    "under_pressure": Latched.DRIVE_BUS,
+    "over_pressure": Latched.AMPLIFIER,
+}
+"""Bit of a fault of the facility; the others are a runaway actuator."""
+
+
+class _Position(NamedTuple):
+    number: int
+    pose: NDArray[np.float64]
+
+
+class MoogBase:
+    """The base without its network: commands in, answers out, between parts of a session.
+
+    The session begins in `State.OFF`, on the frames of `ring`.
+    """
+
+    def __init__(self) -> None:
+        """Power up."""
+        self.ring = make_ring()  #: Positions for the DCU.
+        self.refused = dict.fromkeys(REFUSALS, 0)
+        """Datagrams that were dropped, by reason."""
+        self.counts = dict.fromkeys(("commands", "not_valid_now", "positions", "late"), 0)
+        """Commands answered, those not valid in their state, positions taken while engaged, and
+        commands that came more than half a frame late while engaged."""
+        self.latched = Latched(0)
+        """Faults since the last reset."""
+        self._mode, self._stopped = Word.DOF_MODE, MachineState.POWER_UP
+        self._begin = np.zeros(6)
+        self._history: list[_Position] = []
+        self._number, self._origin, self._last = 0, 0.0, 0.0
+
+    @staticmethod
+    def delay(session: Session) -> float:
+        """From a command to the demand: one command, and the DCU's delay at 60 Hz [s]."""
+        dcu = session.chain.blocks.dcu
+        return 2.0 / RATE + dcu.hold + session.plant.machine.frame * dcu.line
+
+    def state(self, session: Session) -> MachineState:
+        """What the base says it is."""
+        if self._stopped in (MachineState.DISABLED, MachineState.INHIBITED):
+            return self._stopped
+        chain = session.chain
+        code, request = chain.progress[0].state, chain.progress[0].request
+        if code == State.FAULT:
+            return MachineState.FAULT_2
+        if code == State.OFF and session.frame < POWER_UP * session.rate:
+            return MachineState.POWER_UP
+        if request == Request.OFF and code != State.OFF:
+            return MachineState.PARKING
+        time, fade, stop = chain.operating.clock
+        if code == State.ENGAGED and time >= max(fade, stop):
+            return MachineState.ENGAGED
+        return MachineState.IDLE if code == State.OFF else MachineState.STANDBY
+
+    def take(self, session: Session, data: bytes) -> bytes | None:
+        """Obey a command; its answer, or None for what is dropped."""
+        state = self.state(session)
+        if state == MachineState.DISABLED:
+            return self._drop("disabled")
+        if len(data) != COMMAND.size:
+            return self._drop("wrong_length", Latched.INVALID_FRAME)
+        number, *values, _ = COMMAND.unpack(data)
+        if number not in set(Word):
+            return self._drop("wrong_word", Latched.INVALID_FRAME)
+        if not all(map(math.isfinite, values)):
+            return self._drop("not_finite", Latched.COMMAND_RANGE)
+        word, pose = Word(number), self._pose(session, values)
+        if pose is None:
+            return self._drop("out_of_range", Latched.COMMAND_RANGE)
+        if word in (Word.ENGAGE, Word.START) and state == MachineState.IDLE:
+            free = pose if word == Word.ENGAGE else np.delete(pose, 2)
+            if self._mode == Word.DOF_MODE and free.any():
+                return self._drop("out_of_range", Latched.COMMAND_RANGE)
+        self.counts["commands"] += 1
+        if state in _VALID.get(word, ()):
+            self._obey(session, word, pose)
+        else:
+            self.counts["not_valid_now"] += 1
+        if state in (MachineState.STANDBY, MachineState.ENGAGED):
+            moved = state == MachineState.ENGAGED
+            self._position(session, pose if moved and word == Word.NEW_POSITION else None)
+        return self._answer(session)
+
+    def _drop(self, why: str, bit: int = 0) -> bytes | None:
+        self.refused[why] += 1
+        self.latched = self.latched | Latched(bit)
+        return None
+
+    def _pose(self, session: Session, values: list[float]) -> NDArray[np.float64] | None:
+        """The pose of six numbers, or None if the machine has none."""
+        pose, bounds = np.zeros(6), session.chain.blocks
+        if self._mode == Word.DOF_MODE:
+            pose[list(ORDER)] = values
+        else:
+            try:
+                pose = legs_to_pose(np.array(values) - bounds.states.travel, session.plant.machine)
+            except InputError:
+                return None
+        return pose if (np.abs(pose) <= bounds.dcu.pose).all() else None
+
+    def _obey(self, session: Session, word: Word, pose: NDArray[np.float64]) -> None:
+        progress = session.chain.progress[0]
+        if word in _MODES:
+            self._mode = word
+        elif word in (Word.ENGAGE, Word.START):
+            self._begin, self._history = pose, []
+            progress.request = Request.ENGAGE.value
+        elif word == Word.PARK:
+            progress.request = Request.OFF.value
+        elif word == Word.RESET and self._stopped == MachineState.INHIBITED:
+            self._stopped = MachineState.IDLE
+        elif word == Word.RESET:
+            self.latched, progress.request = Latched(0), Request.RESET.value
+        elif word == Word.INHIBIT:
+            self._stopped = MachineState.INHIBITED
+        elif word == Word.DISABLE:
+            self._stopped, progress.request = MachineState.DISABLED, Request.OFF.value
+
+    def _position(self, session: Session, pose: NDArray[np.float64] | None) -> None:
+        """Let a position follow the one before; None for the one to begin at, and to stay."""
+        now = session.frame / session.rate
+        if pose is not None:
+            self.counts["positions"] += 1
+            self.counts["late"] += now - self._last > 1.5 / RATE
+            self._begin = pose
+        self._last = now
+        self._number += 1
+        if not self._history:
+            self._origin = now - self._number / RATE
+        # Numbers rise by one, unless commands were lost or the host's clock has fallen behind.
+        behind = (now - self._origin) * RATE - self._number
+        self._number += int(behind) if behind >= 1.5 else 0
+        self._history = [*self._history[-2:], _Position(self._number, self._begin)]
+        if len(self._history) < 2:
+            return
+        before, here, after = [self._history[0], *self._history][-3:]
+        late, early = (after.number - here.number) / RATE, (here.number - before.number) / RATE
+        velocity = acceleration = np.zeros(6)
+        if early:
+            forth, back = after.pose - here.pose, here.pose - before.pose
+            velocity = (early**2 * forth + late**2 * back) / (early * late * (early + late))
+            acceleration = 2.0 * (early * forth - late * back) / (early * late * (early + late))
+        frame = HostFrame(here.number, here.number / RATE, here.pose, velocity, acceleration)
+        put(self.ring, frame)
+
+    def _answer(self, session: Session) -> bytes:
+        memory, chain = session.memory, session.chain
+        progress, fault = chain.progress[0], session.fault
+        fresh = progress.state == State.FAULT and progress.request != Request.RESET
+        if fresh and fault is not None:
+            self.latched |= _OF_FAULT.get(fault.name, Latched.ACTUATOR_RUNAWAY)
+        tripped, travel = bool(memory.progress[0].tripped), chain.blocks.states.travel
+        if tripped:
+            self.latched |= Latched.LIMIT_SWITCH
+        legs = memory.feedback.position
+        home = (np.abs(legs + travel) <= chain.blocks.states.settled_tolerance).all()
+        bits = {
+            Discrete.AMPLIFIER_ENABLE: chain.operating.valve[1] > 0.0,
+            Discrete.DRIVE_BUS: session.machine.faults.plant[STOPPED] == 0.0,
+            Discrete.LIMIT_SWITCH: tripped,
+            Discrete.AT_HOME: home,
+        }
+        values = legs + travel
+        if self._mode == Word.DOF_MODE:
+            values = legs_to_pose(legs, session.plant.machine)[list(ORDER)]
+        io = sum(bit for bit, here in bits.items() if here)
+        return ANSWER.pack(self.latched, io, self.state(session) | _MODES[self._mode], *values, 0)
+
+
+class MoogServer(MoogBase):
+    """The base on a UDP socket; its `attend` belongs to `serve`. A context manager."""
+
+    def __init__(
+        self,
+        port: int = 0,
+        *,
+        host: str = LOOPBACK,
+        host_port: int | None = None,
+        bind: str = LOOPBACK,
+        lockstep: bool = False,
+    ) -> None:
+        """Bind to the IPv4 address `bind`, and take commands of `host` only, by its address.
+
+        In lockstep the machine goes on by 1/60 s with each command and waits for the next; else
+        the run is paced.
+        """
+        super().__init__()
+        check_address("host", host)
+        self._socket, self._lockstep = open_socket(port, bind), lockstep
+        self._host, self._host_port, self._steps = host, host_port, 0
+        self._socket.settimeout(_PATIENCE if lockstep else 0.0)
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Address and port it listens on."""
+        address, port = self._socket.getsockname()
+        return address, port
+
+    def attend(self, session: Session) -> int:
+        """Answer what has come; the control frames until the next look."""
+        for _ in range(sys.maxsize if self._lockstep else _MOST):
+            try:
+                data, sender = self._socket.recvfrom(COMMAND.size + 1)
+            except OSError:  # nothing has come, or an answer was refused
+                return session.frames if self._lockstep else _POLL
+            if sender[0] != self._host or self._host_port not in (None, sender[1]):
+                self._drop("wrong_sender")
+            elif (answer := self.take(session, data)) is not None:
+                self._socket.sendto(answer, sender)
+                if self._lockstep:
+                    break
+        else:
+            return _POLL
+        self._steps += 1
+        return self._steps * session.rate // RATE - session.frame
+
+    def __enter__(self) -> "MoogServer":
+        """Return the base."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the socket."""
+        self._socket.close()
