@@ -29,7 +29,7 @@ SEAMS = (
     "pilot.cueing.washout:Washout.run",
     "studies.linearization:operating_point",
     "analysis.modes:sweep",
-    "analysis.linear.table_4_1:measure_loop",
+    "analysis.linear.catalogue:measure_loop",
     "signals.peaks:peaks",
     "pilot.aircraft.airframe:Airframe.__init__",
     "studies.tuning.search:cost",

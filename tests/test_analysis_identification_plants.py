@@ -23,11 +23,15 @@ from cmf_mj.analysis.frequency_response import (
     matrix_frequency_response,
 )
 from cmf_mj.analysis.identification.arx import arx
-from cmf_mj.analysis.identification.continuous import in_field_units, loop_errors, to_continuous
+from cmf_mj.analysis.identification.continuous import (
+    fit_response,
+    in_field_units,
+    loop_errors,
+    to_continuous,
+)
 from cmf_mj.analysis.identification.data import experiment
 from cmf_mj.analysis.identification.plant_response import plant_response
 from cmf_mj.analysis.identification.refinement import instrumental_variable, output_error
-from cmf_mj.analysis.identification.response_fit import fit_response
 from cmf_mj.analysis.identification.validation import simulation_fit
 from cmf_mj.analysis.linear.catalogue import hardware_velocity
 from cmf_mj.analysis.linear.loop import closed_loop, closed_loop_response

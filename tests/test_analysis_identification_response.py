@@ -8,9 +8,8 @@ import pytest
 from identified_systems import RATE, SIXTH, lag, noisy, pair, series
 
 from cmf_mj.analysis.identification.arx import arx
-from cmf_mj.analysis.identification.continuous import in_field_units, to_continuous
+from cmf_mj.analysis.identification.continuous import fit_response, in_field_units, to_continuous
 from cmf_mj.analysis.identification.refinement import output_error
-from cmf_mj.analysis.identification.response_fit import fit_response
 
 FREQUENCY = np.linspace(0.1, 16.0, 160)
 LEG = lag(3.0) * pair(11.0, 0.11) * control.tf([1.0 / 1.2, 1.0], [1.0 / 1.1, 1.0])

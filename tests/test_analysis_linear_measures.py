@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 
 from cmf_mj import bandwidths
-from cmf_mj.analysis.linear.catalogue import hardware_velocity
+from cmf_mj.analysis.linear.catalogue import TableRow, hardware_velocity, table_4_1
 from cmf_mj.analysis.linear.loop import closed_loop, loop_step
 from cmf_mj.analysis.linear.plants import UnitTransferFunction
-from cmf_mj.analysis.linear.table_4_1 import TableRow, table_4_1
 from cmf_mj.analysis.measures import measure_loop
 from cmf_mj.core.rates import FRAME
 

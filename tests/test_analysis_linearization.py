@@ -16,14 +16,12 @@ from simulated_loops import Comparison, compare_with_simulation
 from cmf_mj import Hexapod, Plant, SingleLegs
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.describing import outward_share
-from cmf_mj.analysis.linear.files import save_system
 from cmf_mj.analysis.linear.loop import closed_loop
-from cmf_mj.analysis.linear.mechanics import linear_mechanics
-from cmf_mj.analysis.linear.operating_point import operating_point
+from cmf_mj.analysis.linear.operating_point import linear_mechanics, operating_point
 from cmf_mj.analysis.linear.poles import modes
 from cmf_mj.analysis.linear.ports import port_slopes
 from cmf_mj.analysis.linear.reduction import dof_model, leg_model, reduced
-from cmf_mj.analysis.sine import fit_sines
+from cmf_mj.analysis.response.periodic import fit_sines
 from cmf_mj.core import units
 from cmf_mj.facility.simulation import drive
 from cmf_mj.machine.geometry import DOFS
@@ -34,6 +32,7 @@ from cmf_mj.plant.oil import density
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.supply import ACCUMULATOR, PUMP, RETURN, RETURN_PRESSURE, SUPPLY, SUPPLY_PRESSURE
+from cmf_mj.show.linearization import save_system
 from cmf_mj.studies.linearization import loop_between
 
 DEGREE = np.pi / 180.0

@@ -4,9 +4,9 @@ import control
 import numpy as np
 import pytest
 
-from cmf_mj.analysis.delay import correlation_delay
 from cmf_mj.analysis.metrics import (
     acceleration_noise,
+    correlation_delay,
     crosstalk,
     describing_function,
     dynamic_threshold,

@@ -14,9 +14,13 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 
 from cmf_mj.analysis.response import spectra
-from cmf_mj.analysis.response.estimate import Estimate, Estimator
-from cmf_mj.analysis.response.matrix import matrix_response, stitch
-from cmf_mj.analysis.response.periodic import periodic_response, sine_response
+from cmf_mj.analysis.response.periodic import (
+    matrix_response,
+    periodic_response,
+    sine_response,
+    stitch,
+)
+from cmf_mj.analysis.response.spectra import Estimate, Estimator
 from cmf_mj.analysis.response.welch import report_response, welch_response
 
 RATE = 64.0

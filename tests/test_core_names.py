@@ -29,8 +29,7 @@ from cmf_mj.plant.parameters.loading import HYDRAULICS, load_hydraulics
 from cmf_mj.studies.case import make_case
 from cmf_mj.studies.mismatch import with_valve_gains
 from cmf_mj.studies.posterior.run import acceleration_law
-from cmf_mj.studies.settings import ready_studies
-from cmf_mj.studies.variants import lumped
+from cmf_mj.studies.settings import lumped, ready_studies
 
 BAD = {
     "up": "../../x",

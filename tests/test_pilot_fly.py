@@ -13,7 +13,7 @@ from shared import WORKING_STROKE
 from typer.testing import CliRunner
 
 from cmf_mj import signals
-from cmf_mj.analysis.delay import transient_delay
+from cmf_mj.analysis.metrics import transient_delay
 from cmf_mj.cli.common import app
 from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.core.rates import RATE

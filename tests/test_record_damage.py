@@ -21,10 +21,10 @@ from cmf_mj.core.files import write_parquet
 from cmf_mj.facility.host.files import HostSession
 from cmf_mj.facility.scenario.settings import save_scenario
 from cmf_mj.pilot.aircraft.flight import Flight, load_flight
+from cmf_mj.record.layout import write_facility_csv
 from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.record.record import Record
-from cmf_mj.record.writer import write_facility_csv
-from cmf_mj.studies.journal import JOURNAL, SPECIFICATION, Journal
+from cmf_mj.studies.engine import JOURNAL, SPECIFICATION, Journal
 
 FLIPS = 200
 GENERATOR = np.random.default_rng(19)

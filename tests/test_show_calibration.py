@@ -9,10 +9,9 @@ from typer.testing import CliRunner
 
 from cmf_mj.cli.common import app
 from cmf_mj.show import calibration as calibration_report
-from cmf_mj.studies.calibration import fit, sensitivity
+from cmf_mj.studies.calibration import fit
 from cmf_mj.studies.calibration.definition import load_study
-from cmf_mj.studies.calibration.fit import Calibration, Stage, residual_rows
-from cmf_mj.studies.calibration.sensitivity import Examination, spread
+from cmf_mj.studies.calibration.fit import Calibration, Examination, Stage, residual_rows, spread
 from cmf_mj.studies.calibration.trial import Verdict, least_damping, linear_results, starting_values
 
 
@@ -28,7 +27,6 @@ def examined() -> Examination:
     errors = {"leg_speed": 0.011, "leak_rate": 2.5}
     return Examination(
         Calibration(study, (stage, later), errors),
-        sensitivity.sensitivity(study, values, ("velocity",)),
         spread(study, values, samples=3),
         [Verdict("gfd", "sway", True, 0.001), Verdict("ifd", "surge", False, 0.4)],
     )
@@ -53,19 +51,13 @@ def test_files_hold_what_was_computed(examined: Examination, tmp_path: Path) -> 
             assert float(line["computed"]) == pytest.approx(row.computed, rel=1e-5)
         else:
             assert line["computed"] == line["deviation"] == ""
-    derivatives = rows_of(tmp_path / "study" / "sensitivity.csv")
-    assert len(derivatives) == examined.sensitivity.derivative.size
-    assert float(derivatives[0]["normalised_derivative"]) == pytest.approx(
-        examined.sensitivity.derivative[0, 0, 0], rel=1e-5
-    )
     assert len(rows_of(tmp_path / "study" / "uncertainty.csv")) == 3
     assert [row["stable"] for row in rows_of(tmp_path / "study" / "stability.csv")] == [
         "True",
         "False",
     ]
-    for name in ("residuals.png", "sensitivity.png"):
-        picture = matplotlib.image.imread(tmp_path / "study" / name)
-        assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
+    picture = matplotlib.image.imread(tmp_path / "study" / "residuals.png")
+    assert picture[..., :3].reshape(-1, 3).std(axis=0).min() > 0.05
 
 
 def test_text_marks_what_is_outside_and_what_is_missing(examined: Examination) -> None:
@@ -85,7 +77,7 @@ def test_command_writes_a_folder_a_study(
     examined: Examination, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fit, "calibrate", lambda *_, **__: examined.calibration)
-    monkeypatch.setattr(sensitivity, "examine", lambda *_, **__: examined)
+    monkeypatch.setattr(fit, "examine", lambda *_, **__: examined)
     arguments = ["calibrate", "hardware", "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from cmf_mj.analysis.linear.catalogue import report_models
+from cmf_mj.analysis.linear.catalogue import law_loops, report_models, table_4_1
 from cmf_mj.analysis.linear.second_order import (
     GAINS,
     FeedbackLoop,
@@ -14,7 +14,6 @@ from cmf_mj.analysis.linear.second_order import (
     characteristics,
     gain_effects,
 )
-from cmf_mj.analysis.linear.table_4_1 import law_loops, table_4_1
 from cmf_mj.analysis.published import published_results
 from cmf_mj.cli.common import app
 from cmf_mj.show.linear import (

@@ -15,7 +15,7 @@ from cmf_mj import bandwidths, load_law
 from cmf_mj.analysis.ledger import load_ledger
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import closed_loop
-from cmf_mj.analysis.linear.oscillation import limit_cycle, oscillation
+from cmf_mj.analysis.linear.poles import limit_cycle, oscillation
 from cmf_mj.analysis.linear.reduction import leg_model
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_gains, published_results
@@ -26,14 +26,16 @@ from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.show.chart import Curve
 from cmf_mj.show.report_2014 import force, statements, tables
 from cmf_mj.show.report_2014.contents import Content, PageFigure, PageTable
-from cmf_mj.show.report_2014.drawing import MOST, drawn, thinned
 from cmf_mj.show.report_2014.page import (
     FIGURES,
+    MOST,
     STUDY_NEEDS,
     TABLES,
+    drawn,
     make_content,
     render,
     save_page,
+    thinned,
 )
 from cmf_mj.show.report_2014.runs import FORCE_READINGS, Runs, RunSpec, hydraulics_of, law_of
 from cmf_mj.show.report_2014.sections import result_table, sections_of

@@ -29,9 +29,8 @@ from cmf_mj.facility.scenario.settings import (
 )
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.studio import choices
-from cmf_mj.show.studio.clock import LARGEST, Clock
-from cmf_mj.show.studio.gains import knobs
-from cmf_mj.show.studio.live import KEPT_ROWS, LONGEST, PLOT_RATE, LiveSession, View
+from cmf_mj.show.studio.controls import knobs
+from cmf_mj.show.studio.live import KEPT_ROWS, LARGEST, LONGEST, PLOT_RATE, Clock, LiveSession, View
 
 SHORT = {"duration": 1.0, "record_every": 16}
 

@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cmf_mj.cli.common import app
-from cmf_mj.studies.journal import RESULTS
-from cmf_mj.studies.variants import LADDER
+from cmf_mj.studies.engine import RESULTS
+from cmf_mj.studies.settings import LADDER
 
 
 @pytest.mark.slow

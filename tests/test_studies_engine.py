@@ -22,9 +22,8 @@ from typer.testing import CliRunner
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.cli.common import app
 from cmf_mj.studies import engine
-from cmf_mj.studies.engine import run_study
+from cmf_mj.studies.engine import JOURNAL, RESULTS, Journal, Row, run_study
 from cmf_mj.studies.evaluation import failed
-from cmf_mj.studies.journal import JOURNAL, RESULTS, Journal, Row
 from cmf_mj.studies.settings import Study, StudyCase, load_study
 
 SPECIFICATION = """
@@ -266,7 +265,7 @@ def test_another_study_is_refused_and_what_differs_is_named(
     fewer = load_study(specification, laws=["velocity"])
     with pytest.raises(ValueError, match="differs in laws, settings.laws"):
         run_study(fewer, finished)
-    monkeypatch.setattr("cmf_mj.studies.journal._sources", lambda: "of another day")
+    monkeypatch.setattr("cmf_mj.studies.engine._sources", lambda: "of another day")
     with pytest.raises(ValueError, match="differs in sources; allowed: the same study"):
         run_study(load_study(specification), finished)
     assert bits(finished) == before

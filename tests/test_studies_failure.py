@@ -19,8 +19,13 @@ from cmf_mj.show.failure import label
 from cmf_mj.signals.signal import Command
 from cmf_mj.studies.case import make_case
 from cmf_mj.studies.failure import measures
-from cmf_mj.studies.failure.measures import FALL_SPEED, FailureResult
-from cmf_mj.studies.failure.runs import manoeuvre, run_failure, run_failures
+from cmf_mj.studies.failure.measures import (
+    FALL_SPEED,
+    FailureResult,
+    manoeuvre,
+    run_failure,
+    run_failures,
+)
 
 FRAME = 1.0 / 2048.0
 INCH, PSI, POUND, GRAVITY = 0.0254, 6894.757293168361, 4.4482216152605, 9.80665

@@ -15,7 +15,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.posterior import TEXTS, best_gain
-from cmf_mj.studies.journal import JOURNAL
+from cmf_mj.studies.engine import JOURNAL
 from cmf_mj.studies.posterior import answers, evidence, sampling
 from cmf_mj.studies.posterior.machine import Machine, loop_damping, simulated_stability
 from cmf_mj.studies.posterior.run import GROUPS, TABLES, Results, run_posterior

@@ -11,7 +11,7 @@ from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.plant import cylinder
-from cmf_mj.studies.variants import LADDER, MACHINE, SMALL, lumped, rung_named
+from cmf_mj.studies.settings import LADDER, MACHINE, SMALL, lumped, rung_named
 
 HARDWARE = load_hydraulics("hardware")
 

@@ -19,9 +19,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-from cmf_mj.analysis.response.estimate import SEGMENT, Estimate, Estimator
-from cmf_mj.analysis.response.matrix import matrix_response, stitch
-from cmf_mj.analysis.response.periodic import periodic_response, sine_response
+from cmf_mj.analysis.response.periodic import (
+    matrix_response,
+    periodic_response,
+    sine_response,
+    stitch,
+)
+from cmf_mj.analysis.response.spectra import SEGMENT, Estimate, Estimator
 from cmf_mj.analysis.response.welch import from_h1, report_response, welch_response
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.machine.dof import dof_index

@@ -23,7 +23,7 @@ from cmf_mj.analysis.frequency_response import (
     frequency_response,
 )
 from cmf_mj.analysis.linear.loop import STEP_DURATION, loop_response, loop_step
-from cmf_mj.analysis.response.estimate import SEGMENT
+from cmf_mj.analysis.response.spectra import SEGMENT
 from cmf_mj.analysis.step_response import (
     StepMetrics,
     damping_from_overshoot,

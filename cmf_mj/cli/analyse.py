@@ -20,7 +20,7 @@ _NEUTRAL = "0,0,0,0,0,0"
 _METHODS = "arx (least squares), iv (instruments) or oe (output error)"
 _SIGNALS = "multisine, chirp, noise, pulse or sine"
 _METHOD, _SIGNAL = "studies.identification:Method", "studies.identification:Signal"
-_ESTIMATOR = "analysis.response.estimate:Estimator"
+_ESTIMATOR = "analysis.response.spectra:Estimator"
 
 
 @command("linearize")
@@ -70,8 +70,7 @@ def modes_command(
     from cmf_mj.machine.geometry import DOFS
     from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import modes as report
-    from cmf_mj.show.film.film import FilmSettings
-    from cmf_mj.show.film.swing import swing_film
+    from cmf_mj.show.film.film import FilmSettings, swing_film
 
     plants = [Hexapod(name, hydraulics) for name in cabs]
     here = pose_option(pose)

@@ -202,7 +202,7 @@ def record_command(
     from cmf_mj.core import units
     from cmf_mj.core.files import in_folder
     from cmf_mj.machine.dof import dof_index, dof_unit
-    from cmf_mj.record.writer import write_facility_csv
+    from cmf_mj.record.layout import write_facility_csv
     from cmf_mj.signals.peaks import peaks
     from cmf_mj.studies.case import make_case
     from cmf_mj.studies.measurement import facility_session, session_commands
@@ -232,7 +232,7 @@ def replay_command(
     from cmf_mj.core.files import in_folder
     from cmf_mj.facility.replay import law_of, replay
     from cmf_mj.record.reader import read_recording
-    from cmf_mj.show import sensor as report
+    from cmf_mj.show import listing as report
 
     record = read_recording(recording)
     replayed = replay(record, law or law_of(record))

@@ -72,7 +72,7 @@ def linear_command(
     laws: options.Laws = options.VELOCITY, out: options.Out = Path("out/linear")
 ) -> None:
     """Show the report's linear models, Table 4-1 computed, and section 3.4's analysis."""
-    from cmf_mj.analysis.linear.table_4_1 import law_loops, table_4_1
+    from cmf_mj.analysis.linear.catalogue import law_loops, table_4_1
     from cmf_mj.show import linear
 
     loops, rows = law_loops(laws), table_4_1()
@@ -107,8 +107,7 @@ def sensors_command(
 ) -> None:
     """Show a sensor set, and what the accelerometer filter does to it (Figures 3-15, 3-16)."""
     from cmf_mj.electronics.sensors.settings import load_sensors
-    from cmf_mj.show.listing import sensor_table
-    from cmf_mj.show.sensor import effect_table
+    from cmf_mj.show.listing import effect_table, sensor_table
     from cmf_mj.studies.accelerometer_filter import filter_effect
 
     settings = load_sensors(sensors)

@@ -35,7 +35,7 @@ _MOTIONS = (
     "sine, step, chirp, noise, multisine, or a CSV or Parquet file with columns "
     "time [s], surge, sway, heave [in], roll, pitch, yaw [deg]"
 )
-_SIGNALS = "studies.capacity.manoeuvre:SIGNALS"
+_SIGNALS = "studies.capacity.verdict:SIGNALS"
 _SIZE = "of translations; rotations 0.2 deg and steps 1 in to 0.33 in"
 
 
@@ -158,7 +158,7 @@ def failure_command(
     from cmf_mj.core import units
     from cmf_mj.show import failure as report
     from cmf_mj.studies.case import make_case
-    from cmf_mj.studies.failure.runs import run_failures
+    from cmf_mj.studies.failure.measures import run_failures
 
     events, sine = events_of(event, at, leg, valve, size), in_si(dof, amplitude)
     case = make_case(law, dof, cab=cab, hydraulics=hydraulics, amplitude=sine)
@@ -198,8 +198,7 @@ def capacity_command(
     from cmf_mj.plant.parameters.loading import load_hydraulics
     from cmf_mj.show import capacity as report
     from cmf_mj.studies.capacity import envelope as envelopes
-    from cmf_mj.studies.capacity.manoeuvre import manoeuvre
-    from cmf_mj.studies.capacity.verdict import capacity
+    from cmf_mj.studies.capacity.verdict import capacity, manoeuvre
 
     parameters = load_hydraulics(hydraulics)
     least = None if least_pressure is None else least_pressure * units.PSI

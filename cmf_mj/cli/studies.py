@@ -154,8 +154,7 @@ def calibrate_command(
     from cmf_mj.core.files import in_folder
     from cmf_mj.show import calibration as report
     from cmf_mj.studies.calibration.definition import load_study
-    from cmf_mj.studies.calibration.fit import calibrate
-    from cmf_mj.studies.calibration.sensitivity import examine
+    from cmf_mj.studies.calibration.fit import calibrate, examine
 
     for chosen in [load_study(name) for name in tables]:
         say = partial(typer.echo, err=True)

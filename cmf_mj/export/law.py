@@ -12,8 +12,8 @@ from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import SIGNALS, Law, load_law
 from cmf_mj.core.files import write_text
-from cmf_mj.export.image import Image, make_image
 from cmf_mj.export.library import build, copy_licences, copy_sources
+from cmf_mj.export.machine import Image, make_image
 from cmf_mj.export.machine_code import constant_data, machine_code
 from cmf_mj.facility.binding import bound
 from cmf_mj.machine.cab import Cab, load_cab

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.files import write_text
-from cmf_mj.export.image import make_image
 from cmf_mj.export.library import build, copy_mujoco, copy_sources
+from cmf_mj.export.machine import make_image
 from cmf_mj.export.machine_code import constant_data, machine_code
 from cmf_mj.plant.attach import attach_hydraulics, equipped
 from cmf_mj.plant.events import Faults, no_faults

@@ -5,15 +5,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from cmf_mj.core.files import write_text
 from cmf_mj.show.look import BLUE, GREY, ORANGE, new_figure, save_files
 from cmf_mj.show.table import Cell, Table, number
-from cmf_mj.studies.calibration.definition import MEASURES
-from cmf_mj.studies.calibration.fit import Calibration, Residual, residual_rows
-from cmf_mj.studies.calibration.sensitivity import Examination, Sensitivity, Spread
+from cmf_mj.studies.calibration.fit import (
+    Calibration,
+    Examination,
+    Residual,
+    Spread,
+    residual_rows,
+)
 from cmf_mj.studies.calibration.trial import Verdict
 
 _MEASURE = {"phase": "-90 deg", "gain": "-3 dB", "damping": "zeta"}
@@ -137,26 +140,6 @@ def residual_figure(calibration: Calibration) -> Figure:
     return figure
 
 
-def sensitivity_figure(result: Sensitivity, name: str) -> Figure:
-    """Heat map of the normalised derivatives."""
-    labels = [f"{law} {_MEASURE[m]}" for law in result.laws for m in MEASURES]
-    values = result.derivative.reshape(len(labels), len(result.parameters))
-    known = ~np.all(np.isnan(values), axis=1)
-    labels, values = [label for label, k in zip(labels, known, strict=True) if k], values[known]
-    figure = new_figure(7.5, 1.6 + 0.24 * len(labels), gridded=False)
-    axes = figure.subplots()
-    image = axes.imshow(values, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="auto")
-    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 7}
-    for (i, j), value in np.ndenumerate(values):
-        if value == value:
-            axes.text(j, i, f"{value:+.2f}", color="w" if abs(value) > 0.6 else "k", **style)
-    axes.set_xticks(range(len(result.parameters)), result.parameters, rotation=30, ha="right")
-    axes.set_yticks(range(len(labels)), labels, fontsize=8)
-    axes.set_title(f"{name}: d ln(result) / d ln(parameter), colours cut at +-1", fontsize=10)
-    figure.colorbar(image, ax=axes, shrink=0.8)
-    return figure
-
-
 def save_calibration(result: Examination, folder: Path) -> list[Path]:
     """Write CSV files, figures and the Markdown of a study."""
     calibration = result.calibration
@@ -166,22 +149,13 @@ def save_calibration(result: Examination, folder: Path) -> list[Path]:
         for stage, values in (("shipped", before), ("fitted", after))
         for row in residual_rows(calibration.study, values.simulated)
     ]
-    sensitivity = result.sensitivity
-    derivatives = [
-        (law, measure, parameter, sensitivity.derivative[i, j, k])
-        for i, law in enumerate(sensitivity.laws)
-        for j, measure in enumerate(MEASURES)
-        for k, parameter in enumerate(sensitivity.parameters)
-    ]
     values = [
         (p.name, p.unit, before.values[p.name], after.values[p.name])
         for p in calibration.study.parameters
     ]
-    header = ("law", "measure", "parameter", "normalised_derivative")
     tables: dict[str, tuple[Iterable[str], Iterable[Sequence[object]]]] = {
         "parameters.csv": (("parameter", "unit", "shipped", "fitted"), values),
         "residuals.csv": (("stage", *Residual._fields), residuals),
-        "sensitivity.csv": (header, derivatives),
         "uncertainty.csv": (Spread._fields, result.spread),
     }
     if result.verdicts:
@@ -191,6 +165,5 @@ def save_calibration(result: Examination, folder: Path) -> list[Path]:
         known = [["" if value != value else value for value in row] for row in rows]
         files[name] = (titles, known, 6)
     files["residuals.png"] = residual_figure(calibration)
-    files["sensitivity.png"] = sensitivity_figure(sensitivity, calibration.study.name)
     files["calibration.md"] = partial(write_text, text=markdown(result))
     return save_files(files, folder)

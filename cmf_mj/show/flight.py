@@ -13,8 +13,8 @@ from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show import look
 from cmf_mj.show.chart import Curve, Panel
+from cmf_mj.show.cueing import SCALE, Motion, motion_axes, perceived_figure, six
 from cmf_mj.show.film.strip import Panels
-from cmf_mj.show.station import SCALE, Motion, motion_axes, perceived_figure, six
 from cmf_mj.show.table import Cell, Column, Table
 
 _NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")

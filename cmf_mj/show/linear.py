@@ -9,13 +9,14 @@ from matplotlib.figure import Figure
 
 from cmf_mj.analysis.linear.catalogue import (
     HARDWARE_MODELS,
+    LawLoop,
     ReportModel,
+    TableRow,
     report_model,
     report_models,
 )
 from cmf_mj.analysis.linear.loop import loop_response, loop_step
 from cmf_mj.analysis.linear.second_order import GAINS, gain_effects
-from cmf_mj.analysis.linear.table_4_1 import LawLoop, TableRow
 from cmf_mj.analysis.published import published_results
 from cmf_mj.show.comparison import phase_text
 from cmf_mj.show.look import GREY, bode_axes, legend, new_figure, plot_bode, save_files

@@ -1,22 +1,43 @@
 """Tables, figures and files of a linearised plant: modes, Bode diagrams, loops of a law."""
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import control
 import numpy as np
 from matplotlib.figure import Figure
 
 from cmf_mj.analysis.frequency_response import bandwidths
-from cmf_mj.analysis.linear.files import save_system
 from cmf_mj.analysis.linear.poles import Mode
 from cmf_mj.analysis.measures import joined
+from cmf_mj.core.files import write_text
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.comparison import phase_text
 from cmf_mj.show.look import bode_axes, legend, plot_bode, pose_text, save_files
 from cmf_mj.show.table import Cell, Table
 from cmf_mj.studies.linearization import FREQUENCIES, LinearizationStudy
+
+
+def save_system(system: control.StateSpace, path: Path, description: Mapping[str, Any]) -> Path:
+    """Write a state space as JSON; numbers read back bit for bit.
+
+    `A` to `D`, `sampling_time` and the labels make a `control.ss` of it again; `description` are
+    plain JSON values kept with it, such as plant and pose.
+    """
+    content: dict[str, Any] = {
+        "name": system.name,
+        "sampling_time": system.dt,
+        "units": "SI; commands as fractions; angles in rad",
+        "description": dict(description),
+    }
+    labels = ("input_labels", "output_labels", "state_labels")
+    content |= {name: list(getattr(system, name)) for name in labels}
+    content |= {name: np.asarray(getattr(system, name)).tolist() for name in "ABCD"}
+    return write_text(path, json.dumps(content, allow_nan=False) + "\n")
+
 
 _NAMED = 0.1
 """Share from which on a kind of state or a degree of freedom is named."""

@@ -42,8 +42,7 @@ from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.studies.case import REPORT_AMPLITUDES, STEP_PER_AMPLITUDE, Case
 from cmf_mj.studies.mismatch import with_gain_errors
-from cmf_mj.studies.settings import NOMINAL, StudyCase
-from cmf_mj.studies.variants import rung_named
+from cmf_mj.studies.settings import NOMINAL, StudyCase, rung_named
 
 BAND = (0.1, 10.0)
 """Frequencies of all responses [Hz]."""

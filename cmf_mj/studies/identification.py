@@ -15,6 +15,7 @@ from cmf_mj.analysis.frequency_response import FrequencyResponse, frequency_resp
 from cmf_mj.analysis.identification.arx import Selection, arx, select_orders
 from cmf_mj.analysis.identification.continuous import (
     LoopErrors,
+    ResponseFit,
     in_field_units,
     loop_errors,
     to_continuous,
@@ -23,7 +24,6 @@ from cmf_mj.analysis.identification.data import RATE, Experiment, experiment
 from cmf_mj.analysis.identification.model import Orders, PolynomialModel
 from cmf_mj.analysis.identification.plant_response import plant_response
 from cmf_mj.analysis.identification.refinement import instrumental_variable, output_error
-from cmf_mj.analysis.identification.response_fit import ResponseFit
 from cmf_mj.analysis.identification.validation import Residuals, residual_analysis, simulation_fit
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, law_names

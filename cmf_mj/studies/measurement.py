@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from cmf_mj import signals
 from cmf_mj.analysis import metrics
-from cmf_mj.analysis.delay import correlation_delay
 from cmf_mj.analysis.frequency_response import (
     FrequencyResponse,
     bandwidths,
@@ -25,7 +24,8 @@ from cmf_mj.analysis.frequency_response import (
     rounds_response,
 )
 from cmf_mj.analysis.measures import Measures, joined
-from cmf_mj.analysis.response.estimate import Estimator
+from cmf_mj.analysis.metrics import correlation_delay
+from cmf_mj.analysis.response.spectra import Estimator
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.core import units
 from cmf_mj.core.errors import check_name

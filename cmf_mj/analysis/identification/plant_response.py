@@ -15,7 +15,7 @@ import numpy as np
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, excited_response
 from cmf_mj.analysis.identification.data import experiment
-from cmf_mj.analysis.response.estimate import SEGMENT
+from cmf_mj.analysis.response.spectra import SEGMENT
 from cmf_mj.core.errors import InputError
 from cmf_mj.record.record import Record
 

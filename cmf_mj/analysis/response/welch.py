@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from cmf_mj.analysis.response import spectra
-from cmf_mj.analysis.response.estimate import SEGMENT, Complex, Estimate, Estimator, Real
+from cmf_mj.analysis.response.spectra import SEGMENT, Complex, Estimate, Estimator, Real
 from cmf_mj.core.errors import InputError, check_name
 
 

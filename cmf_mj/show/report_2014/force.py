@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from cmf_mj.analysis.linear.oscillation import Oscillation, limit_cycle, oscillation
+from cmf_mj.analysis.linear.poles import Oscillation, limit_cycle, oscillation
 from cmf_mj.analysis.published import published_results
 from cmf_mj.show.chart import Curve, Panel
 from cmf_mj.show.look import COLOURS

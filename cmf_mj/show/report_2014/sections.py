@@ -4,10 +4,16 @@ A new section is an entry there; a new kind of block is a function and its entry
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import version
+
+import numpy as np
 
 from cmf_mj.analysis.ledger import load_ledger
+from cmf_mj.core import units
+from cmf_mj.core.quantity import Quantity
+from cmf_mj.electronics.sensors.settings import CHANNELS, load_sensors
 from cmf_mj.show.listing import figures_text
-from cmf_mj.show.report_2014 import force, provenance
+from cmf_mj.show.report_2014 import force
 from cmf_mj.show.report_2014.accounting import agreement_table, verdict_table
 from cmf_mj.show.report_2014.contents import (
     CONTENTS,
@@ -20,7 +26,16 @@ from cmf_mj.show.report_2014.contents import (
     texts,
 )
 from cmf_mj.show.report_2014.curves import law_title
-from cmf_mj.show.report_2014.runs import HYDRAULICS, On, Runs, RunSpec
+from cmf_mj.show.report_2014.runs import (
+    CAB,
+    HYDRAULICS,
+    PLANTS,
+    On,
+    Runs,
+    RunSpec,
+    hydraulics_of,
+    plant_of,
+)
 from cmf_mj.show.report_2014.statements import rest_rows, statement_rows
 from cmf_mj.show.report_2014.tables import (
     TITLES,
@@ -34,6 +49,74 @@ from cmf_mj.show.table import number
 from cmf_mj.studies.calibration.definition import Study, load_studies
 from cmf_mj.studies.calibration.fit import residual_rows
 from cmf_mj.studies.calibration.trial import starting_values
+
+
+def _mechanics() -> list[tuple[str, str, str, str]]:
+    """Masses as the models have them, read from the compiled MJCF."""
+    single, whole = plant_of("model"), plant_of("machine")
+    payload = float(whole.model.body_subtreemass[whole.model.body("platform").id])
+    cab = whole.model.body("cab/cab")
+    ahead, _, up = (float(value) for value in cab.ipos)
+    centre = f"{ahead:.2f} m ahead of and {up:.2f} m above the platform's centroid"
+    load = f"{units.from_si('lbf', float(single.static_load()[0])):.0f} lbf"
+    modal = np.linalg.eigvalsh(whole.reflected_mass())[::-1] / units.POUND_MASS
+    eigenvalues = "eigenvalues of the reflected mass J^-T M J^-1 at neutral"
+    mass, cab_mass = float(single.reflected_mass()[0, 0]), float(cab.mass[0])
+    return [
+        ("mass on a single leg", _pounds(mass), "stated", "7200 lbm"),
+        ("load on a single leg", load, "stated", "7200 lbf"),
+        ("platform and cab", _pounds(payload), "derived", "7200 lbm a leg in heave"),
+        ("cab alone", _pounds(cab_mass), "assumed", "the split is ours"),
+        ("centre of mass of the cab", centre, "assumed", "decides surge, sway, roll and pitch"),
+        (
+            "masses the legs feel, mode by mode",
+            f"{', '.join(f'{part:.0f}' for part in modal)} lbm",
+            *("assumed", eigenvalues),
+        ),
+    ]
+
+
+def _pounds(mass: float) -> str:
+    return f"{mass / units.POUND_MASS:.0f} lbm"
+
+
+def _rows(values: Mapping[str, Quantity], of: str = "") -> list[tuple[str, ...]]:
+    return [
+        (f"{of}{name}".replace("_", " "), f"{q.value:g} {q.unit}", q.status, q.source)
+        for name, q in values.items()
+    ]
+
+
+def parameters() -> list[PageTable]:
+    """Numbers of hydraulics, mechanics and sensors with their status."""
+    (status,) = texts("status")
+    settings = load_sensors("noisy")
+    sensors = [_rows(settings.channel(name).quantities(), f"{name}: ") for name in CHANNELS]
+    mechanics = f"Mechanics: single legs, and hexapod with the {CAB.upper()}"
+    note = f"{status} models/README.md has every number of the models."
+    return [
+        *(
+            table(
+                *("parameters", _rows(hydraulics_of(on).quantities())),
+                *(f"parameters-{name}", f"Hydraulics: {name}", status),
+            )
+            for on, name in HYDRAULICS.items()
+        ),
+        table("parameters", _mechanics(), "parameters-mechanics", mechanics, note),
+        table("parameters-sensors", sum(sensors, [])),
+    ]
+
+
+def provenance(runs: Runs) -> PageTable:
+    """What made the page: models, versions, seed."""
+    packages = ("cmf-mj", "mujoco", "numpy", "scipy", "numba", "control", "plotly")
+    rows = [
+        *(("seed", str(runs.seed)), ("cab of the hexapod", CAB.upper())),
+        *((f"model digest, {name}", plant_of(on).digest) for on, name in PLANTS.items()),
+        *((f"version, {name}", version(name)) for name in packages),
+    ]
+    return table("provenance-table", rows)
+
 
 _PLANTS: dict[str, On] = {name: on for on, name in HYDRAULICS.items()}
 _STUDIES = tuple(study for study in load_studies().values() if study.hydraulics in _PLANTS)
@@ -182,8 +265,8 @@ BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
     "force": lambda content, _: force.blocks(content.runs),
     "ledger": _ledger,
     "calibration": _calibration,
-    "parameters": lambda content, _: provenance.parameters(),
-    "provenance": lambda content, _: [provenance.provenance(content.runs)],
+    "parameters": lambda content, _: parameters(),
+    "provenance": lambda content, _: [provenance(content.runs)],
 }
 """Kinds of blocks: functions of what was run and an argument."""
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cmf_mj.analysis.frequency_response import bandwidths
-from cmf_mj.analysis.linear.oscillation import limit_cycle
-from cmf_mj.analysis.linear.table_4_1 import table_4_1
+from cmf_mj.analysis.linear.catalogue import table_4_1
+from cmf_mj.analysis.linear.poles import limit_cycle
 from cmf_mj.analysis.published import Published, published_gains, published_results
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units

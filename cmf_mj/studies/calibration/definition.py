@@ -50,7 +50,7 @@ class Parameter(Settings):
     unit: str
     low: float
     high: float
-    free: bool = False  #: Fitted; otherwise it only enters sensitivity and uncertainty.
+    free: bool = False  #: Fitted; otherwise it only enters the uncertainty.
     source: str = Field(min_length=1)  #: Where the range comes from.
 
     @model_validator(mode="after")

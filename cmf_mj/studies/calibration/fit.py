@@ -10,6 +10,9 @@ space mapping: one simulation a round instead of one a derivative). The rounds e
 where d is measured, so the residuals reported are those of the simulation. Where the velocity law
 must stay stable with several cabs, each adds max(0, m - z) / 0.01 with z the least damping ratio of
 its linear loop and m the one asked for. Solved by scipy.optimize.least_squares within the bounds.
+
+The ranges are propagated by a Latin hypercube over all parameters at once, uniform and independent
+between `low` and `high`.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,15 +22,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
+from scipy.stats import qmc
 
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core.errors import InputError
 from cmf_mj.studies.calibration.definition import MEASURES, Measure, Study, computed
 from cmf_mj.studies.calibration.trial import (
     Values,
+    Verdict,
     least_damping,
     linear_results,
     simulated_results,
+    simulated_stability,
     starting_values,
 )
 
@@ -168,3 +174,70 @@ def calibrate(
     square = float(solved.fun @ solved.fun) / max(1, solved.fun.size - scale.size)
     errors = np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac) * square)) * scale
     return Calibration(study, tuple(stages), dict(zip(names, errors.tolist(), strict=True)))
+
+
+ENDS = (0.05, 0.95)
+"""Quantiles that bound a spread."""
+
+
+class Spread(NamedTuple):
+    """Distribution of one result over the ranges of the parameters."""
+
+    law: str
+    measure: Measure
+    nominal: float  #: At the nominal values [Hz or 1].
+    low: float  #: 5 % of the stable samples lie below.
+    high: float  #: 95 % of the stable samples lie below.
+    unstable: float  #: Share of samples whose loop is unstable.
+
+
+class Examination(NamedTuple):
+    """A calibration with the spread of results over the ranges, and stability runs."""
+
+    calibration: Calibration
+    spread: list[Spread]  #: About the shipped values.
+    verdicts: list[Verdict]  #: Step runs with the fitted values.
+
+
+def examine(
+    calibration: Calibration, *, samples: int = 128, jobs: int | None = None
+) -> Examination:
+    """Add uncertainty and the stability runs of a study that asks for them."""
+    study, shipped = calibration.study, calibration.before.values
+    return Examination(
+        calibration,
+        spread(study, shipped, ("original", "velocity"), samples=samples),
+        simulated_stability(study, calibration.after.values, jobs=jobs),
+    )
+
+
+def spread(
+    study: Study,
+    values: Values,
+    laws: tuple[str, ...] = ("velocity",),
+    *,
+    samples: int = 128,
+    seed: int = 0,
+) -> list[Spread]:
+    """Propagate the ranges of all parameters to the results of laws.
+
+    `samples` of the Latin hypercube are at least 2, `seed` is its seed.
+    """
+    if samples < 2:
+        raise InputError(f"samples: {samples} must be at least 2")
+    parameters = study.parameters
+    cube = qmc.LatinHypercube(len(parameters), rng=np.random.default_rng(seed)).random(samples)
+    low, high = (np.array([getattr(p, end) for p in parameters]) for end in ("low", "high"))
+    runs = []
+    for row in low + cube * (high - low):
+        drawn = dict(zip((p.name for p in parameters), row.tolist(), strict=True))
+        runs.append(linear_results(study, drawn, laws))
+    nominal = linear_results(study, values, laws)
+    spreads = []
+    for law, measure in product(laws, MEASURES):
+        known = [computed(run[law], measure) for run in runs if run[law].stable]
+        low_end, high_end = np.nanquantile(known or [np.nan], ENDS)
+        unstable = 1.0 - float(np.mean([run[law].stable for run in runs]))
+        value = computed(nominal[law], measure)
+        spreads.append(Spread(law, measure, value, float(low_end), float(high_end), unstable))
+    return spreads

@@ -25,7 +25,7 @@ from scipy import stats
 
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.catalogue import HARDWARE_MODELS, hardware_velocity
-from cmf_mj.analysis.linear.oscillation import limit_cycle
+from cmf_mj.analysis.linear.poles import limit_cycle
 from cmf_mj.analysis.linear.reduction import dof_model
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_results

@@ -24,9 +24,8 @@ from cmf_mj.core.files import read_table, write_parquet
 from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.studies.engine import Progress, Work, Workers, run_tasks
+from cmf_mj.studies.engine import Journal, Progress, Row, Work, Workers, run_tasks
 from cmf_mj.studies.evaluation import MEASURED
-from cmf_mj.studies.journal import Journal, Row
 from cmf_mj.studies.posterior import evidence, sampling
 from cmf_mj.studies.posterior.machine import Machine, simulated_stability
 from cmf_mj.studies.posterior.settings import PosteriorStudy
