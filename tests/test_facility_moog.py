@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from cmf_mj.analysis.delay import phase_delay
 from numpy.typing import NDArray
 
 from cmf_mj import Hexapod, pose_to_legs, signals
+from cmf_mj.analysis.metrics import phase_delay
 from cmf_mj.control.states import State, StateSettings, load_state_settings
 from cmf_mj.facility.host.moog import MoogBase, MoogServer
 from cmf_mj.facility.host.stream import from_command
