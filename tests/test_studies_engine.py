@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -205,6 +206,23 @@ def begin(specification: Path, folder: Path) -> subprocess.Popen[str]:
     while lines(folder) < 1 and process.poll() is None and time.monotonic() < limit:
         time.sleep(0.002)
     return process
+
+
+def test_libraries_are_looked_for_before_threads_start(
+    study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The search calls Python with the loader locked: beside an import it would never end."""
+    looked: list[str] = []
+
+    class Controller(engine.ThreadpoolController):  # type: ignore[misc]
+        def __init__(self) -> None:
+            looked.append(threading.current_thread().name)
+            super().__init__()
+
+    monkeypatch.setattr(engine, "ThreadpoolController", Controller)
+    engine.libraries.cache_clear()
+    run_study(study, tmp_path, backend="threading", jobs=2)
+    assert looked == [threading.current_thread().name]
 
 
 @pytest.mark.slow

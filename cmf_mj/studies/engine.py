@@ -25,7 +25,7 @@ import zlib
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
@@ -33,7 +33,7 @@ from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import pyarrow as pa
 from joblib import Parallel, delayed, parallel_config
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from cmf_mj.core.errors import InputError, check_name, require
 from cmf_mj.core.files import write_parquet, write_text
@@ -174,6 +174,10 @@ SCHEMA = pa.schema(
 """Columns of the results: the case's, then those of its rows."""
 
 
+_DEATHS = {"TerminatedWorkerError", "KilledWorker", "FutureCancelledError"}
+"""What joblib and Dask raise where a worker dies."""
+
+
 class WorkerDied(RuntimeError):
     """The process that ran a task ended: killed, out of memory, or crashed."""
 
@@ -196,6 +200,16 @@ class Work(NamedTuple):
     """Neighbouring tasks of the same machine go to one worker together."""
 
 
+@cache
+def libraries() -> ThreadpoolController:
+    """The libraries of linear algebra in this process, which are looked for once.
+
+    Python calls back while the loader of libraries is locked: a thread that imports one meanwhile
+    would wait for ever.
+    """
+    return ThreadpoolController()
+
+
 def attempt(tasks: Sequence[Task], work: Work) -> list[tuple[int, list[Row]]]:
     """Run tasks one after the other; what one raises becomes its rows.
 
@@ -205,7 +219,7 @@ def attempt(tasks: Sequence[Task], work: Work) -> list[tuple[int, list[Row]]]:
     shared: dict[str, Any] = {}
     for task in tasks:
         try:
-            with threadpool_limits(limits=1):
+            with libraries().limit(limits=1):
                 rows = work.evaluate(task, shared)
         except Exception as error:  # whatever it is, the study goes on
             rows = work.failed(error)
@@ -256,7 +270,7 @@ def run_tasks(
     if not pending():
         return
     alone = False
-    with _started(workers) as count:
+    with libraries().limit(limits=1), _started(workers) as count:
         while left := pending():
             chosen = left[:1] if alone else left
             try:
@@ -264,7 +278,9 @@ def run_tasks(
                     journal.add(number, rows)
                     report()
                 alone = False
-            except _deaths() as error:
+            except Exception as error:
+                if type(error).__name__ not in _DEATHS:
+                    raise
                 if alone:
                     text = f"its worker died again, running nothing else: {type(error).__name__}"
                     journal.add(chosen[0].number, work.failed(WorkerDied(text)))
@@ -322,19 +338,6 @@ def _results(tasks: Sequence[Task], work: Work, jobs: int) -> Iterator[tuple[int
     )
     for results in pool(delayed(attempt)(group, work) for group in together):
         yield from results
-
-
-def _deaths() -> tuple[type[BaseException], ...]:
-    """What joblib raises where a worker dies."""
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-    deaths: tuple[type[BaseException], ...] = (TerminatedWorkerError,)
-    try:
-        from distributed.client import FutureCancelledError
-        from distributed.scheduler import KilledWorker
-    except ModuleNotFoundError:
-        return deaths
-    return (*deaths, KilledWorker, FutureCancelledError)
 
 
 @contextmanager
