@@ -49,7 +49,7 @@ def is_per_mode(value: object) -> bool:
 
 def spread(value: float | tuple[float, ...], count: int) -> NDArray[np.float64]:
     """A `PerMode` setting as an array, (count,)."""
-    return np.array(np.broadcast_to(np.asarray(value, dtype=float), (count,)))
+    return np.full(count, value, dtype=np.float64)
 
 
 class Modes(Settings):

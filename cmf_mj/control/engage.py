@@ -99,7 +99,7 @@ def engaged(
 
 def _within(dcl: Dcl, reference: NDArray[np.float64]) -> NDArray[np.float64]:
     """A leg reference [m] within the working stroke."""
-    return np.clip(reference, -dcl.error.travel, dcl.error.travel)
+    return np.minimum(np.maximum(reference, -dcl.error.travel), dcl.error.travel)
 
 
 def handed_over(

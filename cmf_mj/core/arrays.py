@@ -1,11 +1,13 @@
 """Arrays, mappings and lists that nobody can write to, and how large those of a run may be."""
 
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core.errors import InputError, unknown_name
+
+Block = TypeVar("Block", bound=tuple[Any, ...])
 
 MEMORY = 4 * 2**30
 """Most that any one part of a run, such as its record, may take [bytes]."""
@@ -34,6 +36,12 @@ def frozen(values: ArrayLike) -> NDArray[np.float64]:
     view = array.view()
     view.setflags(write=False)
     return view
+
+
+def copied(block: Block) -> Block:
+    """A named tuple of arrays, and of such tuples, with arrays of its own."""
+    parts = (copied(part) if isinstance(part, tuple) else part.copy() for part in block)
+    return type(block)(*parts)
 
 
 def _refused(self: object, *_: object, **__: object) -> NoReturn:

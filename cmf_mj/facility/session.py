@@ -18,7 +18,7 @@ from cmf_mj.control.protection import (
     protection_state,
 )
 from cmf_mj.control.states import State
-from cmf_mj.core.arrays import check_memory
+from cmf_mj.core.arrays import FrozenList, check_memory
 from cmf_mj.core.errors import InputError, RunError, check_name
 from cmf_mj.electronics.chain import make_electronics, measure
 from cmf_mj.facility.binding import bound
@@ -214,7 +214,7 @@ class Session:
         """
         if self.frame == 0:
             state = self.controller.state.arrays()
-            self._begun = {name: values.tolist() for name, values in state.items()}
+            self._begun = {n: FrozenList(values.tolist()) for n, values in state.items()}
         end = self.frames if frames is None else min(self.frame + frames, self.frames)
         block = self._recorder.out.shape[0] * self.every
         while self.frame < end:

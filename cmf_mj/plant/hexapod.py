@@ -5,7 +5,7 @@ Reflected mass (section 2.4.2) and static leg forces are those of `Plant`, leg m
 
 import copy
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -148,7 +148,7 @@ class Hexapod(Plant):
         assert self.cab_parameters is not None
         return self._drawn or hexapod_model(self.cab_parameters)
 
-    @property
+    @cached_property
     def sensors(self) -> dict[str, NDArray[np.int64]]:
         """Gyro, accelerometers of platform and crew, rod accelerometers (axial part), stops."""
         rods = [f"rod_acceleration_{i}" for i in _LEGS]

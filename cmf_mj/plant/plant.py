@@ -14,7 +14,6 @@ per unit actuator velocity, and
 The soft closing of loops does not enter: T comes from their Jacobian alone.
 """
 
-import copy
 import hashlib
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -25,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from cmf_mj.core.arrays import frozen_json
+from cmf_mj.core.arrays import copied, frozen_json
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import OneAtATime
 from cmf_mj.machine.cab import Cab
@@ -138,7 +137,7 @@ class Plant:
         """What a law is bound to: the cab it is known by, or the name of a plant without one."""
         return self.name if self.cab_parameters is None else self.cab_parameters.known_as
 
-    @property
+    @cached_property
     def sensors(self) -> dict[str, NDArray[np.int64]]:
         """Recorded sensor groups: channel name to indices into MjData.sensordata."""
         return {}
@@ -332,7 +331,7 @@ class Plant:
             if self._rest is not None and self._rest[0] == asked:  # all of what follows holds
                 self.data.qpos[:] = self._rest[1]
                 mujoco.mj_forward(self.model, self.data)
-                return copy.deepcopy(self._rest[2])
+                return copied(self._rest[2])
             mujoco.mj_kinematics(self.model, self.data)
             self.check()
             if pose is not None:
@@ -343,7 +342,7 @@ class Plant:
             if warned := fit.warned(self.data):
                 raise InputError(f"start: {warned}; allowed: a state without warnings")
             state = rest(self.hydraulics, load, self.extensions())
-            self._rest = asked, self.data.qpos.copy(), copy.deepcopy(state)
+            self._rest = asked, self.data.qpos.copy(), copied(state)
             return state
 
     def _reset(self) -> None:
