@@ -9,7 +9,7 @@ from cmf_mj.control.states import Request, State
 from cmf_mj.facility.host.stream import from_command
 from cmf_mj.facility.operation import operate
 from cmf_mj.show.look import save_figure
-from cmf_mj.show.overview import overview_figure
+from cmf_mj.show.operation import overview_figure
 
 
 def main() -> None:

@@ -30,9 +30,8 @@ from cmf_mj.analysis.identification.continuous import (
     to_continuous,
 )
 from cmf_mj.analysis.identification.data import experiment
-from cmf_mj.analysis.identification.plant_response import plant_response
 from cmf_mj.analysis.identification.refinement import instrumental_variable, output_error
-from cmf_mj.analysis.identification.validation import simulation_fit
+from cmf_mj.analysis.identification.validation import plant_response, simulation_fit
 from cmf_mj.analysis.linear.catalogue import hardware_velocity
 from cmf_mj.analysis.linear.loop import closed_loop, closed_loop_response
 from cmf_mj.machine.geometry import DOFS

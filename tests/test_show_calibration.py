@@ -10,9 +10,14 @@ from typer.testing import CliRunner
 from cmf_mj.cli.common import app
 from cmf_mj.show import calibration as calibration_report
 from cmf_mj.studies.calibration import fit
-from cmf_mj.studies.calibration.definition import load_study
 from cmf_mj.studies.calibration.fit import Calibration, Examination, Stage, residual_rows, spread
-from cmf_mj.studies.calibration.trial import Verdict, least_damping, linear_results, starting_values
+from cmf_mj.studies.calibration.trial import (
+    Verdict,
+    least_damping,
+    linear_results,
+    load_study,
+    starting_values,
+)
 
 
 @pytest.fixture(scope="module")

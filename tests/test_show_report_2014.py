@@ -25,7 +25,7 @@ from cmf_mj.core.rates import FRAME
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.show.chart import Curve
 from cmf_mj.show.report_2014 import force, statements, tables
-from cmf_mj.show.report_2014.contents import Content, PageFigure, PageTable
+from cmf_mj.show.report_2014.curves import Content, PageFigure, PageTable
 from cmf_mj.show.report_2014.page import (
     FIGURES,
     MOST,
@@ -40,7 +40,7 @@ from cmf_mj.show.report_2014.page import (
 from cmf_mj.show.report_2014.runs import FORCE_READINGS, Runs, RunSpec, hydraulics_of, law_of
 from cmf_mj.show.report_2014.sections import result_table, sections_of
 from cmf_mj.show.table import Table
-from cmf_mj.studies.calibration.definition import load_studies
+from cmf_mj.studies.calibration.trial import load_studies
 from cmf_mj.studies.case import CaseResult
 
 SHOWN = ["2-4", "2-13", "3-14", "3-16", "3-21"]

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from cmf_mj.analysis.published import published, published_results
-from cmf_mj.show.report_2014 import accounting, tables
+from cmf_mj.show.report_2014 import statements as accounting
+from cmf_mj.show.report_2014 import tables
 from cmf_mj.show.report_2014.runs import Runs, RunSpec, perform
 from cmf_mj.show.report_2014.tables import BANDWIDTHS, TITLES, ResultRow, result_rows
 from cmf_mj.studies.case import CaseResult

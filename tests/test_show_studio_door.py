@@ -17,11 +17,10 @@ from websockets.sync.client import ClientConnection
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.show.studio import door
-from cmf_mj.show.studio.commands import MOST_FILE, check_value
+from cmf_mj.show.studio.choices import MOST_FILE, check_value
 from cmf_mj.show.studio.door import MOST_TABS, Allowance, Door
 from cmf_mj.show.studio.live import LiveSession
-from cmf_mj.show.studio.page import Page
-from cmf_mj.show.studio.server import Studio
+from cmf_mj.show.studio.server import Page, Studio
 
 PAGE = "http://127.0.0.1:8048"
 

@@ -22,7 +22,7 @@ from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.facility.scenario.settings import save_scenario
 from cmf_mj.plant.events import KINDS
 from cmf_mj.show.studio import choices, live
-from cmf_mj.show.studio.page import Page as StudioPage
+from cmf_mj.show.studio.server import Page as StudioPage
 from cmf_mj.show.studio.server import Studio
 
 pytestmark = pytest.mark.slow

@@ -12,17 +12,15 @@ from cmf_mj.core.settings import validated
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.studies.calibration import fit
-from cmf_mj.studies.calibration.definition import (
+from cmf_mj.studies.calibration.fit import calibrate, residual_rows, spread
+from cmf_mj.studies.calibration.trial import (
     Row,
     Study,
     computed,
-    load_studies,
-    load_study,
-)
-from cmf_mj.studies.calibration.fit import calibrate, residual_rows, spread
-from cmf_mj.studies.calibration.trial import (
     least_damping,
     linear_results,
+    load_studies,
+    load_study,
     plant_of,
     simulated_results,
     simulated_stability,

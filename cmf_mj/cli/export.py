@@ -43,7 +43,7 @@ def law_command(
     out: options.Out = Path("out/law"),
 ) -> None:
     """Write a control law alone as a C library, to load into a controller."""
-    from cmf_mj.export.law import export_law
+    from cmf_mj.export.library import export_law
 
     show(written(export_law(law, out, cab), out))
 

@@ -19,7 +19,7 @@ command = partial(app.command, rich_help_panel="Studies")
 
 _BACKEND, _FORMS = "studies.engine:Backend", "studies.tuning.forms:FORMS"
 _CALIBRATED, _TUNED = "report, hardware, hardware_lag, or `all`", Path("out/tune/law.toml")
-_READY, _TABLES = "studies.settings:ready_studies", "studies.calibration.definition:load_studies"
+_READY, _TABLES = "studies.settings:ready_studies", "studies.calibration.trial:load_studies"
 
 Laws = Annotated[list[str] | None, name_or_file(options.LAWS, "LAWS", "instead of the study's")]
 SomeCabs = Annotated[list[str] | None, name_or_file(options.CABS, "CABS", "instead of the study's")]
@@ -153,8 +153,8 @@ def calibrate_command(
     """Fit the free parameters to the published tables: values, residuals and uncertainty."""
     from cmf_mj.core.files import in_folder
     from cmf_mj.show import calibration as report
-    from cmf_mj.studies.calibration.definition import load_study
     from cmf_mj.studies.calibration.fit import calibrate, examine
+    from cmf_mj.studies.calibration.trial import load_study
 
     for chosen in [load_study(name) for name in tables]:
         say = partial(typer.echo, err=True)

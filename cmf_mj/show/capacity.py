@@ -16,7 +16,7 @@ from cmf_mj.core.files import write_text
 from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.show import look
-from cmf_mj.show.overview import plot_motion
+from cmf_mj.show.operation import plot_motion
 from cmf_mj.show.table import Table, number
 from cmf_mj.studies.capacity.asymptotes import Asymptotes
 from cmf_mj.studies.capacity.envelope import Envelope, EnvelopePoint

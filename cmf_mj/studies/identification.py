@@ -22,9 +22,13 @@ from cmf_mj.analysis.identification.continuous import (
 )
 from cmf_mj.analysis.identification.data import RATE, Experiment, experiment
 from cmf_mj.analysis.identification.model import Orders, PolynomialModel
-from cmf_mj.analysis.identification.plant_response import plant_response
 from cmf_mj.analysis.identification.refinement import instrumental_variable, output_error
-from cmf_mj.analysis.identification.validation import Residuals, residual_analysis, simulation_fit
+from cmf_mj.analysis.identification.validation import (
+    Residuals,
+    plant_response,
+    residual_analysis,
+    simulation_fit,
+)
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, law_names
 from cmf_mj.core.errors import InputError, check_name

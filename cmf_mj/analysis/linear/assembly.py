@@ -22,10 +22,18 @@ import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.analysis.linear.describing import Excitation
 from cmf_mj.analysis.linear.law import FEEDBACK, labels
 from cmf_mj.analysis.linear.operating_point import OperatingPoint, operating_point
-from cmf_mj.analysis.linear.ports import CAP, DRAWN, HIGH, LOW, RETURNED, ROD, port_slopes
+from cmf_mj.analysis.linear.ports import (
+    CAP,
+    DRAWN,
+    HIGH,
+    LOW,
+    RETURNED,
+    ROD,
+    Excitation,
+    port_slopes,
+)
 from cmf_mj.plant.cylinder import volumes
 from cmf_mj.plant.oil import density
 from cmf_mj.plant.parameters.hydraulics import VALVES

@@ -31,8 +31,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 
-from cmf_mj.analysis.linear.describing import Excitation, outward_share
-from cmf_mj.analysis.linear.ports import CAP, DRAWN, RETURNED, ROD, port_slopes
+from cmf_mj.analysis.linear.ports import (
+    CAP,
+    DRAWN,
+    RETURNED,
+    ROD,
+    Excitation,
+    outward_share,
+    port_slopes,
+)
 from cmf_mj.core.errors import InputError
 from cmf_mj.plant.cylinder import holding_pressures
 from cmf_mj.plant.hydraulics import Hydraulics

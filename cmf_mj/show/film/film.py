@@ -17,6 +17,7 @@ from cmf_mj.analysis.modes import largest_stroke, swinging
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, require
 from cmf_mj.core.files import whole_file
+from cmf_mj.facility.scenario.settings import Scenario, save_scenario
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import recorded_cab
 from cmf_mj.machine.geometry import DOFS
@@ -24,7 +25,9 @@ from cmf_mj.plant.hexapod import Hexapod, HydraulicModes, hexapod_model
 from cmf_mj.record.record import Record
 from cmf_mj.show.film.stage import Stage
 from cmf_mj.show.film.strip import Panels, Strip, traces_of
+from cmf_mj.show.look import save_figure
 from cmf_mj.show.modes import title_of
+from cmf_mj.show.operation import overview_figure
 
 CODECS = ("libx264", "libopenh264", "mpeg4")
 """Encoders of MP4 files in order of preference: H.264, else MPEG-4 part 2."""
@@ -284,3 +287,29 @@ def caption_of(modes: HydraulicModes, mode: int, motion: float) -> str:
         f"{DOFS[leading]} {100.0 * modes.share[leading, mode]:.0f} %, "
         f"legs ±{units.from_si('in', motion):.1f} in"
     )
+
+
+def save_run(
+    record: Record,
+    scenario: Scenario,
+    folder: Path,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Path]:
+    """Write what a scenario asks for under `outputs`, and the scenario itself.
+
+    The scenario goes to `scenario.toml`, with absolute names of the files in it.
+    """
+    outputs, paths = scenario.outputs, [save_scenario(scenario, folder / "scenario.toml")]
+    if outputs.record:
+        paths.append(record.save(folder / outputs.record))
+    if outputs.plot:
+        changes = [change.when(scenario.rate) / scenario.rate for change in scenario.change]
+        events = [event.at for event in scenario.event]
+        figure = overview_figure(record, scenario.title, changes, events)
+        paths.append(save_figure(figure, folder / outputs.plot))
+    if outputs.video is not None:
+        video = outputs.video
+        settings = FilmSettings(fps=video.fps, speed=video.speed, camera=video.camera)
+        paths.append(film([record], folder / video.file, settings, progress=progress))
+    return paths

@@ -1,7 +1,9 @@
-"""What the figures of all chapters are made of: frequency responses, steps, histories."""
+"""What the page is made of, as `contents.toml` has it; responses and histories of figures."""
 
-from collections.abc import Sequence
-from itertools import chain
+from collections.abc import Callable, Collection, Mapping, Sequence
+from itertools import chain, product
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +12,113 @@ from cmf_mj.analysis.frequency_response import FrequencyResponse, dof_history
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
+from cmf_mj.core.settings import read_toml
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.record.record import Record
 from cmf_mj.show.chart import GREY, Curve, Dash, Panel
 from cmf_mj.show.look import COLOURS
-from cmf_mj.show.report_2014.runs import On, Runs
+from cmf_mj.show.report_2014.runs import On, Runs, RunSpec
+from cmf_mj.show.table import Table
+
+CONTENTS: Mapping[str, Any] = read_toml(Path(__file__).with_name("contents.toml"))
+"""The tables of `contents.toml`."""
+
+VERDICTS = {True: "within", False: "outside"}
+
+
+class PageTable(NamedTuple):
+    """A table of the page; the verdict of a row stands in the column of this name."""
+
+    anchor: str
+    table: Table
+
+
+class PageFigure(NamedTuple):
+    """A figure of the page."""
+
+    anchor: str
+    title: str
+    panels: tuple[Panel, ...]
+    caption: str
+
+
+Block = PageTable | PageFigure | str
+"""A string is a paragraph."""
+
+Drawing = tuple[Sequence[Panel], dict[str, Any]]
+"""Panels of a figure, and what its caption fills in."""
+
+
+class Section(NamedTuple):
+    """A section with an entry in the contents."""
+
+    anchor: str
+    title: str
+    blocks: tuple[Block, ...]
+
+
+class ReportFigure(NamedTuple):
+    """A figure of the report, and how ours is made."""
+
+    number: str
+    title: str
+    drawing: Callable[[Runs, "ReportFigure"], Drawing]
+    needs: tuple[RunSpec, ...] = ()  #: Runs it is drawn from.
+    sensors: bool = False  #: Whether it needs the accelerometers' readings.
+    options: Mapping[str, Any] = {}  #: What one drawing function does differently in each figure.
+
+    @property
+    def laws(self) -> tuple[str, ...]:
+        """Laws of its runs."""
+        return tuple(dict.fromkeys(need.law for need in self.needs))
+
+    def draw(self, runs: Runs) -> PageFigure:
+        """The figure with its caption."""
+        panels, values = self.drawing(runs, self)
+        title = f"Figure {self.number}: {self.title}"
+        name = self.options.get("caption", self.drawing.__name__)
+        return figure(f"figure-{self.number}", title, name, panels, **values)
+
+
+class Content(NamedTuple):
+    """All that sections are made of."""
+
+    runs: Runs
+    figures: tuple[ReportFigure, ...]  #: Figures of the page.
+    tables: tuple[str, ...]  #: Result tables of the page.
+    studies: bool
+    """Whether the page has its sections on force feedback, steady states and the text's numbers."""
+
+
+def figure(
+    anchor: str, title: str, name: str, panels: Sequence[Panel], **values: Any
+) -> PageFigure:
+    """A figure with the caption of this name."""
+    caption = CONTENTS["caption"][name].format(**(CONTENTS["words"] | values))
+    return PageFigure(anchor, title, tuple(panels), caption)
+
+
+def texts(name: str, **values: Any) -> list[str]:
+    """The paragraphs of this name."""
+    return [paragraph.format(**values) for paragraph in CONTENTS["text"][name]]
+
+
+def table(
+    name: str, rows: Collection[Sequence[Any]], anchor: str = "", title: str = "", note: str = ""
+) -> PageTable:
+    """A table with the head of this name; `title` and `note` are for heads that have none."""
+    head = {"title": title, "note": note} | CONTENTS["table"][name]
+    return PageTable(anchor or name, Table(head["title"], head["header"], rows, head["note"]))
+
+
+def specs(*lines: str) -> tuple[RunSpec, ...]:
+    """Runs from lines of `plant law dof signal`: commas between several; last two heave, case."""
+    return tuple(
+        RunSpec(*chosen)  # type: ignore[arg-type]
+        for line in lines
+        for chosen in product(*(part.split(",") for part in line.split()))
+    )
+
 
 Pair = tuple[Sequence[Curve], Sequence[Curve]]
 """Curves on the gain and on the phase."""

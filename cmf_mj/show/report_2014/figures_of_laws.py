@@ -10,8 +10,10 @@ from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME
 from cmf_mj.show.chart import GREY, Curve, Dash
 from cmf_mj.show.look import COLOURS
-from cmf_mj.show.report_2014.contents import CONTENTS, Drawing, ReportFigure
 from cmf_mj.show.report_2014.curves import (
+    CONTENTS,
+    Drawing,
+    ReportFigure,
     after_step,
     bode,
     law_histories,

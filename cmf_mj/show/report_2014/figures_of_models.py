@@ -19,8 +19,15 @@ from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.record.record import Record
 from cmf_mj.show.chart import GREY, Curve, Dash
 from cmf_mj.show.look import COLOURS
-from cmf_mj.show.report_2014.contents import Drawing, ReportFigure
-from cmf_mj.show.report_2014.curves import after_step, bode, motion, printed, response
+from cmf_mj.show.report_2014.curves import (
+    Drawing,
+    ReportFigure,
+    after_step,
+    bode,
+    motion,
+    printed,
+    response,
+)
 from cmf_mj.show.report_2014.runs import IDENTIFIED_ON, Runs, Signal, leg_motion
 
 _EQUATIONS = {1: ("4.11", "4.12", "4.13"), 2: ("4.14", "4.15", "4.16"), 3: ("4.17", "4.18", "4.19")}

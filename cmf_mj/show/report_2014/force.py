@@ -8,7 +8,7 @@ from cmf_mj.analysis.linear.poles import Oscillation, limit_cycle, oscillation
 from cmf_mj.analysis.published import published_results
 from cmf_mj.show.chart import Curve, Panel
 from cmf_mj.show.look import COLOURS
-from cmf_mj.show.report_2014.contents import CONTENTS, Block, PageFigure, figure, table, texts
+from cmf_mj.show.report_2014.curves import CONTENTS, Block, PageFigure, figure, table, texts
 from cmf_mj.show.report_2014.runs import FORCE_READINGS, Runs, RunSpec, hydraulics_of, law_of
 from cmf_mj.show.report_2014.tables import printed_number as number
 

@@ -12,7 +12,7 @@ from cmf_mj.core.errors import check_name, require
 from cmf_mj.core.files import write_text
 from cmf_mj.show.chart import Curve, Panel
 from cmf_mj.show.report_2014 import figures_of_laws, figures_of_models
-from cmf_mj.show.report_2014.contents import CONTENTS, Content, ReportFigure, specs
+from cmf_mj.show.report_2014.curves import CONTENTS, Content, ReportFigure, specs
 from cmf_mj.show.report_2014.force import FORCE_NEEDS
 from cmf_mj.show.report_2014.runs import perform
 from cmf_mj.show.report_2014.sections import CALIBRATION_NEEDS, sections_of, summary

@@ -14,18 +14,17 @@ from cmf_mj.core.quantity import Quantity
 from cmf_mj.electronics.sensors.settings import CHANNELS, load_sensors
 from cmf_mj.show.listing import figures_text
 from cmf_mj.show.report_2014 import force
-from cmf_mj.show.report_2014.accounting import agreement_table, verdict_table
-from cmf_mj.show.report_2014.contents import (
+from cmf_mj.show.report_2014.curves import (
     CONTENTS,
     VERDICTS,
     Block,
     Content,
     PageTable,
     Section,
+    law_title,
     table,
     texts,
 )
-from cmf_mj.show.report_2014.curves import law_title
 from cmf_mj.show.report_2014.runs import (
     CAB,
     HYDRAULICS,
@@ -36,7 +35,12 @@ from cmf_mj.show.report_2014.runs import (
     hydraulics_of,
     plant_of,
 )
-from cmf_mj.show.report_2014.statements import rest_rows, statement_rows
+from cmf_mj.show.report_2014.statements import (
+    agreement_table,
+    rest_rows,
+    statement_rows,
+    verdict_table,
+)
 from cmf_mj.show.report_2014.tables import (
     TITLES,
     TOLERANCES,
@@ -46,9 +50,8 @@ from cmf_mj.show.report_2014.tables import (
     result_rows,
 )
 from cmf_mj.show.table import number
-from cmf_mj.studies.calibration.definition import Study, load_studies
 from cmf_mj.studies.calibration.fit import residual_rows
-from cmf_mj.studies.calibration.trial import starting_values
+from cmf_mj.studies.calibration.trial import Study, load_studies, starting_values
 
 
 def _mechanics() -> list[tuple[str, str, str, str]]:

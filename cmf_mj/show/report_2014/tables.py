@@ -13,10 +13,9 @@ from cmf_mj.core import units
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import excursion_envelope
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.show.report_2014.contents import CONTENTS, texts
-from cmf_mj.show.report_2014.curves import law_title
+from cmf_mj.show.report_2014.curves import CONTENTS, law_title, texts
 from cmf_mj.show.report_2014.runs import On, Runs, RunSpec
-from cmf_mj.studies.calibration.definition import MEASURES, load_study
+from cmf_mj.studies.calibration.trial import MEASURES, load_study
 from cmf_mj.studies.case import CaseResult
 
 TITLES: dict[str, str] = CONTENTS["results"]

@@ -26,10 +26,13 @@ from scipy.stats import qmc
 
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core.errors import InputError
-from cmf_mj.studies.calibration.definition import MEASURES, Measure, Study, computed
 from cmf_mj.studies.calibration.trial import (
+    MEASURES,
+    Measure,
+    Study,
     Values,
     Verdict,
+    computed,
     least_damping,
     linear_results,
     simulated_results,
