@@ -10,8 +10,9 @@ from cmf_mj.control.engage import engaged, handed_over
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law
 from cmf_mj.core.rates import FRAME
+from cmf_mj.facility.scenario.library import scenario_of
 from cmf_mj.facility.scenario.run import ScenarioRun
-from cmf_mj.facility.scenario.settings import change_of, scenario_of
+from cmf_mj.facility.scenario.settings import change_of
 
 INCH = 0.0254
 LAWS = law_names("all")

@@ -12,8 +12,8 @@ from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.facility.many import simulate_many
 from cmf_mj.facility.operation import FacilitySettings, operate
+from cmf_mj.facility.scenario.library import scenario_of
 from cmf_mj.facility.scenario.run import run_scenario
-from cmf_mj.facility.scenario.settings import scenario_of
 from cmf_mj.machine import models
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.record.record import Record

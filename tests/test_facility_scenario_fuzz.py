@@ -12,8 +12,9 @@ from numpy.random import Generator
 
 from cmf_mj import InputError, RunError
 from cmf_mj.core.rates import FRAME
+from cmf_mj.facility.scenario.library import scenario_of
 from cmf_mj.facility.scenario.run import ScenarioRun
-from cmf_mj.facility.scenario.settings import Scenario, change_of, scenario_of
+from cmf_mj.facility.scenario.settings import Scenario, change_of
 
 LONGEST_RUN = 10_240  #: Frames of a run in random operation.
 

@@ -17,7 +17,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.core.errors import MissingExtraError
 from cmf_mj.core.rates import RATE
-from cmf_mj.facility.scenario import settings as scenario
+from cmf_mj.facility.scenario import library as scenario
 from cmf_mj.facility.scenario.run import ScenarioRun, run_scenario
 from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.show.chart import Curve, Panel

@@ -18,15 +18,9 @@ from lengths import examples
 
 from cmf_mj import InputError, RunError
 from cmf_mj.control.law import Law, law_names, load_law
+from cmf_mj.facility.scenario.library import read_scenario, scenario_of, scenario_toml
 from cmf_mj.facility.scenario.run import run_scenario
-from cmf_mj.facility.scenario.settings import (
-    Scenario,
-    change_of,
-    overlaid_law,
-    read_scenario,
-    scenario_of,
-    scenario_toml,
-)
+from cmf_mj.facility.scenario.settings import Scenario, change_of, overlaid_law
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.studio import choices
 from cmf_mj.show.studio.controls import knobs

@@ -52,7 +52,7 @@ def run_command(
     from cmf_mj.facility.scenario.library import load_scenario, scenario_names
     from cmf_mj.facility.scenario.run import run_scenario
     from cmf_mj.facility.scenario.settings import Scenario
-    from cmf_mj.show import scenario as report
+    from cmf_mj.show.film.film import save_run
 
     if schema:
         print(json.dumps(Scenario.model_json_schema(), indent=2))
@@ -66,7 +66,7 @@ def run_command(
     with progress_bar() as progress:
         record = run_scenario(chosen, progress=progress)
     with progress_bar("drawing") as progress:
-        paths = report.save_run(record, chosen, folder, progress=progress)
+        paths = save_run(record, chosen, folder, progress=progress)
     show(written(paths))
 
 

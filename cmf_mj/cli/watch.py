@@ -41,9 +41,8 @@ def view_command(
     file: Annotated[Path, new_file(help="that S saves the run to")] = _SAVED,
 ) -> None:
     """Watch a live closed loop in MuJoCo's viewer and pull it about with the mouse."""
-    from cmf_mj.facility.scenario.library import load_scenario
+    from cmf_mj.facility.scenario.library import load_scenario, save_scenario
     from cmf_mj.facility.scenario.run import ScenarioRun
-    from cmf_mj.facility.scenario.settings import save_scenario
     from cmf_mj.show.film import view
 
     sine = None

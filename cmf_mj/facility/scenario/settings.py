@@ -5,7 +5,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
-import tomlkit
 from pydantic import AfterValidator, Field, model_validator
 
 from cmf_mj.control.dcu.settings import load_dcu
@@ -14,7 +13,6 @@ from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import load_state_settings
 from cmf_mj.core.arrays import check_memory
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.files import write_text
 from cmf_mj.core.rates import LONGEST, MOST_FRAMES, RATE
 from cmf_mj.core.settings import (
     Count,
@@ -23,8 +21,6 @@ from cmf_mj.core.settings import (
     Time,
     checked_name,
     merged,
-    parsed_toml,
-    sealed,
     validated,
 )
 from cmf_mj.electronics.chain import ElectronicsSettings
@@ -334,78 +330,6 @@ def changed_law(law: Law, change: Change, laws: Laws) -> Law:
     return overlaid_law(law, change.gains)
 
 
-def read_scenario(
-    text: str, where: str, folder: Path | None = None, *, files: bool = True
-) -> Scenario:
-    """A scenario from TOML text; arguments as of `scenario_of`.
-
-    Without `files` it may name none: what another machine sends reads no file of this one.
-    """
-    table = parsed_toml(text, where)
-    if not files:
-        _refuse_files(table, where)
-    return scenario_of(table, where, folder)
-
-
-def scenario_of(table: Mapping[str, Any], where: str, folder: Path | None = None) -> Scenario:
-    """A scenario from plain values, lists included, as TOML and JSON have them.
-
-    Errors call it `where`; relative file names count from `folder`, default the working folder.
-    """
-    return validated(Scenario, _located(plain(table), (folder or Path()).resolve()), where)
-
-
 def change_of(table: Mapping[str, Any], where: str = "change") -> Change:
     """A change from plain values, lists included."""
     return validated(Change, plain(table), where)
-
-
-def save_scenario(scenario: Scenario, path: str | Path) -> Path:
-    """Write a scenario as TOML, defaults left out; it reads back equal."""
-    return write_text(Path(path), scenario_toml(scenario))
-
-
-def scenario_toml(scenario: Scenario) -> str:
-    """A scenario as TOML text below its checksum, defaults left out."""
-    table = scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
-    return sealed(tomlkit.dumps(table))
-
-
-_FILES = (
-    *("machine", "cab", "hydraulics", "law", "protection", "sensors", "converters", "servo"),
-    *("dcu", "limits", "states"),
-)
-"""Keys that hold a name or a TOML file."""
-
-_FILES_ALONE = ("file", "servo", "limits", "states")
-"""Keys that hold a file."""
-
-
-def _refuse_files(value: Any, where: str, key: str = "") -> None:
-    """Refuse a table that names a file to read."""
-    if isinstance(value, Mapping):
-        for name, entry in value.items():
-            if name != "outputs":
-                _refuse_files(entry, where, name)
-    elif isinstance(value, list):
-        for entry in value:
-            _refuse_files(entry, where, key)
-    elif isinstance(value, str) and (
-        key in _FILES_ALONE or (key in _FILES and not value.isidentifier())
-    ):
-        raise InputError(f"{where}: {key}: {value!r} names a file; allowed: what is shipped")
-
-
-def _located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The table with its file names counted from a folder."""
-
-    def one(key: str, value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return value if key == "outputs" else _located(value, folder)
-        if isinstance(value, tuple):
-            return tuple(one("", entry) for entry in value)
-        named = key in _FILES and isinstance(value, str) and ".toml" in value
-        text = isinstance(value, str) and value
-        return str(folder / value) if named or (key == "file" and text) else value
-
-    return {key: one(key, value) for key, value in table.items()}

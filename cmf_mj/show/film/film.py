@@ -17,7 +17,8 @@ from cmf_mj.analysis.modes import largest_stroke, swinging
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, require
 from cmf_mj.core.files import whole_file
-from cmf_mj.facility.scenario.settings import Scenario, save_scenario
+from cmf_mj.facility.scenario.library import save_scenario
+from cmf_mj.facility.scenario.settings import Scenario
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import recorded_cab
 from cmf_mj.machine.geometry import DOFS

@@ -9,7 +9,8 @@ from viser import _messages as messages
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import merged
-from cmf_mj.facility.scenario.settings import Push, Scenario, scenario_of
+from cmf_mj.facility.scenario.library import scenario_of
+from cmf_mj.facility.scenario.settings import Push, Scenario
 from cmf_mj.facility.scenario.signal import Signal
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.geometry import DOFS

@@ -10,15 +10,8 @@ import viser
 
 from cmf_mj.control.law import Law, law_names, load_law
 from cmf_mj.core import units
-from cmf_mj.facility.scenario.settings import (
-    Change,
-    Push,
-    Scenario,
-    change_of,
-    overlaid_law,
-    read_scenario,
-    scenario_toml,
-)
+from cmf_mj.facility.scenario.library import read_scenario, scenario_toml
+from cmf_mj.facility.scenario.settings import Change, Push, Scenario, change_of, overlaid_law
 from cmf_mj.machine import models
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.geometry import DOFS
