@@ -242,7 +242,7 @@ def test_units_of_the_header_are_converted(tmp_path: Path) -> None:
         (('"aircraft": "none", ', ""), "row 1: aircraft: is missing"),
         (("specific_force_z [m/s^2]", "f_z [m/s^2]"), "specific_force_z: column is missing"),
         (("[m/s^2]", "[furlong]"), "specific_force_x: unit: 'furlong' is not known"),
-        (("pitch [rad]", "pitch [[rad]"), r"row 2: 'pitch \[\[rad\]' is refused"),
+        (("pitch [rad]", "pitch [[rad]"), r"header: 'pitch \[\[rad\]' is refused"),
         (("0.025,", "nan,"), "time: "),
     ],
 )

@@ -4,26 +4,33 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
 
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, noise_choice, progress_bar, show, written
-from cmf_mj.cli.options import argument, file, new_file
+from cmf_mj.cli.options import argument, choice, file, new_file
+
+if TYPE_CHECKING:
+    from cmf_mj.pilot.aircraft.flight import Flight
 
 _PANEL = "Flight"
 command = partial(app.command, rich_help_panel=_PANEL)
 
 _FLIGHTS = "pilot.aircraft.flight:flight_names"
+_SOURCES = "name or file; with --from a recording, or the UDP port of live telemetry"
+_FORMATS, _FORMAT = "pilot.telemetry.formats:FORMATS", "xplane, beamng or csv: telemetry"
+From = Annotated[str | None, choice(_FORMATS, "FORMAT", _FORMAT, make=partial(Option, "--from"))]
 _QUICK = (0.631, 2.512, 10.0)
 """Frequencies of a quick test [rad/s]."""
 
 
 @command("fly")
 def fly_command(
-    flight: Annotated[str, argument(_FLIGHTS, "FLIGHT", "name, CSV or Parquet file", free=True)],
+    flight: Annotated[str, argument(_FLIGHTS, "FLIGHT", _SOURCES, free=True)],
+    form: From = None,
     laws: options.Laws = options.VELOCITY,
     cab: options.Cab = "gfd",
     washout: options.Washout = "simona",
@@ -43,29 +50,38 @@ def fly_command(
 ) -> None:
     """Fly an aircraft in the cab, once for each law, and compare what the pilot feels."""
     from cmf_mj.control.law import load_law
+    from cmf_mj.core.errors import InputError
     from cmf_mj.core.files import in_folder
     from cmf_mj.facility.operation import FacilitySettings
     from cmf_mj.pilot.aircraft.flight import load_flight
     from cmf_mj.pilot.fly import fly, transport_delay
+    from cmf_mj.pilot.telemetry.live import fly_live
     from cmf_mj.plant.hexapod import hexapod_model
     from cmf_mj.show import flight as report
     from cmf_mj.show.film.film import FilmSettings, check_film, film
     from cmf_mj.show.operation import save_operation
 
     loaded = [load_law(name) for name in laws]
-    flown = load_flight(flight)
+    live = form is not None and flight.isascii() and flight.isdigit()
+    if live and len(loaded) != 1:
+        raise InputError(f"laws: {len(loaded)} for live telemetry; allowed: one")
+    flown = None if live else _telemetry(flight, form) if form else load_flight(flight)
     look = FilmSettings(fps, speed, camera, width, height, 300, start, seconds)
     if video is not None:
         pictures = in_folder(out, video)
         check_film(hexapod_model(cab), pictures, look)
     facility = FacilitySettings(electronics=noise_choice(noise))
     machine: dict[str, Any] = {"cab": cab, "hydraulics": hydraulics, "facility": facility}
-    length = float(flown.motion.time[-1])
+    length = float(flown.motion.time[-1]) if flown else seconds or 60.0
     rides, paths = [], []
     for law in loaded:
         with progress_bar(f"flying {law.name}", seconds=True) as bar:
             timed = lambda done, bar=bar: bar(done, length)  # noqa: E731
-            ride = fly(flown, law, washout=washout, progress=timed, **machine)
+            machine |= {"washout": washout, "progress": timed}
+            if flown is None:
+                ride = fly_live(str(form), int(flight), law, seconds=length, **machine)
+            else:
+                ride = fly(flown, law, **machine)
         rides.append(ride)
         folder = in_folder(out, ride.law)
         paths += save_operation(ride.operation, folder)
@@ -78,9 +94,11 @@ def fly_command(
             traces = [report.flight_traces(ride) for ride in rides]
             film(records, pictures, look, titles=titles, traces=traces, progress=update)
         paths.append(pictures)
-    show(flown.origin.title, report.comparison_table(rides), unfolded=True)
+    title = flown.origin.title if flown else f"{form} at port {flight}"
+    show(title, report.comparison_table(rides), unfolded=True)
     if delay:
-        show(report.delay_table(transport_delay(loaded[0], dof=dof, **machine)))
+        of_machine = {name: machine[name] for name in ("cab", "hydraulics", "facility")}
+        show(report.delay_table(transport_delay(loaded[0], dof=dof, **of_machine)))
     for ride in rides:
         kept = "kept within" if ride.use.within else "LEFT"
         show(
@@ -90,6 +108,49 @@ def fly_command(
             f"{1e3 * (ride.host_delay + ride.loop_delay):.0f} ms"
         )
     show(f"written to {out}: {len(paths)} files")
+
+
+def _telemetry(source: str, form: str) -> Flight:
+    """A recording of telemetry as a flight; what is wrong with it is said, and it is refused."""
+    from cmf_mj.core.errors import InputError
+    from cmf_mj.pilot.telemetry.check import check
+    from cmf_mj.pilot.telemetry.formats import flight_of, read_telemetry
+
+    recorded, refused = read_telemetry(source, form)
+    if errors := check(recorded).errors:
+        raise InputError(f"{source}: {'; '.join(errors)}")
+    if refused:
+        show(f"{source}: {refused} datagrams were not of the format {form}")
+    return flight_of(recorded, form, Path(source).stem)
+
+
+telemetry = typer.Typer(no_args_is_help=True, help="Telemetry of other simulators.")
+app.add_typer(telemetry, name="telemetry", rich_help_panel=_PANEL)
+
+
+@telemetry.command("check")
+def check_command(
+    source: Annotated[str, Argument(metavar="FILE|PORT", help="recording, or UDP port")],
+    form: From = "csv",
+    seconds: Annotated[float, Option(help="to listen at a port [s]", min=1.0, max=3600.0)] = 20.0,
+) -> None:
+    """Say what is wrong with telemetry: axes, signs, units, gravity, gaps."""
+    from cmf_mj.pilot.telemetry.check import check
+    from cmf_mj.pilot.telemetry.formats import listen, read_telemetry
+
+    name = form or "csv"
+    if source.isascii() and source.isdigit():
+        received, refused = listen(name, int(source), seconds)
+    else:
+        received, refused = read_telemetry(source, name)
+    verdict = check(received)
+    span = float(received.time[-1] - received.time[0])
+    show(f"{received.time.size} samples in {span:.1f} s, {refused} datagrams of other form")
+    show(*(f"ERROR: {error}" for error in verdict.errors))
+    show(*(f"these data cannot show whether {doubt}" for doubt in verdict.unseen))
+    if verdict.errors:
+        raise typer.Exit(1)
+    show("no error found")
 
 
 @command("flight")

@@ -47,7 +47,7 @@ from cmf_mj.pilot import host as pilot_host
 from cmf_mj.pilot.cueing.flight import cue, within_limits
 from cmf_mj.pilot.cueing.settings import WashoutSettings
 from cmf_mj.pilot.host import MOST_RATE
-from cmf_mj.pilot.motion import COLUMNS, PilotMotion, interpolated
+from cmf_mj.pilot.motion import COLUMNS, PilotMotion, interpolated, pilot_station
 from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -133,25 +133,39 @@ def fly(
     if isinstance(host, PilotMotion | pilot_host.AircraftHost):
         flown = host if isinstance(host, PilotMotion) else pilot_host.pilot_motion(host)
         cued = cue(flown, washout, cab=carried, limits=limits, senses=senses)
-        aircraft, stream, limited, asked = cued.aircraft, cued.stream, cued.limited, cued.simulator
+        aircraft, stream, limited = cued.aircraft, cued.stream, cued.limited
     else:
         sent = pilot_host.host_stream(host)
         step = np.diff(sent.time)
         if step.size and np.ptp(step) > 1e-6 * step.mean():  # the limiters take even frames
             sent = resample(sent, MOST_RATE)
         stream, limited = within_limits(sent, limits, machine)
-        asked = PilotMotion.from_platform(stream, carried.station)
     plant, rows = Hexapod(carried, hydraulics), RECORD_EVERY
     operation = operate(plant, law, stream, facility=settings, record_every=rows, progress=progress)
+    return flight_result(plant, aircraft, stream, operation, settings, limited, senses)
+
+
+def flight_result(
+    plant: Hexapod,
+    aircraft: PilotMotion | None,
+    stream: HostStream,
+    operation: Operation,
+    settings: FacilitySettings,
+    limited: NDArray[np.bool_] | None = None,
+    senses: Senses | str | None = None,
+) -> FlightResult:
+    """What an operation on some frames, of an aircraft or in direct mode, was to the pilot."""
+    asked = PilotMotion.from_platform(stream, pilot_station(plant.cab_parameters))
+    limits = load_motion_limits(settings.limits, plant.machine)
     record = operation.record
     simulator = crew_motion(record, asked.time)
-    legs = kinematics.pose_to_legs(resample(stream, record.rate).pose, machine)
+    legs = kinematics.pose_to_legs(resample(stream, record.rate).pose, plant.machine)
     return FlightResult(
         str(record.metadata["law"]),
         plant.cab,
         aircraft,
         stream,
-        limited,
+        np.zeros(stream.time.size, dtype=bool) if limited is None else limited,
         asked,
         simulator,
         None if aircraft is None else cueing_error(aircraft, simulator, senses),

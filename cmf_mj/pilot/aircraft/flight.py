@@ -142,29 +142,51 @@ def load_flight(source: str | Path) -> Flight:
     return Flight.load(_SHIPPED / f"{source}.parquet")
 
 
+def read_columns(path: Path) -> dict[str, NDArray[np.float64]]:
+    """Columns of a CSV file in SI, by the units of its header; a line with `#` above it is left."""
+    text = _text(path)
+    if text.startswith("#"):
+        text = text.partition("\n")[2]
+    table, column_units = _titled(path, text)
+    columns = {}
+    for name in table.column_names:
+        with within(f"{path}: {name}"):
+            values = read_column(path, table, name)
+            columns[name] = np.asarray(units.to_si(column_units.get(name, "1"), values))
+    return columns
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {reason(error)}") from error
+
+
 def _parts(path: Path) -> tuple[pa.Table, dict[str, str], Origin]:
     """Table, units of its columns and origin."""
     if path.suffix != ".csv":
         table, header = read_headed(path, _KEY, Header)
         return table, header.units, header.origin
-    try:
-        first, _, rest = path.read_text(encoding="utf-8-sig").partition("\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {reason(error)}") from error
+    first, _, rest = _text(path).partition("\n")
     if not first.startswith(f"# {_KEY} "):
         raise InputError(
             f"{path}: row 1: is {first[:40]!r}; allowed: '# {_KEY} ' and the origin as JSON"
         )
     origin = parsed_json(first.removeprefix(f"# {_KEY} "), f"{path}: row 1")
+    return *_titled(path, rest), validated(Origin, origin, f"{path}: row 1")
+
+
+def _titled(path: Path, text: str) -> tuple[pa.Table, dict[str, str]]:
+    """Table of a CSV text and the units of its columns."""
     try:
-        table = pyarrow.csv.read_csv(io.BytesIO(rest.encode()))
+        table = pyarrow.csv.read_csv(io.BytesIO(text.encode()))
     except (ValueError, pa.ArrowException) as error:
         raise InputError(f"{path}: cannot be read: {reason(error)}") from error
     matches = [_HEADER.match(cell.strip().strip('"')) for cell in table.column_names]
     if not all(matches):
         odd = table.column_names[matches.index(None)]
-        raise InputError(f"{path}: row 2: {odd!r} is refused; allowed: name or name [unit]")
+        raise InputError(f"{path}: header: {odd!r} is refused; allowed: name or name [unit]")
     cells = [match.groupdict() for match in matches if match]
     column_units = {str(cell["name"]): cell["unit"] or "1" for cell in cells}
-    table = table.rename_columns([str(cell["name"]) for cell in cells])
-    return table, column_units, validated(Origin, origin, f"{path}: row 1")
+    return table.rename_columns([str(cell["name"]) for cell in cells]), column_units

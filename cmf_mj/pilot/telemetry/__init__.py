@@ -1,0 +1,1 @@
+"""Telemetry of other simulators: its formats, and whether it is what it says."""

@@ -1,0 +1,180 @@
+"""Formats of telemetry, each turned into specific force and rates at the seat, body axes z down.
+
+xplane   UDP `DATA` and one octet, then rows `<i8f` of 36 octets, as ticked for the network in
+         Data Output: 135 acc-x right, acc-y up, acc-z back [m/s^2] with gravity (acc-y is 9.81 at
+         rest), P Q R [rad/s]; 17 pitch, roll, true heading [deg]; 21, if sent, height and velocity
+beamng   UDP `<4s21f`, 88 octets, of MotionSim: BNG1, position, velocity in world axes z up,
+         acceleration without gravity x right, y forward, z up, up vector, roll, pitch, yaw [rad],
+         their rates and accelerations
+csv      a file with the columns of a flight and their units; over UDP one line of numbers in SI:
+         time, specific force (3), angular rate (3), roll, pitch, yaw [, speed, height]
+
+What could not be verified is named in `docs/how_to/telemetry.md`. A recording of datagrams is a
+pcap file, as `tcpdump -w` writes it; datagrams have the time of their arrival.
+"""
+
+import math
+import struct
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from cmf_mj.core.errors import InputError, reason
+from cmf_mj.core.units import DEGREE
+from cmf_mj.facility.host.udp import LOOPBACK, open_socket
+from cmf_mj.pilot.aircraft.flight import Flight, Origin, load_flight, read_columns
+from cmf_mj.pilot.host import MOST_RATE
+from cmf_mj.pilot.motion import COLUMNS, PilotMotion, gravity_in_body
+from cmf_mj.pilot.telemetry.check import Telemetry
+
+Row = tuple[float, ...]
+"""Twelve numbers: time, specific force, angular rate, attitude, speed, height; NaN if unknown."""
+
+_ROW, _BEAMNG = struct.Struct("<i8f"), struct.Struct("<4s21f")
+_UNKNOWN = (math.nan, math.nan)
+
+
+def _xplane(data: bytes) -> Row:
+    if data[:4] != b"DATA" or (len(data) - 5) % _ROW.size:
+        raise InputError(f"xplane: {data[:5]!r} and {len(data)} octets are not a DATA datagram")
+    rows = {row[0]: row[1:] for row in _ROW.iter_unpack(data[5:])}
+    if 17 not in rows or 135 not in rows:
+        raise InputError(f"xplane: rows {sorted(rows)}; allowed: 17 and 135 at least")
+    right, up, back, *rates = rows[135][:6]
+    pitch, roll, heading = (angle * DEGREE for angle in rows[17][:3])
+    path = (math.hypot(*rows[21][3:6]), rows[21][1]) if 21 in rows else _UNKNOWN
+    return (math.nan, -back, right, -up, *rates, roll, pitch, heading, *path)
+
+
+def _beamng(data: bytes) -> Row:
+    if len(data) != _BEAMNG.size or data[:4] != b"BNG1":
+        raise InputError(f"beamng: {data[:4]!r} and {len(data)} octets; allowed: BNG1 and 88")
+    _, *numbers = _BEAMNG.unpack(data)
+    (right, forward, up), attitude = numbers[6:9], numbers[12:15]
+    force = np.array([forward, right, -up]) - gravity_in_body(np.array(attitude))
+    path = math.hypot(*numbers[3:6]), numbers[2]
+    return (math.nan, *force.tolist(), *numbers[15:18], *attitude, *path)
+
+
+def _line(data: bytes) -> Row:
+    try:
+        numbers = tuple(float(part) for part in data.decode().split(","))
+    except ValueError as error:
+        raise InputError(f"csv: {data[:40]!r} is not a line of numbers") from error
+    if len(numbers) not in (10, 12):
+        raise InputError(f"csv: {len(numbers)} numbers; allowed: 10, or 12 with speed and height")
+    return numbers if len(numbers) == 12 else (*numbers, *_UNKNOWN)
+
+
+_DECODERS: dict[str, Callable[[bytes], Row]] = {"xplane": _xplane, "beamng": _beamng, "csv": _line}
+
+FORMATS = tuple(_DECODERS)
+"""Names of the formats."""
+
+
+def decode(form: str, data: bytes) -> Row:
+    """A datagram's row; refused is what is not of the format, or not finite where it must be."""
+    row = _DECODERS[form](data)
+    if not all(map(math.isfinite, row[1:10])):
+        raise InputError(f"{form}: {row[1:10]} is refused; allowed: finite numbers")
+    return row
+
+
+def telemetry_of(form: str, datagrams: Iterator[tuple[float, bytes]]) -> tuple[Telemetry, int]:
+    """All rows of timed datagrams, and how many datagrams were refused."""
+    rows, refused = [], 0
+    for at, data in datagrams:
+        try:
+            row = decode(form, data)
+        except InputError:
+            refused += 1
+            continue
+        rows.append((at if math.isnan(row[0]) else row[0], *row[1:]))
+    if not rows:
+        raise InputError(f"{form}: no datagram of this format has come, and {refused} others")
+    table = np.array(rows)
+    channels = (table[:, 1:4], table[:, 4:7], table[:, 7:10])
+    return Telemetry(table[:, 0], *channels, table[:, 10], table[:, 11]), refused
+
+
+def listen(form: str, port: int, seconds: float, *, bind: str = LOOPBACK) -> tuple[Telemetry, int]:
+    """What comes to a UDP port within some seconds."""
+
+    def datagrams() -> Iterator[tuple[float, bytes]]:
+        with open_socket(port, bind) as opened:
+            start = time.monotonic()
+            while (left := start + seconds - time.monotonic()) > 0.0:
+                opened.settimeout(left)
+                try:
+                    yield time.monotonic() - start, opened.recv(65535)
+                except TimeoutError:
+                    return
+
+    return telemetry_of(form, datagrams())
+
+
+def read_telemetry(source: str | Path, form: str) -> tuple[Telemetry, int]:
+    """A recording: a pcap file of datagrams; of csv, a CSV file or a flight by name or file."""
+    path = Path(source)
+    if form != "csv":
+        return telemetry_of(form, _packets(path))
+    if path.suffix == ".csv":
+        columns = read_columns(path)
+        names = ["time", *(name for channel in COLUMNS.values() for name in channel)]
+        missing = [name for name in names if name not in columns]
+        if missing:
+            raise InputError(f"{path}: has no column {', '.join(missing)}")
+        stamps, *values = (columns[name] for name in names)
+    else:
+        flight = load_flight(source)
+        columns = {**flight.motion.columns(), **flight.others}
+        stamps, *values = (columns[name] for name in flight.motion.columns())
+    unknown = np.full(stamps.size, np.nan)
+    path_of = (columns.get(name, unknown) for name in ("airspeed", "height"))
+    table = np.column_stack(values)
+    return Telemetry(stamps, table[:, :3], table[:, 3:6], table[:, 6:], *path_of), 0
+
+
+def motion_of(telemetry: Telemetry) -> PilotMotion:
+    """The motion at the seat, from time 0, with angles that do not wrap."""
+    angles = np.unwrap(telemetry.attitude, axis=0)
+    return PilotMotion(
+        telemetry.time - telemetry.time[0], telemetry.specific_force, telemetry.angular_rate, angles
+    )
+
+
+_LINKS = {0: 4, 1: 14, 12: 0, 101: 0, 113: 16, 276: 20}
+"""Octets before the IP header, by link type of a pcap file."""
+
+
+def _packets(path: Path) -> Iterator[tuple[float, bytes]]:
+    """Times and contents of the UDP datagrams over IPv4 of a pcap file."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {reason(error)}") from error
+    orders = {b"\xd4\xc3\xb2\xa1": ("<", 1e-6), b"\xa1\xb2\xc3\xd4": (">", 1e-6)}
+    orders |= {b"\x4d\x3c\xb2\xa1": ("<", 1e-9), b"\xa1\xb2\x3c\x4d": (">", 1e-9)}
+    if len(data) < 24 or data[:4] not in orders:
+        raise InputError(f"{path}: is no pcap file; allowed: what `tcpdump -w` writes")
+    order, fraction = orders[data[:4]]
+    link = struct.unpack(f"{order}I", data[20:24])[0] & 0xFFFF
+    if link not in _LINKS:
+        raise InputError(f"{path}: link type {link}; allowed: {', '.join(map(str, _LINKS))}")
+    at, head = 24, struct.Struct(f"{order}4I")
+    while at + head.size <= len(data):
+        seconds, part, kept, _ = head.unpack_from(data, at)
+        packet = data[at + head.size + _LINKS[link] : at + head.size + kept]
+        at += head.size + kept
+        if len(packet) > 28 and packet[0] >> 4 == 4 and packet[9] == 17:
+            header = 4 * (packet[0] & 0x0F)
+            size = int.from_bytes(packet[header + 4 : header + 6])
+            yield seconds + fraction * part, packet[header + 8 : header + size]
+
+
+def flight_of(telemetry: Telemetry, form: str, title: str) -> Flight:
+    """Telemetry as a flight at 80 Hz of an aircraft that nobody named."""
+    origin = Origin(title=title, aircraft="unknown", lever_arm=(0.0, 0.0, 0.0), source=form)
+    return Flight(motion_of(telemetry).resampled(MOST_RATE), origin)

@@ -1,0 +1,334 @@
+"""Telemetry: golden packets built from the published structures, and errors put in on purpose."""
+
+import math
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cmf_mj import InputError
+from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
+from cmf_mj.pilot.fly import fly
+from cmf_mj.pilot.motion import gravity_in_body
+from cmf_mj.pilot.telemetry.check import Telemetry, check
+from cmf_mj.pilot.telemetry.formats import decode, flight_of, read_telemetry, telemetry_of
+from cmf_mj.pilot.telemetry.live import fly_live
+
+G, DEGREE = 9.80665, math.pi / 180.0
+
+
+def xplane(
+    acceleration: tuple[float, float, float],
+    rates: tuple[float, ...] = (0.0, 0.0, 0.0),
+    attitude: tuple[float, ...] = (0.0, 0.0, 0.0),
+    path: tuple[float, ...] = (),
+) -> bytes:
+    """Rows 17 and 135: right, up, back with gravity; P Q R; pitch, roll, heading [deg]."""
+    roll, pitch, yaw = (angle / DEGREE for angle in attitude)
+    data = b"DATA*" + struct.pack("<i8f", 17, pitch, roll, yaw, yaw, 0, 0, 0, 0)
+    data += struct.pack("<i8f", 135, *acceleration, *rates, 0, 0)
+    if path:
+        data += struct.pack("<i8f", 21, 0, path[1], 0, path[0], 0, 0, 0, 0)
+    return data
+
+
+def beamng(
+    acceleration: tuple[float, float, float],
+    rates: tuple[float, ...] = (0.0, 0.0, 0.0),
+    attitude: tuple[float, ...] = (0.0, 0.0, 0.0),
+    path: tuple[float, ...] = (0.0, 0.0),
+) -> bytes:
+    """Position, velocity, acceleration right, forward, up without gravity, up, angles, rates."""
+    place, velocity = (0.0, 0.0, path[1]), (path[0], 0.0, 0.0)
+    numbers = (*place, *velocity, *acceleration, 0.0, 0.0, 1.0, *attitude, *rates, 0.0, 0.0, 0.0)
+    return struct.pack("<4s21f", b"BNG1", *numbers)
+
+
+def line(force: tuple[float, ...], rates: tuple[float, ...], attitude: tuple[float, ...]) -> bytes:
+    return ",".join(map(str, (1.5, *force, *rates, *attitude))).encode()
+
+
+BRAKES = -4.0
+"""m/s^2 along x."""
+
+SPEED, TURN = 20.0, 0.2
+"""A flat turn to the right: v r to the right, nose moving right."""
+
+NOSE_UP = 10.0 * DEGREE
+
+GOLDEN = {
+    "rest": {
+        "xplane": xplane((0.0, G, 0.0)),
+        "beamng": beamng((0.0, 0.0, 0.0)),
+        "csv": line((0.0, 0.0, -G), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    },
+    "brakes": {
+        "xplane": xplane((0.0, G, -BRAKES)),
+        "beamng": beamng((0.0, BRAKES, 0.0)),
+        "csv": line((BRAKES, 0.0, -G), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    },
+    "right turn": {
+        "xplane": xplane((SPEED * TURN, G, 0.0), (0.0, 0.0, TURN)),
+        "beamng": beamng((SPEED * TURN, 0.0, 0.0), (0.0, 0.0, TURN)),
+        "csv": line((0.0, SPEED * TURN, -G), (0.0, 0.0, TURN), (0.0, 0.0, 0.0)),
+    },
+    "nose up": {
+        "xplane": xplane(
+            (0.0, G * math.cos(NOSE_UP), -G * math.sin(NOSE_UP)), attitude=(0.0, NOSE_UP, 0.0)
+        ),
+        "beamng": beamng((0.0, 0.0, 0.0), attitude=(0.0, NOSE_UP, 0.0)),
+        "csv": line(
+            (G * math.sin(NOSE_UP), 0.0, -G * math.cos(NOSE_UP)),
+            (0.0, 0.0, 0.0),
+            (0.0, NOSE_UP, 0.0),
+        ),
+    },
+}
+EXPECTED = {  # specific force, angular rate, attitude
+    "rest": ((0.0, 0.0, -G), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    "brakes": ((BRAKES, 0.0, -G), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    "right turn": ((0.0, SPEED * TURN, -G), (0.0, 0.0, TURN), (0.0, 0.0, 0.0)),
+    "nose up": (
+        (G * math.sin(NOSE_UP), 0.0, -G * math.cos(NOSE_UP)),
+        (0.0, 0.0, 0.0),
+        (0.0, NOSE_UP, 0.0),
+    ),
+}
+
+
+@pytest.mark.parametrize("form", ["xplane", "beamng", "csv"])
+@pytest.mark.parametrize("motion", list(GOLDEN))
+def test_golden_packets_give_body_axes(motion: str, form: str) -> None:
+    row = decode(form, GOLDEN[motion][form])
+    expected = [number for part in EXPECTED[motion] for number in part]
+    np.testing.assert_allclose(row[1:10], expected, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("form", "data"),
+    [
+        ("xplane", b"DATA"),
+        ("xplane", b"RREF*" + bytes(72)),
+        ("xplane", b"DATA*" + struct.pack("<i8f", 17, *range(8))),
+        ("xplane", xplane((0.0, math.nan, 0.0))),
+        ("beamng", beamng((0.0, 0.0, 0.0))[:-1]),
+        ("beamng", b"BNG2" + bytes(84)),
+        ("beamng", beamng((math.inf, 0.0, 0.0))),
+        ("csv", b"1,2,3"),
+        ("csv", b"1,2,3,4,5,6,7,8,9,ten"),
+        ("csv", b"\xff"),
+    ],
+)
+def test_a_datagram_of_another_form_is_refused(form: str, data: bytes) -> None:
+    with pytest.raises(InputError, match=form):
+        decode(form, data)
+
+
+def shipped(name: str) -> Telemetry:
+    return read_telemetry(name, "csv")[0]
+
+
+def as_packets(name: str, form: str) -> list[tuple[float, bytes]]:
+    """A shipped flight as another simulator would send it, in single precision."""
+    sent = shipped(name)
+    packets = []
+    for row in zip(*sent, strict=True):
+        at, force, rates, attitude, *path = row
+        if form == "xplane":
+            x, y, z = force
+            data = xplane((y, -z, -x), tuple(rates), tuple(attitude), tuple(path))
+        else:
+            x, y, z = force + gravity_in_body(attitude)
+            wrapped = (*attitude[:2], math.remainder(attitude[2], 2 * math.pi))
+            data = beamng((y, x, -z), tuple(rates), wrapped, tuple(path))
+        packets.append((float(at), data))
+    return packets
+
+
+def _force(change: Callable[[Telemetry], NDArray[np.float64]]) -> Callable[[Telemetry], Telemetry]:
+    return lambda sent: sent._replace(specific_force=change(sent))
+
+
+def _rate(change: Callable[[Telemetry], NDArray[np.float64]]) -> Callable[[Telemetry], Telemetry]:
+    return lambda sent: sent._replace(angular_rate=change(sent))
+
+
+def _angle(change: Callable[[Telemetry], NDArray[np.float64]]) -> Callable[[Telemetry], Telemetry]:
+    return lambda sent: sent._replace(attitude=change(sent))
+
+
+def _interrupted(sent: Telemetry) -> Telemetry:
+    return Telemetry._make(np.delete(values, slice(800, 840), axis=0) for values in sent)
+
+
+ERRORS: dict[str, tuple[Callable[[Telemetry], Telemetry], str]] = {
+    "y and z": (_force(lambda s: s.specific_force[:, [0, 2, 1]]), "force y and z are swapped"),
+    "p and q": (_rate(lambda s: s.angular_rate[:, [1, 0, 2]]), "p and q are swapped"),
+    "q and r": (_rate(lambda s: s.angular_rate[:, [0, 2, 1]]), "q and r are swapped"),
+    "g": (_force(lambda s: s.specific_force / G), "the specific force is in g, not in m/s^2"),
+    "deg/s": (_rate(lambda s: s.angular_rate / DEGREE), "the angular rates are in deg/s"),
+    "deg": (_angle(lambda s: s.attitude / DEGREE), "the angles are in deg, not in rad"),
+    "no gravity": (
+        _force(lambda s: s.specific_force + gravity_in_body(s.attitude)),
+        "gravity is left out",
+    ),
+    "gravity twice": (
+        _force(lambda s: s.specific_force - gravity_in_body(s.attitude)),
+        "gravity is in twice",
+    ),
+    "z up": (_force(lambda s: s.specific_force * [1, 1, -1]), "force z has the wrong sign"),
+    "nose down": (_rate(lambda s: s.angular_rate * [1, -1, 1]), "rate q has the wrong sign"),
+    "pitch": (_angle(lambda s: s.attitude * [1, -1, 1]), "angle of pitch has the wrong sign"),
+    "gap": (_interrupted, "a gap of 0.512 s after 9.9875 s"),
+}
+"""Twelve errors, and words of what is said of each."""
+
+EXCITED: dict[str, tuple[Callable[[Telemetry], Telemetry], str]] = {
+    "x": (_force(lambda s: s.specific_force * [-1, 1, 1]), "force x has the wrong sign"),
+    "x and y": (_force(lambda s: s.specific_force[:, [1, 0, 2]]), "force x and y are swapped"),
+    "p": (_rate(lambda s: s.angular_rate * [-1, 1, 1]), "rate p has the wrong sign"),
+    "roll": (_angle(lambda s: s.attitude * [-1, 1, 1]), "angle of roll has the wrong sign"),
+    "yaw": (_angle(lambda s: s.attitude * [1, 1, -1]), "angle of yaw has the wrong sign"),
+}
+"""Errors that only some flights can show."""
+
+
+@pytest.mark.parametrize("name", flight_names())
+def test_each_error_is_found_and_none_in_the_clean_flight(name: str) -> None:
+    sent = shipped(name)
+    assert check(sent).errors == ()
+    for error, (spoil, words) in ERRORS.items():
+        said = check(spoil(sent)).errors
+        assert len(said) == 1 and words in said[0], (error, said)
+
+
+def test_what_a_flight_cannot_show_is_said_and_the_rest_is_found() -> None:
+    """Without a roll, for one, no sign of roll can be told; with it, it is."""
+    shown = dict.fromkeys(EXCITED, 0)
+    for name in flight_names():
+        sent = shipped(name)
+        unseen = check(sent).unseen
+        for error, (spoil, words) in EXCITED.items():
+            found = any(words in said for said in check(spoil(sent)).errors)
+            assert found == (not any(words in doubt for doubt in unseen)), (name, error)
+            shown[error] += found
+    assert min(shown.values()) >= 3
+
+
+@pytest.mark.parametrize("form", ["xplane", "beamng"])
+def test_flights_sent_as_packets_are_clean_and_come_back(form: str) -> None:
+    for name in flight_names():
+        received, refused = telemetry_of(form, iter(as_packets(name, form)))
+        sent = shipped(name)
+        assert refused == 0 and check(received).errors == ()
+        flown = flight_of(received, form, name).motion
+        np.testing.assert_allclose(flown.specific_force, sent.specific_force, atol=5e-5)
+        np.testing.assert_allclose(flown.attitude[:, :2], sent.attitude[:, :2], atol=1e-6)
+
+
+def test_without_speed_and_height_units_and_gravity_are_still_told() -> None:
+    for name in ("engine_failure", "take_off", "turn"):
+        unknown = np.full(shipped(name).time.size, np.nan)
+        sent = shipped(name)._replace(speed=unknown, height=unknown)
+        assert check(sent).errors == ()
+        for error in ("g", "deg/s", "deg", "no gravity", "gravity twice", "z up"):
+            spoil, words = ERRORS[error]
+            assert any(words in said for said in check(spoil(sent)).errors), (name, error)
+
+
+def test_times_that_do_not_rise_or_are_in_ms_are_told() -> None:
+    sent = shipped("turn")
+    back = sent.time.copy()
+    back[100] = back[98]
+    assert "time does not rise at row 100" in check(sent._replace(time=back)).errors[0]
+    assert any("in ms" in said for said in check(sent._replace(time=1e3 * sent.time)).errors)
+    assert check(Telemetry._make(values[:40] for values in sent)).errors == (
+        "less than 4 s of data",
+    )
+
+
+def pcap(packets: list[tuple[float, bytes]], path: Path) -> Path:
+    """As `tcpdump -w` writes it, on Ethernet; with a datagram of another protocol in between."""
+    data = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+    for number, (at, payload) in enumerate(packets):
+        udp = struct.pack(">HHHH", 49000, 49005, 8 + len(payload), 0) + payload
+        protocol = 17 if number % 100 else 6
+        head = (0x45, 0, 20 + len(udp), 0, 0, 64, protocol, 0, b"\x7f\0\0\1", b"\x7f\0\0\1")
+        frame = bytes(14) + struct.pack(">BBHHHBBH4s4s", *head) + udp
+        whole = int(at)
+        data += struct.pack("<4I", whole, round(1e6 * (at - whole)), len(frame), len(frame)) + frame
+    path.write_bytes(data)
+    return path
+
+
+def test_a_capture_is_read_and_flown(tmp_path: Path) -> None:
+    packets = as_packets("gusts", "xplane")[:800]
+    received, refused = read_telemetry(pcap(packets, tmp_path / "gusts.pcap"), "xplane")
+    assert refused == 0 and received.time.size == 792 and check(received).errors == ()
+    ride = fly(flight_of(received, "xplane", "gusts").motion)
+    assert ride.fault is None and ride.use.within
+    with pytest.raises(InputError, match=r"no\.pcap: cannot be read"):
+        read_telemetry(tmp_path / "no.pcap", "xplane")
+    (tmp_path / "text.pcap").write_text("time,x\n")
+    with pytest.raises(InputError, match="is no pcap file"):
+        read_telemetry(tmp_path / "text.pcap", "beamng")
+
+
+def test_a_csv_with_units_and_without_the_header_of_a_flight_is_read(tmp_path: Path) -> None:
+    path = load_flight("turn").save(tmp_path / "turn.csv")
+    bare = tmp_path / "bare.csv"
+    text = path.read_text().partition("\n")[2]
+    bare.write_text(text)
+    received, _ = read_telemetry(bare, "csv")
+    np.testing.assert_array_equal(received.specific_force, shipped("turn").specific_force)
+    bare.write_text(text.replace("roll", "bank"))
+    with pytest.raises(InputError, match="has no column roll"):
+        read_telemetry(bare, "csv")
+
+
+def sending(packets: list[bytes], port: int) -> threading.Event:
+    """Send packets at 80 Hz over and over until the event is set."""
+    ended = threading.Event()
+
+    def send() -> None:
+        with socket.socket(type=socket.SOCK_DGRAM) as sender:
+            start, number = time.monotonic(), 0
+            while not ended.wait(max(start + number / 80 - time.monotonic(), 0.0)):
+                sender.sendto(packets[number % len(packets)], ("127.0.0.1", port))
+                number += 1
+
+    threading.Thread(target=send, daemon=True).start()
+    return ended
+
+
+def free_port() -> int:
+    with socket.socket(type=socket.SOCK_DGRAM) as tried:
+        tried.bind(("127.0.0.1", 0))
+        return int(tried.getsockname()[1])
+
+
+def test_live_telemetry_drives_the_cab_and_bad_telemetry_does_not() -> None:
+    """At rest with a brake that is pulled slowly and let go: real time, some seconds."""
+    pulled = [1.0 - math.cos(2 * math.pi * k / 800) for k in range(800)]
+    port = free_port()
+    ended = sending([xplane((0.0, G, pull)) for pull in pulled], port)
+    try:
+        ride = fly_live("xplane", port, seconds=2.0, trial=4.5)
+        assert ride.fault is None and ride.aircraft is not None
+        assert ride.stream.time.size > 100
+        assert ride.operation.counts["accepted"] > 0
+    finally:
+        ended.set()
+    port = free_port()
+    ended = sending([xplane((0.0, 1.0, pull / G)) for pull in pulled], port)
+    try:
+        with pytest.raises(InputError, match="in g, not in m/s"):
+            fly_live("xplane", port, seconds=2.0, trial=4.5)
+    finally:
+        ended.set()
