@@ -61,8 +61,6 @@ COPIES = {
         f"rotation/{name}.png": f"images/rotation_{name}.png"
         for name in ("unknowns", "tornado", "maps", "bandwidths", "gains")
     },
-    "rotation/map_position_error_rate.png": "images/rotation_map_position_error_rate.png",
-    "rotation/map_acceleration_d2.png": "images/rotation_map_acceleration_d2.png",
 }
 """Files of the studies below --results, and where they go below docs."""
 

@@ -78,7 +78,6 @@ def test_tables_and_files_say_what_was_identified(
         "model.json",
         "fit.png",
         "residuals.png",
-        "roots.png",
         "bode.png",
     ]
     assert set(drawn) == {path.name for path in paths[1:]}

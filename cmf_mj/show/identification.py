@@ -4,9 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
 from scipy import stats
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
@@ -18,11 +16,10 @@ from cmf_mj.studies.identification import Identified
 from cmf_mj.studies.measurement import plain
 
 CONFIDENCE = 0.95
-"""Probability of ellipses and bands."""
+"""Probability of bands."""
 
 _LISTED = 8  # orders
 _WINDOW = 10.0  # length of the fit's figure [s]
-_NEAR = 2.0  # modulus up to which roots are drawn
 
 
 def orders_table(result: Identified) -> Table:
@@ -123,46 +120,6 @@ def residual_figure(residuals: Residuals, step: float) -> Figure:
     return figure
 
 
-def _ellipse(axis: Axes, root: Root, colour: str) -> None:
-    """Ellipse that holds a root with 95 % probability."""
-    if not np.isfinite(root.covariance).all():
-        return
-    size, turn = np.linalg.eigh(root.covariance)
-    radius = np.sqrt(np.clip(size, 0.0, None) * stats.chi2(2).ppf(CONFIDENCE))
-    angle = float(np.degrees(np.arctan2(turn[1, 1], turn[0, 1])))
-    centre = (root.value.real, root.value.imag)
-    shape = Ellipse(centre, 2.0 * radius[1], 2.0 * radius[0], angle=angle)
-    shape.set(facecolor=colour, alpha=0.25, edgecolor=colour)
-    axis.add_patch(shape)
-
-
-def roots_figure(model: PolynomialModel) -> Figure:
-    """Poles and zeros in the z plane with 95 % ellipses."""
-    figure = look.new_figure(6.5, 6.5)
-    axis, reach = figure.subplots(), 1.15
-    turn = np.linspace(0.0, 2.0 * np.pi, 400)
-    axis.plot(np.cos(turn), np.sin(turn), color=look.GREY, linewidth=0.8)
-    for label, roots, mark, colour in (
-        ("poles", model.poles(), "x", look.ORANGE),
-        ("zeros", model.zeros(), "o", look.BLUE),
-    ):
-        near = [root for root in roots if abs(root.value) < _NEAR]
-        values = np.array([root.value for root in near], dtype=complex)
-        beyond = len(roots) - len(near)
-        label += f" ({beyond} beyond the figure)" if beyond else ""
-        fill = colour if mark == "x" else "none"
-        x, y = values.real, values.imag
-        axis.scatter(x, y, marker=mark, color=colour, facecolor=fill, label=label)
-        for root in near:
-            _ellipse(axis, root, colour)
-            reach = max(reach, 1.1 * abs(root.value))
-    axis.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
-    title = f"{model.method} {tuple(model.orders)} at {1.0 / model.step:g} Hz, 95 % ellipses"
-    axis.set(xlabel="real", ylabel="imaginary", title=title)
-    look.legend(axis)
-    return figure
-
-
 def bode_figure(model: PolynomialModel, response: FrequencyResponse | None) -> Figure:
     """Bode plot of the model with its 95 % band, and the measured response."""
     figure, gain, phase = look.bode_axes(f"{model.input_names[0]} to {model.output_names[0]}")
@@ -228,12 +185,11 @@ def _summary(result: Identified) -> dict[str, object]:
 
 
 def save_identification(result: Identified, folder: Path) -> list[Path]:
-    """Write `model.json`, `fit.png`, `residuals.png`, `roots.png` and `bode.png`."""
+    """Write `model.json`, `fit.png`, `residuals.png` and `bode.png`."""
     files = {
         "model.json": plain(_summary(result)),
         "fit.png": fit_figure(result),
         "residuals.png": residual_figure(result.residuals, result.model.step),
-        "roots.png": roots_figure(result.model),
         "bode.png": bode_figure(result.model, result.response),
     }
     return look.save_files(files, folder)

@@ -286,8 +286,6 @@ def save_posterior(results: Results, folder: Path) -> list[Path]:
         "bandwidths.png": figures.span_figure(results),
         "gains.png": figures.gain_figure(results),
     }
-    for law in results.study.laws:
-        files[f"map_{law.name}.png"] = figures.map_figure(results, law.name)
     return save_files(files, folder, 90)
 
 

@@ -11,8 +11,6 @@ from cmf_mj.studies.posterior import answers
 from cmf_mj.studies.posterior.run import MAPS, Results, column
 
 ROTATIONS = DOFS[3:]
-_RANGE = 0.15
-"""Damping ratios that maps resolve."""
 _TITLES = {"cab_height": "centre of mass, up [m]"}
 
 
@@ -80,25 +78,6 @@ def tornado_figure(results: Results) -> Figure:
     axes[0].set_yticks(at, [_title(results, name) for name in names], fontsize=8)
     legend(axes[0])
     figure.supxlabel("least damping ratio, cab " + results.study.cabs[0].name.upper(), fontsize=9)
-    return figure
-
-
-def map_figure(results: Results, law: str) -> Figure:
-    """Damping ratio in each rotation over two unknowns, the limit of stability drawn."""
-    figure = new_figure(10.0, 8.2)
-    axes = figure.subplots(len(ROTATIONS), len(MAPS), squeeze=False)
-    drawn = None
-    for dof, line in zip(ROTATIONS, axes, strict=True):
-        for (x, y), axis in zip(MAPS, line, strict=True):
-            across, up, ratio = answers.stability_map(results, x, y, law, dof)
-            levels = np.linspace(-_RANGE, _RANGE, 13)
-            drawn = axis.contourf(across, up, ratio.T, levels, cmap="RdBu", extend="both")
-            axis.contour(across, up, ratio.T, [0.0], colors="black", linewidths=1.6)
-            axis.set(xlabel=_title(results, x), ylabel=_title(results, y), title=dof)
-            if results.study.settings.unknowns[y].scale == "log":
-                axis.set_yscale("log")
-                _log_ticks(axis.yaxis, up[0], up[-1])
-    figure.colorbar(drawn, ax=axes, label=f"damping ratio, {law}", shrink=0.6)  # type: ignore[arg-type]
     return figure
 
 
