@@ -298,13 +298,10 @@ class Plant:
         return np.linalg.lstsq(arms.T, load, rcond=1e-9)[0]
 
     def reflected_mass(self, pose: ArrayLike | None = None) -> NDArray[np.float64]:
-        """Reflected mass of the actuators, (n, n) [kg].
+        """Reflected mass of the actuators, (n, n) [kg], in a pose as `place` takes it.
 
         M_leg = T' M T; row i, column j is the force on leg i per acceleration of leg j, all
         velocities zero (section 2.4.2: force over acceleration of an actuator).
-
-        Args:
-            pose: configuration as `place` takes it; default neutral.
         """
         self.start(pose)
         full = np.zeros((self.model.nv, self.model.nv))
@@ -313,10 +310,7 @@ class Plant:
         return motion.T @ full @ motion
 
     def start(self, pose: ArrayLike | None = None) -> HydraulicState:
-        """Reset to rest in a configuration; the hydraulic state that holds it.
-
-        Args:
-            pose: as `place` takes it; default neutral.
+        """Reset to rest in a pose as `place` takes it; the hydraulic state that holds it.
 
         Raises:
             InputError: what `check` refuses, a closed loop that is open there, what MuJoCo warns
