@@ -40,7 +40,6 @@ def variants() -> dict[str, Law]:
         "without lead (velocity 0)": with_plan(velocity=0.0),
         "without both": with_plan(velocity=0.0).model_copy(update={"load_feedback": None}),
         "without bounds on the reference": with_plan(**free),
-        "plan that knows no saturation": with_plan(**free, authority=100.0),
         "without feedback of position": with_plan(position=0.0),
         "without feed-forward": law.model_copy(
             update={"plan": None, "direct_gain": Gains.model_validate(feedback_only)}

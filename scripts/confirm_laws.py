@@ -157,7 +157,7 @@ def grouped(outcomes: list[Outcome], *fields: str) -> dict[tuple[str, ...], list
 def worst(outcomes: list[Outcome]) -> str:
     """Worst of each law, degree of freedom and cab over all other choices."""
     header = ("law", "dof", "cab", "-90", "-3 dB", "peak", "overshoot", "zeta")
-    groups = grouped(outcomes, "dof", "cab")
+    groups = grouped(outcomes, "dof", "cab_name")
     rows = [[*key, *worst_of(members)] for key, members in groups.items()]
     return Table("", header, rows).markdown()
 

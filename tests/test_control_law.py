@@ -383,7 +383,7 @@ def test_a_law_based_on_another_holds_only_what_differs(tmp_path: Path) -> None:
     [
         ('based_on = "none"\ntitle = "A"', "mine.toml: a: based_on: 'none' is refused: allowed: "),
         ('based_on = ["velocity"]\ntitle = "A"', r"based_on: \['velocity'\] is refused"),
-        ('based_on = "modal_plan_flight"\ntitle = "A"', "laws which are based on none"),
+        ('based_on = "b"\ntitle = "A"\n[b]\nbased_on = "velocity"', "laws which are based on none"),
         ('based_on = "velocity"', "mine.toml: a: title: is missing"),
     ],
 )

@@ -306,7 +306,7 @@ def test_a_live_change_leaves_the_coming_ones_possible(tmp_path: Path) -> None:
     run.advance(100)
     with pytest.raises(ValueError, match="plan.speed: is missing"):
         run.apply(change_of({"law": "velocity"}))
-    run.apply(change_of({"law": "modal_plan_flight"}))
+    run.apply(change_of({"law": "modal_plan"}))
     run.advance(1000)
     assert run.finished and run.latest().law == "mine"
 

@@ -263,7 +263,7 @@ def test_cmf_fly_films_the_laws_side_by_side(failing: PilotMotion, tmp_path: Pat
     short = Flight(cut(failing, 2.0, 4.5), origin).save(tmp_path / "short.parquet")
     out, size = tmp_path / "out", ("--width", "160", "--height", "100", "--fps", "4")
     part = ("--start", "0.5", "--seconds", "1.5")
-    laws = ("--laws", "velocity,modal_plan_flight", "--no-delay", "--ideal")
+    laws = ("--laws", "velocity,modal_plan", "--no-delay", "--ideal")
     text = run("fly", str(short), *laws, "--video", "film.mp4", *part, *size, "--out", str(out))
     assert text.count("kept within the envelope") == 2
     with av.open(str(out / "film.mp4")) as container:

@@ -215,9 +215,9 @@ def test_bench_flight_compares_with_bare_steps(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_sweep_plan_rate_counts_limit_cycles(tmp_path: Path) -> None:
+def test_fly_laws_counts_limit_cycles(tmp_path: Path) -> None:
     told = run(
-        "sweep_plan_rate.py", "--factors", "1/1", "--flights", "", "--streams", "2", cwd=tmp_path
+        "fly_laws.py", "--laws", "modal_plan", "--flights", "", "--streams", "2", cwd=tmp_path
     )
     assert "0 of 2" in told
-    assert (tmp_path / "out" / "rates" / "rates.md").read_text(encoding="utf-8") in told
+    assert (tmp_path / "out" / "flights" / "flights.md").read_text(encoding="utf-8") in told

@@ -60,6 +60,8 @@ class Modes(Settings):
     mass: _Positives  #: Mass of each mode [lbm].
     shape: Annotated[tuple[_Six, ...], _SIX, BeforeValidator(as_tuples)]
     """V^T, a row a mode: leg motion, orthonormal."""
+    follow_pose: bool = True
+    """Whether legs carry one platform, whose reflected mass follows its pose."""
 
     @model_validator(mode="after")
     def _orthonormal(self) -> "Modes":

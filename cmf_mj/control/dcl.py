@@ -35,9 +35,10 @@ from cmf_mj.control.feedback import (
     make_feedback,
     pressure_force,
 )
+from cmf_mj.control.inverse import command
 from cmf_mj.control.law import SIGNALS, Law
 from cmf_mj.control.load_feedback import CompiledLoadFeedback, damp, make_load_feedback
-from cmf_mj.control.plan import CompiledPlan, PlanState, advance, ask, bounded, correct, make_plan
+from cmf_mj.control.plan import CompiledPlan, PlanState, advance, correct, look_ahead, make_plan
 from cmf_mj.control.reference_model import (
     AdaptationState,
     CompiledModel,
@@ -162,7 +163,7 @@ def make_dcl(law: Law, legs: int, machine: Machine | None = None) -> Dcl:
         error=make_error_calculations(law, carrier.working_stroke),
         compensator=make_compensator(law, legs),
         model=make_model(law.reference_model, law.frame),
-        plan=make_plan(law.plan, modes, legs, law.frame),
+        plan=make_plan(law.plan, modes, legs, law.frame, carrier),
         load_feedback=make_load_feedback(
             law.load_feedback, modes if law.plan else None, legs, law.frame
         ),
@@ -225,11 +226,11 @@ def _plan(dcl, state, reference, feedback):  # type: ignore[no-untyped-def]
     plan, work = dcl.plan, dcl.workspace
     commands, count = work.planned, reference.shape[0]
     for leg in range(count):
-        commands[leg] = ask(plan, state, leg, reference[leg])
-    bounded(plan, dcl.shape, dcl.modal, commands, work.legs)
+        look_ahead(plan, state, leg, reference[leg])
+    command(plan.inverse, state.pose, dcl.shape, dcl.modal, commands)
     for leg in range(count):
         work.output[leg] += commands[leg] + correct(plan, state, leg, feedback)
-        advance(plan, state, leg, commands[leg])
+        advance(plan, state, leg)
 
 
 @compiled

@@ -2,9 +2,7 @@
 
 **Taking over.** Both laws read what the DCL read last; w is what the one in force would put out
 now, by leg. The other begins in a state whose output is w too, so that the valve command goes on
-where it was. Demand and position are taken a frame on, at their present rates, unless both laws
-read them alike: those of the report lead the position by 380 %/in, which a compensator that has
-just been set does not yet balance; models and plans go on with the demand.
+where it was. Demand and position are taken a frame on, at their present rates.
 Legs or modes, all is done in the coordinates of the law that begins, V_2:
 
     coordinates      states x of the law before become V_2^T V_1 x; only the error integral is kept
@@ -17,7 +15,9 @@ Legs or modes, all is done in the coordinates of the law that begins, V_2:
     plan             is taken over, or starts at the leg's position and velocity, with w on its way;
                      its reference then moves until it asks for w. It goes to the demand from there
                      as from any jump, within its bounds on rate and acceleration.
-    compensator      starts where its inputs, kept, would have brought it: B u / (1 - A)
+    compensator      starts where its inputs would have brought it, had demand and position always
+                     moved as they do now, by r a frame: B u / (1 - A) - B r / (1 - A)^2. Those of
+                     the report lead the position by 380 %/in, which their compensators balance.
     error integral   moves until the outputs agree, within its saturation; the offset it takes up
                      stays. With a model or plan that starts, it starts at 0: it took up what was
                      static in the law before, such as its part of pressures, which those have not.
@@ -36,17 +36,22 @@ from numpy.typing import NDArray
 
 from cmf_mj.control.dcl import Dcl, DclState, fill, step
 from cmf_mj.control.feedback import LegFeedback
+from cmf_mj.control.inverse import follow
 from cmf_mj.control.law import SIGNALS
 from cmf_mj.control.load_feedback import load
 from cmf_mj.control.plan import correct
 
-_INTEGRAL, _POSITION = SIGNALS.index("error_integral"), SIGNALS.index("position")
+_REFERENCE, _POSITION = SIGNALS.index("reference"), SIGNALS.index("position")
+_INTEGRAL = SIGNALS.index("error_integral")
 
 _ROUND_OFF = 1e-12
 """Difference of outputs that is none, command fraction."""
 
 _FASTEST = 1.0
 """Rate of the demand above which it jumps rather than moves [m/s]."""
+
+_CHORDS = 20
+"""Steps in which a plan finds the pose of its legs."""
 
 _PROBE = 2.0**-10
 """Step with which the slope of a linear relation is measured [m]."""
@@ -122,10 +127,11 @@ def handed_over(
     now = _within(after, reference)
     frame = before.error.frame
     moved = np.clip(before.workspace.moved, -_FASTEST * frame, _FASTEST * frame)
-    leads = [dcl.compensator.direct_gain[:, _POSITION] for dcl in (before, after)]
-    if _follows(before) or _follows(after) or not np.array_equal(leads[0], leads[1]):
-        ahead = feedback.position + frame * feedback.velocity
-        reference, feedback = now + moved, feedback._replace(position=ahead)
+    moving = np.zeros(after.workspace.inputs.shape)
+    moving[:, _REFERENCE] = after.shape @ moved
+    moving[:, _POSITION] = after.shape @ feedback.velocity * frame
+    ahead = feedback.position + frame * feedback.velocity
+    reference, feedback = now + moved, feedback._replace(position=ahead)
     seen = feedback
     if gravity is not None:
         turned = after.shape @ before.shape.T @ _felt(before, gravity)
@@ -139,17 +145,19 @@ def handed_over(
     def missing() -> NDArray[np.float64]:
         """Settle the compensator; what is missing of the output, in coordinates of the law."""
         _output(after, begun, reference, seen)
-        gains = after.compensator
-        entering = np.einsum("ij,ij->i", gains.input_gain, after.workspace.inputs)
-        begun.compensator[:] = entering / (1.0 - gains.state_gain)
+        gains, fades = after.compensator, 1.0 - after.compensator.state_gain
+        inputs = after.workspace.inputs - moving / fades[:, None]
+        begun.compensator[:] = np.einsum("ij,ij->i", gains.input_gain, inputs) / fades
         return after.shape @ (command - _output(after, begun, reference, seen))
 
     _begin(before, begun, after, (now, moved), seen, command)
     if after.model.active and not before.model.active:
         _move(begun.model.position, missing)
     if after.planned:
-        for _ in range(3):  # the reference's own motion within the frame hardly depends on it
-            begun.plan.reference[:] += missing() / after.plan.forward
+        for _ in range(
+            3
+        ):  # valves under load are not linear, nor are modes away from neutral alone
+            _move(begun.plan.reference, missing)
     gain = _integral_gain(after)
     left = missing()
     share = np.divide(left, gain, out=np.zeros_like(left), where=gain != 0.0)
@@ -182,14 +190,15 @@ def _begin(
         for values in plan:
             values[:] = 0.0
         plan.position[:], plan.velocity[:] = modes.position, modes.velocity
-        plan.command[:] = shape @ np.clip(command, -after.plan.authority, after.plan.authority)
         plan.demand[:] = demand
         plan.demand_rate[:] = np.clip(moved, -after.plan.rate, after.plan.rate)
         plan.reference_rate[:] = plan.demand_rate
-        ahead = np.einsum("ijk,ik->ij", after.plan.transition, np.array(plan[:5]).T)
-        ahead += after.plan.input * plan.command[:, None]
-        asked = plan.command + np.einsum("ij,ij->i", after.plan.feedback, ahead)
-        plan.reference[:] = asked / after.plan.forward - plan.reference_rate
+        flow = after.plan.inverse.speed * (shape @ np.clip(command, -1.0, 1.0)) - plan.velocity
+        plan.jerk[:] = flow / after.plan.inverse.compliance
+        plan.reference[:] = plan.position
+        after.plan.inverse.legs[0] = shape.T @ plan.position
+        for _ in range(_CHORDS):
+            follow(after.plan.inverse, plan.pose)
     if after.model.active and not before.model.active:
         model.position[:], model.velocity[:] = modes.position, modes.velocity
         starts = True
@@ -215,7 +224,7 @@ def _turn(state: DclState, turn: NDArray[np.float64]) -> None:
     for name, values in state.arrays().items():
         if name.startswith("model.adaptation."):
             values[:] = 0.0
-        elif name != "error.integral":
+        elif name not in ("error.integral", "plan.pose"):
             values[:] = turn @ values
 
 

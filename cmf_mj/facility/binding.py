@@ -43,6 +43,7 @@ def nominal_modes(plant: Plant) -> Modes:
         frequency=tuple((frequency / (2.0 * np.pi)).tolist()),
         mass=tuple((mass / units.POUND_MASS).tolist()),
         shape=tuple(tuple(row) for row in shapes.T.tolist()),
+        follow_pose=isinstance(plant, Hexapod),
     )
 
 

@@ -102,7 +102,7 @@ def euler_rate_matrix(pitch, yaw):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _legs(geometry, pose, legs):  # type: ignore[no-untyped-def]
+def write_legs(geometry, pose, legs):  # type: ignore[no-untyped-def]
     """Write the extensions of a pose, (6,)."""
     turn = _turn(pose[3], pose[4], pose[5])
     for j in range(6):
@@ -114,7 +114,8 @@ def _legs(geometry, pose, legs):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _twist_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
+def write_twist_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
+    """Write leg speeds of the twist, velocity and inertial angular velocity, (6, 6)."""
     turn = _turn(pose[3], pose[4], pose[5])
     for j in range(6):
         a, b, c = _turned(turn, geometry.upper[j])
@@ -130,7 +131,7 @@ def _twist_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
 @compiled
 def write_pose_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-def]
     """Write d(legs)/d(pose), (6, 6)."""
-    _twist_jacobian(geometry, pose, jacobian)
+    write_twist_jacobian(geometry, pose, jacobian)
     ct, st = np.cos(pose[4]), np.sin(pose[4])
     cp, sp = np.cos(pose[5]), np.sin(pose[5])
     for j in range(6):
@@ -141,7 +142,7 @@ def write_pose_jacobian(geometry, pose, jacobian):  # type: ignore[no-untyped-de
 @allocating
 def _legs_history(geometry, poses, legs):  # type: ignore[no-untyped-def]
     for row in range(poses.shape[0]):
-        _legs(geometry, poses[row], legs[row])
+        write_legs(geometry, poses[row], legs[row])
 
 
 @compiled
@@ -193,7 +194,7 @@ def _newton(geometry, sense, legs, pose, error, change, jacobian):  # type: igno
     is that of the pose zero. Work is done in `error` and `change`, (6,), and `jacobian`, (6, 6).
     """
     for _ in range(_NEWTON_ITERATIONS):
-        _legs(geometry, pose, error)
+        write_legs(geometry, pose, error)
         for j in range(6):
             error[j] = legs[j] - error[j]
             change[j] = error[j]
@@ -312,7 +313,7 @@ def leg_jacobian(pose: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDA
     in m. J^-T M J^-1 turns a mass matrix of the platform into the reflected mass of the legs.
     """
     jacobian = np.empty((6, 6))
-    _twist_jacobian(geometry_of(machine), one_pose(pose), jacobian)
+    write_twist_jacobian(geometry_of(machine), one_pose(pose), jacobian)
     return jacobian
 
 

@@ -42,10 +42,16 @@ EASY = 2
 """The next modes, yaw and heave, whose chirp and step ask little of the valves."""
 
 EASY_REACH = 8.0
-"""Frequency that bounds rate and acceleration of their reference [Hz]."""
+"""Frequency that bounds the acceleration of their reference [Hz]."""
 
-APPROACH = 5.0
-"""Frequency at which a plan's reference closes small errors [Hz]."""
+APPROACH, SMOOTH = 3.5, 6.5
+"""Frequencies at which a plan's reference closes small errors, and that bounds its jerk [Hz]."""
+
+FASTEST = 24.0
+"""Speed of the fastest leg that the rate of a plan's reference allows in one mode [in/s]."""
+
+LOAD_CORNER = 5.0
+"""Corner of the plan's load feedback [Hz]: above what cabs are disturbed at, where it gives way."""
 
 INTEGRAL = 10.0
 """Gain of the plan's error integral [%/(in s)]."""
@@ -60,8 +66,9 @@ class Template(NamedTuple):
     name: str
     title: str
     modes: Mapping[str, Modes]  #: Nominal modes of the cabs, and of single legs.
-    rate: NDArray[np.float64]
+    amplitude: NDArray[np.float64]
     """Largest modal amplitude of the chirp over cabs and degrees of freedom, (6,) [in]."""
+    rate: NDArray[np.float64]  #: Rate of modes whose fastest leg has `FASTEST`, (6,) [in/s].
     cabs: tuple[LinearCab, ...]  #: Linear plants they are judged on.
 
 
@@ -88,7 +95,9 @@ def make_template(name: str, title: str, cabs: Sequence[str | Path | Cab] = CABS
         for cab in linear
     ]
     known = modes | {legs.name: nominal_modes(legs)}
-    return Template(name, title, known, np.max(moved, axis=0) / units.INCH, linear)
+    largest = [np.abs(np.array(modes[cab.cab].shape)).max(axis=1) for cab in linear]
+    rate = FASTEST / np.max(largest, axis=0)
+    return Template(name, title, known, np.max(moved, axis=0) / units.INCH, rate, linear)
 
 
 def candidate(form: Form, template: Template, values: Sequence[float]) -> Law:
@@ -106,21 +115,13 @@ def _six(at: Values, name: str, sign: float = 1.0) -> tuple[float, ...]:
     return (heavy,) * HEAVY + (light,) * (len(REPORT_AMPLITUDES) - HEAVY)
 
 
-def _bounds(at: Values, name: str) -> NDArray[np.float64]:
-    """Frequencies that bound the plan's reference, by mode, (6,) [Hz]."""
-    bounds = np.array(_six(at, name))
-    bounds[HEAVY : HEAVY + EASY] = EASY_REACH
-    return bounds
-
-
 def _rounded(values: NDArray[np.float64]) -> tuple[float, ...]:
     return tuple(float(f"{v:.4g}") for v in values)
 
 
 def _plan_reach(at: Values) -> float:
-    """Where rate or acceleration of the plan's reference end: w a <= R, w^2 a <= A."""
-    pairs = [(at[f"rate_{pair}"], at[f"acceleration_{pair}"]) for pair in ("heavy", "light")]
-    return min(min(rate, float(np.sqrt(rate * most))) for rate, most in pairs)
+    """Where the acceleration of the plan's reference ends: w^2 a <= A."""
+    return min(at["acceleration_heavy"], at["acceleration_light"])
 
 
 def _modal(template: Template, **fields: object) -> Law:
@@ -130,8 +131,10 @@ def _modal(template: Template, **fields: object) -> Law:
 
 def _modal_plan(template: Template, at: Values) -> Law:
     actuator = load_hydraulics("hardware")
-    rate = 2.0 * np.pi * _bounds(at, "rate") * template.rate
-    acceleration = 2.0 * np.pi * _bounds(at, "acceleration") * rate
+    bounds = np.array(_six(at, "acceleration"))
+    bounds[HEAVY : HEAVY + EASY] = EASY_REACH
+    swing = actuator.supply_pressure.si - actuator.return_pressure.si
+    stall = 0.5 * swing * (actuator.cap_area + actuator.rod_area) / (1e3 * units.POUND_FORCE)
     plan = Plan(
         speed=actuator.leg_speed.value,
         drive_lag=actuator.drive_lag.value,
@@ -139,10 +142,11 @@ def _modal_plan(template: Template, at: Values) -> Law:
         leak_rate=actuator.leak_rate.value,
         pairs=((at["first_pair"], at["first_damping"]), (at["second_pair"], at["second_damping"])),
         pole=at["pole"],
-        rate=_rounded(rate),
-        acceleration=_rounded(acceleration),
+        rate=_rounded(template.rate),
+        acceleration=_rounded((2.0 * np.pi * bounds) ** 2 * template.amplitude),
+        smooth=SMOOTH,
         approach=APPROACH,
-        authority=88.0,
+        stall=float(f"{stall:.4g}"),
         position=_six(at, "position"),
         velocity=_six(at, "velocity"),
     )
@@ -150,7 +154,7 @@ def _modal_plan(template: Template, at: Values) -> Law:
         template,
         direct_gain=Gains(error_integral=INTEGRAL),
         plan=plan,
-        load_feedback=LoadFeedback(gain=_six(at, "load"), corner=0.5),
+        load_feedback=LoadFeedback(gain=_six(at, "load"), corner=LOAD_CORNER),
     )
 
 
@@ -213,18 +217,16 @@ FORMS: Mapping[str, Form] = {
             "second_pair": (6.0, 60.0),
             "second_damping": (0.4, 1.6),
             "pole": (5.5, 60.0),
-            "rate_heavy": (4.0, 9.0),
-            "rate_light": (4.0, 9.0),
             "acceleration_heavy": (3.0, 9.0),
             "acceleration_light": (3.0, 9.0),
-            "position_heavy": (15.0, 50.0),
+            "position_heavy": (15.0, 60.0),
             "position_light": (15.0, 60.0),
-            "velocity_heavy": (-0.5, 4.0),
+            "velocity_heavy": (-0.5, 9.0),
             "velocity_light": (-0.5, 4.0),
             "load_heavy": (-3.0, 6.0),
             "load_light": (-3.0, 6.0),
         },
-        (12.3, 0.506, 51.0, 1.07, 5.75, 5.85, 7.9, 8.33, 6.04, 28.7, 31.9, 3.12, 0.586, 2.29, 1.42),
+        (14.3, 0.506, 58.0, 1.0, 6.7, 6.18, 6.92, 46.0, 41.0, 6.75, 0.0, 2.88, 0.0),
         _modal_plan,
         spread=0.05,
         reach=_plan_reach,

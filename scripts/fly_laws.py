@@ -1,11 +1,10 @@
-"""How fast the reference of `modal_plan` may move: errors of flights, limit cycles of wild hosts.
+"""Laws behind the host: errors of flights, limit cycles of wild hosts.
 
-Each choice is a pair of factors on the law's rate, of its heavy pair and of the other four modes,
-or another law by name. Of the shipped flights, flown as `cmf fly` does, it tells the sensed error
-of the machine in specific force: root mean square over the flight, three axes together [mm/s^2].
+Of the shipped flights, flown as `cmf fly` does, it tells the sensed error of the machine in
+specific force: root mean square over the flight, three axes together [mm/s^2].
 Then random host streams jump and sweep to 6 Hz and hold still, through DCU and limits with all
 cabs, half of them with valves 10 % off: a valve command that still swings by more than 0.3 in the
-last second is a limit cycle. Writes `rates.md` and prints it.
+last second is a limit cycle. Writes `flights.md` and prints it.
 """
 
 import argparse
@@ -27,22 +26,8 @@ from cmf_mj.studies.mismatch import with_valve_gains
 SIZES = np.array([1.2, 1.2, 0.9, 0.45, 0.4, 0.6])
 """Largest amplitude of a stream [m, rad]."""
 
-DEFAULT = "velocity,model_following,1/1,1.5/1.5,1.5/2,2/2,3/3"
-"""Choices."""
-
 MOVING, STILL = 6.0, 4.0
 """Parts of a stream [s]."""
-
-
-def scaled(factors: str) -> Law:
-    """`modal_plan` with its rate times `HEAVY/LIGHT`, or a law by name."""
-    if "/" not in factors:
-        return load_law(factors)
-    law = load_law("modal_plan")
-    assert law.plan is not None
-    heavy, light = (float(part) for part in factors.split("/"))
-    rate = tuple(np.array(law.plan.rate) * ([heavy] * 2 + [light] * 4))
-    return law.model_copy(update={"plan": law.plan.model_copy(update={"rate": rate})})
 
 
 def wild_stream(number: int) -> HostStream:
@@ -76,18 +61,18 @@ def cycles(law: Law, number: int) -> bool:
 
 
 def main() -> None:
-    """Sweep the factors."""
+    """Fly all laws."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--factors", default=DEFAULT, help="HEAVY/LIGHT or laws")
+    parser.add_argument("--laws", default="velocity,model_following,modal_plan")
     parser.add_argument("--flights", default=",".join(flight_names()))
     parser.add_argument("--streams", type=int, default=36, help="wild streams")
-    parser.add_argument("--out", type=Path, default=Path("out/rates"))
+    parser.add_argument("--out", type=Path, default=Path("out/flights"))
     options = parser.parse_args()
     flights = [name for name in options.flights.split(",") if name]
-    header = ["law or rate", *flights, "limit cycles"]
+    header = ["law", *flights, "limit cycles"]
     lines = []
-    for factors in options.factors.split(","):
-        law, line = scaled(factors), [factors]
+    for chosen in options.laws.split(","):
+        law, line = load_law(chosen), [chosen]
         for name in flights:
             ride = fly(load_flight(name), law)
             size = 1e3 * np.linalg.norm(ride.machine.rms[:3])
@@ -95,7 +80,7 @@ def main() -> None:
         found = sum(cycles(law, number) for number in range(options.streams))
         lines.append([*line, f"{found} of {options.streams}"])
     table = Table("", header, lines)
-    table.save(options.out / "rates.md")
+    table.save(options.out / "flights.md")
     print(table.markdown())
 
 
