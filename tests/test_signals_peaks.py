@@ -83,7 +83,6 @@ def test_default_limits_are_table_2_1_and_the_leg_travel():
         np.array(command_limits().displacement).T / scale, np.array(printed).T
     )
     assert command_limits().leg_displacement == pytest.approx(37.5 * INCH, rel=1e-15)
-    assert np.isinf([*command_limits().velocity, *command_limits().acceleration]).all()
 
 
 def test_operational_limits_lie_within_the_leg_travel():
@@ -106,31 +105,6 @@ def test_command_within_the_limits_passes_and_gives_its_peaks(dof):
         (signals.step("heave", 1.1), None, r"heave: 1\.1 m; allowed: -1\.041 to 1\.041 m"),
         (signals.step("surge", -1.5), None, r"surge: -1\.5 m; allowed: -1\.397 to 1\.702 m"),
         (signals.step("pitch", -0.45), None, r"pitch: -0\.45 rad; allowed: -0\.4363 to 0\.4887"),
-        (
-            signals.sine("yaw", 0.1, 1.0),
-            command_limits()._replace(velocity=(9, 9, 9, 9, 9, 0.5)),
-            r"^yaw velocity: 0\.6283 rad/s; allowed: at most 0\.5 rad/s$",
-        ),
-        (
-            signals.sine("heave", 0.1, 1.0, fade=4.0),
-            command_limits()._replace(acceleration=(9, 9, 3, 9, 9, 9)),
-            r"^heave acceleration: 3\.948 m/s\^2; allowed: at most 3 m/s\^2$",
-        ),
-        (
-            signals.step("heave", 0.01),
-            command_limits()._replace(velocity=(1,) * 6),
-            r"^heave velocity: infinite \(it jumps\); allowed: at most 1 m/s$",
-        ),
-        (
-            signals.sine("heave", 0.1, 1.0),
-            command_limits()._replace(leg_velocity=0.5),
-            r"leg 1 velocity: 0\.52\d* m/s; allowed: at most 0\.5 m/s; leg 2 velocity",
-        ),
-        (
-            signals.sine("heave", 0.1, 1.0),
-            command_limits()._replace(leg_acceleration=3.0),
-            r"leg 1 acceleration: 3\.\d+ m/s\^2; allowed: at most 3 m/s\^2",
-        ),
         (
             signals.sine("heave", 0.1, 1.0),
             command_limits()._replace(leg_displacement=0.05),

@@ -32,8 +32,6 @@ _ALONE = 4.0
 
 _DOF_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
-_UNLIMITED = (np.inf,) * 6
-
 
 class Peaks(NamedTuple):
     """Largest magnitudes of a command; degrees of freedom in the order of a pose."""
@@ -53,18 +51,13 @@ class Peaks(NamedTuple):
 class Limits(NamedTuple):
     """What a command must stay within; `command_limits` gives those of a machine.
 
-    Velocity and acceleration limits of the facility are not published: unlimited unless set. The
-    assumed ones of `cmf_mj.machine.motion_limits` bound what the control law does, not what may
-    be tried.
+    Velocities and accelerations are free: those of `cmf_mj.machine.motion_limits` bound what the
+    control law does, not what may be tried.
     """
 
     displacement: Sequence[tuple[float, float]]
     """Lowest and highest of each degree of freedom [m, rad], (6, 2), z down."""
     leg_displacement: float  #: Largest leg extension and retraction from neutral [m].
-    velocity: Sequence[float] = _UNLIMITED  #: Of each degree of freedom [m/s, rad/s], (6,).
-    acceleration: Sequence[float] = _UNLIMITED  #: Of each degree of freedom [m/s^2, rad/s^2], (6,).
-    leg_velocity: float = np.inf  #: Of each leg [m/s].
-    leg_acceleration: float = np.inf  #: Of each leg [m/s^2].
 
 
 def command_limits(machine: str | Path | Machine = models.CMF) -> Limits:
@@ -110,28 +103,13 @@ def check_limits(
         for value in (command.pose[:, i].min(), command.pose[:, i].max()):
             if not low <= value <= high:
                 faults.append(f"{dof}: {value:.4g} {unit}; allowed: {low:.4g} to {high:.4g} {unit}")
-        faults += _excess(f"{dof} velocity", largest.velocity[i], allowed.velocity[i], f"{unit}/s")
-        faults += _excess(
-            f"{dof} acceleration", largest.acceleration[i], allowed.acceleration[i], f"{unit}/s^2"
-        )
-    for leg in range(6):
-        name = f"leg {leg + 1}"
-        for what, value, limit, unit in (
-            ("displacement", largest.leg_displacement[leg], allowed.leg_displacement, "m"),
-            ("velocity", largest.leg_velocity[leg], allowed.leg_velocity, "m/s"),
-            ("acceleration", largest.leg_acceleration[leg], allowed.leg_acceleration, "m/s^2"),
-        ):
-            faults += _excess(f"{name} {what}", value, limit, unit)
+    for leg, value in enumerate(largest.leg_displacement, start=1):
+        if value > allowed.leg_displacement:
+            most = allowed.leg_displacement
+            faults.append(f"leg {leg} displacement: {value:.4g} m; allowed: at most {most:.4g} m")
     if faults:
         raise InputError("; ".join(faults))
     return largest
-
-
-def _excess(name: str, value: float, limit: float, unit: str) -> list[str]:
-    if value <= limit:
-        return []
-    text = "infinite (it jumps)" if np.isinf(value) else f"{value:.4g} {unit}"
-    return [f"{name}: {text}; allowed: at most {limit:.4g} {unit}"]
 
 
 def _rates(
