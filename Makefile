@@ -54,13 +54,13 @@ slow: $(VENV)/ready-dev
 
 # Afresh each time, so that no page or module that is gone can satisfy a link. The check resolves
 # every link and reference as the site does and writes no pages.
-SPHINX = rm -rf docs/reference/api build/$@ && $(BIN)/sphinx-build --jobs auto --quiet --fail-on-warning --keep-going
+SPHINX = rm -rf docs/reference/api docs/gallery build/$@ && $(BIN)/sphinx-build --jobs auto --quiet --fail-on-warning --keep-going
 
 search: $(VENV)/ready-dev
 	$(PYTEST) --dist worksteal -m fuzz --hypothesis-profile whole tests
 
 links: $(VENV)/ready-dev
-	$(SPHINX) --builder dummy docs build/links
+	$(SPHINX) --builder dummy -D plot_gallery=0 docs build/links
 
 site: $(VENV)/ready-dev
 	$(SPHINX) docs build/site

@@ -26,14 +26,33 @@ os.environ["NUMBA_DISABLE_JIT"] = "1"
 project = "cmf-mj"
 release = version = installed("cmf-mj")
 copyright = "the authors of cmf-mj, MIT licence"
+GALLERY = Path(__file__).parents[1] / "examples" / "gallery"
+
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
 ]
+if GALLERY.is_dir():
+    extensions.append("sphinx_gallery.gen_gallery")
+    # The scripts run in processes of their own, with the compiler.
+    import numba  # noqa: F401, reads the switch
+
+    os.environ["NUMBA_DISABLE_JIT"] = "0"
+sphinx_gallery_conf = {
+    "examples_dirs": str(GALLERY),
+    "gallery_dirs": "gallery",
+    "filename_pattern": "plot_",
+    "within_subsection_order": "FileNameSortKey",
+    "min_reported_time": 1000,
+    "show_memory": False,
+    "show_signature": False,
+    "abort_on_example_error": True,
+    "parallel": 2,
+}
 templates_path = ["_templates"]
-exclude_patterns = ["_templates", "data"]
+exclude_patterns = ["_templates", "data", "gallery/*.py", "gallery/*.ipynb"]
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 html_theme = "furo"
