@@ -1,0 +1,62 @@
+"""What a force on the machine does under a law: compliance, and dynamic stiffness by axis.
+
+With the linearised machine x' = A x + B u + B_f F, in which a force F that extends a leg enters
+where pressure times area does, and the law's loop closed in frames, the legs move by
+
+    l = C (z 1 - A_loop)^-1 B_F F,    z = e^(j w T),
+
+F held over a frame, which costs (w T)^2 / 24 of its size. A wrench W on the platform is J^-T W at
+the legs, and x = J^-1 l.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import signal
+
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.law import labels
+from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.reduction import jacobian_of
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.plant.plant import Plant
+
+
+def compliance(
+    plant: Plant, law: str | Law, frequency: ArrayLike, pose: ArrayLike | None = None
+) -> NDArray[np.complex128]:
+    """Motion of legs per force that extends them, (K, n, n) [m/N], at `frequency` (K,) [Hz].
+
+    A law in hydraulic modes must be bound to the plant's cab. The clamps do not act. Raises
+    `InputError` as `linearize` and `closed_loop` do.
+    """
+    loaded, system, legs = load_law(law), linearize(plant, pose), plant.legs
+    loop, a = closed_loop(loaded, system), np.asarray(system.A)
+    speed, cap = (
+        [system.state_labels.index(label) for label in labels((name,), legs)]
+        for name in ("leg_velocity", "cap_pressure")
+    )
+    pushed = np.zeros((loop.nstates, legs))
+    continuous = np.zeros((a.shape[0], legs))
+    continuous[speed] = a[np.ix_(speed, cap)] / plant.hydraulics.cylinder.cap_area
+    none = np.zeros((1, a.shape[0])), np.zeros((1, legs))
+    pushed[: a.shape[0]] = signal.cont2discrete((a, continuous, *none), loaded.frame)[1]
+    z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * loaded.frame)
+    inside = z[:, None, None] * np.eye(loop.nstates) - np.asarray(loop.A)
+    return np.asarray(np.asarray(loop.C) @ np.linalg.solve(inside, pushed.astype(complex)))
+
+
+def dynamic_stiffness(
+    plant: Plant, law: str | Law, frequency: ArrayLike, pose: ArrayLike | None = None
+) -> NDArray[np.float64]:
+    """Size of a force or moment along an axis over the motion along it, (K, 6) [N/m, N m/rad].
+
+    Of a plant with six legs that carry a platform, at `frequency` (K,) [Hz]; all axes are free.
+
+    >>> from cmf_mj.analysis.linear.stiffness import dynamic_stiffness
+    >>> stiff = dynamic_stiffness(cmf_mj.Hexapod("gfd"), "velocity", [0.1, 2.0])
+    >>> stiff.shape, bool(stiff[0, 0] > stiff[1, 0])
+    ((2, 6), True)
+    """
+    back = np.linalg.inv(jacobian_of(plant, pose))
+    moved = back @ compliance(plant, law, frequency, pose) @ back.T
+    return np.asarray(1.0 / np.abs(np.diagonal(moved, axis1=1, axis2=2)))
