@@ -22,10 +22,12 @@ from flights import level
 from protected_records import fault_of
 
 from cmf_mj import Hexapod, signals, simulate
+from cmf_mj.control.dcl import make_dcl
 from cmf_mj.control.dcu.arrivals import upsample
 from cmf_mj.control.dcu.settings import load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting
 from cmf_mj.control.feedback import gravity_history
+from cmf_mj.control.inverse import follow, opened
 from cmf_mj.control.law import load_law
 from cmf_mj.control.protection import load_protection, make_protection
 from cmf_mj.facility.replay import replay
@@ -51,6 +53,9 @@ def table() -> None:
     power_balance(machine, record)
     fault_of(record, make_protection(load_protection()), 1e7)
     gravity_history(record["leg_position"])
+    inverse = make_dcl(load_law("modal_plan").bound_to("gfd"), 6).plan.inverse
+    follow(inverse, np.zeros(6))
+    opened(inverse, 0.1, 0.1, 0.1, 0.1)
     axial_gravity(np.zeros(6))
     step_response(load_law("velocity"), linear_cab(machine), [0], np.ones(6))
     cylinder = Cylinder(*make_cylinders(load_hydraulics("report"), ["leg"])[0])
