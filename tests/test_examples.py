@@ -2,6 +2,7 @@
 
 import re
 import runpy
+import sys
 from pathlib import Path
 
 import pytest
@@ -57,3 +58,13 @@ def test_identified_model_predicts_the_bandwidth(capsys: pytest.CaptureFixture[s
     text = printed("record_identify_close", capsys)
     fit, hertz, error = (float(value) for value in re.findall(r"-?\d+\.\d+", text))
     assert fit > 90.0 and hertz == pytest.approx(2.7, abs=0.1) and abs(error) < 2.0
+
+
+def test_the_trained_policy_digs_faster_within_proof(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["dig_faster.py", "--generations", "0"])
+    text = printed("dig_faster", capsys)
+    law, policy = (float(value) for value in re.findall(r"after ([\d.]+) s", text))
+    pressures = [float(value) for value in re.findall(r"pressure ([\d.]+) of proof", text)]
+    assert "0 left" in text and policy < 0.6 * law and max(pressures) < 1.0

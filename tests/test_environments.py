@@ -1,0 +1,200 @@
+"""The Gymnasium environments: checked, repeatable, side by side, and what they say they do."""
+
+import time
+import warnings
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import cmf_mj.environments
+from cmf_mj import InputError, load_law, pose_to_legs, simulate
+from cmf_mj.core.settings import validated
+from cmf_mj.environments.environment import FRAMES
+from cmf_mj.environments.excavator import ExcavatorEnv
+from cmf_mj.environments.hexapod import HexapodEnv
+from cmf_mj.environments.vector import ThreadVectorEnv, hexapods
+from cmf_mj.facility.session import OutOfBounds, Session
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.studies.mismatch import Mismatch
+
+SPREAD = {"distribution": "uniform", "deviation": 10.0, "status": "assumed", "source": "a test"}
+MISMATCH = validated(Mismatch, {"hydraulics": {"leg_speed": SPREAD}}, "test")
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("Hexapod", {}),
+        ("Hexapod", {"action": "valves"}),
+        ("Hexapod", {"action": "residual", "mismatch": MISMATCH}),
+        ("Excavator", {}),
+        ("Excavator", {"task": "reach"}),
+    ],
+)
+def test_the_checker_has_no_warning(name: str, options: dict[str, Any]) -> None:
+    env = gymnasium.make(f"cmf_mj/{name}-v0", **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped, skip_render_check=True)
+    width = sum(quantity.width for quantity in env.unwrapped.quantities)  # type: ignore[attr-defined]
+    assert env.observation_space.shape == (width,)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["Hexapod", "Excavator"])
+def test_a_picture_shows_the_machine(name: str) -> None:
+    env = gymnasium.make(f"cmf_mj/{name}-v0", render_mode="rgb_array", seconds=1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped)
+    env.reset(seed=0)
+    picture = env.render()
+    assert picture.shape == (480, 640, 3) and picture.std() > 5.0  # type: ignore[union-attr]
+    env.close()
+
+
+def run(env: Any, seed: int, steps: int = 12) -> list[Any]:
+    seen, _ = env.reset(seed=seed)
+    drawn = np.random.default_rng(seed)
+    told: list[Any] = [seen.tobytes()]
+    for _ in range(steps):
+        shape = env.action_space.shape
+        seen, reward, *_ = env.step(drawn.uniform(-0.3, 0.3, shape).astype(np.float32))
+        told += [seen.tobytes(), np.asarray(reward).tobytes()]
+    return told
+
+
+@pytest.mark.parametrize("options", [{}, {"action": "valves"}, {"mismatch": MISMATCH}])
+def test_a_seed_gives_its_bits_again_and_another_seed_others(options: dict[str, Any]) -> None:
+    first, again = HexapodEnv(**options), HexapodEnv(**options)
+    assert run(first, 3) == run(again, 3) == run(first, 3)
+    assert run(first, 3) != run(first, 4)
+
+
+def test_threads_give_the_bits_of_one_environment_after_the_other() -> None:
+    with_two, alone = hexapods(num_envs=3, threads=2), [HexapodEnv() for _ in range(3)]
+    seen, infos = with_two.reset(seed=7)
+    for index, env in enumerate(alone):
+        own, info = env.reset(seed=7 + index)
+        assert (own == seen[index]).all() and (info["target"] == infos["target"][index]).all()
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 6)).astype(np.float32)
+    for _ in range(5):
+        seen, rewards, *_ = with_two.step(actions)
+        for index, env in enumerate(alone):
+            own, reward, *_ = env.step(actions[index])
+            assert (own == seen[index]).all() and reward == rewards[index]
+    with_two.close()
+
+
+def test_a_pose_demand_is_the_run_of_that_ramp() -> None:
+    """Its legs are those of `simulate`, which engages on the first row of the ramp."""
+    env = HexapodEnv(seconds=1.0)
+    env.reset(seed=0, options={"target": np.zeros(6)})
+    actions = [np.array([0.0, 0.0, 0.1, 0.05, 0.0, 0.0]), np.array([0.1, 0.0, 0.1, 0.0, 0.0, 0.0])]
+    poses, asked = [], np.zeros(6)
+    for action in actions:
+        env.step(action.astype(np.float32))
+        aim = action.astype(np.float32).astype(float) * [0.3, 0.3, 0.2, 0.15, 0.15, 0.2]
+        poses.append(asked + np.arange(1, 65)[:, None] / 64 * (aim - asked))
+        asked = aim
+    legs = pose_to_legs(np.vstack([*poses, poses[-1][-1:]]))
+    record = simulate(Hexapod("gfd", "hardware"), load_law("velocity"), legs, legs=True)
+    assert env.session is not None
+    assert np.abs(record["leg_extension"][127] - env.session.memory.extension).max() < 1e-4
+
+
+def test_at_the_target_the_reward_is_nought_and_the_run_is_truncated() -> None:
+    env = HexapodEnv(seconds=0.25)
+    env.reset(seed=0, options={"target": np.zeros(6)})
+    ends = [env.step(np.zeros(6, dtype=np.float32)) for _ in range(8)]
+    assert [end[3] for end in ends] == [False] * 7 + [True]
+    assert -1e-3 < sum(end[1] for end in ends) <= 0.0
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.zeros(6, dtype=np.float32))
+
+
+def test_a_run_that_leaves_the_bounds_of_the_machine_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = HexapodEnv()
+    env.reset(seed=0)
+
+    def left(*_: object) -> None:
+        raise OutOfBounds("leg_1 is at 2 m", 0)
+
+    monkeypatch.setattr(Session, "run", left)
+    _, reward, done, cut, info = env.step(np.zeros(6, dtype=np.float32))
+    assert (reward, done, cut, info["left"]) == (-100.0, True, False, "leg_1 is at 2 m")
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.zeros(6, dtype=np.float32))
+
+
+def test_a_mismatch_draws_another_machine_for_each_run() -> None:
+    """A spread of 10 % in the legs' speeds shows in where the legs go."""
+    env, seen = HexapodEnv("valves", mismatch=MISMATCH), []
+    for seed in (1, 2, 1):
+        env.reset(seed=seed, options={"target": np.zeros(6)})
+        for _ in range(10):
+            here, *_ = env.step(np.full(6, 0.2, dtype=np.float32))
+        seen.append(here[:6])
+    apart = np.ptp(seen[0]) / seen[0].mean()
+    assert 0.02 < apart < 0.25
+    assert (seen[0] == seen[2]).all() and (seen[0] != seen[1]).any()
+
+
+def test_the_excavator_reaches_a_place_and_its_reward_counts_it() -> None:
+    env = ExcavatorEnv("reach", seconds=20.0)
+    seen, info = env.reset(seed=5)
+    worth, steps, done, cut = 0.0, 0, False, False
+    while not (done or cut):
+        towards = np.clip(2.0 * (seen[9:12] - seen[6:9]), -0.5, 0.5)
+        seen, reward, done, cut, info = env.step(towards)
+        worth, steps = worth + reward, steps + 1
+    assert done and info["places_left"] == 0
+    assert info["time"] == pytest.approx(steps * FRAMES / 2048)
+    assert worth == pytest.approx(10.0 - info["time"], abs=0.5)  # less pressure above half of proof
+
+
+def test_wrong_options_are_refused_by_name() -> None:
+    for make, words in (
+        (lambda: HexapodEnv("lever"), "action: 'lever'"),
+        (lambda: ExcavatorEnv("swim"), "task: 'swim'"),
+        (lambda: HexapodEnv(render_mode="human"), "render_mode: 'human'"),
+        (lambda: hexapods(num_envs=0), "num_envs, threads: 0"),
+    ):
+        with pytest.raises(InputError, match=words):
+            make()
+
+
+def test_vectors_are_made_by_gymnasium() -> None:
+    made = gymnasium.make_vec(
+        "cmf_mj/Excavator-v0",
+        num_envs=2,
+        vectorization_mode="vector_entry_point",
+        seconds=0.0625,
+    )
+    assert isinstance(made.unwrapped, ThreadVectorEnv) and cmf_mj.environments
+    made.reset(seed=0)
+    ends = [made.step(np.zeros((2, 3), dtype=np.float32)) for _ in range(3)]
+    assert [end[3].tolist() for end in ends] == [[False] * 2, [True] * 2, [False] * 2]
+    made.close()
+
+
+@pytest.mark.slow
+def test_threads_do_not_hold_one_another_up() -> None:
+    """In processor time, which does not depend on who else works here: two threads waste little."""
+
+    def cost(threads: int) -> float:
+        vector = hexapods(num_envs=8, threads=threads, seconds=60.0)
+        vector.reset(seed=0)
+        still = np.zeros((8, 6), dtype=np.float32)
+        vector.step(still)
+        begun = time.process_time()
+        for _ in range(40):
+            vector.step(still)
+        spent = time.process_time() - begun
+        vector.close()
+        return spent
+
+    assert min(cost(2) for _ in range(3)) < 1.15 * min(cost(1) for _ in range(3))
