@@ -1,17 +1,31 @@
 """Machines of any size: reflected mass, static forces and gimbals against independent formulas."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import cmf_mj
 from cmf_mj import signals
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.law import DCL_INPUTS, dcl_state_space
+from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.control.dcl import DclState, make_dcl, step
+from cmf_mj.control.feedback import LegFeedback
+from cmf_mj.control.law import load_law
+from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import State
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.electronics.sensors.settings import SensorSettings
+from cmf_mj.electronics.servo_electronics import ServoSettings
+from cmf_mj.facility.binding import bound
 from cmf_mj.facility.host.stream import from_command
-from cmf_mj.facility.operation import operate
+from cmf_mj.facility.operation import dcu_of, operate
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.machine import Machine, load_machine
+from cmf_mj.plant.parameters.loading import fitting, hydraulics_of
 from cmf_mj.plant.single_legs import design_point
 
 GRAVITY = 9.80665
@@ -141,6 +155,77 @@ def test_a_run_keeps_the_gimbals_closed_and_follows(name: str) -> None:
     assert record["gimbal_error"].max() < 1e-5
     assert record["platform_pose"][-1, 2] == pytest.approx(size, rel=0.05)
     assert record.metadata["machine"] == name
+
+
+@pytest.mark.parametrize("name", ["simona", "lab"])
+def test_the_law_that_a_machine_ships_with_is_stable(name: str) -> None:
+    """All poles of the loop in six degrees of freedom lie inside, with every cab."""
+    machine = load_machine(name)
+    law = load_law(machine.law)
+    assert f"cmf tune --machine {name} " in law.source
+    for cab in machine.cab_names:
+        plant = cmf_mj.Hexapod(load_cab(cab, machine))
+        taken = bound(law, plant)
+        assert taken.legs == machine.leg_sizes and taken.bound_modes is not None
+        assert np.abs(closed_loop(taken, linearize(plant)).poles()).max() < 1.0
+
+
+def test_a_law_counts_with_the_legs_of_its_machine() -> None:
+    """A force gain of 1 %/lbf acts on the annulus, the demand ends at the working stroke, and load
+    feedback weighs the pressures with the areas of the two sides."""
+    table = {
+        "title": "t",
+        "direct_gain": {"force": 1.0, "reference": 1.0},
+        "load_feedback": {"gain": 1.0, "corner": 1.0},
+    }
+    for name in ("cmf", "simona", "lab"):
+        machine = load_machine(name)
+        hydraulics = hydraulics_of(machine)
+        sizes = machine.leg_sizes
+        assert sizes.cap_area == pytest.approx(hydraulics.cap_area, rel=1e-12)
+        assert sizes.rod_area == pytest.approx(hydraulics.rod_area, rel=1e-12)
+        law = bound(load_law(table), cmf_mj.SingleLegs(machine=machine))
+        gain = dict(zip(DCL_INPUTS, dcl_state_space(law).D[0], strict=True))
+        newton = 0.01 / 4.4482216152605
+        cap = (sizes.force_area - 1e-3 * sizes.cap_area) * newton
+        assert gain["cap_pressure"] == pytest.approx(cap, rel=1e-9)
+        dcl = make_dcl(law, 1)
+        still = LegFeedback(*np.zeros((5, 1)))
+        step(dcl, DclState.zeros(1), np.array([9.0]), still)
+        assert dcl.workspace.limited[0] == machine.working_stroke
+
+
+def test_ranges_and_thresholds_go_with_the_machine(tmp_path: Path) -> None:
+    """Sensors read to the ends of the legs, converters and switches likewise; what a file states
+    stays; the CMF has its own settings to the bit."""
+    own = tmp_path / "own.toml"
+    own.write_text(
+        'base = "noisy"\n[own]\nleg_position = { highest = '
+        '{ value = 1.0, unit = "m", status = "stated", source = "test" } }\n'
+    )
+    assert fitting(load_machine()) is None
+    for name in ("simona", "lab"):
+        machine = load_machine(name)
+        parts = ElectronicsSettings(sensors=str(own)).of(machine)
+        assert isinstance(parts.sensors, SensorSettings)
+        assert isinstance(parts.servo, ServoSettings)
+        lowest, highest = parts.sensors.leg_position.lowest, parts.sensors.leg_position.highest
+        assert lowest is not None and highest is not None and highest.si == 1.0
+        assert lowest.si == pytest.approx(-machine.half_stroke)
+        switch = parts.servo.switch_position.si
+        assert switch == pytest.approx(37.7 / 38.0 * machine.half_stroke)
+        under = load_protection("default", fitting(machine)).under_pressure.threshold.si
+        assert under == pytest.approx(hydraulics_of(machine).supply_pressure.si / 1.5)
+
+
+def test_the_dcu_of_a_machine_is_used(tmp_path: Path) -> None:
+    dcu = tmp_path / "dcu.toml"
+    dcu.write_text('[delay]\ntransmission = { value = 9, unit = "1", status = "stated", ')
+    with dcu.open("a") as file:
+        file.write('source = "test" }\n')
+    machine = load_machine("lab").model_copy(update={"name": "mine", "dcu": str(dcu)})
+    assert dcu_of(machine).delay.transmission.value == 9
+    assert dcu_of(machine, "default").delay.transmission.value != 9
 
 
 def test_the_chain_counts_with_the_machine_s_gimbals_and_stroke() -> None:

@@ -48,7 +48,6 @@ from cmf_mj.control.reference_model import (
 )
 from cmf_mj.core.compiled import assign, compiled, inlined
 from cmf_mj.core.errors import InputError
-from cmf_mj.machine.machine import Machine, load_machine
 
 OFFSET_TIME = 0.5
 """Time constant with which the offset of a hand-over fades [s]."""
@@ -143,8 +142,8 @@ def _arrays(block: Any, prefix: str) -> dict[str, NDArray[np.float64]]:
     return arrays
 
 
-def make_dcl(law: Law, legs: int, machine: Machine | None = None) -> Dcl:
-    """Compile a law for a number of legs and the numbers of a machine, by default the CMF.
+def make_dcl(law: Law, legs: int) -> Dcl:
+    """Compile a law for a number of legs of its machine.
 
     Refused: a law in hydraulic modes for other than six legs, or not bound to a cab.
     """
@@ -154,18 +153,18 @@ def make_dcl(law: Law, legs: int, machine: Machine | None = None) -> Dcl:
             f"coordinates: law {law.name} runs in hydraulic modes of {len(modes.mass)} legs; "
             f"there are {legs}"
         )
-    carrier = machine or load_machine()
+    machine, sizes = law.machine, law.machine.leg_sizes
     return Dcl(
         modal=modes is not None,
         planned=law.plan is not None,
         damped=law.load_feedback is not None,
-        feedback=make_feedback(law, carrier.piston_area),
-        error=make_error_calculations(law, carrier.working_stroke),
+        feedback=make_feedback(law, sizes.force_area),
+        error=make_error_calculations(law, sizes.working_stroke),
         compensator=make_compensator(law, legs),
         model=make_model(law.reference_model, law.frame),
-        plan=make_plan(law.plan, modes, legs, law.frame, carrier),
+        plan=make_plan(law.plan, modes, legs, law.frame, machine),
         load_feedback=make_load_feedback(
-            law.load_feedback, modes if law.plan else None, legs, law.frame
+            law.load_feedback, sizes, modes if law.plan else None, legs, law.frame
         ),
         shape=make_shape(modes, legs),
         offset_stays=float(np.exp(-law.frame / OFFSET_TIME)),

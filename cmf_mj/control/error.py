@@ -3,7 +3,7 @@
 With e = reference - position and T the frame:
 
     integral:   I[k+1] = clip(I[k] + T e_i[k], +-limit),  e_i = reference - position above the
-                trigger, reference - (-37.5 in) below it
+                trigger, reference - (-37.5 in, the lower end) below it
     rates:      d = p (s - z),  z[k+1] = z[k] + T d[k]   for s = e and for s = reference
 
 The rate of s is thus s p / (s + p), built from an integrator as in Figure 3-6. The velocity error
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
+from cmf_mj.machine.machine import load_machine
 
 
 class ErrorState(NamedTuple):
@@ -39,11 +40,15 @@ class ErrorCalculations(NamedTuple):
 
 
 def make_error_calculations(law: Law, travel: float) -> ErrorCalculations:
-    """Take the error block's parameters from a law, on legs of a working stroke +-travel [m]."""
+    """Take the error block's parameters from a law, on legs of a working stroke +-travel [m].
+
+    The trigger is as far above their lower end as above that of the CMF's.
+    """
     return ErrorCalculations(
         derivative_pole=law.derivative_pole,
         integrator_limit=law.integrator_limit * units.INCH,
-        integrator_trigger=law.integrator_trigger * units.INCH,
+        integrator_trigger=law.integrator_trigger * units.INCH
+        + (load_machine().working_stroke - travel),
         travel=travel,
         frame=law.frame,
     )

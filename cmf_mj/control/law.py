@@ -27,6 +27,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, unknown_name
 from cmf_mj.core.rates import FASTEST_RATE, RATE, SLOWEST_RATE
 from cmf_mj.core.settings import Name, Settings, checked_name, merged, read_toml, validated
+from cmf_mj.machine.machine import Machine, load_machine
 
 SIGNAL_UNITS = {
     "reference": units.INCH,
@@ -144,6 +145,8 @@ class Law(Settings):
     those alone. A table of a law file without modes has the shipped ones, `modes.toml`."""
     rate: Annotated[int, Field(ge=SLOWEST_RATE, le=FASTEST_RATE)] = RATE
     """Control frames a second for which A, B and the accelerometer filter are given [Hz]."""
+    machine: Machine = Field(default_factory=load_machine, exclude=True)
+    """Motion base that it is bound to, whose stroke, areas and geometry count; default the CMF."""
     title: str = Field(min_length=1)  #: Name for figures and tables.
     source: str = ""  #: Where the gains come from.
     state_gain: Annotated[float, Field(gt=-1.0, lt=1.0)] = 0.0
@@ -159,7 +162,7 @@ class Law(Settings):
     integrator_trigger: Annotated[float, Field(ge=-40.0, le=37.5)] = -37.0
     """Leg position below which the integrator takes -37.5 in for it [in]: half an inch above
     the bottom stop (section 3.2.1). No leg comes below the mechanical stop at -38 in: a trigger
-    there is none at all."""
+    there is none at all. Legs of another working stroke have it as far above its lower end."""
     accelerometer_pole: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.9924
     """Pole of the accelerometer filter gain / (z - pole), Eq 3.6."""
     accelerometer_gain: float = 0.007588  #: Gain of the accelerometer filter, Eq 3.6.
@@ -225,6 +228,14 @@ class Law(Settings):
     def frame(self) -> float:
         """Control frame T [s]."""
         return 1.0 / self.rate
+
+    def on(self, machine: Machine) -> "Law":
+        """The law bound to a machine, at its control rate.
+
+        Raises:
+            InputError: as `at_rate`.
+        """
+        return self.at_rate(machine.rate).model_copy(update={"machine": machine})
 
     def at_rate(self, rate: int) -> "Law":
         """The same law at another control rate [Hz].

@@ -21,9 +21,7 @@ from cmf_mj.control.coordinates import Modes, PerMode, mode_mass, spread
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.settings import Settings
-
-BORE, ROD = 5.5 * units.INCH, 3.875 * units.INCH
-"""Diameters of bore and rod [m] (section 2.1)."""
+from cmf_mj.machine.machine import LegSizes
 
 
 class LoadFeedback(Settings):
@@ -44,11 +42,11 @@ class CompiledLoadFeedback(NamedTuple):
 
 
 def make_load_feedback(
-    settings: LoadFeedback | None, modes: Modes | None, legs: int, frame: float
+    settings: LoadFeedback | None, sizes: LegSizes, modes: Modes | None, legs: int, frame: float
 ) -> CompiledLoadFeedback:
     """Compile the block; None for none. Modes are those of a plan, whose forces are not damped."""
     mass = np.zeros(legs) if modes is None else mode_mass(modes)
-    cap, rod = 0.25 * np.pi * BORE**2, 0.25 * np.pi * (BORE**2 - ROD**2)
+    cap, rod = sizes.cap_area, sizes.rod_area
     if settings is None:
         return CompiledLoadFeedback(cap, rod, np.zeros(legs), mass, 0.0)
     gain = spread(settings.gain, legs) * units.PERCENT / (1000.0 * units.POUND_FORCE)

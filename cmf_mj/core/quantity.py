@@ -104,6 +104,12 @@ class Kind(NamedTuple):
         return quantity
 
 
+def _one_or_two(quantity: Quantity) -> Quantity:
+    if quantity.value not in (1.0, 2.0):
+        raise InputError(f"{quantity.value:g} is refused: must be 1 or 2")
+    return quantity
+
+
 _LENGTH, _PRESSURE = ("in", "m", "mm"), ("psi", "Pa", "bar")
 _FORCE, _VOLUME, _FLOW = ("lbf", "N", "kN"), ("gal", "m^3", "l"), ("gpm", "m^3/s", "l/min", "lpm")
 _CONDUCTANCE = ("gpm/psi", "m^3/s/Pa", "lpm/bar")
@@ -132,6 +138,7 @@ Bias = Annotated[Quantity, AfterValidator(Kind(("1", "%"), signed=True, below=1.
 Opening = Annotated[Quantity, AfterValidator(Kind(("1", "%"), at_most=1.0).check)]
 Exponent = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=1.67).check)]
 Count = Annotated[Quantity, AfterValidator(Kind(("1",), zero=True).check)]
+OneOrTwo = Annotated[Count, AfterValidator(_one_or_two)]
 Density = Annotated[Quantity, AfterValidator(Kind(("kg/m^3",)).check)]
 
 

@@ -5,7 +5,7 @@ import json
 import re
 import sys
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -200,6 +200,10 @@ def merged(
     return table
 
 
+Fitting = Callable[[dict[str, Any]], dict[str, Any]]
+"""What makes the shipped table, which is for the CMF, that of another machine."""
+
+
 def named_set(
     what: str,
     names: Sequence[str],
@@ -209,15 +213,17 @@ def named_set(
     levels: int = 1,
     fixed: Sequence[str] = (),
     based: bool = True,
+    fitted: Fitting | None = None,
 ) -> tuple[dict[str, Any], str]:
     """The table, with its `name`, of a shipped set or a user's file, and what errors call it.
 
     A shipped set has the entries of the table `[common]`, if there is one, and of the table of its
     name. A user's file names a shipped set as `base` (unless `based` is false: then it holds every
     entry) and holds one table, named after the new set, with what it changes. It may not change the
-    `fixed` fields. Errors call a set `what`; `levels` are those of `merged`.
+    `fixed` fields. Errors call a set `what`; `levels` are those of `merged`. The shipped tables are
+    `fitted` first.
     """
-    tables = read_toml(shipped)
+    tables = read_toml(shipped) if fitted is None else fitted(read_toml(shipped))
     sets = {name: tables.get("common", {}) | tables[name] for name in names}
     if str(source) in sets:
         return sets[str(source)] | {"name": str(source)}, f"{shipped.name}: {source}"
@@ -276,8 +282,12 @@ class Loader(Generic[Model]):
     default: str = "default"  #: What is loaded without a source.
     based: bool = True  #: Whether a file of the user has a `base`.
 
-    def __call__(self, source: str | Path | Model | None = None) -> Model:
+    def __call__(
+        self, source: str | Path | Model | None = None, fitted: Fitting | None = None
+    ) -> Model:
         """Load `source`: a shipped set by name, a user's TOML file, or what is loaded already.
+
+        Shipped numbers are `fitted` to a machine first; those of a file stay as they are.
 
         Raises:
             InputError: unknown set, unreadable file or a refused field; each is named.
@@ -285,18 +295,18 @@ class Loader(Generic[Model]):
         if isinstance(source, self.model):
             return source
         chosen = self.default if source is None else str(source)
-        if chosen in (self.names or (self.default,)):
+        if fitted is None and chosen in (self.names or (self.default,)):
             return _once(self, chosen)
-        return self.read(chosen)
+        return self.read(chosen, fitted)
 
-    def read(self, chosen: str) -> Model:
+    def read(self, chosen: str, fitted: Fitting | None = None) -> Model:
         """Read the files that a shipped set or a user's file is made of; errors as of the call."""
         if self.names:
-            named = named_set(
-                self.what, self.names, self.shipped, chosen, levels=self.levels, based=self.based
+            how: Any = {"levels": self.levels, "based": self.based, "fitted": fitted}
+            return validated(
+                self.model, *named_set(self.what, self.names, self.shipped, chosen, **how)
             )
-            return validated(self.model, *named)
-        table = read_toml(self.shipped)
+        table = read_toml(self.shipped) if fitted is None else fitted(read_toml(self.shipped))
         if chosen == self.default:
             return validated(self.model, table, self.shipped.name)
         if self.what:

@@ -38,6 +38,7 @@ from cmf_mj.machine import models
 from cmf_mj.machine.gravity import LegAxesState, leg_axes_state
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant.events import read_position
+from cmf_mj.plant.parameters.loading import fitting
 
 
 class ElectronicsSettings(NamedTuple):
@@ -49,14 +50,21 @@ class ElectronicsSettings(NamedTuple):
     """File of changes to the servo electronics; default the shipped ones."""
     seed: int = 0  #: Of the sensors' noise.
 
-    def describe(self) -> dict[str, Any]:
-        """What a record keeps of the electronics."""
-        return {
-            "sensors": load_sensors(self.sensors).model_dump(mode="json"),
-            "converters": load_converters(self.converters).model_dump(mode="json"),
-            "servo": servo.load_servo_settings(self.servo).model_dump(mode="json"),
-            "sensor_seed": self.seed,
-        }
+    def of(self, machine: Machine) -> "ElectronicsSettings":
+        """All loaded, with the ranges of a machine; see `plant.parameters.loading.fitting`."""
+        fitted = fitting(machine)
+        return ElectronicsSettings(
+            load_sensors(self.sensors, fitted),
+            load_converters(self.converters, fitted),
+            servo.load_servo_settings(self.servo, fitted),
+            self.seed,
+        )
+
+    def describe(self, machine: Machine) -> dict[str, Any]:
+        """What a record keeps of the electronics of a machine."""
+        parts = self.of(machine)._asdict()
+        seed = parts.pop("seed")
+        return {n: s.model_dump(mode="json") for n, s in parts.items()} | {"sensor_seed": seed}
 
 
 class Electronics(NamedTuple):
@@ -87,12 +95,12 @@ def make_electronics(
 
     Sensors that feel gravity on other than six legs are refused.
     """
-    active = settings is not None
-    settings = settings or ElectronicsSettings(sensors="ideal", converters="off")
+    active, carrier = settings is not None, load_machine(machine)
+    settings = (settings or ElectronicsSettings(sensors="ideal", converters="off")).of(carrier)
     legs = at_rest.position.shape[0]
     truth = LegFeedback(*(np.array(values, dtype=float) for values in at_rest))
-    frame = load_machine(machine).frame
-    sensors = make_sensors(load_sensors(settings.sensors), 1.0 / frame, settings.seed, machine)
+    frame = carrier.frame
+    sensors = make_sensors(load_sensors(settings.sensors), 1.0 / frame, settings.seed, carrier)
     converters = make_converters(load_converters(settings.converters), frame)
     state = sensor_state(sensors, truth)
     reading = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))

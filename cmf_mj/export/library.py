@@ -30,7 +30,6 @@ from cmf_mj.export.machine import Frozen, Image, freeze, make_image
 from cmf_mj.export.machine_code import constant_data, machine_code
 from cmf_mj.facility.binding import bound
 from cmf_mj.machine.cab import Cab, load_cab
-from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.plant import Plant
 
 _SOURCES = Path(__file__).with_name("c")
@@ -154,9 +153,9 @@ def law_frame(parts, first, last):  # type: ignore[no-untyped-def]
     dcl.step(parts.dcl, parts.state, parts.reference, parts.feedback)
 
 
-def law_parts(law: Law, machine: Machine | None = None) -> LawParts:
+def law_parts(law: Law) -> LawParts:
     """A law bound to its machine, by default the CMF, engaged at neutral at rest."""
-    block, still = dcl.make_dcl(law, LEGS, machine), np.zeros(LEGS)
+    block, still = dcl.make_dcl(law, LEGS), np.zeros(LEGS)
     feedback = LegFeedback(*(np.zeros(LEGS) for _ in LegFeedback._fields))
     return LawParts(block, engaged(block, still, feedback), still, feedback)
 
@@ -178,7 +177,7 @@ def export_law(law: str | Path | Law, out: Path, cab: str | Path | Cab | None = 
     """
     carried = load_cab(cab)
     chosen = bound(load_law(law), carried.known_as)
-    parts = law_parts(chosen, carried.machine)
+    parts = law_parts(chosen)
     image = make_image(parts)
     files = copy_sources("law", out)
     blocks = {

@@ -30,6 +30,7 @@ from cmf_mj.facility.session import Session, Table
 from cmf_mj.plant.build import PLANTS
 from cmf_mj.plant.events import Timeline
 from cmf_mj.plant.headless import saved
+from cmf_mj.plant.parameters.loading import fitting
 from cmf_mj.plant.plant import Plant
 
 _ALIGNED = 64
@@ -214,7 +215,8 @@ def _session(
         start = Start(State.ENGAGED, np.zeros(6), [(0.0, Request.NONE)])
         log = make_log(ARRIVALS)
         return facility_session(plant, law, log, settings, start, options)
-    guard = load_protection("default") if protection and law is not None else None
+    guarded = protection and law is not None
+    guard = load_protection("default", fitting(plant.machine)) if guarded else None
     options = options._replace(protection=guard, command_delay=0 if law is None else 1)
     rows = np.zeros((1, plant.legs))
     if law is not None:

@@ -54,20 +54,20 @@ def modes_of_cab(cab: Cab) -> Modes:
 
 
 def bound(law: Law, machine: str | Cab | Plant) -> Law:
-    """A law bound to a machine, at its control rate.
+    """A law bound to a machine, at its control rate and with the sizes of its legs.
 
     Args:
         law: in legs, which needs no modes, or in hydraulic modes.
-        machine: plant or cab, or name of a plant without cabs, which tells no rate.
+        machine: plant or cab, or name of a plant without cabs, which tells neither.
 
     Raises:
         InputError: a law in hydraulic modes has none of a CMF's cab or of a plant without cabs.
     """
     if isinstance(machine, Plant):
-        return bound(law, machine.law_key).at_rate(machine.machine.rate)
+        return bound(law, machine.law_key).on(machine.machine)
     if isinstance(machine, str):
         return law.bound_to(machine)
-    law = law.at_rate(machine.machine.rate)
+    law = law.on(machine.machine)
     stated = machine.name in law.modes or (machine.own and machine.machine.name == CMF)
     if law.coordinates == "legs" or stated:
         return law.bound_to(machine.name)

@@ -47,6 +47,7 @@ from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.loading import fitting
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 
@@ -57,7 +58,7 @@ _RESTING = 0.05
 class FacilitySettings(NamedTuple):
     """Choice of everything between host and valves; names, TOML files or loaded settings."""
 
-    dcu: str | Path | DcuSettings = "default"  #: Digital Control Unit.
+    dcu: str | Path | DcuSettings | None = None  #: Digital Control Unit; default the machine's.
     limits: str | Path | MotionLimits | None = None
     """Limits of platform and legs; default Table 2-1 with the assumed rates."""
     states: str | Path | StateSettings | None = None  #: Operating states.
@@ -147,7 +148,9 @@ def operate(
     if not arrivals.frame.size:
         raise InputError("frames: the host sends none; give at least one")
     settings = options.get("facility") or FacilitySettings()
-    last = arrivals.frame[-1] / rate + sum(load_dcu(settings.dcu).delay.parts(rate).values())
+    last = arrivals.frame[-1] / rate + sum(
+        dcu_of(plant.machine, settings.dcu).delay.parts(rate).values()
+    )
     count = _count(last if seconds is None else seconds, rate)
     pose = starting_pose(
         arrivals.values[0, 0], load_motion_limits(settings.limits, plant.machine), plant.machine
@@ -200,6 +203,11 @@ def serve(
     unused |= {"lost": int(ring.lost[0]) - lost, "thinned": int(ring.thinned[0]) - thinned}
     timing = None if pace is None else Timing(pace.busy, pace.late, plant.machine.frame)
     return _operation(session, arrivals, settings, start.pose, unused, timing)
+
+
+def dcu_of(machine: Machine, source: str | Path | DcuSettings | None = None) -> DcuSettings:
+    """A DCU fitted to a machine, by default the machine's."""
+    return load_dcu(machine.dcu if source is None else source, fitting(machine))
 
 
 def _start(options: OperationOptions, pose: NDArray[np.float64]) -> Start:
@@ -276,10 +284,10 @@ def facility_session(
     legs = np.full(6, _resting(machine)) if down else kinematics.pose_to_legs(start.pose, machine)
     chain = make_chain(
         Blocks(
-            make_dcu(load_dcu(settings.dcu), machine.frame),
+            make_dcu(dcu_of(machine, settings.dcu), machine.frame),
             limiter.make_pose_limiter(limits, machine.frame),
             settings.demand or make_demand(machine),
-            states.make_states(load_state_settings(settings.states), machine),
+            states.make_states(load_state_settings(settings.states, fitting(machine)), machine),
             limiter.make_leg_limiter(limits, frame=machine.frame),
         ),
         arrivals,
@@ -292,7 +300,7 @@ def facility_session(
     protection = settings.protection
     run = options._replace(
         start=kinematics.legs_to_pose(legs, machine) if down else start.pose,
-        protection=None if protection is None else load_protection(protection),
+        protection=None if protection is None else load_protection(protection, fitting(machine)),
         electronics=settings.electronics,
     )
     session = Session(plant, law, chain, run, pace)
@@ -310,7 +318,7 @@ def _operation(
     timing: Timing | None,
 ) -> Operation:
     time, channels, units = session.history()
-    chain, unit = session.chain, load_dcu(settings.dcu)
+    chain, unit = session.chain, dcu_of(session.plant.machine, settings.dcu)
     counts, rejections = chain.dcu_state.counts, chain.dcu_state.rejections
     context: dict[str, Any] = {
         "command": {"signal": "host frames", "frames": int(arrivals.frame.size)},

@@ -91,14 +91,14 @@ def replay(record: Record, law: str | Law, feedback: Mapping[str, str] | None = 
     cab = recorded_cab(made)
     carrier = recorded_machine(made)
     loaded = bound(load_law(law), cab.known_as if cab else str(made.get("plant", "")))
-    loaded, every = loaded.at_rate(carrier.rate), _every(record, carrier.rate)
+    loaded, every = loaded.on(carrier), _every(record, carrier.rate)
     histories = _feedback(record, loaded, feedback or {})
     reference = _legs(record, "leg_reference")
     if every > 1:
         reference = _raised(reference, every)
         histories = LegFeedback(*(_raised(h, every) for h in histories))
     frames, legs = reference.shape
-    dcl = control.make_dcl(loaded, legs, carrier)
+    dcl = control.make_dcl(loaded, legs)
     first = LegFeedback(*(history[0].copy() for history in histories))
     state = _begun(record, loaded, legs) or engaged(dcl, reference[0], first)
     output = np.empty((frames, legs))

@@ -143,7 +143,7 @@ class Session:
         chain = source if isinstance(source, Chain) else None
         bare = options.electronics is None and chain is None
         parts = None if bare else make_electronics(options.electronics, at_rest, plant.machine)
-        dcl = control.make_dcl(law or _NO_LAW.at_rate(self.rate), plant.legs, plant.machine)
+        dcl = control.make_dcl(law or _NO_LAW.on(plant.machine), plant.legs)
         compensated = dcl.feedback.gravity_compensation
         measure(parts, self.machine.faults, 0, at_rest, compensated, feedback)
         poses = table.poses
@@ -270,7 +270,7 @@ class Session:
             "law_state": self._begun if law else {},
             "events": [event.model_dump(exclude_none=True) for event in self._events],
             "fault": detected,
-            "electronics": electronics.describe() if electronics else None,
+            "electronics": electronics.describe(self.plant.machine) if electronics else None,
             "sample_rate": self.rate / self.every,
             "command_delay": self.controller.delay,
             "versions": dict(_VERSIONS),
@@ -304,7 +304,7 @@ class Session:
         """Hand over to another law, from the next frame on, as `control.engage` says."""
         self._engaged = bound(law, self.plant)
         controller, memory = self.controller, self.memory
-        dcl = control.make_dcl(self._engaged, self.plant.legs, self.plant.machine)
+        dcl = control.make_dcl(self._engaged, self.plant.legs)
         limited = controller.dcl.workspace.limited
         reference = limited.copy() if self.frame else memory.feedback.position
         parts = controller.electronics

@@ -17,6 +17,7 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.options import Options, RunOptions
 from cmf_mj.facility.session import OutOfBounds, Session, Table
 from cmf_mj.machine.kinematics import pose_to_legs
+from cmf_mj.plant.parameters.loading import fitting
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, commanded
@@ -87,7 +88,7 @@ def simulate(
         "command": demanded.description if demanded else {"signal": "leg extensions"},
         "seed": demanded.seed if demanded else None,
     }
-    guard = None if protection is None else load_protection(protection)
+    guard = None if protection is None else load_protection(protection, fitting(plant.machine))
     session = Session(
         plant, loaded, table, Options(protection=guard, electronics=electronics, **options)
     )

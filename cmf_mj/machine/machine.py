@@ -24,7 +24,7 @@ Files that a machine names lie beside it.
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ from cmf_mj.core.errors import InputError, within
 from cmf_mj.core.quantity import Area, Kind, Length, Points, Quantity
 from cmf_mj.core.rates import FASTEST_RATE, RATE, SLOWEST_RATE
 from cmf_mj.core.settings import Name, Settings, merged, read_toml, user_file, validated
-from cmf_mj.core.units import HERTZ
+from cmf_mj.core.units import HERTZ, INCH
 from cmf_mj.machine import mjcf, models
 from cmf_mj.machine.bodies import Legs, Mass, Place, RigidBody
 from cmf_mj.machine.geometry import FLIP, Geometry, make_geometry, paired_circles
@@ -44,6 +44,9 @@ _LENGTHS = ("m", "mm", "in", "ft")
 _SINGULAR = 1e3
 """Condition number of the Jacobian at neutral above which the legs do not hold the platform; 3 to 6
 in usual machines."""
+
+_BORE, _ROD = 5.5 * INCH, 3.875 * INCH
+"""Diameters of the CMF's bore and rod [m] (section 2.1)."""
 
 _COORDINATES = ("upper", "lower")
 _CIRCLES = ("upper_radius", "upper_spacing", "lower_radius", "lower_spacing", "height")
@@ -158,6 +161,15 @@ class SingleLeg(Settings):
     """Axial load at rest."""
 
 
+class LegSizes(NamedTuple):
+    """What a control law counts with of the legs that it runs on."""
+
+    working_stroke: float  #: Travel from neutral either way that a demand may use [m].
+    force_area: float  #: Area that turns a pressure difference into force (Eq 3.7) [m^2].
+    cap_area: float  #: Of the piston on the cap's side [m^2].
+    rod_area: float  #: Of the piston on the rod's side [m^2].
+
+
 class Machine(Settings):
     """A motion base with six legs, as a data sheet describes it; see `load_machine`.
 
@@ -184,7 +196,7 @@ class Machine(Settings):
     floor: _Height | None = None
     """Height of the floor, z as in `axes`; default a tenth of the height below the gimbals."""
     force_area: Area | None = None
-    """Area that turns pressures into force in the control law (Eq 3.7); see `piston_area`."""
+    """Area that turns pressures into force in the control law (Eq 3.7); default the rod's side."""
 
     def __hash__(self) -> int:
         """By name: machines of one name are told apart by `==`."""
@@ -268,16 +280,25 @@ class Machine(Settings):
         return float(self.geometry.neutral.min()) - self.half_stroke
 
     @property
-    def piston_area(self) -> float:
-        """Area of Eq 3.7 [m^2]: the annulus of the table `hydraulics`, or the CMF's, as stated."""
-        if self.force_area is not None:
-            return self.force_area.si
+    def leg_sizes(self) -> LegSizes:
+        """Stroke, and piston areas of the table `hydraulics`, by default the CMF's."""
         table = {} if isinstance(self.hydraulics, str) else self.hydraulics
-        sizes = [table.get(f"{part}_diameter") for part in ("bore", "rod")]
-        if None in sizes:
-            return load_machine().piston_area
-        bore, rod = (validated(Quantity, size, "hydraulics").si for size in sizes)
-        return 0.25 * np.pi * (bore**2 - rod**2)
+
+        def stated(field: str, default: float) -> float:
+            given = table.get(field)
+            return (
+                default if given is None else validated(Quantity, given, f"hydraulics.{field}").si
+            )
+
+        bore, rod = stated("bore_diameter", _BORE), stated("rod_diameter", _ROD)
+        rods = stated("rods", 1.0)
+        area = 0.25 * np.pi * (bore**2 - rod**2)
+        return LegSizes(
+            working_stroke=self.working_stroke,
+            force_area=area if self.force_area is None else self.force_area.si,
+            cap_area=0.25 * np.pi * (bore**2 - (rods - 1.0) * rod**2),
+            rod_area=area,
+        )
 
     @property
     def accelerometer_distance(self) -> float:

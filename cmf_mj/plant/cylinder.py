@@ -167,8 +167,9 @@ def holding_pressures(
     """Pressures (n, 2) of cap and rod that hold static loads [N] with the valve closed.
 
     Loads (n,) that press the leg together are positive; the cylinder is one, or one for each.
-    Piston leakage ends at p_cap = p_rod = F / (A_cap - A_rod); without leakage any pair with the
-    right force stays, and the valve's own null p_cap + p_rod = Ps + Pt is taken. The pair is kept
+    Piston leakage ends at p_cap = p_rod = F / (A_cap - A_rod). Without leakage any pair with the
+    right force stays, and with leakage and equal areas none does: then the valve's own null
+    p_cap + p_rod = Ps + Pt is taken. The pair is kept
     between return and supply pressure as far as the load allows; loads beyond the stall forces are
     refused.
     """
@@ -182,9 +183,10 @@ def holding_pressures(
             f"static load of leg {leg + 1}: {loads[leg]:.0f} N cannot be held by a supply of "
             f"{supply:.0f} Pa; allowed: {low[leg]:.0f} to {high[leg]:.0f} N"
         )
+    apart = cap_area - rod_area
     rod = np.where(
-        cylinder.leakage > 0.0,
-        loads / (cap_area - rod_area),
+        (cylinder.leakage > 0.0) & (apart > 0.0),
+        loads / np.where(apart > 0.0, apart, 1.0),
         (cap_area * (supply + tank) - loads) / (cap_area + rod_area),
     )
     # p_rod must lie in [tank, supply] and so must p_cap = (F + A_rod p_rod) / A_cap.

@@ -1,4 +1,4 @@
-"""Servo-valve, two to an actuator: lags, play, lap, then four-way matched-port orifice flow.
+"""Servo-valve, one or two to an actuator: lags, play, lap, then four-way matched-port orifice flow.
 
 From the command fraction c, held over a step, to the spool position u, with the corners a and b of
 drive and spool, null bias n and the play p between drive and spool (hysteresis):
@@ -66,7 +66,8 @@ def make_valves(
 
     def one(actuator: str, index: int) -> Valve:
         numbers = parameters.actuator(actuator, index)
-        speed = numbers["leg_speed"].si / unit_flow * numbers["valve_flow"].si / len(VALVES)
+        share = 1.0 / numbers["valves"].si if index < numbers["valves"].si else 0.0
+        speed = numbers["leg_speed"].si / unit_flow * numbers["valve_flow"].si * share
         corners = numbers["drive_lag"].si, numbers["valve_lag"].si
         inner_weights, weights = lag_weights(*corners, inner), lag_weights(*corners, outer)
         return Valve(

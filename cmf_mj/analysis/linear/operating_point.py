@@ -277,6 +277,8 @@ def _rest_by_newton(
         rod = (ratio**2 * (most - share) + least) / (1.0 + ratio)
         cap = share + rod / ratio
         if way * (cap - rod) < _APART * high:  # laminar flow may yet hold it, at a small opening
+            if ratio == 1.0:  # areas alike: the load alone sets cap - rod
+                continue
             rod = (share - way * _APART * high) / (1.0 - 1.0 / ratio)
             cap = share + rod / ratio
         drop = high - cap if way > 0.0 else cap - low

@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import load_state_settings
@@ -25,6 +24,7 @@ from cmf_mj.core.settings import (
 )
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.binding import bound
+from cmf_mj.facility.operation import dcu_of
 from cmf_mj.facility.scenario.signal import Signal
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.models import CMF
@@ -140,7 +140,7 @@ class OperationChoice(Settings):
     request: tuple[RequestAt, ...] = (RequestAt(at=0.0, request="engage"),)  #: Operator's requests.
     host_every: Annotated[int, Field(ge=1, le=RATE)] = 26
     """Control frames from one host frame to the next; 26 are 78.8 Hz."""
-    dcu: str = "default"  #: Digital Control Unit, `default` or a file.
+    dcu: str | None = None  #: Digital Control Unit, `default` or a file; default the machine's.
     limits: str | None = None  #: File of the limits of platform and legs.
     states: str | None = None  #: File of the operating states' times.
 
@@ -217,11 +217,11 @@ class Scenario(Settings):
         if self.protection is not None:
             load_protection(self.protection)
         if self.electronics is not None:
-            ElectronicsSettings(**dict(self.electronics)).describe()
+            ElectronicsSettings(**dict(self.electronics)).of(self.carried.machine)
         if self.operation is not None:
             if self.plant != "hexapod":
                 raise InputError(f"operation: is for the hexapod, plant is {self.plant}")
-            load_dcu(self.operation.dcu)
+            dcu_of(self.carried.machine, self.operation.dcu)
             load_motion_limits(self.operation.limits, self.carried.machine)
             load_state_settings(self.operation.states)
 
@@ -276,7 +276,9 @@ class Scenario(Settings):
 
     def begun_law(self) -> Law:
         """The law at the start, bound to the machine."""
-        return bound(overlaid_law(load_law(self.law), self.gains), self.law_key).at_rate(self.rate)
+        return bound(overlaid_law(load_law(self.law), self.gains), self.law_key).on(
+            self.carried.machine
+        )
 
     @property
     def frames(self) -> int | None:

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.control.law import Law
 from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import Request, State
@@ -20,6 +19,7 @@ from cmf_mj.facility.host.handover import make_log
 from cmf_mj.facility.operation import (
     FacilitySettings,
     Start,
+    dcu_of,
     facility_session,
     starting_pose,
 )
@@ -30,6 +30,7 @@ from cmf_mj.facility.session import Session, Table
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.loading import fitting
 from cmf_mj.plant.plant import Plant
 
 BLOCK = 1024
@@ -53,7 +54,9 @@ class TableSource:
             Table(self._table, self._poses),
             _options(scenario)._replace(
                 start=self._poses[0],
-                protection=None if protection is None else load_protection(protection),
+                protection=None
+                if protection is None
+                else load_protection(protection, fitting(plant.machine)),
                 electronics=scenario.chosen_electronics(),
             ),
         )
@@ -137,7 +140,7 @@ class ChainSource:
         """What a record keeps of it."""
         state = self.session.chain.dcu_state
         return {
-            "dcu": load_dcu(self._settings.dcu).model_dump(mode="json"),
+            "dcu": dcu_of(self.session.plant.machine, self._settings.dcu).model_dump(mode="json"),
             "host_counts": state.counts,
             "host_rejections": state.rejections,
         }

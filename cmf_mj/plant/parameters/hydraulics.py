@@ -18,7 +18,7 @@ from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Name, Settings
 
 VALVES = ("valve_1", "valve_2")
-"""The two servo-valves of an actuator."""
+"""The servo-valves of an actuator; the second passes nothing where there is one."""
 
 
 class _Valve(Settings):
@@ -26,7 +26,7 @@ class _Valve(Settings):
 
     drive_lag: kind.Corner  #: Corner of the servo drive's first-order lag.
     valve_lag: kind.Corner  #: Corner of the spool's first-order lag.
-    valve_flow: kind.Ratio  #: Rated flow over the nominal, which is half of what `leg_speed` needs.
+    valve_flow: kind.Ratio  #: Rated flow over the nominal, its share of what `leg_speed` needs.
     null_bias: kind.Bias  #: Spool position at no command, in full strokes of the spool.
     overlap: kind.Share  #: Spool travel either side of centre that opens nothing, in full strokes.
     hysteresis: kind.Share  #: Full width of the play between drive and spool, in full strokes.
@@ -39,6 +39,9 @@ class _Actuator(_Valve):
 
     bore_diameter: kind.Length  #: Diameter of the cylinder bore.
     rod_diameter: kind.Length  #: Diameter of the rod; smaller than the bore.
+    rods: kind.OneOrTwo
+    """1 for a rod on one side, 2 for one that passes through: a symmetric cylinder, Ac = Ar."""
+    valves: kind.OneOrTwo  #: Servo-valves: 1, or 2 in tandem that share the flow.
     half_stroke: kind.Length  #: Half of the mechanical stroke, the chamber lengths at neutral.
     minimum_gap: kind.Length
     """Length of a chamber at its stop; approached over the last twenty times of it."""
@@ -197,7 +200,8 @@ def _ordered(
 
 def cap_area(values: Mapping[str, Quantity]) -> float:
     """Ac [m^2] of an actuator's quantities."""
-    return np.pi / 4.0 * values["bore_diameter"].si ** 2
+    through = (values["rods"].si - 1.0) * values["rod_diameter"].si ** 2
+    return np.pi / 4.0 * (values["bore_diameter"].si ** 2 - through)
 
 
 def rod_area(values: Mapping[str, Quantity]) -> float:

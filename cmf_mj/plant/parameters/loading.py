@@ -4,12 +4,13 @@
 'report'
 """
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.settings import Loader, merged, validated
-from cmf_mj.machine.machine import Machine
+from cmf_mj.core.settings import Fitting, Loader, merged, validated
+from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 
 HYDRAULICS = ("report", "hardware", "lossy")
@@ -54,3 +55,39 @@ def _own(machine: Machine) -> HydraulicParameters:
     return validated(
         HydraulicParameters, merged(base.model_dump(exclude_none=True), changes, 0) | own, where
     )
+
+
+_LENGTHS, _SPEEDS, _PRESSURES = ("in", "m", "mm"), ("in/s", "m/s", "mm/s"), ("psi", "Pa", "bar")
+
+
+@lru_cache
+def fitting(machine: Machine) -> Fitting | None:
+    """Fits shipped settings, whose numbers are the CMF's, to another machine; None for the CMF.
+
+    Ranges, thresholds, tolerances and noise go with what they belong to: lengths with the half
+    stroke, speeds with the limit of leg velocity, pressures with the supply. All else stays.
+    """
+    own, cmf = (
+        (one.half_stroke, one.limits.leg.velocity.si, hydraulics_of(one).supply_pressure.si)
+        for one in (machine, load_machine())
+    )
+    if own == cmf:
+        return None
+    scale = {
+        unit: mine / its
+        for units, mine, its in zip((_LENGTHS, _SPEEDS, _PRESSURES), own, cmf, strict=True)
+        for unit in units
+    }
+    return partial(_fitted, scale, machine.name)
+
+
+def _fitted(scale: dict[str, float], name: str, table: dict[str, Any]) -> dict[str, Any]:
+    """A table with its quantities in proportion; tables in it likewise."""
+    factor = scale.get(str(table.get("unit", "")).removesuffix("/rtHz"))
+    if factor is not None:
+        source = f"{table['source']}; of the CMF, here in proportion to {name}"
+        return table | {"value": table["value"] * factor, "source": source}
+    return {
+        key: _fitted(scale, name, entry) if isinstance(entry, dict) else entry
+        for key, entry in table.items()
+    }

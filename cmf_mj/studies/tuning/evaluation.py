@@ -22,12 +22,14 @@ from cmf_mj.control import dcl as blocks
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law
-from cmf_mj.core.rates import FRAME
 from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics import servo_electronics as servo
+from cmf_mj.facility.binding import bound
+from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian
 from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.loading import fitting
 from cmf_mj.studies.case import REPORT_AMPLITUDES, STEP_PER_AMPLITUDE
 from cmf_mj.studies.mismatch import valve_gains
 from cmf_mj.studies.tuning.frames import run
@@ -46,13 +48,18 @@ heave and yaw are easier."""
 class LinearCab(NamedTuple):
     """A cab on linear hydraulics."""
 
-    cab: str
+    carrier: Cab  #: The cab on its machine.
     jacobian: NDArray[np.float64]  #: Legs of pose, (6, 6).
     velocity: NDArray[np.complex128]  #: Responses of leg velocities to commands, (K, 6, 6).
     pressures: tuple[NDArray[np.complex128], NDArray[np.complex128]]
     """Those of cap and rod pressures."""
     sampled: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
-    """A, B, C at 2048 Hz, outputs `FEEDBACK`."""
+    """A, B, C at the machine's control rate, outputs `FEEDBACK`."""
+
+    @property
+    def cab(self) -> str:
+        """Name of the cab."""
+        return self.carrier.name
 
 
 def linear_cab(plant: Hexapod) -> LinearCab:
@@ -61,10 +68,11 @@ def linear_cab(plant: Hexapod) -> LinearCab:
     legs, omega = plant.legs, 2.0 * np.pi * LINES
     response = np.moveaxis(control.frequency_response(system, omega).frdata, -1, 0)
     rows = {name: response[:, i * legs : (i + 1) * legs] for i, name in enumerate(FEEDBACK)}
-    sampled = control.sample_system(system, FRAME, method="zoh")
+    sampled = control.sample_system(system, plant.machine.frame, method="zoh")
     a, b, c = (np.ascontiguousarray(part) for part in (sampled.A, sampled.B, sampled.C))
+    assert plant.cab_parameters is not None
     return LinearCab(
-        plant.cab,
+        plant.cab_parameters,
         pose_jacobian(np.zeros(6), plant.machine),
         rows["leg_velocity"],
         (rows["cap_pressure"], rows["rod_pressure"]),
@@ -90,6 +98,7 @@ def step_response(
 
     The law is bound to the cab; `dofs` are indices, `gains` valve gains over the nominal, (6,).
     """
+    machine = cab.carrier.machine
     a, b, c = cab.sampled
     chosen = list(dofs)
     size = REPORT_AMPLITUDES[chosen] * STEP_PER_AMPLITUDE
@@ -97,25 +106,26 @@ def step_response(
     dcl = blocks.make_dcl(law, legs)
     still = LegFeedback(*(np.zeros(legs) for _ in FEEDBACK))
     state = engaged(dcl, np.zeros(legs), still)
-    moved = np.empty((round(STEP_TIME / FRAME), legs))
+    moved = np.empty((round(STEP_TIME * machine.rate), legs))
     demand = cab.jacobian[:, chosen] @ size
-    drive, driven = servo.make_servo_electronics(), servo.start(legs)
+    electronics = servo.load_servo_settings(None, fitting(machine))
+    drive, driven = servo.make_servo_electronics(electronics, law.frame), servo.start(legs)
     plant = a, np.ascontiguousarray(b * gains), c
     run(dcl, state, drive, driven, plant, demand, still, moved)
     return moved @ np.linalg.inv(cab.jacobian)[chosen].T / size
 
 
 def _one(law: Law, cab: LinearCab, seed: int | None, scale: float) -> list[list[float]]:
-    bound, gains = law.bound_to(cab.cab), scale * valve_gains(seed)
+    taken, gains = bound(law, cab.carrier), scale * valve_gains(seed)
     legs = closed_loop_response(
-        bound,
+        taken,
         cab.velocity * gains,
         LINES,
         pressures=(cab.pressures[0] * gains, cab.pressures[1] * gains),
     )
     pose = np.linalg.inv(cab.jacobian) @ legs @ cab.jacobian
     widths = [line_bandwidths(LINES, pose[:, dof, dof]) for dof in range(len(DOFS))]
-    steps = [step_response(bound, cab, dofs, gains) for dofs in STEPPED]
+    steps = [step_response(taken, cab, dofs, gains) for dofs in STEPPED]
     return [
         [LINES[-1] if np.isnan(width.phase_hz) else width.phase_hz for width in widths],
         [width.peak_db for width in widths],

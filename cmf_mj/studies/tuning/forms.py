@@ -11,6 +11,10 @@ The four in the middle keep the report's compensator: its state gives the positi
 back through a lag of 29 Hz, so that D on the position is K - K_p where the leg is to have the net
 gain K_p. Like velocity feedback they have no integral: where a demand jumps it overshoots by about
 K_i / (k K_p^2) of the jump, for K_p / K_i seconds.
+
+Bounds, start and gains of the report are for the CMF's valves and oil. On another machine gains on
+motion are divided by how much faster its valves are, so that loop gains stay, and gains on load
+also by the ratio of sqrt(K M) of the lowest mode, on which the damping by load feedback depends.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,11 +29,11 @@ from cmf_mj.control.law import Gains, Law, ReferenceModel, load_law
 from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.control.plan import Plan
 from cmf_mj.core import units
-from cmf_mj.core.rates import FRAME
-from cmf_mj.facility.binding import nominal_modes
-from cmf_mj.machine.cab import Cab
+from cmf_mj.facility.binding import modes_of_cab, nominal_modes
+from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.studies.case import REPORT_AMPLITUDES
@@ -46,9 +50,6 @@ EASY_REACH = 8.0
 
 APPROACH, SMOOTH = 3.5, 6.5
 """Frequencies at which a plan's reference closes small errors, and that bounds its jerk [Hz]."""
-
-FASTEST = 24.0
-"""Speed of the fastest leg that the rate of a plan's reference allows in one mode [in/s]."""
 
 LOAD_CORNER = 5.0
 """Corner of the plan's load feedback [Hz]: above what cabs are disturbed at, where it gives way."""
@@ -68,8 +69,12 @@ class Template(NamedTuple):
     modes: Mapping[str, Modes]  #: Nominal modes of the cabs, and of single legs.
     amplitude: NDArray[np.float64]
     """Largest modal amplitude of the chirp over cabs and degrees of freedom, (6,) [in]."""
-    rate: NDArray[np.float64]  #: Rate of modes whose fastest leg has `FASTEST`, (6,) [in/s].
+    rate: NDArray[np.float64]  #: Rate of modes whose fastest leg is at its limit, (6,) [in/s].
     cabs: tuple[LinearCab, ...]  #: Linear plants they are judged on.
+    actuator: HydraulicParameters  #: Set of the machine.
+    frame: float  #: Control frame [s].
+    faster: float  #: Leg speed per command over the CMF's.
+    heavier: float  #: sqrt(K M) of the lowest mode of its first cab over that of the CMF's.
 
 
 class Form(NamedTuple):
@@ -84,6 +89,10 @@ class Form(NamedTuple):
     """Frequency to which its reference can follow the chirp [Hz]."""
 
 
+_ON_MOTION = ("acceleration", "forward_velocity", "forward_acceleration")
+"""Gains on motion, besides those on position and velocity."""
+
+
 def make_template(name: str, title: str, cabs: Sequence[str | Path | Cab] = CABS) -> Template:
     """What a search needs besides the form."""
     plants = [Hexapod(cab) for cab in cabs]
@@ -95,14 +104,33 @@ def make_template(name: str, title: str, cabs: Sequence[str | Path | Cab] = CABS
         for cab in linear
     ]
     known = modes | {legs.name: nominal_modes(legs)}
+    machine, cmf = plants[0].machine, modes_of_cab(load_cab())
+    first, set_of_cmf = modes_of_cab(load_cab(None, machine)), load_hydraulics()
     largest = [np.abs(np.array(modes[cab.cab].shape)).max(axis=1) for cab in linear]
-    rate = FASTEST / np.max(largest, axis=0)
-    return Template(name, title, known, np.max(moved, axis=0) / units.INCH, rate, linear)
+    fastest = float(f"{units.from_si('in/s', machine.limits.leg.velocity.si):.6g}")
+    return Template(
+        name,
+        title,
+        known,
+        np.max(moved, axis=0) / units.INCH,
+        fastest / np.max(largest, axis=0),
+        linear,
+        plants[0].parameters,
+        machine.frame,
+        plants[0].parameters.leg_speed.si / set_of_cmf.leg_speed.si,
+        first.frequency[0] * first.mass[0] / (cmf.frequency[0] * cmf.mass[0]),
+    )
 
 
 def candidate(form: Form, template: Template, values: Sequence[float]) -> Law:
     """The law of some values of `form.free`, rounded as its table prints them."""
-    return form.law(template, named(form, [float(f"{v:.4g}") for v in values]))
+    found = {}
+    for name, value in named(form, values).items():
+        on = name.removesuffix("_heavy").removesuffix("_light")
+        scale = template.faster if name in _ON_MOTION or on in ("position", "velocity") else 1.0
+        scale *= template.faster * template.heavier if on == "load" else 1.0
+        found[name] = float(f"{value / scale:.4g}")
+    return form.law(template, found)
 
 
 def named(form: Form, values: Sequence[float]) -> Values:
@@ -130,16 +158,20 @@ def _modal(template: Template, **fields: object) -> Law:
 
 
 def _modal_plan(template: Template, at: Values) -> Law:
-    actuator = load_hydraulics("hardware")
+    actuator = template.actuator
     bounds = np.array(_six(at, "acceleration"))
     bounds[HEAVY : HEAVY + EASY] = EASY_REACH
     swing = actuator.supply_pressure.si - actuator.return_pressure.si
     stall = 0.5 * swing * (actuator.cap_area + actuator.rod_area) / (1e3 * units.POUND_FORCE)
+    speed, *lags = (
+        float(f"{units.from_si(unit, getattr(actuator, field).si):.6g}")
+        for field, unit in (("leg_speed", "in/s/%"), ("drive_lag", "Hz"), ("valve_lag", "Hz"))
+    )
     plan = Plan(
-        speed=actuator.leg_speed.value,
-        drive_lag=actuator.drive_lag.value,
-        valve_lag=actuator.valve_lag.value,
-        leak_rate=actuator.leak_rate.value,
+        speed=speed,
+        drive_lag=lags[0],
+        valve_lag=lags[1],
+        leak_rate=actuator.leak_rate.si,
         pairs=((at["first_pair"], at["first_damping"]), (at["second_pair"], at["second_damping"])),
         pole=at["pole"],
         rate=_rounded(template.rate),
@@ -152,7 +184,7 @@ def _modal_plan(template: Template, at: Values) -> Law:
     )
     return _modal(
         template,
-        direct_gain=Gains(error_integral=INTEGRAL),
+        direct_gain=Gains(error_integral=float(f"{INTEGRAL / template.faster:.4g}")),
         plan=plan,
         load_feedback=LoadFeedback(gain=_six(at, "load"), corner=LOAD_CORNER),
     )
@@ -172,8 +204,9 @@ def _modal_feedback(template: Template, at: Values) -> Law:
 
 def _on_velocity(template: Template, at: Values, **fields: object) -> Law:
     """Velocity feedback with its net position gain and velocity gain as chosen."""
-    flown = load_law("velocity")
-    through = -flown.output_gain / (1.0 - flown.state_gain)
+    flown = load_law("velocity").at_rate(round(1.0 / template.frame))
+    back = flown.output_gain / template.faster
+    through = -back / (1.0 - flown.state_gain)
     gains = flown.direct_gain.model_copy(
         update={
             "reference": at["position"],
@@ -182,7 +215,13 @@ def _on_velocity(template: Template, at: Values, **fields: object) -> Law:
             "acceleration": -at.get("acceleration", 0.0),
         }
     )
-    changes = {"name": template.name, "title": template.title, "source": "", "direct_gain": gains}
+    changes = {
+        "name": template.name,
+        "title": template.title,
+        "source": "",
+        "output_gain": back,
+        "direct_gain": gains,
+    }
     return flown.model_copy(update=changes | fields)
 
 
@@ -202,7 +241,7 @@ def _feed_forward(template: Template, at: Values) -> Law:
 
 
 def _acceleration(template: Template, at: Values) -> Law:
-    pole = float(f"{np.exp(-2.0 * np.pi * at['filter'] * FRAME):.4g}")
+    pole = float(f"{np.exp(-2.0 * np.pi * at['filter'] * template.frame):.4g}")
     filtered = {"accelerometer_pole": pole, "accelerometer_gain": float(f"{1.0 - pole:.4g}")}
     return _on_velocity(template, at, **filtered)
 
