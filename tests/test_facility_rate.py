@@ -109,6 +109,7 @@ def test_a_scenario_runs_at_the_rate_of_its_machine(tmp_path: Path) -> None:
     """Changes, events and the end fall on the same times; the demand is that of the signal."""
     text = (models.directory() / "machines" / "lab.toml").read_text()
     assert "control_rate" not in text
+    text = text.replace("laws/lab.toml", "original")
     slow = text.replace('name = "lab"', 'name = "slow"', 1).replace(
         "[gimbals]",
         '[control_rate]\nvalue = 1000\nunit = "Hz"\nstatus = "assumed"\nsource = "test"\n[gimbals]',

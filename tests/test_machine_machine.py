@@ -144,6 +144,25 @@ def test_derived_limits_use_up_the_legs_and_no_more() -> None:
     assert limits.leg.position == machine.legs.working_stroke
 
 
+def test_a_machine_may_be_in_millimetres(tmp_path: Path) -> None:
+    """All lengths and speeds of a data sheet in mm and mm/s: the same machine and limits."""
+    lab = table_of()
+
+    def in_mm(table: dict[str, Any]) -> dict[str, Any]:
+        if table.get("unit") in ("m", "m/s"):
+            value = (1000.0 * np.array(table["value"])).tolist()
+            return table | {"value": value, "unit": table["unit"].replace("m", "mm", 1)}
+        return {n: in_mm(one) if isinstance(one, dict) else one for n, one in table.items()}
+
+    metres = load_machine(written(tmp_path, lab))
+    millimetres = load_machine(written(tmp_path, in_mm(lab)))
+    for one, other in zip(metres.geometry, millimetres.geometry, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
+    ends = [load_motion_limits(None, machine) for machine in (metres, millimetres)]
+    assert ends[0].leg.position.si == pytest.approx(ends[1].leg.position.si)
+    np.testing.assert_allclose(ends[0].velocity, ends[1].velocity, rtol=1e-9)
+
+
 def test_a_stated_limit_stays(tmp_path: Path) -> None:
     table = table_of()
     span = {"low": -0.1, "high": 0.1, "unit": "m", "status": "stated", "source": "test"}

@@ -22,8 +22,12 @@ from cmf_mj.electronics.servo_electronics import ServoSettings
 from cmf_mj.facility.binding import bound
 from cmf_mj.facility.host.stream import from_command
 from cmf_mj.facility.operation import dcu_of, operate
+from cmf_mj.facility.scenario.run import ScenarioRun
+from cmf_mj.facility.scenario.settings import scenario_of
+from cmf_mj.machine import models
 from cmf_mj.machine.cab import Cab, load_cab
-from cmf_mj.machine.kinematics import pose_to_legs
+from cmf_mj.machine.geometry import paired_circles
+from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant.parameters.loading import fitting, hydraulics_of
 from cmf_mj.plant.single_legs import design_point
@@ -237,6 +241,59 @@ def test_the_chain_counts_with_the_machine_s_gimbals_and_stroke() -> None:
     np.testing.assert_allclose(record["leg_reference"][-1], wanted, rtol=0, atol=1e-9)
     resting = operate(cmf_mj.Hexapod(machine=machine), machine.law, stream, begin=State.OFF).record
     np.testing.assert_allclose(resting["leg_reference"][0], -machine.working_stroke, atol=1e-12)
+
+
+def test_edited_gimbals_count_everywhere() -> None:
+    """Upper gimbal 1 moved 40 mm aside and 20 mm up: leg references behind the DCU, platform poses
+    and reflected mass are those of independent kinematics of the edited gimbals."""
+    lab = load_machine("lab")
+    shape = lab.geometry
+    upper = shape.upper + [[0.0, 0.04, -0.02], *[[0.0, 0.0, 0.0]] * 5]
+    known = {"unit": "m", "status": "assumed", "source": "edited"}
+    gimbals = {
+        name: {"value": (points * [1.0, -1.0, -1.0]).tolist(), **known}
+        for name, points in (("upper", upper), ("lower", shape.lower))
+    }
+    machine = Machine.model_validate(
+        lab.model_dump() | {"name": "edited", "gimbals": gimbals, "law": "original"}
+    )
+
+    def legs(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+        ends = pose[:3] + upper @ turn(*pose[3:]).T - shape.lower
+        return np.linalg.norm(ends, axis=1) - np.linalg.norm(upper - shape.lower, axis=1)
+
+    pose = np.array([0.05, -0.02, 0.03, 0.04, -0.05, 0.06])
+    np.testing.assert_allclose(pose_to_legs(pose, machine), legs(pose), rtol=0, atol=1e-12)
+    assert np.abs(legs(pose) - pose_to_legs(pose, "lab")).max() > 1e-4
+    np.testing.assert_allclose(legs_to_pose(legs(pose), machine), pose, rtol=0, atol=1e-9)
+    plant = cmf_mj.Hexapod(machine=machine)
+    assert plant.cab_parameters is not None
+    mass = rigid_machine(plant.cab_parameters, pose)[0]
+    assert np.abs(plant.reflected_mass(pose) - mass).max() < 1e-6 * np.abs(mass).max()
+    stream = from_command(signals.step("roll", 0.1, duration=3.0), 80.0)
+    record = operate(plant, machine.law, stream).record
+    wanted = legs(np.array([0.0, 0.0, 0.0, 0.1, 0.0, 0.0]))
+    np.testing.assert_allclose(record["leg_reference"][-1], wanted, rtol=0, atol=1e-9)
+    every = slice(None, None, 500)
+    moved = np.array([legs(row) for row in record["platform_pose"][every]])
+    np.testing.assert_allclose(record["leg_extension"][every], moved, rtol=0, atol=1e-5)
+    assert record["gimbal_error"].max() < 1e-5
+
+
+def test_the_studio_runs_a_machine_with_edited_gimbals(tmp_path: Path) -> None:
+    """What it draws of a run, `latest`, has the legs of the machine's file."""
+    text = (models.directory() / "machines" / "simona.toml").read_text("utf-8")
+    text = text.replace('"simona"', '"wide"', 1).replace("laws/simona.toml", "velocity")
+    text = text.replace("upper_radius = { value = 1.6", "upper_radius = { value = 1.5")
+    (file := tmp_path / "wide.toml").write_text(text)
+    signal = {"kind": "step", "dof": "yaw", "amplitude": 0.1, "at": 0.1}
+    run = ScenarioRun(scenario_of({"machine": str(file), "signal": [signal]}, "test"))
+    run.advance(500)
+    shape = paired_circles((1.5, np.radians(7.166644)), (1.65, np.radians(20.951369)), 2.39)
+    before, after = (
+        np.linalg.norm(shape[0] @ turn(0.0, 0.0, yaw).T - shape[1], axis=1) for yaw in (0.0, 0.1)
+    )
+    np.testing.assert_allclose(run.latest().reference, after - before, rtol=0, atol=1e-9)
 
 
 def test_the_design_point_of_single_legs() -> None:

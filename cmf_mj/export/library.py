@@ -154,7 +154,7 @@ def law_frame(parts, first, last):  # type: ignore[no-untyped-def]
 
 
 def law_parts(law: Law) -> LawParts:
-    """A law bound to its machine, by default the CMF, engaged at neutral at rest."""
+    """A law bound to its machine, engaged at neutral at rest."""
     block, still = dcl.make_dcl(law, LEGS), np.zeros(LEGS)
     feedback = LegFeedback(*(np.zeros(LEGS) for _ in LegFeedback._fields))
     return LawParts(block, engaged(block, still, feedback), still, feedback)

@@ -21,7 +21,7 @@ class Range(Settings):
 
     low: float = Field(lt=0.0)  #: Lowest displacement, in `unit`.
     high: float = Field(gt=0.0)  #: Highest displacement, in `unit`.
-    unit: Literal["in", "m", "deg", "rad"]  #: Unit as published.
+    unit: Literal["in", "m", "mm", "deg", "rad"]  #: Unit as published.
     status: Literal["stated", "derived", "calibrated", "assumed"]  #: How the range is known.
     source: str = Field(min_length=1)  #: Where it comes from, or why it was chosen.
 
@@ -52,9 +52,9 @@ class _Axis(Settings):
 class Translation(_Axis):
     """Limits of surge, sway or heave."""
 
-    mechanical: Annotated[Range, _range_in("in", "m")]  #: Displacement at which the machine ends.
-    operational: Annotated[Range, _range_in("in", "m")]  #: Displacement a demand may ask for.
-    velocity: Annotated[Quantity, positive_in("in/s", "m/s")]  #: Largest speed either way.
+    mechanical: Annotated[Range, _range_in("in", "m", "mm")]  #: Displacement at which the machine ends.
+    operational: Annotated[Range, _range_in("in", "m", "mm")]  #: Displacement a demand may ask for.
+    velocity: Annotated[Quantity, positive_in("in/s", "m/s", "mm/s")]  #: Largest speed either way.
     acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
     """Largest acceleration either way."""
 
@@ -78,12 +78,12 @@ def _share(quantity: Quantity) -> Quantity:
 
 
 class _LegRates(Settings):
-    velocity: Annotated[Quantity, positive_in("in/s", "m/s")]  #: Largest leg speed either way.
+    velocity: Annotated[Quantity, positive_in("in/s", "m/s", "mm/s")]  #: Largest leg speed either way.
     acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
     """Largest leg acceleration either way."""
 
 
-_Position = Annotated[Quantity, positive_in("in", "m")]
+_Position = Annotated[Quantity, positive_in("in", "m", "mm")]
 _Rejoin = Annotated[Quantity, positive_in("1"), AfterValidator(_share)]
 
 

@@ -7,6 +7,7 @@ import matplotlib.image
 import mujoco
 import numpy as np
 
+from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file
@@ -22,7 +23,7 @@ from cmf_mj.studies.machine_check import MachineCheck
 
 def machine_table(machines: Sequence[Machine]) -> Table:
     """Machines with their cabs."""
-    rows = [(m.name, m.title, ", ".join(m.cab_names), m.law) for m in machines]
+    rows = [(m.name, m.title, ", ".join(m.cab_names), load_law(m.law).name) for m in machines]
     return Table("machines", ("name", "title", "cabs", "law"), rows)
 
 

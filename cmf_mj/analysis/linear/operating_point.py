@@ -117,6 +117,8 @@ _SCAN = 41
 _ROUNDS = 50
 _APART = 1e-2
 """Least difference of the chambers' pressures over the supply's that a search begins with."""
+_EVEN = 1e-6
+"""Oil that an opening gathers in both chambers over what passes, below which it gathers none."""
 _SHUT = 1e-9
 """Opening that counts as shut: where both chambers have one pressure no flow is a balance too."""
 _END = 1e-3
@@ -204,10 +206,10 @@ def _hold(plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float)
     null = cylinder.leakage == 0.0 or abs(closed[0] - closed[1]) < 1e-6 * high
     if bias[0] == bias[1] and cylinder.bearing == 0.0 and null:
         at = (np.zeros(2), np.append(closed, [high, low]), mechanics.extension[leg])
-        fills = [
-            float(port_slopes(hydraulics, leg, *at, way).opening[[CAP, ROD]].sum())
-            for way in (0.0, 1.0)
-        ]
+        ports = [port_slopes(hydraulics, leg, *at, way).opening[[CAP, ROD]] for way in (0.0, 1.0)]
+        fills = [float(opened.sum()) for opened in ports]
+        if np.abs(fills).max() < _EVEN * np.abs(ports).max():  # areas alike: neither way fills
+            return _Rest(-float(bias[0]), closed)
         # At the ends of the range the opening that holds the leg grows from nothing.
         if min(fills) > -_END * max(fills):
             least = _END**2 * max(fills)

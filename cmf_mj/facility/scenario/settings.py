@@ -27,6 +27,7 @@ from cmf_mj.facility.binding import bound
 from cmf_mj.facility.operation import dcu_of
 from cmf_mj.facility.scenario.signal import Signal
 from cmf_mj.machine.cab import Cab, load_cab
+from cmf_mj.machine.machine import load_machine
 from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.build import make_plant
@@ -175,7 +176,7 @@ class Scenario(Settings):
     """Its cab by name or TOML file, default its first, of the CMF `gfd`; single legs have none."""
     hydraulics: str | None = None
     """`report`, `hardware`, `lossy` or a TOML file; default the machine's own, here `hardware`."""
-    law: str = "velocity"  #: Control law by name or TOML file.
+    law: str = "velocity"  #: Control law by name or TOML file; default the machine's.
     gains: Gains = {}  #: Fields of the law to replace.
     signal: Signals = ()  #: Demand: the sum of these; none is rest at neutral.
     event: tuple[Event, ...] = ()  #: Failures on the time line.
@@ -190,6 +191,13 @@ class Scenario(Settings):
     record_every: Count = 1  #: Keep one control frame in this many.
     outputs: Outputs = Outputs()  #: What to write.
     change: tuple[Change, ...] = ()  #: What changes, in order of time.
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_law(cls, table: Any) -> Any:
+        if not (isinstance(table, dict) and isinstance(table.get("machine"), str)):
+            return table
+        return {"law": load_machine(table["machine"]).law} | table
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

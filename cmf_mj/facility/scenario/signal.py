@@ -100,6 +100,7 @@ Signal = Annotated[
     | Multisine
     | composite.SevenSines
     | composite.SteppedSines
+    | composite.FadedSines
     | composite.AccelerationStep
     | composite.Waypoints
     | HostFile
