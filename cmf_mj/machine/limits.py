@@ -52,7 +52,9 @@ class _Axis(Settings):
 class Translation(_Axis):
     """Limits of surge, sway or heave."""
 
-    mechanical: Annotated[Range, _range_in("in", "m", "mm")]  #: Displacement at which the machine ends.
+    mechanical: Annotated[
+        Range, _range_in("in", "m", "mm")
+    ]  #: Displacement at which the machine ends.
     operational: Annotated[Range, _range_in("in", "m", "mm")]  #: Displacement a demand may ask for.
     velocity: Annotated[Quantity, positive_in("in/s", "m/s", "mm/s")]  #: Largest speed either way.
     acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
@@ -78,7 +80,9 @@ def _share(quantity: Quantity) -> Quantity:
 
 
 class _LegRates(Settings):
-    velocity: Annotated[Quantity, positive_in("in/s", "m/s", "mm/s")]  #: Largest leg speed either way.
+    velocity: Annotated[
+        Quantity, positive_in("in/s", "m/s", "mm/s")
+    ]  #: Largest leg speed either way.
     acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
     """Largest leg acceleration either way."""
 
