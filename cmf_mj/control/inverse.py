@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control.coordinates import MODES, Modes, make_shape, mode_mass, to_legs, to_modes
-from cmf_mj.control.load_feedback import BORE, ROD
 from cmf_mj.core import units
 from cmf_mj.core.compiled import assign, compiled
 from cmf_mj.machine.geometry import Geometry
@@ -43,9 +42,6 @@ NEAR_STALL = 0.8
 
 SMALL_FLOW = 2.0 * units.INCH
 """Flow, as speed of a leg, about which a change of direction is rounded [m/s]."""
-
-CAP_SHARE = BORE**2 / (2.0 * BORE**2 - ROD**2)
-"""Cap area over cap and rod area."""
 
 
 class Valves(NamedTuple):
@@ -70,6 +66,7 @@ class Inverse(NamedTuple):
     follows: bool  #: Whether masses and springs follow the pose.
     geometry: Geometry
     half_stroke: float  #: [m].
+    cap_share: float  #: Cap area over that of cap and rod side.
     chord: NDArray[np.float64]  #: Pose per leg motion at neutral, (6, 6).
     inertia: NDArray[np.float64]  #: Of the platform with its legs, platform axes, (6, 6).
     mean: NDArray[np.float64]
@@ -105,6 +102,7 @@ def make_inverse(
         follows=modes is not None and modes.follow_pose,
         geometry=geometry,
         half_stroke=machine.half_stroke,
+        cap_share=machine.leg_sizes.cap_share,
         chord=np.ascontiguousarray(np.linalg.inv(pose_jacobian(np.zeros(MODES), geometry))),
         inertia=np.ascontiguousarray(inertia),
         mean=np.zeros((6, legs)),
@@ -243,7 +241,7 @@ def command(inverse, pose, shape, modal, commands):  # type: ignore[no-untyped-d
     for leg in range(count):
         spring = inverse.spring
         if inverse.follows:
-            spring *= _stiffening(legs[0, leg] / inverse.half_stroke)
+            spring *= _stiffening(legs[0, leg] / inverse.half_stroke, inverse.cap_share)
         force = inverse.force
         y2, y3 = force[0, leg] / spring, force[1, leg] / spring
         y4, y5 = force[2, leg] / spring, force[3, leg] / spring
@@ -260,7 +258,7 @@ def command(inverse, pose, shape, modal, commands):  # type: ignore[no-untyped-d
 
 
 @compiled
-def _stiffening(stroke):  # type: ignore[no-untyped-def]
-    """Oil spring of a leg over that at neutral; extension over the half stroke."""
+def _stiffening(stroke, share):  # type: ignore[no-untyped-def]
+    """Oil spring of a leg over that at neutral; extension over half stroke, share of cap."""
     cap, rod = 1.0 + stroke, 1.0 - stroke
-    return (CAP_SHARE / cap + (1.0 - CAP_SHARE) / rod) if abs(stroke) < 1.0 else 1.0
+    return (share / cap + (1.0 - share) / rod) if abs(stroke) < 1.0 else 1.0

@@ -168,6 +168,7 @@ class LegSizes(NamedTuple):
     force_area: float  #: Area that turns a pressure difference into force (Eq 3.7) [m^2].
     cap_area: float  #: Of the piston on the cap's side [m^2].
     rod_area: float  #: Of the piston on the rod's side [m^2].
+    cap_share: float  #: Cap area over both together.
 
 
 class Machine(Settings):
@@ -291,13 +292,14 @@ class Machine(Settings):
             )
 
         bore, rod = stated("bore_diameter", _BORE), stated("rod_diameter", _ROD)
-        rods = stated("rods", 1.0)
+        through = (stated("rods", 1.0) - 1.0) * rod**2
         area = 0.25 * np.pi * (bore**2 - rod**2)
         return LegSizes(
             working_stroke=self.working_stroke,
             force_area=area if self.force_area is None else self.force_area.si,
-            cap_area=0.25 * np.pi * (bore**2 - (rods - 1.0) * rod**2),
+            cap_area=0.25 * np.pi * (bore**2 - through),
             rod_area=area,
+            cap_share=(bore**2 - through) / (2.0 * bore**2 - rod**2 - through),
         )
 
     @property
