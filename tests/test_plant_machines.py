@@ -20,8 +20,8 @@ from cmf_mj.electronics.servo_electronics import ServoSettings
 from cmf_mj.facility.binding import bound
 from cmf_mj.facility.host.stream import from_command
 from cmf_mj.facility.operation import dcu_of, operate
+from cmf_mj.facility.scenario.library import scenario_of
 from cmf_mj.facility.scenario.run import ScenarioRun
-from cmf_mj.facility.scenario.settings import scenario_of
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import paired_circles
