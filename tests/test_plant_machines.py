@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 import cmf_mj
 from cmf_mj import signals
+from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.law import DCL_INPUTS, dcl_state_space
+from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.control.dcl import DclState, make_dcl, step
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import load_law
@@ -157,6 +159,19 @@ def test_a_run_keeps_the_gimbals_closed_and_follows(name: str) -> None:
     assert record["gimbal_error"].max() < 1e-5
     assert record["platform_pose"][-1, 2] == pytest.approx(size, rel=0.05)
     assert record.metadata["machine"] == name
+
+
+@pytest.mark.parametrize("name", ["simona", "lab"])
+def test_the_law_that_a_machine_ships_with_is_stable(name: str) -> None:
+    """All poles of the loop in six degrees of freedom lie inside, with every cab."""
+    machine = load_machine(name)
+    law = load_law(machine.law)
+    assert f"cmf tune --machine {name} " in law.source
+    for cab in machine.cab_names:
+        plant = cmf_mj.Hexapod(load_cab(cab, machine))
+        taken = bound(law, plant)
+        assert taken.machine == machine and taken.bound_modes is not None
+        assert np.abs(closed_loop(taken, linearize(plant)).poles()).max() < 1.0
 
 
 def test_a_law_counts_with_the_legs_of_its_machine() -> None:

@@ -45,6 +45,7 @@ def new_command(
     target = check_target(file or Path(f"{name}.toml"))
     ours = (directory() / "machines" / "lab.toml").read_text(encoding="utf-8")
     text = ours[ours.index("name = ") :].replace('name = "lab"', f'name = "{name}"', 1)
+    text = text.replace("laws/lab.toml", "original", 1)
     show(f"written: {write_text(target, text)}")
 
 
