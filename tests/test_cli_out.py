@@ -158,6 +158,22 @@ def test_an_interrupt_that_a_library_turns_into_its_own_error_is_one(
     assert (done.returncode, done.stderr) == (130, b"")
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_of_what_a_library_calls_back_is_not_lost(number: signal.Signals) -> None:
+    """Python cannot raise it there, and would print it and go on."""
+    text = (
+        "import ctypes, os, time, cmf_mj.cli as cli\n"
+        f"called = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), {int(number)}))\n"
+        "def app(**_):\n"
+        "    called()\n"
+        "    time.sleep(60.0)\n"
+        "cli.app = app\n"
+        "cli.main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (130, b"")
+
+
 def test_an_error_without_an_interrupt_keeps_its_traceback() -> None:
     text = "import cmf_mj.cli as cli\ncli.app = lambda **_: 1 / 0\ncli.main()\n"
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, check=False)

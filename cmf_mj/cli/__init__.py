@@ -5,6 +5,8 @@ A command imports what it needs when it runs, so that help and completion wait f
 
 import os
 import signal
+import sys
+import threading
 from types import FrameType
 
 # Cases run side by side: a linear algebra's own threads would only wait on the cores they need.
@@ -17,7 +19,8 @@ from cmf_mj.cli.common import app
 def main() -> None:
     """Entry point of the `cmf` command.
 
-    An interrupt ends it with status 130, also where a library says instead that it failed.
+    An interrupt ends it with status 130, also where a library says instead that it failed, or
+    where Python cannot raise it: it is sent again once what was called back has returned.
     """
     ended: list[int] = []
 
@@ -25,6 +28,14 @@ def main() -> None:
         ended.append(number)
         signal.default_int_handler(number, frame)
 
+    def unraised(what: "sys.UnraisableHookArgs") -> None:
+        if not (ended and isinstance(what.exc_value, KeyboardInterrupt)):
+            return sys.__unraisablehook__(what)
+        again = threading.Timer(0.01, os.kill, (os.getpid(), ended[-1]))
+        again.daemon = True
+        again.start()
+
+    sys.unraisablehook = unraised
     signal.signal(signal.SIGTERM, end)  # clean up, as after Ctrl-C
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not one that is ignored
         signal.signal(signal.SIGINT, end)
