@@ -48,6 +48,7 @@ COPIES = {
     "omct/omct.csv": "data/omct.csv",
     "fly/comparison.png": "images/fly_comparison.png",
     "fly/velocity/motion.png": "images/fly_motion.png",
+    "machines/machines.png": "images/two_machines.png",
     "verification/work_precision.png": "images/work_precision.png",
     "ablation/ladder.png": "images/ladder.png",
     "ablation/measures.csv": "data/ablation_measures.csv",
