@@ -11,9 +11,7 @@ from cmf_mj.core.errors import require
 
 gymnasium = require("gymnasium", "rl")
 
-_NAMES = {"Hexapod": "hexapod", "Excavator": "excavator"}
-
-for _name, _module in _NAMES.items():
+for _name, _module in {"Hexapod": "hexapod", "Excavator": "excavator"}.items():
     _id = f"cmf_mj/{_name}-v0"
     if _id not in gymnasium.registry:
         gymnasium.register(
