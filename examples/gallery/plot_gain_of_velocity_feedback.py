@@ -1,9 +1,9 @@
 """
-One gain, six axes
-==================
+One gain, three axes
+====================
 
 The gain on leg velocity damps the modes and hardly moves the bandwidth. Surge still peaks by 8 dB
-where heave and pitch have no peak left: one number does not suit all six.
+where heave and pitch have no peak left: one number does not suit all three.
 """
 
 import matplotlib.pyplot as plt
