@@ -43,10 +43,11 @@ types: $(VENV)/ready-dev
 imports: $(VENV)/ready-dev
 	$(BIN)/lint-imports
 
-# In two parts, so that a worker, which never gives all memory back, stays below 1 GB.
+# In three parts, so that a worker, which never gives all memory back, stays below 1 GB.
 tests: $(VENV)/ready-dev
-	$(PYTEST) --dist worksteal -m "not slow" tests/test_[a-l]*.py
-	$(PYTEST) --dist worksteal -m "not slow" tests/test_[m-z]*.py
+	$(PYTEST) --dist worksteal -m "not slow" tests/test_[a-d]*.py
+	$(PYTEST) --dist worksteal -m "not slow" tests/test_[e-q]*.py
+	$(PYTEST) --dist worksteal -m "not slow" tests/test_[r-z]*.py
 	$(PYTEST) --dist loadfile README.md docs models
 
 slow: $(VENV)/ready-dev
