@@ -4,6 +4,7 @@
 #   make test-all  that, and what is slow by nature: browser, films, whole studies, long searches
 #   make search    the searches ten times longer: hours
 #   make site      the documentation as a site in build/site
+#   make paper     two pages to cite: build/paper/paper.pdf (needs chromium)
 #   make video     set up and film the machine in motion: out/video.mp4
 #   make studio    set up and open the machine in a web page
 #   make report    set up and reproduce the report on one page: out/report/report.html
@@ -15,7 +16,7 @@ BIN := $(VENV)/bin
 WORKERS ?= auto
 PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --durations 40 --durations-min 1
 
-.PHONY: compare report video studio test test-all lint types imports links tests slow search site constraints clean
+.PHONY: compare report video studio test test-all lint types imports links tests slow search site paper constraints clean
 
 compare: $(VENV)/ready
 	$(BIN)/cmf compare
@@ -65,6 +66,11 @@ links: $(VENV)/ready-dev
 
 site: $(VENV)/ready-dev
 	$(SPHINX) docs build/site
+
+paper: $(VENV)/ready-dev
+	$(SPHINX) -D plot_gallery=0 docs build/paper
+	chromium --headless --no-sandbox --no-pdf-header-footer --print-to-pdf=build/paper/paper.pdf \
+	  build/paper/explanation/paper.html
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

@@ -132,8 +132,15 @@ def _mathml(translator: Any, node: Any) -> None:
     raise SkipNode
 
 
+def _paper(app: Any, page: str, *_rest: Any) -> None:
+    """The style in which `make paper` prints one page."""
+    if page == "explanation/paper":
+        app.add_css_file("paper.css", media="print")
+
+
 def setup(app: Any) -> None:
     """Read docstrings as they are written, borrow pages, write equations as MathML."""
+    app.connect("html-page-context", _paper)
     app.connect("autodoc-process-docstring", _process, priority=400)
     app.connect("source-read", _read)
     app.add_html_math_renderer("mathml", (_mathml, None), (_mathml, None))
