@@ -18,13 +18,17 @@ from lengths import examples
 
 from cmf_mj import InputError, RunError
 from cmf_mj.control.law import Law, law_names, load_law
+from cmf_mj.control.protection import Fault
 from cmf_mj.facility.scenario.library import read_scenario, scenario_of, scenario_toml
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.facility.scenario.settings import Scenario, change_of, overlaid_law
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.studio import choices
-from cmf_mj.show.studio.controls import knobs
+from cmf_mj.show.studio.controls import lamp
+from cmf_mj.show.studio.knobs import knobs
 from cmf_mj.show.studio.live import KEPT_ROWS, LARGEST, LONGEST, PLOT_RATE, Clock, LiveSession, View
+from cmf_mj.show.studio.marks import marks_of
+from cmf_mj.show.studio.plots import spikes
 
 SHORT = {"duration": 1.0, "record_every": 16}
 
@@ -204,6 +208,72 @@ def test_session_goes_with_the_wall_clock_and_its_scenario_repeats_it(screen: Sc
     times = np.array([live.time for live in past])
     assert times.size > 2.1 * PLOT_RATE
     np.testing.assert_allclose(np.diff(times), 1.0 / PLOT_RATE, rtol=1e-9)
+
+
+def test_second_law_does_the_same_from_the_same_start(screen: Screen) -> None:
+    """With the first one's law its numbers are the first one's; with another they are not."""
+    session = LiveSession(heave(), screen.show, screen.tell)
+    session.start()
+    for beside, same in (("velocity", True), ("force", False)):
+        session.begin(heave(), beside).result()
+        session.apply(change_of({"push": {"force": [2e4, 0.0, 0.0]}})).result()
+        screen.wait_for_time(0.5)
+        session.pause(True)
+        session.scenario().result()
+        pairs = [(a, b) for a, b in zip(session._past, session._beside_past, strict=True) if b]
+        assert len(pairs) == len(session._past) > 0.4 * PLOT_RATE
+        assert np.array_equal(pairs[-1][0].qpos, pairs[-1][1].qpos) == same
+        session.pause(False)
+        screen.views.clear()
+    session.apply(change_of({"law": "position_error_rate"})).result()
+    screen.wait_for_time(session._past[-1].time + 0.1)
+    assert session._beside is not None and session._beside.latest().law == "force"
+    with pytest.raises(InputError, match="nobody"):
+        session.begin(heave(), "nobody").result()
+    session.close()
+    assert not screen.errors
+
+
+def test_all_that_happens_is_marked() -> None:
+    scenario = heave(
+        duration=10.0,
+        event=[{"at": 2.0, "kind": "valve_dead", "leg": 2}],
+        change=[
+            {"at": 1.0, "law": "force", "gains": {"direct_gain": {"force": -0.02}}},
+            {"at": 3.0, "push": {"force": [1.0, 0.0, 0.0]}},
+            {"at": 4.0, "push": {}, "failure": [{"kind": "pump_lost"}]},
+        ],
+    )
+    marks = marks_of(scenario, Fault("following_error", 2, 5 * 2048))
+    assert marks == (
+        (1.0, "law force, gain", False),
+        (2.0, "valve dead of leg 2", True),
+        (3.0, "push", False),
+        (4.0, "pump lost", True),
+        (4.0, "push ends", False),
+        (5.0, "tripped: following error of leg 2", True),
+    )
+    changed, harm = spikes(np.arange(3.5, 10.0, 0.25), marks)
+    assert np.flatnonzero(changed > 0.0).tolist() == [2]
+    assert np.flatnonzero(harm > 0.0).tolist() == [2, 6]
+
+
+def test_lamp_tells_what_failed_and_what_tripped(screen: Screen) -> None:
+    guarded = heave(protection="default", change=[{"at": 0.1, "failure": [{"kind": "pump_lost"}]}])
+    session = LiveSession(guarded, screen.show, screen.tell)
+    session.start()
+    with screen.reached:
+        assert screen.reached.wait_for(
+            lambda: screen.views and screen.views[-1].live.fault is not None, timeout=60.0
+        )
+    session.close()
+    lamps = [lamp(view) for view in screen.views]
+    words = [
+        next(w for w in ("all works", "tripped", "failed") if f"<b>{w}" in one) for one in lamps
+    ]
+    order = [word for number, word in enumerate(words) if word not in words[:number]]
+    assert order == ["all works", "failed", "tripped"]
+    assert "0.1 s: pump lost" in lamps[-1]
 
 
 def test_session_tells_when_the_state_leaves_its_bounds_and_begins_again(screen: Screen) -> None:

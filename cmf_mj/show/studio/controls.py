@@ -1,10 +1,11 @@
-"""Controls of a page, folder by folder; the gains of a law are knobs, taken from its data."""
+"""Controls of a page, folder by folder."""
 
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
+from html import escape
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
 
 import viser
 
@@ -19,93 +20,10 @@ from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.parameters.loading import HYDRAULICS, hydraulics_of
 from cmf_mj.show.studio import choices
 from cmf_mj.show.studio.desk import Desk, by_hand, pick
+from cmf_mj.show.studio.knobs import Knob, knobs
 from cmf_mj.show.studio.live import View
+from cmf_mj.show.studio.marks import fault_text
 from cmf_mj.signals.signal import SingleSignal
-
-_LETTERS = {"input_gain": "B", "direct_gain": "D", "state_gain": "A", "output_gain": "C"}
-
-_UNITS = {
-    "reference": "%/in",
-    "cap_pressure": "%/MPa",
-    "rod_pressure": "%/MPa",
-    "position": "%/in",
-    "velocity": "%/(in/s)",
-    "position_error_rate": "%/(in/s)",
-    "velocity_error": "%/(in/s)",
-    "error_integral": "%/(in s)",
-    "acceleration": "%/(in/s^2)",
-    "force": "%/lbf",
-}
-
-_SCALES = {"cap_pressure": 1e-6, "rod_pressure": 1e-6}
-"""Size of a slider's unit in that of the law's data, where it is another one."""
-
-
-class Knob(NamedTuple):
-    """One number of a law that can be turned."""
-
-    path: tuple[str, ...]  #: Where it is in the law.
-    value: float  #: As the law has it, in the slider's unit.
-    low: float  #: Least value of its slider.
-    high: float  #: Largest value of its slider.
-    scale: float  #: Size of the slider's unit in that of the law's data.
-
-    @property
-    def label(self) -> str:
-        """Short name: the report's letters for the gain tables."""
-        table, *rest = self.path
-        return " ".join([_LETTERS.get(table, "model"), *rest]).replace("_", " ")
-
-    @property
-    def hint(self) -> str:
-        """Full name and unit."""
-        unit = (
-            _UNITS.get(self.path[-1], "") if self.path[0] in ("input_gain", "direct_gain") else ""
-        )
-        return f"{'.'.join(self.path)} {unit}".strip()
-
-    def table(self, value: float) -> dict[str, Any]:
-        """A value of the slider as a table of `gains`."""
-        return _nested(self.path, value * self.scale)
-
-
-def knobs(law: Law) -> tuple[Knob, ...]:
-    """One knob for each number of a law that is not zero."""
-    data = law.model_dump(include={*_LETTERS, "reference_model"}, exclude_none=True)
-    return tuple(_knob(law, path, value) for path, value in _numbers(data) if value != 0.0)
-
-
-def _numbers(data: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[Any, float]]:
-    for name, value in data.items():
-        if isinstance(value, Mapping):
-            yield from _numbers(value, (*above, name))
-        elif isinstance(value, int | float):
-            yield (*above, name), float(value)
-
-
-def _knob(law: Law, path: tuple[str, ...], value: float) -> Knob:
-    """A knob that reaches as far towards zero and the double as the law allows."""
-
-    def allowed(end: float) -> bool:
-        try:
-            overlaid_law(law, _nested(path, end))
-        except ValueError:
-            return False
-        return True
-
-    scale = _SCALES.get(path[-1], 1.0)
-    near = next(filter(allowed, (0.0, 0.02 * value, 1.0, value)))
-    far = next(filter(allowed, (2.0 * value, 1.0, 0.99, value)))
-    low, high = sorted((near / scale, far / scale))
-    return Knob(path, value / scale, low, high, scale)
-
-
-def _nested(path: tuple[str, ...], value: float) -> dict[str, Any]:
-    nested: Any = value
-    for part in reversed(path):
-        nested = {part: nested}
-    return dict(nested)
-
 
 SPEEDS = {"1": 1.0, "1/2": 0.5, "1/5": 0.2, "1/10": 0.1, "1/50": 0.02}
 """Slow motion: simulated over wall time."""
@@ -115,15 +33,42 @@ LEGS = tuple("123456")
 _HERTZ = ("frequency", "start", "stop", "corner")
 """Settings of signals in Hz; numbers with a point among the others are in s."""
 
+NONE = "none"
+"""Choice of no second law."""
+
 _STEPS = 200
 """Steps of a gain's slider from end to end."""
+
+
+_GOOD, _FAILED, _TRIPPED = "#2f9e44", "#f08c00", "#d62728"
+
+_TOLD = 3
+"""Marks that the lamp tells of at most."""
+
+
+def lamp(view: View) -> str:
+    """HTML of a lamp: green; amber while something has failed; red once it tripped or ended."""
+    harm = [mark for mark in view.marks if mark.harm]
+    colour, says = _GOOD, "all works"
+    if view.end:
+        colour, says = _TRIPPED, f"ended: {view.end}"
+    elif view.live.fault is not None:
+        colour, says = _TRIPPED, f"tripped: {fault_text(view.live.fault)}"
+    elif harm:
+        colour, says = _FAILED, "failed"
+    told = "".join(f"<br>{mark.time:.1f} s: {escape(mark.text)}" for mark in view.marks[-_TOLD:])
+    dot = f"<span style='color:{colour};font-size:1.6em;line-height:0.6'>&#9679;</span>"
+    return f"<div style='padding:0 0.8em;font-size:0.9em'>{dot} <b>{escape(says)}</b>{told}</div>"
 
 
 def run_controls(desk: Desk) -> Callable[[View], None]:
     """Pause, reset and slow motion; brings what it says of the session up to date."""
     gui = desk.client.gui
+    light = gui.add_html("")
     status = gui.add_markdown("starting ...")
-    buttons = gui.add_button_group("run", ("pause", "go on", "reset"))
+    buttons = gui.add_button_group(
+        "run", ("pause", "go on", "reset"), hint="reset: from rest, all repaired"
+    )
     speed = gui.add_dropdown("speed", tuple(SPEEDS), hint="simulated over wall time")
     by_hand(lambda chosen: desk.live.set_speed(SPEEDS[chosen.value]), speed)
 
@@ -142,9 +87,8 @@ def run_controls(desk: Desk) -> Callable[[View], None]:
         if pace.given_up > 0.0:
             lines += [f"too slow: {pace.given_up:.1f} s given up"]
         lines += [f"law {live.law}" + (f", {live.state}" if live.state else "")]
-        if live.fault is not None:
-            leg = "" if live.fault.leg is None else f" of leg {live.fault.leg}"
-            lines += [f"**fault: {live.fault.name.replace('_', ' ')}{leg}**"]
+        if light.content != (html := lamp(view)):
+            light.content = html
         status.content = "  \n".join(lines)
 
     return show
@@ -157,9 +101,18 @@ class SignalControls:
         """Add them to the container in force."""
         gui = desk.client.gui
         self._desk, self._machine = desk, models.CMF
-        self._dof = gui.add_dropdown("DOF", DOFS, initial_value="heave")
-        self._kind = gui.add_dropdown("signal", ("rest", *choices.SIGNALS), initial_value="sine")
-        self._amplitude = gui.add_slider("amplitude", 0.05, 41.0, 0.05, 2.0)
+        self._dof = gui.add_dropdown(
+            "DOF", DOFS, initial_value="heave", hint="degree of freedom that moves and is drawn"
+        )
+        self._kind = gui.add_dropdown(
+            "signal",
+            ("rest", *choices.SIGNALS),
+            initial_value="sine",
+            hint="demand of the platform; takes over within 1 s",
+        )
+        self._amplitude = gui.add_slider(
+            "amplitude", 0.05, 41.0, 0.05, 2.0, hint="up to the operational excursion"
+        )
         self._folder = gui.add_folder("settings")
         self._settings: dict[str, Any] = {}
         by_hand(self._moved, self._dof, self._kind, self._amplitude)
@@ -228,7 +181,14 @@ class SignalControls:
 def law_controls(desk: Desk) -> None:
     """The law, and a slider for each of its gains."""
     gui = desk.client.gui
-    chosen = gui.add_dropdown("law", law_names("all"), initial_value="velocity")
+    chosen = gui.add_dropdown(
+        "law", law_names("all"), initial_value="velocity", hint="takes over while the machine moves"
+    )
+    second = gui.add_dropdown(
+        "second law",
+        (NONE, *law_names("all")),
+        hint="a second machine with this law does the same, drawn beside; begins a new run",
+    )
     folder = gui.add_folder("gains", expand_by_default=False)
     sliders: list[viser.GuiSliderHandle[float]] = []
 
@@ -257,15 +217,22 @@ def law_controls(desk: Desk) -> None:
         by_hand(moved, slider)
         return slider
 
+    def compare(_: Any) -> None:
+        desk.beside = "" if second.value == NONE else second.value
+        desk.again()
+
     by_hand(choose, chosen)
+    by_hand(compare, second)
     desk.follow(follow)
 
 
 def machine_controls(desk: Desk) -> None:
     """Cab, plant set and protection: each begins a new run."""
     gui = desk.client.gui
-    cab = gui.add_dropdown("cab", models.CABS)
-    hydraulics = gui.add_dropdown("plant set", HYDRAULICS, initial_value="hardware")
+    cab = gui.add_dropdown("cab", models.CABS, hint="its mass, inertia and centre of mass")
+    hydraulics = gui.add_dropdown(
+        "plant set", HYDRAULICS, initial_value="hardware", hint="oil, valves, leakage and supply"
+    )
     protection = gui.add_checkbox(
         "protection", False, hint="fault detection that makes an emergency stop"
     )
@@ -291,12 +258,18 @@ def machine_controls(desk: Desk) -> None:
 def disturbance_controls(desk: Desk) -> None:
     """A push on the platform, and failures."""
     gui = desk.client.gui
-    direction = gui.add_dropdown("push", tuple(choices.DIRECTIONS))
-    size = gui.add_slider("force [kN]", 1.0, choices.LARGEST_PUSH, 1.0, 20.0)
+    direction = gui.add_dropdown(
+        "push", tuple(choices.DIRECTIONS), hint="force on the platform's centre of mass"
+    )
+    size = gui.add_slider(
+        "force [kN]", 1.0, choices.LARGEST_PUSH, 1.0, 20.0, hint="100 kN: 3/4 of the weight"
+    )
     on = gui.add_checkbox("push now", False, hint="lasts until it is switched off")
-    kind = gui.add_dropdown("failure", KINDS, initial_value="pump_lost")
+    kind = gui.add_dropdown(
+        "failure", KINDS, initial_value="pump_lost", hint="lasts until the run is reset"
+    )
     leg = gui.add_dropdown("leg", LEGS, hint="of a valve or sensor")
-    fail = gui.add_button("fail now", color="red")
+    fail = gui.add_button("fail now", color="red", hint="let it fail in the next frame")
 
     def push() -> None:
         force = choices.push_of(direction.value, size.value) if on.value else Push()
@@ -338,7 +311,9 @@ def file_controls(desk: Desk) -> None:
             content = record.save(Path(folder) / "session.parquet").read_bytes()
         send("session.parquet", content, save_immediately=True)
 
-    upload = gui.add_upload_button("load scenario", mime_type=".toml", icon="file-upload")
+    upload = gui.add_upload_button(
+        "load scenario", mime_type=".toml", icon="file-upload", hint="begins a new run"
+    )
 
     @upload.on_upload
     def _(_: Any) -> None:

@@ -24,6 +24,8 @@ class Desk:
     ) -> None:
         """Build the session; `show` draws its turns."""
         self.client = client
+        self.beside = ""
+        """Law of the machine that does the same beside; empty for none."""
         self.live = LiveSession(scenario, show, self.tell)
         self._followers: list[Callable[[Scenario], None]] = []
         self._lock = threading.Lock()
@@ -48,7 +50,7 @@ class Desk:
         paused = self.live.paused
         self.live.pause(True)  # time that a new scene takes is not to be made up for
         try:
-            self.live.begin(scenario).result()
+            self.live.begin(scenario, self.beside).result()
             for follower in self._followers:
                 follower(scenario)
         except (ValueError, OSError) as error:

@@ -28,6 +28,7 @@ from cmf_mj.facility.scenario.settings import Change, Scenario
 from cmf_mj.facility.session import Live
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
+from cmf_mj.show.studio.marks import Mark, marks_of
 
 LARGEST = 0.25
 """Wall time made up for at most in one turn [s]."""
@@ -111,9 +112,12 @@ class View(NamedTuple):
 
     live: Live  #: The run as it stands.
     past: Collection[Live]  #: The states of the last `LONGEST` seconds, oldest first.
+    beside: Collection[Live | None]  #: Those of the second law at the same times, where it runs.
+    marks: tuple[Mark, ...]  #: What has happened, in order of time.
     plant: Hexapod  #: The machine; its MuJoCo data is that of the run.
     pace: Pace  #: How the session keeps up.
     paused: bool  #: Whether time stands still.
+    end: str  #: Why the run has ended; empty while it goes on.
 
     @property
     def push(self) -> NDArray[np.float64]:
@@ -123,7 +127,7 @@ class View(NamedTuple):
 
 
 class LiveSession:
-    """One run at a time, in real time."""
+    """One run at a time, in real time; beside it, if wanted, the same run with a second law."""
 
     def __init__(
         self,
@@ -140,9 +144,12 @@ class LiveSession:
         self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._closed = threading.Event()
         self._clock = Clock(time.monotonic())
-        self._past: deque[Live] = deque(maxlen=round(LONGEST * PLOT_RATE))
+        kept = round(LONGEST * PLOT_RATE)
+        self._past: deque[Live] = deque(maxlen=kept)
+        self._beside_past: deque[Live | None] = deque(maxlen=kept)
         self._run = _open_run(scenario)
-        self._ended = False
+        self._beside: ScenarioRun | None = None
+        self._end = ""
         self._thread = threading.Thread(target=self._go, name="studio session", daemon=True)
 
     def start(self) -> None:
@@ -155,20 +162,38 @@ class LiveSession:
         if wait and self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
 
-    def begin(self, scenario: Scenario) -> "Future[None]":
-        """Begin anew with another scenario; the run goes on if it is refused."""
+    def begin(self, scenario: Scenario, beside: str = "") -> "Future[None]":
+        """Begin anew with another scenario; the run goes on if it is refused.
+
+        With a law `beside`, a second plant does all that the first does, but with this law to the
+        end. Only the first is exported and recorded.
+        """
 
         def build() -> None:
-            self._run = _open_run(scenario)
-            self._ended = False
+            run, second = _open_run(scenario), None
+            if beside:
+                same = {
+                    "law": beside,
+                    "gains": {},
+                    "change": (*map(_without_law, scenario.change),),
+                }
+                second = _open_run(scenario.model_copy(update=same))
+            self._run, self._beside, self._end = run, second, ""
             self._past.clear()
+            self._beside_past.clear()
             self._clock.restart(time.monotonic())
 
         return self._ask(build)
 
     def apply(self, change: Change) -> "Future[None]":
         """Let something change from the next control frame on."""
-        return self._ask(lambda: self._run.apply(change))
+
+        def act() -> None:
+            self._run.apply(change)
+            if self._beside is not None:
+                self._beside.apply(_without_law(change))
+
+        return self._ask(act)
 
     @property
     def paused(self) -> bool:
@@ -239,16 +264,20 @@ class LiveSession:
     def _turn(self, now: float) -> int:
         """Answer, advance and show; the control frames run."""
         self._answer()
-        due = 0 if self._ended else self._clock.due(now)
+        due = 0 if self._end else self._clock.due(now)
         try:
             self._advance(due)
         except CmfError as error:
-            self._ended = True
+            self._end = str(error)
             self._tell(error)
-        plant = self._run.plant
+        run, clock = self._run, self._clock
+        plant, live = run.plant, run.latest()
         assert isinstance(plant, Hexapod)
-        clock = self._clock
-        self._show(View(self._run.latest(), self._past, plant, clock.pace, clock.paused))
+        marks = marks_of(run.scenario(), live.fault)
+        if self._end:
+            marks += (Mark(live.time, "the run ended", True),)
+        pasts = self._past, self._beside_past
+        self._show(View(live, *pasts, marks, plant, clock.pace, clock.paused, self._end))
         return due
 
     def _advance(self, frames: int) -> None:
@@ -256,9 +285,29 @@ class LiveSession:
         end = self._run.frame + frames
         while self._run.frame < end:
             frame = self._run.frame
-            self._run.advance(min(_PART - frame % _PART, end - frame))
+            part = min(_PART - frame % _PART, end - frame)
+            self._run.advance(part)
+            second = self._second(part)
             if self._run.frame % _PART == 0:
                 self._past.append(self._run.latest())
+                self._beside_past.append(second)
+
+    def _second(self, frames: int) -> Live | None:
+        """Run control frames of the second law; its end is not that of the first."""
+        if self._beside is None:
+            return None
+        try:
+            self._beside.advance(frames)
+        except CmfError as error:
+            self._beside = None
+            self._tell(error)
+            return None
+        return self._beside.latest()
+
+
+def _without_law(change: Change) -> Change:
+    """The same change to the run beside, which keeps its law."""
+    return change.model_copy(update={"law": None, "gains": {}})
 
 
 def _open_run(scenario: Scenario) -> ScenarioRun:

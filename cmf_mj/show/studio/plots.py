@@ -10,34 +10,39 @@ from numpy.typing import ArrayLike, NDArray
 from viser import uplot
 
 from cmf_mj.core import units
+from cmf_mj.facility.session import Live
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import hexapod_model
-from cmf_mj.show.look import BLUE, COLOURS, ORANGE
+from cmf_mj.show.look import BLUE, GREEN, ORANGE
 from cmf_mj.show.studio.live import PLOT_RATE, View
+from cmf_mj.show.studio.marks import Mark
 
-_DARK, _PALE = "#222222", "#8a9099"
+_DARK, _PALE, RED = "#222222", "#8a9099", "#d62728"
 
 
 def _add_plot(
     client: viser.ClientHandle,
     title: str,
-    lines: Sequence[tuple[str, str]],
+    lines: Sequence[tuple[str, str, bool]],
     low: float,
     high: float,
-    dashed: str = "",
 ) -> viser.GuiUplotHandle:
-    """Add an empty plot over time of lines, each a label and a colour.
+    """Add an empty plot over time of lines, each a label, a colour and whether it is dashed.
 
-    Its axis reaches from `low` to `high` at least, so that round-off does not fill it.
+    Its axis reaches from `low` to `high` at least, so that round-off does not fill it. Two lines
+    more rise from the lower edge to the upper where something changed, failed or tripped.
     """
     least, most = ({"pad": 0.1, "soft": limit, "mode": 1} for limit in (low, high))
     series = [uplot.Series(label="t [s]")]
-    for label, colour in lines:
+    for label, colour, dashed in lines:
         series.append(uplot.Series(label=label, stroke=colour, width=1.5))
-        if label == dashed:
+        if dashed:
             series[-1]["dash"] = (5.0, 4.0)
+    for label, colour in (("changed", _PALE), ("failed", RED)):
+        series.append(uplot.Series(label=label, stroke=colour, width=1.5, scale="mark"))
+        series[-1]["points"] = uplot.Series_Points(show=False)
     font, ticks = "11px sans-serif", uplot.Axis_Ticks(size=4, width=1)
     return client.gui.add_uplot(
         (np.zeros(2),) * len(series),
@@ -46,6 +51,7 @@ def _add_plot(
         scales={
             "x": uplot.Scale(time=False),
             "y": uplot.Scale(range={"min": least, "max": most}),
+            "mark": uplot.Scale(auto=False, range=(0.0, 1.0)),
         },
         axes=(
             uplot.Axis(size=34, font=font, ticks=ticks, gap=4),
@@ -57,27 +63,43 @@ def _add_plot(
     )
 
 
+def spikes(
+    time: NDArray[np.float64], marks: Sequence[Mark]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lines that rise from below 0 to 1 at the time of each mark: of changes, and of harm."""
+    lines = np.full((2, time.size), -1.0)
+    for mark in marks:
+        if time[0] <= mark.time <= time[-1]:
+            lines[int(mark.harm), np.searchsorted(time, mark.time)] = 1.0
+    return lines[0], lines[1]
+
+
 class Plots:
     """The five plots of a tab."""
 
     def __init__(self, client: viser.ClientHandle) -> None:
         """Add them to the container in force."""
-        legs = [(str(leg), colour) for leg, colour in zip(range(1, 7), COLOURS, strict=False)]
-        both = [("demand", _DARK), ("response", BLUE)]
+        # Mirrored legs have one colour and the left ones are dashed: both show where they agree.
+        mirrored = (BLUE, ORANGE, GREEN, GREEN, ORANGE, BLUE)
+        legs = [(str(leg), colour, leg > 3) for leg, colour in enumerate(mirrored, 1)]
+        both = [("demand", _DARK, True), ("response", BLUE, False), ("second law", ORANGE, False)]
         self._response = {
-            unit: _add_plot(client, f"platform [{unit}]", both, -0.05, 0.05, "demand")
+            unit: _add_plot(client, f"platform [{unit}]", both, -0.05, 0.05)
             for unit in ("in", "deg")
         }
         self._force = _add_plot(client, "leg forces [kN]", legs, 20.0, 40.0)
         self._valve = _add_plot(client, "valve commands [%]", legs, -2.0, 2.0)
-        sides = [("cap", BLUE), ("rod", ORANGE)]
+        sides = [("cap", BLUE, False), ("rod", ORANGE, False)]
         self._pressure = _add_plot(client, "pressures of the leg [psi]", sides, 0.0, 1000.0)
-        manifolds = [("supply", _DARK), ("return", _PALE)]
-        self._supply = _add_plot(client, "manifolds [psi]", manifolds, 0.0, 2000.0, "return")
+        manifolds = [("supply", _DARK, False), ("return", _PALE, True)]
+        self._supply = _add_plot(client, "manifolds [psi]", manifolds, 0.0, 2000.0)
 
     def show(self, view: View, seconds: float, dof: str, leg: int) -> None:
         """Draw the last seconds: a degree of freedom, and the pressures of a leg from 0."""
-        past = list(view.past)[-round(seconds * PLOT_RATE) :]
+        rows = round(seconds * PLOT_RATE)
+        past: list[Live] = list(view.past)[-rows:]
+        beside: list[Live | None] = list(view.beside)[-rows:]
+        runs: tuple[Sequence[Live | None], ...] = past, beside
         if len(past) < 2:
             return
         index, unit = DOFS.index(dof), dof_unit(dof)
@@ -88,16 +110,22 @@ class Plots:
             return list(np.ascontiguousarray(np.atleast_2d(values.T)))
 
         time = of("time", "s")[0]
-        pose = view.plant.pose_of(np.array([live.qpos for live in past]))
-        response = units.from_si(unit, pose[:, index])
+        marked = spikes(time, view.marks)
+        responses = np.full((2, len(past)), np.nan)
+        for response, lives in zip(responses, runs, strict=True):
+            there = {row: live.qpos for row, live in enumerate(lives) if live is not None}
+            if there:
+                pose = view.plant.pose_of(np.array(list(there.values())))
+                response[list(there)] = units.from_si(unit, pose[:, index])
         for name, plot in self._response.items():
             plot.visible = name == unit
-        self._response[unit].data = (time, of("demand", unit)[index], response)
-        self._force.data = (time, *of("force", "kN"))
-        self._valve.data = (time, *of("valve_command", "%"))
+        self._response[unit].data = (time, of("demand", unit)[index], *responses, *marked)
+        self._force.data = (time, *of("force", "kN"), *marked)
+        self._valve.data = (time, *of("valve_command", "%"), *marked)
         pressures = of("cap_pressure", "psi")[leg], of("rod_pressure", "psi")[leg]
-        self._pressure.data = (time, *pressures)
-        self._supply.data = (time, *of("supply_pressure", "psi"), *of("return_pressure", "psi"))
+        self._pressure.data = (time, *pressures, *marked)
+        manifolds = *of("supply_pressure", "psi"), *of("return_pressure", "psi")
+        self._supply.data = (time, *manifolds, *marked)
 
 
 _PUSH_LENGTH = 5.0
@@ -110,11 +138,30 @@ _CLEAR = 2.4
 """Distance of its tip from there, outside the cab [m]."""
 
 
+_HEIGHT, _WIDTH = 0.62, 0.85
+"""Angles that hold the machine with its longest cab, seen from the first view [rad]."""
+
+_UPRIGHT, _LOWER = 0.8, 6.0
+"""Width over height below which controls cover the lower part of the picture, as on a phone, and
+how much lower the camera looks there, so that the machine stands above them [m]."""
+
+
 def place_camera(client: viser.ClientHandle) -> None:
-    """Put a tab's camera at the first view."""
+    """Put a tab's camera at the first view; it holds the machine in a picture of any shape."""
+    camera = client.camera
     # From the right front, a little above the platform [m, rad].
-    client.camera.position, client.camera.look_at = (10.6, -10.4, 1.6), (0.0, 0.0, -0.75)
-    client.camera.fov = 0.62
+    camera.position, camera.look_at = (10.6, -10.4, 1.6), (0.0, 0.0, -0.75)
+    shape = 1.0
+
+    @camera.on_update
+    def _(_: viser.CameraHandle) -> None:
+        nonlocal shape
+        before, shape = shape, camera.aspect
+        if abs(shape - before) > 0.01:
+            wide = np.tan(0.5 * _WIDTH) / shape
+            camera.fov = 2.0 * float(np.arctan(max(np.tan(0.5 * _HEIGHT), wide)))
+            lower = _LOWER * (float(shape < _UPRIGHT) - float(before < _UPRIGHT))
+            camera.look_at = camera.look_at - np.array([0.0, 0.0, lower])
 
 
 class MachineScene:

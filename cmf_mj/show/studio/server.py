@@ -73,11 +73,14 @@ class Page:
         panel = gui.add_panel()
         with panel.add_tab("Signals"):
             self._plots = Plots(self.desk.client)
-            self._leg = gui.add_dropdown("leg of the pressures", controls.LEGS)
-            self._window = gui.add_dropdown("window [s]", ("5", "10", "20"), initial_value="10")
-            self._drawn = gui.add_checkbox("plots on", True)
+            self._leg = gui.add_dropdown("leg of the pressures", controls.LEGS, hint="cap and rod")
+            self._window = gui.add_dropdown(
+                "window [s]", ("5", "10", "20"), initial_value="10", hint="time that plots show"
+            )
+            self._drawn = gui.add_checkbox("plots on", True, hint="off: less work for the browser")
         panel.dock_left()
         panel.set_width(430)
+        panel.expand()
 
     def _show(self, view: View) -> None:
         """Draw a turn of the session."""
