@@ -1,12 +1,18 @@
-"""Compliance under a law: mass alone at high frequency, and the closed form of one mode."""
+"""Compliance under a law: its limits, the closed form of a mode, and forces in the simulation."""
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from cmf_mj import Hexapod, load_hydraulics, load_law
-from cmf_mj.analysis.linear.stiffness import compliance, dynamic_stiffness
+from cmf_mj import Hexapod, SingleLegs, load_hydraulics, load_law
+from cmf_mj.analysis.linear.reduction import jacobian_of
+from cmf_mj.analysis.linear.stiffness import compliance, disturbance, dynamic_stiffness
+from cmf_mj.control.law import Gains, Law
 from cmf_mj.core import units
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.rates import FRAME, RATE
+from cmf_mj.facility.options import Options
+from cmf_mj.facility.session import Session, Table
+from cmf_mj.machine.geometry import FLIP
 
 PLANT = Hexapod("ifd", load_hydraulics("hardware"))
 LAW = load_law("modal_plan").bound_to("ifd")
@@ -45,3 +51,74 @@ def test_the_shipped_law_keeps_most_of_the_stiffness_of_the_law_flown() -> None:
     flown, own = (dynamic_stiffness(PLANT, law, hertz) for law in ("velocity", LAW))
     assert (own / flown).min() > 0.7
     assert (own / flown)[10, 0] > 8.0
+
+
+HERTZ = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 5.0])
+HELD = 8  # frames that a force is held
+
+
+def pushed(law: str | Law, axis: int, force: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Motion (N,) along an axis in the simulation, of a wrench (N,) about the centroid."""
+    options = Options(frames=force.size * HELD, record_every=HELD)
+    session = Session(PLANT, load_law(law), Table(np.zeros((1, 6))), options)
+    body = PLANT.model.body("platform").id
+    data, wrench = PLANT.data, np.zeros(6)
+    for now in force:
+        wrench[axis] = now * FLIP[axis % 3]
+        arm = data.xpos[body] - data.xipos[body]
+        turned = wrench + np.append(np.zeros(3), np.cross(arm, wrench[:3]))
+        session.push({body: turned.tolist()})
+        session.run(HELD)
+    return session.history()[1]["platform_pose"][:, axis]
+
+
+@pytest.mark.parametrize("axis", [0, 3, 4])
+@pytest.mark.parametrize("law", ["velocity", "modal_plan"])
+def test_a_force_on_the_simulated_cab_moves_it_as_the_linear_compliance_says(
+    law: str, axis: int
+) -> None:
+    """Six sines at once, 0.5 to 5 Hz, of 100 N or N m each, that move it by micrometres: 3 %."""
+    time, last = (np.arange(8 * RATE // HELD) + 0.5) * HELD * FRAME, 2 * RATE // HELD
+    phases = np.pi * np.arange(HERTZ.size) ** 2 / HERTZ.size
+    waves = np.exp(1j * (2.0 * np.pi * time[:, None] * HERTZ + phases))
+    moved = pushed(law, axis, 100.0 * waves.imag.sum(axis=1))[-last:]
+    found = 2.0 * (moved - moved.mean()) @ waves[-last:].conj() / last
+    found *= np.exp(1j * np.pi * HERTZ * HELD * FRAME)  # rows stand at the start of what is held
+    back = np.linalg.inv(jacobian_of(PLANT))
+    linear = (back @ compliance(PLANT, load_law(law).bound_to("ifd"), HERTZ) @ back.T)[
+        :, axis, axis
+    ]
+    expected = -1j * 100.0 * linear * np.sinc(HERTZ * HELD * FRAME)
+    np.testing.assert_allclose(found, expected, rtol=0.03)
+
+
+def test_a_force_that_stays_moves_the_simulated_cab_by_the_stiffness_at_rest() -> None:
+    """1 % under the law flown; an error integral takes all of it back, at last by K_i / K_p."""
+    force = np.full(8 * RATE // HELD, 1000.0)
+    moved = pushed("velocity", 0, force)[-RATE // HELD :].mean()
+    assert 1000.0 / moved == pytest.approx(disturbance(PLANT, "velocity")[0, 0], rel=0.01)
+    late = pushed("modal_plan", 0, force)[4 * RATE // HELD :]
+    assert np.log(late[0] / late[-1]) / 4.0 == pytest.approx(10.0 / 46.0, rel=0.05)
+    assert disturbance(PLANT, LAW)[0, 0] == np.inf
+
+
+def test_rejection_of_a_leg_is_the_sensitivity_of_its_loop() -> None:
+    """|S| = 1 / |1 + loop gain|, K_p G k (K / (s + leak)) / (m s^2 + K s / (s + leak)) / s behind
+    lags and 1.5 frames; two chambers' leaks add below 2 % and 0.3 dB."""
+    gain, plant = 60.0, SingleLegs(load_hydraulics("hardware"))
+    law = Law(name="p", title="Position", direct_gain=Gains(reference=gain, position=-gain))
+    p, s = plant.parameters, 2j * np.pi * np.linspace(0.1, 20.0, 4000)
+    mass, leak = plant.reflected_mass()[0, 0], p.leak_rate.si
+    spring = mass * (2.0 * np.pi * 11.3) ** 2
+    lags = (1.0 + s / p.drive_lag.si) * (1.0 + s / p.valve_lag.si) * np.exp(1.5 * s * FRAME)
+    oil = spring * s / (s + leak)
+    loop = gain * units.PERCENT / units.INCH * p.leg_speed.si / s / lags * oil / (oil + mass * s**2)
+    level = -20.0 * np.log10(np.abs(1.0 + loop))
+    *_, bandwidth, peak = disturbance(plant, law)
+    first = s.imag[np.argmax(level > -3.0)] / (2.0 * np.pi)
+    np.testing.assert_allclose(bandwidth, first, rtol=0.02)
+    np.testing.assert_allclose(peak, level.max(), atol=0.3)
+
+
+def test_a_law_that_is_not_stable_holds_nothing() -> None:
+    assert np.isnan(disturbance(PLANT, "position_error_rate")).all()

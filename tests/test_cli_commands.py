@@ -33,7 +33,7 @@ def test_compare_writes_table_figures_and_records(
     out = tmp_path / "out"
     code, output = run(
         *("compare", "--laws", f"velocity,{law}", "--dofs", "heave,roll", "--quick"),
-        *("--out", str(out), "--jobs", "2"),
+        *("--out", str(out), "--jobs", "2", "--measures"),
     )
     assert code == 0, output
     with (out / "comparison.csv").open(newline="") as file:
@@ -49,6 +49,13 @@ def test_compare_writes_table_figures_and_records(
     half = {row["law"]: float(row["phase_bandwidth_hz"]) for row in rows if row["dof"] == "heave"}
     assert half["soft"] < half["velocity"]  # the user's gain acts
     assert "soft" in output
+    lines = (out / "measures.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) == 2 + len(rows)
+    for row in rows:  # -90 deg over the drive's 3 Hz, two digits
+        plant = {"hexapod": "hexapod", "single_legs": "single legs"}[row["plant"]]
+        found = next(x for x in lines if x.startswith(f"| {row['law']} | {row['dof']} | {plant}"))
+        expected = f"{float(row['phase_bandwidth_hz']) / 3.0:.2f}"
+        assert found.split(" | ")[3] == expected
     for dof in ("heave", "roll"):
         for kind in ("bode", "step"):
             assert {"Velocity FB", "Half the position gain"} <= drawn[f"{kind}_{dof}.png"]

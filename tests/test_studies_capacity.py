@@ -6,6 +6,7 @@ Oracles: sines integrated through the kinematics, the orifice equation solved by
 
 import csv
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,10 @@ import pytest
 from scipy.optimize import brentq
 from typer.testing import CliRunner
 
-from cmf_mj import Hexapod, SingleLegs, load_hydraulics
+from cmf_mj import Hexapod, SingleLegs, load_hydraulics, load_law
 from cmf_mj.cli.common import app
+from cmf_mj.control.plan import actuator_polynomial
+from cmf_mj.facility.binding import nominal_modes
 from cmf_mj.facility.simulation import drive
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
@@ -198,6 +201,26 @@ def test_acceleration_limit_puts_one_leg_at_its_stall_force_and_none_beyond(plan
     used = [(load + sign * inertia) / (1500 * PSI) for sign in (1, -1)]
     share = max(max((u / CAP).max(), (-u / ROD).max()) for u in used)
     assert share == pytest.approx(1.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("dof", ["surge", "heave", "roll"])
+def test_unit_gain_ends_where_the_modes_ask_for_all_that_valves_or_supply_give(plant, dof):
+    """By modes, as the plan inverts them: |V D_i(jw) / k V' J| a; and the stall at mid load."""
+    limits = asymptotes(plant, dof)
+    modes, plan = nominal_modes(plant), load_law("modal_plan").plan
+    shape = np.array(modes.shape)
+    speed = plan.speed * INCH / 0.01
+    polynomials = [actuator_polynomial(plan, 2 * np.pi * f)[::-1] for f in modes.frequency]
+    size = 0.33 * INCH
+    alike = replace(limits, speed=np.full(6, speed), acceleration=np.inf)
+    found = alike.saturation(size)
+    along = np.array([np.polyval(p, 2j * np.pi * found) for p in polynomials])
+    asked = np.abs(shape.T @ (along * (shape @ limits.column)) * size / speed).max()
+    assert asked == pytest.approx(1.0, rel=0.02)
+    stalled = replace(limits, speed=np.full(6, np.inf)).saturation(size)
+    assert (2 * np.pi * stalled) ** 2 * size == pytest.approx(limits.acceleration, rel=0.01)
+    assert limits.saturation(size) <= min(found, stalled) * 1.1
+    assert np.isnan(limits.saturation(1e-9))
 
 
 def test_displacement_limits_are_table_2_1_the_smaller_side(plant):

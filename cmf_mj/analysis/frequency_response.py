@@ -331,17 +331,17 @@ def line_bandwidths(frequency: ArrayLike, response: NDArray[np.complex128]) -> B
     lines = np.asarray(frequency, dtype=np.float64)
     gain = 20.0 * np.log10(np.abs(response))
     phase = np.degrees(np.unwrap(np.angle(response))) + 90.0
-    through = _falls(lines, phase, 0.0)
+    through = falls(lines, phase, 0.0)
     return Bandwidths(
         float(through[0]),
-        float(_falls(lines, gain, -3.0)[0]),
+        float(falls(lines, gain, -3.0)[0]),
         float(gain.max()),
         _later(lines, phase, through),
         *_graze(lines, phase),
     )
 
 
-def _falls(
+def falls(
     frequency: NDArray[np.float64], values: NDArray[np.float64], level: float
 ) -> NDArray[np.float64]:
     """Frequencies at which values fall through a level, NaN alone where they do not."""
@@ -362,7 +362,7 @@ def _later(
 
 def _graze(frequency: NDArray[np.float64], phase: NDArray[np.float64]) -> tuple[float, float]:
     """Both ends of the band in which the phase over -90 deg grazes 0; NaN where it does not."""
-    before, above, below = (_falls(frequency, phase, n * GRAZE) for n in (2, 1, -1))
+    before, above, below = (falls(frequency, phase, n * GRAZE) for n in (2, 1, -1))
     again = max(above.size, below.size) > 1
     lingers = np.log(below[-1] / above[0]) > LINGER * np.log(above[0] / before[0])
     return (float(above[0]), float(below[-1])) if again or lingers else (float("nan"), float("nan"))

@@ -73,22 +73,28 @@ def run_command(
 def run_comparison(laws: list[str], dofs: list[str], out: Path, **options: Any) -> Comparison:
     """Compare with a progress bar, print the table and write all files.
 
-    `options` are others of `compare`; records are kept unless `records` is False.
+    `options` are others of `compare`; records are kept unless `records` is False, with `measures`
+    what compares laws stands in a table more.
     """
     from cmf_mj.show import comparison as report
-    from cmf_mj.studies.comparison import compare
+    from cmf_mj.studies.comparison import compare, rated
 
-    kept = options.pop("records", True)
+    kept, more = options.pop("records", True), options.pop("measures", False)
     folder = out / "records" if kept else None
     with progress_bar() as update:
         comparison = compare(laws, dofs, records=folder, progress=update, **options)
     paths = report.save_comparison(comparison, out)
-    table = report.comparison_table(comparison.results)
+    tables, beside = [report.comparison_table(comparison.results)], ""
+    if more:
+        found = rated(comparison.results, options.get("jobs"))
+        tables.append(report.qualities_table(comparison.results, found))
+        beside = f", {tables[1].save(out / 'measures.md').name}"
     gap = max(result.gimbal_error for result in comparison.results)
     show(
-        table,
+        *tables,
         f"largest gap of a closed gimbal: {gap * 1e6:.2f} micrometres",
         f"written to {out}: comparison.csv, comparison.md, {len(paths) - 2} figures"
+        + beside
         + (", records/" if kept else ""),
         unfolded=True,
     )
@@ -107,12 +113,13 @@ def compare_command(
     out: options.Out = Path("out/compare"),
     quick: options.Quick = False,
     records: Annotated[bool, Option(help="keep all runs, about 8 MB a case")] = True,
+    measures: Annotated[bool, Option("--measures", help="what compares laws, too")] = False,
     noise: options.Noise = False,
 ) -> None:
     """Compare control laws in six degrees of freedom on the hexapod and on single legs."""
     machine = {"plants": plants, "cab": cab, "hydraulics": hydraulics}
     changed = {"amplitude": in_si("heave", amplitude), "electronics": noise_choice(noise)}
-    how = {"jobs": jobs, "quick": quick, "records": records}
+    how = {"jobs": jobs, "quick": quick, "records": records, "measures": measures}
     run_comparison(laws, dofs, out, **machine, **changed, **how)
 
 

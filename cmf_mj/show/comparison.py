@@ -12,12 +12,13 @@ from matplotlib.lines import Line2D
 from cmf_mj.analysis.frequency_response import dof_history
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
-from cmf_mj.machine.dof import dof_unit
+from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.show.look import COLOURS, DARK, GREY, bode_axes, legend, plot_bode, save_files, stack
 from cmf_mj.show.table import Cell, Column, Table, number
 from cmf_mj.signals.single import Step
 from cmf_mj.studies.case import CaseResult
 from cmf_mj.studies.comparison import PUBLISHED, Comparison, published_result
+from cmf_mj.studies.qualities import Qualities
 
 AGREEMENT = 0.1
 """Distance of two readings of -90 deg from which on a table shows both [Hz]."""
@@ -74,6 +75,41 @@ def comparison_table(results: Sequence[CaseResult]) -> Table:
         cells.append([*line, of])
     title = f"hydraulics: {first.hydraulics.name}" + (f", cab: {cab}" if cab else "")
     return Table(title, [*columns, ("\nof", "")], cells, _LEGEND, grouped=True)
+
+
+_QUALITIES = (
+    ("-90 over\ndrive lag", ".2f", "corner of the servo drive's lag"),
+    ("-90 over\noil mode", ".2f", "lowest hydraulic mode, valves shut"),
+    ("-90 over\nsaturation", ".2f", "where unit gain opens a valve fully or stalls a leg"),
+    ("stiffness\nat rest", ".0f", "klbf/in or klbf ft/deg; inf: an error integral"),
+    ("stiffness\n0.5 to 5 Hz", ".1f", "the least, linearised"),
+    ("rejection\nto", ".2f Hz", "3 dB off what a force moves with the valves shut, linearised"),
+    ("rejection\npeak", ".1f dB", "the most that the law adds to it"),
+    ("noise\nto valve", ".2f %", "rms of the busiest at rest, noisy electronics"),
+)
+"""Title, format and definition of `Qualities` by field."""
+
+
+def quality_rows(dof: str, found: Qualities) -> list[tuple[str, str, str]]:
+    """Title, value in the field's units and definition of each."""
+    unit = 1000.0 * units.POUND_FORCE / by_kind(dof, units.INCH, units.DEGREE / units.FOOT)
+    stiffness = [value / unit for value in found[3:5]]
+    values = (*found[:3], *stiffness, *found[5:7], 100.0 * found.valve_noise)
+    return [
+        (title.replace("\n", " "), number(value, form), definition)
+        for (title, form, definition), value in zip(_QUALITIES, values, strict=True)
+    ]
+
+
+def qualities_table(results: Sequence[CaseResult], found: Sequence[Qualities]) -> Table:
+    """What compares laws: a row per law, degree of freedom and plant."""
+    rows = []
+    for case, one in zip((result.case for result in results), found, strict=True):
+        values = [value for _, value, _ in quality_rows(case.dof, one)]
+        rows.append((case.law.name, case.dof, _TITLES[case.plant], *values))
+    legend = "; ".join(f"{title}: {text}" for title, _, text in _QUALITIES).replace("\n", " ")
+    columns = ("law", "dof", "plant", *((title, "") for title, *_ in _QUALITIES))
+    return Table("", columns, rows, legend, grouped=True)
 
 
 def _colours(results: Sequence[CaseResult]) -> dict[str, str]:

@@ -12,6 +12,7 @@ from cmf_mj.analysis.metrics import SecondOrder
 from cmf_mj.core import units
 from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.show.comparison import quality_rows
 from cmf_mj.show.look import dress_bode, legend, plot_band, plot_bode, save_files, stack
 from cmf_mj.show.table import Table, number
 from cmf_mj.studies.measurement import Measurement, RecordingMeasures, plain
@@ -75,6 +76,7 @@ def measurement_table(measured: Measurement) -> Table:
     rows += [
         ("delay", f"{1e3 * measured.transport_delay:.1f} ms", "cross-correlation of the sweep"),
         ("hysteresis", _share(measured.hysteresis), "loop width at 0.01 Hz, over peak-to-peak"),
+        *quality_rows(dof, measured.qualities),
     ]
     for at in measured.describing_function:
         size = f"{at.frequency_hz:g} Hz, {units.from_si(unit, at.amplitude):.3g} {unit}"

@@ -43,6 +43,7 @@ from cmf_mj.signals import composite
 from cmf_mj.signals.peaks import check_limits
 from cmf_mj.signals.signal import Command
 from cmf_mj.studies.case import Case, dof_amplitude
+from cmf_mj.studies.qualities import Qualities, qualities
 
 HALF_HERTZ = 0.5
 """Frequency of the half-hertz noise [Hz]."""
@@ -88,6 +89,7 @@ class Measurement:
     crosstalk: NDArray[np.float64]
     """Accelerations over the driven one at 1 Hz, (6, 6), a row a driven degree of freedom; rad/s^2
     per m/s^2 or the reverse across kinds."""
+    qualities: Qualities  #: What compares laws.
 
     def summary(self) -> dict[str, Any]:
         """Everything but the response curve as JSON values; NaN becomes None."""
@@ -100,6 +102,7 @@ class Measurement:
             "dof": case.dof,
             "amplitude": case.size,
             "measures": self.measures._asdict(),
+            "qualities": self.qualities._asdict(),
             "second_order": self.second_order and self.second_order._asdict(),
             "transport_delay": self.transport_delay,
             "describing_function": [point._asdict() for point in self.describing_function],
@@ -189,7 +192,7 @@ def measure(
     response = frequency_response(sweep)
     measures = joined(bandwidths(response), step_metrics(step))
     fitted = metrics.fit_second_order if measures.stable else lambda *_: None
-    points = product(frequencies, sizes)
+    points, swept = product(frequencies, sizes), (case.dof, case.size, measures.phase_bandwidth_hz)
     return Measurement(
         case=case,
         response=response,
@@ -201,6 +204,7 @@ def measure(
         hysteresis=_hysteresis(case, plant),
         threshold=tuple(_thresholds(case, plant)),
         crosstalk=np.array([_crosstalk(case, plant, driven) for driven in DOFS]),
+        qualities=qualities(plant, case.law, [swept])[0],
     )
 
 

@@ -1,4 +1,4 @@
-"""What a force on the machine does under a law: compliance, and dynamic stiffness by axis.
+"""What a force on the machine does under a law: compliance, stiffness and rejection by axis.
 
 With the linearised machine x' = A x + B u + B_f F, in which a force F that extends a leg enters
 where pressure times area does, and the law's loop closed in frames, the legs move by
@@ -6,19 +6,35 @@ where pressure times area does, and the law's loop closed in frames, the legs mo
     l = C (z 1 - A_loop)^-1 B_F F,    z = e^(j w T),
 
 F held over a frame, which costs (w T)^2 / 24 of its size. A wrench W on the platform is J^-T W at
-the legs, and x = J^-1 l.
+the legs, and x = J^-1 l. What a law takes off that motion is its disturbance rejection,
+
+    |S| = |x / W| under the law over |x / W| with the valves shut,
+
+for one leg the sensitivity 1 / (1 + loop gain). Bandwidth and peak of it are the DRB and DRP of
+rotorcraft flight control: where |S| first rises through -3 dB, and the most it rises to.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
+from cmf_mj.analysis.frequency_response import falls
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.law import labels
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.reduction import jacobian_of
-from cmf_mj.control.law import Law, load_law
+from cmf_mj.control.law import Gains, Law, load_law
+from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.plant import Plant
+
+BAND = (0.5, 5.0)
+"""Frequencies between which the least dynamic stiffness counts [Hz]."""
+
+LINES = 0.05 * 10.0 ** (np.arange(105) / 40.0)
+"""Lines the rejection is read from, 40 a decade, 0.05 to 19.9 Hz, the ends of `BAND` too."""
+
+_SHUT = Law(name="shut", title="Valves shut", direct_gain=Gains())
+_ENDLESS = 1e6  # times the least dynamic stiffness: round-off of an error integral's zero
 
 
 def compliance(
@@ -26,8 +42,8 @@ def compliance(
 ) -> NDArray[np.complex128]:
     """Motion of legs per force that extends them, (K, n, n) [m/N], at `frequency` (K,) [Hz].
 
-    A law in hydraulic modes must be bound to the plant's cab. The clamps do not act. Raises
-    `InputError` as `linearize` and `closed_loop` do.
+    At 0 Hz the force stays. A law in hydraulic modes must be bound to the plant's cab. The clamps
+    do not act. Raises `InputError` as `linearize` and `closed_loop` do.
     """
     loaded, system, legs = load_law(law), linearize(plant, pose), plant.legs
     loop, a = closed_loop(loaded, system), np.asarray(system.A)
@@ -60,3 +76,24 @@ def dynamic_stiffness(
     back = np.linalg.inv(jacobian_of(plant, pose))
     moved = back @ compliance(plant, law, frequency, pose) @ back.T
     return np.asarray(1.0 / np.abs(np.diagonal(moved, axis1=1, axis2=2)))
+
+
+def disturbance(plant: Plant, law: str | Law) -> NDArray[np.float64]:
+    """Stiffness at rest, the least in `BAND`, bandwidth [Hz] and peak [dB] of rejection, (4, 6).
+
+    By axis at neutral, as `dynamic_stiffness`: infinite under an error integral, NaN if unstable.
+
+    >>> from cmf_mj.analysis.linear.stiffness import disturbance
+    >>> static, least, bandwidth, peak = disturbance(cmf_mj.Hexapod("gfd"), "velocity")
+    >>> bandwidth.round(1)
+    array([1.5, 1.5, 1.5, 1.5, 1.5, 1.5])
+    """
+    if not np.abs(closed_loop(load_law(law), linearize(plant)).poles()).max() < 1.0:
+        return np.full((4, len(DOFS)), np.nan)
+    static, *held = dynamic_stiffness(plant, law, [0.0, *LINES])
+    shut = dynamic_stiffness(plant, _SHUT.on(plant.machine), LINES)
+    rejection = 20.0 * np.log10(shut / held)
+    least = np.min(np.array(held)[(BAND[0] <= LINES) & (LINES <= BAND[1])], axis=0)
+    bandwidth = [falls(LINES, -level, 3.0)[0] for level in rejection.T]
+    static = np.where(static > _ENDLESS * least, np.inf, static)
+    return np.array([static, least, bandwidth, rejection.max(axis=0)])

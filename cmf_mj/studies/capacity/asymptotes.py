@@ -21,7 +21,16 @@ Leg speed v with valves fully open, between constant manifolds, out:
         = (A_cap + A_rod) ((v / k)^2 + s v / k) + (R_in A_cap^2 + R_out A_rod^2) v
 
 and in with A_rod Ps - A_cap Pt + F on the left and the areas exchanged in the last term; k is the
-speed gain of both valves, s the laminar root, R the hoses. Inertia forces, the fall of the
+speed gain of both valves, s the laminar root, R the hoses.
+
+H is for legs that are let in as the demand asks. A law whose motion follows the demand exactly,
+with no other axis moving, needs of each leg the flow and the force
+
+    |G^-1 w (1 - w^2 (1 + lambda / jw) K^-1 M_leg) J e| a <= v,      |M_leg J e| w^2 a <= stall
+
+and unit gain at the amplitude a ends where the first of them is used up: `saturation`.
+
+Inertia forces, the fall of the
 manifold, bends of the kinematics and piston leakage (about 1 %) are left out of v: the limits are
 asymptotes of the envelope, not the envelope.
 """
@@ -31,12 +40,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.analysis.frequency_response import falls
 from cmf_mj.machine.dof import dof_index
 from cmf_mj.machine.kinematics import excursion_envelope, pose_jacobian
 from cmf_mj.plant.cylinder import stiffness
-from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.oil import density
+from cmf_mj.plant.plant import Plant
 from cmf_mj.signals.peaks import command_limits
 
 
@@ -47,8 +57,7 @@ class Asymptotes:
     dof: str  #: Degree of freedom.
     displacement: float  #: Operational limit [m, rad].
     leg_stroke: float  #: Excursion at which the first leg has used up its working stroke [m, rad].
-    leg_speed: float
-    """Velocity at which the first leg needs its valves fully open, at low frequency."""
+    speed: NDArray[np.float64]  #: v, of legs with valves fully open, the slower way [m/s], (n,).
     pump_flow: float
     """Velocity amplitude whose mean flow is the pump's, at low frequency; infinite if constant."""
     acceleration: float  #: Acceleration at which the first leg stalls [m/s^2, rad/s^2].
@@ -58,6 +67,25 @@ class Asymptotes:
     mass: NDArray[np.float64]  #: Reflected mass M_leg [kg], (n, n).
     stiffness: NDArray[np.float64]  #: K, oil springs of the legs [N/m], (n,).
     leak_rate: NDArray[np.float64]  #: lambda [1/s], (n,).
+
+    @property
+    def leg_speed(self) -> float:
+        """Velocity at which the first leg needs its valves fully open, at low frequency."""
+        used = np.abs(self.column) > 1e-9
+        return float((self.speed[used] / np.abs(self.column[used])).min())
+
+    def saturation(self, amplitude: float) -> float:
+        """Frequency at which unit gain of this amplitude ends, to 100 Hz [Hz]; NaN beyond.
+
+        The first at which following a sine exactly opens a valve fully or stalls a leg.
+        """
+        frequency = np.geomspace(0.1, 100.0, 1000)
+        s = 2j * np.pi * frequency[:, None]
+        lags = np.prod([1.0 + s / corner for corner in self.corners], axis=0)
+        spring = self.stiffness * s / (s + self.leak_rate)
+        flow = np.abs(lags * s * (self.column + s**2 * (self.mass @ self.column) / spring))
+        used = np.maximum((flow / self.speed).max(axis=1), np.abs(s[:, 0]) ** 2 / self.acceleration)
+        return float(falls(frequency, -amplitude * used, -1.0)[0])
 
     def transmission(self, frequency: float) -> float:
         """|H|, platform motion over what the oil let in, at a frequency [Hz]."""
@@ -110,7 +138,7 @@ def full_speed(
     return np.column_stack(speeds)
 
 
-def asymptotes(plant: Hexapod, dof: str) -> Asymptotes:
+def asymptotes(plant: Plant, dof: str) -> Asymptotes:
     """Closed-form limits of a degree of freedom from the parameters, at neutral."""
     index = dof_index(dof)
     hydraulics = plant.hydraulics
@@ -124,14 +152,13 @@ def asymptotes(plant: Hexapod, dof: str) -> Asymptotes:
     high = cylinder.cap_area * supply.pressure - cylinder.rod_area * supply.return_pressure
     low = cylinder.cap_area * supply.return_pressure - cylinder.rod_area * supply.pressure
     force = np.abs(mass @ column)
-    used = np.abs(column) > 1e-9
     spring = stiffness(cylinder, hydraulics.oil.bulk_modulus, np.zeros(plant.legs))
     both = cylinder.half_stroke * (cylinder.cap_area + cylinder.rod_area)
     return Asymptotes(
         dof=dof,
         displacement=float(np.abs(command_limits(plant.machine).displacement[index]).min()),
         leg_stroke=float(np.abs(excursion_envelope(None, plant.machine)[index]).min()),
-        leg_speed=float((speed[used] / np.abs(column[used])).min()),
+        speed=speed,
         pump_flow=float("inf") if supply.constant else supply.pump_flow / drawn,
         acceleration=float((np.minimum(high - load, load - low) / force).min()),
         corners=(plant.parameters.drive_lag.si, plant.parameters.valve_lag.si),
