@@ -9,7 +9,9 @@ import pytest
 from cmf_mj.analysis.published import published, published_results
 from cmf_mj.show.report_2014 import statements as accounting
 from cmf_mj.show.report_2014 import tables
+from cmf_mj.show.report_2014.curves import Content, PageTable, specs
 from cmf_mj.show.report_2014.runs import Runs, RunSpec, perform
+from cmf_mj.show.report_2014.summary import blocks
 from cmf_mj.show.report_2014.tables import BANDWIDTHS, TITLES, ResultRow, result_rows
 from cmf_mj.studies.case import CaseResult
 
@@ -135,3 +137,32 @@ def test_printed_rows_are_compared_with_the_law_that_they_are_of() -> None:
     row = published("combined_rate_1_8", "heave", "report")
     assert row is not None and row.phase_bandwidth_hz == 3.5
     assert published("acceleration", "roll", "report") is None
+
+
+def test_summary_counts_what_the_report_prints(runs: Runs) -> None:
+    """76 numbers, read from the publication alone; all that lies outside has a row and a reason."""
+    results = dict(runs.results)
+    for need in specs("machine acceleration roll,pitch,yaw"):
+        results[need] = runs.case("model", "acceleration")
+    content = Content(Runs(results, None, True, 0), (), tuple(TITLES), studies=True)
+    lead, shares, rotation, _, outside = blocks(content, "")
+    fields = ("phase_bandwidth_hz", "gain_bandwidth_hz", "damping_ratio")
+    fields += ("oscillation_hz", "acceleration_g")
+    printed = {
+        (row.law, row.dof, row.of, field, value or row.table)
+        for row in published_results()
+        for field in fields
+        for value in [getattr(row, field)]
+        if value is not None or field in row.not_available
+    }
+    assert isinstance(lead, str) and f" {len(printed)} numbers" in lead
+    assert isinstance(shares, PageTable) and isinstance(outside, PageTable)
+    counts = {row[0]: [int(cell) for cell in row[1:5]] for row in shares.table.cells}
+    assert counts["calibrated"][0] + counts["predicted"][0] == 44
+    assert counts["all -90 deg and -3 dB"] == [
+        a + b for a, b in zip(counts["calibrated"], counts["predicted"], strict=True)
+    ]
+    judged = {name: [row for row in rows_of(runs, name) if not row.within] for name in TITLES}
+    assert {row[0] for row in outside.table.cells} == {name for name in judged if judged[name]}
+    assert all(row[-1] for row in outside.table.cells)
+    assert isinstance(rotation, str) and "0 of 3" in rotation  # single legs stood in for it

@@ -41,10 +41,9 @@ def report_command(
     quick: options.Quick = False,
 ) -> None:
     """Reproduce the 2014 report on one HTML page, printed results next to ours."""
-    for package in ("plotly", "jinja2"):
-        require(package, "report")
+    require("jinja2", "report")
     from cmf_mj.show.report_2014.page import make_content, save_page
-    from cmf_mj.show.report_2014.sections import summary
+    from cmf_mj.show.report_2014.summary import verdict_tables
 
     with progress_bar() as update:
         content = make_content(
@@ -52,7 +51,7 @@ def report_command(
         )
     path = save_page(content, out)
     size = path.stat().st_size / 1e6
-    parts = [part.table for part in summary(content)]
+    parts = [part.table for part in verdict_tables(content)]
     show(*parts, f"written to {path}: {len(content.figures)} figures, {size:.1f} MB")
 
 

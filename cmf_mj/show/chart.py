@@ -1,4 +1,4 @@
-"""A figure as data: panels of curves, drawn alike on a page and in films."""
+"""A figure as data: panels of curves, drawn on a page and in films."""
 
 from typing import Literal, NamedTuple
 
@@ -10,6 +10,8 @@ GREY = "#777777"
 
 Dash = Literal["solid", "dash", "dot"]
 
+Marks = Literal["", "ring", "dot"]
+
 
 class Curve(NamedTuple):
     """One line or set of marks; curves of one name share an entry of the legend."""
@@ -19,8 +21,9 @@ class Curve(NamedTuple):
     y: NDArray[np.floating]
     colour: str
     dash: Dash = "solid"
-    marks: bool = False  #: Marks without a line.
+    marks: Marks = ""  #: Drawn in place of a line.
     width: float = 1.5
+    pale: bool = False  #: Not to be relied on.
 
 
 class Panel(NamedTuple):

@@ -13,7 +13,18 @@ from cmf_mj.analysis.frequency_response import dof_history
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
 from cmf_mj.machine.dof import by_kind, dof_unit
-from cmf_mj.show.look import COLOURS, DARK, GREY, bode_axes, legend, plot_bode, save_files, stack
+from cmf_mj.show.look import (
+    CLEAR,
+    COLOURS,
+    DARK,
+    FAINT,
+    GREY,
+    bode_axes,
+    legend,
+    plot_bode,
+    save_files,
+    stack,
+)
 from cmf_mj.show.table import Cell, Column, Table, number
 from cmf_mj.signals.single import Step
 from cmf_mj.studies.case import CaseResult
@@ -117,7 +128,10 @@ def _colours(results: Sequence[CaseResult]) -> dict[str, str]:
     return {law: COLOURS[i % len(COLOURS)] for i, law in enumerate(laws)}
 
 
-def _legend(axis: Axes, results: Sequence[CaseResult], place: str, *, circles: bool) -> None:
+def _legend(
+    axis: Axes, results: Sequence[CaseResult], place: str, *, circles: bool = False
+) -> None:
+    """Laws by colour, plants by line, each case that is unstable, and what pale curves are."""
     titles = {result.case.law.name: result.case.law.title for result in results}
     entries: list[dict[str, Any]] = [
         {"color": colour, "label": titles[law]} for law, colour in _colours(results).items()
@@ -126,27 +140,46 @@ def _legend(axis: Axes, results: Sequence[CaseResult], place: str, *, circles: b
         {"color": DARK, "linestyle": _LINES[plant], "label": _TITLES[plant]}
         for plant in dict.fromkeys(result.case.plant for result in results)
     ]
+    for result in results:
+        if not result.measures.stable:
+            law, plant = result.case.law, result.case.plant
+            line: dict[str, Any] = {
+                "color": _colours(results)[law.name],
+                "linestyle": _LINES[plant],
+            }
+            line |= {"alpha": FAINT, "label": f"unstable: {law.title}, {_TITLES[plant]}"}
+            entries.append(line)
+    if axis.get_xscale() == "log" and any(_unclear(result) for result in results):
+        entries.append({"color": DARK, "alpha": FAINT, "label": f"coherence below {CLEAR:g}"})
     if circles:
         circle = {"marker": "o", "fillstyle": "none", "linestyle": ""}
         entries.append({"color": DARK, "label": "published", **circle})
     legend(axis, handles=[Line2D([], [], **entry) for entry in entries], loc=place)
 
 
-def _title(dof: str, amplitude: float, results: Sequence[CaseResult]) -> str:
+def _unclear(result: CaseResult) -> bool:
+    """Whether the coherence of a stable case is low somewhere."""
+    found = result.response
+    return found is not None and result.measures.stable and bool((found.coherence < CLEAR).any())
+
+
+def _title(quantity: str, dof: str, size: float, results: Sequence[CaseResult]) -> str:
     cab = next((r.case.cab_name.upper() for r in results if r.case.cab), "")
-    size = f"{units.from_si(dof_unit(dof), amplitude):.3g} {dof_unit(dof)}"
+    of = f"{quantity} in {dof}, {units.from_si(dof_unit(dof), size):.3g} {dof_unit(dof)}"
     hydraulics = results[0].case.hydraulics.name
-    return f"{dof}, {size}, {hydraulics} hydraulics" + (f", {cab}" if cab else "")
+    return f"{of}, {hydraulics} hydraulics" + (f", {cab}" if cab else "")
 
 
 def bode_figure(results: Sequence[CaseResult]) -> Figure:
     """Gain and phase of all cases of one degree of freedom, published bandwidths as circles."""
     first, colours, circles = results[0].case, _colours(results), False
-    figure, gain, phase = bode_axes(_title(first.dof, first.size, results), limits=True)
+    title = _title("Frequency response", first.dof, first.size, results)
+    figure, gain, phase = bode_axes(title, limits=True)
     for result in results:
         case, colour = result.case, colours[result.case.law.name]
         if result.response is not None:
-            plot_bode(gain, phase, result.response, color=colour, linestyle=_LINES[case.plant])
+            style = {"color": colour, "linestyle": _LINES[case.plant]}
+            plot_bode(gain, phase, result.response, stable=result.measures.stable, **style)
         printed = published_result(result)
         for axis, value, level in (
             (phase, printed and printed.phase_bandwidth_hz, -90.0),
@@ -181,9 +214,9 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
         response.plot(record.time - begin, units.from_si(unit, history), **style)
         command.plot(record.time - begin, 100.0 * record["valve_command"][:, 0], **style)
     size = float(demanded[-1])
-    response.set(title=_title(dof, step, results), ylim=(-0.5 * size, 2.0 * size))
+    response.set(title=_title("Step response", dof, step, results), ylim=(-0.5 * size, 2.0 * size))
     command.set(xlim=(-0.2, 3.0), ylim=(-105, 105))
-    _legend(response, results, "lower right", circles=False)
+    _legend(response, results, "lower right")
     return figure
 
 

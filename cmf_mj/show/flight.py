@@ -41,7 +41,7 @@ def flight_traces(ride: FlightResult) -> Panels:
 def motion_figure(ride: FlightResult) -> Figure:
     """Specific force and angular rate at the pilot's station: aircraft, asked, cab."""
     figure, _ = motion_axes(*_motions(ride))
-    figure.suptitle(f"at the pilot's station: {ride.law}, cab {ride.cab}")
+    figure.suptitle(f"Motion at the pilot's station: {ride.law}, cab {ride.cab}")
     return figure
 
 
@@ -51,7 +51,7 @@ def sensed_figure(ride: FlightResult) -> Figure:
     if ride.cueing is not None:
         error, reference = ride.cueing, "sensed in the aircraft"
     figure = perceived_figure(error, reference, "sensed in the cab")
-    figure.suptitle(f"sensed by otoliths and canals: {ride.law}, cab {ride.cab}")
+    figure.suptitle(f"Motion sensed by otoliths and canals: {ride.law}, cab {ride.cab}")
     return figure
 
 

@@ -100,7 +100,7 @@ def fit_figure(result: Identified) -> Figure:
     top.plot(time[inside], measured[inside], color=look.DARK, label="measured")
     top.plot(time[inside], modelled[inside], "--", color=look.ORANGE, label=f"model, {fit:.1f} %")
     bottom.plot(time[inside], (measured - modelled)[inside], color=look.BLUE)
-    top.set_title(f"validation: {result.axis}")
+    top.set_title(f"Motion of the validation run, {result.axis}")
     look.legend(top, loc="upper right")
     return figure
 
@@ -109,8 +109,13 @@ def residual_figure(residuals: Residuals, step: float) -> Figure:
     """Auto- and cross-correlation of the residuals with their 99 % bounds."""
     figure, (auto, cross) = look.stack(9.0, 5.5, "correlation", "correlation", x="lag [s]")
     for axis, values, bound, title in (
-        (auto, residuals.auto, residuals.auto_bound, "residual with itself"),
-        (cross, residuals.cross[0], residuals.cross_bound[0], "residual with past command"),
+        (auto, residuals.auto, residuals.auto_bound, "Correlation of the residual with itself"),
+        (
+            cross,
+            residuals.cross[0],
+            residuals.cross_bound[0],
+            "Correlation of the residual with past command",
+        ),
     ):
         axis.axhspan(-bound, bound, color=look.BLUE, alpha=0.15, label="99 % of a right model")
         axis.vlines(residuals.lags * step, 0.0, values, color=look.DARK, linewidth=1.2)
@@ -122,7 +127,9 @@ def residual_figure(residuals: Residuals, step: float) -> Figure:
 
 def bode_figure(model: PolynomialModel, response: FrequencyResponse | None) -> Figure:
     """Bode plot of the model with its 95 % band, and the measured response."""
-    figure, gain, phase = look.bode_axes(f"{model.input_names[0]} to {model.output_names[0]}")
+    figure, gain, phase = look.bode_axes(
+        f"Frequency response, {model.input_names[0]} to {model.output_names[0]}"
+    )
     highest = 0.4 / model.step if response is None else float(response.frequency[-1])
     frequency = np.geomspace(0.1, min(highest, 0.45 / model.step), 300)
     g = model.response(frequency)[:, 0, 0]

@@ -130,11 +130,11 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
     axis, circles = step.subplots(), ""
     printed = {str(row.of): row for row in published_results() if row.table == "4-1"}
     for item in loops:
-        label = f"linear model #{item.model}, Eq {HARDWARE_MODELS[item.model]}"
-        colour = plot_bode(gain, phase, loop_response(item.loop, _FREQUENCIES), label=label)
-        if item.measures.stable:
-            time, reached = loop_step(item.loop, 2.0)
-            axis.plot(time, reached, label=label, color=colour)
+        stable, label = item.measures.stable, f"linear model #{item.model}"
+        label += f", Eq {HARDWARE_MODELS[item.model]}" + ("" if stable else ", unstable")
+        response = loop_response(item.loop, _FREQUENCIES)
+        colour = plot_bode(gain, phase, response, label=label, stable=stable)
+        axis.plot(*(loop_step(item.loop, 2.0) if stable else ((), ())), label=label, color=colour)
         row = printed[f"linear_{item.model}"]
         if item.law.name == row.law:
             widths = (row.gain_bandwidth_hz, row.phase_bandwidth_hz)
@@ -142,10 +142,12 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
                 if value is not None:
                     axes.plot(value, level, "o", color=colour, fillstyle="none")
             circles = "; circles: Table 4-1"
-    title = f"{loops[0].law.title}, reference to leg position"
-    gain.set_title(title + circles)
+    law = f"{loops[0].law.title}, reference to leg position"
+    gain.set_title(f"Frequency response, {law}{circles}")
     axis.axhline(1.0, color=GREY, linewidth=0.8)
-    axis.set(xlabel="time after the step [s]", ylabel="leg position over demand", title=title)
+    axis.set(
+        xlabel="time after the step [s]", ylabel="leg position over demand", title=f"Step, {law}"
+    )
     legend(gain, axis)
     return bode, step
 

@@ -110,7 +110,7 @@ def loop_table(study: LinearizationStudy) -> Table:
 
 def bode_figure(study: LinearizationStudy) -> Figure:
     """Position per command of every degree of freedom or leg."""
-    figure, gain, phase = bode_axes(f"position per command, all legs by J\n{_title(study)}")
+    figure, gain, phase = bode_axes(f"Position per command, all legs by J\n{_title(study)}")
     for name, response in study.responses.items():
         plot_bode(gain, phase, response, label=name)
     gain.set(ylabel="gain [dB of m]")
@@ -120,10 +120,11 @@ def bode_figure(study: LinearizationStudy) -> Figure:
 
 def loop_figure(study: LinearizationStudy) -> Figure:
     """The law's loops."""
-    title = f"{study.law}, demand to position\n{_title(study)}"
+    unstable = "" if study.stable else ", unstable"
+    title = f"Demand to position, {study.law}{unstable}\n{_title(study)}"
     figure, gain, phase = bode_axes(title, limits=True)
     for name, loop in study.loops.items():
-        plot_bode(gain, phase, loop, label=name)
+        plot_bode(gain, phase, loop, label=name, stable=study.stable)
     legend(gain)
     return figure
 

@@ -24,6 +24,12 @@ BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = (
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, "#000000", "#999933")
 """Distinct to readers with any colour vision (Okabe and Ito), in order of use."""
 
+CLEAR = 0.8
+"""Coherence below which a response is drawn pale: the demand explains less than this share."""
+
+FAINT = 0.3
+"""Opacity of what is drawn pale."""
+
 DARK, GREY, PALE = "0.2", "0.6", "0.9"
 """Of what is measured against, of references, and of grids."""
 
@@ -117,11 +123,19 @@ def bode_axes(title: str = "", *, limits: bool = False) -> tuple[Figure, Axes, A
     return figure, gain, phase
 
 
-def plot_bode(gain: Axes, phase: Axes, response: FrequencyResponse, **style: Any) -> Any:
-    """Draw a response and return its colour."""
-    (line,) = gain.semilogx(response.frequency, response.gain_db, **style)
-    style["color"] = line.get_color()
-    phase.semilogx(response.frequency, response.phase_deg, **style)
+def plot_bode(
+    gain: Axes, phase: Axes, response: FrequencyResponse, *, stable: bool = True, **style: Any
+) -> Any:
+    """Draw a response and return its colour.
+
+    It is pale where its coherence is below `CLEAR`, all of it where the loop is not `stable`.
+    """
+    clear = stable & ~(response.coherence < CLEAR)
+    for axis, values in ((gain, response.gain_db), (phase, response.phase_deg)):
+        (line,) = axis.semilogx(response.frequency, np.where(clear, values, np.nan), **style)
+        style |= {"color": line.get_color(), "label": None}
+        if not clear.all():
+            axis.semilogx(response.frequency, values, alpha=FAINT, **style)
     return style["color"]
 
 

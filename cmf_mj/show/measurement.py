@@ -131,14 +131,17 @@ def _response_files(response: FrequencyResponse, figure: Figure) -> dict[str, An
 
 def save_recordings(measures: RecordingMeasures, folder: Path) -> list[Path]:
     """Write `response.csv`, `response.png` and `summary.json`."""
-    figure = response_figure(measures.dof, measures.files[0].stem, measures.response)
+    figure = response_figure(
+        f"Frequency response in {measures.dof}", measures.files[0].stem, measures.response
+    )
     files = _response_files(measures.response, figure)
     return save_files(files | {"summary.json": plain(measures.summary())}, folder)
 
 
 def save_measurement(measured: Measurement, folder: Path) -> list[Path]:
     """Write `response.csv`, `response.png` and `summary.json`."""
-    title = f"{measured.case.law.name}, {measured.case.dof}"
+    case, stable = measured.case, measured.measures.stable
+    title = f"Frequency response in {case.dof}, {case.law.title}" + ("" if stable else ", unstable")
     figure = response_figure(title, measured.case.plant, measured.response)
     files = _response_files(measured.response, figure)
     return save_files(files | {"summary.json": measured.summary()}, folder)

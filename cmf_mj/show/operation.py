@@ -69,7 +69,10 @@ def overview_figure(
     style: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False}
     legend(motion, error, supply, fontsize=7, **style)
     figure.align_ylabels(axes)
-    figure.suptitle(title or f"{record.metadata['plant']}, {record.metadata['law']}")
+    figure.suptitle(
+        title
+        or f"Motion, valves and pressures: {record.metadata['plant']}, {record.metadata['law']}"
+    )
     return figure
 
 

@@ -15,10 +15,11 @@ from cmf_mj.core import units
 from cmf_mj.core.settings import read_toml
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.record.record import Record
-from cmf_mj.show.chart import GREY, Curve, Dash, Panel
-from cmf_mj.show.look import COLOURS
+from cmf_mj.show.chart import GREY, Curve, Dash, Marks, Panel
+from cmf_mj.show.look import CLEAR, COLOURS
 from cmf_mj.show.report_2014.runs import On, Runs, RunSpec
 from cmf_mj.show.table import Table
+from cmf_mj.studies.case import CaseResult
 
 CONTENTS: Mapping[str, Any] = read_toml(Path(__file__).with_name("contents.toml"))
 """The tables of `contents.toml`."""
@@ -93,9 +94,12 @@ class Content(NamedTuple):
 def figure(
     anchor: str, title: str, name: str, panels: Sequence[Panel], **values: Any
 ) -> PageFigure:
-    """A figure with the caption of this name."""
-    caption = CONTENTS["caption"][name].format(**(CONTENTS["words"] | values))
-    return PageFigure(anchor, title, tuple(panels), caption)
+    """A figure with the caption of this name, which also says what circles and pale curves are."""
+    words, curves = CONTENTS["words"], [curve for panel in panels for curve in panel.curves]
+    caption = [CONTENTS["caption"][name].format(**(words | values))]
+    caption += [words["circles"]] if any(curve.marks == "ring" for curve in curves) else []
+    caption += [words["pale"].format(clear=CLEAR)] if any(curve.pale for curve in curves) else []
+    return PageFigure(anchor, title, tuple(panels), " ".join(caption))
 
 
 def texts(name: str, **values: Any) -> list[str]:
@@ -129,21 +133,43 @@ def law_title(name: str) -> str:
     return load_law(name).title
 
 
+def case_title(result: CaseResult, plant: str = "") -> str:
+    """The law, the plant if named, and `unstable` where the step rings on."""
+    parts = (result.case.law.title, plant, "" if result.measures.stable else "unstable")
+    return ", ".join(part for part in parts if part)
+
+
 def response(
     name: str,
     measured: FrequencyResponse | None,
     colour: str,
     dash: Dash = "solid",
-    marks: bool = False,
+    marks: Marks = "",
+    *,
+    stable: bool = True,
 ) -> Pair:
-    """A frequency response; None, where legs left what a platform pose can have, draws nothing."""
+    """A frequency response, pale where its coherence is below `CLEAR` or all of it if not `stable`.
+
+    None, where legs left what a platform pose can have, draws nothing.
+    """
     if measured is None:
         return (), ()
-    gain, phase = (
-        [Curve(name, measured.frequency, values, colour, dash, marks)]
-        for values in (measured.gain_db, measured.phase_deg)
-    )
-    return gain, phase
+    clear = stable & ~(measured.coherence < CLEAR)
+    ends = np.flatnonzero(np.diff(clear, prepend=False, append=False))
+    stretches = [slice(*pair) for pair in ends.reshape(-1, 2)]
+
+    def drawn(values: NDArray[np.floating]) -> list[Curve]:
+        whole = Curve(name, measured.frequency, values, colour, dash, marks, pale=True)
+        parts = [whole._replace(x=whole.x[s], y=values[s], pale=False) for s in stretches]
+        return parts if clear.all() else [whole, *parts]
+
+    return drawn(measured.gain_db), drawn(measured.phase_deg)
+
+
+def case_response(result: CaseResult, colour: str, dash: Dash = "solid", plant: str = "") -> Pair:
+    """The frequency response of a case."""
+    title, stable = case_title(result, plant), result.measures.stable
+    return response(title, result.response, colour, dash, stable=stable)
 
 
 def printed(
@@ -156,7 +182,7 @@ def printed(
         if row.is_of(law) and (row.dof, row.of) == (dof, of) and table in ("", row.table)
     ][-1:]
     gains, phases = (
-        [Curve(name, np.array([f]), np.array([level]), colour, marks=True) for f in widths if f]
+        [Curve(name, np.array([f]), np.array([level]), colour, marks="ring") for f in widths if f]
         for level, widths in (
             (-3.0, [row.gain_bandwidth_hz for row in rows]),
             (-90.0, [row.phase_bandwidth_hz for row in rows]),
@@ -206,18 +232,19 @@ def motion(
     return Panel(y_title, tuple(curves), x_title=x_title, x_range=x_range, height=height)
 
 
-def law_histories(records: Sequence[Record], laws: Sequence[str], along: str) -> list[Curve]:
+def law_histories(records: Sequence[Record], titles: Sequence[str], along: str) -> list[Curve]:
     """The demand and the motion under several laws."""
     first = records[0]
     return [
         Curve("demand", after_step(first), step_history(first, "leg_reference", along), GREY),
         *(
-            Curve(law_title(law), after_step(r), step_history(r, "leg_position", along), colour)
-            for r, law, colour in zip(records, laws, COLOURS, strict=False)
+            Curve(title, after_step(r), step_history(r, "leg_position", along), colour)
+            for r, title, colour in zip(records, titles, COLOURS, strict=False)
         ),
     ]
 
 
 def law_steps(runs: Runs, laws: Sequence[str], along: str, on: On = "model") -> list[Curve]:
     """The demand and the steps under several laws on one plant."""
-    return law_histories([runs.case(on, law).step for law in laws], laws, along)
+    results = [runs.case(on, law) for law in laws]
+    return law_histories([r.step for r in results], [*map(case_title, results)], along)

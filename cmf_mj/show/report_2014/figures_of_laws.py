@@ -11,11 +11,11 @@ from cmf_mj.core.rates import FRAME
 from cmf_mj.show.chart import GREY, Curve, Dash
 from cmf_mj.show.look import COLOURS
 from cmf_mj.show.report_2014.curves import (
-    CONTENTS,
     Drawing,
     ReportFigure,
     after_step,
     bode,
+    case_response,
     law_histories,
     law_steps,
     law_title,
@@ -64,7 +64,7 @@ def both_responses(runs: Runs, figure: ReportFigure) -> Drawing:
     pairs = [
         response(_NON_LINEAR, model, COLOURS[0]),
         response(f"{_HARDWARE}, chirp", machine, COLOURS[1]),
-        response(rounds, runs.rounds(law), COLOURS[1], marks=True),
+        response(rounds, runs.rounds(law), COLOURS[1], marks="dot"),
         printed(law, "heave", "nonlinear", COLOURS[0], "printed, non-linear model"),
         printed(law, "heave", "hardware", COLOURS[2], "printed, hardware"),
     ]
@@ -91,14 +91,12 @@ def steps(runs: Runs, figure: ReportFigure) -> Drawing:
     on, along = figure.options.get("on", "model"), figure.options.get("along", LEG)
     metrics = {law_title(law): runs.case(on, law).measures for law in figure.laws}
     first, *_ = metrics.values()
-    ringing = ", ".join(title for title, m in metrics.items() if not m.stable)
     errors = (
         f"{title} {100 * m.steady_state_error:.2f} %" for title, m in metrics.items() if m.stable
     )
     title = "retraction of leg 1 [in]" if along == LEG else f"{along} [in]"
     return [motion(title, law_steps(runs, figure.laws, along, on), _STEP)], {
         "errors": ", ".join(errors),
-        "note": f" Rings on undiminished: {ringing}." if ringing else "",
         "overshoot": 100 * first.overshoot,
         "damping": first.damping_ratio,
         "error": abs(100 * first.steady_state_error),
@@ -108,14 +106,14 @@ def steps(runs: Runs, figure: ReportFigure) -> Drawing:
 def responses(runs: Runs, figure: ReportFigure) -> Drawing:
     """Laws' frequency responses on the single legs."""
     laws = list(zip(figure.laws, COLOURS, strict=False))
-    lines = [response(law_title(law), runs.case("model", law).response, c) for law, c in laws]
+    lines = [case_response(runs.case("model", law), c) for law, c in laws]
     return bode([*lines, *(printed(law, "heave", "nonlinear", c) for law, c in laws)]), {}
 
 
 def sines(runs: Runs, figure: ReportFigure) -> Drawing:
     """Laws' motion and error in a slow sine on the single legs."""
     records = [runs.record("model", law, "sine") for law in figure.laws]
-    demand, *legs = law_histories(records, figure.laws, LEG)
+    demand, *legs = law_histories(records, [*map(law_title, figure.laws)], LEG)
     errors = [
         leg._replace(y=step_history(record, "leg_reference", LEG) - leg.y)
         for leg, record in zip(legs, records, strict=True)
@@ -207,20 +205,15 @@ def pressure(runs: Runs, figure: ReportFigure) -> Drawing:
 def both_plants(runs: Runs, figure: ReportFigure) -> Drawing:
     """Laws in one degree of freedom on both plants."""
     dof = figure.needs[0].dof
-    lines, marks, ringing = [], [], []
+    lines, marks = [], []
     for law, colour in zip(figure.laws, COLOURS, strict=False):
         for on, plant, dash in _PLANTS:
-            result, name = runs.case(on, law, dof), f"{law_title(law)}, {plant}"
-            lines.append(response(name, result.response, colour, dash))
-            ringing += [name] * (not result.measures.stable)
+            lines.append(case_response(runs.case(on, law, dof), colour, dash, plant))
         marks.append(printed(law, dof, "nonlinear", colour))
         if dof == "heave":
             marks.append(printed(law, dof, "hardware", colour, "printed, hardware"))
-    circles = f" {CONTENTS['words']['circles']}" if any(map(any, marks)) else ""
     return bode([*lines, *marks], (-20.0, 20.0)), {
         "axis": dof.capitalize(),
         "size": "0.33 in" if dof in ("surge", "sway", "heave") else "0.2 deg",
-        "unstable": f" The step rings on undiminished: {'; '.join(ringing)}." if ringing else "",
-        "marked": circles,
         **figure.options,
     }

@@ -8,7 +8,7 @@ from cmf_mj.analysis.linear.poles import Oscillation, limit_cycle, oscillation
 from cmf_mj.analysis.published import published_results
 from cmf_mj.show.chart import Curve, Panel
 from cmf_mj.show.look import COLOURS
-from cmf_mj.show.report_2014.curves import CONTENTS, Block, PageFigure, figure, table, texts
+from cmf_mj.show.report_2014.curves import Block, PageFigure, figure, table, texts
 from cmf_mj.show.report_2014.runs import FORCE_READINGS, Runs, RunSpec, hydraulics_of, law_of
 from cmf_mj.show.report_2014.tables import printed_number as number
 
@@ -53,16 +53,6 @@ def _readings(runs: Runs) -> list[tuple[Any, ...]]:
     return [*rows, print_row]
 
 
-def _variation(title: str, field: str, value: float | None = None) -> tuple[Any, ...]:
-    """The printed gains around a plant with one number changed."""
-    parameters = hydraulics_of("model")
-    if value is not None:
-        changed = getattr(parameters, field).model_copy(update={"value": value})
-        parameters = parameters.model_copy(update={field: changed})
-    linear = oscillation(law_of("force"), parameters)
-    return (title, linear.pole_hz, linear.pole_damping, linear.crossover_hz, linear.crossover_gain)
-
-
 def _gain_figure() -> PageFigure:
     """Frequency and damping of the least damped pair over the force gain."""
     sizes = np.geomspace(0.1, 10.0, 41)
@@ -102,6 +92,4 @@ def blocks(runs: Runs) -> list[Block]:
         acceleration=acceleration,
         pressure=pressure,
     )
-    variations = [_variation(**change) for change in CONTENTS["variation"]]
-    readings, changed = table("force-readings", rows), table("force-variations", variations)
-    return [first, readings, second, _gain_figure(), changed, third]
+    return [first, table("force-readings", rows), second, _gain_figure(), third]

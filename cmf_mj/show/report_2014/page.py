@@ -1,5 +1,6 @@
 """The page: one HTML file with everything in it."""
 
+import json
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,17 +16,24 @@ from cmf_mj.show.report_2014 import figures_of_laws, figures_of_models
 from cmf_mj.show.report_2014.curves import CONTENTS, Content, ReportFigure, specs
 from cmf_mj.show.report_2014.force import FORCE_NEEDS
 from cmf_mj.show.report_2014.runs import perform
-from cmf_mj.show.report_2014.sections import CALIBRATION_NEEDS, sections_of, summary
+from cmf_mj.show.report_2014.sections import CALIBRATION_NEEDS, sections_of
 from cmf_mj.show.report_2014.statements import STATEMENT_NEEDS
+from cmf_mj.show.report_2014.summary import verdict_tables
 from cmf_mj.show.report_2014.tables import TITLES, table_needs
 
 MOST = 1200
 """Largest number of points a curve keeps."""
 
+FLAT = 5e-4
+"""Largest error of a curve as drawn, over the range of its axis."""
+
+MOST_DRAWN = 1e6
+"""Largest value that is drawn, of models that are unstable."""
+
 _PANEL, _MARGIN = 230, 96
 """Height of a panel and of what surrounds all [px]."""
 
-XY = tuple[NDArray[np.floating], NDArray[np.floating]]
+_Values = NDArray[np.floating]
 
 
 def figure_height(panels: Sequence[Panel]) -> int:
@@ -33,7 +41,7 @@ def figure_height(panels: Sequence[Panel]) -> int:
     return _MARGIN + round(sum(panel.height for panel in panels) * _PANEL)
 
 
-def thinned(x: NDArray[np.floating], y: NDArray[np.floating]) -> XY:
+def thinned(x: _Values, y: _Values) -> tuple[_Values, _Values]:
     """At most `MOST` points: of each of equal stretches the lowest and the highest.
 
     Peaks survive, as they would not if every n-th point were kept.
@@ -49,71 +57,69 @@ def thinned(x: NDArray[np.floating], y: NDArray[np.floating]) -> XY:
     return x[chosen], y[chosen]
 
 
-def drawn(line: Curve, x_range: tuple[float, float] | None = None) -> XY:
-    """What can be drawn of a curve within a range, thinned, in single precision."""
+def corners(x: _Values, y: _Values, most_off: float) -> NDArray[np.intp]:
+    """Points between which straight lines are nowhere more than `most_off` from y.
+
+    Douglas and Peucker: a stretch is split at its farthest point until none is too far.
+    """
+    kept, stretches = {0, x.size - 1}, [(0, x.size - 1)]
+    while stretches:
+        first, last = stretches.pop()
+        inside = slice(first + 1, last)
+        off = np.abs(y[inside] - np.interp(x[inside], x[[first, last]], y[[first, last]]))
+        if off.size and off.max() > most_off:
+            middle = first + 1 + int(np.argmax(off))
+            kept.add(middle)
+            stretches += [(first, middle), (middle, last)]
+    return np.array(sorted(kept))
+
+
+def drawn(line: Curve, below: Panel, most_off: float = 0.0) -> tuple[_Values, _Values]:
+    """What can be drawn of a curve over the x axis of the panel `below` all: few points."""
     x, y = np.asarray(line.x, dtype=float), np.asarray(line.y, dtype=float)
-    low, high = x_range or (-math.inf, math.inf)
-    inside = (np.abs(y) < np.finfo(np.float32).max) & (x >= low) & (x <= high)
+    low, high = below.x_range or (-math.inf, math.inf)
+    inside = (np.abs(y) < MOST_DRAWN) & (x >= low) & (x <= high)
     x, y = thinned(x[inside], y[inside])
-    return x.astype(np.float32), y.astype(np.float32)
+    if line.marks or x.size == 0:
+        return x, y
+    kept = corners(np.log(x) if below.x_log else x, y, most_off)
+    return x[kept], y[kept]
 
 
-def _trace(line: Curve, x_range: tuple[float, float] | None) -> dict[str, Any]:
-    x, y = drawn(line, x_range)
-    colour = {"color": line.colour}
-    return {
-        "name": line.name,
-        "legendgroup": line.name,
-        "x": x,
-        "y": y,
-        "mode": "markers" if line.marks else "lines",
-        "line": {**colour, "width": line.width, "dash": line.dash, "simplify": False},
-        "marker": {**colour, "size": 9, "symbol": "circle-open", "line": {"width": 2}},
-        "hovertemplate": "%{x:.4g}, %{y:.4g}<extra>%{fullData.name}</extra>",
-    }
+def _range(panel: Panel, below: Panel) -> tuple[float, float]:
+    """Ends of the y axis: given, or all that is seen with a margin of 5 %."""
+    if panel.y_range:
+        return panel.y_range
+    seen = np.concatenate([drawn(line, below)[1] for line in panel.curves] + [panel.guides])
+    low, high = float(seen.min()), float(seen.max())
+    margin = 0.05 * (high - low)
+    return low - margin, high + margin
 
 
-def plotly_json(panels: Sequence[Panel]) -> str:
-    """The panels as JSON of a plotly figure; the same bytes for the same panels."""
-    figure = require("plotly.subplots", "report").make_subplots(
-        rows=len(panels),
-        shared_xaxes=True,
-        row_heights=[panel.height for panel in panels],
-        vertical_spacing=0.08 / len(panels),
-    )
-    last = panels[-1]
-    names: set[str] = set()
-    for row, panel in enumerate(panels, start=1):
-        where = {"row": row, "col": 1}
+def figure_data(panels: Sequence[Panel]) -> dict[str, Any]:
+    """The panels as `page.js` draws them, numbers with five digits."""
+
+    def short(values: _Values) -> list[float]:
+        return [float(f"{value:.5g}") for value in values]
+
+    below, parts = panels[-1], list[dict[str, Any]]()
+    for panel in panels:
+        low, high = _range(panel, below)
+        curves: list[dict[str, Any]] = []
         for line in panel.curves:
-            trace = _trace(line, last.x_range)
-            figure.add_scatter(**trace, showlegend=line.name not in names, **where)
-            names.add(line.name)
-        for level in panel.guides:
-            figure.add_hline(level, line={"color": "#999999", "width": 1, "dash": "dot"}, **where)
-        figure.update_yaxes(range=panel.y_range, dtick=panel.y_tick, title=panel.y_title, **where)
-    figure.update_xaxes(range=last.x_range)
-    if last.x_log and last.x_range is not None:
-        low, high = (math.log10(value) for value in last.x_range)
-        decades = range(math.floor(low), math.ceil(high) + 1)
-        ticks = [float(f"{digit}e{decade}") for decade in decades for digit in (1, 2, 5)]
-        figure.update_xaxes(type="log", range=[low, high], tickvals=ticks)
-    figure.update_xaxes(title={"text": last.x_title, "standoff": 6}, row=len(panels), col=1)
-    for update in (figure.update_xaxes, figure.update_yaxes):
-        update(gridcolor="#e5e5e5", zeroline=False)
-    figure.update_layout(
-        template="none",
-        height=figure_height(panels),
-        margin={"l": 62, "r": 12, "t": 44, "b": 52},
-        hovermode="closest",
-        legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0.0},
-        font={"family": "system-ui, sans-serif", "size": 12},
-    )
-    return str(figure.to_json())
+            x, y = drawn(line, below, FLAT * (high - low))
+            style = {name: getattr(line, name) for name in ("name", "colour", "dash", "marks")}
+            style |= {"width": line.width, "pale": line.pale}
+            curves.append(style | {"x": short(x), "y": short(y)})
+        part = {"title": panel.y_title, "height": panel.height * _PANEL, "range": (low, high)}
+        parts.append(part | {"tick": panel.y_tick, "guides": panel.guides, "curves": curves})
+    seen = [x for part in parts for curve in part["curves"] for x in curve["x"]]
+    ends = below.x_range or (min(seen), max(seen))
+    return {"title": below.x_title, "range": ends, "log": below.x_log, "panels": parts}
 
 
 _DRAWINGS = vars(figures_of_laws) | vars(figures_of_models)
-_TEMPLATE = Path(__file__).with_name("page.html.jinja")
+_TEMPLATE, _SCRIPT = map(Path(__file__).with_name, ("page.html.jinja", "page.js"))
 
 FIGURES = tuple(
     ReportFigure(
@@ -173,12 +179,12 @@ def make_content(
 def render(content: Content) -> str:
     """The page as text: the same bytes for the same content."""
     jinja = require("jinja2", "report")
-    library = require("plotly.offline", "report").get_plotlyjs()
     markup = require("markupsafe", "report").Markup
 
     def data(panels: Sequence[Panel]) -> str:
+        text = json.dumps(figure_data(panels), separators=(",", ":"))
         # In a script element only the end tag must not occur; JSON may escape the slash.
-        return cast("str", markup(plotly_json(panels).replace("</", "<\\/")))
+        return cast("str", markup(text.replace("</", "<\\/")))
 
     environment = jinja.Environment(autoescape=True, undefined=jinja.StrictUndefined)
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
@@ -186,14 +192,14 @@ def render(content: Content) -> str:
         title=CONTENTS["title"],
         sections=sections_of(content),
         height=figure_height,
-        plotly=data,
-        library=markup(library),
+        data=data,
+        script=markup(_SCRIPT.read_text(encoding="utf-8")),
     )
     return cast("str", page)
 
 
 def save_page(content: Content, folder: Path) -> Path:
-    """Write `report.html`, complete when it appears, and its `summary` as `verdicts.md` and on."""
-    for part in summary(content):
+    """Write `report.html`, complete when it appears, and its verdicts as `verdicts.md` and on."""
+    for part in verdict_tables(content):
         part.table.save(folder / f"{part.anchor}.md")
     return write_text(folder / "report.html", render(content))

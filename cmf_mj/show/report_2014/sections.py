@@ -13,7 +13,7 @@ from cmf_mj.core import units
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.electronics.sensors.settings import CHANNELS, load_sensors
 from cmf_mj.show.listing import figures_text
-from cmf_mj.show.report_2014 import force
+from cmf_mj.show.report_2014 import force, summary
 from cmf_mj.show.report_2014.curves import (
     CONTENTS,
     VERDICTS,
@@ -36,10 +36,8 @@ from cmf_mj.show.report_2014.runs import (
     plant_of,
 )
 from cmf_mj.show.report_2014.statements import (
-    agreement_table,
     rest_rows,
     statement_rows,
-    verdict_table,
 )
 from cmf_mj.show.report_2014.tables import (
     TITLES,
@@ -112,7 +110,7 @@ def parameters() -> list[PageTable]:
 
 def provenance(runs: Runs) -> PageTable:
     """What made the page: models, versions, seed."""
-    packages = ("cmf-mj", "mujoco", "numpy", "scipy", "numba", "control", "plotly")
+    packages = ("cmf-mj", "mujoco", "numpy", "scipy", "numba", "control")
     rows = [
         *(("seed", str(runs.seed)), ("cab of the hexapod", CAB.upper())),
         *((f"model digest, {name}", plant_of(on).digest) for on, name in PLANTS.items()),
@@ -129,13 +127,6 @@ CALIBRATION_NEEDS = tuple(
     RunSpec(_PLANTS[study.hydraulics], law) for study in _STUDIES for law in study.laws
 )
 """Runs that the residuals are read from."""
-
-
-def summary(content: Content) -> list[PageTable]:
-    """Verdicts by table, and with all tables the shares of agreement."""
-    tables = [verdict_table(content.runs, content.tables)] if content.tables else []
-    whole = len(content.tables) == len(TITLES)
-    return tables + ([agreement_table(content.runs)] if whole else [])
 
 
 def _share(value: float, relative: bool, sign: str = "+") -> str:
@@ -164,7 +155,10 @@ def result_table(runs: Runs, name: str) -> PageTable:
                 *(row.label, row.of, f"{row.quantity} [{row.unit}]" if row.unit else row.quantity),
                 row.printed if row.printed == row.printed else "N/A",
                 _computed(row),
-                *(_share(row.deviation, relative), _share(row.tolerance, relative, "")),
+                *(
+                    _share(row.deviation, relative),
+                    _share(row.tolerance, relative, "").replace(".0 %", " %"),
+                ),
                 *(VERDICTS[row.within], "calibrated" if row.calibrated else "predicted"),
                 *([number(row.hexapod, ".2f")] if appendix else []),
                 "as above" if again else row.note,
@@ -216,6 +210,10 @@ def _ledger(content: Content, argument: str) -> list[PageTable]:
     return [table("ledger-table", rows)]
 
 
+def _set_title(study: Study) -> str:
+    return f"{study.name.capitalize()} set".replace("_", " ")
+
+
 def _fitted(study: Study) -> PageTable:
     values = starting_values(study)
     rows = [
@@ -226,7 +224,7 @@ def _fitted(study: Study) -> PageTable:
         )
         for p in study.parameters
     ]
-    anchor, title = f"calibration-{study.name}-parameters", f"{study.name.capitalize()} set"
+    anchor, title = f"calibration-{study.name}-parameters", _set_title(study)
     return table("calibration-parameters", rows, anchor, f"{title}: parameters")
 
 
@@ -241,7 +239,7 @@ def _residuals(runs: Runs, study: Study) -> PageTable:
         )
         for row in residual_rows(study, measures)
     ]
-    anchor, title = f"calibration-{study.name}-residuals", f"{study.name.capitalize()} set"
+    anchor, title = f"calibration-{study.name}-residuals", _set_title(study)
     return table("calibration-residuals", rows, anchor, f"{title}: residuals at the shipped values")
 
 
@@ -254,8 +252,9 @@ BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
     "about": lambda content, _: [
         *texts("about"),
         *(texts("quick") if content.runs.quick else []),
-        *summary(content),
+        *summary.verdict_tables(content),
     ],
+    "summary": summary.blocks,
     "text": lambda content, name: texts(name),
     "limits": _limits,
     "gains": _gains,

@@ -1,5 +1,6 @@
 """Result tables: printed and computed values side by side, judged by a stated tolerance."""
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +33,7 @@ BANDWIDTHS, RATIO = ("-90 deg", "-3 dB"), "damping ratio"
 
 _NAN = float("nan")
 _ON: dict[str, On] = {"hardware": "machine", "nonlinear": "model"}
-_OF = {"hardware": "hardware", "nonlinear": "non-linear model"}
+_OF = {"hardware": "hardware", "nonlinear": "model"}
 _LOOP_QUANTITIES = {"-90 deg": "-90 deg", "-3 dB": "-3 dB", "damping, step": RATIO}
 _REMARKS: dict[tuple[str, str, str], str] = {
     (entry["law"], entry["table"], entry["quantity"]): entry["text"] for entry in CONTENTS["remark"]
@@ -137,7 +138,7 @@ def _judged(runs: Runs, row: Published, law: str) -> list[ResultRow]:
             fitted = value is not None and quantity.title in BANDWIDTHS
         note = "" if within else _remark(row.law, row.table, quantity.title)
         if not (stable or note) and swept == swept:
-            note = f"the step rings on; its sweep, read all the same, has {swept:.2f} Hz"
+            note = f"the step rings on; its sweep has {swept:.2f} Hz all the same"
         rows.append(
             ResultRow(
                 *(row.law, label, _OF[row.of], quantity.title, quantity.unit, printed, computed),
@@ -151,7 +152,8 @@ def _judged(runs: Runs, row: Published, law: str) -> list[ResultRow]:
     return rows
 
 
-def _linear_rows() -> list[ResultRow]:
+@cache
+def _linear_rows() -> tuple[ResultRow, ...]:
     """Table 4-1 around the report's linear models, damping read as everywhere else."""
     rows = []
     for row in table_4_1():
@@ -169,7 +171,7 @@ def _linear_rows() -> list[ResultRow]:
                 note=note,
             )
         )
-    return rows
+    return tuple(rows)
 
 
 def _readings(table: str) -> list[tuple[Published, str]]:
@@ -189,7 +191,7 @@ def table_needs(table: str) -> tuple[RunSpec, ...]:
 
 def result_rows(runs: Runs, table: str) -> list[ResultRow]:
     """All rows of a result table."""
-    rows = _linear_rows() if table == "4-1" else []
+    rows = list(_linear_rows()) if table == "4-1" else []
     return rows + [result for row, law in _readings(table) for result in _judged(runs, row, law)]
 
 
