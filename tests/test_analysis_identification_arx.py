@@ -223,7 +223,7 @@ def test_simulation_starts_from_the_best_initial_state() -> None:
         ((0, 1, 1), "na: 0 must be a whole number, at least 1"),
         ((1, 0, 1), "nb: 0 must be a whole number, at least 1"),
         ((1, 1, -1), "nk: -1 must be a whole number, at least 0"),
-        ((40, 40, 1), "80 parameters; the experiments give"),
+        ((40, 40, 1), "80 parameters; experiments give"),
         ((90, 1, 1), "reach back 90 samples"),
     ],
 )

@@ -111,7 +111,7 @@ def test_bad_arguments_are_named(record: Record) -> None:
         experiment(record, "heave", outputs="leg_mood")
     with pytest.raises(ValueError, match="output: sample 3 is not finite"):
         series(np.ones(9), [0, 0, 0, np.nan, 0, 0, 0, 0, 0])
-    with pytest.raises(ValueError, match="output: has 8 samples; input has 9"):
+    with pytest.raises(ValueError, match="output: 8 samples; input: 9"):
         series(np.ones(9), np.ones(8))
     with pytest.raises(ValueError, match="input_names: has 1 entries; input has 2"):
         Experiment(np.ones((9, 2)), np.ones(9), 1 / RATE, ("u",), ("y",), ("1", "1"), ("m",))

@@ -417,7 +417,7 @@ WAVE = sines((1.0,), 10.0)
     ("call", "message"),
     [
         (lambda: welch_response(FLAT, FLAT[1:], RATE), r"x, y: shapes are \(640,\)"),
-        (lambda: welch_response(WAVE, WAVE, RATE), "segment: 20.0 s must not exceed"),
+        (lambda: welch_response(WAVE, WAVE, RATE), "segment: 20.0 s exceeds"),
         (
             lambda: welch_response(WAVE, WAVE, RATE, estimator="h3"),  # type: ignore[arg-type]
             "estimator: 'h3' is not one of h1, h2, hv, report",

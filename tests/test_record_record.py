@@ -285,7 +285,7 @@ def test_unknown_channel_lists_the_channels():
 
 
 def test_channel_of_another_length_is_named():
-    with pytest.raises(ValueError, match="gimbal_error: has 4 samples; time has 3"):
+    with pytest.raises(ValueError, match="gimbal_error: 4 samples; time: 3"):
         small(channels={"leg_position": np.zeros((3, 2)), "gimbal_error": np.ones(4)})
 
 

@@ -292,7 +292,7 @@ def test_stepped_sines_keep_their_amplitude_through_the_transient():
     ("kind", "arguments", "message"),
     [
         ("pulse", {"width": 0.0}, "width: 0.0 is refused: input should be greater than 0"),
-        ("pulse", {"width": 1e-4}, "width: 0.0001 s must be at least two frames"),
+        ("pulse", {"width": 1e-4}, "width: 0.0001 s must be two frames or more"),
         (
             "pulse",
             {"width": 12.5},

@@ -2,15 +2,16 @@
 
 import csv
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from cmf_mj import bandwidths, compare
+from cmf_mj import bandwidths, compare, load_cab
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.record.record import Record
 from cmf_mj.show.comparison import AGREEMENT, comparison_table, phase_text
 from cmf_mj.studies import comparison
-from cmf_mj.studies.case import AMPLITUDE
+from cmf_mj.studies.case import AMPLITUDE, make_case
 
 COLUMNS = (
     "plant,cab,hydraulics,law,dof,phase_bandwidth_hz,gain_bandwidth_hz,peak_gain_db,damping_ratio,"
@@ -22,6 +23,13 @@ COLUMNS = (
 
 def test_columns_are_the_promised_ones() -> None:
     assert list(comparison.COLUMNS) == COLUMNS
+
+
+def test_published_values_are_of_the_facility_alone() -> None:
+    for machine, known in (("cmf", True), ("simona", False)):
+        case = make_case("velocity", "heave", cab=load_cab(machine=machine))
+        result = SimpleNamespace(case=case)
+        assert (comparison.published_result(result) is not None) == known
 
 
 @pytest.mark.slow

@@ -294,7 +294,7 @@ def test_another_study_is_refused_and_what_differs_is_named(
     [
         ({"jobs": 0}, "jobs: 0 must be at least 1"),
         ({"backend": "smoke"}, "backend: 'smoke' is not one of threading, loky, dask"),
-        ({"scheduler": "tcp://here:1"}, "scheduler: tcp://here:1 needs the backend dask, not loky"),
+        ({"scheduler": "tcp://here:1"}, "scheduler: tcp://here:1 needs backend dask, not loky"),
     ],
 )
 def test_bad_arguments_are_refused_before_a_folder_is_made(

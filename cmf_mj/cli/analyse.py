@@ -60,8 +60,8 @@ def modes_command(
     camera: options.Camera = "overview",
     width: options.Width = 320,
     height: options.Height = 260,
-    stroke: Annotated[float, Option(help="largest leg motion of a film [in]")] = 12.0,
-    periods: Annotated[float, Option(help="length of a film, in periods of the lowest mode")] = 1.0,
+    stroke: Annotated[float, options.film(help="largest leg motion [in]")] = 12.0,
+    periods: Annotated[float, options.film(help="length, in periods of the lowest mode")] = 1.0,
 ) -> None:
     """Reflected mass, hydraulic modes at a pose and over the envelope, and the worst pose."""
     from cmf_mj.analysis.modes import over_envelope, plane_map, sweep

@@ -51,6 +51,7 @@ def _complete_machine(incomplete: str) -> list[str]:
 
 _CHOICE = typer.Option(
     metavar="MACHINE",
+    rich_help_panel="Machine",
     help="motion base by name or TOML file",
     is_eager=True,
     expose_value=False,

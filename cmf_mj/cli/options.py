@@ -62,13 +62,13 @@ def choice(
     return make(help=text, metavar=metavar, autocompletion=complete, callback=checked)
 
 
-def of_machine(source: str, metavar: str, text: str, make: Callable[..., Any] = Option) -> Any:
+def of_machine(source: str, metavar: str, text: str, make: Callable[..., Any] | None = None) -> Any:
     """An option whose names and default are those of the machine that `--machine` chooses.
 
     The command gets what is loaded: a cab, several, or a hydraulic set; of laws the name. A default
     stands for the machine's own unless that is the CMF.
     """
-    plain = choice(source, metavar, text, free=True, make=make)
+    plain = choice(source, metavar, text, free=True, make=make or _machine)
     named = plain.callback
 
     def loaded(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
@@ -112,6 +112,8 @@ size, file = partial(Option, metavar="SIZE"), partial(Option, metavar="FILE")
 new_file = partial(file, callback=target)
 """Option of a file to write."""
 
+_machine, film = (partial(Option, rich_help_panel=panel) for panel in ("Machine", "Film"))
+
 ALL, VELOCITY = ["all"], ["velocity"]
 """Defaults of options that take several names."""
 
@@ -137,10 +139,8 @@ OtherLaw = Annotated[str | None, name_or_file(LAWS, "LAW", "default that of the 
 Laws = Annotated[list[str], name_or_file(LAWS, "LAWS", _MANY_LAWS, every=_REPORT)]
 Cab = Annotated[str, of_machine(CABS, "CAB", "of the machine, by name or TOML file")]
 Cabs = Annotated[list[str], of_machine(CABS, "CABS", "of the machine, TOML files, or `all`")]
-OtherMachine = Annotated[
-    str | None, name_or_file(MACHINES, "MACHINE", "in place of the scenario's")
-]
-OtherCab = Annotated[str | None, name_or_file(CABS, "CAB", "in place of the scenario's")]
+OtherMachine = Annotated[str | None, name_or_file(MACHINES, "MACHINE", "replaces the scenario's")]
+OtherCab = Annotated[str | None, name_or_file(CABS, "CAB", "replaces the scenario's")]
 PlantName = Annotated[str, choice(_PLANTS, "PLANT", "hexapod or single_legs")]
 Plants = Annotated[list[str], choice(_PLANTS, "PLANTS", "hexapod, single_legs, or `all`")]
 Hydraulics = Annotated[str, of_machine(OIL, "SET", _SETS)]
@@ -157,11 +157,11 @@ Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callba
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Simulate = Annotated[bool, Option("--simulate", help="simulate the recordings")]
 Recordings = Annotated[list[Path] | None, Argument(help="facility CSV or Parquet files")]
-FilmFile = Annotated[str | None, Option("--video", metavar="NAME.mp4|NAME.gif", help="film in out")]
-Fps = Annotated[int, Option(help="frame rate of a film [1/s]")]
-Speed = Annotated[float, Option(help="times real speed; below 1 is slow motion")]
-Camera = Annotated[str, choice("cli.options:CAMERAS", "CAMERA", "overview, side or front")]
-Width = Annotated[int, Option(help="of the picture of one run or mode [pixels]")]
-Height = Annotated[int, Option(help="of the picture of one run or mode [pixels]")]
-Start = Annotated[float, Option(help="time of the run at which a film begins [s]")]
+FilmFile = Annotated[str | None, film("--video", metavar="NAME.mp4|NAME.gif", help="film in out")]
+Fps = Annotated[int, film(help="frame rate of a film [1/s]")]
+Speed = Annotated[float, film(help="times real speed; below 1 is slow motion")]
+Camera = Annotated[str, choice("cli.options:CAMERAS", "CAMERA", "overview, side, front", make=film)]
+Width = Annotated[int, film(help="of the picture of one run or mode [px]")]
+Height = Width
+Start = Annotated[float, film(help="time in the run when a film begins [s]")]
 Seconds = Annotated[float | None, Option(help="length of a run or film [s]; default to the end")]

@@ -123,9 +123,7 @@ def _begun(record: Record, law: Law, legs: int) -> control.DclState | None:
 def _every(record: Record, rate: int) -> int:
     every = rate / record.rate
     if not (every >= 1.0 and every.is_integer()):
-        raise InputError(
-            f"sample_rate: {record.rate} Hz is refused; allowed: {rate} Hz over an integer"
-        )
+        raise InputError(f"sample_rate: {record.rate} Hz; allowed: {rate} Hz over an integer")
     return int(every)
 
 

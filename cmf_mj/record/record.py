@@ -59,9 +59,7 @@ class Record:
         object.__setattr__(self, "time", frozen(self.time))
         for name, values in histories.items():
             if values.shape[0] != self.time.shape[0]:
-                raise InputError(
-                    f"{name}: has {values.shape[0]} samples; time has {self.time.shape[0]}"
-                )
+                raise InputError(f"{name}: {values.shape[0]} samples; time: {self.time.shape[0]}")
         if set(self.units) != set(self.channels):
             odd = sorted(set(self.units) ^ set(self.channels))
             raise InputError(f"units: every channel needs one unit; check {', '.join(odd)}")

@@ -278,9 +278,7 @@ class AccelerationStep(Signal):
 
     def _check(self) -> None:
         if round(self.hold * self.rate) < 2 or not self.acceleration:
-            raise InputError(
-                f"acceleration: {self.acceleration} over hold {self.hold} s is no step"
-            )
+            raise InputError(f"acceleration: {self.acceleration} over {self.hold} s is no step")
         check_highest("acceleration", self.acceleration * self.hold**2)
 
     def command(self, seed: int = 0) -> Command:
@@ -376,6 +374,9 @@ def waypoints(times: ArrayLike, values: ArrayLike, rate: int = RATE) -> NDArray[
     Raises:
         InputError: fewer than two points, times that do not rise from 0, or values that are not
             one finite row a point.
+
+    >>> cmf_mj.signals.waypoints([0.0, 2.0], [[0.0], [0.4]])[[1024, 2048, -1], 0].round(3)
+    array([0.041, 0.2  , 0.4  ])
     """
     when = np.asarray(times, dtype=float)
     points = np.atleast_2d(np.asarray(values, dtype=float))

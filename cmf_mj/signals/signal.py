@@ -83,9 +83,7 @@ def _number_with_unit(value: Any) -> float | tuple[float, str]:
     number, unit = value if pair else (value, "m")
     known = isinstance(number, int | float) and not isinstance(number, bool)
     if not known or not abs(number) < float("inf") or not isinstance(unit, str):
-        raise InputError(
-            'must be a number in m or rad, or a number and its unit, such as [2.0, "in"]'
-        )
+        raise InputError('must be a number in m or rad, or one and its unit, such as [2.0, "in"]')
     if unit not in _LENGTHS + _ANGLES:
         raise InputError(f"unit {unit!r} is not one of {', '.join(_LENGTHS + _ANGLES)}")
     most = units.from_si(unit, HIGHEST)

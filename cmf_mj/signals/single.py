@@ -52,7 +52,11 @@ def _rested(history: NDArray[np.float64], settle: float, rate: int) -> NDArray[n
 
 
 class Step(SingleSignal):
-    """A step of `amplitude` at the time `at` [s]; the run lasts `duration` [s]."""
+    """A step of `amplitude` at the time `at` [s]; the run lasts `duration` [s].
+
+    >>> cmf_mj.signals.step("heave", 0.0254).pose[[0, -1], 2]  # one inch down
+    array([0.    , 0.0254])
+    """
 
     kind: Literal["step"]
     at: Duration = 1.0  #: Time of the step [s].
@@ -87,9 +91,7 @@ class Pulse(SingleSignal):
     def _check(self) -> None:
         begin, frames = self._frames()
         if frames < 2:
-            raise InputError(
-                f"width: {self.width} s must be at least two frames, {2 / self.rate} s"
-            )
+            raise InputError(f"width: {self.width} s must be two frames or more, {2 / self.rate} s")
         if begin + frames >= round(self.length * self.rate):
             raise InputError(
                 f"width: {self.width} s after {self.at} s must be within the {self.length} s of "
@@ -107,7 +109,11 @@ class Pulse(SingleSignal):
 
 
 class Sine(SingleSignal):
-    """A sine of whole or part `cycles`, faded in and out by raised cosines of `fade` [s]."""
+    """A sine of whole or part `cycles`, faded in and out by raised cosines of `fade` [s].
+
+    >>> cmf_mj.signals.sine("roll", [3.0, "deg"], 0.5, cycles=4).duration
+    8.0
+    """
 
     kind: Literal["sine"]
     frequency: Frequency  #: Frequency [Hz], at most half the control rate.
@@ -152,6 +158,9 @@ class Chirp(SingleSignal):
 
     The report sweeps 0.33 in and 0.2 deg. `stop` is moved by at most 0.5 / duration so that the
     sweep ends on a zero crossing, as the report's does; it has no `fade` and stops at full speed.
+
+    >>> cmf_mj.signals.chirp("surge", [0.33, "in"]).pose.max(0).round(5)
+    array([0.00838, 0.     , 0.     , 0.     , 0.     , 0.     ])
     """
 
     kind: Literal["chirp"]
@@ -187,7 +196,11 @@ class Chirp(SingleSignal):
 
 
 class Noise(SingleSignal):
-    """Gaussian noise, white in displacement from `start` to `stop` and nothing outside."""
+    """Gaussian noise, white in displacement from `start` to `stop` and nothing outside.
+
+    >>> cmf_mj.signals.noise("sway", 0.01, stop=5.0).duration  # with 2 s of rest at both ends
+    104.0
+    """
 
     kind: Literal["noise"]
     start: Frequency = 0.1  #: Lower edge of the band [Hz].
@@ -297,6 +310,9 @@ class Multisine(Lines, SingleSignal):
     Lines are the odd multiples of 1/period between `start` and `stop`; even non-linear distortion
     then falls between them. The peak is scaled to `amplitude`. The first of the periods is the
     transient, dropped by the analysis.
+
+    >>> cmf_mj.signals.multisine("yaw", [0.2, "deg"], period=10.0, periods=2).duration
+    20.0
     """
 
     kind: Literal["multisine"]

@@ -19,6 +19,7 @@ from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_csv
 from cmf_mj.core.threads import on_threads
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.models import CMF
 from cmf_mj.plant.build import PLANTS
 from cmf_mj.studies.case import (
     AMPLITUDE,
@@ -48,9 +49,9 @@ COLUMNS = (
 
 
 def published_result(result: CaseResult) -> Published | None:
-    """The published values of a case, if there are any."""
+    """The published values of a case, if there are any: of the CMF alone."""
     case = result.case
-    return published(case.law.name, case.dof, case.hydraulics.name)
+    return published(case.law.name, case.dof, case.hydraulics.name) if case.on.name == CMF else None
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,7 @@ def rated(results: Sequence[CaseResult], jobs: int | None = None) -> list[Qualit
     """What compares laws, of the results of `compare`; on `jobs` threads, one a law and plant.
 
     >>> comparison = cmf_mj.compare(["velocity"], ["heave"], plants=["single_legs"], quick=True)
-    >>> (found,) = rated(comparison.results)
+    >>> (found,) = cmf_mj.studies.comparison.rated(comparison.results)
     >>> round(found.over_drive_lag, 1)  # 2.7 Hz behind a lag of 3 Hz
     0.9
     """

@@ -242,9 +242,7 @@ class Workers:
             raise InputError(f"jobs: {self.jobs} must be at least 1 and at most {MOST_JOBS}")
         check_name("backend", self.backend, get_args(Backend))
         if self.scheduler is not None and self.backend != "dask":
-            raise InputError(
-                f"scheduler: {self.scheduler} needs the backend dask, not {self.backend}"
-            )
+            raise InputError(f"scheduler: {self.scheduler} needs backend dask, not {self.backend}")
         if self.scheduler is not None and not _ADDRESS.fullmatch(self.scheduler):
             allowed = "allowed: an address such as tcp://host:8786"
             raise InputError(f"scheduler: {self.scheduler!r} is refused; {allowed}")

@@ -124,9 +124,7 @@ def verify(
     """
     pairs = zip(parts, parts[1:], strict=False)
     if len(parts) < 3 or parts[0] < 1 or any(b != 2 * a for a, b in pairs):
-        raise InputError(
-            f"parts: {list(parts)} must be at least three numbers, each twice the one before"
-        )
+        raise InputError(f"parts: {list(parts)} must be three or more, each twice the one before")
     if round(seconds * RATE) < 2:
         raise InputError(f"seconds: {seconds} must be at least {2 / RATE} s, two frames")
     chosen, parameters = load_cab(cab), load_hydraulics(hydraulics)

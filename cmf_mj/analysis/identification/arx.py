@@ -97,9 +97,7 @@ def _factor(runs: list[Experiment], row: int, orders: Orders, lag: int) -> _Fact
     phi = np.concatenate([regressors(run.output[:, row], run.input, orders, lag) for run in runs])
     y = np.concatenate([run.output[lag:, row] for run in runs])
     if y.size <= phi.shape[1]:
-        raise InputError(
-            f"orders: {phi.shape[1]} parameters; the experiments give {y.size} samples"
-        )
+        raise InputError(f"orders: {phi.shape[1]} parameters; experiments give {y.size} samples")
     table = np.column_stack([phi, y])
     scale = np.linalg.norm(table, axis=0)
     silent = np.flatnonzero(scale == 0.0)

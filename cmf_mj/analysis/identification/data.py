@@ -81,7 +81,7 @@ class Experiment:
             object.__setattr__(self, field, values)
             if values.shape[0] != self.input.shape[0]:
                 raise InputError(
-                    f"{field}: has {values.shape[0]} samples; input has {self.input.shape[0]}"
+                    f"{field}: {values.shape[0]} samples; input: {self.input.shape[0]}"
                 )
         for field in ("input", "output"):
             count = getattr(self, field).shape[1]

@@ -155,9 +155,7 @@ def _feedback_rows(
             continue
         name = FEEDBACK[i // legs]
         if name in outputs or (read[i] and i < 3 * legs):
-            raise InputError(
-                f"plant: has no output {label}, which is needed; it has {', '.join(present)}"
-            )
+            raise InputError(f"plant: has no output {label}; it has {', '.join(present)}")
     return c, d
 
 

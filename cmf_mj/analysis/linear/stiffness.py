@@ -44,6 +44,10 @@ def compliance(
 
     At 0 Hz the force stays. A law in hydraulic modes must be bound to the plant's cab. The clamps
     do not act. Raises `InputError` as `linearize` and `closed_loop` do.
+
+    >>> from cmf_mj.analysis.linear.stiffness import compliance
+    >>> compliance(cmf_mj.SingleLegs(), "velocity", [1.0])[0].shape  # of six legs among each other
+    (6, 6)
     """
     loaded, system, legs = load_law(law), linearize(plant, pose), plant.legs
     loop, a = closed_loop(loaded, system), np.asarray(system.A)

@@ -46,9 +46,7 @@ def welch_response(
         )
     length = round(segment * rate)
     if xs.size < length or length < 4:
-        raise InputError(
-            f"segment: {segment} s must not exceed the record's {xs.size / rate:.3f} s"
-        )
+        raise InputError(f"segment: {segment} s exceeds the record's {xs.size / rate:.3f} s")
     hop, rest = max(length - int(overlap * length), 1), length if pad else 0
     both = np.pad(np.stack([xs, ys]), ((0, 0), (rest, rest)))
     measured = np.pad(np.ones(xs.size, dtype=bool), rest)

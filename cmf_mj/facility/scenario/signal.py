@@ -85,9 +85,7 @@ class Recorded(AnySignal):
         """The recorded demand."""
         record = Record.load(self.file)
         if abs(record.rate - self.rate) > 1e-9:
-            raise InputError(
-                f"{self.file}: sample_rate: {record.rate:g} Hz; allowed: {self.rate} Hz"
-            )
+            raise InputError(f"{self.file}: sample_rate: {record.rate:g}; allowed: {self.rate} Hz")
         return Command(record["demand_pose"], self)
 
 

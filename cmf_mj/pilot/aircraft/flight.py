@@ -77,9 +77,7 @@ class Flight:
         others = {name: np.array(values, dtype=float) for name, values in self.others.items()}
         for name, values in others.items():
             if values.shape != self.motion.time.shape:
-                raise InputError(
-                    f"{name}: shape is {values.shape}; allowed: {self.motion.time.shape}"
-                )
+                raise InputError(f"{name}: shape {values.shape}; allowed: {self.motion.time.shape}")
             check_finite(name, values)
         frozen_others = {name: frozen(values) for name, values in others.items()}
         object.__setattr__(self, "others", FrozenDict(frozen_others))

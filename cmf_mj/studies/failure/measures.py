@@ -268,9 +268,7 @@ def run_failure(
         check_limits(command, machine=chosen.on)
     frames = command.pose.shape[0]
     if not event.at < (frames - 1) * FRAME:
-        raise InputError(
-            f"at: {event.at} s must be less than the run of {(frames - 1) * FRAME:g} s"
-        )
+        raise InputError(f"at: {event.at} s must be within the run of {(frames - 1) * FRAME:g} s")
     message = ""
     options: dict[str, Any] = {"events": [event], "protection": protection}
     try:
