@@ -12,7 +12,6 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
 from cmf_mj.core import units
-from cmf_mj.core.files import write_text
 from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.show import look
@@ -76,7 +75,8 @@ def capacity_table(result: CapacityResult) -> Table:
     ]
     about = result.record.metadata
     words = [about["law"], about["cab"], f"{about['hydraulics']} hydraulics"]
-    return Table(f"capacity: {', '.join(filter(None, words))}", ("measure", "value", ""), rows)
+    title = f"capacity: {', '.join(filter(None, words))}"
+    return Table(title, ("measure", "value", "definition"), rows)
 
 
 def envelope_table(envelope: Envelope) -> Table:
@@ -230,10 +230,8 @@ def save_capacity(
     result: CapacityResult, parameters: HydraulicParameters, folder: Path
 ) -> list[Path]:
     """Write `capacity.csv` (measures in the field's units), `supply.png` and `capacity.parquet`."""
-    lines = [",".join(f'"{cell}"' for cell in row) for row in capacity_table(result).cells]
-    text = "\n".join(["measure,value,definition", *lines, ""])
     files = {
-        "capacity.csv": partial(write_text, text=text),
+        "capacity.csv": capacity_table(result).save,
         "supply.png": supply_figure(result, parameters),
         "capacity.parquet": result.record.save,
     }

@@ -133,23 +133,19 @@ def _legend(
 ) -> None:
     """Laws by colour, plants by line, each case that is unstable, and what pale curves are."""
     titles = {result.case.law.name: result.case.law.title for result in results}
+    colours, bode = _colours(results), axis.get_xscale() == "log"
     entries: list[dict[str, Any]] = [
-        {"color": colour, "label": titles[law]} for law, colour in _colours(results).items()
+        {"color": colour, "label": titles[law]} for law, colour in colours.items()
     ]
     entries += [
         {"color": DARK, "linestyle": _LINES[plant], "label": _TITLES[plant]}
         for plant in dict.fromkeys(result.case.plant for result in results)
     ]
-    for result in results:
-        if not result.measures.stable:
-            law, plant = result.case.law, result.case.plant
-            line: dict[str, Any] = {
-                "color": _colours(results)[law.name],
-                "linestyle": _LINES[plant],
-            }
-            line |= {"alpha": FAINT, "label": f"unstable: {law.title}, {_TITLES[plant]}"}
-            entries.append(line)
-    if axis.get_xscale() == "log" and any(_unclear(result) for result in results):
+    for case in (result.case for result in results if not result.measures.stable):
+        label = f"unstable: {case.law.title}, {_TITLES[case.plant]}"
+        style = {"color": colours[case.law.name], "linestyle": _LINES[case.plant]}
+        entries.append({**style, "label": label, "alpha": FAINT if bode else 1.0})
+    if bode and any(_unclear(result) for result in results):
         entries.append({"color": DARK, "alpha": FAINT, "label": f"coherence below {CLEAR:g}"})
     if circles:
         circle = {"marker": "o", "fillstyle": "none", "linestyle": ""}

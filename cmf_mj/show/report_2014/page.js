@@ -90,7 +90,7 @@
   };
 
   Figure.prototype.curve = function (parent, curve, points) {
-    var opacity = curve.pale ? 0.35 : 1;
+    var opacity = curve.pale ? 0.45 : 1;
     if (curve.marks) {
       var ring = curve.marks === "ring";
       points.forEach(function (p) {
@@ -249,7 +249,7 @@
       var target = of(link);
       link.parentNode.hidden = target.hidden || target.closest("section").hidden;
     });
-    count.textContent = wanted ? rows + " rows, other readings and calibration included" : "";
+    count.textContent = wanted ? rows + " rows, other readings included" : "";
     redraw();
     var first = event && document.querySelector("main > section:not(#summary):not([hidden])");
     if (first) first.scrollIntoView();

@@ -14,9 +14,8 @@ from cmf_mj.core.files import write_text
 from cmf_mj.show.chart import Curve, Panel
 from cmf_mj.show.report_2014 import figures_of_laws, figures_of_models
 from cmf_mj.show.report_2014.curves import CONTENTS, Content, ReportFigure, specs
-from cmf_mj.show.report_2014.force import FORCE_NEEDS
 from cmf_mj.show.report_2014.runs import perform
-from cmf_mj.show.report_2014.sections import CALIBRATION_NEEDS, sections_of
+from cmf_mj.show.report_2014.sections import sections_of
 from cmf_mj.show.report_2014.statements import STATEMENT_NEEDS
 from cmf_mj.show.report_2014.summary import verdict_tables
 from cmf_mj.show.report_2014.tables import TITLES, table_needs
@@ -133,9 +132,6 @@ FIGURES = tuple(
 TABLES = tuple(TITLES)
 """All result tables; those of gains, limits and parameters need no run and are always there."""
 
-STUDY_NEEDS = (*FORCE_NEEDS, *STATEMENT_NEEDS, *CALIBRATION_NEEDS)
-"""Runs of the sections that come only with all figures and tables."""
-
 
 def _chosen(name: str, numbers: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:
     """Those of `known` that are in `numbers`; all for None."""
@@ -164,7 +160,7 @@ def make_content(
     studies = figures is None and tables is None
     needs = [need for figure in chosen for need in figure.needs]
     needs += [need for table in results for need in table_needs(table)]
-    needs += STUDY_NEEDS if studies else ()
+    needs += STATEMENT_NEEDS if studies else ()
     runs = perform(
         needs,
         sensors=any(figure.sensors for figure in chosen),

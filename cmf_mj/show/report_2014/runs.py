@@ -16,7 +16,7 @@ import numpy as np
 from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import FrequencyResponse, rounds_response
 from cmf_mj.analysis.identification.model import Orders
-from cmf_mj.control.law import Law, load_law
+from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
@@ -67,27 +67,6 @@ class RunSpec(NamedTuple):
     law: str
     dof: str = "heave"
     signal: Signal = "case"
-
-
-FORCE_READINGS: Mapping[str, float] = {
-    "force as printed: 0.01 %/lbf, opposing": -0.01,
-    "aiding": 0.01,
-    "no force feedback, position error rate gain 6 alone": 0.0,
-    "area of the cap side in place of the annulus": -0.01985,
-    "0.01 % per newton": -0.01 / units.from_si("lbf", 1.0),
-    "pressure in kPa times area in in²": -0.01 * units.PSI / 1000.0,
-}
-"""Readings of the force gain of Table 3-4, counted in % per lbf of Eq 3.7."""
-
-
-def law_of(name: str) -> Law:
-    """A law by name; `force:<reading>` is force feedback with another reading of its gain."""
-    base, _, reading = name.partition(":")
-    law = load_law(base)
-    if not reading:
-        return law
-    gains = law.direct_gain.model_copy(update={"force": FORCE_READINGS[reading]})
-    return law.model_copy(update={"name": name, "title": reading, "direct_gain": gains})
 
 
 def hydraulics_of(on: On) -> HydraulicParameters:
@@ -158,7 +137,7 @@ def _commands(spec: RunSpec, quick: bool, seed: int) -> list[signals.Command]:
 
 
 def _perform(spec: RunSpec, quick: bool, seed: int) -> CaseResult | tuple[Record, ...]:
-    law, size = law_of(spec.law), dof_amplitude(spec.dof)
+    law, size = load_law(spec.law), dof_amplitude(spec.dof)
     if spec.signal == "case":
         cab = None if spec.on == "model" else load_cab(CAB)
         parameters = hydraulics_of(spec.on)

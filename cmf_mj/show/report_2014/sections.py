@@ -6,12 +6,7 @@ A new section is an entry there; a new kind of block is a function and its entry
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 
-import numpy as np
-
 from cmf_mj.analysis.ledger import load_ledger
-from cmf_mj.core import units
-from cmf_mj.core.quantity import Quantity
-from cmf_mj.electronics.sensors.settings import CHANNELS, load_sensors
 from cmf_mj.show.listing import figures_text
 from cmf_mj.show.report_2014 import force, summary
 from cmf_mj.show.report_2014.curves import (
@@ -21,24 +16,11 @@ from cmf_mj.show.report_2014.curves import (
     Content,
     PageTable,
     Section,
-    law_title,
     table,
     texts,
 )
-from cmf_mj.show.report_2014.runs import (
-    CAB,
-    HYDRAULICS,
-    PLANTS,
-    On,
-    Runs,
-    RunSpec,
-    hydraulics_of,
-    plant_of,
-)
-from cmf_mj.show.report_2014.statements import (
-    rest_rows,
-    statement_rows,
-)
+from cmf_mj.show.report_2014.runs import CAB, HYDRAULICS, PLANTS, Runs, plant_of
+from cmf_mj.show.report_2014.statements import rest_rows, statement_rows
 from cmf_mj.show.report_2014.tables import (
     TITLES,
     TOLERANCES,
@@ -48,64 +30,7 @@ from cmf_mj.show.report_2014.tables import (
     result_rows,
 )
 from cmf_mj.show.table import number
-from cmf_mj.studies.calibration.fit import residual_rows
 from cmf_mj.studies.calibration.trial import Study, load_studies, starting_values
-
-
-def _mechanics() -> list[tuple[str, str, str, str]]:
-    """Masses as the models have them, read from the compiled MJCF."""
-    single, whole = plant_of("model"), plant_of("machine")
-    payload = float(whole.model.body_subtreemass[whole.model.body("platform").id])
-    cab = whole.model.body("cab/cab")
-    ahead, _, up = (float(value) for value in cab.ipos)
-    centre = f"{ahead:.2f} m ahead of and {up:.2f} m above the platform's centroid"
-    load = f"{units.from_si('lbf', float(single.static_load()[0])):.0f} lbf"
-    modal = np.linalg.eigvalsh(whole.reflected_mass())[::-1] / units.POUND_MASS
-    eigenvalues = "eigenvalues of the reflected mass J^-T M J^-1 at neutral"
-    mass, cab_mass = float(single.reflected_mass()[0, 0]), float(cab.mass[0])
-    return [
-        ("mass on a single leg", _pounds(mass), "stated", "7200 lbm"),
-        ("load on a single leg", load, "stated", "7200 lbf"),
-        ("platform and cab", _pounds(payload), "derived", "7200 lbm a leg in heave"),
-        ("cab alone", _pounds(cab_mass), "assumed", "the split is ours"),
-        ("centre of mass of the cab", centre, "assumed", "decides surge, sway, roll and pitch"),
-        (
-            "masses the legs feel, mode by mode",
-            f"{', '.join(f'{part:.0f}' for part in modal)} lbm",
-            *("assumed", eigenvalues),
-        ),
-    ]
-
-
-def _pounds(mass: float) -> str:
-    return f"{mass / units.POUND_MASS:.0f} lbm"
-
-
-def _rows(values: Mapping[str, Quantity], of: str = "") -> list[tuple[str, ...]]:
-    return [
-        (f"{of}{name}".replace("_", " "), f"{q.value:g} {q.unit}", q.status, q.source)
-        for name, q in values.items()
-    ]
-
-
-def parameters() -> list[PageTable]:
-    """Numbers of hydraulics, mechanics and sensors with their status."""
-    (status,) = texts("status")
-    settings = load_sensors("noisy")
-    sensors = [_rows(settings.channel(name).quantities(), f"{name}: ") for name in CHANNELS]
-    mechanics = f"Mechanics: single legs, and hexapod with the {CAB.upper()}"
-    note = f"{status} models/README.md has every number of the models."
-    return [
-        *(
-            table(
-                *("parameters", _rows(hydraulics_of(on).quantities())),
-                *(f"parameters-{name}", f"Hydraulics: {name}", status),
-            )
-            for on, name in HYDRAULICS.items()
-        ),
-        table("parameters", _mechanics(), "parameters-mechanics", mechanics, note),
-        table("parameters-sensors", sum(sensors, [])),
-    ]
 
 
 def provenance(runs: Runs) -> PageTable:
@@ -119,14 +44,7 @@ def provenance(runs: Runs) -> PageTable:
     return table("provenance-table", rows)
 
 
-_PLANTS: dict[str, On] = {name: on for on, name in HYDRAULICS.items()}
-_STUDIES = tuple(study for study in load_studies().values() if study.hydraulics in _PLANTS)
-_MEASURES = {"phase": "-90 deg [Hz]", "gain": "-3 dB [Hz]", "damping": "damping ratio"}
-
-CALIBRATION_NEEDS = tuple(
-    RunSpec(_PLANTS[study.hydraulics], law) for study in _STUDIES for law in study.laws
-)
-"""Runs that the residuals are read from."""
+_STUDIES = tuple(s for s in load_studies().values() if s.hydraulics in HYDRAULICS.values())
 
 
 def _share(value: float, relative: bool, sign: str = "+") -> str:
@@ -155,10 +73,8 @@ def result_table(runs: Runs, name: str) -> PageTable:
                 *(row.label, row.of, f"{row.quantity} [{row.unit}]" if row.unit else row.quantity),
                 row.printed if row.printed == row.printed else "N/A",
                 _computed(row),
-                *(
-                    _share(row.deviation, relative),
-                    _share(row.tolerance, relative, "").replace(".0 %", " %"),
-                ),
+                _share(row.deviation, relative),
+                _share(row.tolerance, relative, "").replace(".0 %", " %"),
                 *(VERDICTS[row.within], "calibrated" if row.calibrated else "predicted"),
                 *([number(row.hexapod, ".2f")] if appendix else []),
                 "as above" if again else row.note,
@@ -210,10 +126,6 @@ def _ledger(content: Content, argument: str) -> list[PageTable]:
     return [table("ledger-table", rows)]
 
 
-def _set_title(study: Study) -> str:
-    return f"{study.name.capitalize()} set".replace("_", " ")
-
-
 def _fitted(study: Study) -> PageTable:
     values = starting_values(study)
     rows = [
@@ -224,28 +136,8 @@ def _fitted(study: Study) -> PageTable:
         )
         for p in study.parameters
     ]
-    anchor, title = f"calibration-{study.name}-parameters", _set_title(study)
-    return table("calibration-parameters", rows, anchor, f"{title}: parameters")
-
-
-def _residuals(runs: Runs, study: Study) -> PageTable:
-    measures = {law: runs.case(_PLANTS[study.hydraulics], law).measures for law in study.laws}
-    rows = [
-        (
-            *(f"{row.table}, {law_title(row.law)}", _MEASURES[row.measure], row.role),
-            *(row.printed, row.computed if row.stable else "unstable"),
-            _share(row.deviation, row.measure != "damping"),
-            VERDICTS[row.within],
-        )
-        for row in residual_rows(study, measures)
-    ]
-    anchor, title = f"calibration-{study.name}-residuals", _set_title(study)
-    return table("calibration-residuals", rows, anchor, f"{title}: residuals at the shipped values")
-
-
-def _calibration(content: Content, argument: str) -> list[PageTable]:
-    """What was fitted to which printed numbers, and what was only predicted."""
-    return [t for study in _STUDIES for t in (_fitted(study), _residuals(content.runs, study))]
+    title = f"{study.name.capitalize()} set: parameters".replace("_", " ")
+    return table("calibration-parameters", rows, f"calibration-{study.name}-parameters", title)
 
 
 BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
@@ -266,8 +158,7 @@ BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
     "statements": lambda content, _: [table("text-numbers", statement_rows(content.runs))],
     "force": lambda content, _: force.blocks(content.runs),
     "ledger": _ledger,
-    "calibration": _calibration,
-    "parameters": lambda content, _: parameters(),
+    "calibration": lambda content, _: [_fitted(study) for study in _STUDIES],
     "provenance": lambda content, _: [provenance(content.runs)],
 }
 """Kinds of blocks: functions of what was run and an argument."""
