@@ -48,6 +48,8 @@ COPIES = {
     "omct/omct.csv": "data/omct.csv",
     "fly/comparison.png": "images/fly_comparison.png",
     "fly/velocity/motion.png": "images/fly_motion.png",
+    "certify/certificates.png": "images/certificates.png",
+    "certify/certificates.csv": "data/certificates.csv",
     "machines/machines.png": "images/two_machines.png",
     "verification/work_precision.png": "images/work_precision.png",
     "ablation/ladder.png": "images/ladder.png",

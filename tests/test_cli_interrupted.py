@@ -47,6 +47,7 @@ LINES = {
     "study": "study ablation --quick --jobs 1 --out {out}",
     "ablation": "ablation --laws velocity --dofs heave --jobs 1 --out {out}",
     "tune": "tune --evaluations 12 --file {out}/law.toml",
+    "certify": "certify velocity --cabs gfd --quick --out {out}",
     "calibrate": "calibrate report --quick --samples 2 --out {out}",
     "report": "report --figures none --tables none --quick --out {out}",
     "linear": "linear --out {out}",

@@ -141,6 +141,46 @@ def tune_command(
     )
 
 
+@command("certify")
+def certify_command(
+    laws: Annotated[
+        list[str], argument(options.LAWS, "LAWS...", "by name or TOML file", free=True)
+    ],
+    cabs: options.Cabs = options.ALL,
+    hydraulics: options.Hydraulics = "hardware",
+    box: Annotated[Path | None, options.file(help="unit box; default tolerances as bought")] = None,
+    quick: options.Quick = False,
+    seed: options.Seed = 1,
+    out: options.Out = Path("out/certify"),
+) -> None:
+    """Prove how far machines may be off before a law fails, and find machines that break it."""
+    from cmf_mj.control.law import load_law
+    from cmf_mj.plant.hexapod import Hexapod
+    from cmf_mj.show import certificate as report
+    from cmf_mj.show.look import save_files
+    from cmf_mj.studies.certificate import run
+    from cmf_mj.studies.certificate.box import load_box
+    from cmf_mj.studies.engine import libraries
+
+    unit, effort, rows = load_box(box), run.QUICK if quick else run.Effort(), []
+    plants, chosen = [Hexapod(cab, hydraulics) for cab in cabs], [load_law(law) for law in laws]
+    with progress_bar() as update:
+        update(0, len(plants) * len(chosen))
+        for law in chosen:
+            for plant in plants:
+                folder = out / law.name / plant.cab
+                with libraries().limit(limits=1):  # so that the same seed gives the same bits
+                    rows.append(run.certify(plant, law, folder, unit, effort, seed=seed))
+                update(len(rows), len(plants) * len(chosen))
+    tables = report.certificate_table(rows), report.proof_table(rows)
+    files = {
+        **{"certificates.md": tables[0].save, "certificates.csv": tables[0].save},
+        **{"proofs.md": tables[1].save, "proofs.csv": tables[1].save},
+        "certificates.png": report.certificate_figure(rows),
+    }
+    show(*tables, written(save_files(files, out), out))
+
+
 @command("calibrate")
 def calibrate_command(
     tables: Annotated[list[str], argument(_TABLES, "[TABLES]...", _CALIBRATED)] = options.ALL,

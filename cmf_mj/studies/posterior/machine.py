@@ -26,6 +26,7 @@ from cmf_mj.facility.binding import bound
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command
 from cmf_mj.studies.case import REPORT_AMPLITUDES
 from cmf_mj.studies.evaluation import loop_measures
@@ -103,17 +104,21 @@ def _least(ratio: NDArray[np.float64], where: NDArray[np.bool_]) -> float:
 
 
 def simulated_stability(plant: Hexapod, law: Law) -> dict[str, Any]:
-    """Whether a law is stable in the simulation, and the swing of its windows.
+    """Whether a law is stable in the simulation, see `swings`."""
+    pose = np.zeros((round(_DURATION * RATE), len(DOFS)))
+    pose[round(_BEGIN * RATE) :] = SMALL * REPORT_AMPLITUDES
+    try:
+        return swings(simulate(plant, law, Command.from_pose(pose), record_every=16))
+    except FloatingPointError:  # it left the bounds of the model
+        return {"stable": False, "first": float("nan"), "last": float("nan")}
+
+
+def swings(record: Record) -> dict[str, Any]:
+    """Whether a run with a step at 0.5 s is stable, and the swing of its windows.
 
     `first` and `last` are the largest standard deviations of a leg about a straight line within the
     windows, over the largest leg step.
     """
-    pose = np.zeros((round(_DURATION * RATE), len(DOFS)))
-    pose[round(_BEGIN * RATE) :] = SMALL * REPORT_AMPLITUDES
-    try:
-        record = simulate(plant, law, Command.from_pose(pose), record_every=16)
-    except FloatingPointError:  # it left the bounds of the model
-        return {"stable": False, "first": float("nan"), "last": float("nan")}
     legs, reference = record["leg_position"], record["leg_reference"]
     size = float(np.abs(reference[-1] - reference[0]).max())
     count = round(_WINDOW * record.rate)

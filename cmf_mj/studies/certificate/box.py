@@ -1,0 +1,172 @@
+"""The box of machines that a certificate speaks of, and one of its machines as files to replay.
+
+The box of a scale s holds the machines whose numbers are off by at most s times `half`, each on its
+own. A corner of it is a point of +-1.
+"""
+
+from collections.abc import Mapping
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tomlkit
+from numpy.typing import NDArray
+from pydantic import Field
+
+from cmf_mj.control.law import Law
+from cmf_mj.core.files import in_folder, write_text
+from cmf_mj.core.settings import Settings, read_toml, validated
+from cmf_mj.facility.binding import modes_of_cab
+from cmf_mj.facility.scenario.library import load_scenario
+from cmf_mj.facility.scenario.run import run_scenario
+from cmf_mj.machine.bodies import ENTRIES
+from cmf_mj.machine.geometry import DOFS, FLIP
+from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.studies.case import REPORT_AMPLITUDES
+from cmf_mj.studies.posterior.machine import SMALL, swings
+from cmf_mj.studies.posterior.settings import OF_THE_SUPPLY
+from cmf_mj.studies.tuning.search import save_law
+
+Array = NDArray[np.float64]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+
+COUNTS = {
+    **dict.fromkeys(("drive_lag", "valve_lag", "valve_gain", "leak_rate"), 6),
+    **dict.fromkeys(("bulk_modulus", "supply_pressure", "cab_mass"), 1),
+    **{"cab_place": 3, "cab_inertia": 1},
+}
+"""How many numbers of each kind a machine has, in the order of a point of the box."""
+
+SIZE = sum(COUNTS.values())
+
+LARGEST = 1.5
+"""Largest scale: numbers stay positive, and closed valves hold every leg."""
+
+
+class Half(Settings):
+    """How far a number may be off either way in the unit box."""
+
+    half: Annotated[float, Field(gt=0.0, le=60.0)]
+    unit: Literal["%", "m"]
+    source: Annotated[str, Field(min_length=1)]  #: Why.
+
+    @property
+    def si(self) -> float:
+        """As a fraction, or in m."""
+        return 0.01 * self.half if self.unit == "%" else self.half
+
+
+class Box(Settings):
+    """The unit box."""
+
+    title: str
+    pose_share: Share  #: Of an axis alone over its operational limit.
+    corner_share: Share  #: Of all axes at once.
+    drive_lag: Half
+    valve_lag: Half
+    valve_gain: Half
+    leak_rate: Half  #: Of the conductance.
+    bulk_modulus: Half
+    supply_pressure: Half
+    cab_mass: Half
+    cab_place: Half
+    cab_inertia: Half
+
+    def changes(self, points: Array) -> dict[str, Array]:
+        """Relative changes (of the place: metres) of points (N, 31) by kind, (N, count)."""
+        parts = np.split(points, np.cumsum(list(COUNTS.values()))[:-1], axis=1)
+        return {name: getattr(self, name).si * p for name, p in zip(COUNTS, parts, strict=True)}
+
+    def poses(self, plant: Hexapod) -> Array:
+        """Neutral, the ends of each axis, and corners of all, (n, 6) [m, rad]."""
+        limits = load_motion_limits(machine=plant.machine)
+        low, high = np.array([getattr(limits, dof).operational.si for dof in DOFS]).T
+        ends = np.vstack([np.diag(high), np.diag(low)]) * self.pose_share
+        corners = np.array(
+            [s for s in product((-1.0, 1.0), repeat=6) if s[:3] == (s[4], s[3], s[5])]
+        )
+        return np.vstack(
+            [np.zeros(6), ends, self.corner_share * np.where(corners > 0.0, high, low)]
+        )
+
+
+def load_box(source: str | Path | None = None) -> Box:
+    """The shipped unit box, or one from a TOML file."""
+    path = Path(__file__).with_name("box.toml") if source is None else Path(source)
+    return validated(Box, read_toml(path), path.name)
+
+
+def save_case(
+    folder: Path, name: str, plant: Hexapod, law: Law, pose: Array, changes: Mapping[str, Array]
+) -> Path:
+    """Write a machine with its law as files, and the scenario that `cmf run` replays it by.
+
+    The law knows the nominal cab. The run begins in the pose and steps all axes by a small step.
+    """
+    cab, oil = plant.cab_parameters, plant.parameters
+    assert cab is not None
+    f = {kind: values[0] + (kind != "cab_place") for kind, values in changes.items()}
+    stiff, (high,), (heavy,) = f["bulk_modulus"][0], f["supply_pressure"], f["cab_mass"]
+
+    def known(value: Any, unit: str) -> dict[str, Any]:
+        return {"value": value, "unit": unit, "status": "assumed", "source": "cmf certify"}
+
+    def scaled(field: str, factor: float) -> dict[str, Any]:
+        given = getattr(oil, field)
+        return known(given.value * float(factor), given.unit)
+
+    legs = {
+        f"leg_{leg + 1}": {
+            "leg_speed": scaled("leg_speed", f["valve_gain"][leg] * np.sqrt(high)),
+            "leak_rate": scaled("leak_rate", f["leak_rate"][leg] * stiff),
+            **{lag: scaled(lag, f[lag][leg]) for lag in ("drive_lag", "valve_lag")},
+        }
+        for leg in range(6)
+    }
+    pressures = {field: scaled(field, high) for field in ("supply_pressure", *OF_THE_SUPPLY)}
+    tensor = f["cab_inertia"][0] * cab.tensor
+    masses = {
+        "mass": known(float(heavy * cab.mass.si), "kg"),
+        "centre_of_mass": known((cab.centre_of_mass.si + FLIP * f["cab_place"]).tolist(), "m"),
+        "inertia": known([float(tensor[i]) for i in zip(*ENTRIES, strict=True)], "kg m^2"),
+    }
+    known_law = law.model_copy(update={"name": f"{law.name}_{name}"})
+    if law.coordinates != "legs":
+        modes = law.modes.get(cab.name) or modes_of_cab(cab)
+        known_law = known_law.model_copy(update={"modes": {name: modes}})
+    save_law(known_law, in_folder(folder, "law.toml"))
+    files: dict[str, Any] = {
+        "hydraulics.toml": {
+            "base": oil.name,
+            name: {"bulk_modulus": scaled("bulk_modulus", stiff), **pressures, "actuators": legs},
+        },
+        "cab.toml": {"base": cab.name, name: masses},
+    }
+    steps = [
+        {
+            "kind": "step",
+            "dof": dof,
+            "amplitude": [float(SMALL * size), "m" if i < 3 else "rad"],
+            "at": 0.5,
+        }
+        for i, (dof, size) in enumerate(zip(DOFS, REPORT_AMPLITUDES, strict=True))
+    ]
+    stay: dict[str, Any] = {"kind": "waypoints", "times": [0.0, 12.0], "poses": [pose.tolist()] * 2}
+    scenario: dict[str, Any] = {
+        "title": f"{law.title}: the machine of its certificate that breaks it",
+        **{"machine": plant.machine.name, "cab": "cab.toml", "hydraulics": "hydraulics.toml"},
+        **{"law": "law.toml", "duration": 12.0, "record_every": 16, "signal": [stay, *steps]},
+    }
+    for file, table in {**files, "scenario.toml": scenario}.items():
+        write_text(folder / file, tomlkit.dumps(table))
+    return folder / "scenario.toml"
+
+
+def replayed(path: Path) -> float:
+    """Swing of the legs left at the end of a case over its largest leg step, in the simulation."""
+    try:
+        return float(swings(run_scenario(load_scenario(path)))["last"])
+    except FloatingPointError:  # it left the bounds of the model
+        return float("inf")

@@ -1,0 +1,247 @@
+"""All machines of a box in one pose under a law, as one loop with parameters.
+
+The machine at rest in the pose, linearised as `linear.assembly` does, changes by factors:
+
+    drives, spools    their rows                   oil      rows of both chambers
+    leakage           flow from cap to rod         valves   slopes of cap and rod port, rho
+    cab               M_leg = M_rest + H' B' diag(m, m, m, I) B H
+
+with H the motion of the platform per leg, B that of the cab's centre of mass per platform, I about
+it. A port's slope goes with the valve's gain and, by the load p (A_cap - A_rod) of its leg,
+
+    rho = gain sqrt(Ps) kappa(p / Ps)        over that of the nominal machine,
+
+kappa the describing function of the closed valve, see `linear.ports`. The law and a frame of delay
+are exact in z = (1 + w T/2) / (1 - w T/2), which takes the plant at w for s = (2 / T) atanh(w T/2)
+and the hold for the mean of two frames: right up to (w T)^2 / 12, 2e-4 at 15 Hz. Left out is what
+gravity's stiffness and the content of the oil change with the cab.
+"""
+
+from collections.abc import Mapping
+from itertools import product
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.law import FEEDBACK, dcl_state_space, labels
+from cmf_mj.analysis.linear.operating_point import operating_point
+from cmf_mj.analysis.linear.ports import CAP, ROD, outward_share, port_slopes
+from cmf_mj.analysis.linear.reduction import reduced
+from cmf_mj.analysis.linear.structured import Uncertain
+from cmf_mj.control.law import Law
+from cmf_mj.core import units
+from cmf_mj.facility.binding import bound
+from cmf_mj.machine.geometry import FLIP
+from cmf_mj.machine.kinematics import leg_jacobian, rotation
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.studies.certificate.box import COUNTS, Box
+
+Array = NDArray[np.float64]
+
+_SHARES = np.linspace(0.02, 0.98, 193)
+"""Pressures over the supply's at which kappa is tabulated."""
+_STEPS = 17
+"""Cabs between two opposite corners of the box whose slopes are looked at for their range."""
+_MARGIN = 1.01
+"""Range of the slopes taken over the one found."""
+SIZES = (1,) * 42 + (3, 4, 4, 4, 3)
+"""How often parameters enter: six drives, spools, cap ports, rod ports and leaks, cap and rod
+chambers; the cab's mass, three shifts of its centre of mass, and its inertia."""
+
+
+class Family:
+    """Machines that differ from a nominal one in a pose, under a law."""
+
+    def __init__(self, plant: Hexapod, law: Law, pose: Array) -> None:
+        """Linearise machine and law, and free their parameters.
+
+        Raises `InputError` as `linearize` and `bound` do.
+        """
+        self.pose, self._point = pose, operating_point(plant, pose)
+        cab = plant.cab_parameters
+        assert cab is not None
+        turn = rotation(*pose[3:])
+        motion = np.linalg.inv(leg_jacobian(pose, plant.machine))
+        self._motion = linalg.block_diag(turn.T, turn.T) @ motion  # in axes of the platform
+        self._gravity = turn.T @ np.array([0.0, 0.0, units.STANDARD_GRAVITY])
+        self._mass, self._place = cab.mass.si, FLIP * cab.centre_of_mass.si
+        self._inertia = FLIP[:, None] * cab.tensor * FLIP
+        self._kappa, self._closed = _kappa(plant)
+        cylinder = plant.hydraulics.cylinder[0]
+        self._held = (cylinder.cap_area - cylinder.rod_area) * plant.parameters.supply_pressure.si
+        system = linearize(plant, pose, at=self._point)
+        system = reduced(system, outputs=labels(FEEDBACK, 6))
+        self.loop = self._loop(system, _in_frames(bound(law, plant)))
+        """The nominal loop; delta of 1 is a change by 100 %, of the cab's place by 1 m."""
+
+    def _loop(self, system: control.StateSpace, law: tuple[Array, Array, Array]) -> Uncertain:
+        a, b, c, _ = (np.asarray(m) for m in (system.A, system.B, system.C, system.D))
+        names, n = list(system.state_labels), len(a)
+        state, command, w = np.split(np.eye(n + 6 + sum(SIZES)), [n, n + 6])
+        seen, change = np.zeros((len(w), len(state[0]))), a @ state + b @ command
+        drive, spool, speed, cap, rod = (
+            [names.index(label) for label in labels((kind,), 6)]
+            for kind in ("drive", "spool", "leg_velocity", "cap_pressure", "rod_pressure")
+        )
+        parts = iter(range(0, 42, 6))
+
+        def free(what: Array) -> Array:
+            """What six parameters add to what they multiply."""
+            first = next(parts)
+            seen[first : first + 6] = what
+            return w[first : first + 6]
+
+        for rows in (drive, spool):
+            change[rows] += free(change[rows])
+        for side in (cap, rod):
+            change[side] += free(a[side, spool][:, None] * state[spool])
+        flow = free(state[rod] - state[cap])
+        change[cap] += a[cap, rod][:, None] * flow
+        change[rod] -= a[rod, cap][:, None] * flow
+        for side in (cap, rod):
+            change[side] += free(change[side])
+        self._free_cab(change, speed, w[42:], seen[42:])
+        ak, bk, ck = law
+        sees = c @ state
+        sees[12:18] = change[speed]
+        a, by_command, by_w = np.split(np.vstack([change, bk @ sees]), [n, n + 6], axis=1)
+        z, z_command, z_w = np.split(seen, [n, n + 6], axis=1)
+        whole = np.hstack([a, by_command @ ck])
+        whole[n:, n:] += ak
+        return Uncertain(whole, by_w, np.hstack([z, z_command @ ck]), z_w, SIZES)
+
+    def _free_cab(self, change: Array, speed: list[int], w: Array, seen: Array) -> None:
+        """Put mass, place and inertia of the cab into the rows of the legs' speeds.
+
+        With q = H v' and B + sum of delta_j dB_j, dB_j = U_j V_j, the cab moves by y = B q + U w1,
+        is pulled by h = diag(m, m, m, I) y + w2, and the platform feels B' h + V' w3.
+        """
+        reach = _reach(self._place)
+        body = linalg.block_diag(self._mass * np.eye(3), self._inertia)
+        shifts = [_reach(self._place + one) - reach for one in np.eye(3)]
+        rows = [np.flatnonzero(shift.any(axis=1)) for shift in shifts]
+        moved, pulled, felt = (np.zeros((6, change.shape[1])) for _ in range(3))
+        pulled[:3], pulled[3:] = w[:3], w[15:]
+        for j, (shift, at) in enumerate(zip(shifts, rows, strict=True), start=1):
+            moved[at] += w[4 * j - 1 : 4 * j + 1]
+            felt += shift[at].T @ w[4 * j + 1 : 4 * j + 3]
+        added = self._motion.T @ (reach.T @ (body @ moved + pulled) + felt)
+        change[speed] -= np.linalg.solve(self._point.mechanics.mass, added)
+        q = self._motion @ change[speed]
+        y = reach @ q + moved
+        h = body @ y + pulled
+        seen[:3], seen[15:] = self._mass * y[:3], self._inertia @ y[3:]
+        for j, (shift, at) in enumerate(zip(shifts, rows, strict=True), start=1):
+            seen[4 * j - 1 : 4 * j + 1], seen[4 * j + 1 : 4 * j + 3] = shift[at] @ q, h[at]
+
+    def _loads(self, changes: Mapping[str, Array]) -> Array:
+        """Static loads of the legs [N], (N, 6)."""
+        mass = self._mass * (1.0 + changes["cab_mass"])
+        weight = mass * self._gravity - self._mass * self._gravity
+        turned = np.cross(self._place + changes["cab_place"], mass * self._gravity)
+        turned -= np.cross(self._place, self._mass * self._gravity)
+        return np.asarray(self._point.mechanics.load - np.hstack([weight, turned]) @ self._motion)
+
+    def _ports(self, changes: Mapping[str, Array]) -> Array:
+        """Rho - 1 of machines, cap ports first, (N, 12)."""
+        load, loads = self._point.mechanics.load, self._loads(changes)
+        high, gain = 1.0 + changes["supply_pressure"], 1.0 + changes["valve_gain"]
+        at, nominal = loads / (self._held * high), load / self._held
+        kappa = [np.interp(at, _SHARES, k) / np.interp(nominal, _SHARES, k) for k in self._kappa]
+        return np.hstack([gain * np.sqrt(high) * ratio for ratio in kappa]) - 1.0
+
+    def deltas(self, changes: Mapping[str, Array]) -> Array:
+        """Delta of machines by what is off, see `Box.changes`, (N, 60)."""
+        table = dict(changes) | {"ports": self._ports(changes)}
+        table["places"] = np.repeat(changes["cab_place"], 4, axis=1)
+        names = ("drive_lag", "valve_lag", "ports", "leak_rate", *["bulk_modulus"] * 12)
+        names += (*["cab_mass"] * 3, "places", *["cab_inertia"] * 3)
+        return np.hstack([table[name] for name in names])
+
+    def widths(self, box: Box, scale: float) -> Array:
+        """Largest |delta| of the box of a scale, over the scale, (60,)."""
+        widths = np.abs(self.deltas(_corners(box, scale))).max(axis=0)
+        widths[12:24] *= _MARGIN
+        return np.asarray(widths / scale)
+
+    def closed(self, box: Box, scale: float) -> bool:
+        """Whether closed valves hold every leg of every machine in the box."""
+        corners = _corners(box, scale)
+        shares = self._loads(corners) / (self._held * (1.0 + corners["supply_pressure"]))
+        return bool(self._closed[0] < shares.min() and shares.max() < self._closed[1])
+
+    def damping(self, deltas: Array) -> Array:
+        """Least damping ratio of any pole, (N,): -1 to 1, that of a real pole either of these."""
+        a, b, c, d, _ = self.loop
+        fed = np.linalg.solve(np.eye(len(d)) - deltas[:, :, None] * d, deltas[:, :, None] * c)
+        poles = np.linalg.eigvals(a + b @ fed)
+        return np.asarray((-poles.real / np.abs(poles)).min(axis=1))
+
+    def damping_in(self, box: Box, points: Array) -> Array:
+        """The same at points of the unit box."""
+        return self.damping(self.deltas(box.changes(points)))
+
+    def within(self, widths: Array) -> Uncertain:
+        """The loop with parameters of these widths for a delta of 1."""
+        wide = widths[:, None]
+        return self.loop._replace(c=wide * self.loop.c, d=wide * self.loop.d)
+
+
+def _corners(box: Box, scale: float) -> dict[str, Array]:
+    """What is off in machines among which those with the widest slopes are."""
+    signs = np.array(list(product((-1.0, 1.0), repeat=4)))
+    cab = (signs[:, None] * np.linspace(-1.0, 1.0, _STEPS)[:, None]).reshape(-1, 4)
+    rest = np.array(list(product((-1.0, 0.0, 1.0), (-1.0, 1.0))))  # supply and gains
+    each, of = np.repeat(cab, len(rest), axis=0), np.tile(rest, (len(cab), 1))
+    other = np.ones((len(each), 1))
+    kinds = {
+        "supply_pressure": of[:, :1],
+        "valve_gain": of[:, 1:] * np.ones(6),
+        "cab_mass": each[:, :1],
+        "cab_place": each[:, 1:],
+    }
+    points = np.hstack([kinds.get(kind, other * np.ones(count)) for kind, count in COUNTS.items()])
+    return box.changes(scale * points)
+
+
+def _kappa(plant: Hexapod) -> tuple[Array, tuple[float, float]]:
+    """Slopes of a closed valve's ports at pressures of `_SHARES` of the supply's, (2, n).
+
+    And the shares between which opening it either way fills both chambers, so that it stays closed.
+    """
+    rows, held, supply = [], [], plant.parameters.supply_pressure.si
+    for share in _SHARES:
+        at = np.array([share, share, 1.0, 0.0]) * supply
+        slopes = (port_slopes(plant.hydraulics, 0, np.zeros(2), at, 0.0, way) for way in (1.0, 0.0))
+        out, back = (one.opening[[CAP, ROD]].sum(axis=1) for one in slopes)
+        fills, drains = float(out.sum()), float(back.sum())
+        if min(fills, drains) > 0.0:
+            held.append(share)
+        least = 1e-9 * max(fills, drains)
+        outward = outward_share(max(drains, least) / max(fills, least))
+        rows.append(outward * out + (1.0 - outward) * back)
+    return np.array(rows).T, (min(held), max(held))
+
+
+def _reach(place: Array) -> Array:
+    """B: motion of a point and turning per motion of the platform, (6, 6)."""
+    x, y, z = place
+    reach = np.eye(6)
+    reach[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    return reach
+
+
+def _in_frames(law: Law) -> tuple[Array, Array, Array]:
+    """Law, a frame of delay, and the mean of two frames for the hold: A, B, C in w."""
+    system = reduced(dcl_state_space(law, 6), inputs=labels(FEEDBACK, 6))
+    a, b, c, d = (np.asarray(m) for m in (system.A, system.B, system.C, system.D))
+    n, one = len(a), np.eye(6)
+    late = np.zeros((n + 12, n + 12))
+    late[:n, :n], late[n : n + 6, :n], late[n + 6 :, n : n + 6] = a, c, one
+    leaves = 0.5 * np.hstack([np.zeros((6, n)), one, one])
+    back, scale = np.linalg.inv(late + np.eye(n + 12)), 2.0 / np.sqrt(law.frame)
+    turned = 2.0 / law.frame * back @ (late - np.eye(n + 12))
+    return turned, scale * back @ np.vstack([b, d, 0.0 * d]), scale * leaves @ back

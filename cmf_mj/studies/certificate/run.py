@@ -1,0 +1,197 @@
+"""Certificates: the box of machines a law is proven to survive, and the one an attack breaks it in.
+
+**Proven.** In each pose the machines of a box, and more, are in the loop with parameters of
+`family`, where the lags, ports, chambers and leak of each leg are free on their own. `peak_bound`
+of it is the reciprocal of a scale within which no pole gets to the ray of a damping ratio.
+
+**Attacked.** Latin hypercubes over the unit box; and from many starts the corner to which the
+slopes of the least damping ratio point, then CMA-ES (N. Hansen, package `cma`). A machine that
+fails is drawn in to where it just does, and the next attack has to stay within that scale.
+
+All is linear. The simulation replays the machine that fails first, a little beyond and within.
+"""
+
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+from scipy.stats import qmc
+
+from cmf_mj.analysis.linear.structured import peak_bound
+from cmf_mj.control.law import Law
+from cmf_mj.core.errors import require
+from cmf_mj.core.files import in_folder
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.studies.certificate.box import LARGEST, SIZE, Box, replayed, save_case
+from cmf_mj.studies.certificate.family import SIZES, Family
+
+Array = NDArray[np.float64]
+
+_CHUNK = 256
+_CLOSER = 0.98
+"""Scale that is attacked over the least that is known to break the law."""
+_STEP = 0.02
+"""Step of a slope of the damping ratio, over the side of the box."""
+_PLACES = 5
+"""Poses that are attacked: those with the least damped machines drawn."""
+_WIDER = 1.1
+"""Box whose widths are taken over the one found with those of a larger."""
+BEYOND, WITHIN = 1.5, 0.5
+"""Scales of the replays over that at which the machine just fails."""
+
+
+class Effort(NamedTuple):
+    """How much is spent."""
+
+    samples: int = 100_000  #: Machines drawn from the unit box, over all poses.
+    starts: int = 20  #: Attacks.
+    rounds: int = 60  #: Rounds of CMA-ES in each, of 16 machines.
+    poses: int = 21  #: How many of the box's.
+    ratios: int = 3  #: Damping ratios that are proven, from 0 towards the nominal.
+
+
+QUICK = Effort(samples=5_000, starts=6, rounds=15, poses=5, ratios=1)
+
+
+class Proof(NamedTuple):
+    """One damping ratio."""
+
+    ratio: float
+    proven: float  #: Scale of the box in which all machines have at least as much.
+    attacked: float  #: The least that an attack finds in that box.
+
+
+class Certificate(NamedTuple):
+    """What is known of a law with a cab; damping ratios are the least of any pole and pose."""
+
+    law: str
+    cab: str
+    nominal: float  #: Damping ratio of the nominal machine.
+    proofs: tuple[Proof, ...]  #: By damping ratio, from 0 on; none where nominal is unstable.
+    broken: float  #: Least scale at which a machine was found that is unstable; NaN for none.
+    share: float  #: Of machines drawn from the unit box, the share that is stable.
+    least: float  #: Damping ratio of them.
+    pose: Array  #: Where it breaks first, (6,) [m, rad].
+    beyond: float
+    """Swing of that machine's legs 10 s after a step, over the step, in the simulation, `BEYOND`
+    the scale; infinite where it leaves the bounds of the model."""
+    within: float  #: Likewise `WITHIN` the scale.
+
+    @property
+    def proven(self) -> float:
+        """Scale within which all machines are stable."""
+        return self.proofs[0].proven if self.proofs else 0.0
+
+
+def certify(
+    plant: Hexapod,
+    law: Law,
+    folder: Path,
+    box: Box,
+    effort: Effort = QUICK,
+    *,
+    seed: int = 1,
+) -> Certificate:
+    """Certify a law on a machine with a cab; the machine that breaks it goes to `folder`.
+
+    Raises `InputError` as `Family` does.
+    """
+    poses = [_pose(plant, law, box, pose) for pose in box.poses(plant)[: effort.poses]]
+    points = qmc.LatinHypercube(SIZE, rng=np.random.default_rng(seed)).random(effort.samples)
+    drawn, worst = [], []
+    for pose, some in zip(poses, np.array_split(2.0 * points - 1.0, len(poses)), strict=True):
+        parts = np.array_split(some, len(some) // _CHUNK + 1)
+        drawn.append(np.concatenate([pose.damping_in(box, part) for part in parts]))
+        worst.append(some[drawn[-1].argmin()])
+    nominal = [float(pose.damping(np.zeros((1, sum(SIZES))))[0]) for pose in poses]
+    order = sorted(range(len(poses)), key=lambda i: drawn[i].min())
+    broken, proofs = (poses[int(np.argmin(nominal))], np.zeros(SIZE), 0.0), []
+    if min(nominal) > 0.0:
+        begins = [(poses[i], worst[i]) for i in order[:_PLACES]]
+        broken = _break(box, begins, effort, seed)
+        poses.sort(key=lambda pose: pose is not broken[0])
+        for ratio in np.arange(effort.ratios) / effort.ratios * min(nominal):
+            beta, edge, turn = 0.0, min(broken[2], LARGEST), float(np.arcsin(ratio))
+            first = peak_bound(poses[0].within(poses[0].widths(box, edge)), turn)
+            edge = min(edge, _WIDER / first)  # slopes differ less in a smaller box
+            for pose in poses:
+                beta = peak_bound(pose.within(pose.widths(box, edge)), turn, beta)
+            proven = min(1.0 / beta, edge)
+            found = [_attack(p, box, proven, x, effort.rounds, seed, -1.0)[0] for p, x in begins]
+            proofs.append(Proof(float(ratio), proven, min(found)))
+    pose, point, scale = broken
+    swing = []
+    for name, factor in (("beyond", BEYOND), ("within", WITHIN)):
+        changes = box.changes(factor * min(scale, LARGEST) * point[None])
+        case = save_case(in_folder(folder, name), name, plant, law, pose.pose, changes)
+        swing.append(replayed(case))
+    every = np.concatenate(drawn)
+    share, least = float((every > 0.0).mean()), float(every.min())
+    known = (law.name, plant.cab, min(nominal), tuple(proofs))
+    limit = float(scale) if np.isfinite(scale) else float("nan")
+    return Certificate(*known, limit, share, least, pose.pose, *swing)
+
+
+def _pose(plant: Hexapod, law: Law, box: Box, pose: Array) -> Family:
+    """The machines in a pose, drawn in until closed valves hold all of the largest box there."""
+    for share in (1.0, 0.75, 0.5, 0.25):
+        family = Family(plant, law, share * pose)
+        if family.closed(box, LARGEST):
+            break
+    return family
+
+
+def _break(
+    box: Box, begins: list[tuple[Family, Array]], effort: Effort, seed: int
+) -> tuple[Family, Array, float]:
+    """The machine that fails at the least scale: its pose, its point of the unit box, the scale."""
+    best, scale = (*begins[0], np.inf), LARGEST
+    generator = np.random.default_rng([seed, 1])
+    for start in range(effort.starts):
+        pose, point = begins[start % len(begins)]
+        if start >= len(begins):
+            point = generator.choice([-1.0, 1.0], SIZE)
+        while True:
+            damping, point = _attack(pose, box, scale, point, effort.rounds, seed + start, 0.0)
+            if damping > 0.0:
+                break
+
+            def damped(share: float, pose: Family = pose, point: Array = point) -> float:
+                return float(pose.damping_in(box, share * point[None])[0])
+
+            reach = float(optimize.bisect(damped, 0.0, scale, xtol=1e-4)) * np.abs(point).max()
+            best, scale = (pose, point / np.abs(point).max(), reach), _CLOSER * reach
+    return best
+
+
+def _attack(
+    pose: Family, box: Box, scale: float, point: Array, rounds: int, seed: int, enough: float
+) -> tuple[float, Array]:
+    """The least damping ratio found in a box, and where; ends at `enough`."""
+
+    def damping(points: Array) -> Array:
+        return pose.damping_in(box, scale * points)
+
+    best = float(damping(point[None])[0]), point
+    for _ in range(4):
+        slopes = damping(best[1] + _STEP * np.eye(SIZE)) - best[0]
+        corner = -np.sign(slopes)
+        here = float(damping(corner[None])[0])
+        if here >= best[0]:
+            break
+        best = here, corner
+    options = {"bounds": [-1.0, 1.0], "seed": seed + 1, "verbose": -9, "popsize": 16}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        strategy = require("cma", "search").CMAEvolutionStrategy(0.95 * best[1], 0.3, options)
+    for _ in range(rounds):
+        if best[0] <= enough or strategy.stop():
+            break
+        points = np.array(strategy.ask())
+        found = damping(points)
+        strategy.tell(points, found.tolist())
+        best = min(best, (float(found.min()), points[found.argmin()]), key=lambda one: one[0])
+    return best

@@ -1,0 +1,92 @@
+"""The structured singular value against systems whose limits have closed forms."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import optimize
+
+from cmf_mj.analysis.linear.structured import Scaling, Uncertain, largest, peak_bound, point_bound
+
+DAMPER, SPRING, ON_DAMPER, ON_SPRING = 0.2, 1.0, 0.5, 0.3
+
+
+def oscillator(damper: float = DAMPER, frequency: float = 1.0) -> Uncertain:
+    """x'' + c (1 + 0.5 d1) x' + k (1 + 0.3 d2) x = 0, k = frequency squared."""
+    spring = SPRING * frequency**2
+    a = np.array([[0.0, 1.0], [-spring, -damper]])
+    b = np.array([[0.0, 0.0], [-1.0, -1.0]])
+    c = np.array([[0.0, ON_DAMPER * damper], [ON_SPRING * spring, 0.0]])
+    return Uncertain(a, b, c, np.zeros((2, 2)), (1, 1))
+
+
+def test_oscillator_is_stable_until_its_damper_is_gone() -> None:
+    """At d1 = -2, whatever the spring: the spring would be gone at d2 = -3.3."""
+    limit = 1.0 / peak_bound(oscillator())
+    assert 0.98 * 2.0 < limit <= 2.0
+
+
+def test_nothing_is_left_between_lines() -> None:
+    """A mode 0.004 % wide, far from any line looked at first, still limits; scaled less well."""
+    limit = 1.0 / peak_bound(oscillator(damper=3e-4, frequency=7.331))
+    assert 0.8 * 2.0 < limit <= 2.0
+
+
+def test_damping_ratio_of_the_oscillator() -> None:
+    """zeta = c (1 - 0.5 s) / (2 sqrt(k (1 + 0.3 s))) with the softest damper, stiffest spring."""
+    wanted = 0.05
+
+    def surplus(scale: float) -> float:
+        spring = SPRING * (1.0 + ON_SPRING * scale)
+        return DAMPER * (1.0 - ON_DAMPER * scale) / (2.0 * np.sqrt(spring)) - wanted
+
+    exact = float(optimize.brentq(surplus, 0.0, 2.0))
+    limit = 1.0 / peak_bound(oscillator(), float(np.arcsin(wanted)))
+    assert 0.98 * exact < limit <= exact
+
+
+def moved(loop: Uncertain, deltas: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A with parameters off by delta."""
+    delta = np.diag(np.repeat(deltas, loop.sizes))
+    inner = np.linalg.solve(np.eye(len(loop.d)) - delta @ loop.d, delta @ loop.c)
+    return np.asarray(loop.a + loop.b @ inner)
+
+
+def stable_loop(seed: int, size: int, sizes: tuple[int, ...]) -> Uncertain:
+    """Random, with all poles at least 0.3 left of the imaginary axis."""
+    generator, count = np.random.default_rng(seed), sum(sizes)
+    a = generator.normal(size=(size, size))
+    a -= (np.linalg.eigvals(a).real.max() + 0.3) * np.eye(size)
+    b, c = generator.normal(size=(size, count)), generator.normal(size=(count, size))
+    return Uncertain(a, b, c, 0.1 * generator.normal(size=(count, count)), sizes)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_no_machine_within_the_bound_is_unstable(seed: int) -> None:
+    """Corners and random points of the box, and those the steepest slopes point to."""
+    loop = stable_loop(seed, 5, (1, 2, 1))
+    limit = 0.9999 / peak_bound(loop)
+    points = np.random.default_rng(seed).uniform(-1.0, 1.0, (500, 3))
+    for point in [*points, *np.sign(points)]:
+        assert np.linalg.eigvals(moved(loop, limit * point)).real.max() < 0.0
+
+
+def test_closed_forms_of_matrices() -> None:
+    """One repeated real number: the largest real eigenvalue, 0 where none is real."""
+    generator = np.random.default_rng(3)
+    m = generator.normal(size=(8, 8)) + 1j * generator.normal(size=(8, 8))
+    hermitian = m + m.conj().T
+    exact = float(np.abs(np.linalg.eigvalsh(hermitian)).max())
+    assert point_bound(hermitian, (8,)).beta == pytest.approx(exact, rel=1e-4)
+    assert point_bound(m, (8,)).beta < 1e-2 * np.abs(np.linalg.eigvals(m)).min()
+    assert point_bound(1j * np.eye(3), (1, 1, 1)).beta < 1e-2
+
+
+def test_repeated_is_at_most_free_is_at_most_complex() -> None:
+    """Fewer machines, a smaller bound; Y = 0 is that of complex parameters."""
+    generator = np.random.default_rng(4)
+    m = generator.normal(size=(6, 6)) + 1j * generator.normal(size=(6, 6))
+    together, alone = point_bound(m, (3, 3)), point_bound(m, (1,) * 6)
+    one = np.eye(6, dtype=complex)
+    norm = np.sqrt(largest(m, Scaling(0.0, one, 0.0 * one)))
+    assert norm == pytest.approx(np.linalg.norm(m, 2))
+    assert together.beta <= alone.beta * 1.01 <= norm * 1.01

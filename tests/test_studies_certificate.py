@@ -1,0 +1,105 @@
+"""Certificates: loops with parameters against linearised machines, bounds against attacks."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import cmf_mj
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.structured import peak_bound
+from cmf_mj.core.errors import InputError
+from cmf_mj.facility.binding import bound
+from cmf_mj.studies.certificate.box import COUNTS, SIZE, load_box, save_case
+from cmf_mj.studies.certificate.family import SIZES, Family
+from cmf_mj.studies.certificate.run import QUICK, certify
+
+POSE = np.array([0.2, 0.05, -0.1, 0.03, 0.05, -0.1])
+BOX = load_box()
+
+
+def least_damping(law: cmf_mj.Law, plant: cmf_mj.Hexapod, pose: NDArray[np.float64]) -> float:
+    """Of all poles of the loop in frames below 100 Hz."""
+    poles = closed_loop(bound(law, plant), linearize(plant, pose)).poles()
+    poles = np.log(poles[np.abs(poles) > 0.5] + 0j) / law.frame
+    return float((-poles.real / np.abs(poles)).min())
+
+
+@pytest.fixture(scope="module")
+def plant() -> cmf_mj.Hexapod:
+    return cmf_mj.Hexapod("gfd")
+
+
+@pytest.mark.parametrize("name", ["velocity", "position_error_rate", "modal_plan"])
+def test_nominal_loop_is_the_one_in_frames(name: str, plant: cmf_mj.Hexapod) -> None:
+    law = cmf_mj.load_law(name)
+    family = Family(plant, law, POSE)
+    found = family.damping(np.zeros((1, sum(SIZES))))[0]
+    assert found == pytest.approx(least_damping(law, plant, POSE), abs=5e-5)
+
+
+@pytest.mark.parametrize("kind", [*COUNTS, "all"])
+def test_machines_are_those_of_their_files(
+    kind: str, plant: cmf_mj.Hexapod, tmp_path: Path
+) -> None:
+    """Each number off alone, then all at once; the files name a machine that is linearised anew."""
+    point = np.random.default_rng(5).uniform(-1.0, 1.0, (1, SIZE))
+    parts = np.split(np.arange(SIZE), np.cumsum(list(COUNTS.values()))[:-1])
+    if kind != "all":
+        point[:, np.delete(np.arange(SIZE), parts[list(COUNTS).index(kind)])] = 0.0
+    changes = BOX.changes(point)
+    law = cmf_mj.load_law("velocity")
+    save_case(tmp_path, "drawn", plant, law, POSE, changes)
+    cab = cmf_mj.load_cab(tmp_path / "cab.toml")
+    machine = cmf_mj.Hexapod(cab, tmp_path / "hydraulics.toml")
+    exact = least_damping(cmf_mj.load_law(tmp_path / "law.toml"), machine, POSE)
+    family = Family(plant, law, POSE)
+    assert family.damping(family.deltas(changes))[0] == pytest.approx(exact, abs=3e-4)
+
+
+def test_box_holds_its_machines(plant: cmf_mj.Hexapod) -> None:
+    """No machine of a box is wider off than the loop that stands for the box."""
+    family = Family(plant, cmf_mj.load_law("velocity"), POSE)
+    points = np.random.default_rng(6).uniform(-1.0, 1.0, (2000, SIZE))
+    points[1000:] = np.sign(points[1000:])
+    for scale in (0.3, 1.0):
+        deltas = family.deltas(BOX.changes(scale * points))
+        assert (np.abs(deltas) <= scale * family.widths(BOX, scale) * (1.0 + 1e-12)).all()
+
+
+@pytest.mark.slow
+def test_no_sample_and_no_attack_beats_the_bound(tmp_path: Path, plant: cmf_mj.Hexapod) -> None:
+    effort = QUICK._replace(poses=1, samples=300)
+    one = certify(plant, cmf_mj.load_law("velocity"), tmp_path, BOX, effort)
+    assert 0.0 < one.proven < one.broken < 1.25 * one.proven
+    assert all(proof.attacked > proof.ratio for proof in one.proofs)
+    family = Family(plant, cmf_mj.load_law("velocity"), one.pose)
+    points = np.sign(np.random.default_rng(7).uniform(-1.0, 1.0, (500, SIZE)))
+    assert family.damping_in(BOX, 0.999 * one.proven * points).min() > 0.0
+    assert one.within < 0.02 < 0.2 < one.beyond  # the simulation rings on beyond, not within
+
+
+def test_law_that_is_unstable_as_built(tmp_path: Path) -> None:
+    """Position error rate feedback with the IFD: nothing is proven, the nominal machine rings."""
+    plant = cmf_mj.Hexapod("ifd")
+    effort = QUICK._replace(poses=1, samples=100)
+    one = certify(plant, cmf_mj.load_law("position_error_rate"), tmp_path, BOX, effort)
+    assert one.nominal < 0.0
+    assert (one.proven, one.broken, one.proofs) == (0.0, 0.0, ())
+    assert one.beyond > 0.5
+
+
+def test_bound_of_less_is_not_asked_for(plant: cmf_mj.Hexapod) -> None:
+    """A bound that is known already spares the work: `least` comes back."""
+    family = Family(plant, cmf_mj.load_law("modal_plan"), np.zeros(6))
+    assert peak_bound(family.within(0.02 * family.widths(BOX, 1.0)), 0.0, 1.0) == 1.0
+
+
+def test_refused_boxes(tmp_path: Path) -> None:
+    path = tmp_path / "box.toml"
+    text = Path(cmf_mj.__file__).parent.joinpath("studies/certificate/box.toml").read_text()
+    path.write_text(text.replace("half = 15.0", "half = -1.0"))
+    with pytest.raises(InputError, match="drive_lag"):
+        load_box(path)
