@@ -1,4 +1,4 @@
-"""Flight: `cmf fly`, `flight`, `cue run`, `cue tune` and `omct`."""
+"""Flight: `cmf fly`, `learn`, `flight`, `cue run`, `cue tune` and `omct`."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ _FLIGHTS = "pilot.aircraft.flight:flight_names"
 _SOURCES = "name or file; with --from a recording, or the UDP port of live telemetry"
 _FORMATS, _FORMAT = "pilot.telemetry.formats:FORMATS", "xplane, beamng or csv: telemetry"
 From = Annotated[str | None, choice(_FORMATS, "FORMAT", _FORMAT, make=partial(Option, "--from"))]
+_KNOWN = 6
+"""Drawn machines that a learner is made for; those it is tried on are others."""
 _QUICK = (0.631, 2.512, 10.0)
 """Frequencies of a quick test [rad/s]."""
 
@@ -108,6 +110,43 @@ def fly_command(
             f"{1e3 * (ride.host_delay + ride.loop_delay):.0f} ms"
         )
     show(f"written to {out}: {len(paths)} files")
+
+
+@command("learn")
+def learn_command(
+    flight: Annotated[str, argument(_FLIGHTS, "FLIGHT", "name or file", free=True)],
+    law: options.Law = "velocity",
+    cab: options.Cab = "gfd",
+    washout: options.Washout = "simona",
+    hydraulics: options.Hydraulics = "hardware",
+    noise: options.Noise = True,
+    trials: Annotated[int, Option(help="runs after the first")] = 8,
+    on: Annotated[int, Option(help="drawn machines to fly it on", min=0)] = 0,
+    seed: options.Seed = 0,
+    jobs: options.Jobs = None,
+    out: options.Out = Path("out/learn"),
+) -> None:
+    """Repeat a flight and learn the demand with which the cab follows it."""
+    from cmf_mj.facility.operation import FacilitySettings
+    from cmf_mj.pilot.aircraft.flight import load_flight
+    from cmf_mj.pilot.cueing.flight import cue
+    from cmf_mj.pilot.learning import compare, learn
+    from cmf_mj.plant.hexapod import Hexapod
+    from cmf_mj.show import learning as report
+    from cmf_mj.studies.mismatch import drawn_machine
+
+    asked = cue(load_flight(flight).motion, washout, cab=cab).stream
+    machines = [drawn_machine(cab, hydraulics, seed, draw) for draw in range(_KNOWN + on)]  # type: ignore[arg-type]
+    plants = [Hexapod(cab, hydraulics), *machines[:_KNOWN]]
+    run: dict[str, Any] = {"facility": FacilitySettings(electronics=noise_choice(noise))}
+    with progress_bar(f"learning {flight}") as update:
+        run |= {"trials": trials, "seed": seed, "progress": update}
+        learnt = learn(asked, law, plants, **run)
+    with progress_bar("flying other machines") as update:
+        others = compare(learnt, machines[_KNOWN:], seed=seed, jobs=jobs, progress=update)
+    paths = report.save_learning(learnt, others, out)
+    show(report.trial_table(learnt), unfolded=True)
+    show(report.verdict(learnt, others), written(paths, out))
 
 
 def _telemetry(source: str, form: str) -> Flight:

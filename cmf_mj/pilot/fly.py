@@ -178,11 +178,17 @@ def flight_result(
 
 def crew_motion(record: Record, time: NDArray[np.float64]) -> PilotMotion:
     """The crew's motion of a record at some times [s], without what lies beyond 30 Hz."""
-    motion = PilotMotion.from_record(record)
+    motion, since = PilotMotion.from_record(record), time - time[0]
+    channels = (smooth(record, getattr(motion, name), motion.time, since) for name in COLUMNS)
+    return PilotMotion(time, *channels)
+
+
+def smooth(
+    record: Record, values: NDArray[np.float64], time: NDArray[np.float64], at: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Columns at a record's rate and some times [s], at others, without what lies beyond 30 Hz."""
     sections = signal.butter(4, _CORNER, fs=record.rate, output="sos")
-    channels = (signal.sosfiltfilt(sections, getattr(motion, name), axis=0) for name in COLUMNS)
-    since = time - time[0]
-    return PilotMotion(time, *(interpolated(since, motion.time, values) for values in channels))
+    return interpolated(at, time, signal.sosfiltfilt(sections, values, axis=0))
 
 
 def envelope_use(record: Record, limits: MotionLimits) -> EnvelopeUse:

@@ -25,6 +25,8 @@ from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Settings, validated
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.electronics.sensors.settings import CHANNELS, SensorSettings, load_sensors
+from cmf_mj.machine.cab import Cab
+from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import (
     ACTUATOR_FIELDS,
     VALVE_FIELDS,
@@ -36,8 +38,8 @@ from cmf_mj.plant.parameters.hydraulics import (
 LIMIT = 2.0
 """Deviations at which a normal distribution is cut off: parts beyond tolerance are sent back."""
 
-VALVE_GAINS = 0.1
-"""Half width of the distribution of `valve_gains`, by which laws are tuned and confirmed."""
+VALVE_GAINS, MASSES, OIL = 0.1, 0.1, 0.2
+"""Half widths of the distributions of `valve_gains` and `drawn_machine`, over the nominal."""
 
 LEG_CHANNELS = tuple(n for n, u in CHANNELS.items() if not n.startswith("platform_"))
 """Sensors whose gain may scatter."""
@@ -134,6 +136,28 @@ def with_valve_gains(parameters: HydraulicParameters, seed: int | None) -> Hydra
     }
     name = f"{parameters.name}, gains {seed}"
     return parameters.model_copy(update={"name": name, "actuators": changes})
+
+
+def drawn_machine(cab: Cab, hydraulics: HydraulicParameters, seed: int, draw: int) -> Hexapod:
+    """A cab on a hydraulic set that differs from the one that laws take it for.
+
+    Uniform and independent: cab, platform and legs by `MASSES`, the bulk modulus by `OIL`, the six
+    `valve_gains`.
+    """
+    generator = np.random.default_rng([seed, draw])
+    mass, platform, legs = 1.0 + MASSES * generator.uniform(-1.0, 1.0, 3)
+    oil = hydraulics.bulk_modulus
+    value = oil.value * (1.0 + OIL * generator.uniform(-1.0, 1.0))
+    changed = {"bulk_modulus": oil.model_copy(update={"value": value})}
+    heavier = cab.changed(
+        f"{cab.name}_{draw}",
+        mass=mass * cab.mass.si,
+        platform={"mass": platform * cab.platform.mass.si},
+        leg_mass=legs,
+        taken_for=cab,
+    )
+    gains = int(generator.integers(2**32))
+    return Hexapod(heavier, with_valve_gains(hydraulics.model_copy(update=changed), gains))
 
 
 def with_gain_errors(errors: dict[str, NDArray[np.float64]]) -> ElectronicsSettings | None:

@@ -1,0 +1,269 @@
+"""Iterative learning: what one run of a manoeuvre missed corrects the demand of the next.
+
+r are the legs of the motion asked, at the host's times, and y_k those of trial k. With c_k the
+correction of the demand, G the closed loop from demand to legs with the DCU's delay, n_k what does
+not repeat (noise), and zero-phase filters over the whole record, which is known in advance,
+
+    y_k = G (r + c_k) + n_k,    e_k = r - y_k,    c_0 = 0,    c_k+1 = Q (c_k + L e_k)
+
+    c_k+1 = Q (1 - L G) c_k + Q L ((1 - G) r - n_k)
+
+The correction converges where the largest singular value of Q (1 - L G) is below 1, by at least
+that ratio a trial. Q = 1 / (1 + (f / CORNER)^8). Over machines and poses G_i, the mean of
+|1 - L G_i|^2 (Frobenius) is least for the L of the normal equations; SHARE g of it is learnt:
+
+    L = g mean(G_i^H) mean(G_i G_i^H)^-1,    for one machine g G^-1
+
+It learns little where the machines disagree, as near a lightly damped mode that moves with the
+pose. At each frequency it is then reduced by the factor of 0 to 1 with which the largest ratio of
+all machines is least: none of them diverges. For one machine, q = Q (1 - g), S the density of n,
+
+    e_k = (1 - g Q (1 - q^k) / (1 - q)) e_0 -> (1 - Q) / (1 - q) e_0
+    density of the noise that is learnt into the motion -> S (g Q)^2 / (1 - q^2)
+
+The demand is changed, not the law: r + c_k keeps the limits of host frames, `within_limits`, and
+what they hold back is no part of c_k. The machine rests for `LEAD` first, where the correction
+fades in, since no demand can be early from its first frame on. Errors count after it and below
+`BAND`: root mean square of a degree of freedom [m, rad], and as one number of all legs [m].
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.threads import on_threads
+from cmf_mj.facility.binding import bound
+from cmf_mj.facility.host.stream import HostStream, differentiate, make_stream, resample
+from cmf_mj.facility.operation import FacilitySettings, dcu_of, operate
+from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
+from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.pilot.cueing.flight import within_limits
+from cmf_mj.pilot.fly import RECORD_EVERY, smooth
+from cmf_mj.pilot.host import MOST_RATE
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.signals.composite import quintic
+
+SHARE, CORNER = 0.6, 6.0
+"""Of what was missed, what the next trial makes up; corner of Q, where it is one half [Hz]."""
+BAND, LEAD = 4.0, 1.0
+"""Highest frequency of the errors that count [Hz]; rest before the manoeuvre [s]."""
+_HIGHEST, _PAD, _PARTS = 10.0, 320, np.linspace(0.0, 1.0, 21)
+"""Nothing is learnt above it [Hz]; frames reflected at the ends before a filter; factors on L."""
+
+Array = NDArray[np.float64]
+Response = NDArray[np.complex128]
+
+
+class Learner(NamedTuple):
+    """Filters of histories of n legs, at K `frequencies`."""
+
+    responses: Response  #: G_i of the machines, (M, K, n, n).
+    learning: Response  #: L, (K, n, n).
+    smoothing: Response  #: Q times the unit matrix, (K, n, n).
+
+    def improved(self, correction: Array, error: Array) -> Array:
+        """Q (c + L e) of a correction and an error, (N, n)."""
+        return filtered(self.smoothing, correction + filtered(self.learning, error))
+
+    def ratio(self) -> Array:
+        """Largest singular value of Q (1 - L G_i), (M, K): below 1 machine i learns."""
+        left = np.eye(self.learning.shape[1]) - self.learning @ self.responses
+        return _largest(self.smoothing @ left)
+
+
+def _largest(response: Response) -> Array:
+    """Largest singular values of matrices (..., n, n)."""
+    return np.asarray(np.linalg.svd(response, compute_uv=False)[..., 0])
+
+
+def frequencies(rows: int) -> Array:
+    """At which the filters of histories of some frames at 80 Hz are given [Hz], (K,)."""
+    lines = np.fft.rfftfreq(rows + 2 * _PAD, 1.0 / MOST_RATE)
+    return np.asarray(lines[lines <= _HIGHEST])
+
+
+def filtered(response: Response, history: Array) -> Array:
+    """A history (N, n) through a response (K, n, n), nothing above its frequencies."""
+    longer = np.pad(history, ((_PAD, _PAD), (0, 0)), mode="reflect", reflect_type="odd")
+    lines = np.fft.rfft(longer, axis=0)[: len(response)]
+    passed = np.einsum("kij,kj->ki", response, lines)
+    return np.asarray(np.fft.irfft(passed, len(longer), axis=0)[_PAD:-_PAD])
+
+
+def make_learner(
+    responses: Sequence[Response], frequency: Array, share: float = SHARE, corner: float = CORNER
+) -> Learner:
+    """The filters for machines with the responses (K, n, n) at `frequencies`."""
+    each = np.array(responses)
+    turned = each.conj().swapaxes(-1, -2)
+    learning = share * turned.mean(axis=0) @ np.linalg.inv((each @ turned).mean(axis=0))
+    parts = _PARTS[:, None, None, None] * learning
+    most = [_largest(np.eye(each.shape[-1]) - part @ each).max(axis=0) for part in parts]
+    learning *= _PARTS[np.argmin(most, axis=0)][:, None, None]
+    smoothing = (1.0 / (1.0 + (frequency / corner) ** 8))[:, None, None] * np.eye(each.shape[-1])
+    return Learner(each, learning, smoothing.astype(complex))
+
+
+def leg_response(
+    law: Law, plant: Hexapod, pose: Array, frequency: Array, facility: FacilitySettings
+) -> Response:
+    """G from the legs of the host's frames to those of a plant about a pose, (K, 6, 6)."""
+    loop = closed_loop(bound(law, plant), linearize(plant, pose))
+    omega = 2.0 * np.pi * np.maximum(frequency, 0.01)  # at rest an integrator has no response
+    response = np.moveaxis(control.frequency_response(loop, omega).frdata, -1, 0)
+    delay = sum(dcu_of(plant.machine, facility.dcu).delay.parts(plant.machine.rate).values())
+    return np.asarray(response * np.exp(-1j * omega * delay)[:, None, None])
+
+
+class Trial(NamedTuple):
+    """What one run missed; errors as the module defines them."""
+
+    axes: Array  #: By degree of freedom [m, rad], (6,).
+    legs: float  #: Of all legs [m].
+    sensed: float  #: Of all legs as sensed [m].
+    predicted: float  #: The same, by the first run and the first G alone [m].
+    held: int  #: Frames of the demand that the limits held back.
+
+
+class Learning(NamedTuple):
+    """A manoeuvre as it was learnt."""
+
+    reference: HostStream  #: The motion asked, after its lead.
+    demand: HostStream  #: What the host sent in its stead in the best trial.
+    trials: tuple[Trial, ...]  #: The first without correction.
+    best: int  #: The trial that missed least, as sensed.
+    errors: tuple[Array, Array]  #: Of the pose, first and best trial, after the lead [m, rad].
+    learner: Learner
+    law: Law
+    facility: FacilitySettings
+
+
+def learn(
+    stream: HostStream,
+    law: str | Law,
+    plants: Sequence[Hexapod],
+    *,
+    trials: int = 8,
+    facility: FacilitySettings | None = None,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Learning:
+    """Fly a motion on the first plant, and again with what its leg sensors told corrected.
+
+    G_i are those of the plants in turn, at the mean pose and where a leg is longest or shortest.
+    Trial k, the first run being 0, has the noise of seed + k. Refuses fewer than one trial, and a
+    run that a fault ends.
+    """
+    if trials < 1:
+        raise InputError(f"trials: {trials} must be at least 1")
+    loaded, chosen, machine = load_law(law), facility or FacilitySettings(), plants[0].machine
+    limits = load_motion_limits(chosen.limits, machine)
+    reference = within_limits(_led(stream), limits, machine)[0]
+    legs = pose_to_legs(reference.pose, machine)
+    ends = np.unique(np.concatenate([legs.argmin(axis=0), legs.argmax(axis=0)]))
+    poses, lines = [reference.pose.mean(axis=0), *reference.pose[ends]], frequencies(len(legs))
+    responses = [
+        leg_response(loaded, plants[i % len(plants)], poses[i % len(poses)], lines, chosen)
+        for i in range(max(len(plants), len(poses)))
+    ]
+    learner = make_learner(responses, lines)
+    window = quintic(np.clip(reference.time / (0.5 * LEAD), 0.0, 1.0))[:, None]
+    correction = foreseen = first = seen = expected = np.zeros_like(legs)
+    demands, done, errors, held = [reference], list[Trial](), list[Array](), 0
+    for trial in range(trials + 1):
+        if trial:
+            foreseen = window * learner.improved(foreseen, expected)
+            wanted = legs_to_pose(legs + window * learner.improved(correction, seen), machine)
+            rates = differentiate(reference.time, wanted - reference.pose)
+            motion = (reference.velocity + rates[0], reference.acceleration + rates[1])
+            demand, back = within_limits(
+                make_stream(reference.time, wanted, *motion), limits, machine
+            )
+            correction, held = pose_to_legs(demand.pose, machine) - legs, int(back.sum())
+            demands.append(demand)
+        seen, true, pose = _missed(reference, demands[-1], loaded, plants[0], chosen, seed + trial)
+        first = first if trial else seen
+        expected = first - filtered(responses[0], foreseen)
+        errors.append(pose)
+        sizes = (rms(true), rms(counted(seen)), rms(counted(expected)))
+        done.append(Trial(np.sqrt((pose**2).mean(axis=0)), *sizes, held))
+        if progress is not None:
+            progress(trial + 1, trials + 1)
+    best = int(np.argmin([one.sensed for one in done]))
+    shown = errors[0], errors[best]
+    return Learning(reference, demands[best], tuple(done), best, shown, learner, loaded, chosen)
+
+
+def compare(
+    learnt: Learning,
+    plants: Sequence[Hexapod],
+    *,
+    seed: int = 0,
+    jobs: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Array:
+    """Errors of all legs on other machines without and with the correction [m], (M, 2).
+
+    Refuses a demand beyond a machine's working stroke.
+    """
+
+    def both(plant: Hexapod) -> list[float]:
+        most = load_motion_limits(learnt.facility.limits, plant.machine).leg.position.si
+        far = float(np.abs(pose_to_legs(learnt.demand.pose, plant.machine)).max())
+        if far > most * (1.0 + 1e-9):
+            raise InputError(f"demand: a leg is {far:.4g} m from neutral; allowed: {most:.4g} m")
+        asked, flown = learnt.reference, (learnt.law, plant, learnt.facility, seed)
+        return [rms(_missed(asked, demand, *flown)[1]) for demand in (asked, learnt.demand)]
+
+    return np.array(on_threads(both, plants, jobs, progress))
+
+
+def rms(error: Array) -> float:
+    """Root mean square of all its numbers."""
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def _led(stream: HostStream) -> HostStream:
+    """The stream at 80 Hz, from time 0 on, after a rest of `LEAD` at its first pose."""
+    asked = resample(stream, MOST_RATE)
+    still = np.zeros((round(LEAD * MOST_RATE), 6))
+    rest = [still + asked.pose[0], still, still]
+    motion = [np.vstack(pair) for pair in zip(rest, asked[2:], strict=True)]
+    return make_stream(np.arange(len(motion[0])) / MOST_RATE, *motion)
+
+
+def _missed(
+    reference: HostStream,
+    demand: HostStream,
+    law: Law,
+    plant: Hexapod,
+    facility: FacilitySettings,
+    seed: int,
+) -> tuple[Array, Array, Array]:
+    """Errors of a run: of legs as sensed, all of it; true ones of legs and of pose that count."""
+    noise = facility.electronics
+    noisy = facility._replace(electronics=noise and noise._replace(seed=seed))
+    record = operate(plant, law, demand, facility=noisy, record_every=RECORD_EVERY).record
+    if (fault := record.metadata["fault"]) is not None:
+        raise InputError(f"law: {law.name} ends a run: {fault['name']} at {fault['time']:.3f} s")
+
+    def missed(asked: Array, channel: str) -> Array:
+        return asked - smooth(record, record[channel], record.time, reference.time)
+
+    legs = pose_to_legs(reference.pose, plant.machine)
+    true, pose = missed(legs, "leg_extension"), missed(reference.pose, "platform_pose")
+    return missed(legs, "leg_position"), counted(true), counted(pose)
+
+
+def counted(error: Array) -> Array:
+    """An error below `BAND` after the lead."""
+    sections = signal.butter(4, BAND, fs=MOST_RATE, output="sos")
+    return np.asarray(signal.sosfiltfilt(sections, error, axis=0)[round(LEAD * MOST_RATE) :])

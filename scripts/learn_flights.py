@@ -1,0 +1,78 @@
+"""Learn the shipped flights and fly what was learnt on other machines, as `cmf learn` does.
+
+Writes `learning.csv`, a row a flight: the tracking error of the first run, what is left of it when
+the demand is sent earlier by the best constant lead, after 1, 4 and the last trial, by the linear
+model after the last, and on drawn machines.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from cmf_mj import Hexapod, load_cab, load_hydraulics, load_law
+from cmf_mj.machine.kinematics import pose_to_legs
+from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
+from cmf_mj.pilot.cueing.flight import cue
+from cmf_mj.pilot.host import MOST_RATE
+from cmf_mj.pilot.learning import Learning, compare, learn, rms
+from cmf_mj.pilot.motion import interpolated
+from cmf_mj.show.table import Table
+from cmf_mj.studies.mismatch import drawn_machine
+
+KNOWN, SEED = 6, 0
+"""Drawn machines that a learner is made for; of all noise."""
+
+
+def early(done: Learning) -> tuple[float, float]:
+    """Constant lead [s] of the demand that serves best, and the share of the error that it leaves.
+
+    The first run's response shifted by the lead, as of any linear machine.
+    """
+    error = done.errors[0]
+    asked = done.reference.pose[-len(error) :]
+    legs, moved = pose_to_legs(asked), pose_to_legs(asked - error)
+    leads = np.arange(0.0, 0.2, 0.001)
+    time = np.arange(len(legs)) / MOST_RATE
+    left = [rms(legs - interpolated(time + lead, time, moved)) for lead in leads]
+    return float(leads[np.argmin(left)]), min(left) / left[0]
+
+
+def main() -> None:
+    """Learn all flights."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--flights", default=",".join(flight_names()))
+    parser.add_argument("--law", default="velocity")
+    parser.add_argument("--trials", type=int, default=8)
+    parser.add_argument("--tried", default="gusts,turbulence", help="flown on other machines")
+    parser.add_argument("--on", type=int, default=30, help="other machines")
+    parser.add_argument("--out", type=Path, default=Path("out/learning"))
+    options = parser.parse_args()
+    cab, hydraulics, law = load_cab("gfd"), load_hydraulics("hardware"), load_law(options.law)
+    machines = [drawn_machine(cab, hydraulics, SEED, n) for n in range(KNOWN + options.on)]
+    plants = [Hexapod(cab, hydraulics), *machines[:KNOWN]]
+    percent = [(f"{name} [%]", ".1f") for name in ("trial 1", "trial 4", "last", "linear")]
+    spread = [(f"others, {name} [%]", ".1f") for name in ("least", "median", "most")]
+    columns = ["flight", ("first [mm]", ".1f"), ("lead [ms]", ".0f"), ("with lead [%]", ".1f")]
+    rows = []
+    for name in options.flights.split(","):
+        asked = cue(load_flight(name).motion).stream
+        done = learn(asked, law, plants, trials=options.trials, seed=SEED)
+        first, last = done.trials[0], done.trials[-1]
+        shown = [done.trials[min(at, options.trials)] for at in (1, 4, options.trials)]
+        legs = [one.legs / first.legs for one in shown]
+        lead, kept = early(done)
+        others = np.full(3, np.nan)
+        if name in options.tried.split(","):
+            pairs = compare(done, machines[KNOWN:], seed=SEED + options.trials + 1)
+            others = np.percentile(pairs[:, 1] / pairs[:, 0], [0, 50, 100])
+        shares = [kept, *legs, last.predicted / first.predicted, *others]
+        rows.append([name, 1e3 * first.legs, 1e3 * lead, *(100.0 * x for x in shares), last.held])
+        print(rows[-1], flush=True)
+    table = Table("", (*columns, *percent, *spread, ("held", "d")), rows)
+    table.save(options.out / "learning.csv")
+    print(table.markdown())
+
+
+if __name__ == "__main__":
+    main()
