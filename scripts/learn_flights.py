@@ -1,8 +1,9 @@
 """Learn the shipped flights and fly what was learnt on other machines, as `cmf learn` does.
 
-Writes `learning.csv`, a row a flight: the tracking error of the first run, what is left of it when
-the demand is sent earlier by the best constant lead, after 1, 4 and the last trial, by the linear
-model after the last, and on drawn machines.
+Writes `learning.csv` and `learning.md`, a row a flight: the tracking error of the first run; what
+is left of it [%] when the demand is sent earlier by the best constant lead, after 1, 4 and the last
+trial, by the linear model after the last, and on drawn machines. A flight that is tried on those
+also gets what `cmf learn` writes.
 """
 
 import argparse
@@ -17,6 +18,7 @@ from cmf_mj.pilot.cueing.flight import cue
 from cmf_mj.pilot.host import MOST_RATE
 from cmf_mj.pilot.learning import Learning, compare, learn, rms
 from cmf_mj.pilot.motion import interpolated
+from cmf_mj.show.learning import save_learning
 from cmf_mj.show.table import Table
 from cmf_mj.studies.mismatch import drawn_machine
 
@@ -51,9 +53,10 @@ def main() -> None:
     cab, hydraulics, law = load_cab("gfd"), load_hydraulics("hardware"), load_law(options.law)
     machines = [drawn_machine(cab, hydraulics, SEED, n) for n in range(KNOWN + options.on)]
     plants = [Hexapod(cab, hydraulics), *machines[:KNOWN]]
-    percent = [(f"{name} [%]", ".1f") for name in ("trial 1", "trial 4", "last", "linear")]
-    spread = [(f"others, {name} [%]", ".1f") for name in ("least", "median", "most")]
-    columns = ["flight", ("first [mm]", ".1f"), ("lead [ms]", ".0f"), ("with lead [%]", ".1f")]
+    percent = ("left with lead [%]", "trial 1", "trial 4", f"trial {options.trials}", "linear")
+    spread = ("others: least", "median", "most")
+    columns = ["flight", ("first [mm]", ".1f"), ("lead [ms]", ".0f")]
+    columns += [(name, ".1f") for name in (*percent, *spread)]
     rows = []
     for name in options.flights.split(","):
         asked = cue(load_flight(name).motion).stream
@@ -65,12 +68,14 @@ def main() -> None:
         others = np.full(3, np.nan)
         if name in options.tried.split(","):
             pairs = compare(done, machines[KNOWN:], seed=SEED + options.trials + 1)
+            save_learning(done, pairs, options.out / name)
             others = np.percentile(pairs[:, 1] / pairs[:, 0], [0, 50, 100])
         shares = [kept, *legs, last.predicted / first.predicted, *others]
         rows.append([name, 1e3 * first.legs, 1e3 * lead, *(100.0 * x for x in shares), last.held])
         print(rows[-1], flush=True)
-    table = Table("", (*columns, *percent, *spread, ("held", "d")), rows)
-    table.save(options.out / "learning.csv")
+    table = Table("", (*columns, ("held", "d")), sorted(rows))
+    for kind in ("csv", "md"):
+        table.save(options.out / f"learning.{kind}")
     print(table.markdown())
 
 

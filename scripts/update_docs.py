@@ -50,6 +50,8 @@ COPIES = {
     "fly/velocity/motion.png": "images/fly_motion.png",
     "certify/certificates.png": "images/certificates.png",
     "certify/certificates.csv": "data/certificates.csv",
+    "learning/turbulence/learning.png": "images/learn.png",
+    "learning/learning.csv": "data/learning.csv",
     "machines/machines.png": "images/two_machines.png",
     "verification/work_precision.png": "images/work_precision.png",
     "ablation/ladder.png": "images/ladder.png",

@@ -40,6 +40,7 @@ LINES = {
     "record": "record --out {out}",
     "replay": "replay {recording} --law velocity --out {out}",
     "fly": "fly gusts --no-delay --out {out}",
+    "learn": "learn gusts --trials 1 --out {out}",
     "flight": "flight gusts --file {out}/x.csv",
     "cue run": "cue run {motion} --out {out}",
     "cue tune": "cue tune {motion} --out {out}",

@@ -143,7 +143,9 @@ def learn_command(
         run |= {"trials": trials, "seed": seed, "progress": update}
         learnt = learn(asked, law, plants, **run)
     with progress_bar("flying other machines") as update:
-        others = compare(learnt, machines[_KNOWN:], seed=seed, jobs=jobs, progress=update)
+        others = compare(
+            learnt, machines[_KNOWN:], seed=seed + trials + 1, jobs=jobs, progress=update
+        )
     paths = report.save_learning(learnt, others, out)
     show(report.trial_table(learnt), unfolded=True)
     show(report.verdict(learnt, others), written(paths, out))

@@ -76,12 +76,7 @@ class Learner(NamedTuple):
     def ratio(self) -> Array:
         """Largest singular value of Q (1 - L G_i), (M, K): below 1 machine i learns."""
         left = np.eye(self.learning.shape[1]) - self.learning @ self.responses
-        return _largest(self.smoothing @ left)
-
-
-def _largest(response: Response) -> Array:
-    """Largest singular values of matrices (..., n, n)."""
-    return np.asarray(np.linalg.svd(response, compute_uv=False)[..., 0])
+        return np.asarray(np.linalg.norm(self.smoothing @ left, 2, axis=(-2, -1)))
 
 
 def frequencies(rows: int) -> Array:
@@ -106,9 +101,10 @@ def make_learner(
     turned = each.conj().swapaxes(-1, -2)
     learning = share * turned.mean(axis=0) @ np.linalg.inv((each @ turned).mean(axis=0))
     parts = _PARTS[:, None, None, None] * learning
-    most = [_largest(np.eye(each.shape[-1]) - part @ each).max(axis=0) for part in parts]
-    learning *= _PARTS[np.argmin(most, axis=0)][:, None, None]
-    smoothing = (1.0 / (1.0 + (frequency / corner) ** 8))[:, None, None] * np.eye(each.shape[-1])
+    unit = np.eye(each.shape[-1])
+    ratios = [np.linalg.norm(unit - part @ each, 2, axis=(-2, -1)) for part in parts]
+    learning *= _PARTS[np.max(ratios, axis=1).argmin(axis=0)][:, None, None]
+    smoothing = unit / (1.0 + (frequency[:, None, None] / corner) ** 8)
     return Learner(each, learning, smoothing.astype(complex))
 
 
@@ -223,7 +219,7 @@ def compare(
         asked, flown = learnt.reference, (learnt.law, plant, learnt.facility, seed)
         return [rms(_missed(asked, demand, *flown)[1]) for demand in (asked, learnt.demand)]
 
-    return np.array(on_threads(both, plants, jobs, progress))
+    return np.array(on_threads(both, plants, jobs, progress)).reshape(-1, 2)
 
 
 def rms(error: Array) -> float:

@@ -30,43 +30,41 @@ def trial_table(learnt: Learning) -> Table:
 
 
 def verdict(learnt: Learning, others: Array) -> str:
-    """Best trial, convergence of the linear models, and other machines, in a paragraph."""
+    """Convergence of the linear models, the best trial, and what it left on other machines."""
     worst = learnt.learner.ratio().max(axis=1)
     left = learnt.trials[learnt.best].legs / learnt.trials[0].legs
     text = (
-        f"best trial {learnt.best}: {left:.2%} left. Largest singular value of Q (1 - L G): "
-        f"{worst[0]:.2f} for the machine that learnt, {worst.max():.2f} over machines and poses"
+        f"largest singular value of Q (1 - L G): {worst[0]:.2f} of the machine that learns, "
+        f"{worst.max():.2f} over machines and poses; best trial {learnt.best}: {left:.2%} left"
     )
     if not len(others):
         return text
-    share = 100.0 * others[:, 1] / others[:, 0]
-    spread = ", ".join(f"{value:.2f}" for value in np.percentile(share, [0, 50, 100]))
-    return f"{text}. Left on {len(share)} other machines [%], least, median, most: {spread}"
+    spread = np.percentile(others[:, 1] / others[:, 0], [0, 50, 100])
+    on = f"on {len(others)} other machines, least, median, most"
+    return f"{text}; {on}: {', '.join(f'{share:.2%}' for share in spread)}"
 
 
 def learning_figure(learnt: Learning, others: Array) -> Figure:
     """Error by trial, convergence by frequency, the error in time, other machines."""
     figure = look.new_figure(11.0, 7.0)
     (trials, ratio), (history, machines) = figure.subplots(2, 2)
-    for name, style in (("legs", "o-"), ("predicted", "x--")):
-        sizes = [1e3 * getattr(one, name) for one in learnt.trials]
-        trials.semilogy(sizes, style, label={"legs": "simulated"}.get(name, "linear"))
-    trials.set(xlabel="trial", ylabel=f"rms of the legs below {BAND:g} Hz [mm]")
+    for label, name, style in (("simulated", "sensed", "o-"), ("linear", "predicted", "x--")):
+        trials.semilogy([1e3 * getattr(one, name) for one in learnt.trials], style, label=label)
+    trials.set(xlabel="trial", ylabel=f"legs below {BAND:g} Hz, rms as sensed [mm]")
     lines, values = frequencies(len(learnt.reference.time)), learnt.learner.ratio()
     ratio.plot(lines, values[1:].T, color=look.GREY, linewidth=0.8)
-    ratio.plot(lines, values[0], color=look.BLUE, label="machine that learns, mean pose")
+    ratio.plot(lines, values[0], label="machine that learns, mean pose (grey: others, other poses)")
     ratio.axhline(1.0, color=look.DARK, linestyle=":")
     ratio.set(xlabel="frequency [Hz]", ylabel="largest singular value of Q (1 - L G)")
-    dof = int(np.argmax(learnt.trials[0].axes * _SCALE * np.repeat([1.0, 10.0], 3)))
+    dof = int(np.argmax(learnt.trials[0].axes[:3]))
     for number, error in zip((0, learnt.best), learnt.errors, strict=True):
         time = LEAD + np.arange(len(error)) / MOST_RATE
-        history.plot(time, _SCALE[dof] * error[:, dof], label=f"trial {number}", linewidth=0.9)
-    unit = by_kind(dof, "mm", "deg")
-    history.set(xlabel="time [s]", ylabel=f"error of {DOFS[dof]} [{unit}]")
-    for index, name in enumerate(("without", "with what was learnt")):
-        machines.semilogy(1e3 * others[:, index], "ox"[index], label=name)
-    machines.set(xlabel="other machine", ylabel="rms of the legs [mm]")
-    look.legend(trials, ratio, history, *([machines] if len(others) else []))
+        history.plot(time, 1e3 * error[:, dof], label=f"trial {number}", linewidth=0.9)
+    history.set(xlabel="time [s]", ylabel=f"error of {DOFS[dof]} [mm]")
+    for label, errors in zip(("without", "with what was learnt"), others.T, strict=True):
+        machines.semilogy(1e3 * errors, "o", label=label)
+    machines.set(xlabel="other machine", ylabel=f"legs below {BAND:g} Hz, rms [mm]")
+    look.legend(trials, ratio, history, machines)
     return figure
 
 
