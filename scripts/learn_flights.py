@@ -34,7 +34,7 @@ def early(done: Learning) -> tuple[float, float]:
     error = done.errors[0]
     asked = done.reference.pose[-len(error) :]
     legs, moved = pose_to_legs(asked), pose_to_legs(asked - error)
-    leads = np.arange(0.0, 0.2, 0.001)
+    leads = np.arange(0.0, 1.0, 0.001)
     time = np.arange(len(legs)) / MOST_RATE
     left = [rms(legs - interpolated(time + lead, time, moved)) for lead in leads]
     return float(leads[np.argmin(left)]), min(left) / left[0]

@@ -8,7 +8,7 @@ not repeat (noise), and zero-phase filters over the whole record, which is known
 
     c_k+1 = Q (1 - L G) c_k + Q L ((1 - G) r - n_k)
 
-The correction converges where the largest singular value of Q (1 - L G) is below 1, by at least
+The correction converges where the largest singular value of Q (1 - L G) is below 1, at least by
 that ratio a trial. Q = 1 / (1 + (f / CORNER)^8). Over machines and poses G_i, the mean of
 |1 - L G_i|^2 (Frobenius) is least for the L of the normal equations; SHARE g of it is learnt:
 
@@ -16,7 +16,8 @@ that ratio a trial. Q = 1 / (1 + (f / CORNER)^8). Over machines and poses G_i, t
 
 It learns little where the machines disagree, as near a lightly damped mode that moves with the
 pose. At each frequency it is then reduced by the factor of 0 to 1 with which the largest ratio of
-all machines is least: none of them diverges. For one machine, q = Q (1 - g), S the density of n,
+all machines is least, and Q by what brings that ratio to `SLOWEST`: none of them diverges, and
+noise does not add up. For one machine, with q = Q (1 - g) and S the density of n,
 
     e_k = (1 - g Q (1 - q^k) / (1 - q)) e_0 -> (1 - Q) / (1 - q) e_0
     density of the noise that is learnt into the motion -> S (g Q)^2 / (1 - q^2)
@@ -51,8 +52,9 @@ from cmf_mj.pilot.host import MOST_RATE
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.signals.composite import quintic
 
-SHARE, CORNER = 0.6, 6.0
-"""Of what was missed, what the next trial makes up; corner of Q, where it is one half [Hz]."""
+SHARE, CORNER, SLOWEST = 0.6, 6.0, 0.9
+"""Of what was missed, what the next trial makes up; corner of Q, where it is one half [Hz]; largest
+ratio of two trials."""
 BAND, LEAD = 4.0, 1.0
 """Highest frequency of the errors that count [Hz]; rest before the manoeuvre [s]."""
 _HIGHEST, _PAD, _PARTS = 10.0, 320, np.linspace(0.0, 1.0, 21)
@@ -103,9 +105,10 @@ def make_learner(
     parts = _PARTS[:, None, None, None] * learning
     unit = np.eye(each.shape[-1])
     ratios = [np.linalg.norm(unit - part @ each, 2, axis=(-2, -1)) for part in parts]
-    learning *= _PARTS[np.max(ratios, axis=1).argmin(axis=0)][:, None, None]
-    smoothing = unit / (1.0 + (frequency[:, None, None] / corner) ** 8)
-    return Learner(each, learning, smoothing.astype(complex))
+    worst = np.max(ratios, axis=1)
+    learning *= _PARTS[worst.argmin(axis=0)][:, None, None]
+    passed = np.minimum(1.0, SLOWEST / worst.min(axis=0)) / (1.0 + (frequency / corner) ** 8)
+    return Learner(each, learning, passed[:, None, None] * unit.astype(complex))
 
 
 def leg_response(
