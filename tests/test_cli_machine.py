@@ -53,7 +53,15 @@ def test_shipped_machines_are_listed_and_not_written_over() -> None:
     code, said = run("machine", "list")
     assert code == 0 and all(name in said for name in machine_names())
     code, said = run("machine", "new", "cmf")
-    assert code == 2 or "is a shipped machine" in said
+    assert code == 2 and "is a shipped machine" in said
+
+
+def test_a_new_machine_writes_over_no_file(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text("# a day's work")
+    code, said = run("machine", "new", "mine", "--file", str(file))
+    assert code == 2 and "exists and is kept" in said
+    assert file.read_text() == "# a day's work"
 
 
 @pytest.mark.parametrize("command", ["compare", "linearize", "operate", "fly", "tune", "serve"])

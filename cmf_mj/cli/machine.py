@@ -43,6 +43,8 @@ def new_command(
     if checked_name(name, "name") in machine_names():
         raise InputError(f"name: {name!r} is a shipped machine; allowed: another name")
     target = check_target(file or Path(f"{name}.toml"))
+    if target.exists():
+        raise InputError(f"file: {target} exists and is kept; name another one with --file")
     ours = (directory() / "machines" / "lab.toml").read_text(encoding="utf-8")
     text = ours[ours.index("name = ") :].replace('name = "lab"', f'name = "{name}"', 1)
     text = text.replace("laws/lab.toml", "original", 1)

@@ -162,7 +162,6 @@ def failure_command(
     out: options.Out = Path("out/failure"),
 ) -> None:
     """Let something fail during a manoeuvre: leg loads, what the crew feels, how it ends."""
-    from cmf_mj.core import units
     from cmf_mj.show import failure as report
     from cmf_mj.studies.case import make_case
     from cmf_mj.studies.failure.measures import run_failures
@@ -178,7 +177,7 @@ def failure_command(
     show(
         report.failure_table(results),
         *[result.message for result in results if result.message],
-        f"largest load: {units.from_si('lbf', load.value):.0f} lbf in leg {load.leg}",
+        f"largest load: {load.value / 1e3:.1f} kN in leg {load.leg}",
         f"written to {out}: failures.csv, failures.md, {len(paths) - 2} figures",
         unfolded=True,
     )
