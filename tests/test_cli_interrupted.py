@@ -31,7 +31,7 @@ LINES = {
     "failure": "failure pump_lost --after 2 --at 1 --out {out}",
     "capacity": "capacity sine --quick --dofs heave --out {out}",
     "linearize": "linearize --out {out}",
-    "modes": "modes --cabs gfd --samples 20 --rounds 2 --points 3 --out {out}",
+    "modes": "modes --cabs gfd --samples 90 --rounds 2 --points 3 --out {out}",
     "measure": "measure {facility} --out {out}",
     "identify": "identify {facility} {facility} --orders 2,1,1 --method arx --out {out}",
     "verify": "verify --seconds 0.1 --finest 4 --out {out}",
