@@ -295,6 +295,11 @@ def test_another_study_is_refused_and_what_differs_is_named(
         ({"jobs": 0}, "jobs: 0 must be at least 1"),
         ({"backend": "smoke"}, "backend: 'smoke' is not one of threading, loky, dask"),
         ({"scheduler": "tcp://here:1"}, "scheduler: tcp://here:1 needs backend dask, not loky"),
+        (
+            {"scheduler": "127.0.0.1:9", "backend": "dask"},
+            "scheduler: 127.0.0.1:9: .*Dask scheduler",
+        ),
+        ({"scheduler": "here:99999", "backend": "dask"}, "scheduler: here:99999: .*Dask scheduler"),
     ],
 )
 def test_bad_arguments_are_refused_before_a_folder_is_made(

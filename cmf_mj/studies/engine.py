@@ -20,6 +20,7 @@ import hashlib
 import json
 import os
 import re
+import socket
 import sys
 import zlib
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
@@ -157,7 +158,10 @@ def _sources() -> str:
 Backend = Literal["threading", "loky", "dask"]
 """Threads, for compiled simulation releases the interpreter lock; processes; a Dask cluster."""
 
-_ADDRESS = re.compile(r"((tcp|tls|ws|wss)://)?[^/:\s]+:[0-9]{1,5}")
+_ADDRESS = re.compile(r"(?:(?:tcp|tls|ws|wss)://)?([^/:\s]+):([0-9]{1,5})")
+
+_PATIENCE = 5.0
+"""Time that a scheduler has to answer [s]."""
 
 Progress = Callable[[int, int], None]
 """Called with (tasks done, tasks in all)."""
@@ -243,9 +247,15 @@ class Workers:
         check_name("backend", self.backend, get_args(Backend))
         if self.scheduler is not None and self.backend != "dask":
             raise InputError(f"scheduler: {self.scheduler} needs backend dask, not {self.backend}")
-        if self.scheduler is not None and not _ADDRESS.fullmatch(self.scheduler):
-            allowed = "allowed: an address such as tcp://host:8786"
-            raise InputError(f"scheduler: {self.scheduler!r} is refused; {allowed}")
+        if self.scheduler is not None:
+            if not (address := _ADDRESS.fullmatch(self.scheduler)):
+                allowed = "allowed: an address such as tcp://host:8786"
+                raise InputError(f"scheduler: {self.scheduler!r} is refused; {allowed}")
+            try:
+                socket.create_connection((address[1], int(address[2])), _PATIENCE).close()
+            except (OSError, OverflowError) as error:
+                allowed = "allowed: the address of a Dask scheduler that runs"
+                raise InputError(f"scheduler: {self.scheduler}: {error}; {allowed}") from error
 
 
 def run_tasks(
