@@ -32,6 +32,7 @@ SEAMS = (
     "analysis.linear.catalogue:measure_loop",
     "signals.peaks:peaks",
     "pilot.aircraft.airframe:Airframe.__init__",
+    "studies.certificate.run:Family",
     "studies.tuning.search:cost",
     "studies.calibration.fit:_cost_vector",
     "studies.verification:in_mujoco",

@@ -41,7 +41,7 @@ COUNTS = {
 
 SIZE = sum(COUNTS.values())
 
-LARGEST = 1.5
+LARGEST = 1.3
 """Largest scale: numbers stay positive, and closed valves hold every leg."""
 
 
