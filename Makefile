@@ -7,6 +7,7 @@
 #   make paper     two pages to cite: build/paper/paper.pdf (needs chromium)
 #   make video     set up and film the machine in motion: out/video.mp4
 #   make studio    set up and open the machine in a web page
+#   make laws      measure all shipped laws and refresh their tables in docs: an hour
 #   make report    set up and reproduce the report on one page: out/report/report.html
 # Both build .venv from constraints.txt. The plain pip lines are in the README.
 
@@ -16,10 +17,28 @@ BIN := $(VENV)/bin
 WORKERS ?= auto
 PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --durations 40 --durations-min 1
 
-.PHONY: compare report video studio test test-all lint types imports links tests slow search site paper constraints clean
+.PHONY: compare laws report video studio test test-all lint types imports links tests slow search site paper constraints clean
 
 compare: $(VENV)/ready
 	$(BIN)/cmf compare
+
+LAWS := velocity,velocity_tuned,dynamic_pressure,acceleration_compensated,feed_forward,modal_feedback
+
+laws: $(VENV)/ready
+	mkdir -p out
+	printf 'base = "hardware"\n\n[constant]\nsupply = "constant"\n' > out/constant.toml
+	$(BIN)/cmf compare
+	$(BIN)/cmf compare --laws all --hydraulics report --plants single_legs --dofs heave --out out/report-heave
+	$(BIN)/cmf compare --laws all --hydraulics out/constant.toml --out out/all
+	$(BIN)/cmf compare --laws $(LAWS),model_following,modal_plan --cab ifd --plants hexapod --dofs surge,heave,roll --measures --no-records --out out/measures
+	$(BIN)/python scripts/confirm_laws.py --laws $(LAWS),modal_plan --seeds 1 --quick --out out/field_confirm
+	$(BIN)/python scripts/confirm_laws.py --seeds 1 --quick --noise --out out/modal_plan
+	$(BIN)/python scripts/compare_field_laws.py
+	$(BIN)/python scripts/accept_law.py --quick
+	$(BIN)/python scripts/fly_laws.py
+	$(BIN)/python scripts/ablate_modal_law.py
+	$(BIN)/python scripts/stiffness_laws.py
+	$(BIN)/python scripts/update_docs.py
 
 report: $(VENV)/ready-report
 	$(BIN)/cmf report

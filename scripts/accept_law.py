@@ -7,9 +7,11 @@ pose. Groups:
     nominal      three cabs, six degrees of freedom, valve gains of seeds 0 (nominal) to 3
     masses       mass and inertia of the cab, or the oil's bulk modulus, off; no law knows
     poses        each axis at 60 % of its limit; eight corners of all at once, legs at 60 %
-    amplitude    three times the report's amplitude, against the limits of unit gain there
+    amplitude    three times the report's amplitude
     steps        steps of 0.1 to 5 times 1 in or 0.6 deg: overshoot alone, since noise, which does
                  not shrink with the step, would pass for ringing
+
+Saturation is where unit gain ends at that amplitude, `Asymptotes.saturation`, given at neutral.
 """
 
 import argparse
@@ -33,6 +35,7 @@ from cmf_mj.machine.machine import load_machine
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.show.table import Table
+from cmf_mj.studies.capacity.asymptotes import asymptotes
 from cmf_mj.studies.case import Case, dof_amplitude, make_case
 from cmf_mj.studies.mismatch import with_valve_gains
 
@@ -106,24 +109,41 @@ def runs(law: Law, quick: bool) -> Iterator[Run]:
             yield Run("steps", f"{size:g} times the report's", step)
 
 
-def measured(run: Run) -> tuple[Run, Measures]:
+class Found(NamedTuple):
+    """What a run shows."""
+
+    measures: Measures
+    saturation_hz: float  #: NaN where poses or no sweep forbid it.
+
+    @property
+    def share(self) -> float:
+        """-90 deg over saturation."""
+        return self.measures.phase_bandwidth_hz / self.saturation_hz
+
+
+def measured(run: Run) -> tuple[Run, Found]:
     """Chirp and step of a run; the step alone of a group of steps."""
-    case = run.case
+    case, ends = run.case, float("nan")
     if run.group == "steps":
-        return run, joined(None, step_metrics(case.run(case.step(), every=8)))
-    return run, measure_records(*case.sweep_and_step(), segment=case.segment)
+        return run, Found(joined(None, step_metrics(case.run(case.step(), every=8))), ends)
+    if not any(case.pose):
+        ends = asymptotes(case.build(), case.dof).saturation(case.size)
+    return run, Found(measure_records(*case.sweep_and_step(), segment=case.segment), ends)
 
 
-def line_of(group: str, line: str, found: list[Measures]) -> list[str]:
+def line_of(group: str, line: str, runs: list[Found]) -> list[str]:
     """The worst of a line's runs; `-` for what no run has."""
+    found = [one.measures for one in runs]
 
     def worst(name: str, best: bool = False) -> float:
-        values = np.array([getattr(one, name) for one in found])
+        of = runs if name == "share" else found
+        values = np.array([getattr(one, name) for one in of])
         values = values[~np.isnan(values)]
         return np.nan if not values.size else float(values.min() if best else values.max())
 
     numbers = (
         (worst("phase_bandwidth_hz", best=True), "{:.2f}"),
+        (worst("share", best=True), "{:.2f}"),
         (worst("gain_bandwidth_hz", best=True), "{:.2f}"),
         (worst("peak_gain_db"), "{:.1f}"),
         (100.0 * worst("overshoot"), "{:.1f}"),
@@ -147,13 +167,13 @@ def main() -> None:
     chosen = options.groups.split(",")
     todo = [one for one in runs(load_law(options.law), options.quick) if one.group in chosen]
     pool = Parallel(n_jobs=options.jobs, backend="threading", return_as="generator")
-    lines: dict[tuple[str, str], list[Measures]] = {}
+    lines: dict[tuple[str, str], list[Found]] = {}
     for run, found in pool(delayed(measured)(one) for one in todo):
         lines.setdefault((run.group, run.line), []).append(found)
-    header = ("group", "runs", "stable", "-90 [Hz]", "-3 dB [Hz]", "peak [dB]", "overshoot [%]")
+    header = ("group", "runs", "stable", "-90 [Hz]", "over saturation", "-3 dB [Hz]")
     ordered = sorted(lines, key=lambda key: GROUPS.index(key[0]))
     rows = [line_of(*key, lines[key]) for key in ordered]
-    table = Table("", (*header, "zeta"), rows)
+    table = Table("", (*header, "peak [dB]", "overshoot [%]", "zeta"), rows)
     table.save(options.out / "accept.md")
     print(table.markdown())
 

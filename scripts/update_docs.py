@@ -57,6 +57,7 @@ COPIES = {
     "machines/machines.png": "images/two_machines.png",
     "verification/work_precision.png": "images/work_precision.png",
     "ablation/ladder.png": "images/ladder.png",
+    "stiffness/stiffness.png": "images/stiffness.png",
     "ablation/measures.csv": "data/ablation_measures.csv",
     "ablation/effects.csv": "data/ablation_effects.csv",
     "mismatch/rates.csv": "data/mismatch_rates.csv",

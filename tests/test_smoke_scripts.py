@@ -221,3 +221,14 @@ def test_fly_laws_counts_limit_cycles(tmp_path: Path) -> None:
     )
     assert "0 of 2" in told
     assert (tmp_path / "out" / "flights" / "flights.md").read_text(encoding="utf-8") in told
+
+
+@pytest.mark.slow
+def test_ablate_modal_law_says_what_feed_forward_is_worth(tmp_path: Path) -> None:
+    """With the gains for the plan and no plan the machine rings on."""
+    arguments = ("--dofs", "surge", "--only", "all,no feed-forward", "--out", "a")
+    run("ablate_modal_law.py", *arguments, cwd=tmp_path)
+    lines = (tmp_path / "a" / "ablation.md").read_text(encoding="utf-8").splitlines()[2:]
+    whole, without = ([cell.strip() for cell in line.split("|")] for line in lines)
+    assert float(whole[2]) > 5.0
+    assert without[2] == "unstable"

@@ -92,7 +92,7 @@ _QUALITIES = (
     ("-90 over\ndrive lag", ".2f", "corner of the servo drive's lag"),
     ("-90 over\noil mode", ".2f", "lowest hydraulic mode, valves shut"),
     ("-90 over\nsaturation", ".2f", "where unit gain opens a valve fully or stalls a leg"),
-    ("stiffness\nat rest", ".0f", "klbf/in or klbf ft/deg; inf: an error integral"),
+    ("stiffness\nat rest", ".0f", "klbf/in or klbf ft/deg; inf: a force leaves no motion"),
     ("stiffness\n0.5 to 5 Hz", ".1f", "the least, linearised"),
     ("rejection\nto", ".2f Hz", "3 dB off what a force moves with the valves shut, linearised"),
     ("rejection\npeak", ".1f dB", "the most that the law adds to it"),

@@ -30,7 +30,7 @@ class Qualities(NamedTuple):
     over_drive_lag: float
     over_oil_mode: float
     of_saturation: float
-    static_stiffness: float  #: [N/m, N m/rad]; infinite under an error integral.
+    static_stiffness: float  #: [N/m, N m/rad]; infinite where a force leaves no motion.
     dynamic_stiffness: float  #: Least from 0.5 to 5 Hz [N/m, N m/rad].
     rejection_hz: float  #: Disturbance rejection bandwidth [Hz].
     rejection_peak_db: float  #: Its peak [dB].

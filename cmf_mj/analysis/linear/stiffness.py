@@ -34,7 +34,7 @@ LINES = 0.05 * 10.0 ** (np.arange(105) / 40.0)
 """Lines the rejection is read from, 40 a decade, 0.05 to 19.9 Hz, the ends of `BAND` too."""
 
 _SHUT = Law(name="shut", title="Valves shut", direct_gain=Gains())
-_ENDLESS = 1e6  # times the least dynamic stiffness: round-off of an error integral's zero
+_ENDLESS = 1e6  # times the least dynamic stiffness: round-off of no motion
 
 
 def compliance(
@@ -85,7 +85,8 @@ def dynamic_stiffness(
 def disturbance(plant: Plant, law: str | Law) -> NDArray[np.float64]:
     """Stiffness at rest, the least in `BAND`, bandwidth [Hz] and peak [dB] of rejection, (4, 6).
 
-    By axis at neutral, as `dynamic_stiffness`: infinite under an error integral, NaN if unstable.
+    By axis at neutral, as `dynamic_stiffness`; NaN if unstable. Stiffness at rest is infinite under
+    an error integral or a law without pressures: shut valves hold a load in cylinders of two areas.
 
     >>> from cmf_mj.analysis.linear.stiffness import disturbance
     >>> static, least, bandwidth, peak = disturbance(cmf_mj.Hexapod("gfd"), "velocity")

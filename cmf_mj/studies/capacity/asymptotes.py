@@ -30,9 +30,8 @@ with no other axis moving, needs of each leg the flow and the force
 
 and unit gain at the amplitude a ends where the first of them is used up: `saturation`.
 
-Inertia forces, the fall of the
-manifold, bends of the kinematics and piston leakage (about 1 %) are left out of v: the limits are
-asymptotes of the envelope, not the envelope.
+Inertia forces, the fall of the manifold, bends of the kinematics and piston leakage (about 1 %) are
+left out of v: the limits are asymptotes of the envelope, not the envelope.
 """
 
 from dataclasses import dataclass
@@ -68,12 +67,6 @@ class Asymptotes:
     stiffness: NDArray[np.float64]  #: K, oil springs of the legs [N/m], (n,).
     leak_rate: NDArray[np.float64]  #: lambda [1/s], (n,).
 
-    @property
-    def leg_speed(self) -> float:
-        """Velocity at which the first leg needs its valves fully open, at low frequency."""
-        used = np.abs(self.column) > 1e-9
-        return float((self.speed[used] / np.abs(self.column[used])).min())
-
     def saturation(self, amplitude: float) -> float:
         """Frequency at which unit gain of this amplitude ends, to 100 Hz [Hz]; NaN beyond.
 
@@ -98,11 +91,12 @@ class Asymptotes:
         """Velocity amplitude of every limit [m/s, rad/s] at a frequency [Hz], by limit."""
         rate = 2.0 * np.pi * frequency
         lag = np.prod([1.0 / np.hypot(1.0, rate / corner) for corner in self.corners])
-        moved = self.transmission(frequency)
+        moved, used = self.transmission(frequency), np.abs(self.column) > 1e-9
+        first = float((self.speed[used] / np.abs(self.column[used])).min())
         return {
             "displacement": self.displacement * rate,
             "leg_stroke": self.leg_stroke * rate,
-            "valve_command": self.leg_speed * float(lag) * moved,
+            "valve_command": first * float(lag) * moved,
             "pump_flow": self.pump_flow * moved,
             "stall_force": self.acceleration / rate,
         }
