@@ -52,6 +52,11 @@ def written(page: Path) -> str:
     return _CODE.sub("", _MADE.sub("", page.read_text(encoding="utf-8")))
 
 
+def includes(page: Path) -> bool:
+    """Whether the site fills this page from a file of the repository's root."""
+    return page.read_text(encoding="utf-8").startswith("<!-- The text of ")
+
+
 @pytest.mark.parametrize("page", TEXTS, ids=named)
 def test_no_word_needs_decoding(page: Path) -> None:
     text = re.sub(r"\s+", " ", written(page))
@@ -69,7 +74,7 @@ def test_a_banned_word_is_found() -> None:
     assert not re.search(rf"\b({words})(?!\w)", "a bold claim understands in [here]")
 
 
-@pytest.mark.parametrize("page", READ, ids=named)
+@pytest.mark.parametrize("page", [p for p in PAGES if not includes(p)], ids=named)
 def test_a_page_opens_with_its_question_and_ends_with_a_way_on(page: Path) -> None:
     paragraphs = page.read_text(encoding="utf-8").strip().split("\n\n")
     assert paragraphs[0].startswith("# ")
