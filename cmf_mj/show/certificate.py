@@ -13,7 +13,7 @@ from cmf_mj.studies.certificate.run import Certificate
 def certificate_table(certificates: Sequence[Certificate]) -> Table:
     """One row a law and cab: nominal damping, scales, machines drawn, and the replays."""
     columns = (
-        *("law", "cab", ("zeta", ".3f"), ("proven", ".2f"), ("broken", ".2f"), "breaks at"),
+        *("law", "cab", ("zeta", ".3f"), ("proven", ".2g"), ("broken", ".2g"), "breaks at"),
         *(("stable", ".1f %"), ("least zeta", ".3f")),
         *(("beyond", ".0f %"), ("within", ".1f %")),
     )
@@ -60,5 +60,5 @@ def certificate_figure(certificates: Sequence[Certificate]) -> Figure:
     axes.set(yticks=place, xlim=(0.0, most), xlabel="scale of the unit box")
     axes.set_yticklabels([f"{one.law}, {one.cab}" for one in certificates])
     axes.invert_yaxis()
-    look.legend(axes, loc="lower right")
+    look.legend(axes, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return figure
