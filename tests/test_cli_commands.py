@@ -71,6 +71,7 @@ def test_compare_writes_table_figures_and_records(
         (("--laws", "fast"), "'fast'"),
         (("--dofs", "up"), "'up'"),
         (("--cab", "bus"), "'bus'"),
+        (("--dofs", " , "), "names nothing; allowed: one name at least"),
         (("--plants", "boat"), "'boat'"),
         (("--hydraulics", "missing.toml"), "missing.toml"),
         (("--amplitude", "0 in"), "amplitude"),

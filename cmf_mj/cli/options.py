@@ -12,7 +12,7 @@ import typer
 from typer import Argument, Option
 
 from cmf_mj.cli.common import MACHINE, claim, target
-from cmf_mj.core.errors import check_name
+from cmf_mj.core.errors import InputError, check_name
 
 
 def names_in(source: str) -> list[str]:
@@ -53,6 +53,8 @@ def choice(
         several = not isinstance(value, str)
         names = [part.strip() for text in value for part in text.split(",") if part.strip()]
         names = names if several else [value]
+        if not names:
+            raise InputError(f"{param.name}: {value!r} names nothing; allowed: one name at least")
         if several and names == ["all"]:
             return names_in(every or source)
         for name in [] if free else names:
