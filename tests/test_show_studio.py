@@ -8,7 +8,8 @@ import urllib.request
 from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from signal import SIGINT, SIGTERM, Signals
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import matplotlib.image
 import numpy as np
@@ -28,7 +29,7 @@ from cmf_mj.show.studio.controls import lamp
 from cmf_mj.show.studio.knobs import knobs
 from cmf_mj.show.studio.live import KEPT_ROWS, LARGEST, LONGEST, PLOT_RATE, Clock, LiveSession, View
 from cmf_mj.show.studio.marks import marks_of
-from cmf_mj.show.studio.plots import spikes
+from cmf_mj.show.studio.plots import Plots, spikes
 
 SHORT = {"duration": 1.0, "record_every": 16}
 
@@ -274,6 +275,31 @@ def test_lamp_tells_what_failed_and_what_tripped(screen: Screen) -> None:
     order = [word for number, word in enumerate(words) if word not in words[:number]]
     assert order == ["all works", "failed", "tripped"]
     assert "0.1 s: pump lost" in lamps[-1]
+
+
+@pytest.mark.parametrize("beside", ["", "force"])
+def test_plots_draw_numbers_alone(beside: str, screen: Screen) -> None:
+    """A gap would have no scale. The second line is the first one's without a second law."""
+    drawn: list[SimpleNamespace] = []
+
+    def add_uplot(*_: object, **given: object) -> SimpleNamespace:
+        drawn.append(SimpleNamespace(**given, data=()))
+        return drawn[-1]
+
+    plots = Plots(cast(Any, SimpleNamespace(gui=SimpleNamespace(add_uplot=add_uplot))))
+    session = LiveSession(heave(), screen.show, screen.tell)
+    session.begin(heave(), beside)
+    session.start()
+    screen.wait_for_time(0.5)
+    session.pause(True)
+    session.scenario().result()
+    plots.show(screen.views[-1], 10.0, "heave", 2)
+    session.close()
+    lines = [line for plot in drawn for line in plot.data]
+    assert len(lines) > 20 and np.isfinite(np.concatenate(lines)).all()
+    _, demand, second, response, *_ = next(plot.data for plot in drawn if "[in]" in plot.title)
+    assert np.ptp(response) > 0.1 and not np.array_equal(demand, response)
+    assert np.array_equal(second, response) == (not beside)
 
 
 def test_session_tells_when_the_state_leaves_its_bounds_and_begins_again(screen: Screen) -> None:

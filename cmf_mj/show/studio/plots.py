@@ -82,7 +82,7 @@ class Plots:
         # Mirrored legs have one colour and the left ones are dashed: both show where they agree.
         mirrored = (BLUE, ORANGE, GREEN, GREEN, ORANGE, BLUE)
         legs = [(str(leg), colour, leg > 3) for leg, colour in enumerate(mirrored, 1)]
-        both = [("demand", _DARK, True), ("response", BLUE, False), ("second law", ORANGE, False)]
+        both = [("demand", _DARK, True), ("second law", ORANGE, False), ("response", BLUE, False)]
         self._response = {
             unit: _add_plot(client, f"platform [{unit}]", both, -0.05, 0.05)
             for unit in ("in", "deg")
@@ -99,7 +99,6 @@ class Plots:
         rows = round(seconds * PLOT_RATE)
         past: list[Live] = list(view.past)[-rows:]
         beside: list[Live | None] = list(view.beside)[-rows:]
-        runs: tuple[Sequence[Live | None], ...] = past, beside
         if len(past) < 2:
             return
         index, unit = DOFS.index(dof), dof_unit(dof)
@@ -111,12 +110,10 @@ class Plots:
 
         time = of("time", "s")[0]
         marked = spikes(time, view.marks)
-        responses = np.full((2, len(past)), np.nan)
-        for response, lives in zip(responses, runs, strict=True):
-            there = {row: live.qpos for row, live in enumerate(lives) if live is not None}
-            if there:
-                pose = view.plant.pose_of(np.array(list(there.values())))
-                response[list(there)] = units.from_si(unit, pose[:, index])
+        # Without a second machine its line lies below that of the first: a gap has no scale.
+        lives = [second or live for second, live in zip(beside, past, strict=True)] + past
+        poses = view.plant.pose_of(np.array([live.qpos for live in lives]))
+        responses = units.from_si(unit, poses[:, index]).reshape(2, -1)
         for name, plot in self._response.items():
             plot.visible = name == unit
         self._response[unit].data = (time, of("demand", unit)[index], *responses, *marked)
@@ -141,7 +138,7 @@ _CLEAR = 2.4
 _HEIGHT, _WIDTH = 0.62, 0.85
 """Angles that hold the machine with its longest cab, seen from the first view [rad]."""
 
-_UPRIGHT, _LOWER = 0.8, 6.0
+_UPRIGHT, _LOWER = 0.6, 6.0
 """Width over height below which controls cover the lower part of the picture, as on a phone, and
 how much lower the camera looks there, so that the machine stands above them [m]."""
 
