@@ -33,6 +33,7 @@ SEAMS = (
     "signals.peaks:peaks",
     "pilot.aircraft.airframe:Airframe.__init__",
     "studies.certificate.run:Family",
+    "studies.engine:_started",
     "studies.tuning.search:cost",
     "studies.calibration.fit:_cost_vector",
     "studies.verification:in_mujoco",
