@@ -153,7 +153,7 @@ def certify_command(
     seed: options.Seed = 1,
     out: options.Out = Path("out/certify"),
 ) -> None:
-    """Prove how far machines may be off before a law fails, and find machines that break it."""
+    """Bound how far machines may be off before a law fails, and find machines that break it."""
     from cmf_mj.control.law import load_law
     from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import certificate as report

@@ -124,6 +124,11 @@ def fly(
 
     Law, washout (unused in direct mode) and hydraulics are names, TOML files or loaded; `progress`
     is called with the seconds flown, about once a second of them.
+
+    >>> from cmf_mj.pilot.aircraft.flight import load_flight
+    >>> from cmf_mj.pilot.fly import fly
+    >>> fly(load_flight("gusts").motion).use.within
+    True
     """
     settings = facility or FacilitySettings()
     carried = load_cab(cab)

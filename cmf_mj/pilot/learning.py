@@ -160,6 +160,13 @@ def learn(
     G_i are those of the plants in turn, at the mean pose and where a leg is longest or shortest.
     Trial k, the first run being 0, has the noise of seed + k. Refuses fewer than one trial, and a
     run that a fault ends.
+
+    >>> from cmf_mj.facility.host.stream import from_command
+    >>> from cmf_mj.pilot.learning import learn
+    >>> motion = from_command(cmf_mj.signals.sine("heave", 0.05, frequency=0.6, cycles=2), 80.0)
+    >>> done = learn(motion, "velocity", [cmf_mj.Hexapod()], trials=1)
+    >>> [f"{one.legs / done.trials[0].legs:.0%}" for one in done.trials]
+    ['100%', '39%']
     """
     if trials < 1:
         raise InputError(f"trials: {trials} must be at least 1")

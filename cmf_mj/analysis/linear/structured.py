@@ -1,4 +1,4 @@
-"""Structured singular value: an upper bound for real parameters, over all frequencies.
+"""Structured singular value: an upper bound for real parameters, by intervals of frequency.
 
 A loop with parameters off by delta_i, each of which enters `sizes[i]` times in a row, is
 
@@ -12,9 +12,10 @@ diag(delta_i 1) are found with (M. Fan, A. Tits and J. Doyle, IEEE Trans. Automa
 
 One pair X, Y serves a whole interval of frequencies. On s = j w e^(j turn) det Phi has its zeros at
 the imaginary eigenvalues of a Hamiltonian matrix; between two of them Phi keeps its sign. Intervals
-are covered one after the other, so that nothing is left between lines (C. Roos and J.-M. Biannic,
-IET Control Theory and Applications 4 (2010) 2447-2462). With `turn` = asin(zeta) the ray is where
-poles have the damping ratio zeta: as long as none gets there all have more.
+are covered one after the other (C. Roos and J.-M. Biannic, IET Control Theory and Applications 4
+(2010) 2447-2462). A gap is left: the frequency at which two intervals meet is not examined, so that
+the limit of a parameter which acts at that frequency alone is missed. With `turn` = asin(zeta) the
+ray is where poles have the damping ratio zeta: as long as none gets there all have more.
 """
 
 from itertools import pairwise
@@ -126,14 +127,16 @@ def largest(m: Complex, scaling: Scaling) -> float:
 
 
 def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.0) -> float:
-    """The bound over all frequencies, on s = j w e^(j turn), or `least` where that is more.
+    """The bound, but for the gap above, on s = j w e^(j turn), or `least` where that is more.
 
     No parameters with |delta| < 1 / beta bring a pole to the ray. At `turn` 0 none of A may be on
     its right, else none of A above the real axis.
 
-    >>> one = np.ones((1, 1))
-    >>> loop = Uncertain(-one, one, one, 0.0 * one, (1,))  # x' = (-1 + delta) x
-    >>> 0.98 < 1.0 / peak_bound(loop) < 1.0
+    >>> from cmf_mj.analysis.linear.structured import Uncertain, peak_bound
+    >>> a, b = np.array([[0.0, 1.0], [-1.0, -0.2]]), np.array([[0.0, 0.0], [-1.0, -1.0]])
+    >>> c = np.array([[0.0, 0.1], [0.3, 0.0]])  # x'' + 0.2 (1 + 0.5 d1) x' + (1 + 0.3 d2) x = 0
+    >>> loop = Uncertain(a, b, c, np.zeros((2, 2)), (1, 1))
+    >>> 1.96 < 1.0 / peak_bound(loop) <= 2.0
     True
     """
     _, (scale, _) = linalg.matrix_balance(loop.a, permute=False, separate=True)

@@ -98,6 +98,13 @@ def certify(
     """Certify a law on a machine with a cab; the machine that breaks it goes to `folder`.
 
     Raises `InputError` as `Family` does.
+
+    >>> from cmf_mj.studies.certificate.box import load_box
+    >>> from cmf_mj.studies.certificate.run import certify
+    >>> plant, law = cmf_mj.Hexapod("ifd"), cmf_mj.load_law("velocity")
+    >>> result = certify(plant, law, Path("out/certify"), load_box())
+    >>> 0.15 < result.proven < result.broken < 0.25
+    True
     """
     poses = [_pose(plant, law, box, pose) for pose in box.poses(plant)[: effort.poses]]
     points = qmc.LatinHypercube(SIZE, rng=np.random.default_rng(seed)).random(effort.samples)
