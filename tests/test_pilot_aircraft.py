@@ -266,7 +266,7 @@ def test_what_cannot_be_flown_or_loaded_is_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="model: 'wild' is not one of milspec, tustin"):
         Airframe().turbulence(10.0, "wild")
     flight = example()
-    with pytest.raises(ValueError, match=r"airspeed: shape is \(3,\); allowed: \(40,\)"):
+    with pytest.raises(ValueError, match=r"airspeed: shape \(3,\); allowed: \(40,\)"):
         Flight(flight.motion, flight.origin, {"airspeed": np.zeros(3)})
     with pytest.raises(ValueError, match=r"must end in .csv or .parquet"):
         flight.save(tmp_path / "flight.txt")
