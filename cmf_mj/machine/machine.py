@@ -27,37 +27,25 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from cmf_mj.core.errors import InputError, within
-from cmf_mj.core.quantity import Area, Kind, Length, Points, Quantity
+from cmf_mj.core.quantity import Area, Kind, Length, Quantity
 from cmf_mj.core.rates import FASTEST_RATE, RATE, SLOWEST_RATE
 from cmf_mj.core.settings import Name, Settings, merged, read_toml, user_file, validated
 from cmf_mj.core.units import HERTZ, INCH
 from cmf_mj.machine import mjcf, models
 from cmf_mj.machine.bodies import Legs, Mass, Place, RigidBody
-from cmf_mj.machine.geometry import FLIP, Geometry, make_geometry, paired_circles
+from cmf_mj.machine.geometry import FLIP, Geometry, make_geometry
+from cmf_mj.machine.gimbals import LENGTHS, Gimbals
 from cmf_mj.machine.limits import StatedLimits
 
-_LENGTHS = ("m", "mm", "in", "ft")
 _SINGULAR = 1e3
 """Condition number of the Jacobian at neutral above which the legs do not hold the platform; 3 to 6
 in usual machines."""
 
 _BORE, _ROD = 5.5 * INCH, 3.875 * INCH
 """Diameters of the CMF's bore and rod [m] (section 2.1)."""
-
-_COORDINATES = ("upper", "lower")
-_CIRCLES = ("upper_radius", "upper_spacing", "lower_radius", "lower_spacing", "height")
-
-
-def _six(points: Points) -> Points:
-    if points.unit not in _LENGTHS:
-        raise InputError(f"{points.unit!r} is refused: unit must be one of {', '.join(_LENGTHS)}")
-    if len(points.value) != 6:
-        raise InputError(f"has {len(points.value)} points; allowed: 6, one a leg")
-    return points
 
 
 def _at_control_rate(rate: Quantity) -> Quantity:
@@ -70,57 +58,8 @@ def _at_control_rate(rate: Quantity) -> Quantity:
     return rate
 
 
-_Points = Annotated[Points, AfterValidator(_six)]
-_Spacing = Annotated[Quantity, AfterValidator(Kind(("deg", "rad"), below=2.0 * np.pi / 3.0).check)]
-_Direction = Annotated[Quantity, AfterValidator(Kind(("deg", "rad"), signed=True).check)]
-_Height = Annotated[Quantity, AfterValidator(Kind(_LENGTHS, signed=True).check)]
+_Height = Annotated[Quantity, AfterValidator(Kind(LENGTHS, signed=True).check)]
 _Rate = Annotated[Quantity, AfterValidator(Kind(("Hz",)).check), AfterValidator(_at_control_rate)]
-
-
-class Gimbals(Settings):
-    """Where the legs are joined: coordinates, or three pairs on each of two circles.
-
-    The circles are those of `geometry.paired_circles`.
-    """
-
-    upper: _Points | None = None  #: Upper gimbals at neutral, legs 1 to 6.
-    lower: _Points | None = None  #: Lower gimbals.
-    upper_radius: Length | None = None  #: Of the circle through the upper gimbals.
-    upper_spacing: _Spacing | None = None  #: Angle between the two gimbals of an upper pair.
-    lower_radius: Length | None = None  #: Of the circle through the lower gimbals.
-    lower_spacing: _Spacing | None = None  #: Angle between the two gimbals of a lower pair.
-    height: Length | None = None  #: Of the upper circle above the lower one at neutral.
-    forward: _Direction | None = None
-    """Direction of the middle of upper gimbals 6 and 1, clockwise from above; default ahead."""
-
-    @model_validator(mode="after")
-    def _either(self) -> "Gimbals":
-        ways = [[name for name in way if getattr(self, name) is not None] for way in _WAYS]
-        if all(ways) or (ways[0] and self.forward):
-            raise InputError(f"{ways[0][0]}: is given with {(ways[1] or ['forward'])[0]}; {_WAY}")
-        for way, given in zip(_WAYS, ways, strict=True):
-            missing = sorted(set(way) - set(given))
-            if given and missing:
-                raise InputError(f"{missing[0]}: is missing; {_WAY}")
-        if not any(ways):
-            raise InputError(f"upper: is missing; {_WAY}")
-        return self
-
-    def in_report_axes(self, turn: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-        """Upper and lower gimbals, z down [m], (6, 3) each; `turn` are the file's axes in it."""
-        if self.upper is not None and self.lower is not None:
-            return self.upper.si * turn, self.lower.si * turn
-        upper_radius, upper_spacing, lower_radius, lower_spacing, height = (
-            getattr(self, name).si for name in _CIRCLES
-        )
-        forward = 0.0 if self.forward is None else self.forward.si
-        return paired_circles(
-            (upper_radius, upper_spacing), (lower_radius, lower_spacing), height, forward
-        )
-
-
-_WAYS = (_COORDINATES, _CIRCLES)
-_WAY = f"allowed: either {' and '.join(_COORDINATES)}, or {', '.join(_CIRCLES)} and forward"
 
 
 class LegDesign(Legs):
