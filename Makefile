@@ -34,7 +34,7 @@ laws: $(VENV)/ready
 	$(BIN)/python scripts/confirm_laws.py --laws $(LAWS),modal_plan --seeds 1 --quick --out out/field_confirm
 	$(BIN)/python scripts/confirm_laws.py --seeds 1 --quick --noise --out out/modal_plan
 	$(BIN)/python scripts/compare_field_laws.py
-	$(BIN)/python scripts/accept_law.py --quick
+	$(BIN)/python scripts/accept_law.py
 	$(BIN)/python scripts/fly_laws.py
 	$(BIN)/python scripts/ablate_modal_law.py
 	$(BIN)/python scripts/stiffness_laws.py

@@ -192,11 +192,12 @@ def test_pump_limit_is_the_mean_flow_of_a_sine_through_the_kinematics(plant, dof
     assert volume * rate / (2 * np.pi) == pytest.approx(400 * GPM, rel=1e-3)
 
 
+@pytest.mark.parametrize("pose", [(0.0,) * 6, (0.3, 0.0, -0.4, 0.1, 0.0, 0.2)])
 @pytest.mark.parametrize("dof", DOFS)
-def test_acceleration_limit_puts_one_leg_at_its_stall_force_and_none_beyond(plant, dof):
-    limits = asymptotes(plant, dof)
-    column = pose_jacobian(np.zeros(6))[:, DOFS.index(dof)]
-    inertia = plant.reflected_mass() @ column * limits.acceleration
+def test_acceleration_limit_puts_one_leg_at_its_stall_force_and_none_beyond(plant, dof, pose):
+    limits = asymptotes(plant, dof, pose)
+    column = pose_jacobian(np.array(pose))[:, DOFS.index(dof)]
+    inertia = plant.reflected_mass(pose) @ column * limits.acceleration
     load = plant.static_load()
     used = [(load + sign * inertia) / (1500 * PSI) for sign in (1, -1)]
     share = max(max((u / CAP).max(), (-u / ROD).max()) for u in used)

@@ -1,4 +1,4 @@
-"""Closed-form limits of a sinusoidal motion in one degree of freedom, at neutral.
+"""Closed-form limits of a sinusoidal motion in one degree of freedom, about a pose.
 
 With J the column of d(legs)/d(pose) of the degree of freedom, V and A its velocity and
 acceleration amplitude, w the frequency, h the working stroke, F the static leg loads:
@@ -37,11 +37,16 @@ left out of v: the limits are asymptotes of the envelope, not the envelope.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis.frequency_response import falls
 from cmf_mj.machine.dof import dof_index
-from cmf_mj.machine.kinematics import excursion_envelope, pose_jacobian
+from cmf_mj.machine.kinematics import (
+    excursion_envelope,
+    one_pose,
+    pose_jacobian,
+    pose_to_legs,
+)
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.oil import density
@@ -132,21 +137,26 @@ def full_speed(
     return np.column_stack(speeds)
 
 
-def asymptotes(plant: Plant, dof: str) -> Asymptotes:
-    """Closed-form limits of a degree of freedom from the parameters, at neutral."""
+def asymptotes(plant: Plant, dof: str, pose: ArrayLike | None = None) -> Asymptotes:
+    """Closed-form limits of a degree of freedom from the parameters.
+
+    `pose` (6,) [m, rad], z down, is by default neutral, from which excursions count in any pose.
+    """
+    about = np.zeros(6) if pose is None else one_pose(pose)
     index = dof_index(dof)
     hydraulics = plant.hydraulics
     supply, cylinder = hydraulics.supply, hydraulics.cylinder
-    jacobian = pose_jacobian(np.zeros(6), plant.machine)
+    jacobian = pose_jacobian(about, plant.machine)
     column = jacobian[:, index]
-    mass = plant.reflected_mass()
+    mass = plant.reflected_mass(pose)
     load = plant.static_load()
     speed = full_speed(hydraulics, load, supply.pressure, supply.return_pressure).min(axis=1)
     drawn = float(np.sum((cylinder.cap_area + cylinder.rod_area) * np.abs(column))) / np.pi
     high = cylinder.cap_area * supply.pressure - cylinder.rod_area * supply.return_pressure
     low = cylinder.cap_area * supply.return_pressure - cylinder.rod_area * supply.pressure
     force = np.abs(mass @ column)
-    spring = stiffness(cylinder, hydraulics.oil.bulk_modulus, np.zeros(plant.legs))
+    legs = pose_to_legs(about, plant.machine)
+    spring = stiffness(cylinder, hydraulics.oil.bulk_modulus, legs)
     both = cylinder.half_stroke * (cylinder.cap_area + cylinder.rod_area)
     return Asymptotes(
         dof=dof,
