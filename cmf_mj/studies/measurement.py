@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic_core import to_jsonable_python
 
 from cmf_mj import signals
 from cmf_mj.analysis import metrics
@@ -121,13 +122,7 @@ class Measurement:
 
 def plain(value: Any) -> Any:
     """JSON values of nested results: NumPy numbers become Python's, NaN becomes None."""
-    if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return bool(value) if isinstance(value, np.bool_) else value
+    return to_jsonable_python(value, inf_nan_mode="null", fallback=lambda number: number.item())
 
 
 def dof_accelerations(record: Record) -> NDArray[np.float64]:
