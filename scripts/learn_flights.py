@@ -1,9 +1,10 @@
 """Learn the shipped flights and fly what was learnt on other machines, as `cmf learn` does.
 
 Writes `learning.csv` and `learning.md`, a row a flight: the tracking error of the first run; what
-is left of it [%] when the demand is sent earlier by the best constant lead, after 1, 4 and the last
-trial, by the linear model after the last, and on drawn machines. A flight that is tried on those
-also gets what `cmf learn` writes.
+is left of it [%] when the demand is sent earlier by the best constant lead, what is out of reach of
+any demand and of one that the limits hold back, and what is left after 1, 4 and the last trial, by
+the linear model after the last, and on drawn machines. A flight that is tried on those also gets
+what `cmf learn` writes.
 """
 
 import argparse
@@ -12,11 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from cmf_mj import Hexapod, load_cab, load_hydraulics, load_law
-from cmf_mj.machine.kinematics import pose_to_legs
+from cmf_mj.facility.host.stream import differentiate, make_stream
+from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
+from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
-from cmf_mj.pilot.cueing.flight import cue
+from cmf_mj.pilot.cueing.flight import cue, within_limits
 from cmf_mj.pilot.host import MOST_RATE
-from cmf_mj.pilot.learning import Learning, compare, learn, rms
+from cmf_mj.pilot.learning import Learning, compare, counted, learn, rms
 from cmf_mj.pilot.motion import interpolated
 from cmf_mj.show.learning import save_learning
 from cmf_mj.show.table import Table
@@ -40,26 +43,49 @@ def early(done: Learning) -> tuple[float, float]:
     return float(leads[np.argmin(left)]), min(left) / left[0]
 
 
+def out_of_reach(done: Learning, plant: Hexapod) -> tuple[float, float]:
+    """Shares of the first error that stay, of a machine with the static gain G_0 of its legs.
+
+    Within the stroke h a leg ends at G_0 h: what r asks beyond stays missed, whatever is sent. And
+    what the limits of host frames hold back of r / G_0, the demand that would be followed.
+    """
+    limits = load_motion_limits(done.facility.limits, plant.machine)
+    asked, static = done.reference, np.abs(np.diagonal(done.learner.responses[0, 0]))
+    legs = pose_to_legs(asked.pose, plant.machine)
+    reach = static * limits.leg.position.si
+    wanted = legs_to_pose(legs / static, plant.machine)
+    rates = differentiate(asked.time, wanted - asked.pose)
+    motion = (asked.velocity + rates[0], asked.acceleration + rates[1])
+    sent = make_stream(asked.time, wanted, *motion)
+    held = within_limits(sent, limits, plant.machine)[0]
+    back = static * (legs / static - pose_to_legs(held.pose, plant.machine))
+    first = done.trials[0].legs
+    cut = rms(counted(legs - np.clip(legs, -reach, reach)))
+    return cut / first, rms(counted(back)) / first
+
+
 def main() -> None:
     """Learn all flights."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--flights", default=",".join(flight_names()))
     parser.add_argument("--law", default="velocity")
+    parser.add_argument("--cab", default="gfd")
     parser.add_argument("--trials", type=int, default=8)
-    parser.add_argument("--tried", default="gusts,turbulence", help="flown on other machines")
+    parser.add_argument("--tried", default="turbulence", help="flown on other machines")
     parser.add_argument("--on", type=int, default=30, help="other machines")
     parser.add_argument("--out", type=Path, default=Path("out/learning"))
     options = parser.parse_args()
-    cab, hydraulics, law = load_cab("gfd"), load_hydraulics("hardware"), load_law(options.law)
+    cab, hydraulics, law = load_cab(options.cab), load_hydraulics("hardware"), load_law(options.law)
     machines = [drawn_machine(cab, hydraulics, SEED, n) for n in range(KNOWN + options.on)]
     plants = [Hexapod(cab, hydraulics), *machines[:KNOWN]]
-    percent = ("left with lead [%]", "trial 1", "trial 4", f"trial {options.trials}", "linear")
+    percent = ["left with lead [%]", "beyond stroke", "held back"]
+    percent += ["trial 1", "trial 4", f"trial {options.trials}", "linear"]
     spread = ("others: least", "median", "most")
     columns = ["flight", ("first [mm]", ".1f"), ("lead [ms]", ".0f")]
     columns += [(name, ".1f") for name in (*percent, *spread)]
     rows = []
     for name in options.flights.split(","):
-        asked = cue(load_flight(name).motion).stream
+        asked = cue(load_flight(name).motion, cab=cab).stream
         done = learn(asked, law, plants, trials=options.trials, seed=SEED)
         first, last = done.trials[0], done.trials[-1]
         shown = [done.trials[min(at, options.trials)] for at in (1, 4, options.trials)]
@@ -70,10 +96,16 @@ def main() -> None:
             pairs = compare(done, machines[KNOWN:], seed=SEED + options.trials + 1)
             save_learning(done, pairs, options.out / name)
             others = np.percentile(pairs[:, 1] / pairs[:, 0], [0, 50, 100])
-        shares = [kept, *legs, last.predicted / first.predicted, *others]
+        shares = [
+            kept,
+            *out_of_reach(done, plants[0]),
+            *legs,
+            last.predicted / first.predicted,
+            *others,
+        ]
         rows.append([name, 1e3 * first.legs, 1e3 * lead, *(100.0 * x for x in shares), last.held])
         print(rows[-1], flush=True)
-    table = Table("", (*columns, ("held", "d")), sorted(rows))
+    table = Table("", (*columns, ("frames held", "d")), sorted(rows))
     for kind in ("csv", "md"):
         table.save(options.out / f"learning.{kind}")
     print(table.markdown())
