@@ -27,7 +27,7 @@ def test_input_is_the_held_command_at_the_valves(record: Record) -> None:
     command = record["valve_command"][:, 0]
     fine = np.repeat(np.concatenate([[command[0]], command[:-1]]), 16)
     about = np.array([fine[max(k - 8, 0) : k + 8].mean() for k in range(0, fine.size, 16)])
-    result = experiment(record, "leg_1", rate=2048.0, detrend="none").input[:, 0]
+    result = experiment(record, "leg_1", rate=2048.0, detrend=False).input[:, 0]
     assert np.abs(result - about)[16:].max() < 2e-3 * np.ptp(command)
 
 
@@ -36,8 +36,8 @@ def test_degrees_of_freedom_are_the_legs_behind_the_jacobian(record: Record) -> 
 
     The reference is the pose demand within the anti-alias filters' ripple, 0.2 dB.
     """
-    legs = experiment(record, [f"leg_{i + 1}" for i in range(6)], detrend="none")
-    dofs = experiment(record, DOFS, detrend="none")
+    legs = experiment(record, [f"leg_{i + 1}" for i in range(6)], detrend=False)
+    dofs = experiment(record, DOFS, detrend=False)
     inverse = np.linalg.inv(pose_jacobian(np.zeros(6)))
     for kind in ("input", "output"):
         expected = getattr(legs, kind) @ inverse.T
@@ -83,12 +83,9 @@ def test_split_cut_and_detrend() -> None:
     np.testing.assert_array_equal(second.output[:, 0], np.arange(480.0, 640.0))
     cut = run.between(1.0, 2.0)
     np.testing.assert_array_equal(cut.output[:, 0], np.arange(64.0, 128.0))
-    assert np.abs(run.detrended("linear").output).max() < 1e-9
     assert abs(run.detrended().output.mean()) < 1e-9
     with pytest.raises(ValueError, match="share: 1.0 must be"):
         run.split(1.0)
-    with pytest.raises(ValueError, match="kind: 'cubic' is not one of"):
-        run.detrended("cubic")
 
 
 def test_arrays_are_frozen_copies() -> None:
@@ -105,8 +102,6 @@ def test_bad_arguments_are_named(record: Record) -> None:
         experiment(record, "leg_9")
     with pytest.raises(ValueError, match="rate: 100.0 Hz; the record's 2048.0 Hz"):
         experiment(record, "heave", rate=100.0)
-    with pytest.raises(ValueError, match="command_delay: -1 frames"):
-        experiment(record, "heave", command_delay=-1)
     with pytest.raises(ValueError, match="channel: 'leg_mood' is not one of"):
         experiment(record, "heave", outputs="leg_mood")
     with pytest.raises(ValueError, match="output: sample 3 is not finite"):

@@ -51,7 +51,7 @@ def test_band_limited_model_becomes_the_continuous_one() -> None:
     u[band] = np.exp(2j * np.pi * rng.uniform(size=int(band.sum())))
     y = u * control.frequency_response(SIXTH, 2.0 * np.pi * line).frdata[0, 0]
     run = series(np.fft.irfft(u), np.fft.irfft(y))
-    model = output_error(run, (6, 7, 0), start="arx")
+    model = output_error(run, (6, 7, 0), start=arx(run, (6, 7, 0)))
     inside = (FREQUENCY > 0.2) & (FREQUENCY < 10.0)
     expected = true(SIXTH)[inside]
     fitted = to_continuous(model).rational

@@ -53,6 +53,9 @@ _BASE = {
 }
 """Units by their SI base units."""
 
+_OF_FMI_2 = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
+"""Kinds of variables in FMI 2."""
+
 _SECONDS, _STEPS = 1.0, 80
 """Length and steps a second of the reference result."""
 
@@ -132,18 +135,11 @@ def export_fmu(
     *,
     fmi: int = 2,
     electronics: ElectronicsSettings | None = None,
-    protection: bool = True,
 ) -> Path:
-    """Write a machine as an FMU; arguments as of `export_library`.
-
-    Raises:
-        InputError: another version of FMI than 2 or 3, or what `export_library` refuses.
-        RunError: the compiler refuses the code.
-    """
+    """Write a machine as an FMU of FMI 2 or 3; arguments and errors as of `export_library`."""
     if fmi not in (2, 3):
         raise InputError(f"fmi: {fmi} is refused; allowed: 2, 3")
-    loaded = None if law is None else load_law(law)
-    frozen = freeze(plant, loaded, electronics, protection)
+    frozen = freeze(plant, None if law is None else load_law(law), electronics)
     listed = variables(frozen)
     with tempfile.TemporaryDirectory() as folder, whole_file(file) as partial:
         work, root = Path(folder) / "work", Path(folder) / "fmu"
@@ -155,11 +151,10 @@ def export_fmu(
         for name in ("cmf.so", *(path.name for path in work.glob("libmujoco.so.*"))):
             shutil.copy(work / name, binaries)
         shutil.copytree(work / "licences", root / "documentation" / "licenses")
-        describe = _describe2 if fmi == 2 else _describe3
-        tree = ElementTree.ElementTree(describe(frozen, listed, token))
+        tree = ElementTree.ElementTree(_described(frozen, listed, fmi, token))
         ElementTree.indent(tree)
         tree.write(root / "modelDescription.xml", encoding="UTF-8", xml_declaration=True)
-        _write_reference(frozen, loaded, electronics, protection, root / "resources")
+        _write_reference(frozen, listed, root / "resources")
         with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
             for path in sorted(path for path in root.rglob("*") if path.is_file()):
                 archive.write(path, path.relative_to(root))
@@ -198,8 +193,8 @@ static const short fmu_outputs[][2] = {{{", ".join(places)}}};
 """
 
 
-def _described(frozen: Frozen, fmi: int, token: str) -> tuple[Element, Element]:
-    """Root and co-simulation element that both versions have, with units, logging and times."""
+def _described(frozen: Frozen, listed: list[Variable], fmi: int, token: str) -> Element:
+    """The model description in a version of FMI."""
     state = "FMUstate" if fmi == 2 else "FMUState"
     plant, law = frozen.plant, frozen.session.describe()["law"]
     head = {
@@ -225,7 +220,26 @@ def _described(frozen: Frozen, fmi: int, token: str) -> tuple[Element, Element]:
     )
     times = {"startTime": "0", "stopTime": repr(_SECONDS), "stepSize": repr(1.0 / _STEPS)}
     SubElement(root, "DefaultExperiment", times)
-    return root, SubElement(root, "ModelVariables")
+    table, structure = SubElement(root, "ModelVariables"), SubElement(root, "ModelStructure")
+    if fmi == 3:
+        time = {"name": "time", "causality": "independent", "variability": "continuous"}
+        SubElement(table, "Float64", time, unit="s", valueReference=str(len(listed)))
+    for reference, variable in enumerate(listed):
+        (said, kind), place = _attributes(variable), str(reference)
+        if fmi == 2:
+            entry = SubElement(table, "ScalarVariable", said, valueReference=place)
+            SubElement(entry, _OF_FMI_2[variable.kind], kind)
+        else:
+            SubElement(table, variable.kind, said | kind, valueReference=place)
+    outputs = [n for n, variable in enumerate(listed) if variable.causality == "output"]
+    for name, more in (("Output", {"dependencies": ""}), ("InitialUnknown", {})):
+        part = SubElement(structure, f"{name}s") if fmi == 2 else structure
+        for n in outputs:
+            if fmi == 2:
+                SubElement(part, "Unknown", {"index": str(n + 1), **more})
+            else:
+                SubElement(part, name, {"valueReference": str(n), **more})
+    return root
 
 
 def _attributes(variable: Variable) -> tuple[dict[str, str], dict[str, str]]:
@@ -249,89 +263,36 @@ def _attributes(variable: Variable) -> tuple[dict[str, str], dict[str, str]]:
     return said, kind
 
 
-def _describe2(frozen: Frozen, listed: list[Variable], token: str) -> Element:
-    root, table = _described(frozen, 2, token)
-    kinds = {"Float64": "Real", "Int32": "Integer", "Boolean": "Boolean"}
-    structure = SubElement(root, "ModelStructure")
-    parts = [SubElement(structure, name) for name in ("Outputs", "InitialUnknowns")]
-    for reference, variable in enumerate(listed):
-        said, kind = _attributes(variable)
-        entry = SubElement(table, "ScalarVariable", said, valueReference=str(reference))
-        SubElement(entry, kinds[variable.kind], kind)
-        if variable.causality == "output":
-            SubElement(parts[0], "Unknown", index=str(reference + 1), dependencies="")
-            SubElement(parts[1], "Unknown", index=str(reference + 1))
-    return root
-
-
-def _describe3(frozen: Frozen, listed: list[Variable], token: str) -> Element:
-    root, table = _described(frozen, 3, token)
-    time = {"name": "time", "causality": "independent", "variability": "continuous", "unit": "s"}
-    SubElement(table, "Float64", time, valueReference=str(len(listed)))
-    structure = SubElement(root, "ModelStructure")
-    outputs = [str(n) for n, variable in enumerate(listed) if variable.causality == "output"]
-    for reference, variable in enumerate(listed):
-        said, kind = _attributes(variable)
-        if variable.causality == "input":
-            said.pop("initial", None)
-        SubElement(table, variable.kind, said | kind, valueReference=str(reference))
-    for output in outputs:
-        SubElement(structure, "Output", valueReference=output, dependencies="")
-    for output in outputs:
-        SubElement(structure, "InitialUnknown", valueReference=output)
-    return root
-
-
-def _write_reference(
-    frozen: Frozen,
-    law: Law | None,
-    electronics: ElectronicsSettings | None,
-    protection: bool,
-    folder: Path,
-) -> None:
+def _write_reference(frozen: Frozen, listed: list[Variable], folder: Path) -> None:
     """Write inputs, and what the Python loop makes of them, at every communication point."""
     points = np.arange(int(_SECONDS * _STEPS) + 1)
     frame = np.round(points * RATE / _STEPS).astype(np.int64)
-    wave = np.sin(2.0 * np.pi * points / _STEPS) ** 3
-    given = np.zeros((points.size, sum(v.causality == "input" for v in variables(frozen))))
-    given += [v.start or 0.0 for v in variables(frozen)[: given.shape[1]]]
-    given[:, 2 if frozen.chain else 0] += 0.02 * wave
-    rows = np.repeat(given[:-1], np.diff(frame), axis=0)
-    record = _run(frozen, law, electronics, protection, rows)
-    legs = frozen.plant.legs
-    names = [
-        f"{name}[{leg}]"
-        for name in ("leg_extension", "valve_command")
-        for leg in range(1, legs + 1)
-    ]
-    at = np.maximum(frame - 1, 0)
-    found = np.concatenate([record["leg_extension"][at], record["valve_command"][at]], axis=1)
-    inputs = [variable.name for variable in variables(frozen) if variable.causality == "input"]
+    inputs = [variable for variable in listed if variable.causality == "input"]
+    given = np.tile([variable.start or 0.0 for variable in inputs], (points.size, 1))
+    given[:, 2 if frozen.chain else 0] += 0.02 * np.sin(2.0 * np.pi * points / _STEPS) ** 3
+    record = _run(frozen, np.repeat(given[:-1], np.diff(frame), axis=0))
+    at, channels_read = np.maximum(frame - 1, 0), ("leg_extension", "valve_command")
+    found = np.concatenate([record[name][at] for name in channels_read], axis=1)
+    legs = range(1, frozen.plant.legs + 1)
+    names = [f"{name}[{leg}]" for name in channels_read for leg in legs]
     time = points[:, None] / _STEPS
-    for name, header, values in (("in", inputs, given), ("out", names, found)):
+    for name, header, values in (("in", [v.name for v in inputs], given), ("out", names, found)):
         rows = np.concatenate([time, values], axis=1).tolist()
         write_csv(folder / f"reference_{name}.csv", ["time", *header], rows, digits=17)
 
 
-def _run(
-    frozen: Frozen,
-    law: Law | None,
-    electronics: ElectronicsSettings | None,
-    protection: bool,
-    rows: NDArray[np.float64],
-) -> Record:
+def _run(frozen: Frozen, rows: NDArray[np.float64]) -> Record:
     """The Python loop on inputs that a row a frame has."""
-    plant = frozen.plant
+    plant, law = frozen.plant, frozen.law
     if law is None:
         return drive(plant, rows)
-    guard = "default" if protection else None
+    how: Any = {"legs": True, "protection": "default", "electronics": frozen.electronics}
     if not frozen.chain:
-        return simulate(plant, law, rows, legs=True, protection=guard, electronics=electronics)
+        return simulate(plant, law, rows, **how)
     block, motion, legs = demand.make_demand(plant.machine), np.zeros((3, 6)), np.zeros((3, 6))
     table = np.empty((rows.shape[0], 6))
     for frame, pose in enumerate(rows[:, :6]):
         motion[0] = pose
         demand.step(block, motion, legs)
         table[frame] = legs[0]
-    how: Any = {"legs": True, "start": np.zeros(6), "protection": guard, "electronics": electronics}
-    return simulate(plant, law, table, **how)
+    return simulate(plant, law, table, start=np.zeros(6), **how)

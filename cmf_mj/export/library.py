@@ -8,7 +8,7 @@ import os
 import platform
 import shutil
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib.metadata import distribution
 from pathlib import Path
 from typing import NamedTuple
@@ -42,23 +42,14 @@ def export_library(
     out: Path,
     *,
     electronics: ElectronicsSettings | None = None,
-    protection: bool = True,
 ) -> list[Path]:
     """Write a machine as a C library into a folder and build it; the files written.
 
-    Args:
-        plant: `Hexapod`, `SingleLegs`, or any plant of `attach_hydraulics`.
-        law: by name, TOML file or loaded; None to command the valves.
-        out: folder.
-        electronics: sensors, converters and servo electronics; default ideal.
-        protection: whether detected faults make an emergency stop; a parameter, and this its start.
-
-    Raises:
-        InputError: there is no C compiler, or the law does not fit the plant.
-        RunError: the compiler refuses the code.
+    The plant is a `Hexapod`, `SingleLegs`, or any of `attach_hydraulics`; without a law the valves
+    are commanded; `electronics` are ideal by default. Raises `InputError` where there is no C
+    compiler or the law does not fit the plant, `RunError` where the compiler refuses the code.
     """
-    loaded = None if law is None else load_law(law)
-    frozen = freeze(plant, loaded, electronics, protection)
+    frozen = freeze(plant, None if law is None else load_law(law), electronics)
     files = [*copy_sources("library", out), *write_machine(frozen, out), *copy_mujoco(out)]
     library = out / "libcmf.so"
     build(out, library, ["cmf.c"], [name for name in os.listdir(out) if name.endswith(".o")])
@@ -75,13 +66,15 @@ def copy_sources(kind: str, out: Path) -> list[Path]:
 def write_machine(frozen: Frozen, out: Path) -> list[Path]:
     """Write header and object files of a machine."""
     blocks, header = contents(frozen)
-    files = []
-    objects = frozen.objects() | {"cmf_data": constant_data(blocks)}
+    files = write_objects(frozen.objects() | {"cmf_data": constant_data(blocks)}, out)
+    return [*files, write_text(out / "cmf_machine.h", header)]
+
+
+def write_objects(objects: Mapping[str, bytes], out: Path) -> list[Path]:
+    """Write object files by their names."""
     for name, code in objects.items():
-        files.append(out / f"{name}.o")
-        files[-1].write_bytes(code)
-    files.append(write_text(out / "cmf_machine.h", header))
-    return files
+        (out / f"{name}.o").write_bytes(code)
+    return [out / f"{name}.o" for name in objects]
 
 
 def copy_mujoco(out: Path) -> list[Path]:
@@ -107,16 +100,7 @@ def copy_licences(out: Path, packages: Iterable[str]) -> list[Path]:
 def build(folder: Path, library: Path, sources: list[str], objects: Iterable[str]) -> None:
     """Build a shared library of C sources and object files in their folder."""
     command = [_compiler(), "-std=c99", "-O2", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off"]
-    command += [
-        "-shared",
-        "-isystem",
-        "include",
-        *sources,
-        *sorted(objects),
-        "-o",
-        library.name,
-        "-s",
-    ]
+    command += ["-shared", "-s", "-isystem", "include", *sources, *sorted(objects)]
     command += ["-Wl,-z,defs,-z,text,-z,now", "-Wl,-rpath,$ORIGIN", "-lm"]
     command += [path.name for path in folder.glob("libmujoco.so.*")] + ["-o", library.name]
     run = subprocess.run(command, cwd=folder, capture_output=True, text=True)
@@ -169,11 +153,8 @@ def export_law(law: str | Path | Law, out: Path, cab: str | Path | Cab | None = 
     """Write a law as a C library into a folder and build it; the files written.
 
     A law in hydraulic modes is bound to the cab, by default the CMF's first; stroke and piston area
-    are those of the cab's machine. The library depends on the C library alone.
-
-    Raises:
-        InputError: there is no such law or cab, or no C compiler.
-        RunError: the compiler refuses the code.
+    are those of the cab's machine. The library depends on the C library alone. Raises `InputError`
+    where there is no such law or cab, or no C compiler.
     """
     carried = load_cab(cab)
     chosen = bound(load_law(law), carried.known_as)
@@ -185,9 +166,7 @@ def export_law(law: str | Path | Law, out: Path, cab: str | Path | Cab | None = 
         "cmf_law_memory_data": image.block,
     }
     objects = {"cmf_law_code": law_code(parts), "cmf_law_data": constant_data(blocks)}
-    for name, code in objects.items():
-        files.append(out / f"{name}.o")
-        files[-1].write_bytes(code)
+    files += write_objects(objects, out)
     files.append(write_text(out / "cmf_law_data.h", _header(chosen, parts, image)))
     files += copy_licences(out, ["cmf-mj"])
     build(out, out / "libcmf_law.so", ["cmf_law.c"], [f"{name}.o" for name in objects])

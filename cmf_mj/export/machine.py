@@ -138,6 +138,8 @@ class Frozen(NamedTuple):
     """A machine at rest as data."""
 
     plant: Plant
+    law: Law | None
+    electronics: ElectronicsSettings | None
     session: Session
     parts: Parts
     image: Image
@@ -162,23 +164,18 @@ class Frozen(NamedTuple):
         return made
 
 
-def freeze(
-    plant: Plant,
-    law: Law | None,
-    electronics: ElectronicsSettings | None = None,
-    protection: bool = True,
-) -> Frozen:
+def freeze(plant: Plant, law: Law | None, electronics: ElectronicsSettings | None = None) -> Frozen:
     """A plant with a law at rest at neutral, the law engaged.
 
     A plant of the facility stands behind the whole chain from the host. Any other follows a table
     of extensions, or without law one of valve commands.
     """
     chain = plant.name in PLANTS and law is not None
-    session = _session(plant, law, electronics, protection, chain)
+    session = _session(plant, law, electronics, chain)
     first = session.machine.mechanics.sensordata.copy()
     session.run(1)
     row = session.rows(0, 1)
-    session = _session(plant, law, electronics, protection, chain)
+    session = _session(plant, law, electronics, chain)
     size = mujoco.mj_stateSize(plant.model, mujoco.mjtState.mjSTATE_INTEGRATION)
     mechanics = np.empty(size)
     mujoco.mj_getState(plant.model, plant.data, mechanics, mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -197,29 +194,22 @@ def freeze(
     parts = Parts(machine, controller, memory, recorder, np.full(3, -1))
     image = make_image(parts, IN_MUJOCO)
     model = np.frombuffer(saved(plant.model), dtype=np.uint8)
-    return Frozen(plant, session, parts, image, model, mechanics, first, chain)
+    of_mujoco = model, mechanics, first
+    return Frozen(plant, law, electronics, session, parts, image, *of_mujoco, chain)
 
 
 def _session(
-    plant: Plant,
-    law: Law | None,
-    electronics: ElectronicsSettings | None,
-    protection: bool,
-    chain: bool,
+    plant: Plant, law: Law | None, electronics: ElectronicsSettings | None, chain: bool
 ) -> Session:
     options = Options(frames=1, window=1, electronics=electronics)
-    if chain and law is not None:
-        settings = FacilitySettings(
-            electronics=electronics, protection="default" if protection else None
-        )
+    if law is None:
+        rest = Table(np.zeros((1, plant.legs)))
+        return Session(plant, law, rest, options._replace(command_delay=0))
+    if chain:
+        settings = FacilitySettings(electronics=electronics, protection="default")
         start = Start(State.ENGAGED, np.zeros(6), [(0.0, Request.NONE)])
-        log = make_log(ARRIVALS)
-        return facility_session(plant, law, log, settings, start, options)
-    guarded = protection and law is not None
-    guard = load_protection("default", fitting(plant.machine)) if guarded else None
-    options = options._replace(protection=guard, command_delay=0 if law is None else 1)
-    rows = np.zeros((1, plant.legs))
-    if law is not None:
-        plant.start()
-        rows[0] = plant.extensions()
-    return Session(plant, law, Table(rows), options)
+        return facility_session(plant, law, make_log(ARRIVALS), settings, start, options)
+    guard = load_protection("default", fitting(plant.machine))
+    plant.start()
+    rows = np.array([plant.extensions()])
+    return Session(plant, law, Table(rows), options._replace(protection=guard))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.files import write_text
-from cmf_mj.export.library import build, copy_mujoco, copy_sources
+from cmf_mj.export.library import build, copy_mujoco, copy_sources, write_objects
 from cmf_mj.export.machine import make_image
 from cmf_mj.export.machine_code import constant_data, machine_code
 from cmf_mj.plant.attach import attach_hydraulics, equipped
@@ -73,10 +73,7 @@ def export_plugin(
 
     Arguments are those of `attach_hydraulics`; the folder has `libcmf_cylinders.so`, the MJCF named
     like the model, sources and licences. The plugin starts at rest as the model stands in `qpos0`.
-
-    Raises:
-        InputError: what `attach_hydraulics` refuses, or there is no C compiler.
-        RunError: the compiler refuses the code.
+    Raises `InputError` as `attach_hydraulics`, and where there is no C compiler.
     """
     plant = attach_hydraulics(model, cylinders, hydraulics)
     spec = equipped(model, cylinders, hydraulics)[0]
@@ -108,9 +105,7 @@ def export_plugin(
     text.append(f"static const int cmf_pointers[] = {{{', '.join(map(str, pointers))}}};\n")
     files.append(write_text(out / "cmf_cylinders.h", "\n".join(text)))
     code = machine_code("cmf_push", push, numba.typeof(_Both(fixed, moving)))
-    for name, content in (("cmf_push", code), ("cmf_data", constant_data(blocks))):
-        files.append(out / f"{name}.o")
-        files[-1].write_bytes(content)
+    files += write_objects({"cmf_push": code, "cmf_data": constant_data(blocks)}, out)
     library = out / "libcmf_cylinders.so"
     build(out, library, ["cmf_cylinders.c"], ["cmf_push.o", "cmf_data.o"])
     return [*files, library, write_text(out / f"{plant.name}.xml", _mjcf(plant, model, spec))]

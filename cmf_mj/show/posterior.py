@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from cmf_mj.core.files import write_text
 from cmf_mj.show import posterior_figures as figures
 from cmf_mj.show.look import save_files
-from cmf_mj.show.table import Cell, Table, number
+from cmf_mj.show.table import Cell, Column, Table, number
 from cmf_mj.studies.posterior import answers
-from cmf_mj.studies.posterior.answers import ROBUST, GainStep, Stability
+from cmf_mj.studies.posterior.answers import ROBUST, GainStep
 from cmf_mj.studies.posterior.evidence import FLOWN
 from cmf_mj.studies.posterior.run import GROUPS, Results
+from cmf_mj.studies.posterior.sampling import effective_size
 
 Array = NDArray[np.float64]
 
@@ -66,76 +67,72 @@ def stability_table(results: Results) -> Table:
     return Table("", columns, rows)
 
 
-def change_table(results: Results) -> Table:
-    """What each law changes in the pair's damping ratio."""
-    columns = ("law", "cab", "prior", "all evidence", "same sign")
-    rows = [
-        (
-            *(one.law, one.cab, interval(one.prior, "+.3f"), interval(one.posterior, "+.3f")),
-            percent(one.same_sign),
-        )
-        for one in answers.changes(results)
-    ]
-    return Table("", columns, rows)
-
-
-def span_table(results: Results) -> Table:
-    """Measures on machines drawn from the posterior."""
-    columns = ("cab", "law", "dof", "stable", "-90 deg [Hz]", "-3 dB [Hz]", "peak [dB]", "zeta")
-    rows = [
-        (
-            *(one.cab, one.law, one.dof, percent(one.stable)),
-            interval(one.phase_bandwidth_hz),
-            interval(one.gain_bandwidth_hz),
-            interval(one.peak_gain_db, ".1f"),
-            interval(one.damping_ratio),
-        )
-        for one in answers.spans(results)
-    ]
-    return Table("", columns, rows)
-
-
-def gain_table(results: Results) -> Table:
-    """Gains of acceleration behind filters."""
-    columns = (("gain [%/(in/s²)]", "g"), "filter", "stable with every cab", "least damping ratio")
-    rows: list[tuple[Cell, ...]] = [
-        (one.gain, filter_name(one.corner), percent(one.stable), interval(one.damping, ".3f"))
-        for one in answers.gain_steps(results)
-    ]
-    return Table("", columns, rows)
-
-
 def filter_name(corner: float) -> str:
     """What stands before the gain."""
     return "none" if corner == 0.0 else f"{corner:.3g} Hz"
 
 
-def unknown_table(results: Results) -> Table:
-    """Prior and posterior of the unknowns, with the reason of the bounds."""
-    unknowns = results.study.settings.unknowns
-    rows = [
-        (
-            *(name, unknowns[name].unit, f"{unknowns[name].low:g} to {unknowns[name].high:g}"),
-            interval(after, ".3g"),
-            unknowns[name].source,
-        )
-        for name, (_, after) in answers.ranges(results).items()
-    ]
-    return Table("", ("unknown", "unit", "prior", "all evidence", "source of the bounds"), rows)
-
-
-def evidence_table(results: Results) -> Table:
-    """What the report tells and what machines make of it."""
-    columns = ("observation", ("printed", ".3g"), ("s", ".2g"), "prior", "all evidence", "inside")
-    rows = [
-        (
-            *(one.name, one.observed, one.deviation),
-            *(interval(one.prior, ".3g"), interval(one.posterior, ".3g")),
-            "yes" if one.inside else "no",
-        )
-        for one in answers.checks(results)
-    ]
-    return Table("", columns, rows)
+def tables(results: Results) -> dict[str, Table]:
+    """All tables by the name of their file."""
+    unknowns = results.study.settings.unknowns.items()
+    ranges, both = answers.ranges(results), ("prior", "all evidence")
+    every: dict[str, tuple[tuple[Column, ...], list[tuple[Cell, ...]]]] = {
+        "changes": (
+            ("law", "cab", *both, "same sign"),
+            [
+                (
+                    *(one.law, one.cab, interval(one.prior, "+.3f")),
+                    *(interval(one.posterior, "+.3f"), percent(one.same_sign)),
+                )
+                for one in answers.changes(results)
+            ],
+        ),
+        "spans": (
+            ("cab", "law", "dof", "stable", "-90 deg [Hz]", "-3 dB [Hz]", "peak [dB]", "zeta"),
+            [
+                (
+                    *(one.cab, one.law, one.dof, percent(one.stable)),
+                    *(interval(one.phase_bandwidth_hz), interval(one.gain_bandwidth_hz)),
+                    *(interval(one.peak_gain_db, ".1f"), interval(one.damping_ratio)),
+                )
+                for one in answers.spans(results)
+            ],
+        ),
+        "gains": (
+            (("gain [%/(in/s²)]", "g"), "filter", "stable with every cab", "least damping ratio"),
+            [
+                (
+                    one.gain,
+                    filter_name(one.corner),
+                    percent(one.stable),
+                    interval(one.damping, ".3f"),
+                )
+                for one in answers.gain_steps(results)
+            ],
+        ),
+        "unknowns": (
+            ("unknown", "unit", *both, "source of the bounds"),
+            [
+                (
+                    *(name, one.unit, f"{one.low:g} to {one.high:g}"),
+                    *(interval(ranges[name], ".3g"), one.source),
+                )
+                for name, one in unknowns
+            ],
+        ),
+        "evidence": (
+            ("observation", ("printed", ".3g"), ("s", ".2g"), *both, "inside"),
+            [
+                (
+                    *(one.name, one.observed, one.deviation, interval(one.prior, ".3g")),
+                    *(interval(one.posterior, ".3g"), "yes" if one.inside else "no"),
+                )
+                for one in answers.checks(results)
+            ],
+        ),
+    }
+    others = {name: Table("", columns, rows) for name, (columns, rows) in every.items()}
+    return {"stability": stability_table(results)} | others
 
 
 def best_gain(results: Results) -> GainStep:
@@ -150,16 +147,12 @@ def _list(names: Iterable[str]) -> str:
     return f"{', '.join(first)} and {last}" if first else last
 
 
-def _by_cab(rows: list[Stability], law: str) -> list[Stability]:
-    return [row for row in rows if row.law == law]
-
-
 def robust_text(results: Results) -> str:
     """What holds whatever is assumed, as a Markdown list."""
     rows, lines = answers.stability(results), []
     names = {law.name for law in results.study.laws}
     if DERIVED in names:
-        mine = _by_cab(rows, DERIVED)
+        mine = [row for row in rows if row.law == DERIVED]
         parts = _list(f"{percent(one.posterior)} with the {one.cab.upper()}" for one in mine)
         lines.append(
             f"`{DERIVED}`, which has Table D-2's bandwidths on single legs, is unstable on the "
@@ -239,26 +232,14 @@ def held_out_text(results: Results) -> str:
 
 def sample_text(results: Results) -> str:
     """How many machines stand behind the figures."""
-    simulated = answers.stability(results)
+    simulated, size = answers.stability(results), effective_size(answers.weights(results))
     same, run = (sum(getattr(one, name) for one in simulated) for name in ("agreeing", "machines"))
     return (
         f"{results.machines.num_rows} machines drawn, effective sample size "
-        f"{answers.effective_machines(results):.0f}; {results.study.settings.kept} drawn from the "
+        f"{size:.0f}; {results.study.settings.kept} drawn from the "
         f"posterior and measured. Linear and simulated verdicts agree in {same} of {run} runs, "
         f"{percent(same / max(run, 1), 1)}.\n"
     )
-
-
-def tables(results: Results) -> dict[str, Table]:
-    """All tables by the name of their file."""
-    return {
-        "stability": stability_table(results),
-        "changes": change_table(results),
-        "spans": span_table(results),
-        "gains": gain_table(results),
-        "unknowns": unknown_table(results),
-        "evidence": evidence_table(results),
-    }
 
 
 TEXTS: Mapping[str, Any] = {

@@ -35,6 +35,8 @@ from cmf_mj.core.errors import InputError, check_name
 
 Criterion = Literal["aic", "bic", "validation"]
 
+_SLACK = 0.2  # of the validation fit [%]
+
 
 def as_experiments(experiments: Experiment | Sequence[Experiment]) -> list[Experiment]:
     """One or several experiments as a list of at least one, all of the same signals and rate."""
@@ -77,9 +79,7 @@ def arx(
     chosen = Orders(*orders).check()
     factors = [_factor(runs, row, chosen, chosen.lag) for row in range(runs[0].output.shape[1])]
     solved = [_solve(factor, np.arange(factor.triangle.shape[1] - 1))[0] for factor in factors]
-    return from_rows(
-        chosen, solved, runs[0], noise="equation", method="arx", samples=factors[0].samples
-    )
+    return from_rows(chosen, solved, runs[0], method="arx", samples=factors[0].samples)
 
 
 class _Factor(NamedTuple):
@@ -144,16 +144,16 @@ class Selection(NamedTuple):
 
     candidates: tuple[Candidate, ...]
 
-    def best(self, criterion: Criterion = "validation", *, slack: float = 0.2) -> Candidate:
+    def best(self, criterion: Criterion = "validation") -> Candidate:
         """The best of the stable candidates; if there is none, of all.
 
-        `validation` takes the fewest parameters whose fit is within `slack` [%] of the best one,
-        `aic` and `bic` their minimum.
+        `validation` takes the fewest parameters whose fit is within 0.2 % of the best one, `aic`
+        and `bic` their minimum.
         """
         check_name("criterion", criterion, get_args(Criterion))
         pool = [c for c in self.candidates if c.stable] or list(self.candidates)
         if criterion == "validation":
-            enough = max(c.fit for c in pool) - slack
+            enough = max(c.fit for c in pool) - _SLACK
             good = [c for c in pool if c.fit >= enough]
             return min(good, key=lambda c: (c.parameters, -c.fit))
         return min(pool, key=lambda c: c.aic if criterion == "aic" else c.bic)
@@ -192,9 +192,7 @@ def select_orders(
         solved, losses = zip(
             *(_solve(factor, np.concatenate(places)) for factor in factors), strict=True
         )
-        model = from_rows(
-            orders, solved, runs[0], noise="equation", method="arx", samples=factors[0].samples
-        )
+        model = from_rows(orders, solved, runs[0], method="arx", samples=factors[0].samples)
         count = orders.parameters(inputs)
         misfit = sum(f.samples * np.log(e) for f, e in zip(factors, losses, strict=True))
         penalty = sum(np.log(f.samples) for f in factors)

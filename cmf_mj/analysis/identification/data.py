@@ -17,7 +17,6 @@ with the law like a model of a leg, and has its unit, m/s per command.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,10 +105,9 @@ class Experiment:
             self, input=function(self.input), output=function(self.output), reference=reference
         )
 
-    def detrended(self, kind: Literal["constant", "linear"] = "constant") -> "Experiment":
-        """Take the mean or the straight line of least squares out of every series."""
-        check_name("kind", kind, ("constant", "linear"))
-        return self._mapped(lambda x: signal.detrend(x, axis=0, type=kind))
+    def detrended(self) -> "Experiment":
+        """Take the mean out of every series."""
+        return self._mapped(lambda x: signal.detrend(x, axis=0, type="constant"))
 
     def between(self, start: float = 0.0, stop: float = float("inf")) -> "Experiment":
         """The samples from `start` to before `stop` [s], counted from the first; at least two."""
@@ -173,17 +171,14 @@ def experiment(
     *,
     outputs: str | Sequence[str] = "leg_velocity",
     rate: float = RATE,
-    command_delay: int | None = None,
-    detrend: Literal["constant", "linear", "none"] = "constant",
-    start: float = 0.0,
+    detrend: bool = True,
 ) -> Experiment:
-    """Valve command to leg signals along legs or degrees of freedom, decimated and detrended.
+    """Valve command to leg signals along legs or degrees of freedom, decimated, without their mean.
 
     The record has `valve_command`, `leg_reference`, `leg_position` and the outputs. `axes` are one
     or several of surge, sway, heave, roll, pitch, yaw, leg_1 and so on; `outputs` are channels,
-    each taken along every axis; `rate` [Hz] divides the record's. `command_delay` is in frames of
-    1/2048 s from command to valve, default the run's, 1 where the record does not say; `start` [s]
-    is dropped, such as the transient of a multisine.
+    each taken along every axis; `rate` [Hz] divides the record's; without `detrend` the mean stays.
+    The command reaches the valve after the run's command delay, a frame where the record has none.
 
     Inputs are `<axis>_command` as fractions of full command (rotations: times rad/m), outputs
     `<axis>_velocity` and so on in SI, the reference is the leg reference along the axes. Raises
@@ -194,13 +189,9 @@ def experiment(
     factor = round(record.rate / rate)
     if factor < 1 or abs(record.rate / rate - factor) > 1e-9:
         raise InputError(f"rate: {rate} Hz; the record's {record.rate} Hz must be a multiple of it")
-    frames = command_delay
-    if frames is None:
-        frames = int(record.metadata.get("command_delay", 1))
-    if frames < 0:
-        raise InputError(f"command_delay: {frames} frames must be at least 0")
     needed = dict.fromkeys(("valve_command", "leg_reference", "leg_position", *channels))
     legs = {channel: record[channel] for channel in needed}
+    frames = int(record.metadata.get("command_delay", 1))
     legs["valve_command"] = _at_valve(legs["valve_command"], frames, record.rate)
     legs = {channel: decimated(values, factor) for channel, values in legs.items()}
     machine = recorded_machine(record.metadata)
@@ -220,8 +211,7 @@ def experiment(
         reference=along["leg_reference"],
         name=record.signal.kind,
     )
-    kept = measured.between(start)
-    return kept if detrend == "none" else kept.detrended(detrend)
+    return measured.detrended() if detrend else measured
 
 
 def _at_valve(command: Real, frames: int, rate: float) -> Real:

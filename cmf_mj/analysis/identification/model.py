@@ -72,7 +72,7 @@ class PolynomialModel:
     covariances: Real  #: Of the parameters of each row, (ny, p, p).
     noise_variance: Real  #: Of e or v, (ny,), in squares of the outputs' units.
     noise: Literal["equation", "output"]  #: Where the noise enters.
-    method: str  #: How the model was fitted.
+    method: str  #: How the model was fitted: arx, iv or oe.
     samples: int  #: Samples the fit used.
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
@@ -191,13 +191,8 @@ class PolynomialModel:
         )
 
     def predicted(self, experiment: Experiment) -> Real:
-        """One-step predictions (N, ny): with past outputs (`equation`), without them (`output`).
-
-        The first `orders.lag` rows of a prediction with past outputs lack some of their past.
-        """
+        """One-step predictions with past outputs (N, ny); `orders.lag` rows lack some of these."""
         self.check(experiment)
-        if self.noise == "output":
-            return self.simulate(experiment.input)
         past = [
             signal.lfilter(np.concatenate([[0.0], -a[1:]]), [1.0], experiment.output[:, i])
             + sum(
@@ -277,7 +272,6 @@ def from_rows(
     rows: Sequence[FittedRow],
     like: Experiment,
     *,
-    noise: Literal["equation", "output"],
     method: str,
     samples: int,
 ) -> PolynomialModel:
@@ -291,7 +285,7 @@ def from_rows(
         step=like.step,
         covariances=np.stack([row.covariance for row in rows]),
         noise_variance=np.array([row.variance for row in rows]),
-        noise=noise,
+        noise="equation" if method == "arx" else "output",
         method=method,
         samples=samples,
         input_names=like.input_names,

@@ -50,12 +50,11 @@ PREFILTER = 24
 _SINGULAR = 1e12
 """Condition from which on parameters count as not distinguishable."""
 
+_ITERATIONS, _CLOSE = 30, 0.02
+"""Most iterations; change of a parameter over its standard deviation at which they end."""
 
-def _assembled(
-    rows: list[FittedRow], orders: Orders, runs: list[Experiment], method: str
-) -> PolynomialModel:
-    samples = sum(run.samples for run in runs)
-    return from_rows(orders, rows, runs[0], noise="output", method=method, samples=samples)
+_EVALUATIONS = 200
+"""Most simulations of a row."""
 
 
 def instrumental_variable(
@@ -63,27 +62,22 @@ def instrumental_variable(
     orders: Orders | tuple[int, int, int],
     *,
     instrument: Instrument = "input",
-    iterations: int = 30,
-    tolerance: float = 0.02,
 ) -> PolynomialModel:
     """Refined instrumental variables, started from ARX.
 
     `instrument` is `input` where the inputs are free of the outputs' noise (open loop), `reference`
-    where the outputs are fed back; the experiments then need a reference an input or more. The
-    iteration ends when the parameters change by less than `tolerance` standard deviations. Within
-    it poles outside the unit circle are reflected for the filter and the instruments, not in the
-    estimate. Raises `InputError` as `arx`, and where the iteration diverges; one that only has not
-    ended is marked by the result's `converged`.
+    where the outputs are fed back; the experiments then need a reference an input or more. Poles
+    outside the unit circle are reflected for the filter and the instruments, not in the estimate.
+    Raises `InputError` as `arx`, and where the iteration diverges; one that only has not ended is
+    marked by the result's `converged`.
     """
     check_name("instrument", instrument, get_args(Instrument))
     runs = as_experiments(experiments)
     chosen = Orders(*orders).check()
     drives = [run.input for run in runs] if instrument == "input" else _driven(runs)
     model = arx(runs, chosen)
-    rows = [
-        _refined(runs, drives, model, row, iterations, tolerance) for row in range(model.outputs)
-    ]
-    return _assembled(rows, chosen, runs, "iv")
+    rows = [_refined(runs, drives, model, row) for row in range(model.outputs)]
+    return from_rows(chosen, rows, runs[0], method="iv", samples=sum(r.samples for r in runs))
 
 
 def _driven(runs: list[Experiment]) -> list[Real]:
@@ -109,16 +103,11 @@ def _driven(runs: list[Experiment]) -> list[Real]:
 
 
 def _refined(
-    runs: list[Experiment],
-    drives: list[Real],
-    start: PolynomialModel,
-    row: int,
-    iterations: int,
-    tolerance: float,
+    runs: list[Experiment], drives: list[Real], start: PolynomialModel, row: int
 ) -> FittedRow:
     theta = start.parameters(row)
-    for sweep in range(iterations):
-        model = _single(start, row, theta).stabilised()
+    for sweep in range(_ITERATIONS):
+        model = _single(theta, start.orders, runs[0]).stabilised()
         phi, y, z = _filtered(runs, drives, model, row, theta.size)
         new, half = _instrumented(z, phi, y)
         misfit = y - phi @ new
@@ -126,25 +115,16 @@ def _refined(
         covariance = variance * (half @ half.T)
         change = float(np.max(np.abs(new - theta) / np.sqrt(np.diag(covariance))))
         # Where distortion is taken for noise the iteration may swing about its end: halve it.
-        theta = new if sweep < iterations // 3 else 0.5 * (theta + new)
-        if change < tolerance:
+        theta = new if sweep < _ITERATIONS // 3 else 0.5 * (theta + new)
+        if change < _CLOSE:
             return FittedRow(new, covariance, variance, True)
     return FittedRow(theta, covariance, variance, False)
 
 
-def _single(like: PolynomialModel, row: int, theta: Real) -> PolynomialModel:
-    """The model of one row with other parameters."""
-    na, nb, nk = like.orders
-    b = theta[na:].reshape(-1, nb)
-    return replace(
-        like,
-        denominators=np.concatenate([[1.0], theta[:na]])[None],
-        numerators=np.hstack([np.zeros((b.shape[0], nk)), b])[None],
-        covariances=like.covariances[row : row + 1].copy(),
-        noise_variance=like.noise_variance[row : row + 1].copy(),
-        output_names=like.output_names[row : row + 1],
-        output_units=like.output_units[row : row + 1],
-    )
+def _single(theta: Real, orders: Orders, run: Experiment) -> PolynomialModel:
+    """The model of one row, of which nothing but the parameters is known."""
+    row = FittedRow(theta, np.full((theta.size, theta.size), np.nan), np.nan)
+    return from_rows(orders, [row], run, method="oe", samples=0)
 
 
 def _filtered(
@@ -188,50 +168,43 @@ def output_error(
     experiments: Experiment | Sequence[Experiment],
     orders: Orders | tuple[int, int, int],
     *,
-    start: PolynomialModel | Literal["arx", "iv"] = "iv",
-    evaluations: int = 200,
+    start: PolynomialModel | None = None,
 ) -> PolynomialModel:
     """Fit an output-error model to one or several experiments.
 
-    `start` is a model of the same orders, or how to find one. Poles outside the unit circle are
-    reflected first and listed in the result's `reflected`; the fit stays stable. Each row takes at
-    most `evaluations` simulations; a search that has not ended is marked by the result's
-    `converged`. Raises `InputError` as `arx`.
+    `start` is a model of the same orders, by default of instrumental variables. Its poles outside
+    the unit circle are reflected first and listed in the result's `reflected`; the fit stays
+    stable. A search that has not ended is marked by the result's `converged`. Raises `InputError`
+    as `arx`.
     """
     runs = as_experiments(experiments)
     chosen = Orders(*orders).check()
-    if isinstance(start, PolynomialModel):
-        if start.orders != chosen:
-            raise InputError(f"start: has orders {tuple(start.orders)}; allowed: {tuple(chosen)}")
-        start.check(runs[0])
-        first = start
-    elif start in ("arx", "iv"):
-        first = (arx if start == "arx" else instrumental_variable)(runs, chosen)
-    else:
-        raise InputError(f"start: {start!r} is not one of arx, iv, a model")
-    begin = first.stabilised()
-    rows = [_OutputError(runs, begin, row).solve(evaluations) for row in range(begin.outputs)]
-    result = _assembled(rows, chosen, runs, "oe")
-    return replace(result, reflected=begin.reflected)
+    if start is not None and start.orders != chosen:
+        raise InputError(f"start: has orders {tuple(start.orders)}; allowed: {tuple(chosen)}")
+    begin = (start or instrumental_variable(runs, chosen)).stabilised()
+    begin.check(runs[0])
+    rows = [_OutputError(runs, begin, row).solve() for row in range(begin.outputs)]
+    made = from_rows(chosen, rows, runs[0], method="oe", samples=sum(r.samples for r in runs))
+    return replace(made, reflected=begin.reflected)
 
 
 class _OutputError:
     """The simulation error of one row and its Jacobian."""
 
     def __init__(self, runs: list[Experiment], start: PolynomialModel, row: int) -> None:
-        self.runs, self.like, self.row = runs, start, row
+        self.runs, self.orders, self.row = runs, start.orders, row
         self.first = start.parameters(row)
         self.size = float(np.sqrt(np.mean(np.concatenate([r.output[:, row] for r in runs]) ** 2)))
 
     def errors(self, theta: Real) -> Real:
         """Scaled simulation errors of all runs; infinite where a pole is outside."""
-        model = _single(self.like, self.row, theta)
+        model = _single(theta, self.orders, self.runs[0])
         if np.abs(np.roots(model.denominators[0])).max() > 1.0 + STABILITY:
             return np.full(sum(run.samples for run in self.runs), np.inf)
         return np.concatenate([self._one(model, run, jacobian=False) for run in self.runs])
 
     def jacobian(self, theta: Real) -> Real:
-        model = _single(self.like, self.row, theta)
+        model = _single(theta, self.orders, self.runs[0])
         return np.concatenate([self._one(model, run, jacobian=True) for run in self.runs])
 
     def _one(self, model: PolynomialModel, run: Experiment, *, jacobian: bool) -> Real:
@@ -249,7 +222,7 @@ class _OutputError:
         slope = regressors(back, drives, model.orders, lag)
         return np.asarray((free @ (free.T @ slope) - slope) / self.size)
 
-    def solve(self, evaluations: int) -> FittedRow:
+    def solve(self) -> FittedRow:
         fit = optimize.least_squares(
             self.errors,
             self.first,
@@ -259,9 +232,9 @@ class _OutputError:
             ftol=1e-8,
             xtol=1e-9,
             gtol=1e-9,
-            max_nfev=evaluations,
+            max_nfev=_EVALUATIONS,
         )
-        states = self.like.orders.na * len(self.runs)
+        states = self.orders.na * len(self.runs)
         freedom = fit.fun.size - fit.x.size - states
         variance = 2.0 * float(fit.cost) / freedom
         scale = np.linalg.norm(fit.jac, axis=0)

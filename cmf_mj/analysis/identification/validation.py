@@ -33,9 +33,11 @@ from scipy import signal, stats
 from cmf_mj.analysis.frequency_response import FrequencyResponse, excited_response
 from cmf_mj.analysis.identification.data import Experiment, Real, experiment
 from cmf_mj.analysis.identification.model import PolynomialModel
-from cmf_mj.analysis.response.spectra import SEGMENT
 from cmf_mj.core.errors import InputError
 from cmf_mj.record.record import Record
+
+CONFIDENCE = 0.99
+"""Probability of the bounds of a right model."""
 
 
 def fit_percentage(measured: ArrayLike, modelled: ArrayLike) -> Real:
@@ -78,10 +80,8 @@ def simulation_fit(model: PolynomialModel, experiment: Experiment) -> Real:
 
 def residuals(model: PolynomialModel, experiment: Experiment) -> Real:
     """What the model leaves of the outputs, (N - lag, ny): e (`equation`) or v (`output`)."""
-    modelled = (
-        simulated(model, experiment) if model.noise == "output" else model.predicted(experiment)
-    )
-    return (experiment.output - modelled)[model.orders.lag :]
+    modelled = simulated if model.noise == "output" else PolynomialModel.predicted
+    return (experiment.output - modelled(model, experiment))[model.orders.lag :]
 
 
 class Residuals(NamedTuple):
@@ -105,17 +105,10 @@ class Residuals(NamedTuple):
 
 
 def residual_analysis(
-    model: PolynomialModel,
-    experiment: Experiment,
-    row: int = 0,
-    *,
-    lags: int = 40,
-    confidence: float = 0.99,
+    model: PolynomialModel, experiment: Experiment, *, lags: int = 40
 ) -> Residuals:
-    """Correlate a model's residuals with themselves and with the inputs."""
-    if not 0.0 < confidence < 1.0:
-        raise InputError(f"confidence: {confidence} must be greater than 0 and less than 1")
-    e = residuals(model, experiment)[:, row]
+    """Correlate the residuals of a model's first output with themselves and with the inputs."""
+    e = residuals(model, experiment)[:, 0]
     if not 1 <= lags < e.size:
         raise InputError(f"lags: {lags}; allowed: 1 to {e.size - 1}")
     u = experiment.input[model.orders.lag :]
@@ -126,7 +119,7 @@ def residual_analysis(
     e = e / size
     u = u / np.sqrt(np.mean(u**2, axis=0))
     auto = _correlation(e, e, lags)
-    point = float(stats.norm.ppf(0.5 + 0.5 * confidence))
+    point = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE))
     drives = [_correlation(column, column, lags) for column in u.T]
     spread = np.array([1.0 + 2.0 * float(np.sum(auto[1:] * drive[1:])) for drive in drives])
     return Residuals(
@@ -148,40 +141,30 @@ RATE = 128.0
 """Sampling rate of the analysis [Hz], the facility recorder's."""
 
 
-def plant_response(
-    record: Record,
-    axis: str,
-    *,
-    output: str = "leg_velocity",
-    segment: float = SEGMENT,
-) -> FrequencyResponse:
-    """Response from the command at the valve to a leg signal along a leg or degree of freedom.
+def plant_response(record: Record, axis: str) -> FrequencyResponse:
+    """Response from the command at the valve to leg velocity along a leg or degree of freedom.
 
-    The record is of a chirp, noise or multisine along the axis, surge to yaw or leg_1 and so on;
-    `output` is a channel, `segment` the length of Welch's segments [s] for records that are not
-    periodic. Lines lie in the band of the excitation, in SI per full command; the coherence is the
-    lesser of reference to input and reference to output. Raises `InputError` without excitation
-    along the axis.
+    The record is of a chirp, noise or multisine along the axis, surge to yaw or leg_1 and so on.
+    Lines lie in the band of the excitation, in SI per full command; the coherence is the lesser of
+    reference to input and reference to output. Raises `InputError` without excitation.
     """
     # The analysis rate, or the record's where it is lower or no multiple.
     factor = record.rate / RATE
     rate = RATE if factor >= 1.0 and abs(factor - round(factor)) < 1e-9 else record.rate
-    series = experiment(record, axis, outputs=output, rate=rate)
+    series = experiment(record, axis, rate=rate)
     if series.reference is None or np.ptp(series.reference[:, 0]) < 1e-9:
         raise InputError(f"axis: the record holds no demand in {axis}")
     to_input, to_output = (
-        excited_response(series.reference[:, 0], values[:, 0], series.rate, record.signal, segment)
+        excited_response(series.reference[:, 0], values[:, 0], series.rate, record.signal)
         for values in (series.input, series.output)
     )
     response = to_output.response / to_input.response
-    share = to_output.radius / np.abs(to_output.response) + to_input.radius / np.abs(
-        to_input.response
-    )
+    shares = [each.radius / np.abs(each.response) for each in (to_output, to_input)]
     return FrequencyResponse(
         response,
         2.0 * np.pi * to_input.frequency,
         np.minimum(to_input.coherence, to_output.coherence),
-        share * np.abs(response),
+        (shares[0] + shares[1]) * np.abs(response),
         inputs=list(series.input_names),
         outputs=list(series.output_names),
     )

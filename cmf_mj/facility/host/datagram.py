@@ -16,6 +16,7 @@ octets, of octets 0 to 171. Who has not the key cannot make one, only repeat one
 refuses by its sequence number.
 """
 
+import struct
 import zlib
 from hashlib import blake2s
 from hmac import compare_digest
@@ -29,22 +30,9 @@ from cmf_mj.facility.host.stream import HostFrame
 MAGIC = b"CMFH"
 VERSION, KEYED_VERSION = 1, 2
 
-LAYOUT = np.dtype(
-    [
-        ("magic", "S4"),
-        ("version", "<u2"),
-        ("length", "<u2"),
-        ("sequence", "<u8"),
-        ("time", "<f8"),
-        ("pose", "<f8", 6),
-        ("velocity", "<f8", 6),
-        ("acceleration", "<f8", 6),
-        ("checksum", "<u4"),
-    ]
-)
-"""The layout above as a NumPy type."""
+_BODY, _SUM = struct.Struct("<4sHHQd18d"), struct.Struct("<I")
 
-SIZE = LAYOUT.itemsize
+SIZE = _BODY.size + _SUM.size
 
 TAG = 16
 """Octets that prove the session key."""
@@ -92,16 +80,14 @@ def encode(frame: HostFrame, key: bytes | None = None) -> bytes:
     """The datagram of a frame, with a session key or without."""
     if not 0 <= frame.sequence <= MOST_SEQUENCE:
         raise InputError(f"sequence: {frame.sequence} is refused; allowed: 0 to {MOST_SEQUENCE}")
-    row = np.zeros((), dtype=LAYOUT)
-    row["magic"], row["version"], row["length"] = MAGIC, *_form(key)
-    row["sequence"], row["time"] = frame.sequence, frame.time
+    motion = []
     for name in ("pose", "velocity", "acceleration"):
         values = np.asarray(getattr(frame, name), dtype=float)
         if values.shape != (6,):
             raise InputError(f"{name}: shape is {values.shape}; allowed: (6,)")
-        row[name] = values
-    row["checksum"] = zlib.crc32(row.tobytes()[:-4])
-    data = row.tobytes()
+        motion += values.tolist()
+    data = _BODY.pack(MAGIC, *_form(key), frame.sequence, frame.time, *motion)
+    data += _SUM.pack(zlib.crc32(data))
     return data if key is None else data + _tag(data, key)
 
 
@@ -123,23 +109,17 @@ def decode(data: bytes, key: bytes | None = None) -> HostFrame:
     if len(data) != size:
         raise DatagramError("wrong_length", f"{len(data)} octets; allowed: {size}")
     data, tag = data[:SIZE], data[SIZE:]
-    row = np.frombuffer(data, dtype=LAYOUT)[0]
-    if data[:4] != MAGIC:
-        raise DatagramError("wrong_magic", f"{data[:4]!r}; allowed: {MAGIC!r}")
-    if row["version"] != version:
-        raise DatagramError("wrong_version", f"{row['version']}; allowed: {version}")
-    if row["length"] != size:
-        raise DatagramError("wrong_length", f"field says {row['length']}; allowed: {size}")
+    magic, told, length, sequence, time, *motion = _BODY.unpack_from(data)
+    if magic != MAGIC:
+        raise DatagramError("wrong_magic", f"{magic!r}; allowed: {MAGIC!r}")
+    if told != version:
+        raise DatagramError("wrong_version", f"{told}; allowed: {version}")
+    if length != size:
+        raise DatagramError("wrong_length", f"field says {length}; allowed: {size}")
     if key is not None and not compare_digest(tag, _tag(data, key)):
         raise DatagramError("wrong_key", "the sender has not the key of this session")
-    if row["checksum"] != zlib.crc32(data[:-4]):
+    if _SUM.unpack_from(data, _BODY.size)[0] != zlib.crc32(data[: _BODY.size]):
         raise DatagramError("wrong_checksum", "octets were changed on the way")
-    if row["sequence"] > MOST_SEQUENCE:
-        raise DatagramError("wrong_sequence", f"{row['sequence']}; allowed: 0 to {MOST_SEQUENCE}")
-    return HostFrame(
-        int(row["sequence"]),
-        float(row["time"]),
-        np.array(row["pose"]),
-        np.array(row["velocity"]),
-        np.array(row["acceleration"]),
-    )
+    if sequence > MOST_SEQUENCE:
+        raise DatagramError("wrong_sequence", f"{sequence}; allowed: 0 to {MOST_SEQUENCE}")
+    return HostFrame(sequence, time, *np.array(motion).reshape(3, 6))

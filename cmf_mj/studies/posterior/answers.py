@@ -14,7 +14,7 @@ from scipy import stats
 from cmf_mj.analysis.published import published_results
 from cmf_mj.studies.posterior.evidence import HELD_OUT, observations, scatter
 from cmf_mj.studies.posterior.run import GROUPS, Results, column
-from cmf_mj.studies.posterior.sampling import effective_size, normalised, weighted_quantiles
+from cmf_mj.studies.posterior.sampling import normalised, weighted_quantiles
 
 Array = NDArray[np.float64]
 
@@ -124,13 +124,10 @@ def weights(results: Results, groups: Sequence[str] = GROUPS) -> Array:
     return normalised(np.sum([column(results.machines, "log_ratio"), *told], axis=0))
 
 
-def effective_machines(results: Results) -> float:
-    """Effective sample size of the posterior."""
-    return effective_size(weights(results))
-
-
-def _rows(table: Any, **equal: object) -> list[dict[str, Any]]:
-    return [r for r in table.to_pylist() if all(r[name] == value for name, value in equal.items())]
+def _both(results: Results, values: Array, times: int = 1) -> list[Array]:
+    """Quantiles under prior and posterior of values that each machine has `times`."""
+    every = weights(results, ()), weights(results)
+    return [weighted_quantiles(values, np.repeat(each, times), LEVELS) for each in every]
 
 
 def _by_machine(results: Results, name: str) -> dict[tuple[str, str], Array]:
@@ -143,8 +140,8 @@ def _by_machine(results: Results, name: str) -> dict[tuple[str, str], Array]:
 
 def stability(results: Results) -> list[Stability]:
     """How often each law is unstable with each cab."""
-    every, without = weights(results), [_without(results, group) for group in GROUPS]
-    prior, rows = weights(results, ()), []
+    every, prior, rows = weights(results), weights(results, ()), []
+    without = [weights(results, [one for one in GROUPS if one != left]) for left in GROUPS]
     verdicts = results.simulated.to_pylist()
     for (law, cab), stable in _by_machine(results, "stable").items():
         unstable = 1.0 - stable
@@ -162,21 +159,16 @@ def stability(results: Results) -> list[Stability]:
     return rows
 
 
-def _without(results: Results, group: str) -> Array:
-    return weights(results, [other for other in GROUPS if other != group])
-
-
 def changes(results: Results) -> list[Change]:
     """What each law changes in the pair's damping against `REFERENCE`."""
-    every, prior = weights(results), weights(results, ())
-    pairs, rows = _by_machine(results, "pair"), []
+    every, pairs, rows = weights(results), _by_machine(results, "pair"), []
     for (law, cab), damping in pairs.items():
         if law == REFERENCE or (REFERENCE, cab) not in pairs:
             continue
         change = damping - pairs[REFERENCE, cab]
-        spans = [weighted_quantiles(change, w, LEVELS) for w in (prior, every)]
-        same = float(every @ (np.sign(change) == np.sign(spans[1][1])))
-        rows.append(Change(law, cab, spans[0], spans[1], same))
+        prior, posterior = _both(results, change)
+        same = float(every @ (np.sign(change) == np.sign(posterior[1])))
+        rows.append(Change(law, cab, prior, posterior, same))
     return rows
 
 
@@ -185,20 +177,13 @@ def spans(results: Results) -> list[Span]:
     groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
     for row in results.measures.to_pylist():
         groups.setdefault((row["law"], row["cab"], row["dof"]), []).append(row)
-    names = Span._fields[4:]
-    return [
-        Span(
-            *key,
-            float(np.average(_of(rows, "stable"), weights=_of(rows, "count"))),
-            *(
-                weighted_quantiles(
-                    _of(rows, name), _of(rows, "count") * _of(rows, "stable"), LEVELS
-                )
-                for name in names
-            ),
-        )
-        for key, rows in groups.items()
-    ]
+    every = []
+    for key, rows in groups.items():
+        count, stable = _of(rows, "count"), _of(rows, "stable")
+        values = (_of(rows, name) for name in Span._fields[4:])
+        quantiles = (weighted_quantiles(each, count * stable, LEVELS) for each in values)
+        every.append(Span(*key, float(np.average(stable, weights=count)), *quantiles))
+    return every
 
 
 def _of(rows: Sequence[dict[str, Any]], name: str) -> Array:
@@ -218,7 +203,7 @@ def moved(results: Results) -> list[Moved]:
 
 def stability_map(results: Results, x: str, y: str, law: str, name: str) -> tuple[Array, ...]:
     """Damping ratio over two unknowns: the values of x (n,) and y (n,), and the map (n, n)."""
-    rows = _rows(results.points, about=f"{x} {y}", law=law)
+    rows = [r for r in results.points.to_pylist() if (r["about"], r["law"]) == (f"{x} {y}", law)]
     side = results.study.settings.grid
     grids = [np.array([row[key] for row in rows]).reshape(side, side) for key in (x, y, name)]
     return grids[0][:, 0], grids[1][0], grids[2]
@@ -245,34 +230,21 @@ def checks(results: Results) -> list[Check]:
 
     What is predicted of that one includes the scatter of printed damping ratios.
     """
-    every, prior = weights(results), weights(results, ())
-    rows = []
-    for one in observations():
-        made = column(results.machines, one.name)
-        quantiles = (weighted_quantiles(made, w, LEVELS) for w in (prior, every))
-        rows.append(Check(one.name, one.value, one.deviation, *quantiles))
-    name, error = f"{HELD_OUT}_damping_ratio", scatter()[2]
+    rows = [
+        Check(o.name, o.value, o.deviation, *_both(results, column(results.machines, o.name)))
+        for o in observations()
+    ]
+    name, error = f"{HELD_OUT}_damping_ratio", float(scatter()[2])
     errors = error * stats.norm.ppf((np.arange(_ERRORS) + 0.5) / _ERRORS)
     read = (column(results.machines, name)[:, None] + errors).ravel()
-    quantiles = (weighted_quantiles(read, np.repeat(w, _ERRORS), LEVELS) for w in (prior, every))
-    return [*rows, Check(name, held_out(), float(error), *quantiles)]
+    (told,) = (r for r in published_results() if (r.law, r.of) == (HELD_OUT, "hardware"))
+    assert told.damping_ratio is not None
+    return [*rows, Check(name, told.damping_ratio, error, *_both(results, read, _ERRORS))]
 
 
-def held_out() -> float:
-    """The result that is never used: the hardware's damping ratio with the integral."""
-    (row,) = (
-        row for row in published_results() if row.law == HELD_OUT and str(row.of) == "hardware"
-    )
-    assert row.damping_ratio is not None
-    return row.damping_ratio
-
-
-def ranges(results: Results) -> dict[str, tuple[Array, Array]]:
-    """Prior and posterior of each unknown at `LEVELS`."""
-    every, prior = weights(results), weights(results, ())
+def ranges(results: Results) -> dict[str, Array]:
+    """Posterior of each unknown at `LEVELS`."""
     return {
-        name: tuple(  # type: ignore[misc]
-            weighted_quantiles(column(results.machines, name), w, LEVELS) for w in (prior, every)
-        )
+        name: _both(results, column(results.machines, name))[1]
         for name in results.study.settings.unknowns
     }

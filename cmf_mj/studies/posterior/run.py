@@ -12,6 +12,7 @@ simulated.parquet  machines drawn from the posterior: verdicts of the simulation
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -76,20 +77,10 @@ class Results(NamedTuple):
     points: pa.Table
     simulated: pa.Table
 
-    @property
-    def weights(self) -> Array:
-        """Posterior weights of the machines, sum 1, (n,)."""
-        return column(self.machines, "weight")
-
 
 def column(table: pa.Table, name: str) -> Array:
     """A column as floats, NaN where it is empty."""
     return np.array(table[name].cast(pa.float64()).to_numpy(zero_copy_only=False))
-
-
-def load_results(study: PosteriorStudy, folder: Path) -> Results:
-    """The tables in a folder."""
-    return Results(study, *(read_table(folder / f"{name}.parquet") for name in TABLES))
 
 
 def run_posterior(
@@ -148,11 +139,11 @@ def run_posterior(
         sampling.resampled(posterior, settings.kept, settings.seed), return_counts=True
     )
     every -= settings.kept - len(kept)
-    chosen = [(_values(study, drawn[i]), int(i)) for i in kept]
+    chosen = [({name: drawn[i][name] for name in settings.unknowns}, int(i)) for i in kept]
     for (_, number), count, rows in zip(chosen, counts, run("kept", chosen), strict=True):
         for row in rows:
             tables[row.pop("table")].append(row | {"machine": number, "count": int(count)})
-    moved = _points(study, _median(study, drawn, posterior))
+    moved = _points(study, drawn, posterior)
     for (_, _, about), rows in zip(moved, run("point", moved), strict=True):
         tables["points"] += [row | {"about": about} for row in rows]
     order = np.random.default_rng([settings.seed, 4]).permutation(len(chosen))
@@ -160,9 +151,11 @@ def run_posterior(
     flights = [(*machine, cab.name) for machine in some for cab in study.cabs]
     for (_, number, _), rows in zip(flights, run("simulated", flights), strict=True):
         tables["simulated"] += [row | {"machine": number} for row in rows]
-    for name, rows in tables.items():
+    paths = (
         write_parquet(pa.Table.from_pylist(rows), journal.folder / f"{name}.parquet")
-    return load_results(study, journal.folder)
+        for name, rows in tables.items()
+    )
+    return Results(study, *map(read_table, paths))
 
 
 def _count(study: PosteriorStudy) -> int:
@@ -173,10 +166,6 @@ def _count(study: PosteriorStudy) -> int:
     return len(evidence.PRESSURES) + drawn + settings.kept + moved + flights
 
 
-def _values(study: PosteriorStudy, row: Row) -> dict[str, float]:
-    return {name: row[name] for name in study.settings.unknowns}
-
-
 def _likelihood(drawn: Sequence[Row], group: str, force: Array) -> Array:
     """Logarithm of the likelihood of every machine by a group of evidence."""
     if group == "three_g":
@@ -185,39 +174,24 @@ def _likelihood(drawn: Sequence[Row], group: str, force: Array) -> Array:
     return np.array([row[f"log_{group}"] for row in drawn])
 
 
-def _median(study: PosteriorStudy, drawn: Sequence[Row], weights: Array) -> dict[str, float]:
-    middle = np.array([0.5])
-    return {
-        name: float(
-            sampling.weighted_quantiles(np.array([row[name] for row in drawn]), weights, middle)[0]
-        )
-        for name in study.settings.unknowns
-    }
-
-
 def _points(
-    study: PosteriorStudy, median: dict[str, float]
+    study: PosteriorStudy, drawn: Sequence[Row], weights: Array
 ) -> list[tuple[dict[str, float], None, str]]:
     """The median machine, with one unknown at the ends of its range, or two on a grid."""
-    unknowns = study.settings.unknowns
-    moved: list[tuple[dict[str, float], None, str]] = [(median, None, "median")]
-    moved += [
-        (median | {name: float(one.at(q))}, None, f"{name} {end}")
-        for name, one in unknowns.items()
-        for end, q in (("low", 0.05), ("high", 0.95))
-    ]
+    unknowns, median = study.settings.unknowns, {}
+    for name in unknowns:
+        values = np.array([row[name] for row in drawn])
+        median[name] = float(sampling.weighted_quantiles(values, weights, np.array(0.5)))
+    moved: list[tuple[dict[str, Any], str]] = [({}, "median")]
+    for name, one in unknowns.items():
+        moved += [
+            ({name: one.at(q)}, f"{name} {end}") for end, q in (("low", 0.05), ("high", 0.95))
+        ]
     sides = np.linspace(0.0, 1.0, study.settings.grid)
     for x, y in MAPS:
-        moved += [
-            (median | {x: float(unknowns[x].at(p)), y: float(unknowns[y].at(q))}, None, f"{x} {y}")
-            for p in sides
-            for q in sides
-        ]
-    return moved
-
-
-def _force(task: Task) -> list[Row]:
-    return [{"g": evidence.oscillation_g(task.values["psi"])}]
+        ends = [(unknowns[x].at(p), unknowns[y].at(q)) for p, q in product(sides, sides)]
+        moved += [({x: across, y: up}, f"{x} {y}") for across, up in ends]
+    return [(median | {n: float(v) for n, v in new.items()}, None, about) for new, about in moved]
 
 
 def _drawn(task: Task) -> list[Row]:
@@ -242,9 +216,7 @@ def _drawn(task: Task) -> list[Row]:
     return [row, *_dampings(machines, task.laws)]
 
 
-@lru_cache
-def _shipped(law: str) -> Law:
-    return load_law(law)
+_shipped = lru_cache(load_law)
 
 
 def _dampings(machines: Mapping[str, Machine], laws: Sequence[Law]) -> list[Row]:
@@ -309,7 +281,7 @@ def _simulated(task: Task) -> list[Row]:
 
 
 _ASK: dict[str, Callable[[Task], list[Row]]] = {
-    "force": _force,
+    "force": lambda task: [{"g": evidence.oscillation_g(task.values["psi"])}],
     "drawn": _drawn,
     "kept": _kept,
     "point": _point,
