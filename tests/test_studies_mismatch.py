@@ -195,20 +195,6 @@ def test_shares_have_wilsons_interval() -> None:
     assert effects.share([]).machines == 0
 
 
-def test_the_interval_of_a_mean_holds_it_as_often_as_it_says() -> None:
-    """400 samples of ten: 95 % within three standard errors."""
-    generator = np.random.default_rng(0)
-    covered = 0
-    for _ in range(400):
-        interval = effects.mean(generator.normal(3.0, 2.0, 10))
-        covered += interval.low <= 3.0 <= interval.high
-    assert covered / 400 == pytest.approx(0.95, abs=3.0 * np.sqrt(0.95 * 0.05 / 400))
-    assert effects.mean([1.0, np.nan, 3.0])[:1] == (2.0,)
-    assert np.isnan(effects.mean([np.nan]).value)
-    assert effects.mean([2.0, 2.0])[:3] == (2.0, 2.0, 2.0)
-    assert np.isnan(effects.mean([2.0]).low)
-
-
 def test_damped_counts_the_overshoot_of_a_damping_ratio_of_three_tenths() -> None:
     """exp(-pi 0.3 / sqrt(1 - 0.09)) = 0.3723."""
     assert effects.damped({"stable": True, "overshoot": 0.372})

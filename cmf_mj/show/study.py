@@ -11,7 +11,7 @@ from cmf_mj.analysis.measures import Measures
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.comparison import phase_text
 from cmf_mj.show.look import COLOURS, new_figure, save_files
-from cmf_mj.show.table import Cell, Table, number
+from cmf_mj.show.table import Table, number
 from cmf_mj.studies.effects import (
     Interval,
     Row,
@@ -42,14 +42,7 @@ def _percent(share: Interval) -> str:
 def rate_table(table: pa.Table) -> Table:
     """Shares of machines that are stable, and damped in each degree of freedom [%]."""
     names = ("cab", "law", "stable %", *(f"{dof} damped %" for dof in DOFS))
-    rows: list[tuple[Cell, ...]] = [
-        (
-            *(rate.cab, rate.law, _percent(rate.stable)),
-            *(_percent(rate.damped[dof]) for dof in DOFS),
-            rate.mode_damping.value,
-        )
-        for rate in rates(table)
-    ]
+    rows = [(cab, law, *map(_percent, shares), least) for cab, law, shares, least in rates(table)]
     return Table("", (*names, ("least mode damping", ".3f")), rows)
 
 
@@ -59,11 +52,7 @@ def agreement_table(table: pa.Table) -> Table:
         *("law", ("machines", "d"), ("same verdict", "d")),
         *(("-90 deg: median difference [Hz]", ".2f"), ("zeta", ".2f")),
     )
-    rows = [
-        (each.law, each.machines, each.verdicts, each.phase_hz, each.damping_ratio)
-        for each in agreement(table)
-    ]
-    return Table("", columns, rows)
+    return Table("", columns, agreement(table))
 
 
 def measure_table(table: pa.Table) -> Table:
@@ -90,16 +79,11 @@ def _cell(row: Row) -> str:
 
 def climb_table(table: pa.Table) -> Table:
     """Share of each effect: median change over the laws, a row a rung."""
-    steps = climb(table)
-    by_place = {(step.rung, step.dof): step for step in steps}
-    dofs, rungs = (list(dict.fromkeys(getattr(s, name) for s in steps)) for name in ("dof", "rung"))
-    forms = [(name, "+.1f" if name == "peak_gain_db" else "+.2f") for name, _ in _MEASURES]
-    rows = []
-    for rung in rungs:
-        line = (by_place[rung, dof] for dof in dofs)
-        changes = (" / ".join(number(getattr(s, name), form) for name, form in forms) for s in line)
-        rows.append([rung, *changes])
-    return Table("", ("adds", *dofs), rows)
+    rows: dict[str, list[str]] = {}
+    for (rung, _), changes in climb(table).items():
+        text = " / ".join(map(number, changes, ("+.2f", "+.1f", "+.2f", "+.2f")))
+        rows.setdefault(rung, [rung]).append(text)
+    return Table("", ("adds", *in_order(rows_of(table), "dof")), list(rows.values()))
 
 
 def _value(row: Row | None, name: str) -> float:

@@ -1,7 +1,6 @@
 """What a finished study says: shares, effects and agreement, as plain rows.
 
-Each function takes the table of results and gives named tuples, one a line of a table. A share of
-machines has Wilson's score interval, a mean Student's t interval.
+Each function takes the table of results. A share of machines has Wilson's score interval.
 """
 
 from collections.abc import Iterable
@@ -37,40 +36,6 @@ class Interval(NamedTuple):
     machines: int  #: How many it rests on.
 
 
-class Rate(NamedTuple):
-    """How often a law stays stable and damped with one cab."""
-
-    cab: str
-    law: str
-    stable: Interval  #: Share of machines that are stable.
-    damped: dict[str, Interval]
-    """Share of machines that are stable and overshoot no more than at `ENOUGH_DAMPING`, by degree
-    of freedom."""
-    mode_damping: Interval  #: Mean of the least damping ratio of all modes.
-
-
-class Agreement(NamedTuple):
-    """Linear cases compared with the same ones simulated."""
-
-    law: str
-    machines: int  #: How many are compared.
-    verdicts: int  #: Of them with the same verdict.
-    phase_hz: float
-    """Median of |simulated - linear| of the -90 deg bandwidth, all degrees of freedom [Hz]."""
-    damping_ratio: float  #: Median of |simulated - linear| of the damping ratio from the overshoot.
-
-
-class Climb(NamedTuple):
-    """What one rung of the ladder changes in a degree of freedom, median over the laws."""
-
-    rung: str
-    dof: str
-    phase_bandwidth_hz: float
-    peak_gain_db: float
-    damping_ratio: float
-    crosstalk: float  #: Of the largest crosstalk out of this degree of freedom.
-
-
 def share(outcomes: ArrayLike) -> Interval:
     """Share of true outcomes, (n,), with its interval."""
     flags = np.asarray(outcomes, dtype=bool)
@@ -78,17 +43,6 @@ def share(outcomes: ArrayLike) -> Interval:
         return Interval(float("nan"), 0.0, 1.0, 0)
     bounds = stats.binomtest(int(flags.sum()), flags.size).proportion_ci(LEVEL, method="wilson")
     return Interval(float(flags.mean()), float(bounds.low), float(bounds.high), flags.size)
-
-
-def mean(values: ArrayLike) -> Interval:
-    """Mean of values (n,), those that are NaN left out; no interval from fewer than two."""
-    known = np.asarray(values, dtype=float)
-    known = known[~np.isnan(known)]
-    middle = float(known.mean()) if known.size else float("nan")
-    half = float("nan")
-    if known.size > 1:
-        half = float(stats.t.ppf(0.5 + 0.5 * LEVEL, known.size - 1) * stats.sem(known))
-    return Interval(middle, middle - half, middle + half, known.size)
 
 
 def rows_of(table: pa.Table, **equal: object) -> list[Row]:
@@ -110,25 +64,22 @@ def damped(row: Row) -> bool:
     return bool(row["stable"] and row["overshoot"] <= _MOST_OVERSHOOT)
 
 
-def _drawn(table: pa.Table) -> list[Row]:
-    return [row for row in rows_of(table, method="linear") if row["draw"] != NOMINAL]
+def rates(table: pa.Table) -> list[tuple[str, str, list[Interval], float]]:
+    """How often each law stays stable and damped over the machines drawn, a line a cab and law.
 
-
-def rates(table: pa.Table) -> list[Rate]:
-    """How often each law stays stable and damped, by cab, over the machines drawn."""
-    rows, every = _drawn(table), []
+    The shares are of machines that are stable, and of those that are `damped` in each degree of
+    freedom; the number is the mean of the least damping ratio of all modes.
+    """
+    rows = [row for row in rows_of(table, method="linear") if row["draw"] != NOMINAL]
+    every = []
     for cab, law in product(in_order(rows, "cab"), in_order(rows, "law")):
         chosen = [row for row in rows if (row["cab"], row["law"]) == (cab, law)]
         machines = [row for row in chosen if row["dof"] == DOFS[0]]
-        every.append(
-            Rate(
-                cab,
-                law,
-                share([row["stable"] for row in machines]),
-                {dof: share([damped(r) for r in chosen if r["dof"] == dof]) for dof in DOFS},
-                mean([row["mode_damping_ratio"] for row in machines]),
-            )
-        )
+        shares = [share([row["stable"] for row in machines])]
+        shares += [share([damped(r) for r in chosen if r["dof"] == dof]) for dof in DOFS]
+        modes = np.array([row["mode_damping_ratio"] for row in machines], dtype=float)
+        known = modes[~np.isnan(modes)]
+        every.append((cab, law, shares, float(known.mean()) if known.size else float("nan")))
     return every
 
 
@@ -141,10 +92,12 @@ def _differences(pairs: Iterable[Pair], name: str) -> NDArray[np.float64]:
     return np.array([one[name] - other[name] for one, other in pairs], dtype=float)
 
 
-def agreement(table: pa.Table) -> list[Agreement]:
+def agreement(table: pa.Table) -> list[tuple[str, int, int, float, float]]:
     """Linear cases against the same ones simulated, law by law.
 
-    A machine is compared by its verdict: simulated, it is unstable where any step rings on.
+    Machines compared, and those with the same verdict: simulated, one is unstable where any step
+    rings on. Medians of |simulated - linear| over all degrees of freedom of the -90 deg bandwidth
+    [Hz] and of the damping ratio from the overshoot.
     """
     linear = {_where(row): row for row in rows_of(table, method="linear")}
     simulated = {_where(row): row for row in rows_of(table, method="matrix")}
@@ -160,7 +113,7 @@ def agreement(table: pa.Table) -> list[Agreement]:
             _median(np.abs(_differences(_stable(pairs.values()), name)))
             for name in ("phase_bandwidth_hz", "damping_ratio")
         )
-        rows.append(Agreement(law, len(same), sum(same), phase, damping))
+        rows.append((law, len(same), sum(same), phase, damping))
     return rows
 
 
@@ -173,23 +126,27 @@ def _median(values: NDArray[np.float64]) -> float:
     return float(np.median(known)) if known.size else float("nan")
 
 
-def climb(table: pa.Table) -> list[Climb]:
-    """What each rung changes against the one before, by degree of freedom."""
+def climb(table: pa.Table) -> dict[tuple[str, str], list[float]]:
+    """What each rung changes against the one before, by rung and degree of freedom.
+
+    Medians over the laws of -90 deg [Hz], peak [dB], damping ratio, and of the largest crosstalk
+    out of the degree of freedom.
+    """
     rows = rows_of(table)
     by_case = {(row["rung"], row["law"], row["dof"], row["cab"]): row for row in rows}
-    steps = []
+    steps = {}
     for (before, rung), dof in product(pairwise(in_order(rows, "rung")), in_order(rows, "dof")):
         both = _stable(
             (row, by_case[before, law, dof, cab])
             for (name, law, moved, cab), row in by_case.items()
             if (name, moved) == (rung, dof) and (before, law, dof, cab) in by_case
         )
-        phase, peak, damping = (
-            _median(_differences(both, name))
+        changes = [
+            _differences(both, name)
             for name in ("phase_bandwidth_hz", "peak_gain_db", "damping_ratio")
-        )
-        worst = np.array([largest_crosstalk(a) - largest_crosstalk(b) for a, b in both])
-        steps.append(Climb(rung, dof, phase, peak, damping, _median(worst)))
+        ]
+        changes.append(np.array([largest_crosstalk(a) - largest_crosstalk(b) for a, b in both]))
+        steps[rung, dof] = [_median(change) for change in changes]
     return steps
 
 
