@@ -339,10 +339,6 @@ def test_crew_acceleration_is_that_of_the_crew_point(dof: str) -> None:
     largest = np.abs(acceleration[rows]).max()
     difference = record["crew_acceleration"][1:-1][rows] - acceleration[rows]
     assert largest > 0.3 and np.abs(difference).max() < 0.03 * largest
-    felt = record["crew_accelerometer"]
-    kept = np.linalg.norm(felt, axis=1).max()
-    peaks = (result.specific_force.before.value, result.specific_force.after.value)
-    assert kept <= max(peaks) < 1.05 * kept
 
 
 @pytest.mark.parametrize("cab", ["gfd", "rfd", "ifd"])

@@ -115,7 +115,6 @@ def test_each_rung_differs_from_the_one_before_in_one_thing() -> None:
         assert set(rung.effects) - set(before.effects) == {rung.name}
         assert set(before.effects) < set(rung.effects)
     top = LADDER[-1]
-    assert LADDER[-2].command_delay == 0 and top.command_delay == MACHINE.command_delay == 1
     assert MACHINE.linear
     assert not top.linear
     assert not LADDER[0].linear
@@ -128,8 +127,6 @@ def test_supply_and_friction_of_the_rungs() -> None:
     rubbing = rung_named("friction").hydraulics(HARDWARE)
     assert rubbing.coulomb_friction == lossy.coulomb_friction
     assert rubbing.hysteresis == HARDWARE.hysteresis
-    assert rung_named("electronics").electronics_settings(3) is not None
-    assert rung_named("friction").electronics_settings(3) is None
 
 
 def test_what_is_left_of_the_legs_keeps_pins_closed_and_the_step_fine_enough() -> None:

@@ -78,8 +78,6 @@ def _columns(result: FailureResult) -> dict[str, object]:
         ("crew_acceleration_before_m_s2", result.acceleration.before),
         ("crew_acceleration_free_m_s2", result.acceleration.free),
         ("crew_acceleration_after_m_s2", result.acceleration.after),
-        ("crew_specific_force_before_m_s2", result.specific_force.before),
-        ("crew_specific_force_after_m_s2", result.specific_force.after),
         ("chamber_pressure_most_pa", result.pressure_peak),
         ("chamber_pressure_least_pa", result.pressure_least),
         ("supply_pressure_least_pa", result.supply_least),

@@ -100,7 +100,7 @@ class Case:
     def label(self) -> str:
         """Name for files."""
         parts = (self.plant, self.cab_name, self.hydraulics.name, self.law.name, self.dof)
-        return "-".join(part for part in parts if part)
+        return "-".join(filter(None, parts))
 
     def build(self) -> Plant:
         """A new plant."""
@@ -213,14 +213,8 @@ def small_motion(case: Case) -> Measures:
         return Measures()
     plant = case.build()
     try:
-        loop = loop_between(
-            plant,
-            linearize(plant, case.pose),
-            case.law,
-            case.pose,
-            case.dof,
-            command_delay=case.command_delay,
-        )
+        system, delay = linearize(plant, case.pose), case.command_delay
+        loop = loop_between(plant, system, case.law, case.pose, case.dof, command_delay=delay)
     except InputError:
         return Measures()
     return measure_loop(loop, frequencies=np.linspace(0.1, 10.0, 1000))

@@ -65,13 +65,8 @@ class Comparison:
         lines = []
         for result in self.results:
             case, printed = result.case, published_result(result)
-            line: list[Any] = [
-                case.plant,
-                case.cab_name,
-                case.hydraulics.name,
-                case.law.name,
-                case.dof,
-            ]
+            line: list[Any] = [case.plant, case.cab_name, case.hydraulics.name]
+            line += [case.law.name, case.dof]
             line += [getattr(result.measures, name) for name in MEASURED]
             line.append(result.small_motion_phase_hz)
             line += [getattr(printed, name, None) for name in PUBLISHED]

@@ -30,7 +30,7 @@ from functools import cache, lru_cache
 from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import pyarrow as pa
 from joblib import Parallel, delayed, parallel_config
@@ -76,7 +76,13 @@ class Journal:
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / SPECIFICATION
         if path.exists():
-            there, here = _entries(_specification(path)), _entries(identity)
+            try:
+                content = parsed_json(path.read_bytes(), str(path))
+            except OSError as error:
+                raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+            if not isinstance(content, dict):
+                raise InputError(f"{path}: is not the specification of a study")
+            there, here = _entries(content), _entries(identity)
             names = sorted(there.keys() | here.keys())
             differing = [name for name in names if there.get(name) != here.get(name)]
             if differing:
@@ -124,17 +130,7 @@ def _checksum(text: bytes) -> bytes:
     return b"%08x " % zlib.crc32(text)
 
 
-def _specification(path: Path) -> dict[str, Any]:
-    try:
-        content = parsed_json(path.read_bytes(), str(path))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: is not the specification of a study")
-    return content
-
-
-def _entries(identity: dict[str, Any]) -> dict[str, Any]:
+def _entries(identity: Any) -> dict[str, Any]:
     """What an identity says, the entries of its tables by path."""
     return {
         f"{name}.{key}" if key else name: entry
@@ -186,16 +182,8 @@ class WorkerDied(RuntimeError):
     """The process that ran a task ended: killed, out of memory, or crashed."""
 
 
-class Task(Protocol):
-    """One thing to compute, everything in it that a worker needs."""
-
-    @property
-    def number(self) -> int:
-        """Its place among the tasks of the study, from 0."""
-
-
 class Work(NamedTuple):
-    """How tasks become rows."""
+    """How tasks become rows; a task holds all that a worker needs, and its `number` from 0."""
 
     evaluate: Callable[[Any, dict[str, Any]], list[Row]]
     """Rows of a task; the dictionary is shared by tasks that run together."""
@@ -214,13 +202,12 @@ def libraries() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def attempt(tasks: Sequence[Task], work: Work) -> list[tuple[int, list[Row]]]:
+def attempt(tasks: Sequence[Any], work: Work) -> list[tuple[int, list[Row]]]:
     """Run tasks one after the other; what one raises becomes its rows.
 
     With one thread of linear algebra, since sums in another order have other bits.
     """
-    results = []
-    shared: dict[str, Any] = {}
+    results, shared = [], dict[str, Any]()
     for task in tasks:
         try:
             with libraries().limit(limits=1):
@@ -245,9 +232,11 @@ class Workers:
         if not 1 <= self.jobs <= MOST_JOBS:
             raise InputError(f"jobs: {self.jobs} must be at least 1 and at most {MOST_JOBS}")
         check_name("backend", self.backend, get_args(Backend))
-        if self.scheduler is not None and self.backend != "dask":
-            raise InputError(f"scheduler: {self.scheduler} needs backend dask, not {self.backend}")
         if self.scheduler is not None:
+            if self.backend != "dask":
+                raise InputError(
+                    f"scheduler: {self.scheduler} needs backend dask, not {self.backend}"
+                )
             if not (address := _ADDRESS.fullmatch(self.scheduler)):
                 allowed = "allowed: an address such as tcp://host:8786"
                 raise InputError(f"scheduler: {self.scheduler!r} is refused; {allowed}")
@@ -260,14 +249,14 @@ class Workers:
 
 def run_tasks(
     journal: Journal,
-    tasks: Sequence[Task],
+    tasks: Sequence[Any],
     work: Work,
     workers: Workers,
     progress: Progress | None = None,
 ) -> None:
     """Run the tasks that the journal has no result of."""
 
-    def pending() -> list[Task]:
+    def pending() -> list[Any]:
         return [task for task in tasks if task.number not in journal.results]
 
     def report() -> None:
@@ -305,9 +294,8 @@ def run_study(
     Finished cases in `folder` are not run again; `workers` as for `Workers`. The rows, in the order
     of the cases, also go to `results.parquet`.
     """
-    how = Workers(**workers)
+    how, cases = Workers(**workers), study.cases
     journal = Journal(Path(folder), study.identity())
-    cases = study.cases
     run_tasks(journal, cases, CASES, how, progress)
     columns: dict[str, list[Any]] = {name: [] for name in SCHEMA.names}
     for case in cases:
@@ -323,10 +311,6 @@ def _evaluated(case: StudyCase, shared: dict[str, Any]) -> list[Row]:
     return [row.columns for row in evaluate(case, shared)]
 
 
-def _failed(error: BaseException) -> list[Row]:
-    return [failed(error).columns]
-
-
 def _machine(case: StudyCase) -> Hashable:
     """The laws of a machine that is linearised run together: it is linearised once."""
     if case.method != "linear":
@@ -334,11 +318,11 @@ def _machine(case: StudyCase) -> Hashable:
     return case.rung, case.case.cab, case.case.pose, case.draw
 
 
-CASES = Work(_evaluated, _failed, _machine)
+CASES = Work(_evaluated, lambda error: [failed(error).columns], _machine)
 """Work of a study of cases."""
 
 
-def _results(tasks: Sequence[Task], work: Work, jobs: int) -> Iterator[tuple[int, list[Row]]]:
+def _results(tasks: Sequence[Any], work: Work, jobs: int) -> Iterator[tuple[int, list[Row]]]:
     """What tasks give, as they finish."""
     together = [list(group) for _, group in groupby(tasks, work.machine)]
     pool = Parallel(
@@ -357,12 +341,9 @@ def _started(workers: Workers) -> Iterator[int]:
         with parallel_config(backend=backend, n_jobs=jobs, **options):
             yield jobs
         return
-    local = {"n_workers": jobs, "threads_per_worker": 1, "processes": True}
-    options = (
-        {"address": workers.scheduler}
-        if workers.scheduler
-        else {**local, "dashboard_address": None}
-    )
+    options = {"n_workers": jobs, "threads_per_worker": 1, "dashboard_address": None}
+    if workers.scheduler:
+        options = {"address": workers.scheduler}
     with require("distributed", "cluster").Client(**options) as client:
         count = max(1, sum(client.nthreads().values()))
         with parallel_config(backend=backend, n_jobs=count, client=client):

@@ -35,6 +35,7 @@ from cmf_mj.analysis.measures import (
 )
 from cmf_mj.analysis.response.welch import welch_response
 from cmf_mj.analysis.step_response import measure_step, step_metrics
+from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.binding import bound
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.plant import Plant
@@ -117,11 +118,9 @@ def evaluate(
         errors = mismatch.draw_gain_errors(plant.legs, *key)
     if study_case.method == "linear":
         return _linear(study_case, plant, errors, {} if shared is None else shared)
-    case = replace(
-        case,
-        electronics=with_gain_errors(errors) or rung.electronics_settings(study.seed),
-        command_delay=rung.command_delay,
-    )
+    noisy = ElectronicsSettings(seed=study.seed) if "electronics" in rung.effects else None
+    delay, chain = int("delay" in rung.effects), with_gain_errors(errors) or noisy
+    case = replace(case, electronics=chain, command_delay=delay)
     if study_case.method == "matrix":
         return _matrix(case, plant, study_case.sizes, study.seed)
     sweep, step = case.sweep_and_step(plant)
@@ -144,15 +143,9 @@ def _sweep_crosstalk(sweep: Record, case: Case) -> Gains:
             moved = dof_history(sweep, "leg_extension", other)[begin:]
         except ValueError:
             return _NONE
-        response = welch_response(
-            demand - demand[0],
-            moved - moved[0],
-            sweep.rate,
-            segment=case.segment,
-            band=(0.2, BAND[1]),
-            pad=True,
-        )
-        responses.append(response.response)
+        x, y, length, band = demand - demand[0], moved - moved[0], case.segment, (0.2, BAND[1])
+        estimate = welch_response(x, y, sweep.rate, segment=length, band=band, pad=True)
+        responses.append(estimate.response)
     index = DOFS.index(case.dof)
     gains = np.abs(responses).max(axis=1) * REPORT_AMPLITUDES[index] / REPORT_AMPLITUDES
     gains[index] = np.nan
@@ -172,9 +165,7 @@ def _linear(
     for channel, error in errors.items():
         for name, part in zip(labels((channel,), plant.legs), error, strict=True):
             system.C[system.output_labels.index(name)] *= 1.0 + part
-    delay = rung_named(study_case.rung).command_delay
-    law = bound(case.law, plant)
-    loop = pose_loop(closed_loop(law, system, command_delay=delay), plant, case.pose)
+    loop = pose_loop(closed_loop(bound(case.law, plant), system), plant, case.pose)
     measures, response = loop_measures(loop)
     if response is None:
         return [StudyRow(dof, one, _NONE) for dof, one in zip(DOFS, measures, strict=True)]
@@ -183,10 +174,7 @@ def _linear(
     gains = 1.0 + errors.get("leg_position", np.zeros(plant.legs))
     true = np.linalg.solve(jacobian, jacobian / gains[:, None])
     shares = crosstalk(np.einsum("ij,jkf->ikf", true, response), REPORT_AMPLITUDES)
-    return [
-        StudyRow(dof, one, shares[:, i])
-        for i, (dof, one) in enumerate(zip(DOFS, measures, strict=True))
-    ]
+    return [StudyRow(*row) for row in zip(DOFS, measures, shares.T, strict=True)]
 
 
 def loop_measures(

@@ -14,7 +14,7 @@ from cmf_mj.analysis.linear.operating_point import OperatingPoint, operating_poi
 from cmf_mj.analysis.linear.poles import Mode, modes
 from cmf_mj.analysis.linear.reduction import dof_model, leg_model, pose_loop, reduced
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.errors import check_name
 from cmf_mj.facility.binding import bound
 from cmf_mj.machine.dof import dof_index
 from cmf_mj.plant.plant import Plant
@@ -50,30 +50,20 @@ def linearization_study(
     load_law(law)
     point = operating_point(plant, pose)
     system = linearize(plant, at=point)
-    systems = {name: _signal_model(system, plant, pose, name) for name in signals}
+    legs, systems = [f"leg_{leg + 1}" for leg in range(plant.legs)], {}
+    for name in signals:
+        if name.startswith("leg_"):
+            leg = legs.index(check_name("dof", name, legs)) + 1
+            systems[name] = reduced(leg_model(system, leg), outputs=["leg_position"])
+        else:
+            systems[name] = reduced(dof_model(system, plant, pose, name), outputs=[name])
     loops = {name: loop_between(plant, system, law, pose, name) for name in signals}
     return LinearizationStudy(
-        plant,
-        pose,
-        law,
-        point,
-        system,
-        modes(system, plant, pose),
+        *(plant, pose, law, point, system, modes(system, plant, pose)),
         {name: loop_response(model, FREQUENCIES) for name, model in systems.items()},
         {name: loop_response(loop, FREQUENCIES) for name, loop in loops.items()},
         all(bool(np.abs(loop.poles()).max() < 1.0) for loop in loops.values()),
     )
-
-
-def _signal_model(
-    system: control.StateSpace, plant: Plant, pose: NDArray[np.float64], signal: str
-) -> control.StateSpace:
-    """Position per command of a degree of freedom, or of a leg, `leg_1` and so on; SISO."""
-    if not signal.startswith("leg_"):
-        return reduced(dof_model(system, plant, pose, signal), outputs=[signal])
-    if not signal[4:].isdecimal():
-        raise InputError(f"dof: {signal!r} is not one of leg_1 to leg_{plant.legs}")
-    return reduced(leg_model(system, int(signal[4:])), outputs=["leg_position"])
 
 
 def loop_between(

@@ -56,7 +56,6 @@ class MachineCheck(NamedTuple):
     envelope: NDArray[np.float64]  #: Single-axis excursions [m, rad], (6, 2).
     gap: float  #: Largest gap of a gimbal over the envelope [m].
     conditioning: tuple[float, float]  #: At neutral, at worst over the envelope.
-    worst_pose: NDArray[np.float64]  #: Where it is worst [m, rad], (6,).
     stall: tuple[float, float]  #: Force of a cylinder pushing and pulling [N].
     cabs: tuple[CabCheck, ...]
     statuses: dict[str, list[str]]  #: Fields of the file by status.
@@ -66,9 +65,7 @@ class MachineCheck(NamedTuple):
 def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
     """Look at a machine with all its cabs.
 
-    Raises:
-        InputError: the machine cannot be built: refused hydraulics, law or cab; or a cab cannot be
-            held at neutral.
+    Raises `InputError` for one that cannot be built, or with a cab that cannot be held at neutral.
     """
     plants = [Hexapod(load_cab(name, machine)) for name in machine.cab_names]
     bound(load_law(machine.law), plants[0].law_key)
@@ -109,7 +106,6 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
         excursion_envelope(None, machine),
         max(gaps),
         (conditions[0], conditions[worst]),
-        looked_at[worst],
         (cap * high - rod * low, rod * high - cap * low),
         cabs,
         _by_status(machine),
@@ -132,14 +128,8 @@ def _cab(plant: Hexapod, limits: MotionLimits, faults: list[str]) -> CabCheck:
             f"limits.leg.velocity asks for {asked:.4g} m/s; allowed: at most what the valves give"
         )
     assert plant.cab_parameters is not None
-    return CabCheck(
-        plant.cab,
-        plant.cab_parameters.payload.mass,
-        load,
-        speed,
-        asymptotes(plant, "heave").pump_flow,
-        plant.hydraulic_modes().frequency_hz,
-    )
+    mass, modes = plant.cab_parameters.payload.mass, plant.hydraulic_modes().frequency_hz
+    return CabCheck(plant.cab, mass, load, speed, asymptotes(plant, "heave").pump_flow, modes)
 
 
 def _pose(pose: NDArray[np.float64]) -> str:
@@ -149,16 +139,15 @@ def _pose(pose: NDArray[np.float64]) -> str:
 
 def _by_status(machine: Machine) -> dict[str, list[str]]:
     """Fields of a machine's own table by status, in order."""
-    found: dict[str, list[str]] = {}
+    fields: dict[str, list[str]] = {}
 
-    def walk(table: dict[str, Any], path: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+    def walk(table: dict[str, Any], path: tuple[str, ...]) -> None:
         if "status" in table:
-            yield str(table["status"]), ".".join(path)
+            fields.setdefault(str(table["status"]), []).append(".".join(path))
             return
         for name, entry in table.items():
             if isinstance(entry, dict):
-                yield from walk(entry, (*path, name))
+                walk(entry, (*path, name))
 
-    for status, field in walk(machine.model_dump(mode="json", exclude_none=True), ()):
-        found.setdefault(status, []).append(field)
-    return found
+    walk(machine.model_dump(mode="json", exclude_none=True), ())
+    return fields

@@ -48,7 +48,6 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name, unknown_name, within
 from cmf_mj.core.settings import Settings, read_toml, validated
-from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.geometry import DOFS
@@ -101,12 +100,7 @@ class Rung:
     @property
     def linear(self) -> bool:
         """Whether a linearisation of it exists."""
-        return not {"friction", "electronics"} & set(self.effects) and self.command_delay > 0
-
-    @property
-    def command_delay(self) -> int:
-        """Frames from the control law to the valves."""
-        return int("delay" in self.effects)
+        return "delay" in self.effects and not {"friction", "electronics"} & set(self.effects)
 
     def hydraulics(self, base: HydraulicParameters) -> HydraulicParameters:
         """The hydraulic set of the rung."""
@@ -121,20 +115,11 @@ class Rung:
         chosen, parameters = load_cab(cab), self.hydraulics(hydraulics)
         if "point_mass" not in self.effects:
             return SingleLegs(parameters, machine=chosen.machine)
-        if "leg_inertia" in self.effects:
-            return Hexapod(chosen, parameters)
-        return Hexapod(
-            lumped(
-                chosen,
-                inertia=1.0 if "payload_inertia" in self.effects else SMALL,
-                centre_of_mass="centre_of_mass" in self.effects,
-            ),
-            parameters,
-        )
-
-    def electronics_settings(self, seed: int = 0) -> ElectronicsSettings | None:
-        """Sensors and electronics of the rung."""
-        return ElectronicsSettings(seed=seed) if "electronics" in self.effects else None
+        if "leg_inertia" not in self.effects:
+            inertia = 1.0 if "payload_inertia" in self.effects else SMALL
+            centre = "centre_of_mass" in self.effects
+            chosen = lumped(chosen, inertia=inertia, centre_of_mass=centre)
+        return Hexapod(chosen, parameters)
 
 
 EFFECTS = (

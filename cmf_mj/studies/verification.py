@@ -29,12 +29,8 @@ from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 
-FREQUENCY = (0.7, 1.1, 1.6, 2.1, 2.7, 3.3)
-"""Of the valve sines, leg by leg [Hz]."""
-AMPLITUDE = (0.20, 0.15, 0.12, 0.10, 0.08, 0.06)
-"""Of the valve sines, fractions."""
-PHASE = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)
-"""Of the valve sines [rad]."""
+FREQUENCY, AMPLITUDE = (0.7, 1.1, 1.6, 2.1, 2.7, 3.3), (0.20, 0.15, 0.12, 0.10, 0.08, 0.06)
+"""Of the valve sines, leg by leg [Hz], fractions."""
 
 ENGINES = ("mujoco", "exudyn")
 
@@ -75,7 +71,7 @@ class Verification(NamedTuple):
 def valve_sines(seconds: float) -> NDArray[np.float64]:
     """Six different sines as valve commands, fractions, (N, 6) at 2048 Hz."""
     time = np.arange(round(seconds * RATE))[:, None] / RATE
-    return np.array(AMPLITUDE) * np.sin(2.0 * np.pi * np.array(FREQUENCY) * time + np.array(PHASE))
+    return np.array(AMPLITUDE) * np.sin(2.0 * np.pi * np.array(FREQUENCY) * time + np.arange(6.0))
 
 
 def in_mujoco(

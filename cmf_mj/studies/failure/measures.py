@@ -4,8 +4,8 @@ Before and after the event, at the full frame rate:
 
     axial leg load       cylinder force plus force of the mechanical stop on the rod; the multiple
                          is that of the same leg's static load at the start
-    crew specific force  f at the crew's heads, what an accelerometer there reads
-    crew acceleration    a = R f + g: rotation of the platform included, gravity removed
+    crew acceleration    a = R f + g, f what an accelerometer at the crew's heads reads: rotation of
+                         the platform included, gravity removed
 
 The final state is one of these:
 
@@ -88,7 +88,6 @@ class FailureResult(NamedTuple):
     static_load: NDArray[np.float64]  #: Axial loads at the start [N], (6,).
     load: Phases  #: Largest axial leg load [N], by size; negative pulls.
     acceleration: Phases  #: Largest crew acceleration [m/s^2].
-    specific_force: Phases  #: Largest specific force on the crew [m/s^2]; 1 g at rest.
     detected_by: str | None  #: First fault detected; None if there was none.
     detection_time: float | None
     """Time from the event to the fault [s]; negative for a false alarm."""
@@ -151,7 +150,6 @@ def measure(
         static_load=record["leg_force"][0].copy(),
         load=phases(load),
         acceleration=phases(np.linalg.norm(acceleration, axis=1)),
-        specific_force=phases(np.linalg.norm(force, axis=1)),
         detected_by=fault and fault["name"],
         detection_time=fault and fault["time"] - event.at,
         state=state,

@@ -122,7 +122,10 @@ def run_posterior(
             number = len(drawn)
             drawn.append(rows[0] | {"machine": number})
             tables["damping"] += [row | {"machine": number} for row in rows[1:]]
-        told = {group: _likelihood(drawn, group, np.array(force)) for group in GROUPS}
+        pressures = np.array([row["supply_pressure"] for row in drawn])
+        swings = evidence.oscillation_likelihood(pressures, np.array(force))
+        told = {g: np.array([row.get(f"log_{g}", 0.0) for row in drawn]) for g in GROUPS}
+        told["three_g"] = swings
         ratio = sampling.log_ratio(points, rounds)
         weights = np.sum(list(told.values()), axis=0) + ratio
         if len(rounds) == settings.rounds - 1:
@@ -164,14 +167,6 @@ def _count(study: PosteriorStudy) -> int:
     flights = settings.simulated * len(study.cabs)
     drawn = settings.rounds * settings.draws
     return len(evidence.PRESSURES) + drawn + settings.kept + moved + flights
-
-
-def _likelihood(drawn: Sequence[Row], group: str, force: Array) -> Array:
-    """Logarithm of the likelihood of every machine by a group of evidence."""
-    if group == "three_g":
-        pressures = np.array([row["supply_pressure"] for row in drawn])
-        return evidence.oscillation_likelihood(pressures, force)
-    return np.array([row[f"log_{group}"] for row in drawn])
 
 
 def _points(
@@ -289,12 +284,8 @@ _ASK: dict[str, Callable[[Task], list[Row]]] = {
 }
 
 
-def _evaluate(task: Task, shared: Mapping[str, Any]) -> list[Row]:
-    return _ASK[task.kind](task)
-
-
 def _refused(error: BaseException) -> list[Row]:
     raise error
 
 
-_WORK = Work(_evaluate, _refused, lambda task: task.number)
+_WORK = Work(lambda task, _: _ASK[task.kind](task), _refused, lambda task: task.number)
