@@ -425,7 +425,7 @@ WAVE = sines((1.0,), 10.0)
         (lambda: welch_response(FLAT, FLAT, RATE, segment=2.0), "input 1 is zero"),
         (lambda: report_response(WAVE, WAVE, RATE, segments=1), "segments: 1; allowed: at least 2"),
         (lambda: periodic_response(WAVE, WAVE, RATE, 0.99), "not a whole number"),
-        (lambda: periodic_response(WAVE, WAVE, RATE, 10.0), "1 periods leave none"),
+        (lambda: periodic_response(WAVE, WAVE, RATE, 10.0), "period: the record has 1 of 10.0 s"),
         (lambda: periodic_response(FLAT, WAVE, RATE, 1.0), "no line is driven"),
         (lambda: sine_response(WAVE, WAVE, RATE, 32.0), "below 32.0 Hz"),
         (lambda: sine_response(WAVE, WAVE, RATE, 0.05), "no whole cycle of 0.05 Hz"),
@@ -440,10 +440,3 @@ WAVE = sines((1.0,), 10.0)
 def test_bad_input_is_named(call: Callable[[], Estimate], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         call()
-
-
-def test_an_estimate_is_read_only() -> None:
-    x = multisine(ODD, 1)
-    estimate = periodic_response(x, x, RATE, 10.0)
-    with pytest.raises(ValueError, match="read-only"):
-        estimate.response[0] = 0.0

@@ -59,7 +59,7 @@ def test_a_pose_reads_in_inches_and_degrees() -> None:
         (("--pose", "1,2"), "pose: '1,2' has 2 numbers"),
         (("--pose", "a,0,0,0,0,0"), "must be six numbers"),
         (("--hydraulics", "lossy"), "overlap: "),
-        (("--dofs", "leg_9"), "leg: 9 is not one of 1 to 6"),
+        (("--dofs", "leg_9"), "dof: 'leg_9' is not one of leg_1, leg_2"),
         (("--dofs", "twist"), "twist"),
         (("--pose", "0,0,-60,0,0,0"), "pose: puts leg"),
     ],

@@ -218,11 +218,7 @@ def _band(command: Signal, rate: float, segment: float) -> tuple[float, float]:
 
 
 def rounds_response(
-    records: Sequence[Record],
-    dof: str | None = None,
-    *,
-    segment: float = SEGMENT,
-    estimator: Estimator = "h1",
+    records: Sequence[Record], dof: str | None = None, *, estimator: Estimator = "h1"
 ) -> FrequencyResponse:
     """One response from several records of single sines, such as the facility's five rounds.
 
@@ -247,9 +243,10 @@ def rounds_response(
     ]
     if max(np.ptp(x) for x, _ in pairs) < NO_DEMAND:
         raise InputError(f"dof: the records hold no demand in {chosen}")
+    band = (2.0 / SEGMENT, _HIGHEST)
     if estimator == "report":
         x, y = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
-        return _wrapped(report_response(x, y, rates[0], band=(2.0 / segment, _HIGHEST)))
+        return _wrapped(report_response(x, y, rates[0], band=band))
     if all(record.signal.dwells for record in records):
         fits = []
         for record, (x, y) in zip(records, pairs, strict=True):
@@ -265,11 +262,9 @@ def rounds_response(
     x, y = (
         np.concatenate([part - part[0] for part in parts]) for parts in zip(*pairs, strict=True)
     )
-    estimate = welch_response(
-        x, y, rates[0], segment=segment, band=(2.0 / segment, _HIGHEST), pad=True
-    )
-    _, power = signal.welch(x, rates[0], nperseg=round(segment * rates[0]))
-    spectrum = np.interp(estimate.frequency, np.arange(power.size) / segment, power)
+    estimate = welch_response(x, y, rates[0], band=band, pad=True)
+    _, power = signal.welch(x, rates[0], nperseg=round(SEGMENT * rates[0]))
+    spectrum = np.interp(estimate.frequency, np.arange(power.size) / SEGMENT, power)
     kept = spectrum > DRIVEN_SHARE * spectrum.max()
     return _wrapped(estimate, kept)
 
@@ -287,13 +282,7 @@ def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
     demand, feedback = (
         legs_to_pose(record[name][whole], machine) for name in ("leg_reference", "leg_position")
     )
-    estimate = matrix_response(
-        demand,
-        feedback,
-        record.rate,
-        command.period,
-        band=command.band,
-    )
+    estimate = matrix_response(demand, feedback, record.rate, command.period, band=command.band)
     return control.FrequencyResponseData(
         np.moveaxis(estimate.response, 0, -1),
         2.0 * np.pi * estimate.frequency,

@@ -45,7 +45,7 @@ class Noise(NamedTuple):
     fundamental: float  #: A1 [unit of the signal].
     low_harmonics: float  #: Harmonics 2 and 3.
     high_harmonics: float
-    """Harmonics 4 and up, to the highest below half the sampling rate or `highest`."""
+    """Harmonics 4 to 20, or to the highest below half the sampling rate."""
     stochastic: float  #: What is left.
     total: float  #: Root sum of squares of the three shares.
     peak: float  #: Largest deviation from the fundamental over A1.
@@ -76,14 +76,12 @@ def harmonics(samples: Signal, rate: float, frequency: float, count: int) -> Har
     )
 
 
-def acceleration_noise(
-    acceleration: Signal, rate: float, frequency: float, *, highest: int = 20
-) -> Noise:
+def acceleration_noise(acceleration: Signal, rate: float, frequency: float) -> Noise:
     """Split the acceleration of a sinusoidal motion into fundamental, harmonics and noise.
 
     Cut to whole cycles of `frequency` [Hz] from the end. Half-hertz noise is this at 0.5 Hz over
-    amplitude. `highest` is the highest harmonic counted, less where the sampling rate allows less;
-    it must allow the third.
+    amplitude. Harmonics count to the twentieth, less far where the sampling rate allows less; it
+    must allow the third.
     """
     cycles = int(np.floor(acceleration.size * frequency / rate + 1e-9))
     if cycles < 1:
@@ -91,7 +89,7 @@ def acceleration_noise(
             f"frequency: {frequency} Hz has no whole cycle in {acceleration.size} samples"
         )
     cut = acceleration[-round(cycles * rate / frequency) :]
-    count = min(highest, int(np.ceil(rate / 2 / frequency)) - 1)
+    count = min(20, int(np.ceil(rate / 2 / frequency)) - 1)
     if count < 3:
         raise InputError(f"rate: {rate} Hz must exceed {6.0 * frequency} Hz to show harmonic 3")
     fit = harmonics(cut, rate, frequency, count)
@@ -180,20 +178,19 @@ class SecondOrder(NamedTuple):
     residual: float  #: Rms of the complex misfit over rms of the response.
 
 
-def fit_second_order(
-    frequency: Signal, response: NDArray[np.complex128], *, highest: float | None = None
-) -> SecondOrder:
+def fit_second_order(frequency: Signal, response: NDArray[np.complex128]) -> SecondOrder:
     """Fit a second-order system with delay to a response by least squares on the complex misfit.
 
-    Lines [Hz] and response are (K,); `highest` is the last line used [Hz], default 1.5 times the
-    first fall through -90 deg.
+    Lines [Hz] and response are (K,); those up to 1.5 times the first fall through -90 deg count.
     """
     phase = np.degrees(np.unwrap(np.angle(response)))
     late = np.flatnonzero(phase < -90.0)
     turn = float(frequency[late[0]]) if late.size else float(frequency[-1])
-    used = frequency <= (highest if highest is not None else 1.5 * turn)
+    used = frequency <= 1.5 * turn
     if np.count_nonzero(used) < 4:
-        raise InputError(f"highest: only {np.count_nonzero(used)} lines lie below it; 4 are needed")
+        raise InputError(
+            f"frequency: {np.count_nonzero(used)} lines up to 1.5 times -90 deg, not 4"
+        )
     s = 2j * np.pi * frequency[used]
     measured = response[used]
 
@@ -212,18 +209,15 @@ def fit_second_order(
     )
 
 
-def correlation_delay(
-    demand: Signal, response: Signal, rate: float, *, longest: float = 2.0
-) -> float:
+def correlation_delay(demand: Signal, response: Signal, rate: float) -> float:
     """Delay of the response [s]: lag of the largest cross-correlation, parabola through the peak.
 
-    Means are removed. `longest` is the largest delay looked for [s], less than the period of a
-    periodic demand.
+    Means are removed. It is looked for up to 2 s, less than the period of a periodic demand.
     """
     x, y = demand - demand.mean(), response - response.mean()
     correlation = signal.correlate(y, x, method="fft")
     lags = signal.correlation_lags(y.size, x.size)
-    near = np.abs(lags) <= min(round(longest * rate), x.size // 2)
+    near = np.abs(lags) <= min(round(2.0 * rate), x.size // 2)
     # Over the samples that overlap: the sum alone would pull the peak towards no lag.
     values = correlation[near] / (x.size - np.abs(lags[near]))
     peak = int(values.argmax())
@@ -235,12 +229,10 @@ def correlation_delay(
     return float((lags[near][peak] + shift) / rate)
 
 
-def transient_delay(
-    demand: Signal, response: Signal, rate: float, *, longest: float = 0.5
-) -> float:
-    """Delay that brings a demand closest to its response, offset and gain left free [s].
+def transient_delay(demand: Signal, response: Signal, rate: float) -> float:
+    """Delay up to 0.5 s that brings a demand closest to its response, offset and gain free [s].
 
-    The demand is at rest at the start; `longest` is the largest delay looked for [s].
+    The demand is at rest at the start.
     """
     time = np.arange(demand.size) / rate
     spline = interpolate.make_interp_spline(time, demand, k=3)
@@ -249,7 +241,7 @@ def transient_delay(
         shifted = spline(np.maximum(time - delay, 0.0))
         return -float(np.corrcoef(shifted, response)[0, 1])
 
-    tried = np.linspace(0.0, longest, 26)
+    tried = np.linspace(0.0, 0.5, 26)
     near = tried[int(np.argmin([unlike(delay) for delay in tried]))]
     step = tried[1]
     bounds = (max(near - step, 0.0), near + step)

@@ -15,6 +15,7 @@ the operational limits (Table 2-1) whose legs stay within their working stroke (
 """
 
 from collections.abc import Callable
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -159,14 +160,8 @@ def over_envelope(
     poses = envelope_poses(plant, samples, seed=seed)
     looked_at = tuple(plant.hydraulic_modes(pose) for pose in poses)
     lowest_ones = np.array([modes.frequency_hz[0] for modes in looked_at])
-    tell = progress or (lambda done, total: None)
+    tell, done = progress or (lambda done, total: None), count(2)
     tell(1, rounds + 1)
-    done = 1
-
-    def passed(intermediate_result: optimize.OptimizeResult) -> None:
-        nonlocal done
-        done += 1
-        tell(min(done, rounds), rounds + 1)
 
     def lowest(pose: NDArray[np.float64]) -> float:
         # Beyond the mechanical stroke there is no plant to ask.
@@ -181,7 +176,7 @@ def over_envelope(
         maxiter=rounds,
         tol=1e-6,
         rng=np.random.default_rng(seed),
-        callback=passed,
+        callback=lambda intermediate_result: tell(min(next(done), rounds), rounds + 1),
         polish=False,
     )
     tell(rounds + 1, rounds + 1)

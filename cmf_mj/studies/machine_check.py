@@ -12,7 +12,6 @@ speed, and the heave speed amplitude whose mean flow is the pump's
 modes          hydraulic modes at neutral
 """
 
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np

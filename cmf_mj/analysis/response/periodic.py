@@ -39,15 +39,9 @@ def fit_sines(values: ArrayLike, angle: ArrayLike, *, drift: bool = False) -> Si
 
 
 def periodic_response(
-    x: ArrayLike,
-    y: ArrayLike,
-    rate: float,
-    period: float,
-    *,
-    transient: int = 1,
-    lines: ArrayLike | None = None,
+    x: ArrayLike, y: ArrayLike, rate: float, period: float, *, lines: ArrayLike | None = None
 ) -> Estimate:
-    """Response to a periodic input, averaged over whole periods: no leakage, no window.
+    """Response to a periodic input, averaged over whole periods but the first: no leakage.
 
     The scatter from period to period is noise (Pintelon and Schoukens, System Identification, 2nd
     ed., chapter 4). With G_p of period p, var = sum_p |G_p - G|^2 / (P (P - 1)).
@@ -57,7 +51,7 @@ def periodic_response(
     more than `DRIVEN` of its largest amplitude. State them where the input was measured.
     """
     spectra_x, spectra_y = (
-        spectra.period_spectra(each, rate, period, transient) for each in spectra.as_pair(x, y)
+        spectra.period_spectra(each, rate, period) for each in spectra.as_pair(x, y)
     )
     power = np.mean(np.abs(spectra_x) ** 2, axis=0)
     chosen = _orders(lines, power.size) if lines is not None else _driven(power)
@@ -67,16 +61,15 @@ def periodic_response(
     periods = xs.shape[0]
     power_x = np.mean(np.abs(xs) ** 2, axis=0)
     response = np.mean(np.conj(xs) * ys, axis=0) / power_x
-    noise = _variance(np.sum(np.abs(ys - response * xs) ** 2, axis=0) / power_x, periods)
+    squares = np.sum(np.abs(ys - response * xs) ** 2, axis=0) / power_x
+    noise = squares / (periods * (periods - 1)) if periods > 1 else np.full_like(squares, np.nan)
     cross = np.abs(np.mean(np.conj(xs) * ys, axis=0)) ** 2
-    return spectra.frozen(
-        Estimate(
-            chosen / period,
-            response,
-            spectra.share_of(cross, power[chosen] * np.mean(np.abs(ys) ** 2, axis=0)),
-            spectra.confidence_radius(noise, periods - 1.0),
-            np.full(chosen.size, float(periods)),
-        )
+    return Estimate(
+        chosen / period,
+        response,
+        spectra.share_of(cross, power[chosen] * np.mean(np.abs(ys) ** 2, axis=0)),
+        spectra.confidence_radius(noise, periods - 1.0),
+        np.full(chosen.size, float(periods)),
     )
 
 
@@ -87,13 +80,12 @@ def sine_response(
     frequency: ArrayLike,
     *,
     settle: float = 0.0,
-    harmonics: int = 3,
 ) -> Estimate:
     """Response at the frequency of a sine, or of several in one run, by least squares.
 
-    A constant, the sines and their harmonics up to `harmonics` are fitted at once to whole cycles
-    of the lowest, so that neither an offset nor a harmonic reaches the response. The noise at a
-    line is the mean power of the residual on the `NEIGHBOURS` lines about it.
+    A constant, the sines and their harmonics up to the third are fitted at once to whole cycles of
+    the lowest, so that neither an offset nor a harmonic reaches the response. The noise at a line
+    is the mean power of the residual on the `NEIGHBOURS` lines about it.
 
     x and y are (N,), `frequency` [Hz] a number or (K,), `settle` the time to drop before the first
     cycle [s]. Raises `InputError` for frequencies out of range or too close, no whole cycle, no
@@ -113,7 +105,7 @@ def sine_response(
         raise InputError(
             f"frequency: {chosen} Hz are closer than the {resolution:.3g} Hz the record resolves"
         )
-    sines = _with_harmonics(chosen, harmonics, resolution, 0.5 * rate)
+    sines = _with_harmonics(chosen, resolution, 0.5 * rate)
     angle = 2.0 * np.pi * np.outer(np.arange(size) / rate, sines)
     both = np.column_stack([xs, ys])[begin : begin + size]
     fit = fit_sines(both, angle)
@@ -126,14 +118,12 @@ def sine_response(
     power, count = _near(residual, chosen / resolution, sines / resolution)
     noise = power / (0.5 * size * amplitude) ** 2
     explained = np.abs(response) ** 2
-    return spectra.frozen(
-        Estimate(
-            chosen,
-            response,
-            spectra.share_of(explained, explained + np.nan_to_num(noise)),
-            spectra.confidence_radius(noise, count),
-            count + 1.0,
-        )
+    return Estimate(
+        chosen,
+        response,
+        spectra.share_of(explained, explained + np.nan_to_num(noise)),
+        spectra.confidence_radius(noise, count),
+        count + 1.0,
     )
 
 
@@ -154,11 +144,6 @@ def _orders(lines: ArrayLike, size: int) -> NDArray[np.intp]:
     return np.sort(orders)
 
 
-def _variance(squares: Real, count: int) -> Real:
-    """Variance of a mean of `count` values from the sum of squared deviations; NaN for one."""
-    return squares / (count * (count - 1)) if count > 1 else np.full_like(squares, np.nan)
-
-
 def _near(power: Real, chosen: Real, fitted: Real) -> tuple[Real, Real]:
     """Mean of `power` over the lines next to each chosen one that no sine lies on, and how many."""
     order = np.arange(power.size)
@@ -168,10 +153,10 @@ def _near(power: Real, chosen: Real, fitted: Real) -> tuple[Real, Real]:
     return np.array(means), np.array([float(lines.size) for lines in near])
 
 
-def _with_harmonics(chosen: Real, harmonics: int, resolution: float, top: float) -> Real:
+def _with_harmonics(chosen: Real, resolution: float, top: float) -> Real:
     """The chosen frequencies, then those of their harmonics that are clear of all others."""
     sines = list(chosen)
-    for frequency in np.outer(np.arange(2, harmonics + 1), chosen).ravel():
+    for frequency in np.outer([2, 3], chosen).ravel():
         clear = min(abs(frequency - other) for other in sines) > 0.5 * resolution
         if clear and frequency < top - 0.5 * resolution:
             sines.append(frequency)
@@ -184,22 +169,20 @@ def matrix_response(
     rate: float,
     period: float,
     *,
-    transient: int = 1,
     band: tuple[float, float] | None = None,
 ) -> Estimate:
     """Response matrix from several inputs to several outputs, H = S_yx S_xx^-1 at each line.
 
     `inputs` are (N, nu) of one run with interleaved lines, each driven by one input, `outputs`
-    (N, ny). Spectra are taken over whole periods [s] after `transient` ones. A column is known at
-    its own lines; straight lines in the complex plane join these (error up to the spacing squared
+    (N, ny). Spectra are taken over whole periods [s] after the first. A column is known at its own
+    lines; straight lines in the complex plane join these (error up to the spacing squared
     times H''/8, which `radius` does not hold), and outside them it is NaN. A line driven by several
     inputs needs as many periods that differ.
 
     The response is (K, ny, nu), its radius alike, the multiple coherence (K, ny).
     """
     spectra_x, spectra_y = (
-        spectra.period_spectra(x.T, rate, period, transient).transpose(2, 0, 1)
-        for x in (inputs, outputs)
+        spectra.period_spectra(x.T, rate, period).transpose(2, 0, 1) for x in (inputs, outputs)
     )
     power = np.sum(np.abs(spectra_x) ** 2, axis=2)
     power[0] = 0.0
@@ -225,7 +208,7 @@ def matrix_response(
         known = driven[:, j]
         response[:, i, j] = _between(frequency, frequency[known], response[known, i, j])
         radius[:, i, j] = _between(frequency, frequency[known], radius[known, i, j]).real
-    return spectra.frozen(Estimate(frequency, response, coherence, radius, averages))
+    return Estimate(frequency, response, coherence, radius, averages)
 
 
 def stitch(estimates: Sequence[Estimate]) -> Estimate:
@@ -250,8 +233,7 @@ def stitch(estimates: Sequence[Estimate]) -> Estimate:
         else:
             kept.append(int(i))
 
-    parts = (np.concatenate(part)[kept] for part in zip(*rounds, strict=True))
-    return spectra.frozen(Estimate(*parts))
+    return Estimate(*(np.concatenate(part)[kept] for part in zip(*rounds, strict=True)))
 
 
 def _between(frequency: Real, known: Real, values: ArrayLike) -> Complex:

@@ -45,7 +45,7 @@ NEIGHBOURS = 16
 
 
 class Estimate(NamedTuple):
-    """A frequency response with what is known about its error; arrays are read-only."""
+    """A frequency response with what is known about its error."""
 
     frequency: Real  #: Lines [Hz], (K,), ascending.
     response: Complex
@@ -85,18 +85,15 @@ def segment_correlation(window: Real, hop: int, measured: NDArray[np.bool_]) -> 
     return correlation / np.sum(window**2)
 
 
-def period_spectra(x: Real, rate: float, period: float, transient: int) -> Complex:
-    """Spectra (..., P, F) of the whole periods of x (..., N) after the transient ones."""
+def period_spectra(x: Real, rate: float, period: float) -> Complex:
+    """Spectra (..., P, F) of the whole periods of x (..., N) after the first, the transient."""
     size = round(period * rate)
     if size < 3 or abs(size - period * rate) > 1e-6:
         raise InputError(f"period: {period} s is not a whole number of samples at {rate} Hz")
     count = x.shape[-1] // size
-    if not 0 <= transient < count:
-        raise InputError(
-            f"transient: {transient} of the record's {count} periods leave none; allowed: 0 to "
-            f"{count - 1}"
-        )
-    whole = x[..., transient * size : count * size]
+    if count < 2:
+        raise InputError(f"period: the record has {count} of {period} s; allowed: at least 2")
+    whole = x[..., size : count * size]
     return np.asarray(np.fft.rfft(whole.reshape(*whole.shape[:-1], -1, size), axis=-1))
 
 
@@ -175,11 +172,3 @@ def share_of(part: Real, whole: Real, empty: float = 0.0) -> Real:
     """Part over whole, 0 to 1, and `empty` where there is nothing."""
     some = whole > 0.0
     return np.where(some, np.clip(part / np.where(some, whole, 1.0), 0.0, 1.0), empty)
-
-
-def frozen(estimate: Estimate) -> Estimate:
-    """The estimate, its arrays made read-only."""
-    for values in estimate:
-        if isinstance(values, np.ndarray):
-            values.setflags(write=False)
-    return estimate

@@ -1,6 +1,6 @@
 """Responses by averaged segments: Welch's method and the report's routine."""
 
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,6 @@ def welch_response(
     estimator: Estimator = "h1",
     segment: float = SEGMENT,
     overlap: float = 0.75,
-    window: Any = "hann",
     band: tuple[float, float] | None = None,
     pad: bool = False,
 ) -> Estimate:
@@ -50,7 +49,7 @@ def welch_response(
     hop, rest = max(length - int(overlap * length), 1), length if pad else 0
     both = np.pad(np.stack([xs, ys]), ((0, 0), (rest, rest)))
     measured = np.pad(np.ones(xs.size, dtype=bool), rest)
-    taper = signal.get_window(window, length)
+    taper = signal.get_window("hann", length)
     frequency = spectra.line_frequencies(length, rate)
     chosen = spectra.within(frequency, band, 1.5 / segment)
     lines = spectra.transform(both, taper, hop, length)[chosen]
@@ -106,7 +105,7 @@ def _single(
 ) -> Estimate:
     response, coherence, radius, averages = spectra.least_squares(x, y, correlation)
     estimate = Estimate(frequency, response[:, 0, 0], coherence[:, 0], radius[:, 0, 0], averages)
-    return from_h1(spectra.frozen(estimate), estimator)
+    return from_h1(estimate, estimator)
 
 
 def from_h1(estimate: Estimate, estimator: Estimator) -> Estimate:
@@ -124,4 +123,4 @@ def from_h1(estimate: Estimate, estimator: Estimator) -> Estimate:
         inverse = 1.0 / estimate.coherence
         factor = {"h2": inverse, "hv": np.sqrt(inverse), "report": 0.5 * (1.0 + inverse)}[estimator]
         scaled = {name: getattr(estimate, name) * factor for name in ("response", "radius")}
-        return spectra.frozen(estimate._replace(**scaled))
+        return estimate._replace(**scaled)
