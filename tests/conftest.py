@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from figures import check_readable
+from figures import check_readable, check_title
 from hypothesis import settings
 from lengths import LONG, WHOLE
 from matplotlib.figure import Figure
@@ -21,6 +21,7 @@ from matplotlib.text import Text
 from shared import FOLDER
 
 from cmf_mj.analysis.ledger import LedgerEntry, load_ledger
+from cmf_mj.show import look
 
 settings.register_profile(LONG)
 settings.register_profile(WHOLE)
@@ -76,6 +77,19 @@ def entry(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> It
     monkeypatch.setattr(LedgerEntry, "figure", tracked)
     yield found
     assert asked == {row.name for row in found.figures}
+
+
+@pytest.fixture(scope="session", autouse=True)
+def titled() -> Iterator[None]:
+    """No figure of the package is saved without a quantity in its title, in whichever test."""
+
+    def checked(figure: Figure, target: Any, **options: Any) -> None:
+        check_title(figure, str(target))
+        Figure.savefig(figure, target, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(look._Figure, "savefig", checked)
+        yield
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 """What a figure must do, whatever it shows: name its axes, and have its curves in view."""
 
+import re
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,21 @@ def in_view(axes: Axes, x: Any, y: Any) -> float:
     (left, right), (low, high) = sorted(axes.get_xlim()), sorted(axes.get_ylim())
     across = y[(x >= left) & (x <= right) & np.isfinite(y)]
     return float(np.mean((across >= low) & (across <= high))) if across.size else 0.0
+
+
+QUANTITIES = re.compile(
+    r"acceleration|bandwidth|compensator|correlation|damping|demand|deviation|energy|engines|error|"
+    r"excursion|force|frames|frequency|function|gain|leg|machine|mass|mode|motion|moved|overshoot|"
+    r"phase|poles|poses|position|pressure|response|shares|sine|stability|stable|step|sweep|valve",
+    re.IGNORECASE,
+)
+"""Words of which a title has one: what is drawn, not only of what."""
+
+
+def check_title(figure: Figure, name: str) -> None:
+    """A title says which quantity is drawn."""
+    titles = [figure.get_suptitle(), *(axes.get_title() for axes in figure.axes)]
+    assert QUANTITIES.search(" ".join(titles)), f"{name}: no quantity in its titles {titles}"
 
 
 def check_readable(figure: Figure, name: str) -> None:

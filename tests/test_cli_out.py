@@ -86,6 +86,7 @@ def test_what_cannot_be_written_is_refused_before_the_work(tmp_path: Path) -> No
 def test_a_title_with_dollar_signs_is_no_formula(tmp_path: Path, title: str) -> None:
     """Such a title is drawn as it stands; powers of ten at the ticks stay formulas."""
     figure = new_figure(3.0, 3.0)
+    figure.suptitle("gain")
     axes = figure.subplots()
     axes.set(title=title, xlabel=title, xscale="log", xlim=(1.0, 1e9))
     axes.plot([1.0, 1e9], [0.0, 1.0], label=title)

@@ -49,7 +49,7 @@ def test_terminal_shows_brackets_and_writes_a_repeated_name_once() -> None:
 def test_the_same_figure_gives_the_same_bits(kind: str, tmp_path: Path) -> None:
     paths = []
     for name in ("a", "b"):
-        figure, gain, _ = bode_axes("title", limits=True)
+        figure, gain, _ = bode_axes("gain", limits=True)
         gain.plot([0.1, 1.0], [0.0, -3.0], label="line")
         paths.append(save_figure(figure, tmp_path / name / f"bode.{kind}"))
         assert not figure.axes
@@ -60,7 +60,7 @@ def test_the_same_figure_gives_the_same_bits(kind: str, tmp_path: Path) -> None:
 
 def test_a_figure_that_fails_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="nonsense"):
-        save_figure(new_figure(1.0, 1.0), tmp_path / "bad.nonsense")
+        save_figure(bode_axes("gain")[0], tmp_path / "bad.nonsense")
     assert not list(tmp_path.iterdir())
 
 

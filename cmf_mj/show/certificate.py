@@ -60,5 +60,6 @@ def certificate_figure(certificates: Sequence[Certificate]) -> Figure:
     axes.set(yticks=place, xlim=(0.0, most), xlabel="scale of the unit box")
     axes.set_yticklabels([f"{one.law}, {one.cab}" for one in certificates])
     axes.invert_yaxis()
+    axes.set_title("Boxes of machines that are proven stable", pad=28)
     look.legend(axes, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return figure

@@ -74,6 +74,7 @@ def perceived_figure(error: CueingError, first: str, second: str) -> Figure:
         axis.plot(time, apart[:, i], color=ORANGE, linewidth=0.8, label="error")
     panels[2].set_ylabel(f"{_TITLES[2]}\nless the start")
     _finish(figure, panels)
+    figure.suptitle("Specific force and angular rate as sensed")
     return figure
 
 
@@ -155,6 +156,10 @@ def motion_figure(flown: Cue) -> Figure:
         for axis in axes[3:].flat:
             shade(axis, time, flown.limited)
         axes[3, 0].set_title("shaded: held back by the limits", fontsize=9)
+    figure.suptitle(
+        "Specific force and angular rate of both pilots, pose and legs: "
+        f"washout {flown.settings.name}"
+    )
     return figure
 
 

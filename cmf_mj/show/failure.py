@@ -122,7 +122,8 @@ def failure_figure(result: FailureResult) -> Figure:
     pressures.plot(time, record["supply_pressure"] / units.PSI, label="supply", linewidth=0.9)
     about, state = record.metadata, result.state.replace("_", " ")
     legs.set(
-        title=f"{label(result).replace('-', ' ')}: {state}\n{about['law']} in {result.dof}, "
+        title=f"Legs, crew and pressures after {label(result).replace('-', ' ')}: {state}\n"
+        f"{about['law']} in {result.dof}, "
         f"{about['cab']}, {about['hydraulics']}, {_setting(result)}",
         xlim=(max(time[0], -4.0), time[-1]),
     )

@@ -65,6 +65,7 @@ def learning_figure(learnt: Learning, others: Array) -> Figure:
         machines.semilogy(1e3 * errors, "o", label=label)
     machines.set(xlabel="other machine", ylabel=f"legs below {BAND:g} Hz, rms [mm]")
     look.legend(trials, ratio, history, machines)
+    figure.suptitle("Tracking error of a manoeuvre as it is learnt, and on other machines")
     return figure
 
 

@@ -135,7 +135,11 @@ def omct_figure(result: Omct) -> Figure:
     for axis in axes[-1]:
         axis.set_xlabel("frequency [rad/s]", fontsize=9)
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=9)
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9)
+    figure.suptitle(
+        "Modulus and phase from the aircraft's pilot to the simulator's: "
+        f"washout {result.washout}, cab {result.cab}, {result.hydraulics} hydraulics"
+    )
     return figure
 
 

@@ -69,10 +69,8 @@ def overview_figure(
     style: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False}
     legend(motion, error, supply, fontsize=7, **style)
     figure.align_ylabels(axes)
-    figure.suptitle(
-        title
-        or f"Motion, valves and pressures: {record.metadata['plant']}, {record.metadata['law']}"
-    )
+    of = title or f"{record.metadata['plant']}, {record.metadata['law']}"
+    figure.suptitle(f"Motion, valves and pressures: {of}")
     return figure
 
 

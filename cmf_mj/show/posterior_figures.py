@@ -50,6 +50,9 @@ def unknown_figure(results: Results) -> Figure:
     legend(axes[0])
     for axis in axes[len(unknowns) :]:
         axis.set_visible(False)
+    figure.suptitle(
+        "Shares of machines by each unknown, before and after the evidence", fontsize=10
+    )
     return figure
 
 
@@ -78,6 +81,7 @@ def tornado_figure(results: Results) -> Figure:
     axes[0].set_yticks(at, [_title(results, name) for name in names], fontsize=8)
     legend(axes[0])
     figure.supxlabel("least damping ratio, cab " + results.study.cabs[0].name.upper(), fontsize=9)
+    figure.suptitle("Least damping ratio with one unknown at either end of its range", fontsize=10)
     return figure
 
 
@@ -101,6 +105,7 @@ def limits_figure(results: Results) -> Figure:
         axes[0, 0].plot([], [], color=colour, label=law)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
+    figure.suptitle("Where the damping ratio of each law in rotation is zero", fontsize=10)
     return figure
 
 
@@ -130,7 +135,9 @@ def span_figure(results: Results) -> Figure:
         shares = [f"{law}, {100.0 * every[law, dof].stable:.0f} %" for law in laws]
         line[0].set_yticks(at, shares, fontsize=7)
     figure.suptitle(
-        f"cab {cab.upper()}; after each law the share of machines with it stable", fontsize=9
+        f"Bandwidth, peak and damping in rotation: median and 90 % of machines, cab {cab.upper()}; "
+        "after each law the share that it leaves stable",
+        fontsize=9,
     )
     return figure
 
@@ -154,4 +161,5 @@ def gain_figure(results: Results) -> Figure:
     for axis in (left, right):
         axis.set_xticks(gains, [f"{gain:g}" for gain in gains], rotation=90)
     legend(left)
+    figure.suptitle("Stability and damping over the gain of acceleration feedback", fontsize=10)
     return figure

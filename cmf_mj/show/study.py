@@ -125,6 +125,7 @@ def ladder_figure(table: pa.Table) -> Figure:
         axis.set_title(dof)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
+    figure.suptitle("Bandwidth, peak, damping and crosstalk as one effect after another is added")
     return figure
 
 
