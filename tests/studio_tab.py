@@ -8,20 +8,11 @@ from typing import Any
 
 import msgspec
 import zstandard
-from viser import _messages as messages
 from websockets.sync.client import ClientConnection
 
 _SOAK = runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "soak_studio.py"))
 
 CAMERA, connected, send, soak = (_SOAK[name] for name in ("CAMERA", "connected", "send", "soak"))
-
-
-def upload(tab: ClientConnection, button: str, content: bytes) -> None:
-    """Load a file with the button of a uuid, as the page does it."""
-    transfer = f"{button}-{time.monotonic()}"
-    about = {"part_count": 1, "size_bytes": len(content)}
-    send(tab, messages.FileTransferStartUpload(button, transfer, "mine.toml", "", **about))
-    send(tab, messages.FileTransferPart(button, transfer, 0, content[:500_000]))
 
 
 def received(tab: ClientConnection) -> Iterator[dict[str, Any]]:

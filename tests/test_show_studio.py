@@ -20,7 +20,8 @@ from lengths import examples
 from cmf_mj import InputError, RunError
 from cmf_mj.control.law import Law, law_names, load_law
 from cmf_mj.control.protection import Fault
-from cmf_mj.facility.scenario.library import read_scenario, scenario_of, scenario_toml
+from cmf_mj.core.settings import parsed_toml
+from cmf_mj.facility.scenario.library import scenario_of, scenario_toml
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.facility.scenario.settings import Scenario, change_of, overlaid_law
 from cmf_mj.machine.geometry import DOFS
@@ -454,7 +455,7 @@ def test_command_names_the_extra_where_viser_is_missing() -> None:
 
 def test_first_scenario_is_a_file_too() -> None:
     begun = choices.first_scenario()
-    assert read_scenario(scenario_toml(begun), "again") == begun
+    assert scenario_of(parsed_toml(scenario_toml(begun), "again"), "again") == begun
 
 
 @pytest.mark.slow

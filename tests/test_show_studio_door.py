@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from studio_tab import CAMERA, connected, received, refusals, send, soak, upload
+from studio_tab import CAMERA, connected, received, refusals, send, soak
 from viser import _messages as messages
 from websockets import Headers
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -17,7 +17,7 @@ from websockets.sync.client import ClientConnection
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.show.studio import door
-from cmf_mj.show.studio.choices import MOST_FILE, check_value
+from cmf_mj.show.studio.choices import check_value
 from cmf_mj.show.studio.door import MOST_TABS, Allowance, Door
 from cmf_mj.show.studio.live import LiveSession
 from cmf_mj.show.studio.server import Page, Studio
@@ -53,11 +53,6 @@ def control(page: Page, label: str) -> Any:
     """A control of a page."""
     handles = page.desk.client.gui._gui_input_handle_from_uuid.values()
     return next(handle for handle in handles if handle.label == label)
-
-
-def load(tab: ClientConnection, studio: Studio, content: bytes) -> None:
-    """Load a scenario into the only page."""
-    upload(tab, control(studio.pages[0], "load scenario")._impl.uuid, content)
 
 
 def command(tab: ClientConnection, studio: Studio, label: str, **updates: object) -> None:
@@ -224,7 +219,7 @@ def test_commands_beyond_the_rate_wait_and_none_is_lost(
         ("force [kN]", math.nan, "allowed: 1 to 100"),
         ("force [kN]", "all", "allowed: 1 to 100"),
         ("push now", "yes", "allowed: true, false"),
-        ("load scenario", "x", "has no value to set"),
+        ("export scenario", "x", "has no value to set"),
     ],
 )
 def test_a_forged_command_is_refused_and_the_session_goes_on(
@@ -249,49 +244,20 @@ def test_only_the_value_of_a_control_can_be_set(tab: ClientConnection, studio: S
         check_value(control(studio.pages[0], "force [kN]"), {"value": True})
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ('law = "/etc/hostname.toml"', "law: '/etc/hostname.toml' names a file"),
-        ('[[signal]]\nkind = "host"\nfile = "a.csv"', "file: 'a.csv' names a file"),
-        ('[[change]]\nat = 1.0\nlaw = "x.toml:y"', "law: 'x.toml:y' names a file"),
-        ('[operation]\nlimits = "passwd"', "limits: 'passwd' names a file"),
-        ('law = "secret"', "law: 'secret' is not one of"),
-        ('cabin = "gfd"', "cabin: is not a known field"),
-        ("\ud8ff", "codec can't decode"),
-        ("#" * (MOST_FILE + 1), f"{MOST_FILE + 1} octets are refused"),
-    ],
-)
-def test_a_file_that_is_loaded_reads_no_other(
-    tab: ClientConnection, studio: Studio, text: str, said: str
-) -> None:
-    (page,) = studio.pages
-    content = text.encode("utf-8", "surrogatepass")
-    load(tab, studio, content)
-    assert said in next(refusals(tab))
-    load(tab, studio, b'law = "force"\nrecord_every = 16\n')
-    wait(lambda: page.live.scenario().result().law == "force")
-
-
-def test_too_many_files_are_refused(tab: ClientConnection, studio: Studio) -> None:
-    for _ in range(7):
-        load(tab, studio, b"cabin = 1\n")
-    said = refusals(tab)
-    assert any("too many files; wait " in next(said) for _ in range(7))
-
-
 def test_what_the_page_has_no_use_for_is_dropped(
     tab: ClientConnection, studio: Studio, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """viser would open a public address for whoever asks."""
+    """viser would open a public address for whoever asks, and take files."""
     asked: list[bool] = []
     monkeypatch.setattr(studio._server, "request_share_url", lambda: asked.append(True))
+    gui = studio.pages[0].desk.client.gui
     send(tab, messages.ShareUrlRequest())
+    send(tab, messages.FileTransferStartUpload("x", "y", "a.toml", "", 1, 9))
     for raw in (b"", b"\xc1", b"\x80", b"\x93\x01\x02\x03", "text"):
         tab.send(raw)
     command(tab, studio, "law", value="force")
     wait(lambda: studio.pages[0].live.scenario().result().change)
-    assert not asked
+    assert not asked and not gui._current_file_upload_states
 
 
 def test_a_message_too_large_ends_its_tab_alone(tab: ClientConnection, studio: Studio) -> None:

@@ -17,7 +17,7 @@ import viser
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from cmf_mj.control.law import law_names
-from cmf_mj.facility.scenario.library import load_scenario, save_scenario
+from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.plant.events import KINDS
 from cmf_mj.show.studio import choices, live
@@ -93,10 +93,6 @@ class Tab:
         self.page.get_by_label(label, exact=True).first.click()
         self.page.get_by_role("option", name=option, exact=True).click()
 
-    def upload(self, button: str, path: Path) -> None:
-        uuid = self.page.get_by_role("button", name=button).get_attribute("id")
-        self.page.locator(f'[id="file_upload_{uuid}"]').set_input_files(path)
-
     def height(self) -> float:
         return float(self.behind._scene.platform_position[2])
 
@@ -126,7 +122,7 @@ def opened(browser: Browser, studio: Studio) -> Iterator[Tab]:
 
 
 @pytest.fixture
-def tab(opened: Tab, tmp_path: Path) -> Iterator[Tab]:
+def tab(opened: Tab) -> Iterator[Tab]:
     """The tab, at the beginning of the first scenario."""
     scenario = choices.first_scenario()
 
@@ -136,8 +132,7 @@ def tab(opened: Tab, tmp_path: Path) -> Iterator[Tab]:
         return same and not present.change
 
     if not begun():
-        path = save_scenario(scenario, tmp_path / "first.toml")
-        opened.upload("load scenario", path)
+        opened.behind.desk.begin(scenario)
         opened.wait(begun)
 
     def goes_on() -> bool:  # a click on a page that is being filled anew may be lost
@@ -201,13 +196,11 @@ def test_law_chosen_on_the_page_changes_the_response(tab: Tab) -> None:
 
 
 @pytest.mark.usefixtures("fewer_pictures")
-def test_bad_scenario_names_its_key_on_the_page_and_the_run_goes_on(
-    tab: Tab, tmp_path: Path
-) -> None:
-    bad = tmp_path / "bad.toml"
-    bad.write_text('cabin = "gfd"\n')
-    tab.upload("load scenario", bad)
-    assert "bad.toml: cabin: is not a known field" in tab.status("cabin")
+def test_a_bad_setting_is_named_on_the_page_and_the_run_goes_on(tab: Tab) -> None:
+    tab.choose("signal", "noise")
+    tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 1)
+    tab.page.get_by_label("stop [Hz]", exact=True).first.fill("-1")
+    assert "noise.stop: -1.0 is refused" in tab.status("noise.stop")
     since = tab.time()
     tab.wait(lambda: tab.time() > since + 0.5)
 
@@ -255,11 +248,10 @@ def test_exported_session_runs_again_bit_for_bit(tab: Tab, tmp_path: Path) -> No
 
 
 @pytest.mark.usefixtures("fewer_pictures")
-def test_scenario_of_another_cab_can_be_loaded_and_reset(tab: Tab, tmp_path: Path) -> None:
-    path = tmp_path / "ifd.toml"
-    path.write_text('cab = "ifd"\nlaw = "velocity_integral"\nrecord_every = 16\n')
-    tab.upload("load scenario", path)
+def test_another_cab_can_be_chosen_and_reset(tab: Tab) -> None:
+    tab.choose("law", "velocity_integral")
     tab.status("law velocity_integral")
+    tab.choose("cab", "ifd")
     tab.wait(lambda: tab.behind._scene.cab.name == "ifd")
     tab.wait(lambda: tab.time() > 1.5)
     tab.press("reset")
@@ -289,16 +281,6 @@ def test_settings_of_the_signal_chosen_act(tab: Tab) -> None:
     tab.wait(lambda: len(tab.behind.live.scenario().result().change) == 2)
     (signal,) = tab.behind.live.scenario().result().change[1].signal or ()
     assert signal.kind == "noise" and signal.band == (0.05, 0.8)
-
-
-@pytest.mark.usefixtures("fewer_pictures")
-def test_a_file_that_names_another_is_refused_on_the_page(tab: Tab, tmp_path: Path) -> None:
-    path = tmp_path / "outside.toml"
-    path.write_text('law = "../../etc/hostname.toml"\n')
-    tab.upload("load scenario", path)
-    assert "outside.toml: law: " in tab.status("names a file; allowed: what is shipped")
-    since = tab.time()
-    tab.wait(lambda: tab.time() > since + 0.5)
 
 
 _CALLS = """address => new Promise(done => {

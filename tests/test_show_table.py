@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from cmf_mj.show.look import bode_axes, new_figure, pose_text, save_figure
+from cmf_mj.show.look import bode_axes, pose_text, save_figure
 from cmf_mj.show.table import Table
 
 TABLE = Table(

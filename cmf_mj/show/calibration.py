@@ -132,9 +132,10 @@ def residual_figure(calibration: Calibration) -> Figure:
     axes.set_xlabel("deviation from the print over its tolerance")
     tolerance = calibration.study.tolerance
     axes.set_title(
-        f"Deviations from the print, {calibration.study.name} set: open as shipped, full as fitted; "
-        f"blue fitted to, orange predicted\ntolerance {100 * tolerance.phase:g} % (-90 deg), {100 * tolerance.gain:g} % "
-        f"(-3 dB), {tolerance.damping:g} (zeta)",
+        f"Deviations from the print, {calibration.study.name} set\n"
+        "open as shipped, full as fitted; blue fitted to, orange predicted; tolerance "
+        f"{100 * tolerance.phase:g} % (-90 deg), {100 * tolerance.gain:g} % (-3 dB), "
+        f"{tolerance.damping:g} (zeta)",
         fontsize=9,
     )
     return figure

@@ -6,9 +6,9 @@ from typing import Any
 
 import tomlkit
 
-from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.errors import check_name
 from cmf_mj.core.files import write_text
-from cmf_mj.core.settings import parsed_toml, read_toml, sealed, validated
+from cmf_mj.core.settings import read_toml, sealed, validated
 from cmf_mj.facility.scenario.settings import Scenario
 from cmf_mj.machine import models
 from cmf_mj.signals.signal import plain
@@ -40,19 +40,6 @@ def load_scenario(source: str | Path) -> Scenario:
     return scenario_of(read_toml(path), str(path), path.parent)
 
 
-def read_scenario(
-    text: str, where: str, folder: Path | None = None, *, files: bool = True
-) -> Scenario:
-    """A scenario from TOML text; arguments as of `scenario_of`.
-
-    Without `files` it may name none: what another machine sends reads no file of this one.
-    """
-    table = parsed_toml(text, where)
-    if not files:
-        _refuse_files(table, where)
-    return scenario_of(table, where, folder)
-
-
 def scenario_of(table: Mapping[str, Any], where: str, folder: Path | None = None) -> Scenario:
     """A scenario from plain values, lists included, as TOML and JSON have them.
 
@@ -77,24 +64,6 @@ _FILES = (
     *("dcu", "limits", "states"),
 )
 """Keys that hold a name or a TOML file."""
-
-_FILES_ALONE = ("file", "servo", "limits", "states")
-"""Keys that hold a file."""
-
-
-def _refuse_files(value: Any, where: str, key: str = "") -> None:
-    """Refuse a table that names a file to read."""
-    if isinstance(value, Mapping):
-        for name, entry in value.items():
-            if name != "outputs":
-                _refuse_files(entry, where, name)
-    elif isinstance(value, list):
-        for entry in value:
-            _refuse_files(entry, where, key)
-    elif isinstance(value, str) and (
-        key in _FILES_ALONE or (key in _FILES and not value.isidentifier())
-    ):
-        raise InputError(f"{where}: {key}: {value!r} names a file; allowed: what is shipped")
 
 
 def _located(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:

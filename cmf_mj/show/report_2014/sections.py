@@ -6,9 +6,7 @@ A new section is an entry there; a new kind of block is a function and its entry
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 
-from cmf_mj.analysis.ledger import load_ledger
-from cmf_mj.show.listing import figures_text
-from cmf_mj.show.report_2014 import force, summary
+from cmf_mj.show.report_2014 import summary
 from cmf_mj.show.report_2014.curves import (
     CONTENTS,
     VERDICTS,
@@ -19,8 +17,8 @@ from cmf_mj.show.report_2014.curves import (
     table,
     texts,
 )
-from cmf_mj.show.report_2014.runs import CAB, HYDRAULICS, PLANTS, Runs, plant_of
-from cmf_mj.show.report_2014.statements import rest_rows, statement_rows
+from cmf_mj.show.report_2014.runs import CAB, PLANTS, Runs, plant_of
+from cmf_mj.show.report_2014.statements import statement_rows
 from cmf_mj.show.report_2014.tables import (
     TITLES,
     TOLERANCES,
@@ -30,7 +28,6 @@ from cmf_mj.show.report_2014.tables import (
     result_rows,
 )
 from cmf_mj.show.table import number
-from cmf_mj.studies.calibration.trial import Study, load_studies, starting_values
 
 
 def provenance(runs: Runs) -> PageTable:
@@ -42,9 +39,6 @@ def provenance(runs: Runs) -> PageTable:
         *((f"version, {name}", version(name)) for name in packages),
     ]
     return table("provenance-table", rows)
-
-
-_STUDIES = tuple(s for s in load_studies().values() if s.hydraulics in HYDRAULICS.values())
 
 
 def _share(value: float, relative: bool, sign: str = "+") -> str:
@@ -89,57 +83,6 @@ def _results(content: Content, number: str) -> list[PageTable]:
     return [result_table(content.runs, number)] if number in content.tables else []
 
 
-def _gains(content: Content, number: str) -> list[PageTable]:
-    """A gain table and the shipped law."""
-    rows = [
-        (
-            *(row.law, row.gain, row.printed if row.printed == row.printed else "not printed here"),
-            *(row.shipped, "same" if row.same else "differs", row.note),
-        )
-        for row in gain_rows()
-        if row.table == number
-    ]
-    return [table("gains", rows, f"table-{number}", f"Table {number}: gains")]
-
-
-def _limits(content: Content, argument: str) -> list[PageTable]:
-    """Table 2-1 and the geometry."""
-    rows = [
-        (
-            *(r.dof, f"{r.mechanical:+g} {r.unit}", f"{r.operational:+g} {r.unit}"),
-            *(f"{r.computed:+.1f} {r.unit}", 100.0 * r.deviation, r.note),
-        )
-        for r in limit_rows()
-    ]
-    return [table("table-2-1", rows)]
-
-
-def _ledger(content: Content, argument: str) -> list[PageTable]:
-    """Misprints and contradictions."""
-    rows = [
-        (
-            f"{entry.number}. {entry.title}",
-            *(entry.where, entry.printed, entry.finding, figures_text(entry), entry.project),
-        )
-        for entry in load_ledger()
-    ]
-    return [table("ledger-table", rows)]
-
-
-def _fitted(study: Study) -> PageTable:
-    values = starting_values(study)
-    rows = [
-        (
-            *(p.name.replace("_", " "), "fitted" if p.free else "held"),
-            number(values[p.name], "g" if p.unit == "1" else f"g {p.unit}"),
-            *(f"{p.low:g} to {p.high:g}", p.source),
-        )
-        for p in study.parameters
-    ]
-    title = f"{study.name.capitalize()} set: parameters".replace("_", " ")
-    return table("calibration-parameters", rows, f"calibration-{study.name}-parameters", title)
-
-
 BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
     "about": lambda content, _: [
         *texts("about"),
@@ -147,18 +90,15 @@ BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
         *summary.verdict_tables(content),
     ],
     "summary": summary.blocks,
-    "text": lambda content, name: texts(name),
-    "limits": _limits,
-    "gains": _gains,
+    "limits": lambda content, _: [table("table-2-1", limit_rows())],
+    "gains": lambda content, number: [
+        table("gains", gain_rows(number), f"table-{number}", f"Table {number}: gains")
+    ],
     "results": _results,
     "figures": lambda content, prefix: [
         figure.draw(content.runs) for figure in content.figures if figure.number.startswith(prefix)
     ],
-    "steady_states": lambda content, _: [table("steady-states", rest_rows(content.runs))],
     "statements": lambda content, _: [table("text-numbers", statement_rows(content.runs))],
-    "force": lambda content, _: force.blocks(content.runs),
-    "ledger": _ledger,
-    "calibration": lambda content, _: [_fitted(study) for study in _STUDIES],
     "provenance": lambda content, _: [provenance(content.runs)],
 }
 """Kinds of blocks: functions of what was run and an argument."""

@@ -1,4 +1,4 @@
-"""Numbers of the report's text, the error at rest of its laws; how many printed results are met.
+"""Numbers of the report's text; how many printed results are met.
 
 Every printed number counts once, however often the report prints it. A law whose step rings on has
 no bandwidth and no damping ratio, and so agrees with no printed one. Deviations are relative, those
@@ -6,14 +6,13 @@ of damping ratios too.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from cmf_mj.analysis.linear.catalogue import hardware_velocity
 from cmf_mj.analysis.linear.loop import closed_loop, loop_step
 from cmf_mj.analysis.linear.second_order import bandwidth_example, characteristics
-from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.show.report_2014.curves import CONTENTS, PageTable, specs, table, texts
 from cmf_mj.show.report_2014.runs import Runs, leg_motion
@@ -28,48 +27,12 @@ from cmf_mj.show.report_2014.tables import (
 )
 from cmf_mj.signals.single import Step
 
-INTEGRAL_LAWS = ("original", "velocity", "velocity_integral", "position_error_rate")
-"""Laws whose error at rest the page states, without and with the integral."""
-
 STATEMENT_NEEDS = specs(
     "model original,velocity_integral,force",
     "machine original,velocity_integral",
     "machine velocity heave rise",
-    f"model,machine {','.join(INTEGRAL_LAWS)}",
 )
-"""Runs of the numbers and of the errors at rest."""
-
-
-def _net_gain(law_name: str) -> float:
-    """Gain of the position at rest, D_p + C B_p / (1 - A)."""
-    law = load_law(law_name)
-    through = law.output_gain * law.input_gain.of_legs("position") / (1.0 - law.state_gain)
-    return law.direct_gain.of_legs("position") + through
-
-
-def dc_gain(law_name: str) -> float:
-    """Steady leg position over the demand, pressures left out: -D_r / (D_p + C B_p / (1 - A)).
-
-    1 with the integral.
-    """
-    law = load_law(law_name)
-    if law.uses_integral:
-        return 1.0
-    return -law.direct_gain.of_legs("reference") / _net_gain(law_name)
-
-
-def rest_rows(runs: Runs) -> list[tuple[Any, ...]]:
-    """Where steps of 1 in end, over the demand: by the gains, on the model, on the machine."""
-    rows = []
-    for name in INTEGRAL_LAWS:
-        law, formula = load_law(name), "integral"
-        if not law.uses_integral:
-            formula = f"{law.direct_gain.of_legs('reference'):g}/{-_net_gain(name):.2f}"
-        model, machine = (
-            1.0 - runs.case(on, name).measures.steady_state_error for on in ("model", "machine")
-        )
-        rows.append((law.title, formula, dc_gain(name), model, machine))
-    return rows
+"""Runs of the numbers."""
 
 
 def _values(runs: Runs) -> dict[str, float]:

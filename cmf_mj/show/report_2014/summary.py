@@ -71,7 +71,6 @@ def _deviations(runs: Runs) -> PageTable:
             for field, form in (("printed", "g"), ("computed", ".3g"))
         )
         every = [row for same in found.values() for row in same]
-        every = [row for same in found.values() for row in same]
         swept = [row for row in every if row.swept == row.swept and not row.stable]
         notes = [row.note for row in every if row not in swept and row.note]
         if swept:

@@ -1,7 +1,7 @@
 """Result tables: printed and computed values side by side, judged by a stated tolerance."""
 
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -195,22 +195,10 @@ def result_rows(runs: Runs, table: str) -> list[ResultRow]:
     return rows + [result for row, law in _readings(table) for result in _judged(runs, row, law)]
 
 
-class GainRow(NamedTuple):
-    """One printed gain and the shipped one."""
-
-    table: str
-    law: str
-    gain: str  #: Matrix and signal.
-    printed: float
-    shipped: float
-    same: bool
-    note: str
-
-
-def gain_rows() -> list[GainRow]:
-    """Tables 2-2, 2-5, 3-1, 3-3 and 3-4 and the laws in use."""
-    rows = []
-    for entry in published_gains():
+def gain_rows(number: str) -> list[tuple[Any, ...]]:
+    """A table of gains: law, matrix and signal, printed, in use, same or differs, remark."""
+    rows: list[tuple[Any, ...]] = []
+    for entry in (entry for entry in published_gains() if entry.table == number):
         law = load_law(entry.law)
         b, d = (
             [
@@ -222,52 +210,36 @@ def gain_rows() -> list[GainRow]:
                 ("D", entry.d, law.direct_gain),
             )
         )
-        gains = [
-            *[("A", entry.a, law.state_gain), *(row for row in b if row[1:] != (0.0, 0.0))],
-            *[("C", entry.c, law.output_gain), *d],
-        ]
-        for gain, value, shipped in gains:
-            same = shipped == value
-            note = "" if same else _remark(entry.law, "gains", gain)
-            rows.append(GainRow(entry.table, law.title, gain, value, shipped, same, note))
+        gains = [("A", entry.a, law.state_gain), *(row for row in b if row[1:] != (0.0, 0.0))]
+        for gain, value, ours in [*gains, ("C", entry.c, law.output_gain), *d]:
+            note = "" if ours == value else _remark(entry.law, "gains", gain)
+            same = "same" if ours == value else "differs"
+            rows.append((law.title, gain, value, ours, same, note))
         extra = law.direct_gain.of_legs("error_integral")
         if extra and "error_integral" not in entry.signals:
             note = "integral of section 3.2, with which all later laws of the report run"
-            gain = "D, error integral"
-            rows.append(GainRow(entry.table, law.title, gain, _NAN, extra, True, note))
+            rows.append((law.title, "D, error integral", "not printed here", extra, "same", note))
     return rows
 
 
-class LimitRow(NamedTuple):
-    """One limit of Table 2-1 and the geometry's."""
-
-    dof: str
-    unit: str
-    side: str
-    mechanical: float
-    operational: float
-    computed: float  #: Where the first leg reaches 37.5 in, all else at neutral.
-    deviation: float  #: Of the computed from the mechanical limit, relative.
-    note: str
-
-
-def limit_rows() -> list[LimitRow]:
-    """Table 2-1 and the excursions that the legs allow."""
+def limit_rows() -> list[tuple[Any, ...]]:
+    """Table 2-1 and where, all else at neutral, the first leg reaches 37.5 in."""
     limits, reach = load_motion_limits(), excursion_envelope()
     notes = {
         ("pitch", "low"): "set by something other than the legs",
         ("heave", "high"): "down; set by something other than the legs",
         ("yaw", "low"): "the operational limit is printed in inches; degrees are meant",
     }
-    rows = []
+    rows: list[tuple[Any, ...]] = []
     for dof, ends in zip(DOFS, reach, strict=True):
         axis = getattr(limits, dof)
         unit = axis.mechanical.unit
         for side, end in zip(("low", "high"), ends, strict=True):
             stated, computed = getattr(axis.mechanical, side), units.from_si(unit, float(end))
-            allowed, note = getattr(axis.operational, side), notes.get((dof, side), "")
-            numbers = (stated, allowed, computed, computed / stated - 1.0)
-            rows.append(LimitRow(dof, unit, side, *numbers, note))
+            texts = [f"{value:+g} {unit}" for value in (stated, getattr(axis.operational, side))]
+            texts.append(f"{computed:+.1f} {unit}")
+            off = 100.0 * (computed / stated - 1.0)
+            rows.append((dof, *texts, off, notes.get((dof, side), "")))
     return rows
 
 

@@ -11,7 +11,7 @@ import viser
 
 from cmf_mj.control.law import Law, law_names, load_law
 from cmf_mj.core import units
-from cmf_mj.facility.scenario.library import read_scenario, scenario_toml
+from cmf_mj.facility.scenario.library import scenario_toml
 from cmf_mj.facility.scenario.settings import Change, Push, Scenario, change_of, overlaid_law
 from cmf_mj.machine import models
 from cmf_mj.machine.dof import dof_unit
@@ -22,7 +22,7 @@ from cmf_mj.show.studio import choices
 from cmf_mj.show.studio.desk import Desk, by_hand, pick
 from cmf_mj.show.studio.knobs import Knob, knobs
 from cmf_mj.show.studio.live import View
-from cmf_mj.show.studio.marks import fault_text
+from cmf_mj.show.studio.marks import words
 from cmf_mj.signals.signal import SingleSignal
 
 SPEEDS = {"1": 1.0, "1/2": 0.5, "1/5": 0.2, "1/10": 0.1, "1/50": 0.02}
@@ -52,8 +52,8 @@ def lamp(view: View) -> str:
     colour, says = _GOOD, "all works"
     if view.end:
         colour, says = _TRIPPED, f"ended: {view.end}"
-    elif view.live.fault is not None:
-        colour, says = _TRIPPED, f"tripped: {fault_text(view.live.fault)}"
+    elif (fault := view.live.fault) is not None:
+        colour, says = _TRIPPED, f"tripped: {words(fault.name, fault.leg)}"
     elif harm:
         colour, says = _FAILED, "failed"
     told = "".join(f"<br>{mark.time:.1f} s: {escape(mark.text)}" for mark in view.marks[-_TOLD:])
@@ -290,7 +290,7 @@ def disturbance_controls(desk: Desk) -> None:
 
 
 def file_controls(desk: Desk) -> None:
-    """The session as a scenario, its record, and scenarios to load."""
+    """The session as a scenario, and its record."""
     gui, send = desk.client.gui, desk.client.send_file_download
     export = gui.add_button(
         "export scenario", icon="download", hint="`cmf run` repeats this session bit for bit"
@@ -310,15 +310,3 @@ def file_controls(desk: Desk) -> None:
         with tempfile.TemporaryDirectory() as folder:
             content = record.save(Path(folder) / "session.parquet").read_bytes()
         send("session.parquet", content, save_immediately=True)
-
-    upload = gui.add_upload_button(
-        "load scenario", mime_type=".toml", icon="file-upload", hint="begins a new run"
-    )
-
-    @upload.on_upload
-    def _(_: Any) -> None:
-        file = upload.value
-        try:
-            desk.begin(read_scenario(file.content.decode("utf-8"), file.name, files=False))
-        except ValueError as error:
-            desk.tell(error)

@@ -27,18 +27,15 @@ from websockets.http11 import Request, Response
 MOST_TABS = 8
 """Tabs open at the same time; each has a plant, a record and a thread."""
 
-MOST_MESSAGE = 600_000
-"""Largest message of a tab [octets]; the page sends files in parts of 512 KiB."""
+MOST_MESSAGE = 100_000
+"""Largest message of a tab [octets]."""
 
 MESSAGES, OCTETS = (200.0, 400.0), (1e6, 2e6)
 """What a tab may send a second and at once; it waits with the rest."""
 
-COMMANDS = (
-    *("ViewerCameraMessage", "GuiUpdateMessage"),
-    *("FileTransferStartUpload", "FileTransferPart", "FileTransferPartAck"),
-)
-"""Messages of the page that the studio answers to; others, as the request for a public address,
-are dropped."""
+COMMANDS = ("ViewerCameraMessage", "GuiUpdateMessage", "FileTransferPartAck")
+"""Messages of the page that the studio answers to; others, as the request for a public address or
+a file to take, are dropped."""
 
 _COOKIE = "cmf_studio"
 
@@ -163,7 +160,8 @@ class Door:
             return False
         if _is_local(name):
             return True
-        return not self._local and (_is_address(name) or name in _names())
+        own = socket.gethostname().lower(), socket.getfqdn().lower()
+        return not self._local and (_is_address(name) or name in own)
 
     def _knows(self, path: str, headers: Headers) -> bool:
         given = parse_qs(urlsplit(path).query).get("token", [])
@@ -218,7 +216,3 @@ def _is_address(name: str) -> bool:
 
 def _is_local(name: str) -> bool:
     return name == "localhost" or (_is_address(name) and ipaddress.ip_address(name).is_loopback)
-
-
-def _names() -> tuple[str, ...]:
-    return socket.gethostname().lower(), socket.getfqdn().lower()

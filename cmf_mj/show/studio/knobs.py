@@ -1,7 +1,8 @@
 """The numbers of a law as knobs of the page, taken from its data."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from functools import reduce
+from typing import Any, NamedTuple, cast
 
 from cmf_mj.control.law import Law
 from cmf_mj.facility.scenario.settings import overlaid_law
@@ -43,14 +44,16 @@ class Knob(NamedTuple):
     @property
     def hint(self) -> str:
         """Full name and unit."""
-        unit = (
-            _UNITS.get(self.path[-1], "") if self.path[0] in ("input_gain", "direct_gain") else ""
-        )
+        unit = _UNITS.get(self.path[-1], "") if self.path[0].endswith("t_gain") else ""
         return f"{'.'.join(self.path)} {unit}".strip()
 
     def table(self, value: float) -> dict[str, Any]:
         """A value of the slider as a table of `gains`."""
         return _nested(self.path, value * self.scale)
+
+
+def _nested(path: tuple[str, ...], value: float) -> dict[str, Any]:
+    return reduce(lambda inner, name: {name: inner}, reversed(path), cast("Any", value))
 
 
 def knobs(law: Law) -> tuple[Knob, ...]:
@@ -82,10 +85,3 @@ def _knob(law: Law, path: tuple[str, ...], value: float) -> Knob:
     far = next(filter(allowed, (2.0 * value, 1.0, 0.99, value)))
     low, high = sorted((near / scale, far / scale))
     return Knob(path, value / scale, low, high, scale)
-
-
-def _nested(path: tuple[str, ...], value: float) -> dict[str, Any]:
-    nested: Any = value
-    for part in reversed(path):
-        nested = {part: nested}
-    return dict(nested)

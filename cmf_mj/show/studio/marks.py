@@ -3,8 +3,7 @@
 from typing import NamedTuple
 
 from cmf_mj.control.protection import Fault
-from cmf_mj.facility.scenario.settings import Change, Failure, Scenario
-from cmf_mj.plant.events import Event
+from cmf_mj.facility.scenario.settings import Change, Scenario
 
 
 class Mark(NamedTuple):
@@ -18,28 +17,20 @@ class Mark(NamedTuple):
 def marks_of(scenario: Scenario, fault: Fault | None) -> tuple[Mark, ...]:
     """All that has happened to a run that did this scenario, in order of time."""
     rate = scenario.rate
-    marks = [Mark(event.at, failure_text(event), True) for event in scenario.event]
+    marks = [Mark(event.at, words(event.kind, event.leg), True) for event in scenario.event]
     for change in scenario.change:
         time = change.when(rate) / rate
-        marks += [Mark(time, failure_text(failure), True) for failure in change.failure]
+        marks += [Mark(time, words(one.kind, one.leg), True) for one in change.failure]
         if texts := _texts(change):
             marks.append(Mark(time, ", ".join(texts), False))
     if fault is not None:
-        marks.append(Mark(fault.frame / rate, f"tripped: {fault_text(fault)}", True))
+        text = f"tripped: {words(fault.name, fault.leg)}"
+        marks.append(Mark(fault.frame / rate, text, True))
     return tuple(sorted(marks))
 
 
-def failure_text(failure: Event | Failure) -> str:
-    """What failed, in words."""
-    return _words(failure.kind, failure.leg)
-
-
-def fault_text(fault: Fault) -> str:
-    """What the protection detected, in words."""
-    return _words(fault.name, fault.leg)
-
-
-def _words(name: str, leg: int | None) -> str:
+def words(name: str, leg: int | None) -> str:
+    """What failed or was detected, and of which leg."""
     return name.replace("_", " ") + ("" if leg is None else f" of leg {leg}")
 
 
