@@ -2,8 +2,9 @@
 
 A table stands between `<!-- table: NAME -->` and `<!-- end -->`; NAME is a folder below --results
 into which a command or script wrote it with `--out`, or FOLDER/TABLE where it wrote several.
-Figures of the studies are copied to docs/images, their numbers to docs/data. What stands between
-`<!-- data: NAME -->` and `<!-- end -->` is made from data of the package and needs no study.
+Figures of the studies and of the gallery are copied to docs/images, numbers to docs/data. What
+stands between `<!-- data: NAME -->` and `<!-- end -->` is made from data of the package and needs
+no study.
 """
 
 import argparse
@@ -56,6 +57,7 @@ COPIES = {
     "learning/learning.csv": "data/learning.csv",
     "machines/machines.png": "images/two_machines.png",
     "verification/work_precision.png": "images/work_precision.png",
+    "capacity/envelope.png": "images/envelope.png",
     "ablation/ladder.png": "images/ladder.png",
     "stiffness/stiffness.png": "images/stiffness.png",
     "ablation/measures.csv": "data/ablation_measures.csv",
@@ -71,6 +73,8 @@ COPIES = {
     },
 }
 """Files of the studies below --results, and where they go below docs."""
+GALLERY = ("machine", "step_six_axes")
+"""Scripts of the gallery whose pictures README shows, as the last build of the site made them."""
 
 
 def parameters(name: str) -> str:
@@ -164,6 +168,10 @@ def main() -> None:
         source = options.results / name
         if source.is_file():
             shutil.copyfile(source, options.root / "docs" / target)
+    for name in GALLERY:
+        source = options.root / f"docs/gallery/images/sphx_glr_plot_{name}_001.png"
+        if source.is_file():
+            shutil.copyfile(source, options.root / f"docs/images/gallery_{name}.png")
     print(f"refreshed {', '.join(page.name for page in pages(options.root))}")
 
 

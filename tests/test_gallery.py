@@ -2,6 +2,8 @@
 
 import ast
 import os
+import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +11,8 @@ from pathlib import Path
 import pytest
 
 SCRIPTS = sorted((Path(__file__).parents[1] / "examples" / "gallery").glob("plot_*.py"))
+UPDATE = runpy.run_path(str(SCRIPTS[0].parents[2] / "scripts" / "update_docs.py"))
+
 LONGEST = 30.0
 """Processor time of a script [s], kernels compiled."""
 
@@ -45,6 +49,16 @@ def test_a_script_begins_with_a_title_and_what_is_to_be_seen(script: Path) -> No
     title, line, empty, *rest = text.split("\n")
     assert len(line) >= len(title) and set(line) == {"="} and empty == ""
     assert 15 <= len(" ".join(rest).split()) <= 80
+
+
+def test_pictures_of_the_readme_are_the_gallerys() -> None:
+    """Each has its script named below it, and the script that copies it knows it."""
+    text = (SCRIPTS[0].parents[2] / "README.md").read_text(encoding="utf-8")
+    shown = re.findall(r"!\[[^]]*\]\(([^)]+)\)", text)
+    assert shown == [f"docs/images/gallery_{name}.png" for name in UPDATE["GALLERY"]]
+    for name in UPDATE["GALLERY"]:
+        assert f"](examples/gallery/plot_{name}.py)" in text
+        assert (SCRIPTS[0].parents[2] / f"docs/images/gallery_{name}.png").is_file()
 
 
 @pytest.mark.slow

@@ -45,7 +45,9 @@ def test_an_installed_wheel_works_outside_the_checkout(tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
     (metadata,) = site.glob("*.dist-info/METADATA")
-    assert "](https://example.org/raw/docs/images/hexapod.png)" in metadata.read_text("utf-8")
+    assert "](https://example.org/raw/docs/images/gallery_machine.png)" in metadata.read_text(
+        "utf-8"
+    )
     result = subprocess.run(
         [sys.executable, "-c", USE.format(site=str(site))],
         cwd=tmp_path,

@@ -15,7 +15,7 @@ import cmf_mj
 poses = {
     "neutral": [0, 0, 0, 0, 0, 0],
     "surge 0.8 m": [0.8, 0, 0, 0, 0, 0],
-    "heave up 0.7 m": [0, 0, -0.7, 0, 0, 0],
+    "heave down 0.7 m": [0, 0, 0.7, 0, 0, 0],
     "roll 15 deg": np.radians([0, 0, 0, 15, 0, 0]),
 }
 plant = cmf_mj.Hexapod(cab="gfd")
