@@ -20,6 +20,7 @@ from typing import Any
 from docutils.nodes import SkipNode
 from docutils.utils.math.latex2mathml import tex2mathml
 from pygments.lexers.special import TextLexer
+from sphinx.addnodes import toctree
 
 os.environ["NUMBA_DISABLE_JIT"] = "1"
 
@@ -126,6 +127,14 @@ def _read(_app: Any, page: str, source: list[str]) -> None:
         source[0] = _LINK.sub(turned, source[0])
 
 
+def _short_menu(app: Any, env: Any) -> None:
+    """Keep modules out of the menu, which each page repeats: their rooms' pages list them."""
+    for page, contents in env.tocs.items():
+        if page.startswith("reference/api/cmf_mj."):
+            for tree in list(contents.findall(toctree)):
+                tree.parent.remove(tree)
+
+
 def _mathml(translator: Any, node: Any) -> None:
     block = node.tagname == "math_block"
     translator.body.append(tex2mathml(node.astext(), as_block=block))
@@ -143,5 +152,6 @@ def setup(app: Any) -> None:
     app.connect("html-page-context", _paper)
     app.connect("autodoc-process-docstring", _process, priority=400)
     app.connect("source-read", _read)
+    app.connect("env-updated", _short_menu)
     app.add_html_math_renderer("mathml", (_mathml, None), (_mathml, None))
     app.add_lexer("mermaid", TextLexer)

@@ -137,6 +137,6 @@ def check_value(handle: Any, updates: dict[str, Any]) -> None:
         fine = fine and math.isfinite(value) and (low is None or low <= value <= high)
         allowed = "a number" if low is None else f"{low:g} to {high:g}"
     else:
-        raise InputError(f"{label}: {value!r} is refused; it has no value to set")
+        fine, allowed = False, "nothing"
     if not fine:
         raise InputError(f"{label}: {value!r} is refused; allowed: {allowed}")
