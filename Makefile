@@ -74,8 +74,9 @@ slow: $(VENV)/ready-dev
 	$(PYTEST) --dist worksteal -m "slow or fuzz" --hypothesis-profile long tests
 
 # Afresh each time, so that no page or module that is gone can satisfy a link. The check resolves
-# every link and reference as the site does and writes no pages.
-SPHINX = rm -rf docs/reference/api docs/gallery build/$@ && $(BIN)/sphinx-build --jobs auto --quiet --fail-on-warning --keep-going
+# every link and reference as the site does and writes no pages. One process: two take twice the
+# time of both, to hand each other what they read.
+SPHINX = rm -rf docs/reference/api docs/gallery build/$@ && $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going
 
 search: $(VENV)/ready-dev
 	$(PYTEST) --dist worksteal -m fuzz --hypothesis-profile whole tests
