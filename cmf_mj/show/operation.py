@@ -16,18 +16,7 @@ from cmf_mj.facility.operation import Operation, Timing, account
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.record.record import Record
-from cmf_mj.show.look import (
-    BLUE,
-    COLOURS,
-    DARK,
-    GREY,
-    ORANGE,
-    legend,
-    new_figure,
-    save_files,
-    shade,
-    stack,
-)
+from cmf_mj.show import look
 from cmf_mj.show.table import Table
 
 _LEAST = 1e-9
@@ -46,7 +35,7 @@ def overview_figure(
     labels = ["", "", "leg error [in]", "valve command [%]", "cap (-), rod (--) [psi]"]
     labels, heights = [*labels, "supply [psi]"], (1.2, 2.4, 1.6, 1.6, 2.0, 1.2)
     first = 0 if state else 1
-    figure, axes = stack(9.0, 11.0 if state else 9.6, *labels[first:], ratios=heights[first:])
+    figure, axes = look.stack(9.0, 11.0 if state else 9.6, *labels[first:], ratios=heights[first:])
     if state:
         _operating(axes[0], record)
     motion, error, valve, pressure, supply = axes[-5:]
@@ -55,10 +44,14 @@ def overview_figure(
     error.plot(time, missing, lw=0.8, label=[f"leg {leg + 1}" for leg in range(missing.shape[1])])
     valve.plot(time, 100.0 * record["valve_command"], lw=0.8)
     for side, line in (("cap", "-"), ("rod", "--")):
-        pressure.set_prop_cycle(color=COLOURS)
+        pressure.set_prop_cycle(color=look.COLOURS)
         pressure.plot(time, record[f"{side}_pressure"] / units.PSI, line, lw=0.8)
-    supply.plot(time, record["supply_pressure"] / units.PSI, color=DARK, lw=1.0, label="supply")
-    supply.plot(time, record["return_pressure"] / units.PSI, color=GREY, lw=1.0, label="return")
+    supply.plot(
+        time, record["supply_pressure"] / units.PSI, color=look.DARK, lw=1.0, label="supply"
+    )
+    supply.plot(
+        time, record["return_pressure"] / units.PSI, color=look.GREY, lw=1.0, label="return"
+    )
     supply.set_ylim(bottom=0.0)
     times = [*((at, "0.4", ":") for at in changes), *((at, "#b00020", "--") for at in events)]
     for axis in axes:
@@ -67,7 +60,7 @@ def overview_figure(
         for at, colour, line in times:
             axis.axvline(at, color=colour, ls=line, lw=0.9)
     style: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False}
-    legend(motion, error, supply, fontsize=7, **style)
+    look.legend(motion, error, supply, fontsize=7, **style)
     figure.align_ylabels(axes)
     of = title or f"{record.metadata['plant']}, {record.metadata['law']}"
     figure.suptitle(f"Motion, valves and pressures: {of}")
@@ -75,11 +68,11 @@ def overview_figure(
 
 
 def _operating(axis: Axes, record: Record) -> None:
-    axis.step(record.time, record["operating_state"], where="post", color=DARK, lw=1.0)
+    axis.step(record.time, record["operating_state"], where="post", color=look.DARK, lw=1.0)
     axis.set_yticks([int(code) for code in State], [code.name.lower() for code in State])
     axis.set_ylim(-0.5, len(State) - 0.5)
     if "host_stale" in record.channels:
-        shade(axis, record.time, record["host_stale"] > 0.5)
+        look.shade(axis, record.time, record["host_stale"] > 0.5)
         axis.set_title("operating state; shaded: no stream from the host", fontsize=9)
 
 
@@ -90,7 +83,7 @@ def plot_motion(axis: Axes, record: Record) -> None:
     pose = record.channels.get("platform_pose")
     if pose is None:
         axis.plot(time, record["leg_reference"] / units.INCH, color="0.7", lw=2.0)
-        axis.set_prop_cycle(color=COLOURS)
+        axis.set_prop_cycle(color=look.COLOURS)
         reached = record["leg_extension"] / units.INCH
         axis.plot(time, reached, lw=0.9, label=[f"leg {n + 1}" for n in range(reached.shape[1])])
         axis.set_ylabel("legs [in]", fontsize=9)
@@ -99,7 +92,7 @@ def plot_motion(axis: Axes, record: Record) -> None:
         unit = dof_unit(int(index))
         demanded, reached = (units.from_si(unit, values[:, index]) for values in (demand, pose))
         axis.plot(time, demanded, color="0.7", lw=2.0)
-        axis.plot(time, reached, color=COLOURS[index], lw=0.9, label=f"{DOFS[index]} [{unit}]")
+        axis.plot(time, reached, color=look.COLOURS[index], lw=0.9, label=f"{DOFS[index]} [{unit}]")
     axis.set_ylabel("demand (grey), response", fontsize=9)
 
 
@@ -147,24 +140,24 @@ def timing_table(timing: Timing) -> Table:
 
 def timing_figure(timing: Timing) -> Figure:
     """Histograms of computing time and lateness; both axes logarithmic."""
-    figure = new_figure(8.0, 6.5)
+    figure = look.new_figure(8.0, 6.5)
     busy, late = figure.subplots(2, 1)
     frame = 1e6 * FRAME
     for axis, values, colour, label in (
-        (busy, timing.busy, BLUE, "computing time of a frame [us]"),
-        (late, timing.late, ORANGE, "start of a frame behind its time [us]"),
+        (busy, timing.busy, look.BLUE, "computing time of a frame [us]"),
+        (late, timing.late, look.ORANGE, "start of a frame behind its time [us]"),
     ):
         times = np.maximum(1e6 * values, 0.01)
         high = max(float(times.max()), 2.0 * frame)
         edges = np.geomspace(max(float(times.min()), 0.01) * 0.9, high * 1.1, 120)
         axis.hist(times, edges, color=colour, log=True)
-        axis.axvline(frame, color=DARK, linestyle=":", label=f"control frame, {frame:.0f} us")
+        axis.axvline(frame, color=look.DARK, linestyle=":", label=f"control frame, {frame:.0f} us")
         axis.set(xscale="log", xlabel=label, ylabel="frames")
     share = 1e6 * timing.percentile(99.9)
-    busy.axvline(share, color=DARK, linestyle="--", label=f"99.9 % below {share:.0f} us")
+    busy.axvline(share, color=look.DARK, linestyle="--", label=f"99.9 % below {share:.0f} us")
     title = f"{timing.busy.size} control frames, {timing.over} over {frame:.0f} us of computing"
     busy.set_title(title)
-    legend(busy, late, loc="upper right")
+    look.legend(busy, late, loc="upper right")
     return figure
 
 
@@ -195,4 +188,4 @@ def save_operation(
         )
         files["timing.csv"] = (("percentile", "computing_s", "lateness_s"), lines)
         files["timing.png"] = timing_figure(timing)
-    return save_files(files, folder)
+    return look.save_files(files, folder)

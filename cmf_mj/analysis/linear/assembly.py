@@ -22,18 +22,9 @@ import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cmf_mj.analysis.linear import ports
 from cmf_mj.analysis.linear.law import FEEDBACK, labels
 from cmf_mj.analysis.linear.operating_point import OperatingPoint, operating_point
-from cmf_mj.analysis.linear.ports import (
-    CAP,
-    DRAWN,
-    HIGH,
-    LOW,
-    RETURNED,
-    ROD,
-    Excitation,
-    port_slopes,
-)
 from cmf_mj.plant.cylinder import volumes
 from cmf_mj.plant.oil import density
 from cmf_mj.plant.parameters.hydraulics import VALVES
@@ -65,7 +56,7 @@ def linearize(
     plant: Plant,
     pose: ArrayLike | None = None,
     *,
-    excitation: Excitation = "noise",
+    excitation: ports.Excitation = "noise",
     at: OperatingPoint | None = None,
 ) -> control.StateSpace:
     """Linearise a plant with its hydraulics at rest in a configuration; the plant is left there.
@@ -198,7 +189,7 @@ def _fill_hydraulics(
     extension = point.mechanics.extension[leg]
     ends = np.array([point.supply_pressure, point.return_pressure])
     pressures = np.append(point.pressure[leg], ends)
-    slopes = port_slopes(
+    slopes = ports.port_slopes(
         hydraulics, leg, point.spool[leg], pressures, extension, point.outward[leg]
     )
     cap, rod, speed = f"cap_pressure{number}", f"rod_pressure{number}", f"leg_velocity{number}"
@@ -206,10 +197,10 @@ def _fill_hydraulics(
 
     def flow(row: int) -> dict[str, float]:
         terms = {
-            cap: slopes.pressure[row, CAP],
-            rod: slopes.pressure[row, ROD],
-            "supply_pressure": slopes.pressure[row, HIGH],
-            "return_pressure": slopes.pressure[row, LOW],
+            cap: slopes.pressure[row, ports.CAP],
+            rod: slopes.pressure[row, ports.ROD],
+            "supply_pressure": slopes.pressure[row, ports.HIGH],
+            "return_pressure": slopes.pressure[row, ports.LOW],
             position: slopes.extension[row],
         }
         for valve, suffix in enumerate(valves):
@@ -219,13 +210,13 @@ def _fill_hydraulics(
 
     whole = volumes(cylinder, extension)
     for row, name, volume, area in (
-        (CAP, cap, whole[0], cylinder.cap_area),
-        (ROD, rod, whole[1], -cylinder.rod_area),
+        (ports.CAP, cap, whole[0], cylinder.cap_area),
+        (ports.ROD, rod, whole[1], -cylinder.rod_area),
     ):
         content, rise = density(hydraulics.oil, pressures[row])
         terms = flow(row) | {speed: -content * area}
         system.add(name, **{key: value / (volume * rise) for key, value in terms.items()})
-    for row, total in ((DRAWN, drawn), (RETURNED, returned)):
+    for row, total in ((ports.DRAWN, drawn), (ports.RETURNED, returned)):
         for key, value in flow(row).items():
             total[key] = total.get(key, 0.0) + value
 

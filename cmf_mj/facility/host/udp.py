@@ -18,14 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.facility.host.datagram import (
-    DATAGRAM_REASONS,
-    SIZE,
-    TAG,
-    DatagramError,
-    decode,
-    encode,
-)
+from cmf_mj.facility.host import datagram
 from cmf_mj.facility.host.handover import Ring, make_ring, put
 from cmf_mj.facility.host.stream import HostStream
 
@@ -68,7 +61,7 @@ class UdpReceiver:
         check_address("host", host)
         self.ring = ring if ring is not None else make_ring()
         """Frames received, good form only."""
-        self._refused = np.zeros(len(DATAGRAM_REASONS), dtype=np.int64)
+        self._refused = np.zeros(len(datagram.DATAGRAM_REASONS), dtype=np.int64)
         self._host, self._host_port, self._key = host, host_port, key
         self._overrun = 0
         self._socket = open_socket(port, bind)
@@ -87,7 +80,7 @@ class UdpReceiver:
     def refused(self) -> dict[str, int]:
         """Datagrams dropped so far, by reason; `overrun` by the system, its buffer being full."""
         self._look()
-        reasons = dict(zip(DATAGRAM_REASONS, self._refused.tolist(), strict=True))
+        reasons = dict(zip(datagram.DATAGRAM_REASONS, self._refused.tolist(), strict=True))
         return reasons | {"overrun": self._overrun}
 
     @property
@@ -128,13 +121,13 @@ class UdpReceiver:
 
     def _take(self) -> None:
         # One octet more than a frame, so that a longer datagram is seen to be longer.
-        data, (address, port) = self._socket.recvfrom(SIZE + TAG + 1)
+        data, (address, port) = self._socket.recvfrom(datagram.SIZE + datagram.TAG + 1)
         try:
             if address != self._host or self._host_port not in (None, port):
-                raise DatagramError("wrong_sender", f"{address}:{port}")
-            put(self.ring, decode(data, self._key))
-        except DatagramError as error:
-            self._refused[DATAGRAM_REASONS.index(error.reason)] += 1
+                raise datagram.DatagramError("wrong_sender", f"{address}:{port}")
+            put(self.ring, datagram.decode(data, self._key))
+        except datagram.DatagramError as error:
+            self._refused[datagram.DATAGRAM_REASONS.index(error.reason)] += 1
 
 
 def open_socket(port: int, bind: str) -> socket.socket:
@@ -185,7 +178,7 @@ def send_stream(
     if not 1 <= port <= 65535:
         raise InputError(f"port: {port} is refused; allowed: 1 to 65535")
     check_address("address", address)
-    datagrams = [encode(stream.row(index), key) for index in range(stream.time.size)]
+    datagrams = [datagram.encode(stream.row(index), key) for index in range(stream.time.size)]
     deadlines = stream.time - stream.time[0]
     lateness = np.zeros(stream.time.size)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:

@@ -26,22 +26,10 @@ from scipy.stats import qmc
 
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core.errors import InputError
-from cmf_mj.studies.calibration.trial import (
-    MEASURES,
-    Measure,
-    Study,
-    Values,
-    Verdict,
-    computed,
-    least_damping,
-    linear_results,
-    simulated_results,
-    simulated_stability,
-    starting_values,
-)
+from cmf_mj.studies.calibration import trial
 
 Results = Mapping[str, Measures]
-Shift = Mapping[str, Mapping[Measure, float]]
+Shift = Mapping[str, Mapping[trial.Measure, float]]
 
 _SOFT = 0.01
 """Shortfall of the least damping ratio that weighs as much as one tolerance."""
@@ -53,7 +41,7 @@ class Residual(NamedTuple):
     table: str
     law: str
     of: str  #: `hardware` or `nonlinear`, what was printed of.
-    measure: Measure
+    measure: trial.Measure
     role: str  #: `fitted` or `predicted`.
     printed: float  #: Hz, or 1 for a damping ratio.
     computed: float  #: NaN where the step rings on.
@@ -75,7 +63,7 @@ class Stage(NamedTuple):
 class Calibration(NamedTuple):
     """A finished study."""
 
-    study: Study
+    study: trial.Study
     stages: tuple[Stage, ...]  #: As shipped, then after each round.
     standard_errors: dict[str, float]
     """Of the free parameters in their units, from s^2 (J' J)^-1, s^2 the mean squared residual."""
@@ -91,14 +79,14 @@ class Calibration(NamedTuple):
         return self.stages[-1]
 
 
-def residual_rows(study: Study, results: Results) -> list[Residual]:
+def residual_rows(study: trial.Study, results: Results) -> list[Residual]:
     """Every printed number of a study with the computed one."""
     rows = []
-    for row, measure in product(study.rows, MEASURES):
+    for row, measure in product(study.rows, trial.MEASURES):
         if measure not in (*row.fitted, *row.predicted):
             continue
         measures, printed = results[row.law], row.printed(measure)
-        value = computed(measures, measure) if measures.stable else float("nan")
+        value = trial.computed(measures, measure) if measures.stable else float("nan")
         off = value - printed if measure == "damping" else value / printed - 1.0
         tolerance = float(getattr(study.tolerance, measure))
         role = "fitted" if measure in row.fitted else "predicted"
@@ -107,24 +95,24 @@ def residual_rows(study: Study, results: Results) -> list[Residual]:
     return rows
 
 
-def _cost_vector(study: Study, values: Values, shift: Shift) -> NDArray[np.float64]:
+def _cost_vector(study: trial.Study, values: trial.Values, shift: Shift) -> NDArray[np.float64]:
     fitted = {row.law: None for row in study.rows if row.fitted}
     stepped = any("damping" in row.fitted for row in study.rows)
-    linear = linear_results(study, values, tuple(fitted), damping=stepped)
+    linear = trial.linear_results(study, values, tuple(fitted), damping=stepped)
     cost = []
     for row in study.rows:
         for measure in row.fitted:
-            value = computed(linear[row.law], measure) + shift[row.law][measure]
+            value = trial.computed(linear[row.law], measure) + shift[row.law][measure]
             printed = row.printed(measure)
             off = value - printed if measure == "damping" else np.log(value / printed)
             cost.append(off / getattr(study.tolerance, measure))
-    for damping in least_damping(study, values).values():
+    for damping in trial.least_damping(study, values).values():
         cost.append(max(0.0, study.least_damping - damping) / _SOFT)
     return np.asarray(cost, dtype=float)
 
 
 def calibrate(
-    study: Study,
+    study: trial.Study,
     *,
     rounds: int = 1,
     quick: bool = False,
@@ -143,13 +131,13 @@ def calibrate(
     def stage(values: dict[str, float]) -> Stage:
         return Stage(
             values,
-            linear_results(study, values, study.laws),
-            simulated_results(study, values, study.laws, quick=quick, jobs=jobs),
-            least_damping(study, values),
+            trial.linear_results(study, values, study.laws),
+            trial.simulated_results(study, values, study.laws, quick=quick, jobs=jobs),
+            trial.least_damping(study, values),
         )
 
     report(f"{study.name}: as shipped")
-    stages = [stage(starting_values(study))]
+    stages = [stage(trial.starting_values(study))]
     free = study.free
     low, high = (np.array([getattr(p, end) for p in free]) for end in ("low", "high"))
     names, scale = [p.name for p in free], high - low
@@ -158,7 +146,10 @@ def calibrate(
         last = stages[-1]
         # What linearisation misses at the parameters of the last stage, by law and measure.
         shift = {
-            law: {m: computed(simulated, m) - computed(last.linear[law], m) for m in MEASURES}
+            law: {
+                m: trial.computed(simulated, m) - trial.computed(last.linear[law], m)
+                for m in trial.MEASURES
+            }
             for law, simulated in last.simulated.items()
         }
 
@@ -187,7 +178,7 @@ class Spread(NamedTuple):
     """Distribution of one result over the ranges of the parameters."""
 
     law: str
-    measure: Measure
+    measure: trial.Measure
     nominal: float  #: At the nominal values [Hz or 1].
     low: float  #: 5 % of the stable samples lie below.
     high: float  #: 95 % of the stable samples lie below.
@@ -199,7 +190,7 @@ class Examination(NamedTuple):
 
     calibration: Calibration
     spread: list[Spread]  #: About the shipped values.
-    verdicts: list[Verdict]  #: Step runs with the fitted values.
+    verdicts: list[trial.Verdict]  #: Step runs with the fitted values.
 
 
 def examine(
@@ -210,13 +201,13 @@ def examine(
     return Examination(
         calibration,
         spread(study, shipped, ("original", "velocity"), samples=samples),
-        simulated_stability(study, calibration.after.values, jobs=jobs),
+        trial.simulated_stability(study, calibration.after.values, jobs=jobs),
     )
 
 
 def spread(
-    study: Study,
-    values: Values,
+    study: trial.Study,
+    values: trial.Values,
     laws: tuple[str, ...] = ("velocity",),
     *,
     samples: int = 128,
@@ -234,13 +225,13 @@ def spread(
     runs = []
     for row in low + cube * (high - low):
         drawn = dict(zip((p.name for p in parameters), row.tolist(), strict=True))
-        runs.append(linear_results(study, drawn, laws))
-    nominal = linear_results(study, values, laws)
+        runs.append(trial.linear_results(study, drawn, laws))
+    nominal = trial.linear_results(study, values, laws)
     spreads = []
-    for law, measure in product(laws, MEASURES):
-        known = [computed(run[law], measure) for run in runs if run[law].stable]
+    for law, measure in product(laws, trial.MEASURES):
+        known = [trial.computed(run[law], measure) for run in runs if run[law].stable]
         low_end, high_end = np.nanquantile(known or [np.nan], ENDS)
         unstable = 1.0 - float(np.mean([run[law].stable for run in runs]))
-        value = computed(nominal[law], measure)
+        value = trial.computed(nominal[law], measure)
         spreads.append(Spread(law, measure, value, float(low_end), float(high_end), unstable))
     return spreads
