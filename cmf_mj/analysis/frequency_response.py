@@ -143,20 +143,13 @@ def frequency_response(
 ) -> FrequencyResponse:
     """Estimate the response from leg demand to leg feedback in one degree of freedom.
 
-    Args:
-        record: of a chirp, multisine or any other broad excitation.
-        dof: degree of freedom, or a leg, `leg_1` and so on; default the degree of freedom the
-            command moved.
-        segment: length of Welch's segments [s], for records that are not periodic.
-        estimator: `h1`, `h2`, `hv`, or `report`: Appendix A's, with its segments, or over the
-            periods of a multisine the mean of H1 and H2.
+    The record is of a chirp, multisine or any other broad excitation; `dof` may be a leg, `leg_1`
+    and so on, and is by default what the command moved. `segment` is the length of Welch's segments
+    [s], for records that are not periodic. Of the estimators `report` is Appendix A's, with its
+    segments, or over the periods of a multisine the mean of H1 and H2.
 
-    Returns:
-        Lines within the excited band, with coherence and bound.
-
-    Raises:
-        InputError: no excitation in this degree of freedom, a record shorter than a segment, or
-            legs that no pose has.
+    The lines lie within the excited band. Raises `InputError` without excitation in this degree of
+    freedom, and for a record shorter than a segment or legs that no pose has.
 
     >>> command = cmf_mj.signals.multisine("heave", 0.005, period=4.0, periods=2)
     >>> record = cmf_mj.simulate(cmf_mj.SingleLegs(), "velocity", command)

@@ -98,15 +98,9 @@ def measure_step(
 def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
     """Measure a step response from leg demand to leg feedback in one degree of freedom.
 
-    Where the legs have gone so far apart that no pose has them, the run is unstable and the
-    measures of shape are NaN.
-
-    Args:
-        record: of a `signals.step` that goes on for at least five seconds after the step.
-        dof: degree of freedom; default the one the command moved.
-
-    Raises:
-        InputError: the record is not of a step, or too short.
+    The record is of a `signals.step` that goes on for at least five seconds after the step, another
+    is refused; `dof` is by default what the command moved. Where the legs have gone so far apart
+    that no pose has them, the run is unstable and the measures of shape are NaN.
 
     >>> command = cmf_mj.signals.step("heave", 0.0254, duration=6.5)
     >>> record = cmf_mj.simulate(cmf_mj.SingleLegs(), "velocity", command)

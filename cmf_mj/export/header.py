@@ -90,12 +90,13 @@ def contents(frozen: Frozen) -> tuple[dict[str, NDArray[np.uint8]], str]:
     head = np.array([0, machine, 0, 0, 0, 0, 0], dtype=np.int64)
     starts = np.array([parameter.start for parameter in listed])
     warned = np.zeros(2 * int(mujoco.mjtWarning.mjNWARNING), dtype=np.int32)
-    state = [head, starts, frozen.mechanics, frozen.sensors, warned, image.block]
     blocks = {
-        "cmf_slots_data": _bytes([image.slots]),
+        "cmf_slots_data": _bytes(image.slots),
         "cmf_arena_data": image.block,
         "cmf_model_data": frozen.model,
-        "cmf_start_data": _bytes(state),
+        "cmf_start_data": _bytes(
+            head, starts, frozen.mechanics, frozen.sensors, warned, image.block
+        ),
     }
     columns = {channel.name: channel.first for channel in table}
     joint = platform_joint(frozen)
@@ -166,13 +167,13 @@ def _row(values: Iterable[object]) -> str:
 
 def _failure(kind: str) -> str:
     event, unit = default_event(kind, 0.0), ""
-    for candidate in ("m^2", "m", "N", "1"):
+    for candidate in ("1", "N", "m", "m^2"):
         with suppress(InputError):
             default_event(kind, 0.0, size=(1.0, candidate))
-            unit = unit or candidate
+            unit = candidate
     leg, valve = int(event.leg is not None), int(kind.startswith("valve"))
     return _row([kind, unit, leg, valve, event.magnitude])
 
 
-def _bytes(arrays: Iterable[NDArray[Any]]) -> NDArray[np.uint8]:
+def _bytes(*arrays: NDArray[Any]) -> NDArray[np.uint8]:
     return np.frombuffer(b"".join(array.tobytes() for array in arrays), dtype=np.uint8)

@@ -17,7 +17,7 @@ from cmf_mj.studies.calibration.fit import (
     Spread,
     residual_rows,
 )
-from cmf_mj.studies.calibration.trial import Verdict
+from cmf_mj.studies.calibration.trial import MEASURES, Verdict
 
 _MEASURE = {"phase": "-90 deg", "gain": "-3 dB", "damping": "zeta"}
 _OF = {"hardware": "h", "nonlinear": "m"}
@@ -130,12 +130,12 @@ def residual_figure(calibration: Calibration) -> Figure:
     axes.set_yticks(range(len(pairs)), labels, fontsize=8)
     axes.invert_yaxis()
     axes.set_xlabel("deviation from the print over its tolerance")
-    tolerance = calibration.study.tolerance
+    phase, gain, zeta = (calibration.study.tolerance[measure] for measure in MEASURES)
     axes.set_title(
         f"Deviations from the print, {calibration.study.name} set\n"
         "open as shipped, full as fitted; blue fitted to, orange predicted; tolerance "
-        f"{100 * tolerance.phase:g} % (-90 deg), {100 * tolerance.gain:g} % (-3 dB), "
-        f"{tolerance.damping:g} (zeta)",
+        f"{100 * phase:g} % (-90 deg), {100 * gain:g} % (-3 dB), "
+        f"{zeta:g} (zeta)",
         fontsize=9,
     )
     return figure

@@ -20,7 +20,7 @@ from cmf_mj.analysis.identification.continuous import (
     loop_errors,
     to_continuous,
 )
-from cmf_mj.analysis.identification.data import RATE, Experiment, experiment
+from cmf_mj.analysis.identification.data import Experiment, experiment
 from cmf_mj.analysis.identification.model import Orders, PolynomialModel
 from cmf_mj.analysis.identification.refinement import instrumental_variable, output_error
 from cmf_mj.analysis.identification.validation import (
@@ -73,7 +73,6 @@ def identify(
     *,
     method: Method = "oe",
     orders: Orders | tuple[int, int, int] | None = None,
-    rate: float = RATE,
     law: str | Law | None = None,
     step: Record | None = None,
 ) -> Identified:
@@ -83,27 +82,20 @@ def identify(
     fitted. `axis` is surge to yaw, or leg_1 and so on; `method` is `arx`, `iv` (refined
     instrumental variables, the reference as instrument, since the records are of a closed loop) or
     `oe`. Default orders are the fewest parameters of an ARX grid within 0.2 % of the best
-    validation fit. `rate` of the series is in Hz; `law` drove the records, by default the shipped
-    one they name; `step` is a step under it, to compare the loop's damping with.
+    validation fit. `law` drove the records, by default the shipped one they name; `step` is a step
+    under it, to compare the loop's damping with.
     """
     check_name("method", method, get_args(Method))
     if not records:
         raise InputError("records: none given; at least one is needed")
-    series = [experiment(record, axis, rate=rate) for record in records]
-    if len(series) == 1:
-        first, validation = series[0].split(SHARE)
-        estimation = [first]
-    else:
-        estimation, validation = series[:-1], series[-1]
+    series = [experiment(record, axis) for record in records]
+    *estimation, validation = series if len(series) > 1 else series[0].split(SHARE)
     selection = None
     if orders is None:
         selection = select_orders(estimation, validation, **_GRID)
         orders = selection.best().orders
-    fits: dict[Method, Callable[..., PolynomialModel]] = {
-        "arx": arx,
-        "iv": partial(instrumental_variable, instrument="reference"),
-        "oe": output_error,
-    }
+    fits: dict[str, Callable[..., PolynomialModel]] = {"arx": arx, "oe": output_error}
+    fits["iv"] = partial(instrumental_variable, instrument="reference")
     model = fits[method](estimation, Orders(*orders))
     continuous = to_continuous(model)
     broad = [r for r in records if r.signal.kind in _BROAD]

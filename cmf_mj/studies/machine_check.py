@@ -100,10 +100,7 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
     cap, rod = float(cylinder.cap_area[0]), float(cylinder.rod_area[0])
     high, low = supply.pressure, supply.return_pressure
     return MachineCheck(
-        machine,
-        limits,
-        excursion_envelope(None, machine),
-        max(gaps),
+        *(machine, limits, excursion_envelope(None, machine), max(gaps)),
         (conditions[0], conditions[worst]),
         (cap * high - rod * low, rod * high - cap * low),
         cabs,

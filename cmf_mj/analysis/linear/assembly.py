@@ -64,21 +64,17 @@ def linearize(
     Continuous, SI, deviations from rest. Two valves of an actuator that have the same lags share
     their states, as they answer alike.
 
-    Args:
-        plant: `Hexapod`, `SingleLegs`, or any `Plant` whose cylinders determine its motion.
-        pose: configuration as `plant.place` takes it; default neutral.
-        excitation: what moves the valves, `noise`, `sine` or `mean`, see `describing`.
-        at: the operating point, where it is known, instead of both.
+    The plant is any whose cylinders determine its motion; the pose is as `plant.place` takes it, by
+    default neutral; `excitation` moves the valves, `noise`, `sine` or `mean`, see `describing`;
+    `at` is the operating point, where it is known, instead of both.
 
-    Returns:
-        Inputs `command_1` and on, fractions; outputs `leg_position` [m], `leg_velocity`,
-        `leg_acceleration`, `cap_pressure` and `rod_pressure` [Pa] of all legs, name by name as
-        `linear.loop.closed_loop` reads them, and of a supply that is no constant one
-        `supply_pressure` and `return_pressure` [Pa]. A single leg has bare names.
+    Inputs are `command_1` and on, fractions; outputs `leg_position` [m], `leg_velocity`,
+    `leg_acceleration`, `cap_pressure` and `rod_pressure` [Pa] of all legs, name by name as
+    `linear.loop.closed_loop` reads them, and of a supply that is no constant one `supply_pressure`
+    and `return_pressure` [Pa]. A single leg has bare names.
 
-    Raises:
-        InputError: what has no linearisation (overlap, hysteresis, dry friction), named with the
-            set and the actuator; a configuration on a stop or beyond what the supply can hold.
+    Raises `InputError` for what has no linearisation (overlap, hysteresis, dry friction), named
+    with the set and the actuator, and a configuration on a stop or beyond what the supply can hold.
 
     >>> model = cmf_mj.linearize(cmf_mj.SingleLegs(hydraulics="report"))
     >>> model.input_labels[0], bool(model.poles().real.max() < 1e-6)

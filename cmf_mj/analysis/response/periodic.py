@@ -200,10 +200,10 @@ def matrix_response(
         rows = np.flatnonzero((driven == pattern).all(axis=1))
         columns = np.flatnonzero(pattern)
         x = spectra_x[np.ix_(rows, columns)]
-        fit = spectra.least_squares(x, spectra_y[rows], np.eye(x.shape[2]))
         place = np.ix_(rows, np.arange(shape[1]), columns)
-        response[place], radius[place] = fit.response, fit.radius
-        coherence[rows], averages[rows] = fit.coherence, fit.averages
+        response[place], coherence[rows], radius[place], averages[rows] = spectra.least_squares(
+            x, spectra_y[rows], np.eye(x.shape[2])
+        )
     for i, j in np.ndindex(shape[1:]):
         known = driven[:, j]
         response[:, i, j] = _between(frequency, frequency[known], response[known, i, j])

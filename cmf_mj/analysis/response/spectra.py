@@ -97,17 +97,11 @@ def period_spectra(x: Real, rate: float, period: float) -> Complex:
     return np.asarray(np.fft.rfft(whole.reshape(*whole.shape[:-1], -1, size), axis=-1))
 
 
-class Fit(NamedTuple):
-    """Responses by least squares."""
+def least_squares(x: Complex, y: Complex, correlation: Real) -> tuple[Complex, Real, Real, Real]:
+    """Y = H X by least squares on each line; x (K, nu, S), y (K, ny, S), correlation (S, S).
 
-    response: Complex  # (K, ny, nu)
-    coherence: Real  # (K, ny)
-    radius: Real  # (K, ny, nu)
-    averages: Real  # (K,)
-
-
-def least_squares(x: Complex, y: Complex, correlation: Real) -> Fit:
-    """Y = H X by least squares on each line; x (K, nu, S), y (K, ny, S), correlation (S, S)."""
+    The response (K, ny, nu), its coherence (K, ny), radius and averages (K,), as in `Estimate`.
+    """
     inputs, count = x.shape[1:]
     if count < inputs:
         raise InputError(f"inputs: {count} averages cannot tell {inputs} inputs apart")
@@ -131,7 +125,7 @@ def least_squares(x: Complex, y: Complex, correlation: Real) -> Fit:
     noise = unexplained / np.where(known, left, 1.0)[:, None]
     gain = np.einsum("kij,kjl,kil->ki", inverse, inner, np.conj(inverse)).real / size[:, :, 0] ** 2
     radius = confidence_radius(noise[:, :, None] * gain[:, None, :], n[:, None, None])
-    return Fit(response, 1.0 - share_of(unexplained, total, 1.0), radius, n + 1.0)
+    return response, 1.0 - share_of(unexplained, total, 1.0), radius, n + 1.0
 
 
 def _adjoint(a: Complex) -> Complex:

@@ -23,7 +23,6 @@ import math
 import struct
 import sys
 from enum import IntEnum, IntFlag
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,11 +123,6 @@ _OF_FAULT = {
 """Bit of a fault of the facility; the others are a runaway actuator."""
 
 
-class _Position(NamedTuple):
-    number: int
-    pose: NDArray[np.float64]
-
-
 class MoogBase:
     """The base without its network: commands in, answers out, between parts of a session.
 
@@ -147,7 +141,7 @@ class MoogBase:
         """Faults since the last reset."""
         self._mode, self._stopped = Word.DOF_MODE, MachineState.POWER_UP
         self._begin = np.zeros(6)
-        self._history: list[_Position] = []
+        self._history: list[tuple[int, NDArray[np.float64]]] = []
         self._number, self._origin, self._last = 0, 0.0, 0.0
 
     @staticmethod
@@ -251,18 +245,17 @@ class MoogBase:
         # Numbers rise by one, unless commands were lost or the host's clock has fallen behind.
         behind = (now - self._origin) * RATE - self._number
         self._number += int(behind) if behind >= 1.5 else 0
-        self._history = [*self._history[-2:], _Position(self._number, self._begin)]
+        self._history = [*self._history[-2:], (self._number, self._begin)]
         if len(self._history) < 2:
             return
-        before, here, after = [self._history[0], *self._history][-3:]
-        late, early = (after.number - here.number) / RATE, (here.number - before.number) / RATE
+        (n0, before), (n1, here), (n2, after) = [self._history[0], *self._history][-3:]
+        late, early = (n2 - n1) / RATE, (n1 - n0) / RATE
         velocity = acceleration = np.zeros(6)
         if early:
-            forth, back = after.pose - here.pose, here.pose - before.pose
+            forth, back = after - here, here - before
             velocity = (early**2 * forth + late**2 * back) / (early * late * (early + late))
             acceleration = 2.0 * (early * forth - late * back) / (early * late * (early + late))
-        frame = HostFrame(here.number, here.number / RATE, here.pose, velocity, acceleration)
-        put(self.ring, frame)
+        put(self.ring, HostFrame(n1, n1 / RATE, here, velocity, acceleration))
 
     def _answer(self, session: Session) -> bytes:
         memory, chain = session.memory, session.chain

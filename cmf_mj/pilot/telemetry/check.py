@@ -73,16 +73,12 @@ class Verdict(NamedTuple):
     unseen: tuple[str, ...]  #: Errors that these data could not show.
 
 
-def _turned(*signs: float) -> Callable[[Array, Array], Array]:
-    return lambda values, _: values * signs
-
-
 def _swapped(*order: int) -> Callable[[Array, Array], Array]:
     return lambda values, _: values[:, order]
 
 
-def _times(factor: float) -> Callable[[Array, Array], Array]:
-    return lambda values, _: values * factor
+def _times(*factors: float) -> Callable[[Array, Array], Array]:
+    return lambda values, _: values * factors
 
 
 def _gravity(times: float) -> Callable[[Array, Array], Array]:
@@ -95,7 +91,7 @@ _SWAPS = ((1, 0, 2), (0, 2, 1), (2, 1, 0))
 
 def _axes(channel: str, what: str, names: Sequence[str]) -> list[Doubt]:
     signs = [
-        Doubt(channel, f"{what} {name} has the wrong sign", _turned(*sign))
+        Doubt(channel, f"{what} {name} has the wrong sign", _times(*sign))
         for name, sign in zip(names, _SIGNS, strict=True)
     ]
     for order in _SWAPS:
@@ -153,10 +149,8 @@ def _said(way: Sequence[Doubt]) -> tuple[str, ...]:
 
 
 def _time_errors(time: Array) -> list[str]:
-    steps = np.diff(time)
-    if not steps.size:
-        return []
-    usual, errors = float(np.median(steps)), []
+    steps, errors = np.diff(time), list[str]()
+    usual = float(np.median(steps)) if steps.size else 0.0
     if (steps <= 0.0).any():
         row = int((steps <= 0.0).argmax()) + 1
         errors.append(f"time does not rise at row {row}, {time[row]:g} s")
@@ -219,8 +213,10 @@ class _Costs:
         """Attitude, and the rate and the force that belong to it."""
         angles = attitude.mend(self._channels["attitude"], self._channels["attitude"])
         angles = interpolated(self._even, self._time, np.unwrap(angles, axis=0))
-        changes = np.gradient(angles, 1.0 / _RATE, axis=0)
-        rates = _body_rates(angles, changes)
+        (roll, pitch, _), (p, q, r) = angles.T, np.gradient(angles, 1.0 / _RATE, axis=0).T
+        across, sine, cosine = r * np.cos(pitch), np.sin(roll), np.cos(roll)
+        turned = q * cosine + sine * across, -q * sine + cosine * across
+        rates = np.column_stack([p - r * np.sin(pitch), *turned])
         force = -gravity_in_body(angles)
         if self._path is not None:
             speed, height = self._path.T
@@ -241,14 +237,6 @@ def _acceleration(speed: Array, height: Array, heading: Array) -> Array:
     level = np.sqrt(np.maximum(speed**2 - climb**2, 0.0))
     velocity = np.column_stack([level * np.cos(heading), level * np.sin(heading), -climb])
     return np.asarray(np.gradient(velocity, 1.0 / _RATE, axis=0))
-
-
-def _body_rates(angles: Array, changes: Array) -> Array:
-    """B(e) e' of rows (N, 3), as `pilot.motion.body_rates`."""
-    (roll, pitch, _), (p, q, r) = angles.T, changes.T
-    across = r * np.cos(pitch)
-    turned = (q * np.cos(roll) + np.sin(roll) * across, -q * np.sin(roll) + np.cos(roll) * across)
-    return np.column_stack([p - r * np.sin(pitch), *turned])
 
 
 def _to_body(angles: Array, vectors: Array, *, back: bool = False) -> Array:

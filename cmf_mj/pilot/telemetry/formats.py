@@ -137,14 +137,6 @@ def read_telemetry(source: str | Path, form: str) -> tuple[Telemetry, int]:
     return Telemetry(stamps, table[:, :3], table[:, 3:6], table[:, 6:], *path_of), 0
 
 
-def motion_of(telemetry: Telemetry) -> PilotMotion:
-    """The motion at the seat, from time 0, with angles that do not wrap."""
-    angles = np.unwrap(telemetry.attitude, axis=0)
-    return PilotMotion(
-        telemetry.time - telemetry.time[0], telemetry.specific_force, telemetry.angular_rate, angles
-    )
-
-
 _LINKS = {0: 4, 1: 14, 12: 0, 101: 0, 113: 16, 276: 20}
 """Octets before the IP header, by link type of a pcap file."""
 
@@ -175,6 +167,8 @@ def _packets(path: Path) -> Iterator[tuple[float, bytes]]:
 
 
 def flight_of(telemetry: Telemetry, form: str, title: str) -> Flight:
-    """Telemetry as a flight at 80 Hz of an aircraft that nobody named."""
+    """Telemetry as a flight at 80 Hz, from time 0, of an aircraft that nobody named."""
+    angles, time = np.unwrap(telemetry.attitude, axis=0), telemetry.time - telemetry.time[0]
+    motion = PilotMotion(time, telemetry.specific_force, telemetry.angular_rate, angles)
     origin = Origin(title=title, aircraft="unknown", lever_arm=(0.0, 0.0, 0.0), source=form)
-    return Flight(motion_of(telemetry).resampled(MOST_RATE), origin)
+    return Flight(motion.resampled(MOST_RATE), origin)

@@ -88,7 +88,7 @@ def residual_rows(study: trial.Study, results: Results) -> list[Residual]:
         measures, printed = results[row.law], row.printed(measure)
         value = trial.computed(measures, measure) if measures.stable else float("nan")
         off = value - printed if measure == "damping" else value / printed - 1.0
-        tolerance = float(getattr(study.tolerance, measure))
+        tolerance = study.tolerance[measure]
         role = "fitted" if measure in row.fitted else "predicted"
         numbers = (printed, value, off, tolerance, abs(off) <= tolerance, measures.stable)
         rows.append(Residual(row.table, row.law, row.of, measure, role, *numbers))
@@ -105,7 +105,7 @@ def _cost_vector(study: trial.Study, values: trial.Values, shift: Shift) -> NDAr
             value = trial.computed(linear[row.law], measure) + shift[row.law][measure]
             printed = row.printed(measure)
             off = value - printed if measure == "damping" else np.log(value / printed)
-            cost.append(off / getattr(study.tolerance, measure))
+            cost.append(off / study.tolerance[measure])
     for damping in trial.least_damping(study, values).values():
         cost.append(max(0.0, study.least_damping - damping) / _SOFT)
     return np.asarray(cost, dtype=float)

@@ -50,16 +50,8 @@ MEASURES: dict[Measure, str] = {
 }
 """Fields of `Measures` and `Published` by measure."""
 
-ParameterName = Literal[
-    "leg_speed",
-    "leak_rate",
-    "derivative_pole",
-    "bulk_modulus",
-    "drive_lag",
-    "valve_lag",
-    "supply_pressure",
-    "payload",
-]
+HYDRAULIC = ("leg_speed", "leak_rate", "bulk_modulus", "drive_lag", "valve_lag", "supply_pressure")
+"""Parameters that are quantities of a hydraulic set."""
 
 _Measures = Annotated[tuple[Measure, ...], Field(strict=False)]
 
@@ -72,8 +64,8 @@ def computed(measures: Measures, measure: Measure) -> float:
 class Parameter(Settings):
     """A number of the plant or the law, and the range its source allows."""
 
-    name: ParameterName
-    """A quantity of the hydraulic set, `derivative_pole` of all laws, or `payload`, a factor."""
+    name: str
+    """One of `HYDRAULIC`, `derivative_pole` of all laws, or `payload`, a factor."""
     unit: str
     low: float
     high: float
@@ -82,6 +74,7 @@ class Parameter(Settings):
 
     @model_validator(mode="after")
     def _ordered(self) -> "Parameter":
+        check_name("name", self.name, (*HYDRAULIC, "derivative_pole", "payload"))
         if not 0.0 < self.low < self.high:
             raise InputError(
                 f"{self.name}: low {self.low:g} must be above 0 and below high {self.high:g}"
@@ -112,14 +105,6 @@ class Row(Settings):
         return float("nan") if value is None else float(value)
 
 
-class Tolerance(Settings):
-    """Deviations that count as one."""
-
-    phase: Annotated[float, Field(gt=0.0)]  #: Relative.
-    gain: Annotated[float, Field(gt=0.0)]  #: Relative.
-    damping: Annotated[float, Field(gt=0.0)]  #: Absolute.
-
-
 class Study(Settings):
     """One calibration."""
 
@@ -128,7 +113,8 @@ class Study(Settings):
     hydraulics: str  #: Hydraulic set: starting values, and all that is not a parameter.
     plant: Literal["hexapod", "single_legs"]
     cab: str = ""  #: Of the hexapod.
-    tolerance: Tolerance  #: Scales of the residuals, and what counts as met.
+    tolerance: dict[Measure, Annotated[float, Field(gt=0.0)]]
+    """Scales of the residuals, and what counts as met: relative, of damping ratios absolute."""
     stable_cabs: Annotated[tuple[str, ...], Field(strict=False)] = ()
     """Cabs with which the velocity law must be stable in six degrees of freedom."""
     least_damping: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
@@ -193,12 +179,12 @@ def starting_values(study: Study) -> dict[str, float]:
     """Values of all parameters as the set and the laws ship, in the units of the study."""
     quantities = load_hydraulics(study.hydraulics).quantities()
     shipped = {"derivative_pole": load_law("position_error_rate").derivative_pole, "payload": 1.0}
-    return {
-        p.name: shipped[p.name]
-        if p.name in shipped
-        else float(units.from_si(p.unit, quantities[p.name].si))
+    shipped |= {
+        p.name: float(units.from_si(p.unit, quantities[p.name].si))
         for p in study.parameters
+        if p.name in HYDRAULIC
     }
+    return {p.name: shipped[p.name] for p in study.parameters}
 
 
 def hydraulics_of(study: Study, values: Values) -> HydraulicParameters:
@@ -301,13 +287,8 @@ def simulated_results(
     """
     if values.get("payload", 1.0) != 1.0:
         raise InputError(f"payload: {values['payload']} must be 1 in a simulation")
-    parameters = hydraulics_of(study, values)
-    cases = [
-        make_case(
-            law_of(name, values), "heave", study.plant, study.cab or "gfd", parameters, quick=quick
-        )
-        for name in laws
-    ]
+    machine: Any = ("heave", study.plant, study.cab or "gfd", hydraulics_of(study, values))
+    cases = [make_case(law_of(name, values), *machine, quick=quick) for name in laws]
     return {
         result.case.law.name: _unjudged(result.measures, bandwidths(result.response))
         if result.response is not None
