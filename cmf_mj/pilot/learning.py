@@ -95,9 +95,7 @@ def filtered(response: Response, history: Array) -> Array:
     return np.asarray(np.fft.irfft(passed, len(longer), axis=0)[_PAD:-_PAD])
 
 
-def make_learner(
-    responses: Sequence[Response], frequency: Array, share: float = SHARE, corner: float = CORNER
-) -> Learner:
+def make_learner(responses: Sequence[Response], frequency: Array, share: float = SHARE) -> Learner:
     """The filters for machines with the responses (K, n, n) at `frequencies`."""
     each = np.array(responses)
     turned = each.conj().swapaxes(-1, -2)
@@ -107,7 +105,7 @@ def make_learner(
     ratios = [np.linalg.norm(unit - part @ each, 2, axis=(-2, -1)) for part in parts]
     worst = np.max(ratios, axis=1)
     learning *= _PARTS[worst.argmin(axis=0)][:, None, None]
-    passed = np.minimum(1.0, SLOWEST / worst.min(axis=0)) / (1.0 + (frequency / corner) ** 8)
+    passed = np.minimum(1.0, SLOWEST / worst.min(axis=0)) / (1.0 + (frequency / CORNER) ** 8)
     return Learner(each, learning, passed[:, None, None] * unit.astype(complex))
 
 

@@ -37,11 +37,9 @@ def verdict(learnt: Learning, others: Array) -> str:
         f"largest singular value of Q (1 - L G): {worst[0]:.2f} of the machine that learns, "
         f"{worst.max():.2f} over machines and poses; best trial {learnt.best}: {left:.2%} left"
     )
-    if not len(others):
-        return text
-    spread = np.percentile(others[:, 1] / others[:, 0], [0, 50, 100])
-    on = f"on {len(others)} other machines, least, median, most"
-    return f"{text}; {on}: {', '.join(f'{share:.2%}' for share in spread)}"
+    shares = np.percentile(others[:, 1] / others[:, 0], [0, 50, 100]) if len(others) else ()
+    on = f"; on {len(others)} other machines, least, median, most: " if len(others) else ""
+    return text + on + ", ".join(f"{share:.2%}" for share in shares)
 
 
 def learning_figure(learnt: Learning, others: Array) -> Figure:

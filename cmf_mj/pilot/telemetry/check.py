@@ -20,6 +20,7 @@ cannot show.
 """
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from itertools import product
 from typing import NamedTuple
 
@@ -168,7 +169,6 @@ class _Costs:
         """Bring all to even times."""
         time = telemetry.time - telemetry.time[0]
         even = np.arange(0.0, time[-1], 1.0 / _RATE)
-        self._belongs: dict[str, tuple[Array, Array, Array]] = {}
         self._channels = {
             "attitude": telemetry.attitude,
             "rate": interpolated(even, time, telemetry.angular_rate),
@@ -177,7 +177,7 @@ class _Costs:
         self._time, self._even = time, even
         path = np.column_stack([telemetry.speed, telemetry.height])
         self._path = interpolated(even, time, path) if np.isfinite(path).all() else None
-        self._misfits: dict[tuple[str, str], float] = {}
+        self._belongs, self._part = cache(self._expected), cache(self._measured)
 
     def of(self, *way: Doubt) -> float:
         """The misfit, and what the changes cost."""
@@ -186,18 +186,10 @@ class _Costs:
 
     def misfit(self, attitude: Doubt, rate: Doubt, force: Doubt) -> float:
         """Sum of ln(r + r0) over the six axes."""
-        total = 0.0
-        for change in (rate, force):
-            key = attitude.said, change.said or change.channel
-            if key not in self._misfits:
-                self._misfits[key] = self._measured(attitude, change)
-            total += self._misfits[key]
-        return total
+        return self._part(attitude, rate) + self._part(attitude, force)
 
     def _measured(self, attitude: Doubt, change: Doubt) -> float:
-        if attitude.said not in self._belongs:
-            self._belongs[attitude.said] = self._expected(attitude)
-        angles, rates, force = self._belongs[attitude.said]
+        angles, rates, force = self._belongs(attitude)
         values = change.mend(self._channels[change.channel], angles)
         apart = _mean(values - (rates if change.channel == "rate" else force))
         if change.channel == "force" and self._path is None:
