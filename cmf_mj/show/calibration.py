@@ -1,9 +1,7 @@
 """Tables, CSV files and figures of a calibration."""
 
-from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -14,10 +12,9 @@ from cmf_mj.studies.calibration.fit import (
     Calibration,
     Examination,
     Residual,
-    Spread,
     residual_rows,
 )
-from cmf_mj.studies.calibration.trial import MEASURES, Verdict
+from cmf_mj.studies.calibration.trial import MEASURES
 
 _MEASURE = {"phase": "-90 deg", "gain": "-3 dB", "damping": "zeta"}
 _OF = {"hardware": "h", "nonlinear": "m"}
@@ -142,29 +139,7 @@ def residual_figure(calibration: Calibration) -> Figure:
 
 
 def save_calibration(result: Examination, folder: Path) -> list[Path]:
-    """Write CSV files, figures and the Markdown of a study."""
-    calibration = result.calibration
-    before, after = calibration.before, calibration.after
-    residuals = [
-        (stage, *row)
-        for stage, values in (("shipped", before), ("fitted", after))
-        for row in residual_rows(calibration.study, values.simulated)
-    ]
-    values = [
-        (p.name, p.unit, before.values[p.name], after.values[p.name])
-        for p in calibration.study.parameters
-    ]
-    tables: dict[str, tuple[Iterable[str], Iterable[Sequence[object]]]] = {
-        "parameters.csv": (("parameter", "unit", "shipped", "fitted"), values),
-        "residuals.csv": (("stage", *Residual._fields), residuals),
-        "uncertainty.csv": (Spread._fields, result.spread),
-    }
-    if result.verdicts:
-        tables["stability.csv"] = (Verdict._fields, result.verdicts)
-    files: dict[str, Any] = {}
-    for name, (titles, rows) in tables.items():
-        known = [["" if value != value else value for value in row] for row in rows]
-        files[name] = (titles, known, 6)
-    files["residuals.png"] = residual_figure(calibration)
-    files["calibration.md"] = partial(write_text, text=markdown(result))
-    return save_files(files, folder)
+    """Write `residuals.png`, and the tables as `calibration.md`."""
+    tables = partial(write_text, text=markdown(result))
+    figure = residual_figure(result.calibration)
+    return save_files({"residuals.png": figure, "calibration.md": tables}, folder)

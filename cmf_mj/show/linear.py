@@ -23,12 +23,6 @@ from cmf_mj.show.look import GREY, bode_axes, legend, new_figure, plot_bode, sav
 from cmf_mj.show.table import Table
 
 _FREQUENCIES = np.geomspace(0.1, 20.0, 400)
-_LOOP_COLUMNS = (
-    *("stable", "phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db", "static_gain"),
-    *("overshoot", "damping_ratio", "demand_damping_ratio", "peak_damping_ratio"),
-    *("mode_damping_ratio", "mode_frequency_hz", "rise_time", "settling_time"),
-    *("later_phase_hz", "graze_from_hz", "graze_to_hz"),
-)
 _EFFECT_COLUMNS = {
     "natural_frequency_hz": "mode_frequency_hz",
     "damping_ratio": "mode_damping_ratio",
@@ -38,7 +32,6 @@ _EFFECT_COLUMNS = {
     "peak_db": "peak_gain_db",
     "overshoot": "overshoot",
 }
-_READINGS = {"damping_ratio": "step_damping_ratio"}
 
 
 def roots_text(roots: Sequence[complex]) -> str:
@@ -160,11 +153,6 @@ def save_linear(loops: Sequence[LawLoop], rows: Sequence[TableRow], folder: Path
         figures[f"bode_{law}.png"], figures[f"step_{law}.png"] = loop_figures(
             [item for item in loops if item.law.name == law]
         )
-    loop_header = ("law", "model", *(_READINGS.get(name, name) for name in _LOOP_COLUMNS))
-    measures = [
-        (item.law.name, item.model, *(getattr(item.measures, name) for name in _LOOP_COLUMNS))
-        for item in loops
-    ]
     effect_header = (
         *("gain", "value", "plant_natural_frequency", "plant_damping_ratio"),
         *(*GAINS, *_EFFECT_COLUMNS),
@@ -175,7 +163,6 @@ def save_linear(loops: Sequence[LawLoop], rows: Sequence[TableRow], folder: Path
     ]
     tables = {
         "table_4_1.csv": (TableRow._fields, rows),
-        "loops.csv": (loop_header, measures),
         "gain_effects.csv": (effect_header, values),
     }
     return save_files(tables | figures, folder)
