@@ -4,7 +4,6 @@ Oracles: sines integrated through the kinematics, the orifice equation solved by
 2-1, gas laws, hydraulic modes; the closed forms for the envelope where one of them rules.
 """
 
-import csv
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -299,17 +298,14 @@ def test_constant_supply_is_bound_by_the_valves_where_the_pump_would_be():
 
 
 @pytest.mark.slow
-def test_envelope_does_not_depend_on_the_threads(tmp_path):
+def test_envelope_does_not_depend_on_the_threads():
     one, two = (
         performance_envelope(dofs=["yaw"], frequencies=[2.5, 6.3], jobs=jobs) for jobs in (1, 2)
     )
     assert one.points == two.points
     assert [point.frequency for point in one.of("yaw")] == [2.5, 6.3]
-    with one.save_csv(tmp_path / "envelope.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert float(rows[0]["velocity"]) == pytest.approx(one.points[0].velocity, rel=1e-5)
-    assert all(row["binding"] in ("valve_command", "pump_flow") for row in rows)
-    assert float(rows[1]["closed_form_pump_flow"]) > 0.0
+    assert all(point.binding in ("valve_command", "pump_flow") for point in one.points)
+    assert all(0.9 < point.ratio <= 1.0 for point in one.points)
 
 
 @pytest.mark.parametrize(
@@ -411,10 +407,8 @@ def test_command_writes_tables_and_figures(tmp_path: Path, drawn: dict[str, set[
     )
     assert code == 0, output
     assert "supply holds" in output and "valve command" in output
-    with (out / "envelope.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [float(row["frequency"]) for row in rows] == [0.1, 0.4, 1.6, 6.3]
-    assert all(0.9 < float(row["ratio"]) <= 1.0 for row in rows)
+    rows = [line.split(" | ") for line in (out / "envelope.md").read_text().splitlines()[2:]]
+    assert [float(row[1]) for row in rows] == [0.1, 0.4, 1.6, 6.3]
     assert "yes" in (out / "capacity.csv").read_text()
     assert set(drawn) == {"supply.png", "envelope.png"}
 

@@ -239,6 +239,9 @@ def save_capacity(
 
 
 def save_envelope(envelope: Envelope, folder: Path) -> list[Path]:
-    """Write `envelope.csv` (SI) and `envelope.png`."""
-    files = {"envelope.csv": envelope.save_csv, "envelope.png": envelope_figure(envelope)}
+    """Write `envelope.md`, the table, and `envelope.png`."""
+    files = {
+        "envelope.md": envelope_table(envelope).save,
+        "envelope.png": envelope_figure(envelope),
+    }
     return look.save_files(files, folder)

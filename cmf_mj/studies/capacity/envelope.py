@@ -26,7 +26,6 @@ import numpy as np
 from cmf_mj.analysis.response.periodic import fit_sines
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.files import write_csv
 from cmf_mj.core.rates import RATE
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.simulation import simulate
@@ -83,9 +82,8 @@ class EnvelopePoint(NamedTuple):
     distortion: float = _NAN
     """Rms of what is not the fundamental, over rms of the fundamental, of the displacement."""
     least_pressure: float = _NAN  #: Least manifold pressure over the cycles [Pa].
-    drawn_flow: float = (
-        _NAN  #: Mean flow drawn from the supply [m^3/s]; NaN with a constant supply.
-    )
+    drawn_flow: float = _NAN
+    """Mean flow drawn from the supply [m^3/s]; NaN with a constant supply."""
     runs: int = 0  #: Simulations it took.
 
 
@@ -103,16 +101,6 @@ class Envelope:
     def of(self, dof: str) -> list[EnvelopePoint]:
         """Points of one degree of freedom."""
         return [point for point in self.points if point.dof == dof]
-
-    def save_csv(self, path: str | Path) -> Path:
-        """Write the points in SI, the closed-form velocity amplitudes next to them."""
-        limits = {limit.dof: limit for limit in self.asymptotes}
-        names = [f"closed_form_{name}" for name in self.asymptotes[0].velocities(1.0)]
-        rows = (
-            [*point, *limits[point.dof].velocities(point.frequency).values()]
-            for point in self.points
-        )
-        return write_csv(Path(path), [*EnvelopePoint._fields, *names], rows, digits=6)
 
 
 class _Run(NamedTuple):
@@ -188,11 +176,8 @@ def _run(
 ) -> _Run:
     """A sustained sine without its end, judged over whole cycles."""
     cycles, every = max(1, int(np.ceil(2.0 * frequency))), 4
-    before = {
-        "settle": 0.125,
-        "fade": 1.0 + 0.25 / frequency,
-        "transient": max(3.0, 1.0 / frequency),
-    }
+    before = {"settle": 0.125, "fade": 1.0 + 0.25 / frequency}
+    before["transient"] = max(3.0, 1.0 / frequency)
     whole = stepped_sines(dof, [frequency], [amplitude], cycles=cycles, **before)
     start = sum(round(part * RATE) for part in before.values())
     end = start + round(cycles / frequency * RATE)
