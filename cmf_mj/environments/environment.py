@@ -69,9 +69,7 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def begin(self, extension: Array, start: Any) -> None:
         """Start a session at rest at the actuators' extensions, at a configuration of the plant."""
-        self.table = np.tile(extension, (FRAMES, 1))
-        if self.law is None:
-            self.table = np.zeros_like(self.table)
+        self.table = np.tile(0.0 * extension if self.law is None else extension, (FRAMES, 1))
         options = Options(start, frames=self.steps * FRAMES, record_every=FRAMES, window=FRAMES)
         self.session = Session(self.plant, self.law, Table(self.table), options)
 

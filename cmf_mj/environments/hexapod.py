@@ -70,11 +70,9 @@ class HexapodEnv(MachineEnv):
         drawn = self.np_random.uniform(-1.0, 1.0, 6) * _REACH
         self.target = np.array((options or {}).get("target", drawn), dtype=float)
         if self._mismatch is not None:
-            draw = int(self.np_random.integers(2**31))
-            names = self.plant.actuators
-            self.plant = Hexapod(
-                self._cab, self._mismatch.draw_hydraulics(self._oil, names, draw, 0)
-            )
+            draw, names = int(self.np_random.integers(2**31)), self.plant.actuators
+            oil = self._mismatch.draw_hydraulics(self._oil, names, draw, 0)
+            self.plant = Hexapod(self._cab, oil)
         self.begin(np.zeros(6), None)
         self._asked = np.zeros(6)
         return self.observation(), {"target": self.target.copy()}
@@ -90,17 +88,13 @@ class HexapodEnv(MachineEnv):
         self.table[:] = pose_to_legs(self._asked + ramp * (aim - self._asked), self.plant.machine)
         self._asked = aim
 
-    def _error(self, session: Session) -> Array:
-        """Target less pose; 0 where the legs are of no pose: the run has left its bounds."""
-        try:
-            return self.target - legs_to_pose(session.memory.extension, self.plant.machine)
-        except InputError:
-            return np.zeros(6)
-
     def _look(self, session: Session) -> tuple[Array, ...]:
         memory, pressure = session.memory, session.machine.state.pressure
         across = 1e-6 * (pressure[:, 0] - pressure[:, 1])
-        self._apart = self._error(session)
+        try:
+            self._apart = self.target - legs_to_pose(memory.extension, self.plant.machine)
+        except InputError:  # the legs are of no pose: the run has left its bounds
+            self._apart = np.zeros(6)
         return memory.extension, memory.mean, across, self._apart
 
     def _judge(self, action: Array) -> tuple[float, bool]:

@@ -21,7 +21,7 @@ from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.export.machine_code import leaves, machine_code, slot_count
+from cmf_mj.export.machine_code import leaves, machine_code
 from cmf_mj.facility.host.handover import NEVER, make_log
 from cmf_mj.facility.loop import Controller, Machine, Memory, Recorder, run
 from cmf_mj.facility.operation import FacilitySettings, Start, facility_session
@@ -62,7 +62,6 @@ def make_image(value: Any, elsewhere: Collection[str] = ()) -> Image:
             table.append(int(np.float64(leaf).view(np.int64)))
         else:
             table.append(int(leaf))
-        assert len(table) == at[path] + slot_count(leaf)
     block = _block(arrays, table)
     return Image(np.array(table, dtype=np.int64), pointers, at, block)
 

@@ -54,11 +54,6 @@ def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield path, value
 
 
-def slot_count(value: Any) -> int:
-    """Slots that a number or an array takes."""
-    return 1 + 2 * value.ndim if isinstance(value, np.ndarray) else 1
-
-
 class _Reader:
     """Builds values of Numba's types from the table at an address, slot by slot."""
 

@@ -50,17 +50,18 @@ def read_stream(path: str | Path, *, derivatives: str = "spline") -> HostStream:
     if (first in table.column_names) != (second in table.column_names):
         raise InputError(f"{source}: velocity and acceleration columns: give both or neither")
     time = read_column(source, table, "time")
-    motion = [
-        np.column_stack([read_column(source, table, f"{dof}{kind}") for dof in DOFS])
-        for kind in (_KINDS if first in table.column_names else _KINDS[:1])
-    ]
-    numbers = None
+    kinds = _KINDS if first in table.column_names else _KINDS[:1]
+    motion, numbers = [_motion(source, table, kind) for kind in kinds], None
     if "sequence" in table.column_names:
         numbers = read_column(source, table, "sequence", pa.int64())
     try:
         return make_stream(time, *motion, sequence=numbers, derivatives=derivatives)
     except ValueError as error:
         raise InputError(f"{source}: {error}") from error
+
+
+def _motion(source: Path, table: pa.Table, kind: str) -> NDArray[np.float64]:
+    return np.column_stack([read_column(source, table, f"{dof}{kind}") for dof in DOFS])
 
 
 def write_stream(stream: HostStream, path: str | Path) -> Path:
@@ -87,11 +88,8 @@ class HostSession:
         """Write the session as Parquet; the file appears only when it is complete."""
         table = _table(self.arrivals.sequence, self.arrivals.time, self.arrivals.values)
         table = table.append_column("control_frame", pa.array(self.arrivals.frame))
-        header = {
-            "frames": self.frames,
-            "start": np.asarray(self.start, dtype=float).tolist(),
-            "settings": self.settings.model_dump(),
-        }
+        start = np.asarray(self.start, dtype=float).tolist()
+        header = {"frames": self.frames, "start": start, "settings": self.settings.model_dump()}
         return write_parquet(table, Path(path), (_SCHEMA_KEY, header))
 
     @staticmethod
@@ -99,19 +97,12 @@ class HostSession:
         """Read a session written by `save`; numbers come back bit for bit."""
         source = Path(path)
         table, header = read_headed(source, _SCHEMA_KEY, Header)
-        values = np.stack(
-            [
-                np.column_stack([read_column(source, table, f"{dof}{kind}") for dof in DOFS])
-                for kind in _KINDS
-            ],
-            axis=1,
+        frame, sequence = (
+            read_column(source, table, name, pa.int64()) for name in ("control_frame", "sequence")
         )
-        arrivals = Arrivals(
-            read_column(source, table, "control_frame", pa.int64()),
-            read_column(source, table, "sequence", pa.int64()),
-            read_column(source, table, "time"),
-            np.ascontiguousarray(values),
-        )
+        values = np.stack([_motion(source, table, kind) for kind in _KINDS], axis=1)
+        time = read_column(source, table, "time")
+        arrivals = Arrivals(frame, sequence, time, np.ascontiguousarray(values))
         settings = validated(DcuSettings, header.settings, f"{source}: settings")
         return HostSession(arrivals, header.frames, np.array(header.start), settings)
 
@@ -120,7 +111,6 @@ def _table(
     sequence: NDArray[np.int64], time: NDArray[np.float64], values: NDArray[np.float64]
 ) -> pa.Table:
     columns: dict[str, NDArray[Any]] = {"sequence": sequence, "time": time}
-    for row, kind in enumerate(_KINDS):
-        for i, dof in enumerate(DOFS):
-            columns[f"{dof}{kind}"] = np.ascontiguousarray(values[:, row, i])
+    names = (f"{dof}{kind}" for kind in _KINDS for dof in DOFS)
+    columns |= zip(names, np.ascontiguousarray(values.reshape(len(time), -1).T), strict=True)
     return pa.table({name: pa.array(column) for name, column in columns.items()})

@@ -184,11 +184,11 @@ def send_stream(
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.bind(("", source_port))
         start = clock()
-        for index, datagram in enumerate(datagrams):
+        for index, data in enumerate(datagrams):
             deadline = start + float(deadlines[index])
             while (left := deadline - clock()) > 0.0:
                 sleep(left)
-            sender.sendto(datagram, (address, port))
+            sender.sendto(data, (address, port))
             lateness[index] = clock() - deadline
     return SendReport(
         frames=len(datagrams),
