@@ -113,7 +113,10 @@ def _process(_app: Any, _kind: str, _name: str, _it: Any, _options: Any, lines: 
 
 
 def _read(_app: Any, page: str, source: list[str]) -> None:
-    """Put the borrowed text before a page's own and turn all links between pages to the site's."""
+    """Put the borrowed text before a page's own and turn all links between pages to the site's.
+
+    Listings lose their empty last line.
+    """
     borrowed = _HERE.parent / _BORROWED.get(page, f"docs/{page}.md")
     places = {_HERE.parent / path: _HERE / f"{name}.md" for path, name in _PLACES.items()}
 
@@ -124,7 +127,7 @@ def _read(_app: Any, page: str, source: list[str]) -> None:
     if page in _BORROWED:
         source[0] = _LINK.sub(turned, borrowed.read_text(encoding="utf-8")) + "\n" + source[0]
     elif borrowed.is_file():
-        source[0] = _LINK.sub(turned, source[0])
+        source[0] = _LINK.sub(turned, source[0]).replace("\n\n```\n", "\n```\n")
 
 
 def _short_menu(app: Any, env: Any) -> None:

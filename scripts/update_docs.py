@@ -63,6 +63,7 @@ COPIES = {
     "ablation/measures.csv": "data/ablation_measures.csv",
     "ablation/effects.csv": "data/ablation_effects.csv",
     "mismatch/rates.csv": "data/mismatch_rates.csv",
+    "mismatch/rates.png": "images/mismatch_rates.png",
     **{
         f"rotation/{name}.csv": f"data/rotation_{name}.csv"
         for name in ("stability", "changes", "spans", "gains", "unknowns", "evidence")

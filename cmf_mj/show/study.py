@@ -1,5 +1,6 @@
 """Tables and figures of finished studies."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from cmf_mj.show.look import COLOURS, new_figure, save_files
 from cmf_mj.show.table import Table, number
 from cmf_mj.studies.effects import (
     Interval,
+    Rate,
     Row,
     agreement,
     climb,
@@ -44,6 +46,30 @@ def rate_table(table: pa.Table) -> Table:
     names = ("cab", "law", "stable %", *(f"{dof} damped %" for dof in DOFS))
     rows = [(cab, law, *map(_percent, shares), least) for cab, law, shares, least in rates(table)]
     return Table("", (*names, ("least mode damping", ".3f")), rows)
+
+
+def rate_figure(found: Sequence[Rate]) -> Figure:
+    """Shares of stable and of damped machines [%], laws down, a panel a cab."""
+    cabs = list(dict.fromkeys(rate.cab for rate in found))
+    laws = list(dict.fromkeys(rate.law for rate in found))
+    figure = new_figure(3.3 * len(cabs) + 1.8, 0.33 * len(laws) + 1.4, gridded=False)
+    axes = figure.subplots(1, len(cabs), sharey=True, squeeze=False)[0]
+    by_case = {(rate.cab, rate.law): rate for rate in found}
+    for cab, axis in zip(cabs, axes, strict=True):
+        rates_of = [by_case[cab, law] for law in laws]
+        shares = 100.0 * np.array(
+            [[r.stable.value, *(r.damped[dof].value for dof in DOFS)] for r in rates_of]
+        )
+        axis.imshow(shares, cmap="cividis", vmin=0.0, vmax=100.0, aspect="auto")
+        for (row, column), share in np.ndenumerate(shares):
+            colour = "white" if share < 50.0 else "black"
+            middle: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 8}
+            axis.text(column, row, number(share, ".0f"), color=colour, **middle)
+        axis.set_xticks(range(1 + len(DOFS)), ["stable", *DOFS], rotation=45, fontsize=8)
+        axis.set_yticks(range(len(laws)), laws, fontsize=8)
+        axis.set(title=cab.upper(), xlabel="stable; damped in")
+    figure.suptitle("Share of machines that a law leaves stable, and damped by 0.3 or more [%]")
+    return figure
 
 
 def agreement_table(table: pa.Table) -> Table:
@@ -146,7 +172,7 @@ def tables_of(table: pa.Table) -> dict[str, Table]:
 
 
 def save_report(table: pa.Table, folder: Path) -> list[Path]:
-    """Write every table as Markdown and CSV, and of a ladder the figure `ladder.png`."""
+    """Write every table as Markdown and CSV, of a ladder `ladder.png`, of shares `rates.png`."""
     files: dict[str, Any] = {
         f"{name}.{kind}": each.save
         for name, each in tables_of(table).items()
@@ -154,6 +180,8 @@ def save_report(table: pa.Table, folder: Path) -> list[Path]:
     }
     if "effects.md" in files:
         files["ladder.png"] = ladder_figure(table)
+    if "rates.md" in files:
+        files["rates.png"] = rate_figure(rates(table))
     return save_files(files, folder, 80)
 
 
