@@ -15,7 +15,6 @@ from cmf_mj.show.look import COLOURS, new_figure, save_files
 from cmf_mj.show.table import Table, number
 from cmf_mj.studies.effects import (
     Interval,
-    Rate,
     Row,
     agreement,
     climb,
@@ -48,18 +47,14 @@ def rate_table(table: pa.Table) -> Table:
     return Table("", (*names, ("least mode damping", ".3f")), rows)
 
 
-def rate_figure(found: Sequence[Rate]) -> Figure:
+def rate_figure(found: Sequence[tuple[str, str, list[Interval], float]]) -> Figure:
     """Shares of stable and of damped machines [%], laws down, a panel a cab."""
-    cabs = list(dict.fromkeys(rate.cab for rate in found))
-    laws = list(dict.fromkeys(rate.law for rate in found))
+    cabs, laws = (list(dict.fromkeys(names)) for names in list(zip(*found, strict=True))[:2])
     figure = new_figure(3.3 * len(cabs) + 1.8, 0.33 * len(laws) + 1.4, gridded=False)
     axes = figure.subplots(1, len(cabs), sharey=True, squeeze=False)[0]
-    by_case = {(rate.cab, rate.law): rate for rate in found}
+    by_case = {(cab, law): [100.0 * one.value for one in ones] for cab, law, ones, _ in found}
     for cab, axis in zip(cabs, axes, strict=True):
-        rates_of = [by_case[cab, law] for law in laws]
-        shares = 100.0 * np.array(
-            [[r.stable.value, *(r.damped[dof].value for dof in DOFS)] for r in rates_of]
-        )
+        shares = np.array([by_case[cab, law] for law in laws])
         axis.imshow(shares, cmap="cividis", vmin=0.0, vmax=100.0, aspect="auto")
         for (row, column), share in np.ndenumerate(shares):
             colour = "white" if share < 50.0 else "black"
