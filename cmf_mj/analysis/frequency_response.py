@@ -135,11 +135,7 @@ def dof_history(record: Record, channel: str, dof: str) -> NDArray[np.float64]:
 
 
 def frequency_response(
-    record: Record,
-    dof: str | None = None,
-    *,
-    segment: float = SEGMENT,
-    estimator: Estimator = "h1",
+    record: Record, dof: str | None = None, *, segment: float = SEGMENT, estimator: Estimator = "h1"
 ) -> FrequencyResponse:
     """Estimate the response from leg demand to leg feedback in one degree of freedom.
 

@@ -8,12 +8,7 @@ from matplotlib.figure import Figure
 from cmf_mj.core.files import write_text
 from cmf_mj.show.look import BLUE, GREY, ORANGE, new_figure, save_files
 from cmf_mj.show.table import Cell, Table, number
-from cmf_mj.studies.calibration.fit import (
-    Calibration,
-    Examination,
-    Residual,
-    residual_rows,
-)
+from cmf_mj.studies.calibration.fit import Calibration, Examination, Residual, residual_rows
 from cmf_mj.studies.calibration.trial import MEASURES
 
 _MEASURE = {"phase": "-90 deg", "gain": "-3 dB", "damping": "zeta"}

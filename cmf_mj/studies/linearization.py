@@ -38,10 +38,7 @@ class LinearizationStudy(NamedTuple):
 
 
 def linearization_study(
-    plant: Plant,
-    law: str,
-    pose: NDArray[np.float64],
-    signals: Sequence[str],
+    plant: Plant, law: str, pose: NDArray[np.float64], signals: Sequence[str]
 ) -> LinearizationStudy:
     """Linearise a plant and close a law around it.
 

@@ -65,8 +65,7 @@ def regressors(y: Real, u: Real, orders: Orders, lag: int) -> Real:
 
 
 def arx(
-    experiments: Experiment | Sequence[Experiment],
-    orders: Orders | tuple[int, int, int],
+    experiments: Experiment | Sequence[Experiment], orders: Orders | tuple[int, int, int]
 ) -> PolynomialModel:
     """Fit an ARX model to one or several experiments by least squares.
 

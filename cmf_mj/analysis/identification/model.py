@@ -268,12 +268,7 @@ class FittedRow(NamedTuple):
 
 
 def from_rows(
-    orders: Orders,
-    rows: Sequence[FittedRow],
-    like: Experiment,
-    *,
-    method: str,
-    samples: int,
+    orders: Orders, rows: Sequence[FittedRow], like: Experiment, *, method: str, samples: int
 ) -> PolynomialModel:
     """Build a model from its fitted rows and an experiment's labels."""
     theta = np.stack([row.parameters for row in rows])

@@ -92,10 +92,7 @@ def linearize(
     ]
     motion = ("leg_position", "leg_velocity", "cap_pressure", "rod_pressure")
     network = _network(plant)
-    system = _Rows(
-        [*lags, *labels(motion, legs), *network],
-        labels(("command",), legs),
-    )
+    system = _Rows([*lags, *labels(motion, legs), *network], labels(("command",), legs))
     _fill_mechanics(plant, point, system)
     drawn: dict[str, float] = {}
     returned: dict[str, float] = {}

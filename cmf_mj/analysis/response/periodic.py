@@ -74,12 +74,7 @@ def periodic_response(
 
 
 def sine_response(
-    x: ArrayLike,
-    y: ArrayLike,
-    rate: float,
-    frequency: ArrayLike,
-    *,
-    settle: float = 0.0,
+    x: ArrayLike, y: ArrayLike, rate: float, frequency: ArrayLike, *, settle: float = 0.0
 ) -> Estimate:
     """Response at the frequency of a sine, or of several in one run, by least squares.
 

@@ -84,11 +84,7 @@ def column(table: pa.Table, name: str) -> Array:
 
 
 def run_posterior(
-    study: PosteriorStudy,
-    folder: str | Path,
-    *,
-    progress: Progress | None = None,
-    **workers: Any,
+    study: PosteriorStudy, folder: str | Path, *, progress: Progress | None = None, **workers: Any
 ) -> Results:
     """Run what is left of a study; `workers` as for `Workers`."""
     how, settings = Workers(**workers), study.settings
