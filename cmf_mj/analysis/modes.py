@@ -57,11 +57,6 @@ class Range(NamedTuple):
     worst: HydraulicModes  #: Where the lowest mode is lowest.
 
     @property
-    def poses(self) -> NDArray[np.float64]:
-        """Poses looked at, (n, 6) [m, rad]."""
-        return np.array([modes.pose for modes in self.modes])
-
-    @property
     def frequency_hz(self) -> NDArray[np.float64]:
         """Frequencies there, (n, 6) [Hz]."""
         return np.array([modes.frequency_hz for modes in self.modes])

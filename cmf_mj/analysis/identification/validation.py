@@ -94,11 +94,6 @@ class Residuals(NamedTuple):
     cross_bound: Real  #: (nu,).
 
     @property
-    def auto_outside(self) -> float:
-        """Share of the lags from 1 on at which the auto-correlation exceeds its bound."""
-        return float(np.mean(np.abs(self.auto[1:]) > self.auto_bound))
-
-    @property
     def cross_outside(self) -> Real:
         """Share of the lags at which the cross-correlation exceeds its bound, (nu,)."""
         return np.asarray(np.mean(np.abs(self.cross) > self.cross_bound[:, None], axis=1))
