@@ -1,4 +1,4 @@
-"""Structured singular value: an upper bound for real parameters, by intervals of frequency.
+"""Structured singular value: an upper bound for real parameters, over all frequencies.
 
 A loop with parameters off by delta_i, each of which enters `sizes[i]` times in a row, is
 
@@ -8,14 +8,23 @@ No delta with |delta_i| < 1 / beta puts a pole at s if matrices X > 0 and Y = Y*
 diag(delta_i 1) are found with (M. Fan, A. Tits and J. Doyle, IEEE Trans. Automatic Control 36
 (1991) 25-38)
 
-    Phi(s) = M* X M + j (Y M - M* Y) - beta^2 X < 0
+    Phi(s) = M* X M + j (Y M - M* Y) - beta^2 X <= 0
 
-One pair X, Y serves a whole interval of frequencies. On s = j w e^(j turn) det Phi has its zeros at
-the imaginary eigenvalues of a Hamiltonian matrix; between two of them Phi keeps its sign. Intervals
-are covered one after the other (C. Roos and J.-M. Biannic, IET Control Theory and Applications 4
-(2010) 2447-2462). A gap is left: the frequency at which two intervals meet is not examined, so that
-the limit of a parameter which acts at that frequency alone is missed. With `turn` = asin(zeta) the
-ray is where poles have the damping ratio zeta: as long as none gets there all have more.
+One pair X, Y serves a closed interval of frequencies: on s = j w e^(j turn) det Phi has its zeros
+at imaginary eigenvalues of a Hamiltonian matrix, and between two of them Phi keeps its sign (C.
+Roos and J.-M. Biannic, IET Control Theory and Applications 4 (2010) 2447-2462). Work ends when such
+intervals cover all of 0 <= w <= infinity, both ends included; negative w are their mirror images.
+So nothing is left between two. Each counts for a little less than its eigenvalues say, so that
+rounding opens no gap where two meet.
+
+A real number may act at one frequency alone, the damper of an oscillator for one; towards it Y
+grows and intervals shrink without end. So none may be narrower than `_NARROW` of the distance from
+the nearest pole of A, over which M hardly changes: there one pair X, Y is sought for three
+frequencies so far apart, and beta raised until it serves what lies between. As no interval is
+narrower, their number is finite. What it costs is what M changes in between, some per cent of beta.
+
+With `turn` = asin(zeta) the ray is where poles have the damping ratio zeta: as long as none gets
+there all have more.
 """
 
 from itertools import pairwise
@@ -28,21 +37,25 @@ from scipy import linalg, optimize
 Matrix = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_LINES = 2.0 * np.pi * np.geomspace(0.05, 200.0, 25)
-"""Frequencies looked at first [rad/s]."""
 _LEAST = 0.05
 """Beta that nobody asks to improve."""
 _SLACK = 1.01
-"""Beta over the largest found at a line."""
-_NARROW = 1.001
-"""End over begin of an interval below which beta is raised, to get on."""
+"""Beta over the one found at a frequency."""
+_NARROW = 5e-4
+"""Least half width of an interval over the distance from the nearest pole."""
+_MANY = 400
+"""Intervals after which beta is raised with each, to come to an end."""
+_SURE = 0.999
+"""How far an interval counts, over where its eigenvalue is."""
+_MOST = 1e6
+"""Largest part of S, for the sake of rounding."""
 _NEAR = 1e-2
 """Real part over modulus up to which an eigenvalue is tried as an imaginary one."""
 _SHARPNESS = (20.0, 60.0, 200.0)
 """Of the smooth maximum of eigenvalues that is minimised, round by round."""
-
-
-_OPTIONS = {"maxiter": 100, "maxcor": 20}
+_ENOUGH, _GOOD = 0.9, 0.97
+"""Shares of beta below which a search ends, and below which it is not begun anew."""
+_OPTIONS = {"maxiter": 100, "maxcor": 20, "ftol": 1e-6}
 
 
 class Uncertain(NamedTuple):
@@ -56,7 +69,7 @@ class Uncertain(NamedTuple):
 
 
 class Scaling(NamedTuple):
-    """X = T* T and Y = T* S T of one frequency."""
+    """X = T* T and Y = T* S T."""
 
     beta: float
     t: Complex
@@ -66,68 +79,75 @@ class Scaling(NamedTuple):
 def point_bound(
     m: Complex, sizes: tuple[int, ...], start: Scaling | None = None, enough: float = 0.0
 ) -> Scaling:
-    """The least beta found for a matrix (k, k), and what proves it; stops below `enough`."""
+    """The least beta found for a matrix (k, k), or for all of (n, k, k), and what proves it.
+
+    Stops below `enough`.
+    """
     pattern = linalg.block_diag(*(np.ones((size, size)) for size in sizes)) > 0.0
-    upper, plain = np.triu(pattern), m
-    rows, count = np.nonzero(upper), int(upper.sum())
+    m, upper = m.reshape(-1, *pattern.shape), np.triu(pattern)
+    rows, count, one = np.nonzero(upper), int(upper.sum()), np.eye(len(pattern), dtype=complex)
 
     def unpack(values: Matrix) -> tuple[Complex, Complex]:
         parts = values.reshape(4, count)
-        t, s = np.zeros(m.shape, dtype=complex), np.zeros(m.shape, dtype=complex)
+        t, s = np.zeros_like(one), np.zeros_like(one)
         t[rows] = parts[0] + 1j * parts[1]
         s[rows] = parts[2] + 1j * parts[3]
         return t, s + s.conj().T
 
     def cost(values: Matrix, m: Complex, scale: float) -> tuple[float, Matrix]:
         t, s = unpack(values)
-        inverse = linalg.solve_triangular(t, np.eye(len(t)), check_finite=False)
+        inverse = linalg.solve_triangular(t, one, check_finite=False)
         scaled = t @ m @ inverse
-        cross = 1j * s @ scaled
-        size, vector = np.linalg.eigh(scaled.conj().T @ scaled + cross + cross.conj().T)
-        weight = np.exp(scale * (size - size[-1]))
-        value = float(size[-1] + np.log(weight.sum()) / scale)
-        density = (vector * (weight / weight.sum())) @ vector.conj().T
-        pull = density @ (scaled.conj().T + 1j * s)
-        on_t = 2.0 * (inverse @ (scaled @ pull - pull @ scaled)).conj().T[rows]
-        turned = 1j * scaled @ density
-        on_s = 2.0 * (turned + turned.conj().T)[rows]
+        size, vector = np.linalg.eigh(_gain(scaled, s))
+        weight = np.exp(scale * (size - size.max()))
+        value = float(size.max() + np.log(weight.sum()) / scale)
+        density = (vector * (weight / weight.sum())[:, None, :]) @ _adjoint(vector)
+        pull = density @ (_adjoint(scaled) + 1j * s)
+        on_t = 2.0 * _adjoint(inverse @ (scaled @ pull - pull @ scaled).sum(axis=0))[rows]
+        turned = (1j * scaled @ density).sum(axis=0)
+        on_s = 2.0 * (turned + _adjoint(turned))[rows]
         return value, np.concatenate([on_t.real, on_t.imag, on_s.real, on_s.imag])
 
     def stop(intermediate_result: optimize.OptimizeResult) -> None:
         if intermediate_result.fun < enough**2:
             raise StopIteration
 
-    half, base = np.where(rows[0] == rows[1], 0.5, 1.0), np.eye(len(m), dtype=complex)
-    t, s = (base, np.zeros_like(base)) if start is None else (start.t, start.s)
+    half, base = np.where(rows[0] == rows[1], 0.5, 1.0), one
+    t, s = (one, np.zeros_like(one)) if start is None else (start.t, start.s)
     if start is None:
-        balance = linalg.matrix_balance(np.abs(m) + 1e-12, permute=False, separate=True)[1][0]
-        t = np.diag(1.0 / balance).astype(complex)
+        size = np.abs(m).max(axis=0) + 1e-12
+        t = np.diag(1.0 / linalg.matrix_balance(size, permute=False, separate=True)[1][0] + 0j)
+        given, ends = t @ m @ np.linalg.inv(t), np.arcsinh([-_MOST, _MOST]) - [-1.0, 1.0]
+
+        def plain(x: float) -> float:
+            return largest(given, Scaling(0.0, one, np.sinh(x) * one))
+
+        s = np.sinh(optimize.minimize_scalar(plain, bounds=ends, method="bounded").x) * one
     for sharpness in _SHARPNESS:
         base = t @ base
         base /= np.abs(np.diag(base)).max()
-        given = base @ plain @ np.linalg.inv(base)
-        t = np.eye(len(m), dtype=complex)
+        given, t = base @ m @ np.linalg.inv(base), one
         size = max(abs(largest(given, Scaling(0.0, t, s))), 1e-9)
         begun = t[rows], half * s[rows]
         values = np.concatenate([part for one in begun for part in (one.real, one.imag)])
-        how = {"method": "L-BFGS-B", "callback": stop, "options": _OPTIONS}
+        most = optimize.Bounds(*(np.repeat([np.inf, _MOST], 2 * count) * end for end in (-1, 1)))
+        how = {"method": "L-BFGS-B", "callback": stop, "bounds": most, "options": _OPTIONS}
         values = optimize.minimize(cost, values, (given, sharpness / size), jac=True, **how).x
         t, s = unpack(values)
         if largest(given, Scaling(0.0, t, s)) < enough**2:
             break
     found = Scaling(0.0, t @ base, s)
-    return found._replace(beta=float(np.sqrt(max(largest(plain, found), 0.0))))
+    return found._replace(beta=float(np.sqrt(max(largest(m, found), 0.0))))
 
 
 def largest(m: Complex, scaling: Scaling) -> float:
-    """The largest eigenvalue of Phi at beta = 0 over X."""
+    """The largest eigenvalue of Phi at beta = 0 over X, of a matrix or of several."""
     scaled = scaling.t @ m @ np.linalg.inv(scaling.t)
-    cross = 1j * scaling.s @ scaled
-    return float(np.linalg.eigvalsh(scaled.conj().T @ scaled + cross + cross.conj().T)[-1])
+    return float(np.linalg.eigvalsh(_gain(scaled, scaling.s)).max())
 
 
 def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.0) -> float:
-    """The bound, but for the gap above, on s = j w e^(j turn), or `least` where that is more.
+    """The bound on s = j w e^(j turn), or `least` where that is more.
 
     No parameters with |delta| < 1 / beta bring a pole to the ray. At `turn` 0 none of A may be on
     its right, else none of A above the real axis.
@@ -142,22 +162,26 @@ def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.0) -> float:
     _, (scale, _) = linalg.matrix_balance(loop.a, permute=False, separate=True)
     a = loop.a / scale[:, None] * scale * np.exp(-1j * turn)
     b, c = loop.b / scale[:, None] * np.exp(-1j * turn), loop.c * scale
-    one = np.eye(len(a))
+    one, poles = np.eye(len(a)), np.linalg.eigvals(a)
 
-    def response(omega: float) -> Complex:
-        return np.asarray(c @ np.linalg.solve(1j * omega * one - a, b) + loop.d)
+    def width(omega: float) -> float:
+        return _NARROW * float(np.abs(1j * omega - poles).min())
 
-    def reach(omega: float, beta: float, scaling: Scaling) -> tuple[float, float]:
-        """The interval about a frequency on which the scaling proves beta."""
+    def response(*omegas: float) -> Complex:
+        finite = np.array([0.0 if np.isinf(omega) else omega for omega in omegas])
+        moves = c @ np.linalg.solve(1j * finite[:, None, None] * one - a, b[None])
+        return np.asarray(np.isfinite(omegas)[:, None, None] * moves + loop.d)
+
+    def reach(omega: float, scaling: Scaling) -> tuple[float, float]:
+        """The interval about a frequency on which the scaling proves its beta."""
         t, inverse = scaling.t, np.linalg.inv(scaling.t)
         bs, cs, ds = b @ inverse, t @ c, t @ loop.d @ inverse
-        cross = 1j * scaling.s @ ds
-        r = ds.conj().T @ ds + cross + cross.conj().T - beta**2 * np.eye(len(ds))
-        q = cs.conj().T @ cs
+        r = _gain(ds, scaling.s) - scaling.beta**2 * np.eye(len(ds))
         s = cs.conj().T @ ds - 1j * cs.conj().T @ scaling.s
         inside = np.linalg.solve(r, np.hstack([s.conj().T, bs.conj().T]))
         left, right = inside[:, : len(a)], inside[:, len(a) :]
-        ham = np.block([[a - bs @ left, -bs @ right], [-q + s @ left, -(a - bs @ left).conj().T]])
+        closed = a - bs @ left
+        ham = np.block([[closed, -bs @ right], [s @ left - cs.conj().T @ cs, -closed.conj().T]])
         values = np.linalg.eigvals(ham)
         near = (np.abs(values.real) <= _NEAR * np.abs(values)) & (values.imag > 0.0)
         crossing = np.sort(values.imag[near])
@@ -166,39 +190,59 @@ def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.0) -> float:
         ends = [omega, omega]
         for i, side in enumerate((below, above)):
             for near, far in pairwise(side):
+                sure = far if far in (0.0, np.inf) else omega + _SURE * (far - omega)
                 middle = 2.0 * near if np.isinf(far) else 0.5 * (near + far)
-                if largest(response(middle), scaling) >= beta**2:
+                if largest(response(middle, sure), scaling) > scaling.beta**2:
                     break
-                ends[i] = far
+                ends[i] = sure
         return ends[0], ends[1]
 
     known: dict[float, Scaling] = {}
+    beta = max(least, _LEAST)
 
-    def at(omega: float, enough: float) -> Scaling:
-        m = response(omega)
-        starts = [known[min(known, key=lambda w: abs(np.log(w / omega)))]] if known else []
-        for start in (*starts, None):
-            found = point_bound(m, loop.sizes, start, enough)
-            if omega not in known or found.beta < known[omega].beta:
-                known[omega] = found
-            if found.beta < enough:
+    def best(omega: float, *omegas: float) -> Scaling:
+        """Of one frequency or of several about it, from the nearest known and from none."""
+        m, found = response(*(omegas or (omega,))), []
+        others = sorted(known, key=lambda w: abs(np.log(w / omega)))
+        for start in (*(known[w] for w in others[:2]), None):
+            found.append(point_bound(m, loop.sizes, start, _ENOUGH * beta))
+            if found[-1].beta < _GOOD * beta:
                 break
-        return known[omega]
+        return min(found, key=lambda one: one.beta)
 
-    beta, left = max(least, _LEAST), [(0.0, np.inf)]
-    for omega in _LINES:
-        beta = max(beta, _SLACK * at(omega, 0.9 * beta).beta)
+    def cover(low: float, omega: float, high: float) -> tuple[float, float]:
+        """Raise beta until one scaling serves from low to high."""
+        nonlocal beta
+        scaling = best(omega, low, omega, high)
+        beta = max(beta, _SLACK * scaling.beta)
+        while True:
+            begin, end = reach(omega, scaling._replace(beta=beta))
+            if begin <= low and high <= end:
+                return begin, end
+            beta *= _SLACK
+
+    bottom, top = width(0.0), float(np.abs(poles).max()) / _NARROW
+    left = [(cover(0.0, 0.5 * bottom, bottom)[1], cover(top, 2.0 * top, np.inf)[0])]
     while left:
         low, high = left.pop()
-        if high <= low * (1.0 + 1e-9):
+        if high <= low:
             continue
-        inside = [omega for omega in known if low < omega < high]
-        far = min(high, 1e3 * max(low, 1.0))
-        middle = float(np.sqrt(max(low, 1e-6 * far) * far))
-        omega = max(inside, key=lambda w: known[w].beta) if inside else middle
-        scaling = known[omega] if inside else at(omega, 0.9 * beta)
-        beta = max(beta, _SLACK * scaling.beta)
-        begin, end = reach(omega, beta, scaling)
-        beta *= _SLACK if end < begin * _NARROW else 1.0
+        omega = float(np.sqrt(low * high))
+        known[omega] = best(omega)
+        beta = max(beta * _SLACK ** (len(known) > _MANY), _SLACK * known[omega].beta)
+        begin, end = reach(omega, known[omega]._replace(beta=beta))
+        near, far = omega - width(omega), omega + width(omega)
+        if begin > near or end < far:
+            begin, end = cover(near, omega, far)
         left += [(low, begin), (end, high)]
     return beta
+
+
+def _adjoint(m: Complex) -> Complex:
+    return m.conj().swapaxes(-1, -2)
+
+
+def _gain(m: Complex, s: Complex) -> Complex:
+    """M* M + j (S M - M* S)."""
+    cross = 1j * s @ m
+    return _adjoint(m) @ m + cross + _adjoint(cross)

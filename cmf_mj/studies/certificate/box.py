@@ -17,10 +17,9 @@ from pydantic import Field
 from cmf_mj.control.law import Law
 from cmf_mj.core.files import in_folder, write_text
 from cmf_mj.core.settings import Settings, read_toml, validated
-from cmf_mj.facility.binding import modes_of_cab
+from cmf_mj.facility.binding import bound
 from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.facility.scenario.run import run_scenario
-from cmf_mj.machine.bodies import ENTRIES
 from cmf_mj.machine.geometry import DOFS, FLIP
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
@@ -81,15 +80,12 @@ class Box(Settings):
 
     def poses(self, plant: Hexapod) -> Array:
         """Neutral, the ends of each axis, and corners of all, (n, 6) [m, rad]."""
-        limits = load_motion_limits(machine=plant.machine)
-        low, high = np.array([getattr(limits, dof).operational.si for dof in DOFS]).T
+        low, high = load_motion_limits(machine=plant.machine).operational.T
         ends = np.vstack([np.diag(high), np.diag(low)]) * self.pose_share
-        corners = np.array(
-            [s for s in product((-1.0, 1.0), repeat=6) if s[:3] == (s[4], s[3], s[5])]
-        )
-        return np.vstack(
-            [np.zeros(6), ends, self.corner_share * np.where(corners > 0.0, high, low)]
-        )
+        signs = product((-1.0, 1.0), repeat=6)
+        corners = np.array([s for s in signs if s[:3] == (s[4], s[3], s[5])])
+        corners = self.corner_share * np.where(corners > 0.0, high, low)
+        return np.vstack([np.zeros(6), ends, corners])
 
 
 def load_box(source: str | Path | None = None) -> Box:
@@ -109,57 +105,50 @@ def save_case(
     assert cab is not None
     f = {kind: values[0] + (kind != "cab_place") for kind, values in changes.items()}
     stiff, (high,), (heavy,) = f["bulk_modulus"][0], f["supply_pressure"], f["cab_mass"]
+    known = {"status": "assumed", "source": "cmf certify"}
 
-    def known(value: Any, unit: str) -> dict[str, Any]:
-        return {"value": value, "unit": unit, "status": "assumed", "source": "cmf certify"}
-
-    def scaled(field: str, factor: float) -> dict[str, Any]:
-        given = getattr(oil, field)
-        return known(given.value * float(factor), given.unit)
-
-    legs = {
-        f"leg_{leg + 1}": {
-            "leg_speed": scaled("leg_speed", f["valve_gain"][leg] * np.sqrt(high)),
-            "leak_rate": scaled("leak_rate", f["leak_rate"][leg] * stiff),
-            **{lag: scaled(lag, f[lag][leg]) for lag in ("drive_lag", "valve_lag")},
+    def scaled(factors: Mapping[str, float]) -> dict[str, Any]:
+        given = {field: getattr(oil, field) for field in factors}
+        return {
+            field: {"value": given[field].value * float(factor), "unit": given[field].unit, **known}
+            for field, factor in factors.items()
         }
-        for leg in range(6)
+
+    speed, leak = f["valve_gain"] * np.sqrt(high), f["leak_rate"] * stiff
+    legs = zip(speed, leak, f["drive_lag"], f["valve_lag"], strict=True)
+    fields = "leg_speed", "leak_rate", "drive_lag", "valve_lag"
+    hydraulics = scaled(
+        {"bulk_modulus": stiff, **dict.fromkeys(("supply_pressure", *OF_THE_SUPPLY), high)}
+    ) | {
+        "actuators": {
+            f"leg_{leg}": scaled(dict(zip(fields, one, strict=True)))
+            for leg, one in enumerate(legs, start=1)
+        }
     }
-    pressures = {field: scaled(field, high) for field in ("supply_pressure", *OF_THE_SUPPLY)}
-    tensor = f["cab_inertia"][0] * cab.tensor
-    masses = {
-        "mass": known(float(heavy * cab.mass.si), "kg"),
-        "centre_of_mass": known((cab.centre_of_mass.si + FLIP * f["cab_place"]).tolist(), "m"),
-        "inertia": known([float(tensor[i]) for i in zip(*ENTRIES, strict=True)], "kg m^2"),
-    }
-    known_law = law.model_copy(update={"name": f"{law.name}_{name}"})
-    if law.coordinates != "legs":
-        modes = law.modes.get(cab.name) or modes_of_cab(cab)
-        known_law = known_law.model_copy(update={"modes": {name: modes}})
+    place = cab.centre_of_mass.si + FLIP * f["cab_place"]
+    masses = {"mass": heavy * cab.mass.si, "inertia": f["cab_inertia"][0] * cab.tensor}
+    changed = cab.changed(name, centre_of_mass=place, **masses)
+    modes = dict(zip((name,), bound(law, plant).modes.values(), strict=False))  # none in legs
+    known_law = law.model_copy(update={"name": f"{law.name}_{name}", "modes": modes})
     save_law(known_law, in_folder(folder, "law.toml"))
-    files: dict[str, Any] = {
-        "hydraulics.toml": {
-            "base": oil.name,
-            name: {"bulk_modulus": scaled("bulk_modulus", stiff), **pressures, "actuators": legs},
-        },
-        "cab.toml": {"base": cab.name, name: masses},
-    }
     steps = [
-        {
-            "kind": "step",
-            "dof": dof,
-            "amplitude": [float(SMALL * size), "m" if i < 3 else "rad"],
-            "at": 0.5,
-        }
-        for i, (dof, size) in enumerate(zip(DOFS, REPORT_AMPLITUDES, strict=True))
+        {"kind": "step", "dof": dof, "amplitude": [float(SMALL * size), unit], "at": 0.5}
+        for dof, size, unit in zip(DOFS, REPORT_AMPLITUDES, 3 * ("m",) + 3 * ("rad",), strict=True)
     ]
     stay: dict[str, Any] = {"kind": "waypoints", "times": [0.0, 12.0], "poses": [pose.tolist()] * 2}
-    scenario: dict[str, Any] = {
-        "title": f"{law.title}: the machine of its certificate that breaks it",
-        **{"machine": plant.machine.name, "cab": "cab.toml", "hydraulics": "hydraulics.toml"},
-        **{"law": "law.toml", "duration": 12.0, "record_every": 16, "signal": [stay, *steps]},
+    files: dict[str, dict[str, Any]] = {
+        "hydraulics.toml": {"base": oil.name, name: hydraulics},
+        "cab.toml": {
+            "base": cab.name,
+            name: changed.model_dump(mode="json", include={"centre_of_mass", *masses}),
+        },
+        "scenario.toml": {
+            "title": f"{law.title}: the machine of its certificate that breaks it",
+            **{"machine": plant.machine.name, "cab": "cab.toml", "hydraulics": "hydraulics.toml"},
+            **{"law": "law.toml", "duration": 12.0, "record_every": 16, "signal": [stay, *steps]},
+        },
     }
-    for file, table in {**files, "scenario.toml": scenario}.items():
+    for file, table in files.items():
         write_text(folder / file, tomlkit.dumps(table))
     return folder / "scenario.toml"
 

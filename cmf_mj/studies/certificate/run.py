@@ -121,12 +121,13 @@ def certify(
         broken = _break(box, begins, effort, seed)
         poses.sort(key=lambda pose: pose is not broken[0])
         for ratio in np.arange(effort.ratios) / effort.ratios * min(nominal):
-            beta, edge, turn = 0.0, min(broken[2], LARGEST), float(np.arcsin(ratio))
-            first = peak_bound(poses[0].within(poses[0].widths(box, edge)), turn)
+            edge, turn = min(broken[2], LARGEST), float(np.arcsin(ratio))
+            first = peak_bound(poses[0].within(poses[0].widths(box, edge)), turn, 1.0 / edge)
             edge = min(edge, _WIDER / first)  # slopes differ less in a smaller box
+            beta = 1.0 / edge
             for pose in poses:
                 beta = peak_bound(pose.within(pose.widths(box, edge)), turn, beta)
-            proven = min(1.0 / beta, edge)
+            proven = 1.0 / beta
             found = [_attack(p, box, proven, x, effort.rounds, seed, -1.0)[0] for p, x in begins]
             proofs.append(Proof(float(ratio), proven, min(found)))
     pose, point, scale = broken
