@@ -87,23 +87,17 @@ def compare(
 ) -> Comparison:
     """Compare control laws in several degrees of freedom on both plants.
 
-    Args:
-        laws: names, TOML files or loaded laws; default the law flown, and the report's two advances
-            on it.
-        dofs: degrees of freedom.
-        plants: `hexapod`, `single_legs` or both; both get the same hydraulics.
-        amplitude: of the chirp in translation [m]; rotations and steps keep the report's
-            proportions to it, 0.2 deg and 1 in to 0.33 in.
-        jobs: threads; default one per core. Results do not depend on it.
-        records: folder for the records of all runs.
-        progress: called with (cases done, cases in all) after each case.
-        **options: `cab` of the hexapod, `gfd`, `rfd`, `ifd`, a TOML file or a loaded cab, by
-            default the GFD; `hydraulics`, `report`, `hardware`, `lossy`, a TOML file or a loaded
-            set, by default `hardware`; `quick` for shorter sweeps; `electronics`, sensors,
-            converters and servo electronics, by default ideal.
+    The `laws` are names, TOML files or loaded laws, by default the law flown, and the report's two
+    advances on it; `plants` are `hexapod`, `single_legs` or both, with the same hydraulics. The
+    `amplitude` of the chirp is in translation [m]; rotations and steps keep the report's
+    proportions to it, 0.2 deg and 1 in to 0.33 in. Results do not depend on the threads, `jobs`, by
+    default one per core; `records` is a folder for the records of all runs; `progress` is called
+    with (cases done, cases in all). Of the `options` `cab` of the hexapod is a name, TOML file or
+    loaded cab, by default the GFD; `hydraulics` likewise, by default `hardware`; `quick` shortens
+    the sweeps; `electronics`, sensors, converters and servo electronics, are by default ideal.
 
-    Raises:
-        InputError: an argument out of range, named; nothing has been run or written then.
+    Raises `InputError` for an argument out of range, before anything is run or written; `dofs` are
+    some of surge to yaw.
 
     >>> comparison = cmf_mj.compare(["velocity"], ["heave"], plants=["single_legs"], quick=True)
     >>> round(comparison.results[0].measures.overshoot, 2)
