@@ -141,8 +141,8 @@ def frequency_response(
 
     The record is of a chirp, multisine or any other broad excitation; `dof` may be a leg, `leg_1`
     and so on, and is by default what the command moved. `segment` is the length of Welch's segments
-    [s], for records that are not periodic. The `estimator` is `h1`, `h2`, `hv` or `report`: Appendix
-    A's, with its segments, or over the periods of a multisine the mean of H1 and H2.
+    [s], for records that are not periodic. The `estimator` is `h1`, `h2`, `hv` or `report`, that of
+    Appendix A, with its segments, or over the periods of a multisine the mean of H1 and H2.
 
     The lines lie within the excited band. Raises `InputError` without excitation in this degree of
     freedom, and for a record shorter than a segment or legs that no pose has.
