@@ -80,12 +80,6 @@ def _readings(
     return Readings(clean[skip:], raw[skip:], filtered[skip:])
 
 
-def _tone(values: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """Complex amplitudes (6,) at `FREQUENCY`, least squares with an offset."""
-    angle = 2.0 * np.pi * FREQUENCY * FRAME * np.arange(values.shape[0])
-    return fit_sines(values, angle).amplitude[0]
-
-
 def _truth(record: Record) -> LegFeedback:
     """What a record holds of the legs' true motion and pressures."""
     return LegFeedback(*(record[channel] for channel in FEEDBACK.values()))
@@ -118,9 +112,10 @@ def filter_effect(
     period = 1.0 / (FREQUENCY * FRAME)
     skip, end = round(4 * period), round(9 * period)
     motion = _readings(LegFeedback(*(c[:end] for c in moving)), settings, loaded, seed, skip)
-    raw, filtered = _tone(motion.raw), _tone(motion.filtered)
-    ratio = filtered.sum() / raw.sum()
     turn = 2.0 * np.pi * FREQUENCY
+    angle = turn * FRAME * np.arange(len(motion.raw))
+    raw, filtered = (fit_sines(v, angle).amplitude[0] for v in (motion.raw, motion.filtered))
+    ratio = filtered.sum() / raw.sum()
     predicted = loaded.accelerometer_gain / (np.exp(1j * turn * FRAME) - loaded.accelerometer_pole)
     return FilterEffect(
         sensors=settings.name,

@@ -16,6 +16,7 @@ scatter. The oscillation counts with the probability that 10 % of error leaves m
 
 from collections.abc import Mapping
 from functools import lru_cache
+from itertools import product
 from typing import NamedTuple
 
 import control
@@ -33,6 +34,7 @@ from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.studies.case import make_case
+from cmf_mj.studies.posterior.settings import OF_THE_SUPPLY
 
 ROWS = (("2-4", "original"), ("2-6", "velocity"))
 """Tables of the hardware rows, and their laws."""
@@ -110,16 +112,11 @@ _FIT_NAMES = ("gain_1_hz", "gain_5_over_1_hz", "phase_3_hz", "pair_hz", "pair_da
 @lru_cache
 def observations() -> tuple[Observation, ...]:
     """All that is told as a number."""
-    printed = {
-        (row.table, row.law): row for row in published_results() if str(row.of) == "hardware"
-    }
+    printed = {(row.table, row.law): row for row in published_results() if row.of == "hardware"}
     found = []
-    for table, law in ROWS:
-        for field, deviation in zip(_FIELDS, scatter(), strict=True):
-            value = getattr(printed[table, law], field)
-            name = f"{law}_{field}"
-            log = field != "damping_ratio"
-            found.append(Observation(name, "rows", value, float(deviation), log, f"Table {table}"))
+    for (table, law), (field, s) in product(ROWS, zip(_FIELDS, scatter().tolist(), strict=True)):
+        value, log = getattr(printed[table, law], field), field != "damping_ratio"
+        found.append(Observation(f"{law}_{field}", "rows", value, s, log, f"Table {table}"))
     fits = []
     for number in HARDWARE_MODELS:
         si = hardware_velocity(number).to_si()
@@ -164,17 +161,12 @@ def oscillation_g(
     Simulated on single legs with a hydraulic set, a step of 1 in in heave.
     """
     parameters = load_hydraulics(hydraulics)
-    supply = parameters.supply_pressure
-    ratio = supply_pressure / supply.value
-    update = {
-        name: getattr(parameters, name).model_copy(
-            update={"value": ratio * getattr(parameters, name).value}
-        )
-        for name in ("supply_pressure", "proof_pressure", "relief_pressure", "precharge_pressure")
-    }
-    case = make_case(
-        "force", "heave", "single_legs", hydraulics=parameters.model_copy(update=update)
-    )
+    ratio, update = supply_pressure / parameters.supply_pressure.value, {}
+    for name in ("supply_pressure", *OF_THE_SUPPLY):
+        was = getattr(parameters, name)
+        update[name] = was.model_copy(update={"value": ratio * was.value})
+    changed = parameters.model_copy(update=update)
+    case = make_case("force", "heave", "single_legs", hydraulics=changed)
     return limit_cycle(case.run(case.step(), every=1))[2]
 
 

@@ -117,36 +117,31 @@ class PosteriorStudy:
         legs = tuple(f"leg_{leg}" for leg in range(1, 7))
         return self.settings.mismatch.draw_hydraulics(made, legs, self.settings.seed, draw)
 
-    def cab_of(self, cab: Cab, values: Mapping[str, float]) -> Cab:
-        """A cab with the masses and centres of mass of a machine; laws take it for the shipped."""
-        up = {name: np.array([0.0, 0.0, values.get(name, 0.0)]) for name in _HEIGHTS}
-        up["cab_height"][0] = values.get("cab_forward", 0.0)
-        mass, stiff = values.get("cab_mass", 1.0), values.get("cab_inertia", 1.0)
-        base = values.get("platform_mass", 1.0)
-        return cab.changed(
+    def plant(self, cab: Cab, values: Mapping[str, float], oil: HydraulicParameters) -> Hexapod:
+        """The machine with a cab and its hydraulic set; laws take the cab for the shipped one."""
+        factor = {name: values.get(name, 1.0) for name in CAB}
+        shift = {name: values.get(name, 0.0) for name in CAB}
+        mass, platform = factor["cab_mass"], cab.platform
+        place = np.array([shift["cab_forward"], 0.0, shift["cab_height"]])
+        above = np.array([0.0, 0.0, shift["platform_height"]])
+        carried = cab.changed(
             f"{cab.name}_drawn",
             mass=mass * cab.mass.si,
-            inertia=mass * stiff * cab.tensor,
-            centre_of_mass=np.array(cab.centre_of_mass.si) + up["cab_height"],
+            inertia=mass * factor["cab_inertia"] * cab.tensor,
+            centre_of_mass=np.array(cab.centre_of_mass.si) + place,
             platform={
-                "mass": base * cab.platform.mass.si,
-                "inertia": base * cab.platform.tensor,
-                "centre_of_mass": np.array(cab.platform.centre_of_mass.si) + up["platform_height"],
+                "mass": factor["platform_mass"] * platform.mass.si,
+                "inertia": factor["platform_mass"] * platform.tensor,
+                "centre_of_mass": np.array(platform.centre_of_mass.si) + above,
             },
-            leg_mass=values.get("leg_mass", 1.0),
+            leg_mass=factor["leg_mass"],
             taken_for=cab,
         )
-
-    def plant(self, cab: Cab, values: Mapping[str, float], oil: HydraulicParameters) -> Hexapod:
-        """The machine with a cab and its hydraulic set."""
-        return Hexapod(self.cab_of(cab, values), oil)
+        return Hexapod(carried, oil)
 
     def law(self, law: Law, values: Mapping[str, float]) -> Law:
         """A law with the derivative filter of a machine."""
         return law.model_copy(update={POLE: values[POLE]}) if POLE in values else law
-
-
-_HEIGHTS = ("cab_height", "platform_height")
 
 
 def load_posterior(
