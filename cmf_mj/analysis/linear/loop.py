@@ -207,7 +207,6 @@ def closed_loop_response(
     frequency: ArrayLike,
     *,
     pressures: tuple[ArrayLike, ArrayLike] | None = None,
-    legs_of_axes: ArrayLike | None = None,
 ) -> Complex:
     """Response (K, n, n) from leg or axis references to positions with a law around a plant.
 
@@ -215,17 +214,15 @@ def closed_loop_response(
     [m/s per full command], with neither computing delay nor hold, as `experiment` gives it;
     `pressures` those to cap and rod pressures [Pa per full command], default zero. `frequency`
     [Hz], (K,), lies above 0; the command is one frame late. A law in hydraulic modes is `bound_to`
-    a cab and needs `legs_of_axes`, the legs of a unit along each axis, (n, n); default axes that
-    are the legs.
+    a cab, and the axes are the legs.
     """
     f = np.asarray(frequency, dtype=float)
     if not (f > 0.0).all():
         raise InputError("frequency: must be greater than 0 at every line")
     v = _square("velocity", velocity, f.size)
     s = 2j * np.pi * f[:, None, None]
-    turn = np.eye(v.shape[1]) if legs_of_axes is None else np.asarray(legs_of_axes, dtype=float)
     loaded = load_law(law)
-    gain, frame = _law_gains(loaded, f, turn), loaded.frame
+    gain, frame = _law_gains(loaded, f, v.shape[1]), loaded.frame
     hold = (1.0 - np.exp(-s * frame)) / (s * frame) * np.exp(-s * frame)
     late = s * np.exp(-s * frame)
     back = (gain["leg_position"] / s + gain["leg_velocity"] + gain["leg_acceleration"] * late) @ v
@@ -236,16 +233,14 @@ def closed_loop_response(
     return np.asarray(hold / s * v @ command)
 
 
-def _law_gains(law: Law, frequency: Matrix, legs_of_axes: Matrix) -> dict[str, Complex]:
+def _law_gains(law: Law, frequency: Matrix, axes: int) -> dict[str, Complex]:
     """Responses of the DCL along axes from each of its inputs to the command, (K, n, n) each."""
-    axes = legs_of_axes.shape[0]
     coupled = law.coordinates != "legs"
     system = dcl_state_space(law, axes if coupled else 1)
     rows = control.frequency_response(system, 2.0 * np.pi * frequency).frdata
     if coupled:
-        inverse = np.linalg.inv(legs_of_axes)
         by_leg = np.split(np.moveaxis(rows, -1, 0), len(DCL_INPUTS), axis=2)
-        parts = [np.asarray(inverse @ part @ legs_of_axes, dtype=complex) for part in by_leg]
+        parts = [np.ascontiguousarray(part) for part in by_leg]
     else:
         parts = [row[:, None, None] * np.eye(axes) for row in rows[0]]
     return dict(zip(DCL_INPUTS, parts, strict=True))
