@@ -100,6 +100,6 @@ def test_bound_of_less_is_not_asked_for(plant: cmf_mj.Hexapod) -> None:
 def test_refused_boxes(tmp_path: Path) -> None:
     path = tmp_path / "box.toml"
     text = Path(cmf_mj.__file__).parent.joinpath("studies/certificate/box.toml").read_text()
-    path.write_text(text.replace("half = 15.0", "half = -1.0"))
+    path.write_text(text.replace("value = 15.0", "value = -1.0"))
     with pytest.raises(InputError, match="drive_lag"):
         load_box(path)

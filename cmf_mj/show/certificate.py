@@ -12,53 +12,38 @@ from cmf_mj.studies.certificate.run import Certificate
 
 def certificate_table(certificates: Sequence[Certificate]) -> Table:
     """One row a law and cab: nominal damping, scales, machines drawn, and the replays."""
-    columns = (
-        *("law", "cab", ("zeta", ".3f"), ("proven", ".2g"), ("broken", ".2g"), "breaks at"),
-        *(("stable", ".1f %"), ("least zeta", ".3f")),
-        *(("beyond", ".0f %"), ("within", ".1f %")),
-    )
-    rows = [
-        (
-            *(
-                one.law,
-                one.cab,
-                one.nominal,
-                one.proven,
-                one.broken,
-                look.pose_text(one.pose, ".2g"),
-            ),
-            *(100.0 * one.share, one.least, 100.0 * one.beyond, 100.0 * one.within),
-        )
-        for one in certificates
-    ]
-    return Table("", columns, rows)
+    kept = ("law", "cab", ("zeta", ".3f"), ("proven", ".2g"), ("broken", ".2g"), "breaks at")
+    drawn = (("stable", ".1f %"), ("least zeta", ".3f"))
+    rows = []
+    for one in certificates:
+        where, swings = look.pose_text(one.pose, ".2g"), (100.0 * one.beyond, 100.0 * one.within)
+        scales = one.law, one.cab, one.nominal, one.proven, one.broken, where
+        rows.append((*scales, 100.0 * one.share, one.least, *swings))
+    return Table("", (*kept, *drawn, ("beyond", ".0f %"), ("within", ".1f %")), rows)
 
 
 def proof_table(certificates: Sequence[Certificate]) -> Table:
     """One row a damping ratio: the box in which it is proven, and the least found there."""
-    columns = (
-        "law",
-        "cab",
-        *((name, ".3f") for name in ("zeta", "proven box", "least zeta found")),
-    )
+    numbers = ((name, ".3f") for name in ("zeta", "proven box", "least zeta found"))
     rows = [(one.law, one.cab, *proof) for one in certificates for proof in one.proofs]
-    return Table("", columns, rows)
+    return Table("", ("law", "cab", *numbers), rows)
 
 
 def certificate_figure(certificates: Sequence[Certificate]) -> Figure:
     """Boxes of all laws: what is proven, what is not known, and where machines fail."""
     figure = look.new_figure(7.0, 1.2 + 0.32 * len(certificates))
     axes = figure.add_subplot()
-    proven = np.array([one.proven for one in certificates])
-    broken = np.array([one.broken for one in certificates])
+    proven, broken = np.array([(one.proven, one.broken) for one in certificates]).T
     most = 1.15 * float(np.nanmax([*proven, *broken, 1.0]))
-    place, open_end = np.arange(len(certificates)), np.where(np.isnan(broken), most, broken)
-    axes.barh(place, proven, color=look.GREEN, label="proven stable")
-    axes.barh(place, open_end - proven, left=proven, color=look.PALE, label="neither")
-    axes.barh(place, most - open_end, left=open_end, color=look.ORANGE, label="machines fail")
+    ends = np.array([0.0 * proven, proven, np.where(np.isnan(broken), most, broken)])
+    widths, place = np.diff(ends, axis=0, append=most), np.arange(len(certificates))
+    colours = look.GREEN, look.PALE, look.ORANGE
+    labels = "proven stable", "neither", "machines fail"
+    for left, wide, colour, label in zip(ends, widths, colours, labels, strict=True):
+        axes.barh(place, wide, left=left, color=colour, label=label)
     axes.axvline(1.0, color=look.DARK, linestyle="--")
-    axes.set(yticks=place, xlim=(0.0, most), xlabel="scale of the unit box")
-    axes.set_yticklabels([f"{one.law}, {one.cab}" for one in certificates])
+    axes.set(xlim=(0.0, most), xlabel="scale of the unit box")
+    axes.set_yticks(place, [f"{one.law}, {one.cab}" for one in certificates])
     axes.invert_yaxis()
     axes.set_title("Boxes of machines that are proven stable", pad=28)
     look.legend(axes, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)

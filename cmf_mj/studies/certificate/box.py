@@ -1,21 +1,22 @@
 """The box of machines that a certificate speaks of, and one of its machines as files to replay.
 
-The box of a scale s holds the machines whose numbers are off by at most s times `half`, each on its
-own. A corner of it is a point of +-1.
+The box of a scale s holds the machines whose numbers are off by at most s times its values, each on
+its own. A corner of it is a point of +-1.
 """
 
 from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import tomlkit
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from cmf_mj.control.law import Law
 from cmf_mj.core.files import in_folder, write_text
+from cmf_mj.core.quantity import Kind, Length, Quantity
 from cmf_mj.core.settings import Settings, read_toml, validated
 from cmf_mj.facility.binding import bound
 from cmf_mj.facility.scenario.library import load_scenario
@@ -30,6 +31,7 @@ from cmf_mj.studies.tuning.search import save_law
 
 Array = NDArray[np.float64]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Part = Annotated[Quantity, AfterValidator(Kind(("%",), at_most=0.6).check)]
 
 COUNTS = {
     **dict.fromkeys(("drive_lag", "valve_lag", "valve_gain", "leak_rate"), 6),
@@ -44,34 +46,21 @@ LARGEST = 1.3
 """Largest scale: numbers stay positive, and closed valves hold every leg."""
 
 
-class Half(Settings):
-    """How far a number may be off either way in the unit box."""
-
-    half: Annotated[float, Field(gt=0.0, le=60.0)]
-    unit: Literal["%", "m"]
-    source: Annotated[str, Field(min_length=1)]  #: Why.
-
-    @property
-    def si(self) -> float:
-        """As a fraction, or in m."""
-        return 0.01 * self.half if self.unit == "%" else self.half
-
-
 class Box(Settings):
-    """The unit box."""
+    """The unit box: how far a number may be off either way."""
 
     title: str
     pose_share: Share  #: Of an axis alone over its operational limit.
     corner_share: Share  #: Of all axes at once.
-    drive_lag: Half
-    valve_lag: Half
-    valve_gain: Half
-    leak_rate: Half  #: Of the conductance.
-    bulk_modulus: Half
-    supply_pressure: Half
-    cab_mass: Half
-    cab_place: Half
-    cab_inertia: Half
+    drive_lag: Part
+    valve_lag: Part
+    valve_gain: Part
+    leak_rate: Part  #: Of the conductance.
+    bulk_modulus: Part
+    supply_pressure: Part
+    cab_mass: Part
+    cab_place: Length
+    cab_inertia: Part
 
     def changes(self, points: Array) -> dict[str, Array]:
         """Relative changes (of the place: metres) of points (N, 31) by kind, (N, count)."""

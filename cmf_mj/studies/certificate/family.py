@@ -193,17 +193,14 @@ class Family:
 def _corners(box: Box, scale: float) -> dict[str, Array]:
     """What is off in machines among which those with the widest slopes are."""
     signs = np.array(list(product((-1.0, 1.0), repeat=4)))
-    cab = (signs[:, None] * np.linspace(-1.0, 1.0, _STEPS)[:, None]).reshape(-1, 4)
+    cabs = (signs[:, None] * np.linspace(-1.0, 1.0, _STEPS)[:, None]).reshape(-1, 4)
     rest = np.array(list(product((-1.0, 0.0, 1.0), (-1.0, 1.0))))  # supply and gains
-    each, of = np.repeat(cab, len(rest), axis=0), np.tile(rest, (len(cab), 1))
-    other = np.ones((len(each), 1))
-    kinds = {
-        "supply_pressure": of[:, :1],
-        "valve_gain": of[:, 1:] * np.ones(6),
-        "cab_mass": each[:, :1],
-        "cab_place": each[:, 1:],
-    }
-    points = np.hstack([kinds.get(kind, other * np.ones(count)) for kind, count in COUNTS.items()])
+    at = dict(zip(COUNTS, np.cumsum([0, *COUNTS.values()]), strict=False))
+    points = np.ones((len(cabs) * len(rest), sum(COUNTS.values())))
+    points[:, at["cab_mass"] : at["cab_inertia"]] = np.repeat(cabs, len(rest), axis=0)
+    high, gains = np.tile(rest, (len(cabs), 1)).T[:, :, None]
+    points[:, [at["supply_pressure"]]] = high
+    points[:, at["valve_gain"] : at["leak_rate"]] = gains
     return box.changes(scale * points)
 
 

@@ -136,11 +136,9 @@ def certify(
         changes = box.changes(factor * min(scale, LARGEST) * point[None])
         case = save_case(in_folder(folder, name), name, plant, law, pose.pose, changes)
         swing.append(replayed(case))
-    every = np.concatenate(drawn)
-    share, least = float((every > 0.0).mean()), float(every.min())
-    known = (law.name, plant.cab, min(nominal), tuple(proofs))
-    limit = float(scale) if np.isfinite(scale) else float("nan")
-    return Certificate(*known, limit, share, least, pose.pose, *swing)
+    every, limit = np.concatenate(drawn), scale if np.isfinite(scale) else float("nan")
+    known = (law.name, plant.cab, min(nominal), tuple(proofs), limit)
+    return Certificate(*known, float((every > 0.0).mean()), float(every.min()), pose.pose, *swing)
 
 
 def _pose(plant: Hexapod, law: Law, box: Box, pose: Array) -> Family:
@@ -156,6 +154,10 @@ def _break(
     box: Box, begins: list[tuple[Family, Array]], effort: Effort, seed: int
 ) -> tuple[Family, Array, float]:
     """The machine that fails at the least scale: its pose, its point of the unit box, the scale."""
+
+    def damped(share: float, pose: Family, point: Array) -> float:
+        return float(pose.damping_in(box, share * point[None])[0])
+
     best, scale = (*begins[0], np.inf), LARGEST
     generator = np.random.default_rng([seed, 1])
     for start in range(effort.starts):
@@ -166,11 +168,10 @@ def _break(
             damping, point = _attack(pose, box, scale, point, effort.rounds, seed + start, 0.0)
             if damping > 0.0:
                 break
-
-            def damped(share: float, pose: Family = pose, point: Array = point) -> float:
-                return float(pose.damping_in(box, share * point[None])[0])
-
-            reach = float(optimize.bisect(damped, 0.0, scale, xtol=1e-4)) * np.abs(point).max()
+            reach = (
+                float(optimize.bisect(damped, 0.0, scale, (pose, point), 1e-4))
+                * np.abs(point).max()
+            )
             best, scale = (pose, point / np.abs(point).max(), reach), _CLOSER * reach
     return best
 
@@ -185,8 +186,7 @@ def _attack(
 
     best = float(damping(point[None])[0]), point
     for _ in range(4):
-        slopes = damping(best[1] + _STEP * np.eye(SIZE)) - best[0]
-        corner = -np.sign(slopes)
+        corner = np.sign(best[0] - damping(best[1] + _STEP * np.eye(SIZE)))
         here = float(damping(corner[None])[0])
         if here >= best[0]:
             break
@@ -201,5 +201,6 @@ def _attack(
         points = np.array(strategy.ask())
         found = damping(points)
         strategy.tell(points, found.tolist())
-        best = min(best, (float(found.min()), points[found.argmin()]), key=lambda one: one[0])
+        if found.min() < best[0]:
+            best = float(found.min()), points[found.argmin()]
     return best
