@@ -17,7 +17,7 @@ Poles are second-order sections s^2 + a1 s + a0 in the logarithms of a1 and a0 a
 whether they are complex or real; zeros are free.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import control
 import numpy as np
@@ -76,18 +76,10 @@ def fit_response(frequency: ArrayLike, response: ArrayLike, poles: int, zeros: i
     problem = _Refinement(s, h, poles, zeros)
     bound = np.full(poles + zeros + 1, np.inf)
     bound[:poles] = _LARGEST
-    fitted = optimize.least_squares(
-        problem.errors,
-        problem.start(_linear_fit(s, h, poles)),
-        problem.jacobian,
-        method="trf",
-        x_scale="jac",
-        bounds=(-bound, bound),
-        ftol=1e-12,
-        xtol=1e-12,
-        gtol=1e-12,
-        max_nfev=2000,
-    )
+    how: dict[str, Any] = {"method": "trf", "x_scale": "jac", "max_nfev": 2000}
+    how |= {"bounds": (-bound, bound), "ftol": 1e-12, "xtol": 1e-12, "gtol": 1e-12}
+    start = problem.start(_linear_fit(s, h, poles))
+    fitted = optimize.least_squares(problem.errors, start, problem.jacobian, **how)
     numerator = fitted.x[poles:]
     gain = float(numerator[0])
     if gain == 0.0:
@@ -216,15 +208,9 @@ def in_field_units(velocity: control.TransferFunction) -> UnitTransferFunction:
     Its output is named `leg_velocity`, so that `linear.loop.closed_loop` closes a degree of freedom
     with the law like a leg.
     """
-    return UnitTransferFunction(
-        units.from_si("in/s/%", velocity.num[0][0]),
-        velocity.den[0][0],
-        input_unit="%",
-        output_unit="in/s",
-        inputs=velocity.input_labels,
-        outputs=["leg_velocity"],
-        name=velocity.name,
-    )
+    polynomials = units.from_si("in/s/%", velocity.num[0][0]), velocity.den[0][0]
+    names = {"inputs": velocity.input_labels, "outputs": ["leg_velocity"], "name": velocity.name}
+    return UnitTransferFunction(*polynomials, input_unit="%", output_unit="in/s", **names)
 
 
 class LoopErrors(NamedTuple):

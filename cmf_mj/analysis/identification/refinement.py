@@ -26,7 +26,7 @@ hold both.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from scipy import linalg, optimize, signal
@@ -223,17 +223,9 @@ class _OutputError:
         return np.asarray((free @ (free.T @ slope) - slope) / self.size)
 
     def solve(self) -> FittedRow:
-        fit = optimize.least_squares(
-            self.errors,
-            self.first,
-            self.jacobian,
-            method="trf",
-            x_scale="jac",
-            ftol=1e-8,
-            xtol=1e-9,
-            gtol=1e-9,
-            max_nfev=_EVALUATIONS,
-        )
+        how: dict[str, Any] = {"method": "trf", "x_scale": "jac", "max_nfev": _EVALUATIONS}
+        how |= {"ftol": 1e-8, "xtol": 1e-9, "gtol": 1e-9}
+        fit = optimize.least_squares(self.errors, self.first, self.jacobian, **how)
         states = self.orders.na * len(self.runs)
         freedom = fit.fun.size - fit.x.size - states
         variance = 2.0 * float(fit.cost) / freedom

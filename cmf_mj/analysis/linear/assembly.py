@@ -109,16 +109,9 @@ def linearize(
     c[2 * legs : 3 * legs] = system.a[rows]
     seen = [name for name in ("supply_pressure", "return_pressure") if name in network]
     c = np.vstack([c, np.eye(system.a.shape[0])[[system.row[name] for name in seen]]])
-    return control.ss(
-        system.a,
-        system.b,
-        c,
-        np.zeros((c.shape[0], legs)),
-        inputs=list(system.column),
-        outputs=[*outputs, *seen],
-        states=list(system.row),
-        name=plant.name,
-    )
+    names = {"inputs": list(system.column), "outputs": [*outputs, *seen]}
+    matrices = system.a, system.b, c, np.zeros((c.shape[0], legs))
+    return control.ss(*matrices, states=list(system.row), name=plant.name, **names)
 
 
 def _corners(plant: Plant, actuator: str, valve: int) -> tuple[float, float]:

@@ -72,25 +72,14 @@ def dcl_state_space(law: str | Law, legs: int = 1) -> control.StateSpace:
     answers = np.array(rows).T
     c, d, a, b = (
         np.asarray(np.kron(part, np.eye(legs // asked)), dtype=np.float64)
-        for part in (
-            answers[:asked, :count],
-            answers[:asked, count:],
-            answers[asked:, :count],
-            answers[asked:, count:],
-        )
+        for half in (answers[:asked], answers[asked:])
+        for part in (half[:, :count], half[:, count:])
     )
     kept = _acting(a, c, legs)
-    return control.ss(
-        a[np.ix_(kept, kept)],
-        b[kept],
-        c[:, kept],
-        d,
-        loaded.frame,
-        inputs=labels(DCL_INPUTS, legs),
-        outputs=labels(("command",), legs),
-        states=[labels(_STATES, legs)[i].replace(".", "_") for i in kept],
-        name="DCL",
-    )
+    names = {"inputs": labels(DCL_INPUTS, legs), "outputs": labels(("command",), legs)}
+    names["states"] = [labels(_STATES, legs)[i].replace(".", "_") for i in kept]
+    matrices = a[np.ix_(kept, kept)], b[kept], c[:, kept], d
+    return control.ss(*matrices, loaded.frame, name="DCL", **names)
 
 
 def _acting(a: Matrix, c: Matrix, legs: int) -> NDArray[np.int64]:

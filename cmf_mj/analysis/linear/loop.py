@@ -95,16 +95,10 @@ def closed_loop(
         for i, name in enumerate(FEEDBACK)
     }
     rows["command"] = (np.hstack([dy @ seen, ck]), dr)
-    return control.ss(
-        loop_a,
-        loop_b,
-        np.vstack([rows[name][0] for name in outputs]),
-        np.vstack([rows[name][1] for name in outputs]),
-        loaded.frame,
-        inputs=labels(("reference",), legs),
-        outputs=labels(outputs, legs),
-        name=f"closed_loop_{re.sub(r'[^A-Za-z0-9_]', '_', loaded.name)}",
-    )
+    loop_c, loop_d = (np.vstack([rows[name][i] for name in outputs]) for i in (0, 1))
+    names = {"inputs": labels(("reference",), legs), "outputs": labels(outputs, legs)}
+    name = f"closed_loop_{re.sub(r'[^A-Za-z0-9_]', '_', loaded.name)}"
+    return control.ss(loop_a, loop_b, loop_c, loop_d, loaded.frame, name=name, **names)
 
 
 def _at_frames(
@@ -182,14 +176,8 @@ def loop_response(loop: control.StateSpace, frequency: NDArray[np.float64]) -> F
     omega = 2.0 * np.pi * np.asarray(frequency, dtype=float)
     response = control.frequency_response(loop, omega).frdata[0, 0]
     ones = np.ones(omega.size)
-    return FrequencyResponse(
-        response,
-        omega,
-        ones,
-        0.0 * ones,
-        inputs=[loop.input_labels[0]],
-        outputs=[loop.output_labels[0]],
-    )
+    names = {"inputs": loop.input_labels[:1], "outputs": loop.output_labels[:1]}
+    return FrequencyResponse(response, omega, ones, 0.0 * ones, **names)
 
 
 def loop_step(

@@ -56,14 +56,9 @@ class UnitTransferFunction(control.TransferFunction):  # type: ignore[misc]
 
     def to_si(self) -> control.TransferFunction:
         """The same system in SI units, commands as fractions; labels are kept."""
-        return control.tf(
-            self.num_array[0, 0] * self.si_factor,
-            self.den_array[0, 0],
-            self.dt,
-            inputs=self.input_labels,
-            outputs=self.output_labels,
-            name=self.name,
-        )
+        above, below = self.num_array[0, 0] * self.si_factor, self.den_array[0, 0]
+        names = {"inputs": self.input_labels, "outputs": self.output_labels, "name": self.name}
+        return control.tf(above, below, self.dt, **names)
 
 
 class _System(NamedTuple):

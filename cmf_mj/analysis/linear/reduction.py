@@ -38,17 +38,13 @@ def reduced(
     kept = np.flatnonzero(
         spread(links, (b != 0.0).any(axis=1)) & spread(links.T, (c != 0.0).any(axis=0))
     )
-    return control.ss(
-        a[np.ix_(kept, kept)],
-        b[kept],
-        c[:, kept],
-        d,
-        system.dt,
-        inputs=[system.input_labels[i] for i in columns],
-        outputs=[system.output_labels[i] for i in rows],
-        states=[system.state_labels[i] for i in kept],
-        name=system.name,
-    )
+    names = {
+        "inputs": [system.input_labels[i] for i in columns],
+        "outputs": [system.output_labels[i] for i in rows],
+        "states": [system.state_labels[i] for i in kept],
+    }
+    matrices = a[np.ix_(kept, kept)], b[kept], c[:, kept], d
+    return control.ss(*matrices, system.dt, name=system.name, **names)
 
 
 def _chosen(field: str, names: Sequence[str] | None, there: list[str]) -> list[int]:
@@ -107,19 +103,11 @@ def dof_model(
     places = [system.input_labels.index(n) for n in labels(("command",), plant.legs)]
     columns = np.zeros((int(system.ninputs), 1))
     columns[places, 0] = jacobian[:, index]
-    return reduced(
-        control.ss(
-            system.A,
-            np.asarray(system.B) @ columns,
-            rows @ np.asarray(system.C),
-            rows @ np.asarray(system.D) @ columns,
-            system.dt,
-            inputs=[f"{dof}_command"],
-            outputs=[dof, f"{dof}_rate", f"{dof}_acceleration"],
-            states=system.state_labels,
-            name=f"{system.name}_{dof}",
-        )
-    )
+    b, c, d = (np.asarray(m) for m in (system.B, system.C, system.D))
+    matrices = system.A, b @ columns, rows @ c, rows @ d @ columns
+    names = {"inputs": [f"{dof}_command"], "states": system.state_labels}
+    names["outputs"] = [dof, f"{dof}_rate", f"{dof}_acceleration"]
+    return reduced(control.ss(*matrices, system.dt, name=f"{system.name}_{dof}", **names))
 
 
 def pose_loop(
@@ -135,14 +123,7 @@ def pose_loop(
     columns = _chosen("inputs", labels(("reference",), legs), loop.input_labels)
     rows = _chosen("outputs", labels(("leg_position",), legs), loop.output_labels)
     c, d = np.asarray(loop.C)[rows], np.asarray(loop.D)[np.ix_(rows, columns)]
-    inverse = np.linalg.inv(jacobian)
-    return control.ss(
-        loop.A,
-        np.asarray(loop.B)[:, columns] @ jacobian,
-        inverse @ c,
-        inverse @ d @ jacobian,
-        loop.dt,
-        inputs=[f"{dof}_demand" for dof in DOFS],
-        outputs=list(DOFS),
-        name=f"{loop.name}_pose",
-    )
+    inverse, b = np.linalg.inv(jacobian), np.asarray(loop.B)[:, columns]
+    matrices = loop.A, b @ jacobian, inverse @ c, inverse @ d @ jacobian
+    names = {"inputs": [f"{dof}_demand" for dof in DOFS], "outputs": list(DOFS)}
+    return control.ss(*matrices, loop.dt, name=f"{loop.name}_pose", **names)
