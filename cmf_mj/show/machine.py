@@ -37,14 +37,8 @@ def envelope_table(check: MachineCheck) -> Table:
         speed = units.from_si(unit, axis.velocity.si)
         rows.append((dof, *reach, low, high, axis.operational.status, speed, f"{unit}, {unit}/s"))
     columns = (
-        "dof",
-        ("legs reach from", ".3f"),
-        ("to", ".3f"),
-        ("limit from", ".3f"),
-        ("to ", ".3f"),
-        "status",
-        ("largest rate", ".3g"),
-        "units",
+        *("dof", ("legs reach from", ".3f"), ("to", ".3f"), ("limit from", ".3f"), ("to ", ".3f")),
+        *("status", ("largest rate", ".3g"), "units"),
     )
     return Table(f"{check.machine.name}: envelope", columns, rows)
 
@@ -53,22 +47,14 @@ def cab_table(check: MachineCheck) -> Table:
     """Each cab on its legs."""
     rows = [
         (
-            cab.cab,
-            cab.mass,
-            1e-3 * float(np.abs(cab.load).max()),
-            float(cab.speed.min()),
-            cab.sustained,
-            " ".join(f"{mode:.1f}" for mode in cab.modes),
+            *(cab.cab, cab.mass, 1e-3 * float(np.abs(cab.load).max()), float(cab.speed.min())),
+            *(cab.sustained, " ".join(f"{mode:.1f}" for mode in cab.modes)),
         )
         for cab in check.cabs
     ]
     columns = (
-        "cab",
-        ("mass [kg]", ".0f"),
-        ("static load [kN]", ".2f"),
-        ("leg speed [m/s]", ".3f"),
-        ("heave sustained [m/s]", ".3f"),
-        "modes [Hz]",
+        *("cab", ("mass [kg]", ".0f"), ("static load [kN]", ".2f"), ("leg speed [m/s]", ".3f")),
+        *(("heave sustained [m/s]", ".3f"), "modes [Hz]"),
     )
     push, pull = (1e-3 * force for force in check.stall)
     return Table(f"cabs: cylinders stall at {push:.1f} kN out, {pull:.1f} kN in", columns, rows)

@@ -115,14 +115,10 @@ class Case:
         """
         pose = command.pose + np.asarray(self.pose)
         pose.setflags(write=False)  # the command then takes it without a copy
-        return simulate(
-            self.build() if plant is None else plant,
-            self.law,
-            Command(pose, command.signal, command.seed),
-            electronics=self.electronics,
-            record_every=every,
-            command_delay=self.command_delay,
-        )
+        machine = self.build() if plant is None else plant
+        moved = Command(pose, command.signal, command.seed)
+        how: Any = {"electronics": self.electronics, "command_delay": self.command_delay}
+        return simulate(machine, self.law, moved, record_every=every, **how)
 
     def sweep_and_step(self, plant: Plant | None = None) -> tuple[Record, Record]:
         """Run the report's chirp and its step, at 128 and 256 Hz."""

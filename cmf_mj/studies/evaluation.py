@@ -63,11 +63,8 @@ MEASURED = (
     *("later_phase_hz", "graze_from_hz", "graze_to_hz"),
 )
 ROW_COLUMNS = (
-    "dof",
-    *MEASURED,
-    *(f"crosstalk_{dof}" for dof in DOFS),
-    "error_type",
-    "error_message",
+    *("dof", *MEASURED, *(f"crosstalk_{dof}" for dof in DOFS)),
+    *("error_type", "error_message"),
 )
 """What the table of results holds of a row."""
 
@@ -227,14 +224,9 @@ def _steps(loop: control.StateSpace) -> NDArray[np.float64]:
 
 
 def _matrix(case: Case, plant: Plant, sizes: Gains, seed: int) -> list[StudyRow]:
-    sines = composite.orthogonal_multisines(
-        dict(zip(DOFS, (MULTISINE_SHARE * sizes).tolist(), strict=True)),
-        start=BAND[0],
-        stop=BAND[1],
-        period=MULTISINE_PERIOD,
-        periods=2,
-        seed=seed,
-    )
+    amplitudes = dict(zip(DOFS, (MULTISINE_SHARE * sizes).tolist(), strict=True))
+    how: dict[str, Any] = {"period": MULTISINE_PERIOD, "periods": 2, "seed": seed}
+    sines = composite.orthogonal_multisines(amplitudes, start=BAND[0], stop=BAND[1], **how)
     sweep = case.run(sines, plant)
     try:
         measured = matrix_frequency_response(sweep)

@@ -106,12 +106,9 @@ def identify(
         measured = frequency_response(broad[-1], axis)
         stepped = None if step is None else step_metrics(step, axis)
         loop = loop_errors(in_field_units(continuous.rational), name, measured, stepped)
+    called = name.name if isinstance(name, Law) else (name or "")
     return Identified(
-        axis,
-        name.name if isinstance(name, Law) else (name or ""),
-        selection,
-        model,
-        validation,
+        *(axis, called, selection, model, validation),
         min(float(simulation_fit(model, run)[0]) for run in estimation),
         float(simulation_fit(model, validation)[0]),
         residual_analysis(model, validation),

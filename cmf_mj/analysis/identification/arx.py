@@ -197,15 +197,7 @@ def select_orders(
         penalty = sum(np.log(f.samples) for f in factors)
         stable = not model.unstable_poles
         fit = min(float(simulation_fit(model, run).min()) for run in others) if stable else -np.inf
-        candidates.append(
-            Candidate(
-                orders,
-                count * len(factors),
-                float(np.mean([e / p for e, p in zip(losses, power, strict=True)])),
-                float(misfit + 2.0 * count * len(factors)),
-                float(misfit + count * penalty),
-                fit,
-                stable,
-            )
-        )
+        loss = float(np.mean([e / p for e, p in zip(losses, power, strict=True)]))
+        aic, bic = float(misfit + 2.0 * count * len(factors)), float(misfit + count * penalty)
+        candidates.append(Candidate(orders, count * len(factors), loss, aic, bic, fit, stable))
     return Selection(tuple(candidates))

@@ -46,6 +46,10 @@ _LONGEST = 8
 """Largest decimation in one stage of the anti-alias filter."""
 
 
+LABELS = ("input_names", "output_names", "input_units", "output_units")
+"""Fields that name the signals."""
+
+
 @dataclass(frozen=True)
 class Experiment:
     """One run as input and output series; arrays are read-only."""

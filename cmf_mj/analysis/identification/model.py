@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-from cmf_mj.analysis.identification.data import Experiment, Real
+from cmf_mj.analysis.identification.data import LABELS, Experiment, Real
 from cmf_mj.core.errors import InputError
 
 Complex = NDArray[np.complex128]
@@ -153,15 +153,9 @@ class PolynomialModel:
     def transfer_function(self, row: int = 0, column: int = 0) -> control.TransferFunction:
         """One input to one output as a python-control transfer function in z, with labels."""
         a, b = self.denominators[row], self.numerators[row, column]
-        width = max(a.size, b.size)
-        return control.tf(
-            np.pad(b, (0, width - b.size)),
-            np.pad(a, (0, width - a.size)),
-            self.step,
-            inputs=[self.input_names[column]],
-            outputs=[self.output_names[row]],
-            name=self.method,
-        )
+        above, below = (np.pad(part, (0, max(a.size, b.size) - part.size)) for part in (b, a))
+        names = {"inputs": [self.input_names[column]], "outputs": [self.output_names[row]]}
+        return control.tf(above, below, self.step, name=self.method, **names)
 
     def simulate(self, inputs: ArrayLike) -> Real:
         """Outputs (N, ny) of inputs (N, nu) from rest."""
@@ -283,9 +277,6 @@ def from_rows(
         noise="equation" if method == "arx" else "output",
         method=method,
         samples=samples,
-        input_names=like.input_names,
-        output_names=like.output_names,
-        input_units=like.input_units,
-        output_units=like.output_units,
+        **{name: getattr(like, name) for name in LABELS},
         converged=all(row.converged for row in rows),
     )

@@ -32,7 +32,7 @@ import numpy as np
 from scipy import linalg, optimize, signal
 
 from cmf_mj.analysis.identification.arx import arx, as_experiments, regressors
-from cmf_mj.analysis.identification.data import Experiment, Real
+from cmf_mj.analysis.identification.data import LABELS, Experiment, Real
 from cmf_mj.analysis.identification.model import (
     STABILITY,
     FittedRow,
@@ -87,17 +87,9 @@ def _driven(runs: list[Experiment]) -> list[Real]:
         if run.reference is None:
             raise InputError("instrument: the experiments have no reference")
         names = tuple(f"reference_{i + 1}" for i in range(run.reference.shape[1]))
-        swapped.append(
-            replace(
-                run,
-                input=run.reference,
-                output=run.input,
-                input_names=names,
-                output_names=run.input_names,
-                input_units=("1",) * len(names),
-                output_units=run.input_units,
-            )
-        )
+        labels = (names, run.input_names, ("1",) * len(names), run.input_units)
+        renamed: dict[str, Any] = dict(zip(LABELS, labels, strict=True))
+        swapped.append(replace(run, input=run.reference, output=run.input, **renamed))
     model = arx(swapped, (PREFILTER, PREFILTER, 0)).stabilised()
     return [model.simulate(run.input) for run in swapped]
 

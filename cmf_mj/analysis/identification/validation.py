@@ -155,11 +155,7 @@ def plant_response(record: Record, axis: str) -> FrequencyResponse:
     )
     response = to_output.response / to_input.response
     shares = [each.radius / np.abs(each.response) for each in (to_output, to_input)]
-    return FrequencyResponse(
-        response,
-        2.0 * np.pi * to_input.frequency,
-        np.minimum(to_input.coherence, to_output.coherence),
-        (shares[0] + shares[1]) * np.abs(response),
-        inputs=list(series.input_names),
-        outputs=list(series.output_names),
-    )
+    coherence = np.minimum(to_input.coherence, to_output.coherence)
+    bound = (shares[0] + shares[1]) * np.abs(response)
+    names = {"inputs": list(series.input_names), "outputs": list(series.output_names)}
+    return FrequencyResponse(response, 2.0 * np.pi * to_input.frequency, coherence, bound, **names)

@@ -95,16 +95,11 @@ def report_model(
         return feedback_model(number, loop, variant)
     if loop is not None:
         raise InputError(f"loop: Eq {number} has coefficients and takes none")
-    return UnitTransferFunction(
-        entry.numerator,
-        entry.denominator,
-        0.0 if entry.rate is None else 1.0 / entry.rate,
-        input_unit=entry.input_unit,
-        output_unit=entry.output_unit,
-        inputs=entry.input,
-        outputs=entry.output,
-        name=f"Eq_{number.replace('.', '_')}",
-    )
+    signals = {"input_unit": entry.input_unit, "output_unit": entry.output_unit}
+    signals |= {"inputs": entry.input, "outputs": entry.output}
+    signals["name"] = f"Eq_{number.replace('.', '_')}"
+    frame = 0.0 if entry.rate is None else 1.0 / entry.rate
+    return UnitTransferFunction(entry.numerator, entry.denominator, frame, **signals)
 
 
 HARDWARE_MODELS = {1: "4.12", 2: "4.15", 3: "4.18"}

@@ -94,16 +94,10 @@ def modes(
         parts = list(zip(factors[:, i], family, strict=True))
         moves = np.abs(most) > 1e-12 * np.abs(right[:, i]).max()
         shape = shape / most if moves else np.zeros(legs, dtype=complex)
-        result.append(
-            Mode(
-                complex(poles[i]),
-                size,
-                float(-poles[i].real / size) if size > _STILL else float("nan"),
-                {name: float(sum(f for f, kind in parts if kind == name)) for name in _FAMILIES},
-                shape,
-                _dof_shares(shape, jacobian),
-            )
-        )
+        damping = float(-poles[i].real / size) if size > _STILL else float("nan")
+        shares = {name: float(sum(f for f, kind in parts if kind == name)) for name in _FAMILIES}
+        dofs = _dof_shares(shape, jacobian)
+        result.append(Mode(complex(poles[i]), size, damping, shares, shape, dofs))
     return tuple(result)
 
 

@@ -79,15 +79,9 @@ def feedback_model(
     a, b = _checked(used)
     square = used.natural_frequency**2
     damping = 2.0 * used.damping_ratio * used.natural_frequency + used.rate_gain * square
-    return UnitTransferFunction(
-        [square],
-        [a, damping, b * square],
-        input_unit="1",
-        output_unit="1",
-        inputs="command",
-        outputs="position",
-        name=f"Eq_{number.replace('.', '_')}",
-    )
+    below, name = [a, damping, b * square], f"Eq_{number.replace('.', '_')}"
+    signals = {"inputs": "command", "outputs": "position", "name": name}
+    return UnitTransferFunction([square], below, 0.0, input_unit="1", output_unit="1", **signals)
 
 
 def characteristics(loop: FeedbackLoop) -> Measures:

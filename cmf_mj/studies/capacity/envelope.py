@@ -270,11 +270,6 @@ def performance_envelope(
 
     points = on_threads(point, cases, jobs, progress)
     plant = Hexapod(carried, parameters)
-    return Envelope(
-        loaded.name,
-        carried.name,
-        parameters.name,
-        allowed,
-        tuple(points),
-        tuple(asymptotes(plant, dof) for dof in dict.fromkeys(dofs)),
-    )
+    limits = tuple(asymptotes(plant, dof) for dof in dict.fromkeys(dofs))
+    names = loaded.name, carried.name, parameters.name
+    return Envelope(*names, allowed, tuple(points), limits)
