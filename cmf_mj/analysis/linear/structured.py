@@ -37,8 +37,6 @@ from scipy import linalg, optimize
 Matrix = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_LEAST = 0.05
-"""Beta that nobody asks to improve."""
 _SLACK = 1.01
 """Beta over the one found at a frequency."""
 _NARROW = 5e-4
@@ -146,8 +144,8 @@ def largest(m: Complex, scaling: Scaling) -> float:
     return float(np.linalg.eigvalsh(_gain(scaled, scaling.s)).max())
 
 
-def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.0) -> float:
-    """The bound on s = j w e^(j turn), or `least` where that is more.
+def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.05) -> float:
+    """The bound on s = j w e^(j turn), or `least`, above 0, where that is more.
 
     No parameters with |delta| < 1 / beta bring a pole to the ray. At `turn` 0 none of A may be on
     its right, else none of A above the real axis.
@@ -197,8 +195,7 @@ def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.0) -> float:
                 ends[i] = sure
         return ends[0], ends[1]
 
-    known: dict[float, Scaling] = {}
-    beta = max(least, _LEAST)
+    known, beta = dict[float, Scaling](), least
 
     def best(omega: float, *omegas: float) -> Scaling:
         """Of one frequency or of several about it, from the nearest known and from none."""
@@ -231,9 +228,8 @@ def peak_bound(loop: Uncertain, turn: float = 0.0, least: float = 0.0) -> float:
         known[omega] = best(omega)
         beta = max(beta * _SLACK ** (len(known) > _MANY), _SLACK * known[omega].beta)
         begin, end = reach(omega, known[omega]._replace(beta=beta))
-        near, far = omega - width(omega), omega + width(omega)
-        if begin > near or end < far:
-            begin, end = cover(near, omega, far)
+        if min(omega - begin, end - omega) < width(omega):
+            begin, end = cover(omega - width(omega), omega, omega + width(omega))
         left += [(low, begin), (end, high)]
     return beta
 

@@ -209,18 +209,18 @@ def _kappa(plant: Hexapod) -> tuple[Array, tuple[float, float]]:
 
     And the shares between which opening it either way fills both chambers, so that it stays closed.
     """
-    rows, held, supply = [], [], plant.parameters.supply_pressure.si
+    rows, supply = [], plant.parameters.supply_pressure.si
     for share in _SHARES:
         at = np.array([share, share, 1.0, 0.0]) * supply
         slopes = (port_slopes(plant.hydraulics, 0, np.zeros(2), at, 0.0, way) for way in (1.0, 0.0))
         out, back = (one.opening[[CAP, ROD]].sum(axis=1) for one in slopes)
         fills, drains = float(out.sum()), float(back.sum())
-        if min(fills, drains) > 0.0:
-            held.append(share)
         least = 1e-9 * max(fills, drains)
         outward = outward_share(max(drains, least) / max(fills, least))
-        rows.append(outward * out + (1.0 - outward) * back)
-    return np.array(rows).T, (min(held), max(held))
+        rows.append([*(outward * out + (1.0 - outward) * back), min(fills, drains) > 0.0])
+    cap, rod, holds = np.array(rows).T
+    held = _SHARES[holds > 0.0]
+    return np.array([cap, rod]), (held[0], held[-1])
 
 
 def _reach(place: Array) -> Array:
