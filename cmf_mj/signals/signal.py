@@ -332,7 +332,7 @@ def command_of(signal: type[Signal]) -> Callable[..., Command]:
         settings = signature.bind(*args, **options).arguments
         return validated(signal, {"kind": kind} | plain(settings), kind).command()
 
-    make.__name__ = make.__qualname__ = kind
+    make.__module__, make.__name__, make.__qualname__ = signal.__module__, kind, kind
     make.__doc__ = signal.__doc__
     make.__signature__ = signature  # type: ignore[attr-defined]
     return make
