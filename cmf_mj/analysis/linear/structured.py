@@ -22,6 +22,8 @@ grows and intervals shrink without end. So none may be narrower than `_NARROW` o
 the nearest pole of A, over which M hardly changes: there one pair X, Y is sought for three
 frequencies so far apart, and beta raised until it serves what lies between. As no interval is
 narrower, their number is finite. What it costs is what M changes in between, some per cent of beta.
+Where a mode has a damping ratio below 1e-4, Y has to be so large that the search ends early: beta
+is then too large, never too small.
 
 With `turn` = asin(zeta) the ray is where poles have the damping ratio zeta: as long as none gets
 there all have more.
