@@ -24,6 +24,9 @@ MACHINE = with_valve_gains(load_hydraulics("hardware"), 1)
 CORNER = (0.25, -0.2, 0.17, 0.075, 0.073, -0.097)
 """Surge, sway, heave [m], roll, pitch, yaw [rad], the legs within 60 % of the working stroke."""
 
+RAISED = (0.0, 0.0, -0.66, 0.0, 0.0, 0.0)
+"""Raised by 60 % of the limit of heave."""
+
 
 def accepted(oil: float = 1.0, **options: Any) -> Measures:
     """Chirp in 30 s and step of sway, with the oil's bulk modulus times a factor."""
@@ -52,9 +55,10 @@ def test_oil_that_the_law_does_not_know_leaves_it_damped(oil: float) -> None:
 
 
 @pytest.mark.slow
-def test_a_corner_of_the_envelope_keeps_5_hz() -> None:
-    assert np.abs(pose_to_legs(CORNER)).max() < 0.6 * 0.9525
-    found = accepted(pose=CORNER)
+@pytest.mark.parametrize("pose", [CORNER, RAISED])
+def test_away_from_neutral_it_keeps_5_hz(pose: tuple[float, ...]) -> None:
+    assert np.abs(pose_to_legs(pose)).max() < 0.6 * 0.9525
+    found = accepted(pose=pose)
     assert found.stable and found.phase_bandwidth_hz >= 5.0
     assert found.damping_ratio >= 0.4
 

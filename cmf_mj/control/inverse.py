@@ -5,10 +5,19 @@ with the drive lag a, the spool lag b and the leak rate lambda, ask for
 
     F = M_leg l'',    z = l' + K^-1 (F' + lambda F),    k u = (1 + d/dt / a) (1 + d/dt / b) z,
 
-which takes five derivatives of l. M_leg = J^-T M J^-1 and K follow the planned pose: J is its own,
-tracked by one chord step a frame, M is V^-T diag(m) V^-1 at neutral, seen from the platform. For
-legs alone, or modes of legs that carry no platform, M_leg is diag(m). At neutral and for a mode of
-frequency w this is D p / k, D(s) = s (1 + s/a) (1 + s/b) (1 + lambda s/w^2 + s^2/w^2).
+which takes five derivatives of l. M_leg = J^-T M J^-1, K and lambda follow the planned pose: J is
+its own, tracked by one chord step a frame, M is V^-T diag(m) V^-1 at neutral, seen from the
+platform. For legs alone, or modes of legs that carry no platform, M_leg is diag(m). At neutral and
+for a mode of frequency w this is D p / k with
+
+    D(s) = s (1 + s/a) (1 + s/b) (1 + lambda s/w^2 + s^2/w^2).
+
+**Oil.** At the extension x, over half the stroke, the volumes at cap and rod are 1 + x and 1 - x of
+those at neutral. With the share s of the cap's area in both areas K is k(x) = s / (1 + x) +
+(1 - s) / (1 - x) times that at neutral. A compressing force F makes the pressure difference
+F (A_c / V_c + A_r / V_r) / K, whose leak takes off the force by the same factor again:
+
+    lambda(x) = lambda(0) / (k(x) (1 - x^2)^2).
 
 **Load.** Ports that are matched pass g times as much with the load swing F that they open against,
 
@@ -239,15 +248,17 @@ def command(inverse, pose, shape, modal, commands):  # type: ignore[no-untyped-d
     _write_forces(inverse, pose, shape, modal)
     asked = inverse.coordinates[0]
     for leg in range(count):
-        spring = inverse.spring
+        spring, leak = inverse.spring, inverse.leak_rate
         if inverse.follows:
-            spring *= _stiffening(legs[0, leg] / inverse.half_stroke, inverse.cap_share)
+            more_spring, more_leak = _oil(legs[0, leg] / inverse.half_stroke, inverse.cap_share)
+            spring *= more_spring
+            leak *= more_leak
         force = inverse.force
         y2, y3 = force[0, leg] / spring, force[1, leg] / spring
         y4, y5 = force[2, leg] / spring, force[3, leg] / spring
-        flow = legs[1, leg] + y3 + inverse.leak_rate * y2
-        first = legs[2, leg] + y4 + inverse.leak_rate * y3
-        second = legs[3, leg] + y5 + inverse.leak_rate * y4
+        flow = legs[1, leg] + y3 + leak * y2
+        first = legs[2, leg] + y4 + leak * y3
+        second = legs[3, leg] + y5 + leak * y4
         more, rate = opened(inverse, flow, first, force[0, leg], force[1, leg])
         total = flow + more + inverse.lags * (first + rate) + inverse.lags_product * second
         asked[leg] = total / inverse.speed
@@ -258,7 +269,10 @@ def command(inverse, pose, shape, modal, commands):  # type: ignore[no-untyped-d
 
 
 @compiled
-def _stiffening(stroke, share):  # type: ignore[no-untyped-def]
-    """Oil spring of a leg over that at neutral; extension over half stroke, share of cap."""
+def _oil(stroke, share):  # type: ignore[no-untyped-def]
+    """Oil spring k and leak rate of a leg over those at neutral, at extension over half stroke."""
     cap, rod = 1.0 + stroke, 1.0 - stroke
-    return (share / cap + (1.0 - share) / rod) if abs(stroke) < 1.0 else 1.0
+    if abs(stroke) >= 1.0:
+        return 1.0, 1.0
+    spring = share / cap + (1.0 - share) / rod
+    return spring, 1.0 / (spring * (cap * rod) ** 2)
