@@ -172,13 +172,10 @@ def certify_command(
                 with libraries().limit(limits=1):  # so that the same seed gives the same bits
                     rows.append(run.certify(plant, law, folder, unit, effort, seed=seed))
                 update(len(rows), len(plants) * len(chosen))
-    tables = report.certificate_table(rows), report.proof_table(rows)
-    files = {
-        **{"certificates.md": tables[0].save, "certificates.csv": tables[0].save},
-        **{"proofs.md": tables[1].save, "proofs.csv": tables[1].save},
-        "certificates.png": report.certificate_figure(rows),
-    }
-    show(*tables, written(save_files(files, out), out))
+    tables = {"certificates": report.certificate_table(rows), "proofs": report.proof_table(rows)}
+    files = {f"{name}.{end}": one.save for name, one in tables.items() for end in ("md", "csv")}
+    figure = {"certificates.png": report.certificate_figure(rows)}
+    show(*tables.values(), written(save_files(files | figure, out), out))
 
 
 @command("calibrate")

@@ -19,11 +19,9 @@ rounding opens no gap where two meet.
 
 A real number may act at one frequency alone, the damper of an oscillator for one; towards it Y
 grows and intervals shrink without end. So none may be narrower than `_NARROW` of the distance from
-the nearest pole of A, over which M hardly changes: there one pair X, Y is sought for three
-frequencies so far apart, and beta raised until it serves what lies between. As no interval is
-narrower, their number is finite. What it costs is what M changes in between, some per cent of beta.
-Where a mode has a damping ratio below 1e-4, Y has to be so large that the search ends early: beta
-is then too large, never too small.
+the nearest pole of A, which keeps their number finite: there one pair X, Y is sought for three
+frequencies so far apart, and beta raised until it serves what lies between, by what M changes
+there. For modes damped by less than 1e-4 the search ends early: beta is too large, never too small.
 
 With `turn` = asin(zeta) the ray is where poles have the damping ratio zeta: as long as none gets
 there all have more.
@@ -79,10 +77,7 @@ class Scaling(NamedTuple):
 def point_bound(
     m: Complex, sizes: tuple[int, ...], start: Scaling | None = None, enough: float = 0.0
 ) -> Scaling:
-    """The least beta found for a matrix (k, k), or for all of (n, k, k), and what proves it.
-
-    Stops below `enough`.
-    """
+    """The least beta found for one or all of m, (k, k) or (n, k, k); stops below `enough`."""
     pattern = linalg.block_diag(*(np.ones((size, size)) for size in sizes)) > 0.0
     m, upper = m.reshape(-1, *pattern.shape), np.triu(pattern)
     rows, count, one = np.nonzero(upper), int(upper.sum()), np.eye(len(pattern), dtype=complex)

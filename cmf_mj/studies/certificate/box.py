@@ -71,9 +71,8 @@ class Box(Settings):
         """Neutral, the ends of each axis, and corners of all, (n, 6) [m, rad]."""
         low, high = load_motion_limits(machine=plant.machine).operational.T
         ends = np.vstack([np.diag(high), np.diag(low)]) * self.pose_share
-        signs = product((-1.0, 1.0), repeat=6)
-        corners = np.array([s for s in signs if s[:3] == (s[4], s[3], s[5])])
-        corners = self.corner_share * np.where(corners > 0.0, high, low)
+        signs = np.array([(*s, s[1], s[0], s[2]) for s in product((-1.0, 1.0), repeat=3)])
+        corners = self.corner_share * np.where(signs > 0.0, high, low)
         return np.vstack([np.zeros(6), ends, corners])
 
 

@@ -137,8 +137,8 @@ def certify(
         case = save_case(in_folder(folder, name), name, plant, law, pose.pose, changes)
         swing.append(replayed(case))
     every, limit = np.concatenate(drawn), scale if np.isfinite(scale) else float("nan")
-    known = (law.name, plant.cab, min(nominal), tuple(proofs), limit)
-    return Certificate(*known, float((every > 0.0).mean()), float(every.min()), pose.pose, *swing)
+    tried = limit, float((every > 0.0).mean()), float(every.min()), pose.pose
+    return Certificate(law.name, plant.cab, min(nominal), tuple(proofs), *tried, *swing)
 
 
 def _pose(plant: Hexapod, law: Law, box: Box, pose: Array) -> Family:
