@@ -13,13 +13,19 @@ from cmf_mj.studies.certificate.run import Certificate
 def certificate_table(certificates: Sequence[Certificate]) -> Table:
     """One row a law and cab: nominal damping, scales, machines drawn, and the replays."""
     kept = ("law", "cab", ("zeta", ".3f"), ("proven", ".2g"), ("broken", ".2g"), "breaks at")
-    drawn = (("stable", ".1f %"), ("least zeta", ".3f"))
+    drawn = (("stable", ".1f %"), ("least zeta", ".3f"), ("peak [dB]", ".1f"), ("highest", ".1f"))
     rows = []
     for one in certificates:
         where, swings = look.pose_text(one.pose, ".2g"), (100.0 * one.beyond, 100.0 * one.within)
-        scales = one.law, one.cab, one.nominal, one.proven, one.broken, where
-        rows.append((*scales, 100.0 * one.share, one.least, *swings))
+        scales = one.law, one.cab, one.nominal, _down(one.proven), one.broken, where
+        rows.append((*scales, 100.0 * one.share, one.least, one.peak, one.highest, *swings))
     return Table("", (*kept, *drawn, ("beyond", ".0f %"), ("within", ".1f %")), rows)
+
+
+def _down(scale: float) -> float:
+    """A scale to two digits, never more than it is."""
+    digit = 10.0 ** (np.floor(np.log10(scale)) - 1.0) if scale > 0.0 else 1.0
+    return float(np.floor(scale / digit) * digit)
 
 
 def proof_table(certificates: Sequence[Certificate]) -> Table:

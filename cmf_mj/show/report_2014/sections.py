@@ -6,6 +6,7 @@ A new section is an entry there; a new kind of block is a function and its entry
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 
+from cmf_mj.show.listing import parameter_table
 from cmf_mj.show.report_2014 import summary
 from cmf_mj.show.report_2014.curves import (
     CONTENTS,
@@ -17,7 +18,7 @@ from cmf_mj.show.report_2014.curves import (
     table,
     texts,
 )
-from cmf_mj.show.report_2014.runs import CAB, PLANTS, Runs, plant_of
+from cmf_mj.show.report_2014.runs import CAB, HYDRAULICS, PLANTS, On, Runs, hydraulics_of, plant_of
 from cmf_mj.show.report_2014.statements import statement_rows
 from cmf_mj.show.report_2014.tables import (
     TITLES,
@@ -39,6 +40,14 @@ def provenance(runs: Runs) -> PageTable:
         *((f"version, {name}", version(name)) for name in packages),
     ]
     return table("provenance-table", rows)
+
+
+def parameters(on: On) -> PageTable:
+    """The hydraulic numbers of a plant, each with its status."""
+    shown = parameter_table(hydraulics_of(on))
+    return table(
+        "parameters", shown.rows, f"parameters-{on}", f"{PLANTS[on]}, {HYDRAULICS[on]} set"
+    )
 
 
 def _share(value: float, relative: bool, sign: str = "+") -> str:
@@ -99,6 +108,7 @@ BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
         figure.draw(content.runs) for figure in content.figures if figure.number.startswith(prefix)
     ],
     "statements": lambda content, _: [table("text-numbers", statement_rows(content.runs))],
+    "parameters": lambda content, _: [parameters(on) for on in PLANTS],
     "provenance": lambda content, _: [provenance(content.runs)],
 }
 """Kinds of blocks: functions of what was run and an argument."""

@@ -18,6 +18,7 @@ gravity's stiffness and the content of the oil change with the cab.
 """
 
 from collections.abc import Mapping
+from functools import cached_property
 from itertools import product
 
 import control
@@ -47,6 +48,8 @@ _STEPS = 17
 """Cabs between two opposite corners of the box whose slopes are looked at for their range."""
 _MARGIN = 1.01
 """Range of the slopes taken over the one found."""
+_SWEPT = 2.0 * np.pi * np.geomspace(0.2, 20.0, 60)
+"""Angular frequencies at which peaks are looked for, besides those of the poles."""
 SIZES = (1,) * 42 + (3, 4, 4, 4, 3)
 """How often parameters enter: six drives, spools, cap ports, rod ports and leaks, cap and rod
 chambers; the cab's mass, three shifts of its centre of mass, and its inertia."""
@@ -72,12 +75,18 @@ class Family:
         self._kappa, self._closed = _kappa(plant)
         cylinder = plant.hydraulics.cylinder[0]
         self._held = (cylinder.cap_area - cylinder.rod_area) * plant.parameters.supply_pressure.si
-        system = linearize(plant, pose, at=self._point)
-        system = reduced(system, outputs=labels(FEEDBACK, 6))
-        self.loop = self._loop(system, _in_frames(bound(law, plant)))
+        self._plant = reduced(linearize(plant, pose, at=self._point), outputs=labels(FEEDBACK, 6))
+        self._law = dcl_state_space(bound(law, plant), 6)
+        self._frame, self._jacobian = law.frame, leg_jacobian(pose, plant.machine)
+        self.loop, _ = self._loop(FEEDBACK)
         """The nominal loop; delta of 1 is a change by 100 %, of the cab's place by 1 m."""
 
-    def _loop(self, system: control.StateSpace, law: tuple[Array, Array, Array]) -> Uncertain:
+    def _loop(self, inputs: tuple[str, ...]) -> tuple[Uncertain, Array]:
+        """The loop with those states of the law that its inputs reach.
+
+        And what inputs other than feedback, which come first, do to the states.
+        """
+        system, law = self._plant, _in_frames(reduced(self._law, labels(inputs, 6)), self._frame)
         a, b, c, _ = (np.asarray(m) for m in (system.A, system.B, system.C, system.D))
         names, n = list(system.state_labels), len(a)
         state, command, w = np.split(np.eye(n + 6 + sum(SIZES)), [n, n + 6])
@@ -107,11 +116,13 @@ class Family:
         ak, bk, ck = law
         sees = c @ state
         sees[12:18] = change[speed]
+        bk, driven = np.split(bk, [len(sees)], axis=1)
         a, by_command, by_w = np.split(np.vstack([change, bk @ sees]), [n, n + 6], axis=1)
         z, z_command, z_w = np.split(seen, [n, n + 6], axis=1)
         whole = np.hstack([a, by_command @ ck])
         whole[n:, n:] += ak
-        return Uncertain(whole, by_w, np.hstack([z, z_command @ ck]), z_w, SIZES)
+        loop = Uncertain(whole, by_w, np.hstack([z, z_command @ ck]), z_w, SIZES)
+        return loop, np.vstack([np.zeros((n, driven.shape[1])), driven])
 
     def _free_cab(self, change: Array, speed: list[int], w: Array, seen: Array) -> None:
         """Put mass, place and inertia of the cab into the rows of the legs' speeds.
@@ -175,10 +186,27 @@ class Family:
 
     def damping(self, deltas: Array) -> Array:
         """Least damping ratio of any pole, (N,): -1 to 1, that of a real pole either of these."""
-        a, b, c, d, _ = self.loop
-        fed = np.linalg.solve(np.eye(len(d)) - deltas[:, :, None] * d, deltas[:, :, None] * c)
-        poles = np.linalg.eigvals(a + b @ fed)
+        poles = np.linalg.eigvals(_off(self.loop, deltas))
         return np.asarray((-poles.real / np.abs(poles)).min(axis=1))
+
+    @cached_property
+    def _driven(self) -> tuple[Uncertain, Array]:
+        return self._loop((*FEEDBACK, "reference"))
+
+    def peaks(self, deltas: Array) -> Array:
+        """Largest gain [dB] of any degree of freedom, from its demand to its motion, (N,)."""
+        loop, driven = self._driven
+        moved = np.linalg.solve(self._jacobian, np.asarray(self._plant.C)[:6])
+        found = []
+        for a in _off(loop, deltas):
+            poles = np.linalg.eigvals(a).imag
+            omega = np.append(_SWEPT, poles[(poles > _SWEPT[0]) & (poles < _SWEPT[-1])])
+            states = np.linalg.solve(
+                1j * omega[:, None, None] * np.eye(len(a)) - a, driven @ self._jacobian
+            )
+            gains = np.abs(np.einsum("ij,kji->ki", moved, states[:, : moved.shape[1]]))
+            found.append(20.0 * np.log10(gains.max()))
+        return np.array(found)
 
     def damping_in(self, box: Box, points: Array) -> Array:
         """The same at points of the unit box."""
@@ -231,14 +259,20 @@ def _reach(place: Array) -> Array:
     return reach
 
 
-def _in_frames(law: Law) -> tuple[Array, Array, Array]:
+def _off(loop: Uncertain, deltas: Array) -> Array:
+    """A of machines that are off, (N, n, n)."""
+    a, b, c, d, _ = loop
+    wide = deltas[:, :, None]
+    return np.asarray(a + b @ np.linalg.solve(np.eye(len(d)) - wide * d, wide * c))
+
+
+def _in_frames(law: control.StateSpace, frame: float) -> tuple[Array, Array, Array]:
     """Law, a frame of delay, and the mean of two frames for the hold: A, B, C in w."""
-    system = reduced(dcl_state_space(law, 6), inputs=labels(FEEDBACK, 6))
-    a, b, c, d = (np.asarray(m) for m in (system.A, system.B, system.C, system.D))
+    a, b, c, d = (np.asarray(m) for m in (law.A, law.B, law.C, law.D))
     n, one = len(a), np.eye(6)
     late = np.zeros((n + 12, n + 12))
     late[:n, :n], late[n : n + 6, :n], late[n + 6 :, n : n + 6] = a, c, one
     leaves = 0.5 * np.hstack([np.zeros((6, n)), one, one])
-    back, scale = np.linalg.inv(late + np.eye(n + 12)), 2.0 / np.sqrt(law.frame)
-    turned = 2.0 / law.frame * back @ (late - np.eye(n + 12))
+    back, scale = np.linalg.inv(late + np.eye(n + 12)), 2.0 / np.sqrt(frame)
+    turned = 2.0 / frame * back @ (late - np.eye(n + 12))
     return turned, scale * back @ np.vstack([b, d, 0.0 * d]), scale * leaves @ back
