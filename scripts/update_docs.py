@@ -53,6 +53,7 @@ COPIES = {
     "fly/velocity/motion.png": "images/fly_motion.png",
     "certify/certificates.png": "images/certificates.png",
     "certify/certificates.csv": "data/certificates.csv",
+    "certify_all/certificates.csv": "data/certificates_all.csv",
     "certify_full/certificates.csv": "data/certificates_full.csv",
     "learning/turbulence/learning.png": "images/learn.png",
     "learning/learning.csv": "data/learning.csv",

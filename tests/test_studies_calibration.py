@@ -11,7 +11,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.core.settings import validated
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.loading import load_hydraulics
-from cmf_mj.studies.calibration import fit
+from cmf_mj.studies.calibration import trial
 from cmf_mj.studies.calibration.fit import calibrate, residual_rows, spread
 from cmf_mj.studies.calibration.trial import (
     Row,
@@ -172,7 +172,7 @@ def test_fit_finds_known_parameters_through_a_biased_linear_model(
     truth = starting_values(small) | {"leg_speed": 0.3, "derivative_pole": 80.0}
     made = biased(small, truth, small.laws)
     monkeypatch.setattr(Row, "printed", lambda row, measure: computed(made[row.law], measure))  # type: ignore[index]
-    monkeypatch.setattr(fit, "simulated_results", biased)
+    monkeypatch.setattr(trial, "simulated_results", biased)
     calibration = calibrate(small, rounds=2)
     assert calibration.after.values["leg_speed"] == pytest.approx(0.3, rel=2e-3)
     assert calibration.after.values["derivative_pole"] == pytest.approx(80.0, rel=2e-2)
@@ -191,7 +191,7 @@ def test_stability_holds_the_leg_speed_back(monkeypatch: pytest.MonkeyPatch) -> 
     def linear(study: Study, values: dict[str, float], laws: object, **_: object) -> object:
         return linear_results(study, values, study.laws)
 
-    monkeypatch.setattr(fit, "simulated_results", linear)
+    monkeypatch.setattr(trial, "simulated_results", linear)
     monkeypatch.setattr(
         Row, "printed", lambda row, measure: {"phase": 3.3, "gain": 4.8}.get(measure, 0.4)
     )
