@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 from cmf_mj import signals
 from cmf_mj.cli.common import app
 from cmf_mj.control.dcu import play
-from cmf_mj.control.dcu.arrivals import feed, upsample
+from cmf_mj.control.dcu.arrivals import Arrivals, feed, upsample
 from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting
 from cmf_mj.core.compiled import allocating
@@ -235,6 +235,13 @@ def test_a_session_with_bad_frames_is_replayed_bit_for_bit(tmp_path: Path) -> No
 
 
 # Datagrams
+
+
+def test_the_session_of_a_silent_host_is_kept(tmp_path: Path) -> None:
+    number, none = np.arange(0), np.zeros((0, 3, 6))
+    session = HostSession(Arrivals(number, number, number / 80.0, none), 900)
+    again = HostSession.load(session.save(tmp_path / "session.parquet"))
+    assert again.arrivals.values.shape == none.shape and again.frames == 900
 
 
 def test_a_datagram_is_laid_out_as_documented() -> None:

@@ -111,6 +111,7 @@ def _table(
     sequence: NDArray[np.int64], time: NDArray[np.float64], values: NDArray[np.float64]
 ) -> pa.Table:
     columns: dict[str, NDArray[Any]] = {"sequence": sequence, "time": time}
-    names = (f"{dof}{kind}" for kind in _KINDS for dof in DOFS)
-    columns |= zip(names, np.ascontiguousarray(values.reshape(len(time), -1).T), strict=True)
+    names = [f"{dof}{kind}" for kind in _KINDS for dof in DOFS]
+    rows = values.reshape(len(time), len(names))  # of a silent host none
+    columns |= zip(names, np.ascontiguousarray(rows.T), strict=True)
     return pa.table({name: pa.array(column) for name, column in columns.items()})
