@@ -91,7 +91,7 @@ def assert_smooth(demand: Array) -> None:
         assert (quotient <= high + bend).all()
 
 
-SETTLED = slice(1400, 1900)
+SETTLED = slice(2700, 4000)
 """Frames in which the gap of the start is closed."""
 
 
@@ -99,10 +99,10 @@ SETTLED = slice(1400, 1900)
 def test_a_quintic_is_reproduced_to_round_off(rate: float) -> None:
     poly = Polynomial([0.01, -0.02, 0.03, 0.1, -0.15, 0.05])
     motion = of(poly, poly.deriv(), poly.deriv(2), dof=4)
-    stream = arrivals(motion, rate, 1.0)
+    stream = arrivals(motion, rate, 2.0)
     state = resting(DCU)
-    demand = upsample(DCU, state, stream, 2100)
-    error = demand[SETTLED] - expected(motion, stream, 2100)[SETTLED]
+    demand = upsample(DCU, state, stream, 4100)
+    error = demand[SETTLED] - expected(motion, stream, 4100)[SETTLED]
     assert np.abs(error).max(axis=(0, 2)) == pytest.approx(np.zeros(3), abs=1e-11)
     assert state.events.tolist() == [(stream.time.size, 0, 0, 1, 0)]
     assert not state.rejected.any()
@@ -116,9 +116,9 @@ def test_uniform_motion_is_reproduced_by_every_degree_of_freedom() -> None:
         values[:, 0], values[:, 1] = np.outer(time, speed), speed
         return values
 
-    stream = arrivals(motion, 64.0, 1.0)
-    demand = upsample(DCU, resting(DCU), stream, 1900)
-    error = (demand - expected(motion, stream, 1900))[SETTLED]
+    stream = arrivals(motion, 64.0, 2.0)
+    demand = upsample(DCU, resting(DCU), stream, 4100)
+    error = (demand - expected(motion, stream, 4100))[SETTLED]
     assert np.abs(error).max() < 1e-10
 
 
@@ -129,24 +129,31 @@ def test_a_sine_at_80_hz_has_the_error_of_the_quintic(frequency: float) -> None:
     motion = sine(amplitude, frequency)
     stream = arrivals(motion, rate, 3.0)
     demand = upsample(DCU, resting(DCU), stream, 6000)
-    error = (demand - expected(motion, stream, 6000))[2048:6000, 0, 2]
+    error = (demand - expected(motion, stream, 6000))[2800:6000, 0, 2]
     bound = amplitude * (2.0 * np.pi * frequency) ** 6 * (0.5 / rate) ** 6 / 720.0
     assert np.abs(error).max() == pytest.approx(bound, rel=0.02, abs=2e-16)
 
 
 def test_between_frames_it_is_scipys_hermite_interpolation() -> None:
-    """Frames that hold anything smooth enough, against Bernstein polynomials of SciPy."""
+    """Frames of one motion, bent by 1 m/s^2 from frame to frame, against polynomials of SciPy."""
     generator = np.random.default_rng(5)
-    time = np.arange(100) / 80.0
-    values = generator.normal(size=(100, 3, 6)) * np.array([5e-5, 0.005, 2.0])[None, :, None]
-    stream = Arrivals(np.ceil(time * RATE - 1e-6).astype(np.int64), np.arange(100), time, values)
+    time = np.arange(200) / 80.0
+    values = np.zeros((200, 3, 6))
+    values[:, 2] = generator.normal(size=(200, 6))
+    for frame in range(1, 200):  # of the third derivative that is constant in between
+        before, h = values[frame - 1], 1.0 / 80.0
+        bend = (values[frame, 2] - before[2]) / h
+        values[frame, 1] = before[1] + before[2] * h + bend * h**2 / 2.0
+        values[frame, 0] = before[0] + before[1] * h + before[2] * h**2 / 2.0 + bend * h**3 / 6.0
+    stream = Arrivals(np.ceil(time * RATE - 1e-6).astype(np.int64), np.arange(200), time, values)
     state = resting(DCU)
-    demand = upsample(DCU, state, stream, 2700)
+    demand = upsample(DCU, state, stream, 5300)
     assert not state.rejected.any()
+    assert not state.clocks.poses[0]
     curve = BPoly.from_derivatives(time, values)
-    at = np.arange(1400, 2400) * FRAME - whole_delay(stream)
+    at = np.arange(3000, 5000) * FRAME - whole_delay(stream)
     for row, function in enumerate((curve, curve.derivative(), curve.derivative(2))):
-        assert np.abs(demand[1400:2400, row] - function(at)).max() < 1e-9
+        assert np.abs(demand[3000:5000, row] - function(at)).max() < 1e-9
     assert_smooth(demand)
 
 
@@ -188,13 +195,13 @@ def test_the_measured_delay_is_the_configured_one(transmission: int) -> None:
 def test_a_lost_frame_is_bridged_by_the_hold() -> None:
     """Two intervals of 1/80 s fit in the delay: the quintic over both, no stop, no gap."""
     motion = sine(0.05, 1.0)
-    stream = drop(arrivals(motion, 80.0, 2.0), 100)
+    stream = drop(arrivals(motion, 80.0, 3.0), 180)
     state = resting(DCU)
-    demand = upsample(DCU, state, stream, 4100)
-    error = np.abs(demand - expected(motion, stream, 4100))[1400:, 0, 2].max()
+    demand = upsample(DCU, state, stream, 6100)
+    error = np.abs(demand - expected(motion, stream, 6100))[2800:, 0, 2].max()
     assert error < 0.05 * (2.0 * np.pi) ** 6 * (1 / 80) ** 6 / 720 * 1.1
     assert state.counts == {
-        "accepted": 159,
+        "accepted": 238,
         "late": 0,
         "missing": 1,
         "resynchronised": 1,
@@ -204,22 +211,24 @@ def test_a_lost_frame_is_bridged_by_the_hold() -> None:
 
 def test_missing_frames_are_waited_for_and_the_stream_is_rejoined_smoothly() -> None:
     motion = sine(0.05, 1.0)
-    stream = drop(arrivals(motion, 80.0, 3.0), *range(100, 105))
+    stream = drop(arrivals(motion, 80.0, 5.0), *range(180, 185))
     state = resting(DCU)
-    demand = upsample(DCU, state, stream, 6000)
+    demand = upsample(DCU, state, stream, 10200)
     assert state.counts["missing"] == 5
     assert state.counts["late"] == 1
-    error = np.abs(demand - expected(motion, stream, 6000))[1400:, 0, 2]
+    error = np.abs(demand - expected(motion, stream, 10200))[2800:, 0, 2]
     assert 1e-4 < error.max() < 0.01
-    back = (error > 1e-9).nonzero()[0][-1] - (error > 1e-9).nonzero()[0][0]
-    assert back * FRAME < 0.075 + SETTINGS.dcu.stop_time.si + 0.02
+    # From the stop on: 62.5 ms without frames, and the gap to 6 % of what it was.
+    away = np.flatnonzero(error > 0.06 * error.max())
+    assert (away[-1] - away[0]) * FRAME < 0.0625 + SETTINGS.dcu.rejoin_time.si + 0.05
+    assert error[-2048:].max() < 1e-9
     assert_smooth(demand)
-    # Acceleration is continuous: its slope is that of sine, stop and correction, no more.
+    # Acceleration is continuous: its slope is that of sine, stop and gap, no more.
     w, fade, stop = 2.0 * np.pi, SETTINGS.dcu.acceleration_fade.si, SETTINGS.dcu.stop_time.si
-    gap, closing = np.abs(state.gap[:, 2]), SETTINGS.dcu.rejoin_time.si
-    slope = 0.05 * (w**3 + 4.0 * w**2 / fade + 6.0 * w / stop**2)
-    slope += 60.0 * gap[0] / closing**3 + 36.0 * gap[1] / stop**2 + 9.0 * gap[2] / fade
-    assert np.abs(np.diff(demand[1400:, 2, 2])).max() < slope * FRAME < 0.25 * 0.05 * w**2
+    v, a, rate = 0.05 * w, 0.05 * w**2, DCU.gap_rate
+    gap = rate**3 * 0.01 + 3.0 * rate**2 * v + 3.0 * rate * a
+    slope = 0.05 * w**3 + 4.0 * a / fade + 6.0 * v / stop**2 + gap
+    assert np.abs(np.diff(demand[2800:, 2, 2])).max() < slope * FRAME
 
 
 def test_silence_ends_in_rest_with_a_flag() -> None:
@@ -243,7 +252,9 @@ def test_silence_ends_in_rest_with_a_flag() -> None:
     end = stream.values[-1, 0, 2] + 0.4 * SETTINGS.dcu.stop_time.si / 2.0
     assert still[:, 0] == pytest.approx(end, abs=1e-12)
     assert_smooth(whole)
-    assert np.abs(whole[last:, 2, 2]).max() == pytest.approx(1.5 * 0.4 / 0.5, rel=1e-3)
+    assert np.abs(whole[last:, 2, 2]).max() == pytest.approx(
+        1.5 * 0.4 / SETTINGS.dcu.stop_time.si, rel=1e-3
+    )
 
 
 def test_a_host_that_comes_back_is_taken_up_wherever_it_is() -> None:
@@ -258,21 +269,22 @@ def test_a_host_that_comes_back_is_taken_up_wherever_it_is() -> None:
     assert state.counts["resynchronised"] == 2
     assert state.counts["accepted"] == 80 + 150
     speed = SETTINGS.dcu.rejoin_velocity_translation.si
-    assert np.abs(demand[:, 1, 2]).max() <= speed * (1.0 + 1e-9)
-    assert np.abs(demand[:, 2, 2]).max() <= SETTINGS.dcu.rejoin_acceleration_translation.si
+    # Overshoot of s^2 + 3 w s + 3 w^2, and the peak of its impulse response.
+    assert np.abs(demand[:, 1, 2]).max() == pytest.approx(speed * 1.0043, rel=1e-4)
+    assert np.abs(demand[:, 2, 2]).max() == pytest.approx(0.6993 * DCU.gap_rate * speed, rel=1e-3)
     assert_smooth(demand)
 
 
 def test_a_step_is_followed_within_the_rejoin_limits_and_one_wild_frame_is_not() -> None:
     """1 in, as in section 3.4.2: the frame is held, confirmed by the next, and costs no time."""
-    stream = arrivals(of(lambda t: 0.0254 * (t >= 1.0), np.zeros_like, np.zeros_like), 80.0, 2.0)
+    stream = arrivals(of(lambda t: 0.0254 * (t >= 1.0), np.zeros_like, np.zeros_like), 80.0, 2.5)
     state = resting(DCU)
-    demand = upsample(DCU, state, stream, 4096)
+    demand = upsample(DCU, state, stream, 5120)
     turn = np.ceil((1.0 + whole_delay(stream)) * RATE)
     moving = np.flatnonzero(np.diff(demand[:, 0, 2]))
     assert abs(moving[0] - turn) <= 1
-    rise = np.sqrt(10 / np.sqrt(3) * 0.0254 / SETTINGS.dcu.rejoin_acceleration_translation.si)
-    assert abs((moving[-1] - moving[0]) - rise * RATE) <= 2
+    closed = 1.0 - demand[round(turn + SETTINGS.dcu.rejoin_time.si * RATE), 0, 2] / 0.0254
+    assert closed == pytest.approx((1.0 + 6.0 + 18.0) * np.exp(-6.0), abs=0.002)
     assert demand[-1, 0, 2] == pytest.approx(0.0254, abs=1e-15)
     assert not state.rejected.any()
 
@@ -341,7 +353,7 @@ def test_a_host_of_1_khz_is_thinned() -> None:
     assert state.counts["missing"] == 0
     # Its interval is 10 ms, so that it waits as long as a host of 80 Hz.
     at = np.arange(4096) * FRAME - DELAY.total
-    assert np.abs(demand - motion(at))[1400:4000, 0, 2].max() < 0.02 * 2 * np.pi * FRAME
+    assert np.abs(demand - motion(at))[2800:4000, 0, 2].max() < 0.02 * 2 * np.pi * FRAME
 
 
 def test_a_burst_is_refused_when_it_runs_ahead() -> None:
@@ -371,32 +383,34 @@ def test_the_play_clock_follows_a_host_whose_clock_drifts(drift: float) -> None:
     assert_smooth(demand)
 
 
-def test_a_host_that_falls_behind_for_good_is_followed_after_the_timeout() -> None:
+def test_a_host_that_falls_behind_for_good_is_followed() -> None:
     motion = sine(0.02, 1.0)
-    stream = arrivals(motion, 80.0, 6.0)
+    stream = arrivals(motion, 80.0, 8.0)
     stream.frame[200:] += 205
     state = resting(DCU)
-    demand = upsample(DCU, state, stream, 12000)
-    assert state.counts["late"] == np.ceil(SETTINGS.dcu.timeout.si * 80.0) + 2
-    assert state.counts["resynchronised"] == 2
-    tail = slice(8000, 12000)
-    error = demand[tail] - motion(np.arange(12000) * FRAME - 205 * FRAME - DELAY.total)[tail]
-    assert np.abs(error[:, 0]).max() < 0.02 * 2 * np.pi * SETTINGS.dcu.clock_tolerance.si
+    demand = upsample(DCU, state, stream, 16000)
+    assert state.counts["late"] * 0.0125 < 2.0 * SETTINGS.dcu.clock_time.si
+    assert state.counts["resynchronised"] == 1
+    tail = slice(12000, 16000)
+    error = demand[tail] - motion(np.arange(16000) * FRAME - 205 * FRAME - DELAY.total)[tail]
+    tolerance = SETTINGS.dcu.clock_tolerance.si + 2 * FRAME
+    assert np.abs(error[:, 0]).max() < 0.02 * 2 * np.pi * tolerance
     assert_smooth(demand)
 
 
-def test_a_host_that_stumbles_and_catches_up_leaves_the_delay_alone() -> None:
+def test_a_host_that_stumbles_and_catches_up_gets_its_delay_back() -> None:
     """Six frames held up for 75 ms come all at once; the burst is late, the stream is not."""
     motion = sine(0.05, 1.0)
-    stream = arrivals(motion, 80.0, 3.0)
-    stream.frame[100:106] = stream.frame[106]
+    stream = arrivals(motion, 80.0, 6.0)
+    stream.frame[200:206] = stream.frame[206]
     state = resting(DCU)
-    demand = upsample(DCU, state, stream, 6100)
+    demand = upsample(DCU, state, stream, 12200)
     assert state.counts["late"] > 0
     assert state.counts["resynchronised"] == 1
-    error = np.abs(demand - expected(motion, stream, 6100))[:, 0, 2]
-    assert error[2700:].max() > 1e-6
-    assert error[4500:].max() < 0.05 * 2 * np.pi * FRAME / 4  # 0.12 ms
+    error = np.abs(demand - expected(motion, stream, 12200))[:, 0, 2]
+    assert error[5200:].max() > 1e-4
+    tolerance = SETTINGS.dcu.clock_tolerance.si + FRAME
+    assert error[10500:].max() < 0.05 * 2 * np.pi * tolerance
     assert_smooth(demand)
 
 

@@ -9,11 +9,29 @@ A frame is tested in this order; the first test it fails names the reason:
 A frame that fails only the last test, and the first of a stream, is *held*: if the next good one
 continues it, both are taken and the demand goes over to them (a step of the host costs no frame);
 if not, it is refused as `unconfirmed`. So one wild frame never moves the platform.
+
+Derivatives have to fit the poses. Between two frames h apart the quintic has to make up for
+
+    r = p1 - p0 - h (v0 + v1) / 2 - h^2 (a0 - a1) / 12
+
+and bends by about 6 r / h^2 more for it. Where that is more than the poses themselves bend, more
+than `_FLOOR`, and so in half of the frames that move, the derivatives are left aside, until they
+fit in nine of ten; the straight line between poses then takes the quintic's place.
 """
 
 import numpy as np
 
-from cmf_mj.control.dcu.motion import ACCELERATION, POSE, VELOCITY, copy, evaluate, joins
+from cmf_mj.control.dcu.motion import (
+    ACCELERATION,
+    DOFS,
+    GAP_OVERSHOOT,
+    POSE,
+    VELOCITY,
+    copy,
+    evaluate,
+    joins,
+    line_joins,
+)
 from cmf_mj.control.dcu.state import CAPACITY, Verdict
 from cmf_mj.core.compiled import compiled
 
@@ -23,8 +41,20 @@ SEQUENCE_GAP = 4096
 STAMP = 1e-6
 """Resolution granted to host times [s]; a double counts seconds since 1970 to 0.2 us."""
 
-AVERAGE = 1.0
-"""Time constant of the means of lateness and interval [s]."""
+AVERAGE, LATENESS = 1.0, 0.1
+"""Time constants of the means of interval and share of late frames, and of lateness [s]."""
+
+_BEND = 6.0
+"""Bend of a quintic, times h^2 / r, for what it has to make up."""
+
+_FLOOR = 0.01
+"""Acceleration [m/s^2, rad/s^2] that derivatives may add to any motion."""
+
+_JUDGED = 40
+"""Frames in motion over which their share that does not fit is averaged."""
+
+LATE_SHARE = 0.2
+"""Share of late frames from which on the host is late."""
 
 
 @compiled
@@ -98,17 +128,20 @@ def _stream(dcu, state, sequence, time, values):  # type: ignore[no-untyped-def]
         if early or clocks.buffered > CAPACITY - 2:
             return Verdict.TOO_EARLY
         newest = state.frame[(clocks.first + clocks.buffered - 1) % CAPACITY]
-        if joins(dcu, newest, values, interval):
+        if _joins(dcu, state, newest, values, interval):
             drop_held(state)
             _follow(dcu, state, relative, interval, sequence - clocks.sequence)
-            _take(state, sequence, relative, values, 0)
+            _take(dcu, state, sequence, relative, values, 0)
             return Verdict.ACCEPTED
     if clocks.holding:
         interval = time - clocks.held_time
         verdict = _order(dcu, sequence - clocks.held_sequence, interval)
-        if verdict == Verdict.ACCEPTED and joins(dcu, state.held, values, interval):
-            _confirm(dcu, state, sequence, time, values, interval)
-            return Verdict.ACCEPTED
+        if verdict == Verdict.ACCEPTED:
+            if _joins(dcu, state, state.held, values, interval):
+                _confirm(dcu, state, sequence, time, values, interval)
+                return Verdict.ACCEPTED
+            clocks.before = 0.0
+            _judge(state, state.held, values, interval)
         if verdict not in (Verdict.ACCEPTED, Verdict.SEQUENCE_JUMP, Verdict.TIME_JUMP):
             return verdict
     drop_held(state)
@@ -119,9 +152,27 @@ def _stream(dcu, state, sequence, time, values):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _joins(dcu, state, first, last, interval):  # type: ignore[no-untyped-def]
+    if state.clocks[0].poses:
+        return line_joins(dcu, first, last, interval)
+    return joins(dcu, first, last, interval)
+
+
+@compiled
 def play_delay(dcu, state):  # type: ignore[no-untyped-def]
-    """Time from a frame's arrival to its turn [s]: the host's mean interval and the hold."""
-    return max(dcu.host_interval, state.clocks[0].interval) + dcu.hold
+    """Time from a frame's arrival to its turn [s]: the host's mean interval and the hold.
+
+    The filter of poses takes the hold's place.
+    """
+    hold = 0.0 if state.clocks[0].poses else dcu.hold
+    return max(dcu.host_interval, state.clocks[0].interval) + hold
+
+
+@compiled
+def host_late(dcu, state):  # type: ignore[no-untyped-def]
+    """Whether the host is late: more than `LATE_SHARE` of its frames, or beyond the clock's rate."""
+    clocks = state.clocks[0]
+    return clocks.late_share > LATE_SHARE or abs(clocks.drift) >= dcu.clock_rate
 
 
 @compiled
@@ -156,10 +207,16 @@ def clear(state):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _take(state, sequence, relative, values, apart):  # type: ignore[no-untyped-def]
+def _take(dcu, state, sequence, relative, values, apart):  # type: ignore[no-untyped-def]
     """Append a frame to the buffer."""
     clocks = state.clocks[0]
     place = (clocks.first + clocks.buffered) % CAPACITY
+    if clocks.synchronised and not apart:
+        newest = state.frame[(place - 1) % CAPACITY]
+        _judge(state, newest, values, relative - clocks.newest)
+    else:
+        clocks.before = 0.0
+    _widen(dcu, state, values)
     clocks.buffered += 1
     state.time[place] = relative
     copy(values, state.frame[place])
@@ -172,28 +229,73 @@ def _take(state, sequence, relative, values, apart):  # type: ignore[no-untyped-
 
 
 @compiled
-def _follow(dcu, state, relative, interval, ahead):  # type: ignore[no-untyped-def]
-    """Update the means of interval and lateness; set the clock anew if the host stays late.
+def _judge(state, first, last, h):  # type: ignore[no-untyped-def]
+    """Renew the share of frames whose derivatives do not fit the poses."""
+    clocks = state.clocks[0]
+    moving, unfit, silent = False, False, True
+    for i in range(DOFS):
+        step = last[POSE, i] - first[POSE, i]
+        carried = 0.5 * h * (first[VELOCITY, i] + last[VELOCITY, i])
+        carried += h * h / 12.0 * (first[ACCELERATION, i] - last[ACCELERATION, i])
+        floor = _FLOOR * h * h / _BEND
+        bend = step - state.step[i] * h / clocks.before if clocks.before > 0.0 else 0.0
+        moving = moving or max(abs(step), abs(carried)) > floor
+        unfit = unfit or abs(step - carried) > max(floor, abs(bend) / _BEND)
+        for row in (VELOCITY, ACCELERATION):
+            silent = silent and first[row, i] == 0.0 and last[row, i] == 0.0
+        state.step[i] = step
+    clocks.before = h
+    if not moving:
+        return
+    clocks.judged = min(clocks.judged + 1, _JUDGED)
+    clocks.misfit += ((1.0 if unfit else 0.0) - clocks.misfit) / (clocks.judged + 2)
+    if silent:  # the host sends none
+        clocks.misfit = 1.0
+    if clocks.misfit > 0.5:
+        clocks.poses = 1
+    elif clocks.misfit < 0.1:
+        clocks.poses = 0
 
-    It does so once frame after frame has been late for the timeout: a host that stumbles and
-    catches up leaves the clock alone. The interval is the host's own, so that a lost
-    frame does not look like a slower host.
+
+@compiled
+def _widen(dcu, state, values):  # type: ignore[no-untyped-def]
+    """Take a frame into the host's range of this second."""
+    way = 0.5 * dcu.stop_time + GAP_OVERSHOOT / dcu.gap_rate
+    for i in range(DOFS):
+        low, high, stop = state.range[0, :, i]
+        far = way * abs(values[VELOCITY, i])
+        far += dcu.fade_time * dcu.fade_time / 12.0 * abs(values[ACCELERATION, i])
+        state.range[0, 0, i] = min(low, values[POSE, i])
+        state.range[0, 1, i] = max(high, values[POSE, i])
+        state.range[0, 2, i] = max(stop, far)
+
+
+@compiled
+def _follow(dcu, state, relative, interval, ahead):  # type: ignore[no-untyped-def]
+    """Update the means of interval and lateness; set the clock anew if the host stays untimely.
+
+    It does so once frame after frame has been late, or ahead by a quarter of the timeout, for the
+    timeout, and is off by half of it: what is less the clock makes up. The interval is the host's
+    own, so that a lost frame does not look like a slower host.
     """
     clocks = state.clocks[0]
     weight = min(interval / AVERAGE, 1.0)
     clocks.interval += weight * (interval / ahead - clocks.interval)
     lateness = clocks.play + play_delay(dcu, state) - relative
-    clocks.lateness += weight * (lateness - clocks.lateness)
-    if clocks.play <= clocks.newest:
+    clocks.lateness += min(interval / LATENESS, 1.0) * (lateness - clocks.lateness)
+    late = clocks.play > clocks.newest + (dcu.hold if clocks.poses else 0.0)
+    clocks.late_share += weight * ((1.0 if late else 0.0) - clocks.late_share)
+    if late:
+        state.events[0].late += 1
+    elif lateness > -0.25 * dcu.timeout:
         clocks.late_run = 0
         return
-    state.events[0].late += 1
     if not clocks.late_run:
         clocks.late_run = 1
         clocks.late_age = 0.0
-    elif clocks.late_age > dcu.timeout:
+    elif clocks.late_age > dcu.timeout and abs(lateness) > 0.5 * dcu.timeout:
         clear(state)
-        clocks.interval = interval
+        clocks.interval = interval / ahead
         clocks.lateness = 0.0
         clocks.play = relative - play_delay(dcu, state)
         state.events[0].resynchronised += 1
@@ -208,11 +310,12 @@ def _confirm(dcu, state, sequence, time, values, interval):  # type: ignore[no-u
         clear(state)
         clocks.anchor = clocks.held_time
         clocks.interval = interval / (sequence - clocks.held_sequence)
-        clocks.lateness = 0.0
+        clocks.lateness, clocks.drift = 0.0, 0.0
+        clocks.late_share = 0.0
         clocks.play = interval - play_delay(dcu, state)
     relative, refused = time - clocks.anchor, clocks.refused
-    _take(state, clocks.held_sequence, clocks.held_time - clocks.anchor, state.held, 1)
+    _take(dcu, state, clocks.held_sequence, clocks.held_time - clocks.anchor, state.held, 1)
     clocks.synchronised, clocks.refused = 1, refused
-    _take(state, sequence, relative, values, 0)
+    _take(dcu, state, sequence, relative, values, 0)
     clocks.late_run = 0
     state.events[0].resynchronised += 1

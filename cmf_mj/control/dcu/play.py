@@ -1,8 +1,8 @@
 """One control frame of the DCU: the demand at the play clock.
 
     base         the quintic between the two frames around the play clock; a stop where the later
-                 one is missing
-    correction   whenever the base is not where the demand is, the gap in pose, velocity and
+                 one is missing; where derivatives are left aside, the filter of poses
+    gap          whenever the base is not where the demand is, the gap in pose, velocity and
                  acceleration is closed on top of the base
     limit        the pose is held within its bound
     line         whole frames of transport
@@ -14,17 +14,26 @@ goes on to rest, from where every stream can be taken up.
 from cmf_mj.control.dcu.acceptance import clear, drop_held
 from cmf_mj.control.dcu.motion import (
     ACCELERATION,
+    DOFS,
+    POSE,
     VELOCITY,
-    add_correction,
     between,
-    closing_time,
+    close_gap,
     copy,
     evaluate,
     hold_within,
+    smooth_poses,
     stop,
 )
 from cmf_mj.control.dcu.state import CAPACITY
 from cmf_mj.core.compiled import compiled
+
+RANGE_SHARE, RANGE_FLOOR = 0.1, 1e-3
+"""How far beyond the host's range the demand may be, besides the way to stop: share of the range,
+and [m, rad]."""
+
+CLOCK_DRIFT = 5e-3
+"""Drift of clocks that is not worth remembering."""
 
 
 @compiled
@@ -36,15 +45,69 @@ def step(dcu, state, demand):  # type: ignore[no-untyped-def]
     clocks = state.clocks[0]
     _advance_segments(state)
     _base(dcu, state)
-    copy(state.base, state.motion)
-    add_correction(dcu, state.gap, clocks.closing, clocks.since_gap, state.motion)
+    for row in range(3):
+        for i in range(DOFS):
+            state.motion[row, i] = state.base[row, i] + state.gap[row, i]
     if clocks.synchronised and not clocks.moving:
         _rejoin(dcu, state)
+    if clocks.smoothing != clocks.poses:
+        _change_base(dcu, state)
+    clocks.beyond = _beyond(dcu, state)
     slot = clocks.slot
     hold_within(dcu, state.motion, state.line[slot])
     clocks.slot = (slot + 1) % (dcu.line + 1)
     copy(state.line[clocks.slot], demand)
     _advance_clocks(dcu, state)
+
+
+@compiled
+def _open_gap(state):  # type: ignore[no-untyped-def]
+    """The gap is what lies between the demand and the base."""
+    for row in range(3):
+        for i in range(DOFS):
+            state.gap[row, i] = state.motion[row, i] - state.base[row, i]
+
+
+@compiled
+def _near(dcu, state):  # type: ignore[no-untyped-def]
+    """Whether base and demand are as near in velocity and acceleration as a gap may be."""
+    for row, limit in ((VELOCITY, dcu.velocity), (ACCELERATION, dcu.acceleration)):
+        for i in range(DOFS):
+            if abs(state.motion[row, i] - state.base[row, i]) > limit[i]:
+                return False
+    return True
+
+
+@compiled
+def _change_base(dcu, state):  # type: ignore[no-untyped-def]
+    """Go over between the quintics and the filter of poses, if they are near."""
+    clocks = state.clocks[0]
+    clocks.smoothing = clocks.poses
+    _base(dcu, state)
+    if _near(dcu, state):
+        _open_gap(state)
+    else:
+        clocks.smoothing = 1 - clocks.poses
+
+
+@compiled
+def _beyond(dcu, state):  # type: ignore[no-untyped-def]
+    """Whether the demand is beyond the poses of the last second, with a share and the way to stop.
+
+    While a gap closes at its speed, the demand on its way belongs to the range.
+    """
+    for i in range(DOFS):
+        pose, least, most, stop = state.motion[POSE, i], 0.0, 0.0, 0.0
+        if abs(state.gap[POSE, i]) > dcu.gap_range[i]:
+            state.range[0, 0, i] = min(state.range[0, 0, i], pose)
+            state.range[0, 1, i] = max(state.range[0, 1, i], pose)
+        least = min(state.range[0, 0, i], state.range[1, 0, i])
+        most = max(state.range[0, 1, i], state.range[1, 1, i])
+        stop = max(state.range[0, 2, i], state.range[1, 2, i])
+        wide = RANGE_SHARE * (most - least) + stop + RANGE_FLOOR
+        if not least - wide <= pose <= most + wide:
+            return 1
+    return 0
 
 
 @compiled
@@ -91,11 +154,31 @@ def _stop_from_first(state):  # type: ignore[no-untyped-def]
 @compiled
 def _base(dcu, state):  # type: ignore[no-untyped-def]
     """The base at the present time; in `base`."""
-    if state.clocks[0].moving:
-        evaluate(state.polynomial, state.clocks[0].duration, state.clocks[0].local, state.base)
+    clocks = state.clocks[0]
+    if clocks.smoothing:
+        for row in range(3):
+            for i in range(DOFS):
+                state.base[row, i] = state.smoothed[row, i]
+        return
+    if clocks.moving:
+        evaluate(state.polynomial, clocks.duration, clocks.local, state.base)
     else:
-        stop(dcu, state.origin, state.clocks[0].local, state.base)
+        stop(dcu, state.origin, clocks.local, state.base)
     _to_real_time(state)
+
+
+@compiled
+def _pose(state):  # type: ignore[no-untyped-def]
+    """The pose on the straight line between frames, at its end without a later one; in `input`."""
+    clocks = state.clocks[0]
+    if not (clocks.moving or clocks.used):
+        return
+    first, share = clocks.first, clocks.local / clocks.duration if clocks.moving else 0.0
+    last = (first + 1) % CAPACITY
+    for i in range(DOFS):
+        before = state.frame[first, POSE, i]
+        step = state.frame[last, POSE, i] - before if clocks.moving else 0.0
+        state.input[i] = before + share * step
 
 
 @compiled
@@ -126,20 +209,59 @@ def _rejoin(dcu, state):  # type: ignore[no-untyped-def]
     else:
         stop(dcu, state.frame[first], local, state.base)
     _to_real_time(state)
-    for row, limit in ((VELOCITY, dcu.velocity), (ACCELERATION, dcu.acceleration)):
-        for i in range(6):
-            if abs(state.motion[row, i] - state.base[row, i]) > limit[i]:
-                return
+    if not (clocks.smoothing or _near(dcu, state)):
+        return
     if goes_on:
         clocks.moving, clocks.duration = 1, duration
     else:
         _stop_from_first(state)
-    clocks.local = local
-    for row in range(3):
-        for i in range(6):
-            state.gap[row, i] = state.motion[row, i] - state.base[row, i]
-    clocks.since_gap = 0.0
-    clocks.closing = closing_time(dcu, state.gap)
+    waited, clocks.local = clocks.local, local
+    if state.apart[first] or waited > dcu.hold:
+        _move_filter(state)
+        state.apart[first] = 0
+    if clocks.smoothing:
+        _base(dcu, state)
+    _open_gap(state)
+
+
+@compiled
+def _move_filter(state):  # type: ignore[no-untyped-def]
+    """Take the filter of poses along where its input jumps: the gap closes the jump."""
+    for i in range(DOFS):
+        state.smoothed[POSE, i] -= state.input[i]
+    _pose(state)
+    for i in range(DOFS):
+        state.smoothed[POSE, i] += state.input[i]
+
+
+@compiled
+def _target(dcu, clocks):  # type: ignore[no-untyped-def]
+    """The slew asked of the play clock: that of a critically damped loop on the host's lateness x.
+
+    u = -2 x / Tc - d,    d' = x / Tc^2,    x = the mean lateness beyond the tolerance
+
+    While x is 0, a drift d as small as that of any clock is forgotten: 2 x / Tc makes up for it.
+    """
+    beyond = max(abs(clocks.lateness) - dcu.clock_tolerance, 0.0) / dcu.clock_time
+    if clocks.lateness < 0.0:
+        beyond = -beyond
+    change = beyond
+    if beyond == 0.0 and abs(clocks.drift) < CLOCK_DRIFT:
+        change = -clocks.drift
+    clocks.drift += dcu.frame * change / dcu.clock_time
+    clocks.drift = min(max(clocks.drift, -dcu.clock_rate), dcu.clock_rate)
+    return min(max(-2.0 * beyond - clocks.drift, -dcu.clock_rate), dcu.clock_rate)
+
+
+@compiled
+def _begin_second(dcu, state):  # type: ignore[no-untyped-def]
+    """Begin another second of the host's range, at the pose of now."""
+    state.clocks[0].window = 0.0
+    for i in range(DOFS):
+        for row in range(3):
+            state.range[1, row, i] = state.range[0, row, i]
+        state.range[0, 0, i], state.range[0, 1, i] = state.input[i], state.input[i]
+        state.range[0, 2, i] = 0.0
 
 
 @compiled
@@ -147,15 +269,13 @@ def _advance_clocks(dcu, state):  # type: ignore[no-untyped-def]
     """All clocks one frame on; the stream is stale after the timeout.
 
     The play clock's slew u is smoothed so that its time is twice differentiable:
-    Tc^2 u'' + 2 Tc u' + u = target, integrated exactly for u'' constant in the frame.
+    Ts^2 u'' + 2 Ts u' + u = target, integrated exactly for u'' constant in the frame.
     """
+    _pose(state)
+    smooth_poses(dcu, state.input, state.smoothed)
+    close_gap(dcu, state.gap)
     clocks, frame = state.clocks[0], dcu.frame
-    target = 0.0
-    beyond = abs(clocks.lateness) - dcu.clock_tolerance
-    if clocks.synchronised and beyond > 0.0:
-        target = min(beyond / dcu.clock_time, dcu.clock_rate)
-        if clocks.lateness > 0.0:
-            target = -target
+    target = _target(dcu, clocks) if clocks.synchronised else 0.0
     time = dcu.slew_time
     bend = (target - clocks.slew - 2.0 * time * clocks.slew_rate) / (time * time)
     passed = frame * (
@@ -165,7 +285,9 @@ def _advance_clocks(dcu, state):  # type: ignore[no-untyped-def]
     clocks.slew_rate += frame * bend
     clocks.play += passed
     clocks.local += passed
-    clocks.since_gap += frame
+    clocks.window += frame
+    if clocks.window >= 1.0 and clocks.synchronised:
+        _begin_second(dcu, state)
     clocks.silence += frame
     clocks.held_age += frame
     clocks.late_age += frame

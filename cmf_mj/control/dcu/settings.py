@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, model_validator
+from scipy.linalg import expm
+from scipy.signal import bessel
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Kind, Quantity, positive_in
@@ -29,7 +31,7 @@ def _whole(quantity: Quantity) -> Quantity:
 
 _Time = Annotated[Quantity, positive_in("s")]
 _Wait = Annotated[Quantity, AfterValidator(Kind(("s",), zero=True).check)]
-_Share = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=0.05).check)]
+_Share = Annotated[Quantity, AfterValidator(Kind(("1",), at_most=0.9).check)]
 _Frames = Annotated[Quantity, AfterValidator(_whole)]
 _Length = Annotated[Quantity, positive_in("in", "m")]
 _Speed = Annotated[Quantity, positive_in("in/s", "m/s")]
@@ -47,6 +49,8 @@ class DelayBreakdown(Settings):
     A host whose mean interval is longer waits for that instead."""
     interpolation_hold: _Wait
     """Wait beyond the interval: what a frame may be late, or lost, without a trace."""
+    smoothing: _Time
+    """Delay of the filter of poses whose derivatives are left aside, in place of the hold."""
     transmission: _Frames  #: Transport from the host to the DCU, whole control frames.
     dcl_frame: _Frames  #: From the DCU to the leg demand of the DCL, whole control frames.
 
@@ -94,20 +98,16 @@ class DcuLimits(Settings):
     overtravel_rotation: _Angle  #: How far the demand may go beyond `pose_rotation`.
     rejoin_velocity_translation: _Speed  #: Speed at which a gap of position is closed.
     rejoin_velocity_rotation: _AngularSpeed  #: Speed at which a gap of angle is closed.
-    rejoin_acceleration_translation: _Acceleration
-    """Acceleration with which a gap of position is closed."""
-    rejoin_acceleration_rotation: _AngularAcceleration
-    """Acceleration with which a gap of angle is closed."""
-    rejoin_time: _Time  #: Least time in which a gap is closed.
+    rejoin_time: _Time  #: Time in which a gap closes to 6 % of what it was: 6 / w.
     minimum_interval: _Time  #: Least difference of host times between accepted frames.
     timeout: _Time
     """Silence after which the stream is stale; longest gap between accepted frames; how long
-    frame after frame may be late before the play clock is set anew."""
+    frame after frame may be late, or far ahead, before the play clock is set anew."""
     stop_time: _Time  #: Time in which the velocity of an interrupted demand comes to rest.
     acceleration_fade: _Time  #: Time in which the acceleration of an interrupted demand has faded.
     clock_tolerance: _Wait  #: Mean lateness of the host that is left alone.
-    clock_rate: _Share  #: Most by which the play clock runs fast or slow, at most 0.05.
-    clock_time: _Time  #: Time constant of the play clock's correction.
+    clock_rate: _Share  #: Most by which the play clock runs fast or slow, at most 0.9.
+    clock_time: _Time  #: Time constant Tc with which the play clock follows the host's.
 
     @model_validator(mode="after")
     def _consistent(self) -> "DcuLimits":
@@ -116,8 +116,8 @@ class DcuLimits(Settings):
                 f"timeout: {self.timeout.si} s must exceed minimum_interval, "
                 f"{self.minimum_interval.si} s, and be at most {MOST_TIMEOUT} s"
             )
-        if self.clock_time.si < 1.0:
-            raise InputError(f"clock_time: {self.clock_time.si} s must be at least 1 s")
+        if self.clock_time.si < 0.2:
+            raise InputError(f"clock_time: {self.clock_time.si} s must be at least 0.2 s")
         return self
 
     def pair(self, name: str) -> NDArray[np.float64]:
@@ -126,8 +126,11 @@ class DcuLimits(Settings):
         return np.repeat(values, 3)
 
 
-_SMOOTHER = 30.0
+_SMOOTHER = 10.0
 """How much faster than its correction the rate of the play clock settles."""
+
+_GAP_TIMES = 6.0
+"""Rejoin time in units of 1 / w: (1 + x + x^2 / 2) e^-x is 0.062 there."""
 
 MOST_TIMEOUT = 10.0
 """Longest timeout [s]."""
@@ -160,17 +163,19 @@ class Dcu(NamedTuple):
     acceleration: NDArray[np.float64]
     """Largest acceleration of a frame and between frames [m/s^2, rad/s^2], (6,)."""
     overtravel: NDArray[np.float64]  #: How far the demand may leave `pose` [m, rad], (6,).
-    rejoin_velocity: NDArray[np.float64]  #: Speed at which a gap closes [m/s, rad/s], (6,).
-    rejoin_acceleration: NDArray[np.float64]
-    """Acceleration with which a gap closes [m/s^2, rad/s^2], (6,)."""
-    rejoin_time: float  #: Least time of closing a gap [s].
+    gap_rate: float  #: w of a gap [1/s].
+    gap_range: NDArray[np.float64]  #: L, beyond which a gap closes at its speed [m, rad], (6,).
+    closing: NDArray[np.float64]
+    """Gap and its derivatives a frame on, from themselves and the gap within +-L, (3, 4)."""
+    smoothing: NDArray[np.float64]
+    """Bessel filter a frame on, from its output, three derivatives and the pose, (4, 5)."""
     minimum_interval: float  #: Least time between frames [s].
     timeout: float  #: Silence until stale [s].
     stop_time: float  #: Time in which velocity comes to rest [s].
     fade_time: float  #: Time in which acceleration fades [s].
     clock_tolerance: float  #: Lateness left alone [s].
     clock_rate: float  #: Most by which the play clock runs fast or slow.
-    clock_time: float  #: Time constant of its correction [s].
+    clock_time: float  #: Time constant with which it follows the host's [s].
     slew_time: float  #: Time constant that smooths its rate [s].
     line: int  #: Control frames in the transport line.
     frame: float  #: T [s].
@@ -192,11 +197,12 @@ def make_dcu(source: str | Path | DcuSettings = "default", frame: float = FRAME)
             f"minimum_interval: {limits.minimum_interval.si} s must be at least two control "
             f"frames, {2.0 * frame} s"
         )
-    times = ("rejoin_time", "minimum_interval", "timeout", "stop_time", "clock_tolerance")
+    times = ("minimum_interval", "timeout", "stop_time", "clock_tolerance")
     numbers: dict[str, Any] = {name: getattr(limits, name).si for name in times}
-    motions = ("pose", "velocity", "acceleration", "overtravel")
-    for name in (*motions, "rejoin_velocity", "rejoin_acceleration"):
+    for name in ("pose", "velocity", "acceleration", "overtravel"):
         numbers[name] = limits.pair(name)
+    rate = _GAP_TIMES / limits.rejoin_time.si
+    poles = bessel(4, 1.0, analog=True, output="zpk", norm="delay")[1] / delay.smoothing.si
     return Dcu(
         host_interval=delay.host_interval.si,
         hold=delay.interpolation_hold.si,
@@ -206,5 +212,18 @@ def make_dcu(source: str | Path | DcuSettings = "default", frame: float = FRAME)
         slew_time=limits.clock_time.si / _SMOOTHER,
         line=delay.line_frames,
         frame=frame,
+        gap_rate=rate,
+        gap_range=3.0 * limits.pair("rejoin_velocity") / rate,
+        closing=_chain([0.0, 3.0 * rate**2, 3.0 * rate], -(rate**3), frame),
+        smoothing=_chain(np.poly(poles)[:0:-1].real, np.prod(poles).real, frame),
         **numbers,
     )
+
+
+def _chain(coefficients: ArrayLike, gain: float, frame: float) -> NDArray[np.float64]:
+    """A frame of y^(n) + c[n-1] y^(n-1) + ... + c[0] y = gain u, exact for constant u, (n, n+1)."""
+    order = np.size(coefficients)
+    matrix = np.zeros((order + 1, order + 1))
+    matrix[: order - 1, 1:order] = np.eye(order - 1)
+    matrix[order - 1] = [*-np.asarray(coefficients), gain]
+    return np.asarray(expm(matrix * frame))[:order].copy()

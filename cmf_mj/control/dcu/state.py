@@ -57,11 +57,14 @@ class Clocks(NamedTuple):
     silence: float = 0.0  #: Time since a frame was accepted [s].
     local: float = 0.0  #: Time since the present segment began [s].
     duration: float = 0.0  #: Length of the present quintic [s].
-    since_gap: float = 0.0  #: Time since the gap was found [s].
-    closing: float = 0.0  #: Time in which the gap of position closes [s].
+    drift: float = 0.0  #: Rate of the host's clock as known so far, less 1, negative.
+    misfit: float = 0.0  #: Share of moving frames whose derivatives do not fit the poses.
+    late_share: float = 0.0  #: Share of frames that came late, over a second.
+    window: float = 0.0  #: Time since the present second of the host's range began [s].
+    before: float = 0.0  #: Interval from the frame before the newest accepted one [s].
     held_time: float = 0.0  #: Host time of the frame held [s].
     held_age: float = 0.0  #: Time since it came [s].
-    late_age: float = 0.0  #: Time since the first of the late frames in a row [s].
+    late_age: float = 0.0  #: Time since the first of the untimely frames in a row [s].
     synchronised: int = 0  #: 1 while a stream is being played.
     stale: int = 1  #: 1 from the timeout, and from the start, until a stream is taken up.
     first: int = 0  #: Place of the oldest buffered frame.
@@ -72,7 +75,11 @@ class Clocks(NamedTuple):
     refused: int = 0  #: Frames refused since.
     holding: int = 0  #: 1 while a frame waits for confirmation.
     held_sequence: int = 0  #: Its number.
-    late_run: int = 0  #: 1 while one frame after the other is late.
+    late_run: int = 0  #: 1 while one frame after the other is late or far ahead.
+    judged: int = 0  #: Moving frames whose derivatives were compared with the poses, at most 40.
+    poses: int = 0  #: 1 while derivatives are left aside.
+    smoothing: int = 0  #: 1 while the demand is that of the filter of poses.
+    beyond: int = 0  #: 1 while the demand is beyond the host's range.
     slot: int = 0  #: Place in the transport line.
 
 
@@ -93,6 +100,11 @@ class DcuState(NamedTuple):
     polynomial: NDArray[np.float64]  #: Coefficients of the present quintic, (6, 6).
     origin: NDArray[np.float64]  #: Motion from which the present stop began, (3, 6).
     gap: NDArray[np.float64]  #: Gap that is being closed, (3, 6).
+    input: NDArray[np.float64]  #: Pose at the play clock, straight between frames, (6,).
+    smoothed: NDArray[np.float64]  #: Bessel filter of it: pose and three derivatives, (4, 6).
+    step: NDArray[np.float64]  #: Newest accepted pose less the one before, (6,).
+    range: NDArray[np.float64]
+    """Of this second and the one before: least and largest pose and the way to stop, (2, 3, 6)."""
     base: NDArray[np.float64]  #: Motion before correction, (3, 6), workspace.
     motion: NDArray[np.float64]  #: Motion before limit and transport, (3, 6), workspace.
     line: NDArray[np.float64]  #: Transport line, (frames + 1, 3, 6).
@@ -121,7 +133,7 @@ def resting(dcu: Dcu, pose: ArrayLike | None = None) -> DcuState:
     if at.shape != (6,) or not (np.abs(at) <= dcu.pose).all():
         raise InputError(f"pose: {at} is refused; allowed: (6,) within +-{dcu.pose} m, rad")
     state = DcuState(
-        clocks=_record(Clocks(closing=dcu.rejoin_time, interval=dcu.host_interval)),
+        clocks=_record(Clocks(interval=dcu.host_interval)),
         events=_record(Events()),
         time=np.zeros(CAPACITY),
         frame=np.zeros((CAPACITY, 3, 6)),
@@ -130,11 +142,17 @@ def resting(dcu: Dcu, pose: ArrayLike | None = None) -> DcuState:
         polynomial=np.zeros((6, 6)),
         origin=np.zeros((3, 6)),
         gap=np.zeros((3, 6)),
+        input=at.copy(),
+        smoothed=np.zeros((4, 6)),
+        step=np.zeros(6),
+        range=np.zeros((2, 3, 6)),
         base=np.zeros((3, 6)),
         motion=np.zeros((3, 6)),
         line=np.zeros((dcu.line + 1, 3, 6)),
         rejected=np.zeros(len(REASONS), dtype=np.int64),
     )
     state.origin[POSE] = at
+    state.smoothed[POSE] = at
+    state.range[:, :2] = at
     state.line[:, POSE] = at
     return state
