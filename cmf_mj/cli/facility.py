@@ -58,11 +58,15 @@ def _end(operation: Operation) -> str:
 
     record = operation.record
     state = State(int(record["operating_state"][-1])).name.lower()
-    fault = record.metadata["fault"]
-    if fault is None:
-        return f"ended {state}, no fault"
-    where = "" if fault["leg"] is None else f" of leg {fault['leg']}"
-    return f"ended {state}: {fault['name']}{where} at {fault['time']:.3f} s"
+    fault, late = record.metadata["fault"], record.metadata["host_late"]
+    end = f"ended {state}, no fault"
+    if fault is not None:
+        where = "" if fault["leg"] is None else f" of leg {fault['leg']}"
+        end = f"ended {state}: {fault['name']}{where} at {fault['time']:.3f} s"
+    if late > 0.0:
+        clock = float(record["host_clock"][-1])
+        end += f"\nthe host was late for {late:.1f} s; at the end its clock ran at {clock:.3f}"
+    return end
 
 
 def _stream(file: Path, derivatives: str, rate: float | None, cab: Cab | None = None) -> HostStream:
@@ -172,14 +176,20 @@ def host_command(
     key: KeyFile = None,
     rate: FrameRate = None,
     derivatives: Derivatives = "spline",
+    speed: Annotated[float, Option(help="stamped time over real time: 0.9 is a slow host")] = 1.0,
+    jitter: Annotated[float, Option(help="largest random delay of a frame [s]")] = 0.0,
+    stutter: Annotated[float, Option(help="pause twice a second [s]")] = 0.0,
+    loss: Annotated[float, Option(help="share of frames that are lost")] = 0.0,
 ) -> None:
-    """Send a file of host frames over UDP in real time."""
+    """Send a file of host frames over UDP in real time, or as an overloaded host would."""
     from cmf_mj.facility.host.datagram import read_key
+    from cmf_mj.facility.host.stream import HostTiming
     from cmf_mj.facility.host.udp import parse_target, send_stream
 
     target, secret = parse_target(to), None if key is None else read_key(key)
     stream = _stream(file, derivatives, rate)
-    sent = send_stream(stream, *target, source_port=port, key=secret)
+    timing = HostTiming(speed, jitter, stutter, loss)
+    sent = send_stream(stream, *target, source_port=port, key=secret, timing=timing)
     show(
         f"{sent.frames} frames in {sent.duration:.3f} s, late by "
         f"{1e3 * sent.mean_lateness:.2f} ms on average, {1e3 * sent.worst_lateness:.2f} at most"

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.control import demand, limiter, states
 from cmf_mj.control.dcu import play
+from cmf_mj.control.dcu.acceptance import host_late
 from cmf_mj.control.dcu.arrivals import Arrivals, feed
 from cmf_mj.control.dcu.settings import Dcu, make_dcu
 from cmf_mj.control.dcu.state import DcuState, resting
@@ -165,6 +166,8 @@ def _record(chain, row, at):  # type: ignore[no-untyped-def]
         row[at.demand_acceleration + i] = chain.motion[2, i]
     row[at.operating_state] = chain.progress[0].state
     row[at.host_stale] = chain.dcu_state.clocks[0].stale
+    row[at.host_late] = host_late(chain.blocks.dcu, chain.dcu_state)
+    row[at.host_clock] = 1.0 + chain.dcu_state.clocks[0].slew
     row[at.valve_gain] = chain.operating.valve[1]
 
 

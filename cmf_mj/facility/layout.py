@@ -19,6 +19,8 @@ CHAIN = {
     "demand_acceleration": ("m/s^2, rad/s^2", "platform"),
     "operating_state": ("1", "scalar"),
     "host_stale": ("1", "scalar"),
+    "host_late": ("1", "scalar"),
+    "host_clock": ("1", "scalar"),
     "valve_gain": ("1", "scalar"),
 }
 """Channels of the chain, name to unit and kind; the pose is also that of a table."""

@@ -90,8 +90,9 @@ class Operation(NamedTuple):
     """What a run of the facility gave."""
 
     record: Record
-    """All signals; `demand_pose`, its derivatives, `operating_state`, `host_stale` and
-    `valve_gain` besides those of `simulate`."""
+    """All signals; `demand_pose`, its derivatives, `operating_state`, `host_stale`,
+    `host_late`, `host_clock` (rate of the play clock) and `valve_gain` besides those of
+    `simulate`."""
     session: HostSession  #: The host's frames as they arrived.
     counts: dict[str, int]  #: What the DCU made of the frames: accepted, late, missing and so on.
     rejections: dict[str, int]  #: Frames the DCU refused, by reason.
@@ -326,6 +327,7 @@ def _operation(
         "dcu": unit.model_dump(mode="json"),
         "host_counts": counts,
         "host_rejections": rejections,
+        "host_late": float(channels["host_late"].mean()) * session.frame / session.rate,
     }
     record = Record(time, channels, units, session.describe() | context)
     played = HostSession(arrivals, session.frame, pose, unit)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control import dcl as control
+from cmf_mj.control.dcu.acceptance import host_late
 from cmf_mj.control.engage import engaged, handed_over
 from cmf_mj.control.law import Gains, Law
 from cmf_mj.control.protection import (
@@ -88,6 +89,7 @@ class Live(NamedTuple):
     law: str  #: Name of the law in force.
     state: str  #: Operating state; empty without the chain.
     fault: Fault | None  #: Fault detected.
+    late: bool  #: Whether the host is late.
 
 
 def _fixed(rows: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -281,7 +283,9 @@ class Session:
         memory, state, chain = self.memory, self.machine.state, self.controller.chain
         poses, operating = self.controller.poses, ""
         demand = poses[max(self.frame - 1, 0) % poses.shape[0]]
+        late = False
         if chain is not None and chain.active:
+            late = bool(host_late(chain.blocks.dcu, chain.dcu_state))
             demand, operating = chain.motion[0], State(chain.progress[0].state).name.lower()
         return Live(
             time=self.frame / self.rate,
@@ -298,6 +302,7 @@ class Session:
             law=self._engaged.name if self._engaged else "",
             state=operating,
             fault=self.fault,
+            late=late,
         )
 
     def engage(self, law: Law) -> None:

@@ -28,8 +28,8 @@ def overview_figure(
 ) -> Figure:
     """Demand and response, errors, valve commands, pressures and supply of a run.
 
-    A run of the facility gets its operating state, shaded where the host was silent; changes are
-    dotted lines, events dashed ones [s]; the title is by default plant and law.
+    A run of the facility gets its operating state, shaded where the host was silent or late;
+    changes are dotted lines, events dashed ones [s]; the title is by default plant and law.
     """
     time, state = record.time, "operating_state" in record.channels
     labels = ["", "", "leg error [in]", "valve command [%]", "cap (-), rod (--) [psi]"]
@@ -72,8 +72,9 @@ def _operating(axis: Axes, record: Record) -> None:
     axis.set_yticks([int(code) for code in State], [code.name.lower() for code in State])
     axis.set_ylim(-0.5, len(State) - 0.5)
     if "host_stale" in record.channels:
-        look.shade(axis, record.time, record["host_stale"] > 0.5)
-        axis.set_title("operating state; shaded: no stream from the host", fontsize=9)
+        troubled = np.maximum(record["host_stale"], record["host_late"]) > 0.5
+        look.shade(axis, record.time, troubled)
+        axis.set_title("operating state; shaded: host silent or late", fontsize=9)
 
 
 def plot_motion(axis: Axes, record: Record) -> None:

@@ -14,9 +14,9 @@ Derivatives have to fit the poses. Between two frames h apart the quintic has to
 
     r = p1 - p0 - h (v0 + v1) / 2 - h^2 (a0 - a1) / 12
 
-and bends by about 6 r / h^2 more for it. Where that is more than the poses themselves bend, more
-than `_FLOOR`, and so in half of the frames that move, the derivatives are left aside, until they
-fit in nine of ten; the straight line between poses then takes the quintic's place.
+and bends by about 6 r / h^2 more for it. Where that is more than the poses themselves bend, and
+more than `_FLOOR`, in more than one of ten frames that move, the derivatives are left aside, until
+nearly all have fitted for some ten seconds; straight lines between poses take the quintics' place.
 """
 
 import numpy as np
@@ -50,8 +50,12 @@ _BEND = 6.0
 _FLOOR = 0.01
 """Acceleration [m/s^2, rad/s^2] that derivatives may add to any motion."""
 
-_JUDGED = 40
-"""Frames in motion over which their share that does not fit is averaged."""
+_JUDGED, _PATIENCE = 40, 10
+"""Frames in motion in which derivatives that do not fit are put aside, and how many times as many
+have to fit before they are taken again: a change between the two is felt."""
+
+POSES_HOLD = 1.0 / 3.0
+"""Share of the hold that poses wait; the filter bridges the rest."""
 
 LATE_SHARE = 0.2
 """Share of late frames from which on the host is late."""
@@ -162,15 +166,15 @@ def _joins(dcu, state, first, last, interval):  # type: ignore[no-untyped-def]
 def play_delay(dcu, state):  # type: ignore[no-untyped-def]
     """Time from a frame's arrival to its turn [s]: the host's mean interval and the hold.
 
-    The filter of poses takes the hold's place.
+    The filter of poses takes the place of most of the hold.
     """
-    hold = 0.0 if state.clocks[0].poses else dcu.hold
-    return max(dcu.host_interval, state.clocks[0].interval) + hold
+    share = POSES_HOLD if state.clocks[0].poses else 1.0
+    return max(dcu.host_interval, state.clocks[0].interval) + share * dcu.hold
 
 
 @compiled
 def host_late(dcu, state):  # type: ignore[no-untyped-def]
-    """Whether the host is late: more than `LATE_SHARE` of its frames, or beyond the clock's rate."""
+    """Whether more than `LATE_SHARE` of the host's frames, or its clock, cannot be followed."""
     clocks = state.clocks[0]
     return clocks.late_share > LATE_SHARE or abs(clocks.drift) >= dcu.clock_rate
 
@@ -185,15 +189,24 @@ def drop_held(state):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def to_real_time(state, motion):  # type: ignore[no-untyped-def]
+    """Turn derivatives over the play clock into derivatives over time."""
+    fast, rate = 1.0 + state.clocks[0].slew, state.clocks[0].slew_rate
+    for i in range(DOFS):
+        v = motion[VELOCITY, i]
+        motion[VELOCITY, i] = v * fast
+        motion[ACCELERATION, i] = motion[ACCELERATION, i] * fast * fast + v * rate
+
+
+@compiled
 def stop_here(state):  # type: ignore[no-untyped-def]
     """Leave the present quintic for a stop that begins here, or where it has just ended."""
     clocks = state.clocks[0]
-    if clocks.moving and clocks.local < clocks.duration:
-        evaluate(state.polynomial, clocks.duration, clocks.local, state.origin)
-        clocks.local = 0.0
-    elif clocks.moving:
-        copy(state.frame[(clocks.first + 1) % CAPACITY], state.origin)
-        clocks.local -= clocks.duration
+    if clocks.moving:
+        left = min(clocks.local, clocks.duration)
+        evaluate(state.polynomial, clocks.duration, left, state.origin)
+        to_real_time(state, state.origin)
+        clocks.local = (clocks.local - left) / (1.0 + clocks.slew)
     clocks.moving = 0
 
 
@@ -248,7 +261,10 @@ def _judge(state, first, last, h):  # type: ignore[no-untyped-def]
     if not moving:
         return
     clocks.judged = min(clocks.judged + 1, _JUDGED)
-    clocks.misfit += ((1.0 if unfit else 0.0) - clocks.misfit) / (clocks.judged + 2)
+    if unfit:
+        clocks.misfit += (1.0 - clocks.misfit) / (clocks.judged + 2)
+    else:
+        clocks.misfit -= clocks.misfit / (_PATIENCE * (clocks.judged + 2))
     if silent:  # the host sends none
         clocks.misfit = 1.0
     if clocks.misfit > 0.5:
@@ -283,7 +299,8 @@ def _follow(dcu, state, relative, interval, ahead):  # type: ignore[no-untyped-d
     clocks.interval += weight * (interval / ahead - clocks.interval)
     lateness = clocks.play + play_delay(dcu, state) - relative
     clocks.lateness += min(interval / LATENESS, 1.0) * (lateness - clocks.lateness)
-    late = clocks.play > clocks.newest + (dcu.hold if clocks.poses else 0.0)
+    bridged = (1.0 - POSES_HOLD) * dcu.hold if clocks.poses else 0.0
+    late = clocks.play > clocks.newest + bridged
     clocks.late_share += weight * ((1.0 if late else 0.0) - clocks.late_share)
     if late:
         state.events[0].late += 1

@@ -11,7 +11,7 @@ A gap is taken up only if it is within the velocity and acceleration limits; oth
 goes on to rest, from where every stream can be taken up.
 """
 
-from cmf_mj.control.dcu.acceptance import clear, drop_held
+from cmf_mj.control.dcu.acceptance import clear, drop_held, to_real_time
 from cmf_mj.control.dcu.motion import (
     ACCELERATION,
     DOFS,
@@ -142,13 +142,17 @@ def _advance_segments(state):  # type: ignore[no-untyped-def]
         if _continues(state):
             clocks.duration = _plan_quintic(state)
         else:
-            _stop_from_first(state)
+            _stop_from_first(state, clocks.local)
 
 
 @compiled
-def _stop_from_first(state):  # type: ignore[no-untyped-def]
-    state.clocks[0].moving, state.clocks[0].used = 0, 1
-    copy(state.frame[state.clocks[0].first], state.origin)
+def _stop_from_first(state, since):  # type: ignore[no-untyped-def]
+    """Begin the stop of the oldest buffered frame, its turn a time of the play clock ago [s]."""
+    clocks = state.clocks[0]
+    clocks.moving, clocks.used = 0, 1
+    copy(state.frame[clocks.first], state.origin)
+    to_real_time(state, state.origin)
+    clocks.local = since / (1.0 + clocks.slew)
 
 
 @compiled
@@ -162,9 +166,9 @@ def _base(dcu, state):  # type: ignore[no-untyped-def]
         return
     if clocks.moving:
         evaluate(state.polynomial, clocks.duration, clocks.local, state.base)
+        to_real_time(state, state.base)
     else:
         stop(dcu, state.origin, clocks.local, state.base)
-    _to_real_time(state)
 
 
 @compiled
@@ -182,16 +186,6 @@ def _pose(state):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _to_real_time(state):  # type: ignore[no-untyped-def]
-    """Turn derivatives over the play clock into derivatives over time."""
-    fast, rate = 1.0 + state.clocks[0].slew, state.clocks[0].slew_rate
-    for i in range(6):
-        v = state.base[VELOCITY, i]
-        state.base[VELOCITY, i] = v * fast
-        state.base[ACCELERATION, i] = state.base[ACCELERATION, i] * fast * fast + v * rate
-
-
-@compiled
 def _rejoin(dcu, state):  # type: ignore[no-untyped-def]
     """Take the stream up again if the buffer says how it goes on and the gap allows it."""
     clocks = state.clocks[0]
@@ -206,16 +200,18 @@ def _rejoin(dcu, state):  # type: ignore[no-untyped-def]
     if goes_on:
         duration = _plan_quintic(state)
         evaluate(state.polynomial, duration, local, state.base)
+        to_real_time(state, state.base)
     else:
-        stop(dcu, state.frame[first], local, state.base)
-    _to_real_time(state)
+        copy(state.frame[first], state.base)
+        to_real_time(state, state.base)
+        stop(dcu, state.base, local / (1.0 + clocks.slew), state.base)
     if not (clocks.smoothing or _near(dcu, state)):
         return
+    waited = clocks.local
     if goes_on:
-        clocks.moving, clocks.duration = 1, duration
+        clocks.moving, clocks.duration, clocks.local = 1, duration, local
     else:
-        _stop_from_first(state)
-    waited, clocks.local = clocks.local, local
+        _stop_from_first(state, local)
     if state.apart[first] or waited > dcu.hold:
         _move_filter(state)
         state.apart[first] = 0
@@ -284,7 +280,7 @@ def _advance_clocks(dcu, state):  # type: ignore[no-untyped-def]
     clocks.slew += frame * (clocks.slew_rate + 0.5 * frame * bend)
     clocks.slew_rate += frame * bend
     clocks.play += passed
-    clocks.local += passed
+    clocks.local += passed if clocks.moving else frame
     clocks.window += frame
     if clocks.window >= 1.0 and clocks.synchronised:
         _begin_second(dcu, state)

@@ -163,6 +163,7 @@ class Dcu(NamedTuple):
     acceleration: NDArray[np.float64]
     """Largest acceleration of a frame and between frames [m/s^2, rad/s^2], (6,)."""
     overtravel: NDArray[np.float64]  #: How far the demand may leave `pose` [m, rad], (6,).
+    smoothing_delay: float  #: Delay D of the filter of poses [s].
     gap_rate: float  #: w of a gap [1/s].
     gap_range: NDArray[np.float64]  #: L, beyond which a gap closes at its speed [m, rad], (6,).
     closing: NDArray[np.float64]
@@ -206,6 +207,7 @@ def make_dcu(source: str | Path | DcuSettings = "default", frame: float = FRAME)
     return Dcu(
         host_interval=delay.host_interval.si,
         hold=delay.interpolation_hold.si,
+        smoothing_delay=delay.smoothing.si,
         fade_time=limits.acceleration_fade.si,
         clock_rate=limits.clock_rate.value,
         clock_time=limits.clock_time.si,

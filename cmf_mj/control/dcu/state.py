@@ -58,7 +58,7 @@ class Clocks(NamedTuple):
     local: float = 0.0  #: Time since the present segment began [s].
     duration: float = 0.0  #: Length of the present quintic [s].
     drift: float = 0.0  #: Rate of the host's clock as known so far, less 1, negative.
-    misfit: float = 0.0  #: Share of moving frames whose derivatives do not fit the poses.
+    misfit: float = 0.0  #: How little the derivatives of moving frames fit the poses, 0 to 1.
     late_share: float = 0.0  #: Share of frames that came late, over a second.
     window: float = 0.0  #: Time since the present second of the host's range began [s].
     before: float = 0.0  #: Interval from the frame before the newest accepted one [s].

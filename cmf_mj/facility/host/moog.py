@@ -10,13 +10,13 @@ degree-of-freedom mode; in length mode the legs' extensions from the settled pos
 masks, states and the states a word is valid in are those of two public clients
 (`docs/how_to/moog.md`, which also says what no source could confirm).
 
-A position without velocity and acceleration gets both from its neighbours: with p0, p1, p2 at the
-times -a, 0, b
+The host has no clock. A command is stamped where one is expected, with T the mean interval,
 
-    p1' = (a^2 p2 - b^2 p0 + (b^2 - a^2) p1) / (a b (a + b))
-    p1'' = 2 (a p2 + b p0 - (a + b) p1) / (a b (a + b))
+    expected = last + T,    x = arrival - expected,    stamp = expected + x / 2,    T += x / 64
 
-so that it goes on to the DCU one command later: that and the DCU's delay are `MoogBase.delay`.
+so that a host of any steady rate is taken as steady and jitter is averaged; one that comes more
+than four intervals late is stamped with its arrival, and of commands that pile up the newest
+counts. Positions come without derivatives, so that the DCU filters them: `MoogBase.delay`.
 """
 
 import math
@@ -27,6 +27,7 @@ from enum import IntEnum, IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.control.dcu.acceptance import POSES_HOLD
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.handover import make_ring, put
@@ -50,14 +51,23 @@ POWER_UP = 1.0
 REFUSALS = ("wrong_sender", "wrong_length", "wrong_word", "not_finite", "out_of_range", "disabled")
 """Why a datagram is dropped: nothing moves by it."""
 
-_POLL = 8
-"""Control frames between two looks at the network in real time: 4 ms."""
+_POLL = 4
+"""Control frames between two looks at the network in real time: 2 ms."""
+
+_FOLLOW, _LEARN = 1.0 / 2.0, 1.0 / 64.0
+"""Shares of a command's lateness by which its stamp and the mean interval follow it."""
+
+_INTERVALS = (1.0 / 150.0, 1.0 / 30.0)
+"""Least and largest mean interval of commands [s]."""
 
 _MOST = 64
 """Datagrams taken at one look, so that a flood does not hold up the machine."""
 
 _PATIENCE = 10.0
 """Longest wait for a command in lockstep [s]; then the host is taken to have gone."""
+
+
+_STILL = np.zeros(6)
 
 
 class Word(IntEnum):
@@ -136,19 +146,20 @@ class MoogBase:
         """Datagrams that were dropped, by reason."""
         self.counts = dict.fromkeys(("commands", "not_valid_now", "positions", "late"), 0)
         """Commands answered, those not valid in their state, positions taken while engaged, and
-        commands that came more than half a frame late while engaged."""
+        commands that came more than half an interval late while engaged."""
         self.latched = Latched(0)
         """Faults since the last reset."""
         self._mode, self._stopped = Word.DOF_MODE, MachineState.POWER_UP
         self._begin = np.zeros(6)
-        self._history: list[tuple[int, NDArray[np.float64]]] = []
-        self._number, self._origin, self._last = 0, 0.0, 0.0
+        self._number, self._stamp, self._sent = 0, -math.inf, -math.inf
+        self._last, self._interval = 0.0, 1.0 / RATE
 
     @staticmethod
     def delay(session: Session) -> float:
-        """From a command to the demand: one command, and the DCU's delay at 60 Hz [s]."""
+        """From a command to the demand: the DCU's delay of 60 poses a second [s]."""
         dcu = session.chain.blocks.dcu
-        return 2.0 / RATE + dcu.hold + session.plant.machine.frame * dcu.line
+        wait = POSES_HOLD * dcu.hold + dcu.smoothing_delay
+        return 1.0 / RATE + wait + session.plant.machine.frame * dcu.line
 
     def state(self, session: Session) -> MachineState:
         """What the base says it is."""
@@ -218,7 +229,7 @@ class MoogBase:
         if word in _MODES:
             self._mode = word
         elif word in (Word.ENGAGE, Word.START):
-            self._begin, self._history = pose, []
+            self._begin = pose
             progress.request = Request.ENGAGE.value
         elif word == Word.PARK:
             progress.request = Request.OFF.value
@@ -236,26 +247,22 @@ class MoogBase:
         now = session.frame / session.rate
         if pose is not None:
             self.counts["positions"] += 1
-            self.counts["late"] += now - self._last > 1.5 / RATE
+            self.counts["late"] += now - self._last > 1.5 * self._interval
             self._begin = pose
         self._last = now
-        self._number += 1
-        if not self._history:
-            self._origin = now - self._number / RATE
-        # Numbers rise by one, unless commands were lost or the host's clock has fallen behind.
-        behind = (now - self._origin) * RATE - self._number
-        self._number += int(behind) if behind >= 1.5 else 0
-        self._history = [*self._history[-2:], (self._number, self._begin)]
-        if len(self._history) < 2:
+        late = now - self._stamp - self._interval
+        if late < -self._interval:
             return
-        (n0, before), (n1, here), (n2, after) = [self._history[0], *self._history][-3:]
-        late, early = (n2 - n1) / RATE, (n1 - n0) / RATE
-        velocity = acceleration = np.zeros(6)
-        if early:
-            forth, back = after - here, here - before
-            velocity = (early**2 * forth + late**2 * back) / (early * late * (early + late))
-            acceleration = 2.0 * (early * forth - late * back) / (early * late * (early + late))
-        put(self.ring, HostFrame(n1, n1 / RATE, here, velocity, acceleration))
+        if late > 4.0 * self._interval:
+            self._stamp = now
+        else:
+            self._stamp += self._interval + _FOLLOW * late
+            least, most = _INTERVALS
+            self._interval = min(max(self._interval + _LEARN * late, least), most)
+        if self._stamp - self._sent < session.chain.blocks.dcu.minimum_interval:
+            return
+        self._number, self._sent = self._number + 1, self._stamp
+        put(self.ring, HostFrame(self._number, self._stamp, self._begin, _STILL, _STILL))
 
     def _answer(self, session: Session) -> bytes:
         memory, chain = session.memory, session.chain

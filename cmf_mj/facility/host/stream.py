@@ -25,6 +25,10 @@ LEAST = 6
 """Frames a quintic spline needs."""
 
 
+_PERIOD = 0.5
+"""Time from stutter to stutter [s]."""
+
+
 class HostFrame(NamedTuple):
     """One frame of the host."""
 
@@ -156,16 +160,48 @@ def resample(stream: HostStream, rate: float) -> HostStream:
     return make_stream(time + start, *motion)
 
 
-def arrivals(stream: HostStream, *, delay: int = 0, rate: int = RATE) -> Arrivals:
+class HostTiming(NamedTuple):
+    """How a host keeps to the times it stamps its frames with; by default to the letter."""
+
+    speed: float = 1.0  #: Stamped time over real time, above 0.
+    jitter: float = 0.0  #: Largest random delay of a frame [s].
+    stutter: float = 0.0  #: Pause at the begin of every half second, made up for at its end [s].
+    loss: float = 0.0  #: Share of frames that are lost, below 1.
+    seed: int = 0  #: Of jitter and loss.
+
+    def keep(self, stream: HostStream) -> tuple[HostStream, NDArray[np.float64]]:
+        """The frames that are sent, and when [s], (N,), never falling, from the first stamp on."""
+        bounds = {"speed": 10.0, "jitter": 1.0, "stutter": _PERIOD, "loss": 1.0}
+        for name, most in bounds.items():
+            value, least = getattr(self, name), 0.01 if name == "speed" else 0.0
+            if not least <= value <= most or (name == "loss" and value == 1.0):
+                raise InputError(f"{name}: {value} is refused; allowed: {least} to {most:g}")
+        random = np.random.default_rng(self.seed)
+        when = (stream.time - stream.time[0]) / self.speed
+        when = when + self.jitter * random.uniform(size=when.size)
+        when += np.maximum(self.stutter - when % _PERIOD, 0.0)
+        sent = random.uniform(size=when.size) >= self.loss
+        sent[0] = True
+        kept = HostStream._make(column[sent] for column in stream)
+        return kept, np.maximum.accumulate(when)[sent]
+
+
+def arrivals(
+    stream: HostStream,
+    *,
+    delay: int = 0,
+    rate: int = RATE,
+    timing: HostTiming = HostTiming(),  # noqa: B008 (immutable)
+) -> Arrivals:
     """The stream as it reaches a DCU, the first frame after `delay` whole control frames.
 
     The DCU runs at a control rate [Hz].
     """
     if delay < 0:
         raise InputError(f"delay: {delay} control frames must be at least 0")
-    since = stream.time - stream.time[0]
-    frame = np.ceil(since * rate - 1e-6).astype(np.int64) + delay
-    return Arrivals(frame, stream.sequence, stream.time, stream.values)
+    kept, when = timing.keep(stream)
+    frame = np.ceil(when * rate - 1e-6).astype(np.int64) + delay
+    return Arrivals(frame, kept.sequence, kept.time, kept.values)
 
 
 def _refuse(bad: ArrayLike, name: str, values: NDArray[Any], allowed: str) -> None:

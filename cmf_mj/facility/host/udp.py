@@ -20,7 +20,7 @@ import numpy as np
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host import datagram
 from cmf_mj.facility.host.handover import Ring, make_ring, put
-from cmf_mj.facility.host.stream import HostStream
+from cmf_mj.facility.host.stream import HostStream, HostTiming
 
 LOOPBACK = "127.0.0.1"
 
@@ -167,10 +167,11 @@ def send_stream(
     *,
     source_port: int = 0,
     key: bytes | None = None,
+    timing: HostTiming = HostTiming(),  # noqa: B008 (immutable)
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> SendReport:
-    """Send a stream to one IPv4 address and port in real time, by its time stamps.
+    """Send a stream to one IPv4 address and port in real time, by its time stamps and a timing.
 
     From `source_port`, 0 for a free one; with the session `key` if there is one. Each deadline is
     start + time[k] - time[0]: absolute, so that no lateness adds up.
@@ -178,8 +179,8 @@ def send_stream(
     if not 1 <= port <= 65535:
         raise InputError(f"port: {port} is refused; allowed: 1 to 65535")
     check_address("address", address)
+    stream, deadlines = timing.keep(stream)
     datagrams = [datagram.encode(stream.row(index), key) for index in range(stream.time.size)]
-    deadlines = stream.time - stream.time[0]
     lateness = np.zeros(stream.time.size)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.bind(("", source_port))

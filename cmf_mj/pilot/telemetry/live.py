@@ -1,8 +1,9 @@
 """Live telemetry through washout and DCU to the cab, in real time.
 
-80 times a second the newest sample goes through the washout, and its frame to the DCU. Without a
-new sample for `_STALE` no frame is sent, and the host watchdog of the facility brings the machine
-down.
+80 times a second the newest sample goes through the washout, and its frame to the DCU. Samples that
+are missing leave no gap in the frames: a sample older than `_FADE[0]` fades to rest until
+`_FADE[1]`, and the washout brings the machine back. Without a new sample for `_STALE` no frame is
+sent, and the host watchdog of the facility brings the machine down.
 """
 
 import contextlib
@@ -14,6 +15,7 @@ import numpy as np
 
 from cmf_mj.control.law import Law
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.handover import make_ring, put
 from cmf_mj.facility.host.stream import HostFrame, make_stream
 from cmf_mj.facility.host.udp import LOOPBACK, open_socket
@@ -28,8 +30,14 @@ from cmf_mj.pilot.telemetry.check import check
 from cmf_mj.pilot.telemetry.formats import Row, decode, listen
 from cmf_mj.plant.hexapod import Hexapod
 
-_STALE = 0.1
+_FADE = (0.1, 0.5)
+"""Ages of the newest sample between which it fades to rest [s]."""
+
+_STALE = 1.0
 """Age of the newest sample from which on nothing is sent [s]."""
+
+_REST = np.array([0.0, 0.0, -STANDARD_GRAVITY, 0.0, 0.0, 0.0])
+"""Specific force and angular rate at rest."""
 
 
 class _Host:
@@ -56,8 +64,10 @@ class _Host:
                 except InputError:
                     self.refused += 1
         if self._row is not None and now - self._came <= _STALE:
-            self.rows.append(self._row)
-            self.frames.append(self._washout.frame(self._row[1:4], self._row[4:7]))
+            felt = np.array(self._row[1:7])
+            felt += (_REST - felt) * np.interp(now - self._came, _FADE, (0.0, 1.0))
+            self.rows.append((self._row[0], *felt.tolist(), *self._row[7:]))
+            self.frames.append(self._washout.frame(felt[:3], felt[3:]))
             put(self.ring, self.frames[-1])
         self._steps += 1
         return round(self._steps * session.rate / MOST_RATE) - session.frame

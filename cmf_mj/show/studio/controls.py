@@ -54,8 +54,8 @@ def lamp(view: View) -> str:
         colour, says = _TRIPPED, f"ended: {view.end}"
     elif (fault := view.live.fault) is not None:
         colour, says = _TRIPPED, f"tripped: {words(fault.name, fault.leg)}"
-    elif harm:
-        colour, says = _FAILED, "failed"
+    elif harm or view.live.late:
+        colour, says = _FAILED, "failed" if harm else "host late"
     told = "".join(f"<br>{mark.time:.1f} s: {escape(mark.text)}" for mark in view.marks[-_TOLD:])
     dot = f"<span style='color:{colour};font-size:1.6em;line-height:0.6'>&#9679;</span>"
     return f"<div style='padding:0 0.8em;font-size:0.9em'>{dot} <b>{escape(says)}</b>{told}</div>"
