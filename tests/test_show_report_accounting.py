@@ -77,12 +77,12 @@ def test_shares_of_agreement_regression(runs: Runs) -> None:
 def test_what_counts_as_predicted_is_what_report_md_says(runs: Runs) -> None:
     """Ten of equal legs, six of linear models, two next to a fitted row, two that ring."""
     left = Counter(
-        row.of if row.of.startswith("linear") else row.law
+        row.law
         for row in accounting.once(rows_of(runs, *TITLES))
         if row.quantity in BANDWIDTHS and row.printed == row.printed and not row.calibrated
     )
-    models = {f"linear_{number}": 2 for number in (1, 2, 3)}
-    assert left == models | {"position_error_rate": 10, "velocity_integral": 2, "force": 2}
+    named = {"position_error_rate": 10, "velocity": 6, "velocity_integral": 2, "force": 2}
+    assert left == named
     (fitted,) = (
         row
         for row in rows_of(runs, "3-5")
@@ -90,7 +90,7 @@ def test_what_counts_as_predicted_is_what_report_md_says(runs: Runs) -> None:
     )
     equal = [row for row in rows_of(runs, "D-1") if row.quantity == "-90 deg"]
     for row in equal:
-        assert row.computed == pytest.approx(fitted.computed, rel=0.011)
+        assert row.computed == pytest.approx(fitted.computed, rel=0.02)
 
 
 def test_docs_have_the_verdicts_and_shares_regression(runs: Runs) -> None:
