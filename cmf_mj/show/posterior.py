@@ -168,7 +168,7 @@ def robust_text(results: Results) -> str:
                 f"`{one.law}` changes the pair's damping ratio by "
                 f"{interval(one.posterior, '+.3f')} with the {one.cab.upper()}, before any "
                 f"evidence by {interval(one.prior, '+.3f')}; under all evidence "
-                f"{percent(one.same_sign)} of the machines have the sign of the median."
+                f"{percent(one.same_sign)} have the median's sign."
             )
     sure = [one for one in rows if one.robust]
     for law in dict.fromkeys(one.law for one in sure):
