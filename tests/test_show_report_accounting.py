@@ -1,5 +1,6 @@
 """What of the print is met: verdicts and shares, the printed numbers being the oracle."""
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,25 @@ def test_shares_of_agreement_regression(runs: Runs) -> None:
     assert table["of them predicted"].shares[1] < table["of them calibrated"].shares[1]
     assert table["of them predicted"].median < 0.0  # what is not fitted lies low
     assert table["damping ratios, all predicted"].shares[1] < 0.5
+
+
+def test_what_counts_as_predicted_is_what_report_md_says(runs: Runs) -> None:
+    """Ten of equal legs, six of linear models, two next to a fitted row, two that ring."""
+    left = Counter(
+        row.law
+        for row in accounting.once(rows_of(runs, *TITLES))
+        if row.quantity in BANDWIDTHS and row.printed == row.printed and not row.calibrated
+    )
+    named = {"position_error_rate": 10, "velocity": 6, "velocity_integral": 2, "force": 2}
+    assert left == named
+    (fitted,) = (
+        row
+        for row in rows_of(runs, "3-5")
+        if row.law == "position_error_rate" and row.quantity == "-90 deg"
+    )
+    equal = [row for row in rows_of(runs, "D-1") if row.quantity == "-90 deg"]
+    for row in equal:
+        assert row.computed == pytest.approx(fitted.computed, rel=0.02)
 
 
 def test_docs_have_the_verdicts_and_shares_regression(runs: Runs) -> None:

@@ -31,6 +31,9 @@ OPPOSED = "acceleration_opposing"
 FAST = "acceleration"
 """Acceleration feedback as printed behind the filter that the text describes."""
 
+EVIDENCE = {"rows": "hardware rows", "fits": "hardware fits", "three_g": "3 g", "flown": "flown"}
+"""What a reader calls each of `GROUPS`."""
+
 
 def interval(span: Array, form: str = ".2f") -> str:
     """A median and a 90 % interval as text."""
@@ -48,10 +51,9 @@ def percent(share: float, digits: int = 0) -> str:
 
 def stability_table(results: Results) -> Table:
     """Probability that each law is unstable, with each cab."""
-    names = {"rows": "hardware rows", "fits": "hardware fits", "three_g": "3 g", "flown": "flown"}
     columns = (
         *("law", "cab", "prior", "all evidence"),
-        *(f"without {names[group]}" for group in GROUPS),
+        *(f"without {EVIDENCE[group]}" for group in GROUPS),
         *("simulated", "same verdict"),
     )
     rows = [
@@ -162,13 +164,11 @@ def robust_text(results: Results) -> str:
         )
     for one in answers.changes(results):
         if one.cab == results.study.cabs[0].name and one.law in (PRINTED, FAST, OPPOSED):
-            verb = "takes from" if one.posterior[1] < 0.0 else "adds to"
-            size = np.sort(np.abs(one.posterior))[[0, 1, 2]]
-            before = np.sort(np.abs(one.prior))
             lines.append(
-                f"`{one.law}` {verb} the pair's damping ratio {interval(size, '.3f')} with the "
-                f"{one.cab.upper()}, before any evidence {interval(before, '.3f')}; the sign "
-                f"is the same on {percent(one.same_sign)} of the machines."
+                f"`{one.law}` changes the pair's damping ratio by "
+                f"{interval(one.posterior, '+.3f')} with the {one.cab.upper()}, before any "
+                f"evidence by {interval(one.prior, '+.3f')}; under all evidence "
+                f"{percent(one.same_sign)} have the median's sign."
             )
     sure = [one for one in rows if one.robust]
     for law in dict.fromkeys(one.law for one in sure):
@@ -185,21 +185,26 @@ def robust_text(results: Results) -> str:
 
 
 def fragile_text(results: Results) -> str:
-    """What hangs on numbers nobody published, as a Markdown list."""
+    """What depends on numbers nobody published, or on one part of the evidence, as a list."""
     lines, moved = [], answers.moved(results)
     stability = answers.stability(results)
     for law in dict.fromkeys(one.law for one in stability if not one.robust):
         if law in (DERIVED, FLOWN):
             continue
-        shares = _list(
-            f"{percent(one.posterior)} ({one.cab.upper()})" for one in stability if one.law == law
-        )
+        mine = [one for one in stability if one.law == law]
+        shares = _list(f"{percent(one.posterior)} ({one.cab.upper()})" for one in mine)
+        away = [
+            sum(abs(one.without[i] - one.posterior) for one in mine) for i in range(len(GROUPS))
+        ]
+        most = int(np.argmax(away))
+        left = _list(f"{percent(one.without[most])}" for one in mine)
         swings = sorted((one for one in moved if one.law == law), key=lambda one: -one.swing)
         turned = [f"`{one.unknown}`" for one in swings if one.turns]
         more = [f"{len(turned) - 4} more"] if len(turned) > 4 else []
         flips = f" One of these turns its verdict: {_list(turned[:4] + more)}." if turned else ""
         lines.append(
-            f"`{law}` is unstable with a probability of {shares}. Its least damping ratio hangs "
+            f"`{law}` is unstable with a probability of {shares}, without the evidence "
+            f"*{EVIDENCE[GROUPS[most]]}* of {left}. Its least damping ratio depends "
             f"most on {_list(f'`{one.unknown}`' for one in swings[:3])}.{flips}"
         )
     return "".join(f"- {line}\n" for line in lines)
@@ -213,8 +218,8 @@ def advice_text(results: Results) -> str:
     return (
         f"Of the gains and filters tried, {best.gain:g} %/(in/s²) {behind} leaves the most "
         f"damping: a least damping ratio of {interval(best.damping, '.3f')} with any cab, stable "
-        f"with all of them on {percent(best.stable)} of the machines; without acceleration "
-        f"feedback on {percent(none)}.\n"
+        f"with all of them on {percent(best.stable)} of {results.study.settings.kept} machines "
+        f"drawn from the posterior; without acceleration feedback on {percent(none)}.\n"
     )
 
 

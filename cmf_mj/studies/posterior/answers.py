@@ -1,7 +1,7 @@
 """What a study of the unknown says: probabilities, differences and intervals under its weights.
 
 Every statement is made under the prior, under all evidence, and with each group of evidence left
-out: what survives them all does not hang on one reading of the report.
+out: what survives them all does not depend on one reading of the report.
 """
 
 from collections.abc import Sequence
@@ -58,7 +58,7 @@ class Change(NamedTuple):
     cab: str
     prior: Array  #: At `LEVELS`, before any evidence.
     posterior: Array  #: At `LEVELS`.
-    same_sign: float  #: Probability that it has the sign of its median.
+    same_sign: float  #: Probability, under all evidence, that it has the sign of its median.
 
 
 class Span(NamedTuple):
