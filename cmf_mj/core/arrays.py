@@ -22,6 +22,26 @@ def check_memory(field: str, part: str, numbers: float) -> None:
         )
 
 
+def real(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Values as an array of floats; refused under their name where they are not real numbers."""
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind in "biuf":
+            return np.asarray(array, dtype=float)
+        what = str(array.dtype)
+    except ValueError:
+        what = "rows of different lengths"
+    raise InputError(f"{name}: holds {what}; allowed: real numbers")
+
+
+def check_finite(name: str, values: NDArray[np.float64]) -> None:
+    """Refuse rows of numbers that are not finite."""
+    bad = ~np.isfinite(values.reshape(values.shape[0], -1)).all(axis=1)
+    if bad.any():
+        row = int(bad.argmax())
+        raise InputError(f"{name}: row {row}: {values[row]} is refused; allowed: finite numbers")
+
+
 def frozen(values: ArrayLike) -> NDArray[np.float64]:
     """A read-only view, which cannot be made writable, of the array itself or of a copy.
 

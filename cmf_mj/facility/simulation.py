@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
+from cmf_mj.core.arrays import real
 from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.options import Options, RunOptions
@@ -73,7 +74,7 @@ def simulate(
     """
     loaded = load_law(law)
     if legs:
-        reference = np.atleast_2d(np.asarray(command, dtype=float))
+        reference = np.atleast_2d(real("command", command))
         if reference.shape[1] != plant.legs:
             raise InputError(
                 f"command: has {reference.shape[1]} columns; allowed: {plant.legs}, one a leg"
@@ -118,7 +119,7 @@ def drive(plant: Plant, valves: ArrayLike, **options: Unpack[RunOptions]) -> Rec
     >>> bool((record["leg_extension"][-1] > 0.0).all())
     True
     """
-    table = np.atleast_2d(np.asarray(valves, dtype=float))
+    table = np.atleast_2d(real("valves", valves))
     if table.ndim != 2 or table.shape[1] != plant.legs:
         raise InputError(f"valves: has shape {table.shape}; allowed: (N, {plant.legs})")
     if not (np.abs(table) <= 1.0).all():

@@ -24,6 +24,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
+from cmf_mj.core.arrays import check_finite
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import read_column, read_table, write_table
@@ -256,14 +257,6 @@ def vector(name: str, values: ArrayLike, unit: str = "") -> NDArray[np.float64]:
     if array.shape != (3,) or not np.isfinite(array).all():
         raise InputError(f"{name}: {array} is refused; allowed: three finite numbers{unit}")
     return array
-
-
-def check_finite(name: str, values: NDArray[np.float64]) -> None:
-    """Refuse rows of numbers that are not finite."""
-    bad = ~np.isfinite(values.reshape(values.shape[0], -1)).all(axis=1)
-    if bad.any():
-        row = int(bad.argmax())
-        raise InputError(f"{name}: row {row}: {values[row]} is refused; allowed: finite numbers")
 
 
 def _rows(name: str, values: ArrayLike | None, count: int) -> NDArray[np.float64]:

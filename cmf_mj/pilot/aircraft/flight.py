@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cmf_mj.core import units
-from cmf_mj.core.arrays import FrozenDict, frozen
+from cmf_mj.core.arrays import FrozenDict, check_finite, frozen
 from cmf_mj.core.errors import InputError, reason, unknown_name, within
 from cmf_mj.core.files import read_column, read_headed, whole_file, write_parquet
 from cmf_mj.core.settings import FileHeader, Settings, parsed_json, validated
 from cmf_mj.pilot.host import PilotSample, pilot_samples
-from cmf_mj.pilot.motion import COLUMNS, PilotMotion, check_finite
+from cmf_mj.pilot.motion import COLUMNS, PilotMotion
 
 _KEY = "cmf_mj_flight"
 _HEADER = re.compile(r"^(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]+)\])?$")
