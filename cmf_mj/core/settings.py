@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import re
 import sys
 import tomllib
@@ -105,8 +106,16 @@ def as_tuples(value: Any) -> Any:
     return tuple(as_tuples(v) for v in value) if isinstance(value, list | tuple) else value
 
 
+def check_file(path: Path) -> Path:
+    """Refuse what is there and no file: a folder, or a pipe, which would be waited for."""
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise InputError(f"{path}: cannot be read: it is a folder or a device, not a file")
+    return path
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file."""
+    check_file(path)
     try:
         return parsed_toml(path.read_text(encoding="utf-8"), str(path))
     except OSError as error:

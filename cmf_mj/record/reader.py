@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.settings import validated
+from cmf_mj.core.settings import check_file, validated
 from cmf_mj.record.layout import (
     BLOCK,
     BLOCK_WIDTH,
@@ -148,7 +148,7 @@ def _cut(path: Path) -> _Table:
 
 def _text(path: Path) -> str:
     try:
-        content = path.read_bytes()
+        content = check_file(path).read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     if not content.strip():

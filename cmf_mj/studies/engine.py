@@ -232,6 +232,8 @@ class Workers:
         if not 1 <= self.jobs <= MOST_JOBS:
             raise InputError(f"jobs: {self.jobs} must be at least 1 and at most {MOST_JOBS}")
         check_name("backend", self.backend, get_args(Backend))
+        if self.backend == "dask":
+            require("distributed", "cluster")
         if self.scheduler is not None:
             if self.backend != "dask":
                 raise InputError(
