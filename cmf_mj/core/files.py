@@ -21,7 +21,7 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError, reason
-from cmf_mj.core.settings import Model, check_file, parsed_json, validated
+from cmf_mj.core.settings import DEVICE, Model, check_file, parsed_json, validated
 
 try:
     import fcntl
@@ -46,7 +46,8 @@ def whole_file(target: Path) -> Iterator[Path]:
 
 def in_folder(folder: Path, name: str) -> Path:
     """A file or folder of this name in a folder; refused where the name leads anywhere else."""
-    if not name or Path(name).name != name or name[0] == "." or not name.isprintable():
+    plain = name and Path(name).name == name and name[0] != "." and name.isprintable()
+    if not plain or DEVICE.match(name):
         raise InputError(f"file: {name!r} is refused: must be a plain name, without a folder")
     return folder / name
 
