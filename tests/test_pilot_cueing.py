@@ -14,7 +14,7 @@ from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing.flight import cue, excursion, tune, within_limits
 from cmf_mj.pilot.cueing.settings import WASHOUTS, load_washout, save_washout
 from cmf_mj.pilot.cueing.washout import Washout
-from cmf_mj.pilot.motion import COLUMNS, PilotMotion
+from cmf_mj.pilot.motion import PilotMotion
 
 LIMITS = load_motion_limits()
 PUSH = pushed(0, np.clip((np.arange(2400) / 80.0 - 1.0) * 2.0, 0.0, 5.0))
@@ -129,9 +129,6 @@ def test_tuning_refuses_what_it_cannot_do():
         tune(PUSH, dofs=("up",))
     with pytest.raises(ValueError, match="gains left alone use"):
         tune(PUSH, dofs=("yaw",))
-    one = [getattr(PUSH, name)[:1] for name in ("time", *COLUMNS)]
-    with pytest.raises(ValueError, match="flight: has 1 row; at least 2 are needed"):
-        tune(PilotMotion(*one))
 
 
 def test_capitals_and_blanks_in_the_header_of_a_flight_are_read(tmp_path):

@@ -39,7 +39,7 @@ def simulate(
     """Run a control law on a plant and record all signals.
 
     The run starts at rest at the first pose of the command, in static equilibrium, with the DCL
-    engaged there. Nothing is random: the same arguments give the same bits on one kind of processor.
+    engaged there. The same arguments give the same bits on one kind of processor.
 
     Args:
         plant: `Hexapod`, `SingleLegs`, or any `Plant`; its mechanical step must divide the

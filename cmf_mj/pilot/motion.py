@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core.arrays import check_finite
 from cmf_mj.core.compiled import allocating
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, within
 from cmf_mj.core.files import read_column, read_table, write_table
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostStream
@@ -40,6 +40,10 @@ COLUMNS = {
     "attitude": ("roll", "pitch", "yaw"),
 }
 """Names of the columns of each channel in files."""
+
+
+_SLOWEST = 1.0
+"""Longest time from row to row of a flight in a file [s]."""
 
 
 @dataclass(frozen=True)
@@ -163,11 +167,17 @@ class PilotMotion:
     def from_columns(column: Callable[[str], NDArray[np.float64]], where: Path) -> "PilotMotion":
         """The motion whose columns in SI a function reads from a file; refusals name the file."""
         channels = [np.column_stack([column(name) for name in names]) for names in COLUMNS.values()]
-        time = column("time")
-        try:
-            return PilotMotion(time, *channels)
-        except InputError as error:
-            raise InputError(f"{where}: {error}") from error
+        with within(where):
+            motion = PilotMotion(column("time"), *channels)
+            if motion.time.size < 2:
+                raise InputError(f"time: has {motion.time.size} row; at least 2 are needed")
+            if (step := float(np.median(np.diff(motion.time)))) > _SLOWEST:
+                raise InputError(
+                    f"time: {step:g} s from row to row; allowed: to {_SLOWEST} s; in ms?"
+                )
+            if (pitch := float(np.abs(motion.attitude[:, 1]).max())) > 0.5 * np.pi:
+                raise InputError(f"pitch: {pitch:g} rad; allowed: within +-90 deg; in degrees?")
+        return motion
 
     def save(self, path: str | Path) -> Path:
         """Write `columns` as CSV or Parquet, by the name's end; it reads back bit for bit."""

@@ -184,8 +184,6 @@ def tune(
     for name, value in (("share", share), ("largest_gain", largest_gain)):
         if not (np.isfinite(value) and value > 0.0):
             raise InputError(f"{name}: {value} must be greater than 0")
-    if motion.time.size < 2:
-        raise InputError(f"flight: has {motion.time.size} row; at least 2 are needed")
     settings = load_washout(washout)
     for dof in dofs:
         check_name("dofs", dof, DOFS)
