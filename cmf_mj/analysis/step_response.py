@@ -37,7 +37,6 @@ DECAY = 0.75
 DECAY_TIME = 3.0
 """Distance of the two windows of the verdict [s]."""
 
-
 REST, REST_TIME = 0.1, 0.25
 """Motion before the step, over the step, and the time it is looked for in [s], up to which a
 response counts as one from rest."""

@@ -32,20 +32,6 @@ _SI = re.compile(rf"{_SYMBOL}((, |/| ){_SYMBOL})*")
 _OFF = 1e-6
 """How far a sample may lie from its instant [s]; the facility's files tell a time to 1e-7 s."""
 
-
-def check_time(time: NDArray[np.float64], rate: Any) -> None:
-    """Refuse a sampling rate [Hz] that is none, and times (N,) that do not have it."""
-    known = isinstance(rate, int | float) and not isinstance(rate, bool)
-    if not (known and 0.0 < rate < np.inf):
-        raise InputError(f"sample_rate: {rate!r} Hz is refused; allowed: a number above 0")
-    if time.size == 0:
-        raise InputError("record: has no samples; allowed: at least 1")
-    off = np.abs(time - time[0] - np.arange(time.size) / rate) < _OFF
-    if not off.all():
-        sample = int(np.argmin(off))
-        raise InputError(f"time: sample {sample} at {time[sample]} s is not at {rate} Hz")
-
-
 AnySignal = TypeVar("AnySignal", bound=Signal)
 
 
@@ -152,8 +138,16 @@ class Record:
         Raises:
             InputError: there is none, or the times do not have it.
         """
-        rate = self.metadata.get("sample_rate", np.nan)
-        check_time(self.time, rate)
+        rate, time = self.metadata.get("sample_rate", np.nan), self.time
+        known = isinstance(rate, int | float) and not isinstance(rate, bool)
+        if not (known and 0.0 < rate < np.inf):
+            raise InputError(f"sample_rate: {rate!r} Hz is refused; allowed: a number above 0")
+        if time.size == 0:
+            raise InputError("record: has no samples; allowed: at least 1")
+        off = np.abs(time - time[0] - np.arange(time.size) / rate) < _OFF
+        if not off.all():
+            sample = int(np.argmin(off))
+            raise InputError(f"time: sample {sample} at {time[sample]} s is not at {rate} Hz")
         return float(rate)
 
     def save(self, path: str | Path) -> Path:
