@@ -13,8 +13,8 @@ import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.analysis.frequency_response import dof_history
 from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.measurable import dof_history
 from cmf_mj.analysis.response.periodic import sine_response
 from cmf_mj.control.law import Law
 from cmf_mj.core import units

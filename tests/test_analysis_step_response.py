@@ -230,10 +230,10 @@ def test_a_ring_that_no_platform_motion_has_is_seen() -> None:
 
 
 def test_legs_that_no_pose_has_make_an_unstable_run_without_measures() -> None:
-    """Neighbouring legs of 150 in and 290 in reach no common platform."""
+    """Legs pressed 49 mm into their stops, four in and two out, reach no common platform."""
     record = stepped(0.5, 3.0)
     legs = record["leg_position"].copy()
-    legs[-100:] = [3.0, -3.0, 3.0, -3.0, 3.0, -3.0]
+    legs[-100:] = [-1.014, -1.014, 1.014, -1.014, -1.014, 1.014]
     channels = {**record.channels, "leg_position": legs}
     broken = Record(record.time.copy(), channels, record.units, record.metadata)
     metrics = step_metrics(broken)

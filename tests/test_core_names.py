@@ -48,7 +48,36 @@ BAD = {
     "null": "a\x00",
     "accent": "é",
     "colon": "a:b",
+    "device": "NUL",
+    "device with an ending": "con.1",
 }
+
+
+@pytest.mark.parametrize("ending", ["", ".csv", ".TOML"])
+@pytest.mark.parametrize("device", ["con", "Prn", "AUX", "nul", "com1", "LPT9"])
+def test_a_file_is_no_device_of_windows(device: str, ending: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="must be a plain name"):
+        in_folder(tmp_path, device + ending)
+    for name in ("connie", "nullen", "com", "lpt10"):
+        assert in_folder(tmp_path, name + ending).parent == tmp_path
+        assert checked_name(name) == name
+
+
+def test_laws_that_differ_in_capitals_alone_would_write_one_file(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('[Velocity]\nbased_on = "velocity"\ntitle = "another"\n')
+    lines = (
+        ["compare", "--dofs", "heave", "--laws"],
+        ["fly", "gusts", "--laws"],
+        ["study", "ablation", "--laws"],
+    )
+    for line in lines:
+        given = [*line, f"velocity,{path}", "--out", str(tmp_path / "out")]
+        result = CliRunner().invoke(app, given)
+        assert result.exit_code == 2, (line, result.output)
+        said = "laws: velocity, Velocity must differ in name, not in capitals alone"
+        assert said in " ".join(result.output.split()), line
+    assert not (tmp_path / "out").exists()
 
 
 def quoted(name: str) -> str:

@@ -156,8 +156,32 @@ def test_the_excavator_reaches_a_place_and_its_reward_counts_it() -> None:
     assert worth == pytest.approx(10.0 - info["time"], abs=0.5)  # less pressure above half of proof
 
 
+@pytest.mark.parametrize("make", [ExcavatorEnv, HexapodEnv])
+def test_an_action_is_finite_numbers_and_is_refused_before_it_moves_anything(make: Any) -> None:
+    env = make(seconds=1.0)
+    env.reset(seed=1)
+    count = env.action_space.shape[0]
+    for bad in (np.full(count, np.nan), np.full(count, np.inf), np.zeros(count + 1), "up", 1j):
+        with pytest.raises(InputError, match="action: "):
+            env.step(bad)
+    assert env.session is not None and env.session.frame == 0
+    env.step(np.zeros(count))
+
+
+def test_a_step_after_the_end_asks_for_a_reset() -> None:
+    env = ExcavatorEnv("reach", seconds=20.0)
+    env.reset(seed=5, options={"places": env.places[:1]})
+    assert env.step(np.zeros(3))[2]
+    with pytest.raises(gymnasium.error.ResetNeeded, match="reset the environment first"):
+        env.step(np.zeros(3))
+    env.reset(seed=5)
+    assert not env.step(np.zeros(3))[2]
+
+
 def test_wrong_options_are_refused_by_name() -> None:
     for make, words in (
+        (lambda: HexapodEnv(seconds=-1.0), r"seconds: -1\.0 is refused; allowed: above 0"),
+        (lambda: ExcavatorEnv(seconds=float("nan")), "seconds: nan is refused"),
         (lambda: HexapodEnv("lever"), "action: 'lever'"),
         (lambda: ExcavatorEnv("swim"), "task: 'swim'"),
         (lambda: HexapodEnv(render_mode="human"), "render_mode: 'human'"),

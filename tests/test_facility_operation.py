@@ -329,7 +329,7 @@ def test_refusals() -> None:
         operate(plant, law, sine(1.0), requests=[(1e300, Request.HOLD)])
     with pytest.raises(ValueError, match="record_every: a record of 2097152"):
         operate(plant, law, sine(1.0), seconds=10_240.0)
-    with pytest.raises(ValueError, match="record_every: 0 frames"):
+    with pytest.raises(ValueError, match="record_every: 0 is refused; allowed: a whole"):
         operate(plant, law, sine(1.0), record_every=0)
     with pytest.raises(ValueError, match="RAISE is no state to start in"):
         operate(plant, law, sine(1.0), begin=State.RAISE)

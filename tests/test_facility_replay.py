@@ -88,7 +88,8 @@ def without(record: Record, *names: str, rate: float | None = None) -> Record:
     channels = {n: v for n, v in record.channels.items() if n not in names}
     units = {n: record.units[n] for n in channels}
     metadata = dict(record.metadata) | ({"sample_rate": rate} if rate else {})
-    return Record(record.time, channels, units, metadata)
+    time = record.time if rate is None else np.arange(record.time.size) / rate
+    return Record(time, channels, units, metadata)
 
 
 def test_channels_the_law_does_not_read_may_be_missing(run: Record) -> None:

@@ -150,7 +150,7 @@ def tables(folder: Path) -> Iterator[tuple[Read, Path]]:
         ("flight.csv", Flight.load),
         ("flight.parquet", Flight.load),
         ("motion.csv", PilotMotion.load),
-        ("stream.csv", lambda path: manoeuvre(str(path), "heave", None, None)),
+        ("poses.csv", lambda path: manoeuvre(str(path), "heave", None, None)),
     ):
         yield read, folder / name
 

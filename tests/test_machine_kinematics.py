@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from shared import WORKING_STROKE
 
 from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.geometry import DOFS, make_geometry
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
@@ -314,14 +315,31 @@ def test_machine_is_its_own_mirror_image(pose):
 
 def test_impossible_legs_name_the_row():
     legs = np.zeros((3, 6))
-    legs[1] = -4.0  # 0.06 m long, where the gimbals are 2.25 m apart across
-    with pytest.raises(ValueError, match=r"legs\[1\]: no platform pose .* -4"):
+    legs[1] = [-1.3, -1.3, 1.3, -1.3, -1.3, 1.3]
+    with pytest.raises(ValueError, match=r"legs\[1\]: no platform pose .* 1\.3\] m$"):
         legs_to_pose(legs)
 
 
-def test_one_impossible_leg_is_refused():
-    with pytest.raises(ValueError, match=r"legs: no platform pose"):
-        legs_to_pose([20.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+@pytest.mark.parametrize("machine", ["cmf", "lab", "simona"])
+@pytest.mark.parametrize("leg", [10.0, -4.0, 39.0])
+def test_legs_that_no_cylinder_has_are_refused(machine, leg):
+    """A cylinder is longer than its stroke, so a leg changes by less than a third of its neutral
+    length; all six at 10 m have a pose, 10.5 m up, that no machine reaches."""
+    with pytest.raises(InputError, match=r"legs\[0\]: no .* allowed: within \+-[0-9.]+ m, a third"):
+        legs_to_pose(np.full((1, 6), leg), machine)
+    third = load_machine(machine).geometry.neutral.min() / 3.0
+    up = legs_to_pose(np.full(6, 0.999 * third), machine)
+    assert up[2] < 0.0
+    assert np.abs(up[[0, 1, 3, 4, 5]]).max() < 1e-3
+
+
+@pytest.mark.parametrize("function", [pose_to_legs, legs_to_pose])
+@pytest.mark.parametrize(
+    "bad", [np.full(6, 1j), ["a"] * 6, [[0.0] * 6, [0.0]], [None] * 6], ids=str
+)
+def test_what_is_not_a_real_number_is_refused(function, bad):
+    with pytest.raises(InputError, match=r"(legs|pose): holds .*; allowed: real numbers"):
+        function(bad)
 
 
 @pytest.mark.parametrize("function", [pose_to_legs, legs_to_pose])

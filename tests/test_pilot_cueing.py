@@ -14,6 +14,7 @@ from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing.flight import cue, excursion, tune, within_limits
 from cmf_mj.pilot.cueing.settings import WASHOUTS, load_washout, save_washout
 from cmf_mj.pilot.cueing.washout import Washout
+from cmf_mj.pilot.motion import PilotMotion
 
 LIMITS = load_motion_limits()
 PUSH = pushed(0, np.clip((np.arange(2400) / 80.0 - 1.0) * 2.0, 0.0, 5.0))
@@ -128,6 +129,15 @@ def test_tuning_refuses_what_it_cannot_do():
         tune(PUSH, dofs=("up",))
     with pytest.raises(ValueError, match="gains left alone use"):
         tune(PUSH, dofs=("yaw",))
+
+
+def test_capitals_and_blanks_in_the_header_of_a_flight_are_read(tmp_path):
+    path = pushed(0, sustained(0.1, seconds=2.0)).save(tmp_path / "flight.csv")
+    header, _, rows = path.read_text().partition("\n")
+    named = path.with_name("named.csv")
+    named.write_text(header.replace(",", ", ").replace("_x", "_X").title() + "\n" + rows)
+    one, other = (cue(PilotMotion.load(file)).stream.pose for file in (path, named))
+    np.testing.assert_array_equal(one, other)
 
 
 def test_cue_run_and_tune_write_their_files(tmp_path):

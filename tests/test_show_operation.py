@@ -2,9 +2,11 @@
 
 import csv
 import os
+import signal
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +108,33 @@ def test_cmf_serve_refuses_bad_arguments() -> None:
         result = CliRunner().invoke(app, ["serve", *arguments])
         assert result.exit_code == 2
         assert message in result.output
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("protocol", ["cmf", "moog"])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_an_interrupt_of_cmf_serve_keeps_the_record(
+    protocol: str, number: signal.Signals, tmp_path: Path
+) -> None:
+    """What was run until then, at the rate of a record in real time, 128 Hz."""
+    line = [sys.executable, "-m", "cmf_mj", "serve", "--protocol", protocol, "--port", "0"]
+    with subprocess.Popen(
+        [*line, "--seconds", "600", "--out", str(tmp_path / "served")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as server:
+        assert server.stdout is not None
+        assert server.stdout.readline().startswith("listening on")
+        time.sleep(4.0)
+        server.send_signal(number)
+        printed, complaint = server.communicate(timeout=120.0)
+    assert server.returncode == 130, complaint
+    assert "written: " in printed and "record.parquet" in printed
+    record = Record.load(tmp_path / "served" / "record.parquet")
+    assert record.rate == 128.0
+    assert 1.0 < record.time[-1] < 60.0
+    assert np.isfinite(record["leg_position"]).all()
 
 
 @pytest.mark.slow

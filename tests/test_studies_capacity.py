@@ -381,6 +381,7 @@ def test_poses_of_a_file_pass_through_its_rows_in_either_format(tmp_path):
         ("time,heave\n0,1\n1,nan\n", "heave: row 2 is empty or not a number"),
         ("time,heave\n0,a\n1,b\n", "heave: is not a column of numbers"),
         ("time,heave\n0,1\n", "at least 2 are needed"),
+        ("time,heave,roll_deg\n0,1,2\n1,2,3\n", "one of surge, .* nothing else"),
     ],
 )
 def test_broken_file_of_poses_is_refused_by_what_is_wrong(tmp_path, text, message):
@@ -388,6 +389,29 @@ def test_broken_file_of_poses_is_refused_by_what_is_wrong(tmp_path, text, messag
     path.write_text(text)
     with pytest.raises(ValueError, match=message):
         read_poses(path)
+
+
+@pytest.mark.parametrize(
+    "header", ["Time,Heave,Pitch", "time, heave, pitch", " TIME , HEAVE ,PITCH"]
+)
+def test_capitals_and_blanks_in_a_header_name_the_same_columns(header, tmp_path):
+    """A heave that was not read left a supply that holds where it does not."""
+    rows = "\n0, 0.5, 1\n1, 2, 3\n"
+    paths = [tmp_path / name for name in ("plain.csv", "other.csv")]
+    for path, names in zip(paths, ("time,heave,pitch", header), strict=True):
+        path.write_text(names + rows)
+    plain, other = (read_poses(path).pose for path in paths)
+    np.testing.assert_array_equal(plain, other)
+    assert plain[:, 2].max() == pytest.approx(2.0 * INCH)
+
+
+def test_columns_of_parquet_that_are_not_known_are_named(tmp_path):
+    pq.write_table(
+        pa.table({"time": [0.0, 1.0], "heave": [0.0, 1.0], "Pitch": [0.0, 1.0]}),
+        tmp_path / "poses.parquet",
+    )
+    with pytest.raises(ValueError, match="has the columns time, heave, Pitch; needed: time and"):
+        read_poses(tmp_path / "poses.parquet")
 
 
 # The command

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -271,6 +272,15 @@ def test_a_finished_study_is_not_run_again(
     monkeypatch.setattr(engine, "attempt", None)
     run_study(study, finished)
     assert bits(finished) == before
+
+
+def test_another_title_makes_no_other_study(
+    specification: Path, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = shutil.copytree(finished, tmp_path / "study")
+    monkeypatch.setattr(engine, "attempt", None)  # nothing is run again
+    table = run_study(load_study(specification, changes={"title": "A better title"}), folder)
+    assert table.num_rows == pq.read_table(finished / "results.parquet").num_rows
 
 
 def test_another_study_is_refused_and_what_differs_is_named(

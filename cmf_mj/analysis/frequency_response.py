@@ -17,8 +17,14 @@ from typing import Any, NamedTuple
 import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import signal
 
+from cmf_mj.analysis.measurable import (
+    DRIVEN_SHARE,
+    check_alike,
+    demand_share,
+    dof_history,
+    least_demand,
+)
 from cmf_mj.analysis.response.periodic import (
     matrix_response,
     periodic_response,
@@ -27,8 +33,7 @@ from cmf_mj.analysis.response.periodic import (
 )
 from cmf_mj.analysis.response.spectra import SEGMENT, Estimate, Estimator
 from cmf_mj.analysis.response.welch import from_h1, report_response, welch_response
-from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.machine.dof import dof_index
+from cmf_mj.core.errors import InputError
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.machine.machine import recorded_machine
@@ -36,9 +41,6 @@ from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import OrthogonalMultisines
 from cmf_mj.signals.signal import Signal
 from cmf_mj.signals.single import Multisine
-
-DRIVEN_SHARE = 1e-2
-"""Demand power over its largest line from which on a line of single sines counts as driven."""
 
 _HIGHEST = 10.5
 """Highest line of rounds [Hz], above the 10 Hz of Table 2-3."""
@@ -51,9 +53,6 @@ LINGER = 4.0
 
 NOISE = 2.0
 """How far above -90 deg the phase must come back to fall through it once more [deg]."""
-
-NO_DEMAND = 1e-9
-"""Demand [m or rad] that is round-off of the transformation to a degree of freedom."""
 
 
 class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]
@@ -91,6 +90,11 @@ class FrequencyResponse(control.FrequencyResponseData):  # type: ignore[misc]
         """Complex response, (K,)."""
         return np.asarray(self.frdata[0, 0])
 
+    def at(self, lines: NDArray[np.bool_]) -> "FrequencyResponse":
+        """The response at some of its lines, chosen by a mask (K,)."""
+        parts = (self.response, np.asarray(self.omega), self.coherence, self.bound)
+        return FrequencyResponse(*(np.asarray(part)[lines] for part in parts))
+
     @property
     def gain_db(self) -> NDArray[np.float64]:
         """Gain [dB], (K,)."""
@@ -124,16 +128,6 @@ class Bandwidths(NamedTuple):
     graze_to_hz: float  #: Likewise its last fall through `GRAZE` below [Hz].
 
 
-def dof_history(record: Record, channel: str, dof: str) -> NDArray[np.float64]:
-    """A leg channel (N, 6) along a degree of freedom, or of one leg, `leg_1` and so on, (N,)."""
-    if not dof.startswith("leg_"):
-        index = dof_index(dof)
-        return legs_to_pose(record[channel], recorded_machine(record.metadata))[:, index]
-    legs = [f"leg_{i + 1}" for i in range(record[channel].shape[1])]
-    check_name("dof", dof, legs)
-    return record[channel][:, legs.index(dof)]
-
-
 def frequency_response(
     record: Record, dof: str | None = None, *, segment: float = SEGMENT, estimator: Estimator = "h1"
 ) -> FrequencyResponse:
@@ -153,11 +147,11 @@ def frequency_response(
     >>> bool(response.coherence.min() > 0.9)
     True
     """
-    command = record.signal
+    command = record.excitation
     chosen = dof if dof is not None else command.axis
     demand = dof_history(record, "leg_reference", chosen)
     feedback = dof_history(record, "leg_position", chosen)
-    if np.ptp(demand) < NO_DEMAND:
+    if np.ptp(demand) < least_demand(record, chosen):
         raise InputError(
             f"dof: the record holds no demand in {chosen}; it moved {command.axis or 'another'}"
         )
@@ -216,7 +210,8 @@ def rounds_response(
     that the demand drives. `report`: as Appendix A does it, all records end to end in their order,
     a straight line taken off, and its estimator over the whole, all lines up to 10.5 Hz, those
     between the sines too. `dof` is a degree of freedom or a leg, default the one the first command
-    moved. Raises `InputError` for `h2` and `hv`, no records, rates that differ, or no demand.
+    moved. Raises `InputError` for `h2` and `hv`, no records, no demand, one record given twice, and
+    records that differ in rate, axis, law or machine.
     """
     if estimator not in ("h1", "report"):
         raise InputError(f"estimator: {estimator!r} is for one record; allowed: h1, report")
@@ -225,12 +220,13 @@ def rounds_response(
     rates = sorted({record.rate for record in records})
     if len(rates) > 1:
         raise InputError(f"records: rates are {', '.join(map(str, rates))} Hz; must be one")
+    check_alike(records)
     chosen = dof if dof is not None else records[0].signal.axis
     pairs = [
         tuple(dof_history(record, name, chosen) for name in ("leg_reference", "leg_position"))
         for record in records
     ]
-    if max(np.ptp(x) for x, _ in pairs) < NO_DEMAND:
+    if max(np.ptp(x) for x, _ in pairs) < max(least_demand(r, chosen) for r in records):
         raise InputError(f"dof: the records hold no demand in {chosen}")
     band = (2.0 / SEGMENT, _HIGHEST)
     if estimator == "report":
@@ -252,10 +248,7 @@ def rounds_response(
         np.concatenate([part - part[0] for part in parts]) for parts in zip(*pairs, strict=True)
     )
     estimate = welch_response(x, y, rates[0], band=band, pad=True)
-    _, power = signal.welch(x, rates[0], nperseg=round(SEGMENT * rates[0]))
-    spectrum = np.interp(estimate.frequency, np.arange(power.size) / SEGMENT, power)
-    kept = spectrum > DRIVEN_SHARE * spectrum.max()
-    return _wrapped(estimate, kept)
+    return _wrapped(estimate, demand_share(x, rates[0], estimate.frequency) > DRIVEN_SHARE)
 
 
 def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
@@ -266,6 +259,7 @@ def matrix_frequency_response(record: Record) -> control.FrequencyResponseData:
     and rad, outputs in rows.
     """
     command = record.signal_as(OrthogonalMultisines)
+    record.excitation  # noqa: B018 - refused here if the record is too slow
     whole = slice(round(command.period * record.rate) * command.periods)
     machine = recorded_machine(record.metadata)
     demand, feedback = (
@@ -307,6 +301,8 @@ def bandwidths(response: control.FrequencyResponseData) -> Bandwidths:
 def line_bandwidths(frequency: ArrayLike, response: NDArray[np.complex128]) -> Bandwidths:
     """`bandwidths` of a complex response (K,) at lines [Hz], (K,), ascending."""
     lines = np.asarray(frequency, dtype=np.float64)
+    if lines.size == 0:
+        raise InputError("response: has no lines; allowed: at least 1")
     gain = 20.0 * np.log10(np.abs(response))
     phase = np.degrees(np.unwrap(np.angle(response))) + 90.0
     through = falls(lines, phase, 0.0)

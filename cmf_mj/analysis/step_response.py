@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.frequency_response import NO_DEMAND, dof_history
+from cmf_mj.analysis.measurable import checked_legs, dof_history, least_demand
 from cmf_mj.core.errors import InputError
 from cmf_mj.record.record import Record
 from cmf_mj.signals.single import Step
@@ -36,6 +36,14 @@ DECAY = 0.75
 
 DECAY_TIME = 3.0
 """Distance of the two windows of the verdict [s]."""
+
+REST, REST_TIME = 0.1, 0.25
+"""Motion before the step, over the step, and the time it is looked for in [s], up to which a
+response counts as one from rest."""
+
+LEAST_RATE = 64.0
+"""Least sampling rate [Hz]: four samples a cycle of the legs' fastest modes, 15 Hz, of whose swing
+they show 0.71 or more."""
 
 
 class StepMetrics(NamedTuple):
@@ -107,26 +115,44 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
     >>> round(cmf_mj.step_metrics(record).overshoot, 2)
     0.22
     """
-    command = record.signal_as(Step)
-    if command.length - command.at < DECAY_TIME + 2.0 * TAIL:
-        raise InputError(f"record: must go on for {DECAY_TIME + 2.0 * TAIL} s after the step")
-    residual, stable = _verdict(record)
+    command, rate = record.signal_as(Step), record.rate
     chosen = dof if dof is not None else command.dof
+    if rate < LEAST_RATE:
+        raise InputError(f"record_every: {rate:g} samples a second; allowed: from {LEAST_RATE:g}")
+    begin, end = float(record.time[0]), float(record.time[-1]) + 1.0 / rate
+    if end - command.at < DECAY_TIME + 2.0 * TAIL - 1e-6 or begin >= command.at:
+        raise InputError(
+            f"record: must begin before the step at {command.at:g} s and must go on for "
+            f"{DECAY_TIME + 2.0 * TAIL} s after the step; it has {begin:g} to {end:g} s"
+        )
+    checked_legs(record, "leg_position", chosen)
     demand = dof_history(record, "leg_reference", chosen)
+    at = int(np.searchsorted(record.time, command.at - 1e-9))
+    demanded = float(demand[-1] - demand[at - 1])
+    if abs(demanded) < least_demand(record, chosen):
+        raise InputError(f"dof: the record holds no step in {chosen}; it moved {command.dof}")
+    residual, stable = _verdict(record)
     try:
         feedback = dof_history(record, "leg_position", chosen)
     except ValueError:
         nan = float("nan")
         return StepMetrics(nan, nan, nan, nan, nan, residual, False)
-    at = int(np.searchsorted(record.time, command.at - 1e-9))
-    tail = round(TAIL * record.rate)
+    tail = round(TAIL * rate)
     rest = float(feedback[at - 1])
     final = float(feedback[-tail:].mean())
     size = final - rest
-    demanded = float(demand[-1] - demand[at - 1])
-    if abs(demanded) < NO_DEMAND:
-        raise InputError(f"dof: the record holds no step in {chosen}; it moved {command.dof}")
-    measured = measure_step(feedback[at:] - rest, record.rate, final=size, demanded=demanded)
+    before = float(np.ptp(feedback[max(at - round(REST_TIME * rate), 0) : at]))
+    if stable and before > REST * abs(demanded):
+        raise InputError(
+            f"record: moves by {before:.3g} m or rad in the {REST_TIME} s before a step of "
+            f"{abs(demanded):.3g}; allowed: {REST:g} of it, so a larger step or a later one"
+        )
+    measured = measure_step(feedback[at:] - rest, rate, final=size, demanded=demanded)
+    if stable and not measured.rise_time > 0.0:
+        raise InputError(
+            f"record: goes from 10 to 90 % of the step within a sample of {1.0 / rate:.4g} s; "
+            "allowed: a motion, in a record that shows it"
+        )
     return measured._replace(residual=residual, stable=stable)
 
 

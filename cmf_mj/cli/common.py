@@ -105,6 +105,10 @@ class Commands(TyperGroup):
             refuse(InputError(f"{error.param.name}: {first['input']!r} is refused: {allowed}"))
         except (CmfError, OSError) as error:
             refuse(error)
+        except RuntimeError as error:
+            if "MUJOCO_GL" not in str(error):
+                raise
+            refuse(InputError(f"{error}; allowed: egl, osmesa, glfw or off"))
         except MemoryError as error:
             refuse(InputError(f"not enough memory: {reason(error)}"))
 

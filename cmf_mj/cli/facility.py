@@ -15,6 +15,7 @@ from cmf_mj.cli.options import choice
 if TYPE_CHECKING:
     from cmf_mj.facility.host.stream import HostStream
     from cmf_mj.facility.operation import Operation
+    from cmf_mj.facility.session import Session
     from cmf_mj.machine.cab import Cab
 
 command = partial(app.command, rich_help_panel="Facility")
@@ -106,19 +107,27 @@ def serve_command(
 ) -> None:
     """Run the facility in real time on host frames from the network."""
     from cmf_mj.control.states import State
+    from cmf_mj.core.files import in_folder
     from cmf_mj.facility.host.datagram import read_key
     from cmf_mj.facility.host.doubts import unit_doubts
     from cmf_mj.facility.host.moog import MoogServer
     from cmf_mj.facility.host.udp import UdpReceiver
     from cmf_mj.facility.operation import serve
     from cmf_mj.plant.hexapod import Hexapod
+    from cmf_mj.record.record import Record
     from cmf_mj.show import operation as report
 
-    plant, options = Hexapod(cab, hydraulics), _start(begin, noise)
+    held: list[Session] = []
+
+    def attend(session: Session) -> int:
+        held[:] = [session]  # an interrupt does not lose what was run until then
+        return opened.attend(session) if protocol == "moog" else session.rate
+
+    plant, options = Hexapod(cab, hydraulics), _start(begin, noise) | {"attend": attend}
     opened: Any
     if protocol == "moog":
         opened = MoogServer(port, host=host, host_port=host_port, bind=bind, lockstep=lockstep)
-        options |= {"begin": State.OFF, "requests": (), "attend": opened.attend}
+        options |= {"begin": State.OFF, "requests": ()}
         options["paced"] = not lockstep
     else:
         secret = None if key is None else read_key(key)
@@ -132,7 +141,13 @@ def serve_command(
                     print(f"listening on {where}", flush=True)
                 bar(done, seconds)
 
-            operation = serve(plant, law, receiver.ring, seconds, progress=progress, **options)
+            try:
+                operation = serve(plant, law, receiver.ring, seconds, progress=progress, **options)
+            except KeyboardInterrupt:
+                if held and held[0].frame:
+                    record = Record(*held[0].history(), held[0].describe())
+                    print(f"written: {record.save(in_folder(out, 'record.parquet'))}", flush=True)
+                raise
     received, refused = int(receiver.ring.written[0]), receiver.refused
     paths = report.save_operation(operation, out, received, refused)
     tables = [report.account_table(operation, received, refused)]

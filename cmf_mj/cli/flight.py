@@ -54,6 +54,7 @@ def fly_command(
     from cmf_mj.control.law import load_law
     from cmf_mj.core.errors import InputError
     from cmf_mj.core.files import in_folder
+    from cmf_mj.core.settings import check_distinct
     from cmf_mj.facility.operation import FacilitySettings
     from cmf_mj.pilot.aircraft.flight import load_flight
     from cmf_mj.pilot.fly import fly, transport_delay
@@ -64,6 +65,7 @@ def fly_command(
     from cmf_mj.show.operation import save_operation
 
     loaded = [load_law(name) for name in laws]
+    check_distinct("laws", [one.name for one in loaded])
     live = form is not None and flight.isascii() and flight.isdigit()
     if live and len(loaded) != 1:
         raise InputError(f"laws: {len(loaded)} for live telemetry; allowed: one")

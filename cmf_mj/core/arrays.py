@@ -1,5 +1,6 @@
 """Arrays, mappings and lists that nobody can write to, and how large those of a run may be."""
 
+import operator
 from typing import Any, NoReturn, TypeVar
 
 import numpy as np
@@ -20,6 +21,39 @@ def check_memory(field: str, part: str, numbers: float) -> None:
         raise InputError(
             f"{field}: {part} would take {size / 2**30:.3g} GiB; allowed: {MEMORY / 2**30:g} GiB"
         )
+
+
+def whole(name: str, value: Any, least: int, most: int) -> int:
+    """A whole number of Python in its bounds, of one of NumPy too; others are refused by name."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = least - 1
+    if isinstance(value, bool | np.bool_) or not least <= number <= most:
+        raise InputError(
+            f"{name}: {value!r} is refused; allowed: a whole number from {least} to {most}"
+        )
+    return number
+
+
+def real(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Values as an array of floats; refused under their name where they are not real numbers."""
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind in "biuf":
+            return np.asarray(array, dtype=float)
+        what = str(array.dtype)
+    except ValueError:
+        what = "rows of different lengths"
+    raise InputError(f"{name}: holds {what}; allowed: real numbers")
+
+
+def check_finite(name: str, values: NDArray[np.float64]) -> None:
+    """Refuse rows of numbers that are not finite."""
+    bad = ~np.isfinite(values.reshape(values.shape[0], -1)).all(axis=1)
+    if bad.any():
+        row = int(bad.argmax())
+        raise InputError(f"{name}: row {row}: {values[row]} is refused; allowed: finite numbers")
 
 
 def frozen(values: ArrayLike) -> NDArray[np.float64]:

@@ -21,7 +21,7 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError, reason
-from cmf_mj.core.settings import Model, parsed_json, validated
+from cmf_mj.core.settings import DEVICE, Model, check_file, parsed_json, validated
 
 try:
     import fcntl
@@ -46,7 +46,8 @@ def whole_file(target: Path) -> Iterator[Path]:
 
 def in_folder(folder: Path, name: str) -> Path:
     """A file or folder of this name in a folder; refused where the name leads anywhere else."""
-    if not name or Path(name).name != name or name[0] == "." or not name.isprintable():
+    plain = name and Path(name).name == name and name[0] != "." and name.isprintable()
+    if not plain or DEVICE.match(name):
         raise InputError(f"file: {name!r} is refused: must be a plain name, without a folder")
     return folder / name
 
@@ -167,15 +168,17 @@ def write_parquet(
 
 
 def read_table(path: Path) -> pa.Table:
-    """Read a CSV or Parquet file, by the name's end; one of this project is as it was written."""
+    """Read a CSV or Parquet file, by the name's end; one of this project is as it was written.
+
+    Names of CSV columns may have capitals, and blanks about them; here they have not.
+    """
     if path.suffix == ".parquet":
         return _read_parquet(path)
     if path.suffix != ".csv":
         raise InputError(f"{path}: must end in .csv or .parquet")
     try:
-        table = pyarrow.csv.read_csv(path)
-        table.column_names  # noqa: B018 - refused here if they are not UTF-8
-        return table
+        table = pyarrow.csv.read_csv(check_file(path))
+        return table.rename_columns([name.strip(' "').lower() for name in table.column_names])
     except (OSError, ValueError, pa.ArrowException) as error:
         raise InputError(f"{path}: cannot be read: {reason(error)}") from error
 
@@ -192,7 +195,7 @@ def read_headed(path: Path, key: str, model: type[Model]) -> tuple[pa.Table, Mod
 
 def _read_parquet(path: Path) -> pa.Table:
     try:
-        table = pyarrow.parquet.read_table(path, page_checksum_verification=True)
+        table = pyarrow.parquet.read_table(check_file(path), page_checksum_verification=True)
         written = (table.schema.metadata or {}).get(_DIGEST)
         changed = written is not None and written != _digest(table)
     except (OSError, ValueError, pa.ArrowException) as error:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import re
 import sys
 import tomllib
@@ -79,6 +80,9 @@ class FileHeader(Settings):
 
 Model = TypeVar("Model", bound=Settings)
 
+DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\.|$)", re.IGNORECASE)
+"""Names that are devices in Windows, whatever their ending."""
+
 _NAME = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_ .,+-]{0,62}[A-Za-z0-9_+-])?")
 
 
@@ -87,13 +91,20 @@ def checked_name(name: str, field: str = "") -> str:
 
     Five of them and an ending fit into one file name, and none leaves a folder.
     """
-    if not _NAME.fullmatch(name):
+    if not _NAME.fullmatch(name) or DEVICE.match(name):
         start = f"{field}: {name!r} is refused: " if field else ""
         raise InputError(
             f"{start}a name has 1 to 64 of the characters a-z, A-Z, 0-9, space and _ - + . , and "
-            "begins with a letter, digit or _ and does not end with a space, full stop or comma"
+            "begins with a letter, digit or _ and does not end with a space, full stop or comma; "
+            "con, prn, aux, nul, com1 and lpt1 are names of devices"
         )
     return name
+
+
+def check_distinct(field: str, names: Sequence[str]) -> None:
+    """Refuse names that cannot stand beside one another on a disk that ignores capitals."""
+    if len({name.casefold() for name in names}) < len(names):
+        raise InputError(f"{field}: {', '.join(names)} must differ in name, not in capitals alone")
 
 
 Name = Annotated[str, AfterValidator(checked_name)]
@@ -105,8 +116,16 @@ def as_tuples(value: Any) -> Any:
     return tuple(as_tuples(v) for v in value) if isinstance(value, list | tuple) else value
 
 
+def check_file(path: Path) -> Path:
+    """Refuse what is there and no file: a folder, or a pipe, which would be waited for."""
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise InputError(f"{path}: cannot be read: it is a folder or a device, not a file")
+    return path
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file."""
+    check_file(path)
     try:
         return parsed_toml(path.read_text(encoding="utf-8"), str(path))
     except OSError as error:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control.law import Law
+from cmf_mj.core.arrays import real
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import MOST_FRAMES
 from cmf_mj.facility.options import Options
@@ -56,6 +57,8 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         if render_mode is not None:
             check_name("render_mode", render_mode, self.metadata["render_modes"])
         self.plant, self.law, self.render_mode = plant, law, render_mode
+        if not seconds > 0.0:
+            raise InputError(f"seconds: {seconds} is refused; allowed: above 0")
         self.steps = max(round(seconds * plant.machine.rate / FRAMES), 1)
         """Steps after which a run is truncated."""
         if not self.steps * FRAMES <= MOST_FRAMES:
@@ -72,15 +75,20 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.table = np.tile(0.0 * extension if self.law is None else extension, (FRAMES, 1))
         options = Options(start, frames=self.steps * FRAMES, record_every=FRAMES, window=FRAMES)
         self.session = Session(self.plant, self.law, Table(self.table), options)
+        self._done = False
 
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Run 64 control frames."""
         session = self.session
-        if session is None or session.frame >= session.frames:
+        if session is None or self._done or session.frame >= session.frames:
             raise gym.error.ResetNeeded("step: reset the environment first")
-        acted = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
+        given = real("action", action)
+        if given.shape != self.action_space.shape or not np.isfinite(given).all():
+            allowed = f"finite numbers of shape {self.action_space.shape}"
+            raise InputError(f"action: {action} is refused; allowed: {allowed}")
+        acted = np.clip(given, -1.0, 1.0)
         self._command(acted)
         left = ""
         try:
@@ -92,6 +100,7 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         info = self._info() | ({"left": left} if left else {})
         if left:
             self.session, reward, done = None, -LOST, True
+        self._done = done
         return seen, reward, done, session.frame >= session.frames, info
 
     def observation(self) -> NDArray[np.float32]:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
-from cmf_mj.facility.options import RunOptions
+from cmf_mj.facility.options import RunOptions, chosen
 from cmf_mj.facility.simulation import OutOfBounds, simulate
 from cmf_mj.plant.plant import Plant
 from cmf_mj.signals.signal import Command, commanded
@@ -70,14 +70,18 @@ def simulate_many(
     >>> runs["leg_extension"].shape, runs.left
     ((3, 4, 6), ('', '', ''))
     """
-    cases = list(commands) if isinstance(commands, Sequence) else list(np.asarray(commands))
+    if isinstance(commands, Command):
+        raise InputError("commands: is one Command; allowed: as many in a list as there are cases")
+    first = plant(0) if callable(plant) else plant
+    chosen(first, options)
+    cases = list(commands) if isinstance(commands, Sequence) else list(np.atleast_1d(commands))
     count = len(cases)
     laws = [load_law(one) for one in ([law] if isinstance(law, str | Law) else law)]
     if len(laws) != 1 and len(laws) != count:
         raise InputError(f"law: {len(laws)} for {count} cases; allowed: one, or one a case")
     if count == 0 or not channels:
         raise InputError("commands, channels: none is given; allowed: at least one")
-    rate = (plant if isinstance(plant, Plant) else plant(0)).machine.rate
+    rate = first.machine.rate
     made = [commanded(case, rate) for case in cases]
     poses = [case.pose for case in made]
     for case, pose in enumerate(poses):

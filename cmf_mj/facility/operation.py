@@ -273,7 +273,7 @@ def facility_session(
     With a ring of live frames `arrivals` is the log they are collected in. Start, protection and
     electronics of the `options` are those of `start` and `settings`.
     """
-    options.check()
+    options = options.checked()
     for at, code in start.requests:
         if not 0.0 <= at <= LONGEST:
             raise InputError(

@@ -1,15 +1,17 @@
 """What may differ between two runs of the same plant and law."""
 
-from collections.abc import Sequence
-from typing import NamedTuple, TypedDict
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, TypedDict
 
 from numpy.typing import ArrayLike
 
 from cmf_mj.control.protection import ProtectionSettings
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.arrays import whole
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import MOST_FRAMES, RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.plant.events import Event
+from cmf_mj.plant.plant import Plant
 
 
 class RunOptions(TypedDict, total=False):
@@ -36,8 +38,9 @@ class Options(NamedTuple):
     window: int | None = None
     """Control frames whose `rows` are kept, the latest; default all, as `history`."""
 
-    def check(self) -> None:
-        """Refuse a number that is too small or too large."""
+    def checked(self) -> "Options":
+        """The same with whole numbers of Python, which alone share a compiled loop."""
+        numbers: dict[str, Any] = {}
         for field, least, most in (
             ("record_every", 1, MOST_FRAMES),
             ("window", 1, MOST_FRAMES),
@@ -45,6 +48,14 @@ class Options(NamedTuple):
             ("command_delay", 0, RATE),
         ):
             value = getattr(self, field)
-            if value is not None and not least <= value <= most:
-                edge = f"least {least}" if value < least else f"most {most}"
-                raise InputError(f"{field}: {value} frames must be at {edge}")
+            numbers[field] = None if value is None else whole(field, value, least, most)
+        return self._replace(**numbers)
+
+
+def chosen(plant: object, options: Mapping[str, Any], **others: Any) -> Options:
+    """The options of a run on a plant; what is no plant, and no option, is refused by name."""
+    if not isinstance(plant, Plant):
+        raise InputError(f"plant: {plant!r} is refused; allowed: a Plant, such as Hexapod('gfd')")
+    for name in options:
+        check_name("option", name, RunOptions.__annotations__)
+    return Options(**options, **others)

@@ -115,7 +115,7 @@ class Session:
         Without law the table holds valve commands. A chain needs `options.frames`. Without pace the
         run goes as fast as possible.
         """
-        options.check()
+        options = options.checked()
         self.rate = plant.machine.rate
         """Control frames a second [Hz]."""
         step, frame = float(plant.model.opt.timestep), plant.machine.frame

@@ -5,16 +5,17 @@ it at the valves. Both are the one loop of `loop.run`, whose docstring gives the
 """
 
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, Unpack, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import ProtectionSettings, load_protection
+from cmf_mj.core.arrays import real
 from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.options import Options, RunOptions
+from cmf_mj.facility.options import RunOptions, chosen
 from cmf_mj.facility.session import OutOfBounds, Session, Table
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.plant.parameters.loading import fitting
@@ -38,7 +39,7 @@ def simulate(
     """Run a control law on a plant and record all signals.
 
     The run starts at rest at the first pose of the command, in static equilibrium, with the DCL
-    engaged there. Nothing is random: the same arguments give the same bits.
+    engaged there. The same arguments give the same bits on one kind of processor.
 
     Args:
         plant: `Hexapod`, `SingleLegs`, or any `Plant`; its mechanical step must divide the
@@ -71,9 +72,9 @@ def simulate(
     >>> bool(record["gimbal_error"].max() < 1e-5)
     True
     """
-    loaded = load_law(law)
+    settings, loaded = chosen(plant, options), load_law(law)
     if legs:
-        reference = np.atleast_2d(np.asarray(command, dtype=float))
+        reference = np.atleast_2d(real("command", cast("ArrayLike", command)))
         if reference.shape[1] != plant.legs:
             raise InputError(
                 f"command: has {reference.shape[1]} columns; allowed: {plant.legs}, one a leg"
@@ -82,16 +83,15 @@ def simulate(
     else:
         demanded = commanded(command, plant.machine.rate)
         table = Table(pose_to_legs(demanded.pose, plant.machine), demanded.pose)
-        if options.get("start") is None:
-            options["start"] = demanded.pose[0]
+        if settings.start is None:
+            settings = settings._replace(start=demanded.pose[0])
     context: dict[str, Any] = {
         "command": demanded.description if demanded else {"signal": "leg extensions"},
         "seed": demanded.seed if demanded else None,
     }
     guard = None if protection is None else load_protection(protection, fitting(plant.machine))
-    session = Session(
-        plant, loaded, table, Options(protection=guard, electronics=electronics, **options)
-    )
+    settings = settings._replace(protection=guard, electronics=electronics)
+    session = Session(plant, loaded, table, settings)
     session.run()
     time, channels, units = session.history()
     return Record(time, channels, units, session.describe() | context)
@@ -118,7 +118,8 @@ def drive(plant: Plant, valves: ArrayLike, **options: Unpack[RunOptions]) -> Rec
     >>> bool((record["leg_extension"][-1] > 0.0).all())
     True
     """
-    table = np.atleast_2d(np.asarray(valves, dtype=float))
+    settings = chosen(plant, {"command_delay": 0, **options})
+    table = np.atleast_2d(real("valves", valves))
     if table.ndim != 2 or table.shape[1] != plant.legs:
         raise InputError(f"valves: has shape {table.shape}; allowed: (N, {plant.legs})")
     if not (np.abs(table) <= 1.0).all():
@@ -126,8 +127,7 @@ def drive(plant: Plant, valves: ArrayLike, **options: Unpack[RunOptions]) -> Rec
         raise InputError(
             f"valves: {table[row, leg]} of leg {leg + 1} in row {row} is not between -1 and 1"
         )
-    options.setdefault("command_delay", 0)
-    session = Session(plant, None, Table(table), Options(**options))
+    session = Session(plant, None, Table(table), settings)
     session.run()
     time, channels, units = session.history()
     context = {"command": {"signal": "valve commands"}, "seed": None}

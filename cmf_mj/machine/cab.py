@@ -30,11 +30,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
+from cmf_mj.core.arrays import real
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Name, Settings, checked_name, user_set, validated
 from cmf_mj.machine import models
-from cmf_mj.machine.bodies import ENTRIES, Legs, Payload, RigidBody
+from cmf_mj.machine.bodies import ENTRIES, ROUND_OFF, Legs, Payload, RigidBody
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.machine import Machine, load_machine, recorded_machine
 
@@ -58,7 +59,7 @@ class Cab(RigidBody):
     @model_validator(mode="after")
     def _above_floor(self) -> "Cab":
         for part, body in (("", self), ("platform", self.platform)):
-            self.machine.check_above_floor(part, body)
+            self.machine.check_place(part, body)
         return self
 
     @property
@@ -136,8 +137,10 @@ def _stated(values: Mapping[str, Any], source: str) -> dict[str, Any]:
     """Values in SI as a file states them."""
     table: dict[str, Any] = {}
     for field, value in values.items():
-        given = np.asarray(value, dtype=float)
+        given = real(f"{source}: {field}", value)
         if given.shape == (3, 3):
+            if np.abs(given - given.T).max() > ROUND_OFF * np.abs(given).max():
+                raise InputError(f"{source}: {field}: {given.tolist()} is refused: not symmetric")
             given = given[ENTRIES]
         table[field] = {
             "value": given.tolist(),

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
+from cmf_mj.core.arrays import real
 from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine import models
@@ -237,7 +238,7 @@ def _pose_history(geometry, legs, poses):  # type: ignore[no-untyped-def]
 
 def rows_of(name: str, values: ArrayLike) -> NDArray[np.float64]:
     """Copy of finite values whose last axis has length 6; refused under their name otherwise."""
-    array = np.array(values, dtype=float, order="C")
+    array = np.array(real(name, values), order="C")
     if array.ndim == 0 or array.shape[-1] != 6:
         raise InputError(f"{name}: shape is {array.shape}; the last axis must have length 6")
     if not np.isfinite(array).all():
@@ -287,21 +288,25 @@ def legs_to_pose(legs: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDA
         (..., 6) poses: m and rad, z down. `pose_to_legs` gives the legs back within 1e-11 m.
 
     Raises:
-        InputError: no pose has these legs; the message names the row and its legs.
+        InputError: no pose has these legs, named by their row, or a leg is beyond what a cylinder
+            of one stage can do, a third of its neutral length either way.
 
     >>> legs = cmf_mj.pose_to_legs([0, 0, -0.1, 0, 0, 0])
     >>> cmf_mj.legs_to_pose(legs).round(6)[2].item()
     -0.1
     """
-    rows = rows_of("legs", legs)
+    rows, shape = rows_of("legs", legs), geometry_of(machine)
     poses = np.empty(rows.shape)
     flat = rows.reshape(-1, 6)
-    failed = _pose_history(geometry_of(machine), flat, poses.reshape(-1, 6))
+    beyond = np.argwhere(np.abs(flat) > shape.neutral / 3.0)
+    failed = beyond[0, 0] if beyond.size else _pose_history(shape, flat, poses.reshape(-1, 6))
     if failed >= 0:
         where = [int(i) for i in np.unravel_index(failed, rows.shape[:-1])]
+        most = shape.neutral.min() / 3.0
+        far = f"; allowed: within +-{most:.4g} m, a third of the neutral length"
         raise InputError(
             f"legs{where or ''}: no platform pose has the leg extensions "
-            f"{np.array2string(flat[failed], precision=4)} m"
+            f"{np.array2string(flat[failed], precision=4)} m{far if beyond.size else ''}"
         )
     return poses
 

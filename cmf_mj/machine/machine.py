@@ -171,17 +171,26 @@ class Machine(Settings):
                     f"cabs.{name}: is the name of a cab of {models.CMF}; allowed: another name"
                 )
             for part, body in (("platform", self.platform), (f"cabs.{name}", self.cabs[name])):
-                self.check_above_floor(part, body)
+                self.check_place(part, body)
         return self
 
-    def check_above_floor(self, part: str, body: RigidBody) -> None:
-        """Refuse a `body`, the table `part`, below the floor: its axes may be upside down."""
+    def check_place(self, part: str, body: RigidBody) -> None:
+        """Refuse a `body`, the table `part`, below the floor: its axes may be upside down.
+
+        Or farther off than a leg is long: its unit may be another.
+        """
+        field = f"{part}.centre_of_mass" if part else "centre_of_mass"
         height = float(body.centre_of_mass.si[2]) * self.upward
+        far, most = float(np.linalg.norm(body.centre_of_mass.si)), self.geometry.neutral.max()
         if height < self.floor_height:
-            field = f"{part}.centre_of_mass" if part else "centre_of_mass"
             raise InputError(
                 f"{field}: is {height:g} m above the upper gimbals, below the floor; allowed: at "
                 f"least {self.floor_height:g} m, {'z is up' if self.upward > 0 else 'z is down'}"
+            )
+        if far > most:
+            raise InputError(
+                f"{field}: is {far:g} m from the origin; allowed: at most {most:.4g} m, the length "
+                "of a leg"
             )
 
     @property

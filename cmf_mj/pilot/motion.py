@@ -24,8 +24,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
+from cmf_mj.core.arrays import check_finite
 from cmf_mj.core.compiled import allocating
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, within
 from cmf_mj.core.files import read_column, read_table, write_table
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostStream
@@ -39,6 +40,10 @@ COLUMNS = {
     "attitude": ("roll", "pitch", "yaw"),
 }
 """Names of the columns of each channel in files."""
+
+
+_SLOWEST = 1.0
+"""Longest time from row to row of a flight in a file [s]."""
 
 
 @dataclass(frozen=True)
@@ -162,11 +167,17 @@ class PilotMotion:
     def from_columns(column: Callable[[str], NDArray[np.float64]], where: Path) -> "PilotMotion":
         """The motion whose columns in SI a function reads from a file; refusals name the file."""
         channels = [np.column_stack([column(name) for name in names]) for names in COLUMNS.values()]
-        time = column("time")
-        try:
-            return PilotMotion(time, *channels)
-        except InputError as error:
-            raise InputError(f"{where}: {error}") from error
+        with within(where):
+            motion = PilotMotion(column("time"), *channels)
+            if motion.time.size < 2:
+                raise InputError(f"time: has {motion.time.size} row; at least 2 are needed")
+            if (step := float(np.median(np.diff(motion.time)))) > _SLOWEST:
+                raise InputError(
+                    f"time: {step:g} s from row to row; allowed: to {_SLOWEST} s; in ms?"
+                )
+            if (pitch := float(np.abs(motion.attitude[:, 1]).max())) > 0.5 * np.pi:
+                raise InputError(f"pitch: {pitch:g} rad; allowed: within +-90 deg; in degrees?")
+        return motion
 
     def save(self, path: str | Path) -> Path:
         """Write `columns` as CSV or Parquet, by the name's end; it reads back bit for bit."""
@@ -256,14 +267,6 @@ def vector(name: str, values: ArrayLike, unit: str = "") -> NDArray[np.float64]:
     if array.shape != (3,) or not np.isfinite(array).all():
         raise InputError(f"{name}: {array} is refused; allowed: three finite numbers{unit}")
     return array
-
-
-def check_finite(name: str, values: NDArray[np.float64]) -> None:
-    """Refuse rows of numbers that are not finite."""
-    bad = ~np.isfinite(values.reshape(values.shape[0], -1)).all(axis=1)
-    if bad.any():
-        row = int(bad.argmax())
-        raise InputError(f"{name}: row {row}: {values[row]} is refused; allowed: finite numbers")
 
 
 def _rows(name: str, values: ArrayLike | None, count: int) -> NDArray[np.float64]:

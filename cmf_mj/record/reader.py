@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.settings import validated
+from cmf_mj.core.settings import check_file, validated
 from cmf_mj.record.layout import (
     BLOCK,
     BLOCK_WIDTH,
@@ -91,7 +91,7 @@ def read_facility_csv(path: str | Path) -> Record:
     metadata["recording"] = {
         "file": table.path.name,
         "columns": "by name" if table.by_name else "by position",
-        "decimals": table.trailer.decimals if table.trailer else None,
+        "decimals": table.trailer.decimals if table.trailer else _decimals(column),
     }
     start = column[TIME][0] if TIME in column else 0.0
     return Record(start + np.arange(len(table.rows)) / RATE, channels, channel_units, metadata)
@@ -148,7 +148,7 @@ def _cut(path: Path) -> _Table:
 
 def _text(path: Path) -> str:
     try:
-        content = path.read_bytes()
+        content = check_file(path).read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     if not content.strip():
@@ -318,6 +318,12 @@ def _check_sums(table: _Table, column: dict[str, NDArray[np.float64]]) -> None:
                 f"{table.cell(0, name)} and below are not the values written: swapped or changed? "
                 f"If that is meant, delete the line {TRAILER.strip()!r}"
             )
+
+
+def _decimals(column: dict[str, NDArray[np.float64]]) -> int:
+    """Decimals that leg positions have; 15 where they have as many as a double holds."""
+    values = np.stack([column[name] for name in POSITIONS])
+    return next((n for n in range(10) if np.array_equal(np.round(values, n), values)), 15)
 
 
 def _letters(column: int) -> str:

@@ -6,6 +6,7 @@ a column per scalar channel, `leg_position_1` to `_6` for a channel with a leg a
 it. Checksums tell a damaged file from a whole one (`cmf_mj.core.files`).
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,12 +19,18 @@ from pydantic import Field
 
 from cmf_mj.core.arrays import FrozenDict, frozen, frozen_json
 from cmf_mj.core.errors import InputError, check_name, within
-from cmf_mj.core.files import read_column, read_headed, write_parquet
+from cmf_mj.core.files import check_target, read_column, read_headed, write_parquet
 from cmf_mj.core.settings import FileHeader
 from cmf_mj.signals.composite import signal_of
 from cmf_mj.signals.signal import Signal
 
 _SCHEMA_KEY = "cmf_mj"
+_SYMBOL = r"(1|m|s|kg|N|Pa|J|W|V|A|K|Hz|rad)(\^[1-9])?"
+_SI = re.compile(rf"{_SYMBOL}((, |/| ){_SYMBOL})*")
+"""Units that a channel may have: of SI, with powers, products, quotients and one a column."""
+
+_OFF = 1e-6
+"""How far a sample may lie from its instant [s]; the facility's files tell a time to 1e-7 s."""
 
 AnySignal = TypeVar("AnySignal", bound=Signal)
 
@@ -63,6 +70,9 @@ class Record:
         if set(self.units) != set(self.channels):
             odd = sorted(set(self.units) ^ set(self.channels))
             raise InputError(f"units: every channel needs one unit; check {', '.join(odd)}")
+        for name, unit in self.units.items():
+            if not _SI.fullmatch(unit):
+                raise InputError(f"units: {name}: {unit!r} is refused; allowed: of SI, such as m/s")
         object.__setattr__(self, "channels", FrozenDict(histories))
         object.__setattr__(self, "units", FrozenDict(self.units))
         object.__setattr__(self, "metadata", frozen_json(dict(self.metadata)))
@@ -91,6 +101,22 @@ class Record:
         """The signal that was demanded, of the metadata's `command`."""
         return signal_of(self.metadata.get("command", {}))
 
+    @property
+    def excitation(self) -> Signal:
+        """The signal, refused where the record is too slow to hold it.
+
+        What lies above half the sampling rate appears below it, as if it were the response there.
+        """
+        signal = self.signal
+        lines = (*(signal.band or ()), *(dwell.frequency for dwell in signal.dwells))
+        top = max(lines, default=0.0)
+        if top > 0.5 * self.rate:
+            raise InputError(
+                f"record_every: {self.rate:g} samples a second cannot hold {top:g} Hz of the "
+                f"{signal.kind}; allowed: at least {2.0 * top:g} a second"
+            )
+        return signal
+
     def signal_as(self, kind: type[AnySignal]) -> AnySignal:
         """The signal, if it is of one kind.
 
@@ -107,12 +133,26 @@ class Record:
 
     @property
     def rate(self) -> float:
-        """Sampling rate [Hz]."""
-        return float(self.metadata["sample_rate"])
+        """Sampling rate [Hz].
+
+        Raises:
+            InputError: there is none, or the times do not have it.
+        """
+        rate, time = self.metadata.get("sample_rate", np.nan), self.time
+        known = isinstance(rate, int | float) and not isinstance(rate, bool)
+        if not (known and 0.0 < rate < np.inf):
+            raise InputError(f"sample_rate: {rate!r} Hz is refused; allowed: a number above 0")
+        if time.size == 0:
+            raise InputError("record: has no samples; allowed: at least 1")
+        off = np.abs(time - time[0] - np.arange(time.size) / rate) < _OFF
+        if not off.all():
+            sample = int(np.argmin(off))
+            raise InputError(f"time: sample {sample} at {time[sample]} s is not at {rate} Hz")
+        return float(rate)
 
     def save(self, path: str | Path) -> Path:
         """Write the record to `path` as Parquet; the file appears only when it is complete."""
-        target = Path(path)
+        target = check_target(Path(path))
         columns = {"time": self.time}
         for name, values in self.channels.items():
             parts = (

@@ -9,12 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from cmf_mj.analysis.frequency_response import dof_history
+from cmf_mj.analysis.measurable import CLEAR, dof_history
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
 from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.show.look import (
-    CLEAR,
     COLOURS,
     DARK,
     FAINT,

@@ -13,6 +13,7 @@ from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
+from cmf_mj.analysis.measurable import CLEAR
 from cmf_mj.core import units
 from cmf_mj.core.files import in_folder, whole_file, write_csv, write_json
 from cmf_mj.machine.dof import dof_unit
@@ -23,9 +24,6 @@ BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = (
 )  # fmt: skip
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY, "#000000", "#999933")
 """Distinct to readers with any colour vision (Okabe and Ito), in order of use."""
-
-CLEAR = 0.8
-"""Coherence below which a response is drawn pale: the demand explains less than this share."""
 
 FAINT = 0.3
 """Opacity of what is drawn pale."""

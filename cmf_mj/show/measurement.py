@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
+from cmf_mj.analysis.measurable import CLEAR
 from cmf_mj.analysis.measures import Measures, joined
 from cmf_mj.analysis.metrics import SecondOrder
 from cmf_mj.core import units
@@ -54,6 +55,8 @@ def recordings_table(measures: RecordingMeasures) -> Table:
     title = f"{measures.dof}: {', '.join(path.name for path in measures.files)}"
     response = measures.response
     rows = _response_rows(response, joined(bandwidths(response)), measures.second_order)
+    why = f"not excited, or of a coherence below {CLEAR:g}"
+    rows.append(("lines left out", str(measures.left_out), why))
     return Table(title, _COLUMNS, rows)
 
 

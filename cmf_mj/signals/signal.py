@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, model_validator
 
 from cmf_mj.core import units
-from cmf_mj.core.arrays import frozen
+from cmf_mj.core.arrays import frozen, real
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FASTEST_RATE, RATE, SLOWEST_RATE
 from cmf_mj.core.settings import Settings, validated
@@ -261,12 +261,12 @@ class Command:
         """Check the shape and freeze."""
         if self.pose.ndim != 2 or self.pose.shape[1] != 6 or self.pose.shape[0] < 1:
             raise InputError(f"command: shape is {self.pose.shape}; allowed: (N, 6) with N >= 1")
-        object.__setattr__(self, "pose", frozen(np.asarray(self.pose, dtype=float)))
+        object.__setattr__(self, "pose", frozen(real("command", self.pose)))
 
     @staticmethod
     def from_pose(pose: ArrayLike, rate: int = RATE) -> "Command":
         """A command from an array `pose` (N, 6) at a control rate [Hz]."""
-        return Command(np.asarray(pose, dtype=float), Other(rate=rate))
+        return Command(real("command", pose), Other(rate=rate))
 
     @property
     def rate(self) -> int:

@@ -17,6 +17,7 @@ from cmf_mj.analysis.published import Published, published
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.files import write_csv
+from cmf_mj.core.settings import check_distinct
 from cmf_mj.core.threads import on_threads
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.models import CMF
@@ -111,9 +112,7 @@ def compare(
             raise InputError(f"{field}: is empty; choose from {', '.join(known)}")
     if not loaded:
         raise InputError("laws: is empty; name at least one law")
-    names = [law.name for law in loaded]
-    if len(set(names)) < len(names):
-        raise InputError(f"laws: {', '.join(names)} must differ in name")
+    check_distinct("laws", [law.name for law in loaded])
     if not (np.isfinite(amplitude) and 0.0 < amplitude <= 0.5):
         raise InputError(f"amplitude: {amplitude} m must be greater than 0 and at most 0.5")
     cases = [

@@ -83,7 +83,7 @@ class Journal:
             if not isinstance(content, dict):
                 raise InputError(f"{path}: is not the specification of a study")
             there, here = _entries(content), _entries(identity)
-            names = sorted(there.keys() | here.keys())
+            names = sorted((there.keys() | here.keys()) - {"settings.title"})  # changes no result
             differing = [name for name in names if there.get(name) != here.get(name)]
             if differing:
                 raise InputError(
@@ -232,6 +232,8 @@ class Workers:
         if not 1 <= self.jobs <= MOST_JOBS:
             raise InputError(f"jobs: {self.jobs} must be at least 1 and at most {MOST_JOBS}")
         check_name("backend", self.backend, get_args(Backend))
+        if self.backend == "dask":
+            require("distributed", "cluster")
         if self.scheduler is not None:
             if self.backend != "dask":
                 raise InputError(

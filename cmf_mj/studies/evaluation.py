@@ -20,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj import signals
-from cmf_mj.analysis.frequency_response import bandwidths, dof_history, matrix_frequency_response
+from cmf_mj.analysis.frequency_response import bandwidths, matrix_frequency_response
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.law import labels
 from cmf_mj.analysis.linear.loop import STEP_DURATION, closed_loop
 from cmf_mj.analysis.linear.reduction import jacobian_of, pose_loop
+from cmf_mj.analysis.measurable import dof_history
 from cmf_mj.analysis.measures import (
     Measures,
     crosstalk,

@@ -9,9 +9,12 @@ static loads   leg forces at rest, against the stall force of a cylinder, A_cap 
 pushing and A_rod Ps - A_cap Pt pulling
 reach          leg speed with valves fully open under the static load, against the limit of leg
 speed, and the heave speed amplitude whose mean flow is the pump's
+clearance      least distance of two leg axes over the envelope, against the diameter of a rod
+proportions    length of a leg over its stroke, and the upper gimbals' centroid from the origin
 modes          hydraulic modes at neutral
 """
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +25,7 @@ from cmf_mj.control.law import load_law
 from cmf_mj.core.errors import within
 from cmf_mj.facility.binding import bound
 from cmf_mj.machine.cab import load_cab
-from cmf_mj.machine.kinematics import excursion_envelope, leg_jacobian
+from cmf_mj.machine.kinematics import excursion_envelope, leg_jacobian, rotation
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.motion_limits import load_motion_limits
@@ -34,6 +37,14 @@ POSES = 200
 
 POOR = 100.0
 """Condition number above which a pose is told as nearly singular."""
+
+
+LONG = 15.0
+"""Neutral length of a leg over its stroke above which a unit is wrong: a leg has at least 1.5
+strokes, and the least slip, feet for inches, makes 18 of them."""
+
+APART = 0.01
+"""Distance of the upper gimbals' centroid from the origin, over their radius, that is none."""
 
 
 class CabCheck(NamedTuple):
@@ -96,6 +107,14 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
             f"legs.working_stroke: condition number {conditions[worst]:.3g} at "
             f"{_pose(looked_at[worst])}; allowed: below {POOR:g}"
         )
+    faults += _proportions(machine, radius)
+    rod = plant.parameters.rod_diameter.si
+    clear, first, last, where = _clearance(machine, looked_at)
+    if clear < rod:
+        faults.append(
+            f"gimbals: the axes of legs {first} and {last} come within {clear:.3g} m of each other "
+            f"at {_pose(where)}; allowed: at least a rod's diameter, {rod:.3g} m"
+        )
     cylinder, supply = plant.hydraulics.cylinder, plant.hydraulics.supply
     cap, rod = float(cylinder.cap_area[0]), float(cylinder.rod_area[0])
     high, low = supply.pressure, supply.return_pressure
@@ -107,6 +126,41 @@ def check_machine(machine: Machine, *, poses: int = POSES) -> MachineCheck:
         _by_status(machine),
         tuple(faults),
     )
+
+
+def _proportions(machine: Machine, radius: float) -> Iterator[str]:
+    """What a slip of units or of the origin makes of gimbals and strokes."""
+    length, stroke = float(machine.geometry.neutral.max()), 2.0 * machine.half_stroke
+    if length > LONG * stroke:
+        yield (
+            f"legs.half_stroke: legs of {length:.4g} m for a stroke of {stroke:.4g} m; allowed: "
+            f"up to {LONG:g} times the stroke"
+        )
+    off = machine.geometry.upper.mean(axis=0)
+    if np.linalg.norm(off) > APART * radius:
+        yield (
+            f"gimbals: the upper gimbals' centroid is {np.linalg.norm(off):.3g} m from the origin "
+            f"of all coordinates; allowed: up to {APART * radius:.3g} m, for it is the origin"
+        )
+
+
+def _clearance(
+    machine: Machine, poses: NDArray[np.float64]
+) -> tuple[float, int, int, NDArray[np.float64]]:
+    """Least distance of two leg axes [m] over poses (N, 6), which legs, from 1, and the pose."""
+    upper, lower, _ = machine.geometry
+    turned = np.array([rotation(*pose[3:]) @ upper.T for pose in poses]).transpose(0, 2, 1)
+    legs = poses[:, None, :3] + turned - lower  # from the lower gimbal up, (N, 6, 3)
+    i, j = np.triu_indices(6, 1)
+    one, other, between = legs[:, i], legs[:, j], lower[i] - lower[j]
+    a, b, e = ((u * v).sum(axis=-1) for u, v in ((one, one), (one, other), (other, other)))
+    c, f = ((u * between).sum(axis=-1) for u in (one, other))
+    s = np.clip((b * f - c * e) / np.maximum(a * e - b * b, 1e-12 * a * e), 0.0, 1.0)
+    t = np.clip((b * s + f) / e, 0.0, 1.0)
+    s = np.clip((b * t - c) / a, 0.0, 1.0)
+    apart = np.linalg.norm(between + s[..., None] * one - t[..., None] * other, axis=-1)
+    row, pair = np.unravel_index(int(apart.argmin()), apart.shape)
+    return float(apart[row, pair]), int(i[pair]) + 1, int(j[pair]) + 1, poses[row]
 
 
 def _cab(plant: Hexapod, limits: MotionLimits, faults: list[str]) -> CabCheck:

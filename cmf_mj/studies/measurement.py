@@ -20,16 +20,16 @@ from cmf_mj.analysis import metrics
 from cmf_mj.analysis.frequency_response import (
     FrequencyResponse,
     bandwidths,
-    dof_history,
     frequency_response,
     rounds_response,
 )
+from cmf_mj.analysis.measurable import CLEAR, EXCITED_SHARE, demand_share, dof_history
 from cmf_mj.analysis.measures import Measures, joined
 from cmf_mj.analysis.metrics import correlation_delay
 from cmf_mj.analysis.response.spectra import Estimator
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.core import units
-from cmf_mj.core.errors import check_name
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.threads import on_threads
 from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.geometry import DOFS
@@ -250,7 +250,8 @@ class RecordingMeasures(NamedTuple):
     files: tuple[Path, ...]
     dof: str
     estimator: str
-    response: FrequencyResponse
+    response: FrequencyResponse  #: At the lines that are read.
+    left_out: int  #: Lines that are not, since they were not excited or do not cohere.
     second_order: metrics.SecondOrder
 
     def summary(self) -> dict[str, Any]:
@@ -262,13 +263,15 @@ class RecordingMeasures(NamedTuple):
             "bandwidths": bandwidths(self.response)._asdict(),
             "second_order": self.second_order._asdict(),
             "coherence_least": float(self.response.coherence.min()),
+            "lines_left_out": self.left_out,
         }
 
 
 def measure_recordings(files: Sequence[Path], dof: str, estimator: str) -> RecordingMeasures:
     """Measure the response in recordings; several, or one of single sines, are rounds of one.
 
-    The estimator of rounds is `h1` or `report`, as in `rounds_response`.
+    The estimator of rounds is `h1` or `report`, as in `rounds_response`. Lines are read that the
+    demand excites, by its band or else by `EXCITED_SHARE`, with a coherence of at least `CLEAR`.
     """
     chosen = cast("Estimator", check_name("estimator", estimator, get_args(Estimator)))
     records = [read_recording(path) for path in files]
@@ -276,5 +279,14 @@ def measure_recordings(files: Sequence[Path], dof: str, estimator: str) -> Recor
         response = rounds_response(records, dof, estimator=chosen)
     else:
         response = frequency_response(records[0], dof, estimator=chosen)
+    read = response.coherence >= CLEAR
+    if records[0].signal.band is None:  # else the lines lie within it
+        demand = np.concatenate([dof_history(record, "leg_reference", dof) for record in records])
+        share = demand_share(demand - demand[0], records[0].rate, response.frequency)
+        read &= share > EXCITED_SHARE
+    if not read.any():
+        raise InputError(f"dof: no line of the demand in {dof} has a coherence of {CLEAR:g}")
+    left_out = int(np.count_nonzero(~read))
+    response = response.at(read)
     fit = metrics.fit_second_order(response.frequency, response.response)
-    return RecordingMeasures(tuple(files), dof, estimator, response, fit)
+    return RecordingMeasures(tuple(files), dof, estimator, response, left_out, fit)

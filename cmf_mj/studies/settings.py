@@ -47,7 +47,7 @@ from pydantic import Field
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name, unknown_name, within
-from cmf_mj.core.settings import Settings, read_toml, validated
+from cmf_mj.core.settings import Settings, check_distinct, read_toml, validated
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.geometry import DOFS
@@ -277,9 +277,7 @@ def _loaded(table: dict[str, Any], where: str, laws: Sequence[str | Law] | None)
     machine = load_machine(settings.machine)
     cabs = tuple(load_cab(cab, machine) for cab in settings.cabs or machine.cab_names[:1])
     for field, named in (("laws", chosen), ("cabs", cabs)):
-        names = [one.name for one in named]
-        if len(set(names)) < len(names):
-            raise InputError(f"{field}: {', '.join(names)} must differ in name")
+        check_distinct(field, [one.name for one in named])
     return Study(settings, chosen, cabs, hydraulics_of(machine, settings.hydraulics))
 
 

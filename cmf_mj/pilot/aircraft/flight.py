@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cmf_mj.core import units
-from cmf_mj.core.arrays import FrozenDict, frozen
+from cmf_mj.core.arrays import FrozenDict, check_finite, frozen
 from cmf_mj.core.errors import InputError, reason, unknown_name, within
 from cmf_mj.core.files import read_column, read_headed, whole_file, write_parquet
-from cmf_mj.core.settings import FileHeader, Settings, parsed_json, validated
+from cmf_mj.core.settings import FileHeader, Settings, check_file, parsed_json, validated
 from cmf_mj.pilot.host import PilotSample, pilot_samples
-from cmf_mj.pilot.motion import COLUMNS, PilotMotion, check_finite
+from cmf_mj.pilot.motion import COLUMNS, PilotMotion
 
 _KEY = "cmf_mj_flight"
 _HEADER = re.compile(r"^(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]+)\])?$")
@@ -156,7 +156,7 @@ def read_columns(path: Path) -> dict[str, NDArray[np.float64]]:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return check_file(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {reason(error)}") from error
 

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.frequency_response import FrequencyResponse, dof_history
+from cmf_mj.analysis.frequency_response import FrequencyResponse
+from cmf_mj.analysis.measurable import CLEAR, dof_history
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
@@ -16,7 +17,7 @@ from cmf_mj.core.settings import read_toml
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.record.record import Record
 from cmf_mj.show.chart import GREY, Curve, Dash, Marks, Panel
-from cmf_mj.show.look import CLEAR, COLOURS
+from cmf_mj.show.look import COLOURS
 from cmf_mj.show.report_2014.runs import On, Runs, RunSpec
 from cmf_mj.show.table import Table
 from cmf_mj.studies.case import CaseResult

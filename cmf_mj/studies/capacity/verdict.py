@@ -92,10 +92,11 @@ def read_poses(path: str | Path) -> Command:
         raise unknown_name("signal", str(path), SIGNALS, " nor a .csv or .parquet file")
     table = read_table(source)
     moved = [name for name in DOFS if name in table.column_names]
-    if "time" not in table.column_names or not moved:
+    odd = set(table.column_names) - {"time", *DOFS}
+    if "time" not in table.column_names or not moved or odd:
         raise InputError(
             f"{source}: has the columns {', '.join(table.column_names)}; needed: time and at "
-            f"least one of {', '.join(DOFS)}"
+            f"least one of {', '.join(DOFS)}, nothing else"
         )
     columns = {name: read_column(source, table, name) for name in ("time", *moved)}
     for name, values in columns.items():

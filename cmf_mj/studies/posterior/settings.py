@@ -16,7 +16,7 @@ from pydantic import Field
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, check_name, within
 from cmf_mj.core.quantity import Quantity
-from cmf_mj.core.settings import Settings, validated
+from cmf_mj.core.settings import Settings, check_distinct, validated
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -180,8 +180,7 @@ def _checked(settings: PosteriorSettings, laws: Sequence[str | Law] | None) -> P
     if settings.simulated > settings.kept:
         raise InputError(f"simulated: {settings.simulated} must be at most kept, {settings.kept}")
     chosen = tuple(load_law(law) for law in (settings.laws if laws is None else laws))
-    if len({law.name for law in chosen}) < len(chosen):
-        raise InputError(f"laws: {', '.join(law.name for law in chosen)} must differ in name")
+    check_distinct("laws", [law.name for law in chosen])
     cabs = tuple(load_cab(cab) for cab in settings.cabs)
     study = PosteriorStudy(settings, chosen, cabs, load_hydraulics(settings.hydraulics))
     for end in (0.0, 1.0):  # bounds that no machine can have are refused here
