@@ -9,7 +9,7 @@ from protected_records import fault_of
 from cmf_mj import Hexapod, Record, law_names, signals, simulate
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.protection import (
-    FAULTS,
+    CHECKS,
     Fault,
     ProtectionSettings,
     latched,
@@ -212,7 +212,7 @@ def test_a_watchdog_gives_way_to_a_fault_of_the_machine(watchdog: str) -> None:
 
 def test_of_several_in_one_frame_the_first_name_and_leg_win() -> None:
     changed = {
-        name: getattr(SETTINGS, name).model_copy(update={"persistence": 1}) for name in FAULTS[1:]
+        name: getattr(SETTINGS, name).model_copy(update={"persistence": 1}) for name in CHECKS
     }
     machine = Machine(SETTINGS.model_copy(update=changed))
     machine.feedback.velocity[0] = 50.0 * INCH
@@ -236,9 +236,9 @@ def test_a_supply_sensor_that_reads_nan_is_a_fault() -> None:
     assert machine.found(30) == ("under_pressure", None, last("under_pressure", 0))
 
 
-@pytest.mark.parametrize("name", FAULTS[1:])
+@pytest.mark.parametrize("name", CHECKS)
 def test_conditions_can_be_switched_off(name: str) -> None:
-    every = {n: getattr(SETTINGS, n).model_copy(update={"enabled": n == name}) for n in FAULTS[1:]}
+    every = {n: getattr(SETTINGS, n).model_copy(update={"enabled": n == name}) for n in CHECKS}
     none = {n: check.model_copy(update={"enabled": False}) for n, check in every.items()}
     for changes, expected in ((every, name), (none, None)):
         machine = Machine(SETTINGS.model_copy(update=changes))
@@ -295,7 +295,7 @@ def test_the_documented_table_is_the_default() -> None:
     )
     rows = [line.split("|")[1:-1] for line in text.splitlines() if line.startswith("| `")]
     told = {name.strip(" `"): (size.strip(), int(frames)) for name, _, size, frames in rows}
-    assert list(told) == list(FAULTS[1:])
+    assert list(told) == list(CHECKS)
     for name, (size, frames) in told.items():
         check = getattr(SETTINGS, name)
         unit = "" if check.threshold.unit == "1" else f" {check.threshold.unit}"
