@@ -15,13 +15,15 @@ Legs or modes, all is done in the coordinates of the law that begins, V_2:
     plan             is taken over, or starts at the leg's position and velocity, with w on its way;
                      its reference then moves until it asks for w. It goes to the demand from there
                      as from any jump, within its bounds on rate and acceleration.
-    compensator      starts where its inputs would have brought it, had demand and position always
-                     moved as they do now, by r a frame: B u / (1 - A) - B r / (1 - A)^2. Those of
-                     the report lead the position by 380 %/in, which their compensators balance.
+    compensator      is taken over by one of the same A and B, or starts where its inputs would have
+                     brought it, had demand and position always moved as they do now, by r a frame:
+                     B u / (1 - A) - B r / (1 - A)^2. Those of the report lead the position by
+                     380 %/in, which their compensators balance.
     error integral   moves until the outputs agree, within its saturation; the offset it takes up
                      stays. With a model or plan that starts, it starts at 0: it took up what was
                      static in the law before, such as its part of pressures, which those have not.
-    compensator      makes up what is left, where C is not 0, and forgets it with its pole A
+    compensator      that was not taken over makes up what is left, where C is not 0, and forgets it
+                     with its pole A
     offset           is what still is left. It is added to the output and fades as e^(-t / 0.5 s):
                      a law without integral whose steady command for the same error is another,
                      comes to that by itself, within seconds.
@@ -141,13 +143,17 @@ def handed_over(
     bound = after.error.integrator_limit
     np.clip(begun.error.integral, -bound, bound, out=begun.error.integral)
     command = _output(before, state, reference, feedback)
+    one, other = before.compensator, after.compensator
+    same = np.array_equal(one.state_gain, other.state_gain)
+    same = same and np.array_equal(one.input_gain, other.input_gain)
 
     def missing() -> NDArray[np.float64]:
         """Settle the compensator; what is missing of the output, in coordinates of the law."""
         _output(after, begun, reference, seen)
-        gains, fades = after.compensator, 1.0 - after.compensator.state_gain
+        fades = 1.0 - other.state_gain
         inputs = after.workspace.inputs - moving / fades[:, None]
-        begun.compensator[:] = np.einsum("ij,ij->i", gains.input_gain, inputs) / fades
+        if not same:
+            begun.compensator[:] = np.einsum("ij,ij->i", other.input_gain, inputs) / fades
         return after.shape @ (command - _output(after, begun, reference, seen))
 
     _begin(before, begun, after, (now, moved), seen, command)
@@ -162,8 +168,9 @@ def handed_over(
     left = missing()
     share = np.divide(left, gain, out=np.zeros_like(left), where=gain != 0.0)
     begun.error.integral[:] = np.clip(begun.error.integral + after.shape.T @ share, -bound, bound)
-    left, gain = missing(), after.compensator.output_gain
-    begun.compensator[:] += np.divide(left, gain, out=np.zeros_like(left), where=gain != 0.0)
+    left, gain = missing(), other.output_gain
+    made_up = np.divide(left, gain, out=np.zeros_like(left), where=gain != 0.0)
+    begun.compensator[:] += 0.0 if same else made_up
     left = command - _output(after, begun, reference, seen)
     begun.offset[:] = np.where(np.abs(left) > _ROUND_OFF, left, 0.0)
     after.workspace.limited[:], after.workspace.moved[:] = now, moved
