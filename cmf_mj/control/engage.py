@@ -12,8 +12,8 @@ Legs or modes, all is done in the coordinates of the law that begins, V_2:
                      they are set as if the target had always moved as the leg does now.
     load feedback    is taken over, or starts with the present force as its low-passed one
     reference model  is taken over, or starts at the leg's velocity where its output is w
-    plan             is taken over, or starts at the leg's position and velocity, with w on its way;
-                     its reference then moves until it asks for w. It goes to the demand from there
+    plan             is taken over, or starts at the leg's position and velocity; its reference then
+                     moves until it asks for w. It goes to the demand from there
                      as from any jump, within its bounds on rate and acceleration.
     compensator      is taken over by one of the same A and B, or starts where its inputs would have
                      brought it, had demand and position always moved as they do now, by r a frame:
@@ -156,7 +156,7 @@ def handed_over(
             begun.compensator[:] = np.einsum("ij,ij->i", other.input_gain, inputs) / fades
         return after.shape @ (command - _output(after, begun, reference, seen))
 
-    _begin(before, begun, after, (now, moved), seen, command)
+    _begin(before, begun, after, (now, moved), seen)
     if after.model.active and not before.model.active:
         _move(begun.model.position, missing)
     if after.planned:
@@ -183,7 +183,6 @@ def _begin(
     after: Dcl,
     demands: tuple[NDArray[np.float64], NDArray[np.float64]],
     feedback: LegFeedback,
-    command: NDArray[np.float64],
 ) -> None:
     """Start the blocks of `after` that `before` does not have; demands are (demand, change)."""
     shape = after.shape
@@ -200,8 +199,6 @@ def _begin(
         plan.demand[:] = demand
         plan.demand_rate[:] = np.clip(moved, -after.plan.rate, after.plan.rate)
         plan.reference_rate[:] = plan.demand_rate
-        flow = after.plan.inverse.speed * (shape @ np.clip(command, -1.0, 1.0)) - plan.velocity
-        plan.jerk[:] = flow / after.plan.inverse.compliance
         plan.reference[:] = plan.position
         after.plan.inverse.legs[0] = shape.T @ plan.position
         for _ in range(_CHORDS):
