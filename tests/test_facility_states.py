@@ -1,9 +1,20 @@
 """Operating states on the machine: each reached from each, requests in turns, faults by name."""
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
+from test_facility_moog import (
+    DOF_MODE,
+    ENGAGE,
+    ENGAGED,
+    IDLE,
+    PARK,
+    command,
+    over_udp,
+    until,
+)
 
 from cmf_mj import Hexapod, Record, law_names, signals
 from cmf_mj.control.states import Request, State
@@ -143,3 +154,14 @@ def test_a_return_that_does_not_arrive_says_so(tmp_path) -> None:
     assert fault["name"] == "not_arrived" and fault["leg"] is None
     assert fault["time"] == pytest.approx(17.1, abs=0.01)
     assert record["isolation"].max() == 0.0
+
+
+def test_a_moog_host_engages_again_after_park() -> None:
+    """Under the velocity law, whose DC gain leaves the legs 66 mm above the settled position."""
+
+    def host(ask: Any, _: Any, __: Any) -> list[int]:
+        turns = (DOF_MODE, IDLE), (ENGAGE, ENGAGED), (PARK, IDLE), (ENGAGE, ENGAGED)
+        return [until(ask, state, command(word))[-1].state for word, state in turns]
+
+    reached, *_ = over_udp(host, 70.0)
+    assert reached == [IDLE, ENGAGED, IDLE, ENGAGED]

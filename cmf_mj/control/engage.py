@@ -157,7 +157,7 @@ def handed_over(
         return after.shape @ (command - _output(after, begun, reference, seen))
 
     _begin(before, begun, after, (now, moved), seen)
-    if after.model.active and not before.model.active:
+    if after.model.active and before.model[:8] != after.model[:8]:
         _move(begun.model.position, missing)
     if after.planned:
         for _ in range(
@@ -203,7 +203,7 @@ def _begin(
         after.plan.inverse.legs[0] = shape.T @ plan.position
         for _ in range(_CHORDS):
             follow(after.plan.inverse, plan.pose)
-    if after.model.active and not before.model.active:
+    if after.model.active and before.model[:8] != after.model[:8]:
         model.position[:], model.velocity[:] = modes.position, modes.velocity
         starts = True
     if starts:
