@@ -9,7 +9,7 @@ from protected_records import fault_of
 from cmf_mj import Hexapod, Record, law_names, signals, simulate
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.protection import (
-    FAULTS,
+    CHECKS,
     Fault,
     ProtectionSettings,
     latched,
@@ -22,6 +22,8 @@ from cmf_mj.control.protection import (
 from cmf_mj.electronics.sensors.settings import load_sensors
 from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
 from cmf_mj.facility.replay import FEEDBACK
+from cmf_mj.machine.machine import load_machine
+from cmf_mj.plant.parameters.loading import fitting
 
 FRAME = 1.0 / 2048.0
 INCH, PSI, GRAVITY = 0.0254, 6894.757293168361, 9.80665
@@ -212,7 +214,7 @@ def test_a_watchdog_gives_way_to_a_fault_of_the_machine(watchdog: str) -> None:
 
 def test_of_several_in_one_frame_the_first_name_and_leg_win() -> None:
     changed = {
-        name: getattr(SETTINGS, name).model_copy(update={"persistence": 1}) for name in FAULTS[1:]
+        name: getattr(SETTINGS, name).model_copy(update={"persistence": 1}) for name in CHECKS
     }
     machine = Machine(SETTINGS.model_copy(update=changed))
     machine.feedback.velocity[0] = 50.0 * INCH
@@ -236,9 +238,9 @@ def test_a_supply_sensor_that_reads_nan_is_a_fault() -> None:
     assert machine.found(30) == ("under_pressure", None, last("under_pressure", 0))
 
 
-@pytest.mark.parametrize("name", FAULTS[1:])
+@pytest.mark.parametrize("name", CHECKS)
 def test_conditions_can_be_switched_off(name: str) -> None:
-    every = {n: getattr(SETTINGS, n).model_copy(update={"enabled": n == name}) for n in FAULTS[1:]}
+    every = {n: getattr(SETTINGS, n).model_copy(update={"enabled": n == name}) for n in CHECKS}
     none = {n: check.model_copy(update={"enabled": False}) for n, check in every.items()}
     for changes, expected in ((every, name), (none, None)):
         machine = Machine(SETTINGS.model_copy(update=changes))
@@ -295,7 +297,7 @@ def test_the_documented_table_is_the_default() -> None:
     )
     rows = [line.split("|")[1:-1] for line in text.splitlines() if line.startswith("| `")]
     told = {name.strip(" `"): (size.strip(), int(frames)) for name, _, size, frames in rows}
-    assert list(told) == list(FAULTS[1:])
+    assert list(told) == list(CHECKS)
     for name, (size, frames) in told.items():
         check = getattr(SETTINGS, name)
         unit = "" if check.threshold.unit == "1" else f" {check.threshold.unit}"
@@ -331,3 +333,22 @@ def test_settings_of_ones_own_and_refusals(tmp_path: Path) -> None:
             load_protection(file)
     with pytest.raises(ValueError, match="not one of default nor"):
         load_protection("strict")
+
+
+@pytest.mark.parametrize("rate", [512.0, 2048.0, 4096.0])
+def test_a_fault_takes_as_long_at_any_control_rate(rate: float) -> None:
+    """Persistence counts frames of 1/2048 s: 20 of them are 9.8 ms, 5 frames at 512 Hz."""
+    protection, state = make_protection(SETTINGS, 1.0 / rate), protection_state(np.zeros(LEGS))
+    feedback = LegFeedback(*(np.zeros(LEGS) for _ in range(5)))
+    for frame in range(100):
+        protect(protection, state, frame, np.full(LEGS, 6.1 * INCH), feedback, SUPPLY)
+    found = latched(state)
+    assert found == ("tracking_error", 1, round(20 * rate / 2048.0) - 1)
+
+
+@pytest.mark.parametrize("name", ["cmf", "simona", "lab"])
+def test_the_tracking_error_is_the_same_share_of_every_stroke(name: str) -> None:
+    """6 in of 38 in."""
+    machine = load_machine(name)
+    check = load_protection("default", fitting(machine)).tracking_error
+    assert check.threshold.si == pytest.approx(6.0 / 38.0 * machine.half_stroke, rel=1e-12)

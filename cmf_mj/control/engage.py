@@ -12,16 +12,18 @@ Legs or modes, all is done in the coordinates of the law that begins, V_2:
                      they are set as if the target had always moved as the leg does now.
     load feedback    is taken over, or starts with the present force as its low-passed one
     reference model  is taken over, or starts at the leg's velocity where its output is w
-    plan             is taken over, or starts at the leg's position and velocity, with w on its way;
-                     its reference then moves until it asks for w. It goes to the demand from there
+    plan             is taken over, or starts at the leg's position and velocity; its reference then
+                     moves until it asks for w. It goes to the demand from there
                      as from any jump, within its bounds on rate and acceleration.
-    compensator      starts where its inputs would have brought it, had demand and position always
-                     moved as they do now, by r a frame: B u / (1 - A) - B r / (1 - A)^2. Those of
-                     the report lead the position by 380 %/in, which their compensators balance.
+    compensator      is taken over by one of the same A and B, or starts where its inputs would have
+                     brought it, had demand and position always moved as they do now, by r a frame:
+                     B u / (1 - A) - B r / (1 - A)^2. Those of the report lead the position by
+                     380 %/in, which their compensators balance.
     error integral   moves until the outputs agree, within its saturation; the offset it takes up
                      stays. With a model or plan that starts, it starts at 0: it took up what was
                      static in the law before, such as its part of pressures, which those have not.
-    compensator      makes up what is left, where C is not 0, and forgets it with its pole A
+    compensator      that was not taken over makes up what is left, where C is not 0, and forgets it
+                     with its pole A
     offset           is what still is left. It is added to the output and fades as e^(-t / 0.5 s):
                      a law without integral whose steady command for the same error is another,
                      comes to that by itself, within seconds.
@@ -141,17 +143,21 @@ def handed_over(
     bound = after.error.integrator_limit
     np.clip(begun.error.integral, -bound, bound, out=begun.error.integral)
     command = _output(before, state, reference, feedback)
+    one, other = before.compensator, after.compensator
+    same = np.array_equal(one.state_gain, other.state_gain)
+    same = same and np.array_equal(one.input_gain, other.input_gain)
 
     def missing() -> NDArray[np.float64]:
         """Settle the compensator; what is missing of the output, in coordinates of the law."""
         _output(after, begun, reference, seen)
-        gains, fades = after.compensator, 1.0 - after.compensator.state_gain
+        fades = 1.0 - other.state_gain
         inputs = after.workspace.inputs - moving / fades[:, None]
-        begun.compensator[:] = np.einsum("ij,ij->i", gains.input_gain, inputs) / fades
+        if not same:
+            begun.compensator[:] = np.einsum("ij,ij->i", other.input_gain, inputs) / fades
         return after.shape @ (command - _output(after, begun, reference, seen))
 
-    _begin(before, begun, after, (now, moved), seen, command)
-    if after.model.active and not before.model.active:
+    _begin(before, begun, after, (now, moved), seen)
+    if after.model.active and before.model[:8] != after.model[:8]:
         _move(begun.model.position, missing)
     if after.planned:
         for _ in range(
@@ -162,8 +168,9 @@ def handed_over(
     left = missing()
     share = np.divide(left, gain, out=np.zeros_like(left), where=gain != 0.0)
     begun.error.integral[:] = np.clip(begun.error.integral + after.shape.T @ share, -bound, bound)
-    left, gain = missing(), after.compensator.output_gain
-    begun.compensator[:] += np.divide(left, gain, out=np.zeros_like(left), where=gain != 0.0)
+    left, gain = missing(), other.output_gain
+    made_up = np.divide(left, gain, out=np.zeros_like(left), where=gain != 0.0)
+    begun.compensator[:] += 0.0 if same else made_up
     left = command - _output(after, begun, reference, seen)
     begun.offset[:] = np.where(np.abs(left) > _ROUND_OFF, left, 0.0)
     after.workspace.limited[:], after.workspace.moved[:] = now, moved
@@ -176,7 +183,6 @@ def _begin(
     after: Dcl,
     demands: tuple[NDArray[np.float64], NDArray[np.float64]],
     feedback: LegFeedback,
-    command: NDArray[np.float64],
 ) -> None:
     """Start the blocks of `after` that `before` does not have; demands are (demand, change)."""
     shape = after.shape
@@ -193,13 +199,11 @@ def _begin(
         plan.demand[:] = demand
         plan.demand_rate[:] = np.clip(moved, -after.plan.rate, after.plan.rate)
         plan.reference_rate[:] = plan.demand_rate
-        flow = after.plan.inverse.speed * (shape @ np.clip(command, -1.0, 1.0)) - plan.velocity
-        plan.jerk[:] = flow / after.plan.inverse.compliance
         plan.reference[:] = plan.position
         after.plan.inverse.legs[0] = shape.T @ plan.position
         for _ in range(_CHORDS):
             follow(after.plan.inverse, plan.pose)
-    if after.model.active and not before.model.active:
+    if after.model.active and before.model[:8] != after.model[:8]:
         model.position[:], model.velocity[:] = modes.position, modes.velocity
         starts = True
     if starts:

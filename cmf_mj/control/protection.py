@@ -9,9 +9,11 @@
     host_watchdog        time since the last host frame
     frame_watchdog       control frames missed between two calls
 
-A condition that holds for `persistence` frames in a row is a fault; NaN holds. Of several in one
-frame the first in `FAULTS`, then the lowest leg, is taken; it stays until `reset`, but a watchdog's
-gives way to a fault of the machine, which asks for more.
+A condition that holds for `persistence` frames of 1/2048 s in a row is a fault; NaN holds. Of
+several in one frame the first in `FAULTS`, then the lowest leg, is taken; it stays until `reset`,
+but a watchdog's gives way to a fault of the machine, which asks for more. So does `not_arrived`,
+which the operating states raise: a raise or return that has not come to its end in time, or a leg
+without reading.
 
 Six legs give six degrees of freedom: their positions cannot check one another. So each position
 sensor is checked against the integral of its own velocity sensor, washed out at the rate r: a jump
@@ -44,10 +46,12 @@ _UNITS = {
     "host_watchdog": _TIME,
     "frame_watchdog": ("1",),
 }
-FAULTS = ("none", *_UNITS)
+CHECKS = tuple(_UNITS)
+"""Names of the conditions."""
+FAULTS = ("none", *CHECKS, "not_arrived")
 """Names of the faults; a code is the place in this tuple."""
 
-_TRACKING, _DISAGREE, _OVER, _UNDER, _SPEED, _ACCELERATION, _HOST, _FRAME = range(1, 9)
+_TRACKING, _DISAGREE, _OVER, _UNDER, _SPEED, _ACCELERATION, _HOST, _FRAME, _ARRIVAL = range(1, 10)
 _MACHINE = -1
 """Leg of a fault that belongs to no leg."""
 
@@ -57,7 +61,7 @@ class Check(Settings):
 
     enabled: bool = True
     threshold: Quantity
-    persistence: Count  #: Frames in a row that make a fault.
+    persistence: Count  #: Frames of 1/2048 s in a row that make a fault.
 
 
 class ProtectionSettings(Settings):
@@ -128,11 +132,11 @@ def make_protection(settings: ProtectionSettings, frame: float = FRAME) -> Prote
             f"washout: {settings.washout.si:g} 1/s must be below the control rate, "
             f"{1.0 / frame:g} 1/s"
         )
-    checks = [getattr(settings, name) for name in FAULTS[1:]]
+    checks = [getattr(settings, name) for name in CHECKS]
     return Protection(
         np.array([False] + [check.enabled for check in checks]),
         np.array([0.0] + [check.threshold.si for check in checks]),
-        np.array([0] + [check.persistence for check in checks]),
+        np.array([0] + [max(round(check.persistence * FRAME / frame), 1) for check in checks]),
         settings.washout.si * frame,
         frame,
     )
@@ -156,6 +160,13 @@ def reset(state, position):  # type: ignore[no-untyped-def]
     assign(state.estimate, position)
     state.last[0] = -1
     state.fault[0], state.fault[1], state.fault[2] = NO_FAULT, _MACHINE, -1
+
+
+@compiled
+def not_arrived(state, frame):  # type: ignore[no-untyped-def]
+    """Latch that the operating states wait in vain, unless something else is latched."""
+    if state.fault[0] == NO_FAULT:
+        state.fault[0], state.fault[1], state.fault[2] = _ARRIVAL, _MACHINE, frame
 
 
 @compiled

@@ -1,31 +1,45 @@
 """Operating states: where the leg reference comes from, and how it changes hands.
 
-    off, settled, return, fault    the settled position, the bottom of the working stroke
+    settled, return                the settled position, the bottom of the working stroke
+    off, fault                     likewise; with valves closed, where the legs lie
     raise                          neutral
-    hold                           where the legs came to rest
+    hold                           where the reference came to rest
     engaged                        the host's demand, to the bit
 
-Every change of state hands over position, velocity and acceleration of the reference. With d the
-differences of old and new source at the change, t the time since and s(x) = 10 x^3 - 15 x^4 + 6 x^5
-(s' and s'' vanish at both ends), the reference is the new source plus
+Every change of state hands over position, velocity and acceleration of the reference, r0, v0 and
+a0. With t the time since, the reference's own motion p comes to rest with the pole k = 4 / S,
 
-    (d_p + q(S)) (1 - s(t / D)) + q(t) - q(S)
-    dq/dt = d_v (1 - 3 x^2 + 2 x^3) + d_a S (x - 2 x^2 + x^3),    x = t / S <= 1
+    dp/dt = (v0 + (a0 + k v0) t) e^(-k t),    p(inf) = r0 + 2 v0 / k + a0 / k^2
 
-so the difference in motion is taken out within the short stopping time S, the difference in
-position within the long fade D, and the sum has two continuous derivatives. S and D are stretched
-where they would exceed the speed and acceleration allowed to fades:
+and the new source h takes over within the fade D, with s(x) = 10 x^3 - 15 x^4 + 6 x^5:
 
-    S >= 1.5 |d_v| / acceleration,    D >= 1.875 |d_p + q(S)| / speed,
-    D >= sqrt(5.7735 |d_p + q(S)| / acceleration)
+    r = h + (1 - s(t / D)) (p - h)
 
-all legs with the same S and D. The legs come to hold at the end of q, without any fade.
+s' and s'' vanish at both ends, so r has two continuous derivatives. It is a weighted mean: each leg
+stays between its source and its own stop, whatever the source does, and
+
+    |r'| <= max(|p'|, |h'|) + 1.875 |p - h| / D
+    |r''| <= max(|p''|, |h''|) + 3.75 |p' - h'| / D + 5.7735 |p - h| / D^2
+
+The stop is v0 S / 2 + a0 S^2 / 16 long. It obeys p''' + 2 k p'' + k^2 p' = 0, so that to start it
+anew in its course changes nothing: requests in turns, however fast, lead no further than that
+beyond the hull of where the legs were and the source is.
+
+S and D are the settings' least times, stretched where the terms that they divide would exceed the
+speed and acceleration of the settings. With d = |p(inf) - h| and w = |h'| at the change, those of
+the leg with the largest, so that all legs fade together:
+
+    S >= 4 |v0| / (e acceleration),    D >= 1.875 d / speed,
+    D >= (3.75 w + sqrt((3.75 w)^2 + 23.094 d acceleration)) / (2 acceleration)
+
+A host that moves away in the fade widens |p - h|, and with it what the fade adds.
 
 A request names a state; it is kept up until reached. `Request.ENGAGE` from off leads through
 settled and raise. `Request.TRIP` leads from every state to fault: the reference stops, goes down to
 the settled position, then the valve command fades to nothing. Fault is left to off by
-`Request.RESET`, once the legs really lie on the stops. Raise and return that do not arrive in time
-become faults.
+`Request.RESET`, once the valves are closed and the legs lie still. Off leads to settled from where
+a return may end or below, from further up to return. Raise and return that do not arrive in time
+become faults, as does leaving off while a leg has no reading.
 """
 
 from enum import IntEnum
@@ -58,18 +72,19 @@ class StateSettings(Settings):
     raise_time: _Time  #: Least fade from the stops to neutral.
     engage_time: _Time  #: Least fade to the host's demand.
     hold_time: _Time
-    """Least fade to hold, where the legs would otherwise come to rest beyond the stroke."""
+    """Least fade to hold; it moves the legs where they would come to rest beyond the stroke."""
     return_time: _Time  #: Least fade to the stops.
     fault_time: _Time  #: Least fade to the stops after a fault.
-    stop_time: _Time  #: Least time in which a difference in velocity is taken out.
+    stop_time: _Time  #: Least S of a stop, which is S / 2 times its first velocity long.
     valve_time: _Time  #: Time in which the valve command is faded in or out.
     speed: Annotated[Quantity, positive_in("in/s", "m/s")]  #: Largest leg speed of a fade.
     acceleration: Annotated[Quantity, positive_in("g", "m/s^2", "in/s^2")]
     """Largest leg acceleration of a fade, and of a stop."""
     settled_tolerance: _Length
-    """Distance from the settled position within which a leg without command lies on the stops."""
+    """Distance that a leg with closed valves may move and still lies where it lay."""
     arrival_tolerance: _Length
-    """Distance from neutral or the settled position within which a leg has followed there."""
+    """Distance from neutral, or above the settled position, within which a leg has followed there;
+    below are the mechanical stops."""
     arrival_timeout: _Time  #: Time after the end of raise or return in which the legs must arrive.
 
 
@@ -124,8 +139,8 @@ class OperatingState(NamedTuple):
     clock: NDArray[np.float64]  #: Time t since the last change, D and S of its fade [s], (3,).
     valve: NDArray[np.float64]
     """Phase of the valve fade, 0 to 1, and the gain on the valve command, s of it, (2,)."""
-    offset: NDArray[np.float64]  #: d_p + q(S) [m], d_v [m/s] and d_a [m/s^2] of the fade, (3, n).
-    hold: NDArray[np.float64]  #: Where hold keeps the legs [m], (n,).
+    stop: NDArray[np.float64]  #: p(inf) [m], v0 [m/s] and a0 [m/s^2] of the fade, (3, n).
+    hold: NDArray[np.float64]  #: Where hold, off and fault keep the reference [m], (n,).
     host: NDArray[np.float64]  #: The host's last position that was a number [m], (n,).
 
 
@@ -162,12 +177,14 @@ def start(states: States, code: State, position: ArrayLike) -> OperatingState:
     if code not in (State.OFF, State.SETTLED, State.HOLD, State.ENGAGED):
         raise InputError(f"code: {State(code).name} is no state to start in")
     at = np.clip(np.array(position, dtype=float), -states.travel, states.travel)
+    if code == State.OFF:
+        at[:] = -states.travel
     gain = 0.0 if code == State.OFF else 1.0
     return OperatingState(
         code=np.array([int(code)]),
         clock=np.zeros(3),
         valve=np.full(2, gain),
-        offset=np.zeros((3, at.size)),
+        stop=np.zeros((3, at.size)),
         hold=at,
         host=at.copy(),
     )
@@ -183,17 +200,12 @@ def smooth(x):  # type: ignore[no-untyped-def]
 
 @compiled
 def _stopping(velocity, acceleration, time, duration):  # type: ignore[no-untyped-def]
-    """q(t) - q(S) and its first two derivatives."""
-    if time >= duration:
-        return 0.0, 0.0, 0.0
-    x = time / duration
-    y = 1.0 - x
-    ramp = acceleration * duration
-    # Integrals from x to 1, factored so that they vanish exactly at 1.
-    left = velocity * 0.5 * y * y * y * (1.0 + x) + ramp * y * y * y * (1.0 + 3.0 * x) / 12.0
-    rate = velocity * y * y * (1.0 + 2.0 * x) + ramp * x * y * y
-    change = (-6.0 * velocity * x * y + ramp * y * (1.0 - 3.0 * x)) / duration
-    return -left * duration, rate, change
+    """p(t) - p(inf) and its first two derivatives."""
+    pole = 4.0 / duration
+    decay = np.exp(-pole * time)
+    slope = (acceleration + pole * velocity) * decay
+    rate = velocity * decay + slope * time
+    return -(rate + slope / pole) / pole, rate, slope - pole * rate
 
 
 @compiled
@@ -212,9 +224,9 @@ def _source(states, state, leg, demand):  # type: ignore[no-untyped-def]
         return state.host[leg], 0.0, 0.0
     if code == State.RAISE:
         return 0.0, 0.0, 0.0
-    if code == State.HOLD:
-        return state.hold[leg], 0.0, 0.0
-    return -states.travel, 0.0, 0.0
+    if code == State.SETTLED or code == State.RETURN:
+        return -states.travel, 0.0, 0.0
+    return state.hold[leg], 0.0, 0.0
 
 
 @compiled
@@ -227,27 +239,62 @@ def _near(measured, target, tolerance):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _low(states, measured):  # type: ignore[no-untyped-def]
+    """Whether all legs lie where a return may end, or below."""
+    for leg in range(measured.shape[0]):
+        if not measured[leg] <= states.arrival_tolerance - states.travel:
+            return False
+    return True
+
+
+@compiled
+def _lies(states, state, measured, leg):  # type: ignore[no-untyped-def]
+    """Where off and fault keep the reference: settled while valves close and where legs are low."""
+    if state.valve[0] > 0.0 or _low(states, measured):
+        return -states.travel
+    if np.isnan(measured[leg]):
+        return state.hold[leg]
+    return min(max(measured[leg], -states.travel), states.travel)
+
+
+@compiled
+def _moved(states, state, measured):  # type: ignore[no-untyped-def]
+    """Whether a leg in off or fault no longer lies where the reference is kept."""
+    if state.code[0] == State.OFF or state.code[0] == State.FAULT:
+        for leg in range(measured.shape[0]):
+            apart = _lies(states, state, measured, leg) - state.hold[leg]
+            if abs(apart) > states.settled_tolerance:
+                return True
+    return False
+
+
+@compiled
 def _next(states, state, request, measured):  # type: ignore[no-untyped-def]
     """The state of the next frame."""
     code = state.code[0]
-    time, fade, stop = state.clock
-    done = time >= max(fade, stop)
-    late = time >= max(fade, stop) + states.arrival_timeout
+    done = state.clock[0] >= state.clock[1]
+    late = state.clock[0] >= state.clock[1] + states.arrival_timeout
     upwards = request == Request.RAISE or request == Request.ENGAGE
     downwards = request == Request.SETTLE or request == Request.OFF
-    settled = _near(measured, -states.travel, states.settled_tolerance)
+    read = _near(measured, 0.0, np.inf)
+    lies = done and read and state.valve[0] == 0.0 and not _moved(states, state, measured)
     if request == Request.TRIP:
         return State.FAULT.value
     if code == State.OFF:
-        if settled and (upwards or request == Request.SETTLE):
-            return State.SETTLED.value
+        if upwards or request == Request.SETTLE:
+            if _low(states, measured):
+                return State.SETTLED.value
+            if lies:
+                return State.RETURN.value
+            if not read:
+                return State.FAULT.value
     elif code == State.SETTLED:
         if request == Request.OFF:
             return State.OFF.value
         if upwards and state.valve[0] == 1.0:
             return State.RAISE.value
     elif code == State.FAULT:
-        if request == Request.RESET and done and settled and state.valve[0] == 0.0:
+        if request == Request.RESET and lies:
             return State.OFF.value
     elif downwards and code != State.RETURN:
         return State.RETURN.value
@@ -261,7 +308,7 @@ def _next(states, state, request, measured):  # type: ignore[no-untyped-def]
     elif code == State.RETURN:
         if upwards:
             return State.RAISE.value
-        if done and _near(measured, -states.travel, states.arrival_tolerance):
+        if done and _low(states, measured):
             return State.SETTLED.value
         if late:
             return State.FAULT.value
@@ -273,31 +320,30 @@ def _next(states, state, request, measured):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _enter(states, state, following, demand, reference):  # type: ignore[no-untyped-def]
+def _enter(states, state, following, demand, measured, reference):  # type: ignore[no-untyped-def]
     """Change the state and set up the fade from the reference (3, n)."""
-    legs = reference.shape[1]
+    legs, limit = reference.shape[1], states.acceleration
     state.code[0] = following
-    swift = 0.0
+    time = states.stop_time
     for leg in range(legs):
-        _, velocity, _ = _source(states, state, leg, demand)
-        swift = max(swift, abs(reference[1, leg] - velocity))
-    stop = max(states.stop_time, 1.5 * swift / states.acceleration)
-    far = 0.0
+        time = max(time, 4.0 / np.e * abs(reference[1, leg]) / limit)
+    far, swift = 0.0, 0.0
     for leg in range(legs):
+        left, _, _ = _stopping(reference[1, leg], reference[2, leg], 0.0, time)
+        state.stop[0, leg] = reference[0, leg] - left
+        state.stop[1, leg], state.stop[2, leg] = reference[1, leg], reference[2, leg]
         if following == State.HOLD:
-            left, _, _ = _stopping(reference[1, leg], reference[2, leg], 0.0, stop)
-            state.hold[leg] = min(max(reference[0, leg] - left, -states.travel), states.travel)
-        position, velocity, change = _source(states, state, leg, demand)
-        state.offset[1, leg] = reference[1, leg] - velocity
-        state.offset[2, leg] = reference[2, leg] - change
-        left, _, _ = _stopping(state.offset[1, leg], state.offset[2, leg], 0.0, stop)
-        # q(0) - q(S) is `left`, so that the difference in position is the sum of both parts.
-        state.offset[0, leg] = reference[0, leg] - position - left
-        far = max(far, abs(state.offset[0, leg]))
+            state.hold[leg] = min(max(state.stop[0, leg], -states.travel), states.travel)
+        elif following == State.OFF or following == State.FAULT:
+            state.hold[leg] = _lies(states, state, measured, leg)
+        position, velocity, _ = _source(states, state, leg, demand)
+        far = max(far, abs(state.stop[0, leg] - position))
+        swift = max(swift, 2.0 * _SPEED_PEAK * abs(velocity))
+    both = swift + np.sqrt(swift * swift + 4.0 * _ACCELERATION_PEAK * far * limit)
     fade = max(states.fade[following], _SPEED_PEAK * far / states.speed)
     state.clock[0] = 0.0
-    state.clock[1] = max(fade, np.sqrt(_ACCELERATION_PEAK * far / states.acceleration))
-    state.clock[2] = stop
+    state.clock[1] = max(fade, 0.5 * both / limit, time)
+    state.clock[2] = time
 
 
 @compiled
@@ -308,7 +354,7 @@ def _fade_valve(states, state):  # type: ignore[no-untyped-def]
     """
     code = state.code[0]
     phase = state.valve[0]
-    ended = state.clock[0] >= max(state.clock[1], state.clock[2])
+    ended = state.clock[0] >= state.clock[1]
     if code == State.OFF or (code == State.FAULT and ended):
         phase -= states.frame / states.valve_time
     elif code != State.FAULT:
@@ -329,21 +375,20 @@ def step(states, state, request, demand, measured, reference):  # type: ignore[n
     s, ds, dds = smooth(time / fade) if fade > 0.0 else (1.0, 0.0, 0.0)
     for leg in range(reference.shape[1]):
         position, velocity, change = _source(states, state, leg, demand)
-        if time < max(fade, stop):
-            far = state.offset[0, leg]
-            left, rate, bend = _stopping(state.offset[1, leg], state.offset[2, leg], time, stop)
-            position += far * (1.0 - s) + left
-            velocity += rate
-            change += bend
-            if fade > 0.0:
-                velocity -= far * ds / fade
-                change -= far * dds / (fade * fade)
+        if time < fade:
+            left, rate, bend = _stopping(state.stop[1, leg], state.stop[2, leg], time, stop)
+            apart = state.stop[0, leg] + left - position
+            parting = rate - velocity
+            position += (1.0 - s) * apart
+            velocity += (1.0 - s) * parting - ds / fade * apart
+            change += (1.0 - s) * (bend - change)
+            change -= 2.0 * ds / fade * parting + dds / (fade * fade) * apart
         reference[0, leg], reference[1, leg], reference[2, leg] = position, velocity, change
         if _finite(demand, leg):
             state.host[leg] = demand[0, leg]
     following = _next(states, state, request, measured)
-    if following != state.code[0]:
-        _enter(states, state, following, demand, reference)
+    if following != state.code[0] or _moved(states, state, measured):
+        _enter(states, state, following, demand, measured, reference)
     _fade_valve(states, state)
     state.clock[0] += states.frame
     return state.code[0]

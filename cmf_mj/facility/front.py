@@ -35,10 +35,10 @@ class Blocks(NamedTuple):
 
 
 PROGRESS = np.dtype(
-    [(name, np.int64) for name in ("arrival", "collected", "request", "state", "cleared")]
+    [(n, np.int64) for n in ("arrival", "collected", "request", "state", "cleared", "overdue")]
 )
 """Next arrival, arrivals collected, request in force, operating state, whether a fault has just
-been left."""
+been left, whether the states went to fault by themselves."""
 
 
 class Chain(NamedTuple):
@@ -137,6 +137,8 @@ def _follow(chain, frame, position, fault, tripped, reference):  # type: ignore[
     progress.state = states.step(blocks.states, chain.operating, request, legs, position, out)
     if before == State.FAULT.value and progress.state == State.OFF.value:
         progress.cleared = 1
+    failed = progress.state == State.FAULT.value != before
+    progress.overdue = int(failed and request != Request.TRIP.value)
     limiter.step(blocks.leg_limits, chain.leg_state, out)
     for leg in range(6):
         reference[leg] = out[0, leg]
@@ -213,4 +215,12 @@ def cleared(chain):  # type: ignore[no-untyped-def]
         reset = progress.cleared != 0
         progress.cleared = 0
         return reset
+    return False
+
+
+@inlined
+def overdue(chain):  # type: ignore[no-untyped-def]
+    """Whether the operating states have gone to fault by themselves, in the frame they do."""
+    if chain is not None:
+        return chain.progress[0].overdue != 0
     return False

@@ -19,11 +19,19 @@ from numpy.typing import NDArray
 
 from cmf_mj.control import dcl as control
 from cmf_mj.control.feedback import LegFeedback
-from cmf_mj.control.protection import FAULTS, NO_FAULT, Protection, ProtectionState, protect, reset
+from cmf_mj.control.protection import (
+    FAULTS,
+    NO_FAULT,
+    Protection,
+    ProtectionState,
+    not_arrived,
+    protect,
+    reset,
+)
 from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.electronics.chain import Electronics, deliver, measure, release, without_gravity
 from cmf_mj.electronics.sensors.suite import true_acceleration, true_velocity
-from cmf_mj.facility.front import Chain, cleared, follow, host_age, record_demand, watched
+from cmf_mj.facility.front import Chain, cleared, follow, host_age, overdue, record_demand, watched
 from cmf_mj.facility.layout import Columns
 from cmf_mj.facility.pace import Pace, begin, end
 from cmf_mj.plant.cylinder import CAP, ROD
@@ -41,7 +49,8 @@ _BEYOND_STOP = 0.05
 """Travel beyond the mechanical stroke at which a run is stopped [m]; the stops are elastic."""
 
 
-_UNTRUSTED = tuple(name not in ("none", "host_watchdog", "frame_watchdog") for name in FAULTS)
+_TRUSTED = ("none", "host_watchdog", "frame_watchdog", "not_arrived")
+_UNTRUSTED = tuple(name not in _TRUSTED for name in FAULTS)
 """Faults after which the control law cannot be trusted to bring the machine down."""
 
 
@@ -291,6 +300,8 @@ def run(machine, controller, memory, recorder, first, last):  # type: ignore[no-
                 measure(electronics, faults, frame, truth, compensated, feedback)
                 fault, tripped = guard.fault[0], progress.tripped != 0
                 gain = follow(chain, table, frame, feedback.position, fault, tripped, reference)
+                if overdue(chain):
+                    not_arrived(guard, frame)
                 if cleared(chain):
                     integral = dcl_state.error.integral
                     _reset(electronics, guard, progress, plant_faults, integral, feedback.position)
