@@ -80,7 +80,8 @@ def _ticks(plan: Plan, end: float) -> tuple[Array, Array, Array]:
         stalled = within & (sent % _STALLS < o.size)
         if o.kind == "burst":
             sent = np.where(stalled, sent - sent % _STALLS + o.size, sent)
-        goes &= ~(stalled if o.kind == "skip" else within if o.kind == "silent" else False)
+        if o.kind in ("skip", "silent"):
+            goes &= ~(stalled if o.kind == "skip" else within)
     return time, sent, goes
 
 
