@@ -9,6 +9,7 @@ the demand may be anywhere until the fault has been reset.
 from collections.abc import Callable, Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cmf_mj.control.states import State
 from cmf_mj.core.rates import RATE
@@ -51,7 +52,7 @@ BALANCE, TORN, OIL, GAP = 2e-3, 2e-2, 2e-6, 1e-4
 the oil; opening of a gimbal [m]."""
 
 
-def _sound(part: Part) -> Array:
+def _sound(part: Part) -> NDArray[np.bool_]:
     """Whether each frame is before any fault, or after one was reset, (N,)."""
     record, fault = part.operation.record, part.operation.record.metadata["fault"]
     sound = record["operating_state"] != State.FAULT
@@ -76,20 +77,19 @@ def _speed(run: Run) -> tuple[float, float]:
     return float(velocity * plan.speed * louder), float(acceleration * plan.speed**2 * louder)
 
 
-def hulls(frames: Array, poses: Array, count: int, second: int) -> tuple[Array, Array]:
+def hulls(frames: NDArray[np.int64], poses: Array, count: int, second: int) -> tuple[Array, Array]:
     """Least and largest pose of the second before the newest arrival, by frame, (count, 6)."""
     begin = np.searchsorted(frames, frames - second) - 1
     low, high = np.zeros((frames.size + 1, 6)), np.zeros((frames.size + 1, 6))
-    for newest in range(frames.size):
-        rows = poses[max(begin[newest], 0) : newest + 1]
-        start = np.zeros((int(begin[newest] < 0), 6))
-        rows = np.concatenate([start, rows])
-        low[newest + 1], high[newest + 1] = rows.min(axis=0), rows.max(axis=0)
+    for last in range(frames.size):
+        start = np.zeros((int(begin[last] < 0), 6))
+        rows = np.concatenate([start, poses[max(begin[last], 0) : last + 1]])
+        low[last + 1], high[last + 1] = rows.min(axis=0), rows.max(axis=0)
     newest = np.searchsorted(frames, np.arange(count), side="right")
     return low[newest], high[newest]
 
 
-def _own(part: Part) -> tuple[Array, Array]:
+def _own(part: Part) -> tuple[NDArray[np.int64], Array]:
     """Arrival frames and poses of what the host means, without what it cannot mean."""
     arrivals = part.operation.session.arrivals
     pose = arrivals.values[:, 0]
@@ -216,7 +216,7 @@ def follows(run: Run) -> str:
         for frame in np.flatnonzero(out):
             run_of[frame] = run_of[frame - 1] + 1.0
         if run_of.max() > count:
-            frame = int(run_of.argmax())
+            frame = run_of.argmax()
             at = part.first + record.time[frame]
             return (
                 f"{away[frame]:.4g} m from the reference at {at:.3f} s,"
@@ -267,7 +267,7 @@ def balance(run: Run) -> str:
 
 def _true(part: Part) -> Record:
     """The rows at which somebody looked at the true pressures, with these."""
-    record, rows = part.operation.record, part.frames.astype(int)
+    record, rows = part.operation.record, part.frames
     channels = {name: values[rows] for name, values in record.channels.items()}
     channels["cap_pressure"] = part.pressure[..., 0]
     channels["rod_pressure"] = part.pressure[..., 1]
@@ -282,8 +282,8 @@ def counts(run: Run) -> str:
         total += part.received
         if min(table.values()) < 0:
             return f"{table}"
-        parts = ("early", "lost", "thinned", "after_end", "accepted", "waiting")
-        known = sum(table[name] for name in (*parts, *part.operation.rejections))
+        names = ("early", "lost", "thinned", "after_end", "accepted", "waiting")
+        known = sum(table[name] for name in (*names, *part.operation.rejections))
         if known != table["received"]:
             return f"{known} of {table['received']} frames: {table}"
     if run.plan.door == "native" and total > run.sent:

@@ -61,7 +61,7 @@ def _within(oddity: Oddity, at: Array) -> NDArray[np.bool_]:
     return np.asarray((at >= oddity.at) & (at < oddity.at + oddity.length))
 
 
-def _ticks(plan: Plan, end: float) -> tuple[Array, Array, Array]:
+def _ticks(plan: Plan, end: float) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Host's own times of its frames, when each is sent, and which are sent at all."""
     own, real, now, at = [], [], 0.0, 0.0
     while at < end:

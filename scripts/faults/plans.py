@@ -93,7 +93,8 @@ class Plan:
     dof: str = "heave"  #: Degree of freedom that the host moves.
     amplitude: float = 0.01  #: Of its sine [m or rad].
     frequency: float = 0.5  #: In the host's own time [Hz].
-    rate: float = 80.0  #: Frames a second in the host's own time [Hz].
+    rate: float = 80.0
+    """Frames a second in the host's own time [Hz]; 20 to 120 in the machine's."""
     speed: float = 1.0  #: Seconds of the host in one of the machine's.
     derivatives: str = "exact"  #: One of `DERIVATIVES`.
     piece: int = 200  #: Most control frames run in one part.
@@ -144,7 +145,7 @@ def draw(seed: int, seconds: float) -> Plan:
         dof=dof,
         amplitude=amplitude if dof in DOFS[:3] else float(np.round(0.5 * amplitude, 5)),
         frequency=float(np.round(rng.uniform(0.2, 0.9) / max(speed, 1.0), 3)),
-        rate=float(np.round(rng.uniform(20.0, 120.0), 1)) if rng.random() < 0.7 else 80.0,
+        rate=float(np.round(rng.uniform(20.0, 120.0) / speed, 1)) if rng.random() < 0.7 else 80.0,
         speed=speed,
         derivatives=_chosen(rng, DERIVATIVES) if rng.random() < 0.4 else "exact",
         piece=int(rng.integers(5, 400)),
@@ -193,17 +194,19 @@ def simpler(plan: Plan) -> Iterator[Plan]:
     """Runs next to a plan that are simpler, the simplest steps first."""
     for name in ("oddities", "actions"):
         kept: tuple[Any, ...] = getattr(plan, name)
+        fewer = [kept[:index] + kept[index + 1 :] for index in range(len(kept))]
         if len(kept) > 1:
-            yield replace(plan, **{name: ()})
-            yield replace(plan, **{name: kept[: len(kept) // 2]})
-            yield replace(plan, **{name: kept[len(kept) // 2 :]})
-        for index in range(len(kept)):
-            yield replace(plan, **{name: kept[:index] + kept[index + 1 :]})
+            fewer = [(), kept[: len(kept) // 2], kept[len(kept) // 2 :], *fewer]
+        for rest in fewer:
+            yield (
+                replace(plan, oddities=rest) if name == "oddities" else replace(plan, actions=rest)
+            )
     plain = Plan()
     for each in fields(Plan):
         value, least = getattr(plan, each.name), getattr(plain, each.name)
         if each.name not in ("seconds", "oddities", "actions") and value != least:
-            yield replace(plan, **{each.name: least})
+            change: dict[str, Any] = {each.name: least}
+            yield replace(plan, **change)
     for share in (0.5, 0.75, 0.9):
         if plan.seconds > 0.5:
             yield replace(plan, seconds=float(np.round(share * plan.seconds, 2)))

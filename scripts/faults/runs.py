@@ -21,6 +21,7 @@ from unittest.mock import patch
 import numpy as np
 import pyarrow.parquet
 import tomlkit
+from numpy.typing import NDArray
 
 from cmf_mj import Hexapod
 from cmf_mj.cli.machine import new_command
@@ -37,7 +38,7 @@ from cmf_mj.pilot.telemetry import live
 from cmf_mj.plant.events import default_event
 from cmf_mj.record.record import Record
 from faults.hosts import HOST, Array, Line, MoogLine, datagrams
-from faults.plans import Plan
+from faults.plans import Action, Plan
 
 ELECTRONICS = {
     "": None,
@@ -51,7 +52,7 @@ class Part(NamedTuple):
 
     first: float  #: When it began [s].
     operation: Operation
-    frames: Array  #: Control frames at whose pressures somebody looked, (M,).
+    frames: NDArray[np.int64]  #: Control frames at whose pressures somebody looked, (M,).
     pressure: Array  #: True pressures there, (M, 6, 2) [Pa].
     received: int  #: Frames that the door put into its ring.
 
@@ -127,21 +128,21 @@ class _Door(NamedTuple):
 @contextmanager
 def _door(plan: Plan, line: Line, plant: Hexapod) -> Iterator[_Door]:
     """The production door of the plan's kind, with the line in place of its socket."""
-    opened = {"open_socket": lambda *_: line}
+    cab = plant.cab_parameters
     with ExitStack() as patches:
+        for module in (moog, live, udp):
+            patches.enter_context(patch.object(module, "open_socket", lambda *_: line))
         if plan.door == "moog":
-            patches.enter_context(patch.multiple(moog, **opened))
             base = patches.enter_context(moog.MoogServer(host_port=HOST[1]))
             yield _Door(base.ring, base.attend)
         elif plan.door == "telemetry":
-            patches.enter_context(patch.multiple(live, **opened))
-            washout = Washout("simona", station=plant.cab_parameters.station)
+            washout = Washout("simona", station=cab.station if cab else None)
             host = live._Host("csv", 0, HOST[0], washout)
             yield _Door(host.ring, host.attend)
         else:
             idle = SimpleNamespace(start=lambda: None, join=lambda: None)
             threads = SimpleNamespace(Thread=lambda **_: idle, Event=threading.Event)
-            patches.enter_context(patch.multiple(udp, threading=threads, **opened))
+            patches.enter_context(patch.object(udp, "threading", threads))
             receiver = patches.enter_context(udp.UdpReceiver(host_port=HOST[1]))
 
             def attend(session: Session) -> int:
@@ -162,7 +163,7 @@ class _Attendant:
         self._plan, self._line, self._door, self._first, self._due = plan, line, door, first, 0
         self._todo = [a for a in plan.actions if a.at >= first and self._by_hand(a)]
 
-    def _by_hand(self, action: Any) -> bool:
+    def _by_hand(self, action: Action) -> bool:
         parks = self._plan.door == "moog" and action.kind == "request" and action.what == "off"
         return action.kind == "law" or parks
 
