@@ -150,7 +150,7 @@ def draw(seed: int, seconds: float) -> Plan:
         derivatives=_chosen(rng, DERIVATIVES) if rng.random() < 0.4 else "exact",
         piece=int(rng.integers(5, 400)),
         disk=_chosen(rng, ("", "", "", "full", "kill")),
-        way_out=12.0 if rng.random() < 0.1 else 0.0,
+        way_out=25.0 if rng.random() < 0.1 else 0.0,
         oddities=oddities,
         actions=tuple(sorted(_actions(rng, seconds))),
         seed=seed,
