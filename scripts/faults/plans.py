@@ -85,7 +85,7 @@ class Plan:
     seconds: float = 4.0  #: Length [s].
     machine: str = "cmf/gfd"  #: One of `MACHINES`.
     control_rate: int = 2048  #: Of a `new` machine [Hz].
-    law: str = "velocity"  #: At the start.
+    law: str = ""  #: At the start; empty for the machine's.
     hydraulics: str = ""  #: A set of the CMF; empty for the machine's.
     electronics: str = ""  #: `ideal`, `noisy`, or empty for none.
     door: str = "native"  #: One of `DOORS`.
@@ -137,7 +137,7 @@ def draw(seed: int, seconds: float) -> Plan:
         seconds=seconds,
         machine=machine,
         control_rate=int(rng.choice((1000, 2048))) if machine == "new" else 2048,
-        law=_chosen(rng, law_names("all")) if rng.random() < 0.5 else "velocity",
+        law=_chosen(rng, law_names("all")) if rng.random() < 0.4 else "",
         hydraulics=hydraulics,
         electronics=_chosen(rng, ("", "ideal", "noisy")),
         door=door,

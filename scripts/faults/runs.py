@@ -36,6 +36,7 @@ from cmf_mj.facility.session import Session
 from cmf_mj.pilot.cueing.washout import Washout
 from cmf_mj.pilot.telemetry import live
 from cmf_mj.plant.events import default_event
+from cmf_mj.plant.parameters.loading import fitting
 from cmf_mj.record.record import Record
 from faults.hosts import HOST, Array, Line, MoogLine, datagrams
 from faults.plans import Action, Plan
@@ -109,14 +110,13 @@ def _plant(machine: str, hydraulics: str, rate: int) -> Hexapod:
     return Hexapod(cab or None, hydraulics or None, machine=source)
 
 
-@lru_cache
-def _states() -> StateSettings:
-    """Fades of a second, so that a short run sees many of them."""
-    table = load_state_settings().model_dump()
+def _states(plant: Hexapod) -> StateSettings:
+    """The machine's, with fades of a second at least, so that a short run sees many of them."""
+    table = load_state_settings(None, fitting(plant.machine)).model_dump()
     for name in ("raise", "engage", "hold", "return", "fault"):
         table[f"{name}_time"] |= {"value": 1.0, "unit": "s"}
-    table["speed"] |= {"value": 40.0, "unit": "in/s"}
-    table["acceleration"] |= {"value": 1.0, "unit": "g"}
+    for name in ("speed", "acceleration"):
+        table[name]["value"] *= 4.0
     return StateSettings.model_validate(table)
 
 
@@ -220,7 +220,7 @@ def _part(plan: Plan, plant: Hexapod, line: Line, first: float, last: float) -> 
         attendant = _Attendant(plan, line, door, first)
         operation = serve(
             plant,
-            plan.law,
+            plan.law or plant.machine.law,
             door.ring,
             last - first,
             attend=attendant.attend,
@@ -228,7 +228,7 @@ def _part(plan: Plan, plant: Hexapod, line: Line, first: float, last: float) -> 
             begin=State[plan.begin.upper()],
             requests=requests,
             events=events,
-            facility=FacilitySettings(states=_states(), electronics=electronics),
+            facility=FacilitySettings(states=_states(plant), electronics=electronics),
             record_every=1,
         )
         received = int(door.ring.written[0])
