@@ -306,10 +306,10 @@ def way_out(run: Run) -> str:
     broken = any(a.kind == "event" for a in run.plan.actions)
     if not run.plan.way_out or run.stopped or broken:
         return ""
-    fault = run.parts[-1].operation.record.metadata["fault"]
-    if run.end in (State.ENGAGED, State.FAULT) and (run.end == State.ENGAGED or fault):
+    record, since = run.parts[-1].operation.record, run.plan.seconds - run.parts[-1].first
+    fault = record.metadata["fault"]
+    if run.end == State.ENGAGED or (fault is not None and fault["time"] >= since):
         return ""
-    record = run.parts[-1].operation.record
     low = float(record["leg_extension"][-1].max() + run.plant.machine.working_stroke)
     return (
         f"{run.end.name.lower()} after {run.plan.way_out:g} s of the operator's requests, "

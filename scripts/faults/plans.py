@@ -14,6 +14,10 @@ from cmf_mj.plant.events import KINDS
 MACHINES = ("cmf/gfd", "cmf/rfd", "cmf/ifd", "simona", "lab", "new")
 """Machine and cab; `new` is a file that `cmf machine new` writes."""
 
+FOREIGN = ("original", "velocity")
+"""Laws of the CMF that run on other machines: the rest are tuned to its mass and oil, and some
+of them burst a lighter machine's chamber before a fault can be detected."""
+
 DOORS = ("native", "moog", "telemetry")
 """How the host reaches the machine."""
 
@@ -127,6 +131,8 @@ def draw(seed: int, seconds: float) -> Plan:
     rng = np.random.default_rng([37, seed])
     machine, door = _chosen(rng, MACHINES), _chosen(rng, DOORS)
     speed = float(np.round(2.0 ** rng.uniform(-1.0, 1.0), 3)) if rng.random() < 0.5 else 1.0
+    rate = float(rng.uniform(20.0, 120.0)) if rng.random() < 0.7 else 80.0
+    laws = law_names("all") if machine[:3] == "cmf" else FOREIGN
     dof = _chosen(rng, DOFS)
     amplitude = float(np.round(10.0 ** rng.uniform(-3.0, -1.6), 5))
     oddities = tuple(
@@ -137,7 +143,7 @@ def draw(seed: int, seconds: float) -> Plan:
         seconds=seconds,
         machine=machine,
         control_rate=int(rng.choice((1000, 2048))) if machine == "new" else 2048,
-        law=_chosen(rng, law_names("all")) if rng.random() < 0.4 else "",
+        law=_chosen(rng, laws) if rng.random() < 0.4 else "",
         hydraulics=hydraulics,
         electronics=_chosen(rng, ("", "ideal", "noisy")),
         door=door,
@@ -145,14 +151,14 @@ def draw(seed: int, seconds: float) -> Plan:
         dof=dof,
         amplitude=amplitude if dof in DOFS[:3] else float(np.round(0.5 * amplitude, 5)),
         frequency=float(np.round(rng.uniform(0.2, 0.9) / max(speed, 1.0), 3)),
-        rate=float(np.round(rng.uniform(20.0, 120.0) / speed, 1)) if rng.random() < 0.7 else 80.0,
+        rate=float(np.round(rate / speed, 1)),
         speed=speed,
         derivatives=_chosen(rng, DERIVATIVES) if rng.random() < 0.4 else "exact",
         piece=int(rng.integers(5, 400)),
         disk=_chosen(rng, ("", "", "", "full", "kill")),
         way_out=25.0 if rng.random() < 0.1 else 0.0,
         oddities=oddities,
-        actions=tuple(sorted(_actions(rng, seconds))),
+        actions=tuple(sorted(_actions(rng, seconds, laws))),
         seed=seed,
     )
 
@@ -166,7 +172,7 @@ def _oddity(rng: np.random.Generator, seconds: float) -> Oddity:
     return Oddity(kind, at, length, float(np.round(rng.uniform(*_SIZES[kind]), 4)))
 
 
-def _actions(rng: np.random.Generator, seconds: float) -> Iterator[Action]:
+def _actions(rng: np.random.Generator, seconds: float, laws: tuple[str, ...]) -> Iterator[Action]:
     """One run in three has nothing but its host, so that oddities show what they do."""
     if rng.random() < 0.35:
         return
@@ -183,7 +189,7 @@ def _actions(rng: np.random.Generator, seconds: float) -> Iterator[Action]:
         for number, at in enumerate(times.tolist()):
             yield Action(round(at, 3), "request", ("hold", "engage")[number % 2])
     for _ in range(int(rng.choice(3, p=(0.6, 0.25, 0.15)))):
-        yield Action(when(), "law", _chosen(rng, law_names("all")))
+        yield Action(when(), "law", _chosen(rng, laws))
     if rng.random() < 0.25:
         yield Action(when(), "event", _chosen(rng, KINDS), int(rng.integers(1, 7)))
     if rng.random() < 0.15:
