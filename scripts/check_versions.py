@@ -3,8 +3,9 @@
     python scripts/check_versions.py lowest newest --pythons 3.11 3.12 3.13
 
 Each pair of versions and Python gets a virtual environment of its own below `--folder`. The lowest
-are those that pyproject.toml names, of the package and its extras; what these need in turn, and the
-tools of the tests, are as new as pip finds. A failure ends with status 1, one of `pre` is told only.
+are those that pyproject.toml names, of the package and its extras; what these need in turn, and
+the tools of the tests, are as new as pip finds. A failure ends with status 1; one of `pre` is told
+only.
 """
 
 import argparse
@@ -44,11 +45,11 @@ def install(python: str, kind: str, folder: Path) -> Path:
     inside = here / "bin" / "python"
     pins = lowest((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     (here / "pins.txt").write_text("\n".join(pins) + "\n", encoding="utf-8")
-    pip = [inside, "-m", "pip", "install", "--quiet"]
+    pip = [str(inside), "-m", "pip", "install", "--quiet"]
     subprocess.run([*pip, "--upgrade", "pip"], check=True)
-    of_kind = {"lowest": ["--constraint", here / "pins.txt"], "newest": ["--upgrade"], "pre": []}
+    limits = ["--constraint", str(here / "pins.txt")] if kind == "lowest" else []
     package = f"{ROOT}[{','.join(EXTRAS)}]"
-    subprocess.run([*pip, *of_kind[kind], package], check=True)
+    subprocess.run([*pip, *limits, package], check=True)
     subprocess.run([*pip, *TOOLS], check=True)
     if kind == "pre":
         subprocess.run([*pip, "--pre", "--upgrade", *BY_NAME], check=True)
@@ -62,7 +63,7 @@ def tested(python: Path, tests: list[str], workers: str) -> bool:
     """
     cache = str(python.parents[1] / "compiled")
     environment = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": cache}
-    command = [python, "-m", "pytest", "-n", workers, "-o", "filterwarnings=default"]
+    command = [str(python), "-m", "pytest", "-n", workers, "-o", "filterwarnings=default"]
     command += ["-m", "not slow", *tests]
     return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode == 0
 
