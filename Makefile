@@ -3,6 +3,7 @@
 #   make test      set up and check what guards a change, within ten minutes
 #   make test-all  that, and what is slow by nature: browser, films, whole studies, long searches
 #   make search    the searches ten times longer: hours
+#   make test-versions  the tests with the lowest and the newest versions allowed, and pre-releases
 #   make site      the documentation as a site in build/site
 #   make paper     two pages to cite: build/paper/paper.pdf (needs chromium)
 #   make video     set up and film the machine in motion: out/video.mp4
@@ -17,7 +18,7 @@ BIN := $(VENV)/bin
 WORKERS ?= auto
 PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --durations 40 --durations-min 1
 
-.PHONY: compare laws report video studio test test-all lint types imports links tests slow search site paper constraints clean
+.PHONY: compare laws report video studio test test-all test-versions lint types imports links tests slow search site paper constraints clean
 
 compare: $(VENV)/ready
 	$(BIN)/cmf compare
@@ -80,6 +81,13 @@ SPHINX = rm -rf docs/reference/api docs/gallery build/$@ && $(BIN)/sphinx-build 
 
 search: $(VENV)/ready-dev
 	$(PYTEST) --dist worksteal -m fuzz --hypothesis-profile whole tests
+	$(BIN)/python scripts/simulate_faults.py --seed 1000 --minutes 10
+
+PYTHONS ?= 3.11 3.12 3.13
+
+# Environments of their own in build/versions; `pre` only tells.
+test-versions:
+	$(PYTHON) scripts/check_versions.py lowest newest pre --pythons $(PYTHONS)
 
 links: $(VENV)/ready-dev
 	$(SPHINX) --builder dummy -D plot_gallery=0 docs build/links

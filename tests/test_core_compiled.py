@@ -15,7 +15,8 @@ from numba.core.runtime._nrt_python import memsys_disable_stats, memsys_enable_s
 
 import cmf_mj
 from cmf_mj import SingleLegs, load_law, signals, simulate
-from cmf_mj.core.compiled import InTree, kernel_sources
+from cmf_mj.core.compiled import kernel_sources
+from cmf_mj.core.numba_inside import InTree
 from cmf_mj.facility.options import Options
 from cmf_mj.facility.session import Session, Table
 from cmf_mj.machine import kinematics
@@ -124,6 +125,33 @@ def test_the_interpreted_program_gives_the_same_record(tmp_path: Path, name: str
                 interpreted[channel], values, rtol=0, atol=share * size, err_msg=channel
             )
     assert np.abs(compiled["valve_command"]).max() > 0.1
+
+
+PLAIN = """
+import sys
+import numba, numba.core.caching
+del numba.core.caching.UserWideCacheLocator
+import numpy as np
+from cmf_mj import SingleLegs, signals, simulate
+from cmf_mj.core import compiled
+
+assert compiled.inside is None and "plain-" in numba.config.CACHE_DIR
+command = signals.step("heave", -0.0254, at=0.02, duration=200 / 2048)
+np.savez(sys.argv[2], **simulate(SingleLegs(), sys.argv[1], command).channels)
+"""
+
+
+@pytest.mark.slow
+def test_a_numba_without_its_inside_gives_the_same_bits(tmp_path: Path) -> None:
+    """200 frames compiled by `numba.njit` alone, as of a Numba that has lost one of the names."""
+    target = tmp_path / "plain.npz"
+    subprocess.run([sys.executable, "-c", PLAIN, "combined_rate", str(target)], check=True)
+    command = signals.step("heave", -0.0254, at=0.02, duration=200 / 2048)
+    expected = simulate(SingleLegs(), "combined_rate", command)
+    with np.load(target) as plain:
+        assert set(plain) == set(expected.channels)
+        for channel, values in expected.channels.items():
+            assert plain[channel].tobytes() == values.tobytes(), channel
 
 
 def calls(function: Dispatcher) -> set[Dispatcher]:
