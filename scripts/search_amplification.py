@@ -62,7 +62,7 @@ def host_of(genes: Array) -> Host:
         derivatives=DERIVATIVES[int(genes[5] * (len(DERIVATIVES) - 1e-9))],
         error=float(genes[7]),
         pattern=tuple((0.24 * delays[:length] ** 3).tolist()),
-        speeds=tuple((0.5 * 4.0 ** speeds).tolist()),
+        speeds=tuple((0.5 * 4.0**speeds).tolist()),
         lasting=float(0.25 * 12.0 ** genes[8]),
     )
 
@@ -149,7 +149,9 @@ SEARCHES = (
 PARENTS = 12
 
 
-def evolve(search: Search, seed: int, trials: int, until: float = np.inf) -> tuple[float, Host, int]:
+def evolve(
+    search: Search, seed: int, trials: int, until: float = np.inf
+) -> tuple[float, Host, int]:
     """Largest gain, its host, and trials made, of at most some, until a time of the clock [s]."""
     random = np.random.default_rng(seed)
     pool: list[tuple[float, Array]] = []
