@@ -11,9 +11,10 @@
 
 A condition that holds for `persistence` frames of 1/2048 s in a row is a fault; NaN holds. Of
 several in one frame the first in `FAULTS`, then the lowest leg, is taken; it stays until `reset`,
-but a watchdog's gives way to a fault of the machine, which asks for more. So does `not_arrived`,
-which the operating states raise: a raise or return that has not come to its end in time, or a leg
-without reading.
+but a watchdog's gives way to a fault of the machine, which asks for more. So do two that come from
+elsewhere: `not_arrived` from the operating states, a raise or return that has not come to its end
+in time or a leg without reading, and `host_range` from the DCU, a demand that has left the range
+of its host.
 
 Six legs give six degrees of freedom: their positions cannot check one another. So each position
 sensor is checked against the integral of its own velocity sensor, washed out at the rate r: a jump
@@ -48,10 +49,12 @@ _UNITS = {
 }
 CHECKS = tuple(_UNITS)
 """Names of the conditions."""
-FAULTS = ("none", *CHECKS, "not_arrived")
+FAULTS = ("none", *CHECKS, "not_arrived", "host_range")
 """Names of the faults; a code is the place in this tuple."""
 
-_TRACKING, _DISAGREE, _OVER, _UNDER, _SPEED, _ACCELERATION, _HOST, _FRAME, _ARRIVAL = range(1, 10)
+_TRACKING, _DISAGREE, _OVER, _UNDER, _SPEED, _ACCELERATION, _HOST, _FRAME = range(1, 9)
+NOT_ARRIVED, HOST_RANGE = 9, 10
+"""Codes of the faults that operating states and DCU find."""
 _MACHINE = -1
 """Leg of a fault that belongs to no leg."""
 
@@ -163,10 +166,10 @@ def reset(state, position):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def not_arrived(state, frame):  # type: ignore[no-untyped-def]
-    """Latch that the operating states wait in vain, unless something else is latched."""
-    if state.fault[0] == NO_FAULT:
-        state.fault[0], state.fault[1], state.fault[2] = _ARRIVAL, _MACHINE, frame
+def latch(state, code, frame):  # type: ignore[no-untyped-def]
+    """Latch a fault that was found elsewhere, unless there is none or another is latched."""
+    if code != NO_FAULT and state.fault[0] == NO_FAULT:
+        state.fault[0], state.fault[1], state.fault[2] = code, _MACHINE, frame
 
 
 @compiled

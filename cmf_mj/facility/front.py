@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from cmf_mj.control import demand, limiter, states
 from cmf_mj.control.dcu import play
 from cmf_mj.control.dcu.acceptance import host_late
+from cmf_mj.control.dcu.play import strayed
 from cmf_mj.control.dcu.arrivals import Arrivals, feed
 from cmf_mj.control.dcu.settings import Dcu, make_dcu
 from cmf_mj.control.dcu.state import DcuState, resting
-from cmf_mj.control.protection import NO_FAULT
+from cmf_mj.control.protection import HOST_RANGE, NO_FAULT, NOT_ARRIVED
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.facility.host.handover import Ring, collect, make_log, make_ring
@@ -35,10 +36,10 @@ class Blocks(NamedTuple):
 
 
 PROGRESS = np.dtype(
-    [(n, np.int64) for n in ("arrival", "collected", "request", "state", "cleared", "overdue")]
+    [(n, np.int64) for n in ("arrival", "collected", "request", "state", "cleared", "found")]
 )
 """Next arrival, arrivals collected, request in force, operating state, whether a fault has just
-been left, whether the states went to fault by themselves."""
+been left, the code of a fault that was found here."""
 
 
 class Chain(NamedTuple):
@@ -138,7 +139,9 @@ def _follow(chain, frame, position, fault, tripped, reference):  # type: ignore[
     if before == State.FAULT.value and progress.state == State.OFF.value:
         progress.cleared = 1
     failed = progress.state == State.FAULT.value != before
-    progress.overdue = int(failed and request != Request.TRIP.value)
+    progress.found = NOT_ARRIVED if failed and request != Request.TRIP.value else NO_FAULT
+    if progress.state == State.ENGAGED.value and strayed(chain.dcu_state):
+        progress.found = HOST_RANGE
     limiter.step(blocks.leg_limits, chain.leg_state, out)
     for leg in range(6):
         reference[leg] = out[0, leg]
@@ -219,8 +222,8 @@ def cleared(chain):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def overdue(chain):  # type: ignore[no-untyped-def]
-    """Whether the operating states have gone to fault by themselves, in the frame they do."""
+def found(chain):  # type: ignore[no-untyped-def]
+    """Code of a fault that operating states or DCU have found in this frame, 0 for none."""
     if chain is not None:
-        return chain.progress[0].overdue != 0
-    return False
+        return chain.progress[0].found
+    return NO_FAULT

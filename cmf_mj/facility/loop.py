@@ -24,14 +24,14 @@ from cmf_mj.control.protection import (
     NO_FAULT,
     Protection,
     ProtectionState,
-    not_arrived,
+    latch,
     protect,
     reset,
 )
 from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.electronics.chain import Electronics, deliver, measure, release, without_gravity
 from cmf_mj.electronics.sensors.suite import true_acceleration, true_velocity
-from cmf_mj.facility.front import Chain, cleared, follow, host_age, overdue, record_demand, watched
+from cmf_mj.facility.front import Chain, cleared, follow, found, host_age, record_demand, watched
 from cmf_mj.facility.layout import Columns
 from cmf_mj.facility.pace import Pace, begin, end
 from cmf_mj.plant.cylinder import CAP, ROD
@@ -49,7 +49,7 @@ _BEYOND_STOP = 0.05
 """Travel beyond the mechanical stroke at which a run is stopped [m]; the stops are elastic."""
 
 
-_TRUSTED = ("none", "host_watchdog", "frame_watchdog", "not_arrived")
+_TRUSTED = ("none", "host_watchdog", "frame_watchdog", "not_arrived", "host_range")
 _UNTRUSTED = tuple(name not in _TRUSTED for name in FAULTS)
 """Faults after which the control law cannot be trusted to bring the machine down."""
 
@@ -300,8 +300,7 @@ def run(machine, controller, memory, recorder, first, last):  # type: ignore[no-
                 measure(electronics, faults, frame, truth, compensated, feedback)
                 fault, tripped = guard.fault[0], progress.tripped != 0
                 gain = follow(chain, table, frame, feedback.position, fault, tripped, reference)
-                if overdue(chain):
-                    not_arrived(guard, frame)
+                latch(guard, found(chain), frame)
                 if cleared(chain):
                     integral = dcl_state.error.integral
                     _reset(electronics, guard, progress, plant_faults, integral, feedback.position)

@@ -32,6 +32,9 @@ RANGE_SHARE, RANGE_FLOOR = 0.1, 1e-3
 """How far beyond the host's range the demand may be, besides the way to stop: share of the range,
 and [m, rad]."""
 
+_STRAYED = 20
+"""Control frames beyond the host's range that are no fault yet."""
+
 CLOCK_DRIFT = 5e-3
 """Drift of clocks that is not worth remembering."""
 
@@ -52,7 +55,7 @@ def step(dcu, state, demand):  # type: ignore[no-untyped-def]
         _rejoin(dcu, state)
     if clocks.smoothing != clocks.poses:
         _change_base(dcu, state)
-    clocks.beyond = _beyond(dcu, state)
+    clocks.beyond = clocks.beyond + 1 if _beyond(dcu, state) else 0
     slot = clocks.slot
     hold_within(dcu, state.motion, state.line[slot])
     clocks.slot = (slot + 1) % (dcu.line + 1)
@@ -66,6 +69,12 @@ def _open_gap(state):  # type: ignore[no-untyped-def]
     for row in range(3):
         for i in range(DOFS):
             state.gap[row, i] = state.motion[row, i] - state.base[row, i]
+
+
+@compiled
+def strayed(state):  # type: ignore[no-untyped-def]
+    """Whether the demand has left the host's range for long enough to be a fault."""
+    return state.clocks[0].beyond > _STRAYED
 
 
 @compiled
@@ -106,8 +115,8 @@ def _beyond(dcu, state):  # type: ignore[no-untyped-def]
         stop = max(state.range[0, 2, i], state.range[1, 2, i])
         wide = RANGE_SHARE * (most - least) + stop + RANGE_FLOOR
         if not least - wide <= pose <= most + wide:
-            return 1
-    return 0
+            return True
+    return False
 
 
 @compiled

@@ -79,7 +79,7 @@ class Clocks(NamedTuple):
     judged: int = 0  #: Moving frames whose derivatives were compared with the poses, at most 40.
     poses: int = 0  #: 1 while derivatives are left aside.
     smoothing: int = 0  #: 1 while the demand is that of the filter of poses.
-    beyond: int = 0  #: 1 while the demand is beyond the host's range.
+    beyond: int = 0  #: Control frames for which the demand has been beyond the host's range.
     slot: int = 0  #: Place in the transport line.
 
 
