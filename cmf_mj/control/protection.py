@@ -167,7 +167,7 @@ def reset(state, position):  # type: ignore[no-untyped-def]
 
 @compiled
 def latch(state, code, frame):  # type: ignore[no-untyped-def]
-    """Latch a fault that was found elsewhere, unless there is none or another is latched."""
+    """Latch a fault that was found elsewhere, if there is one and no other is latched."""
     if code != NO_FAULT and state.fault[0] == NO_FAULT:
         state.fault[0], state.fault[1], state.fault[2] = code, _MACHINE, frame
 
