@@ -11,7 +11,8 @@ Legs or modes, all is done in the coordinates of the law that begins, V_2:
                      the other not. Where one law follows a model or plan and the other the demand,
                      they are set as if the target had always moved as the leg does now.
     load feedback    is taken over, or starts with the present force as its low-passed one
-    reference model  is taken over, or starts at the leg's velocity where its output is w
+    reference model  is taken over by one of the same motion, or starts at the leg's velocity where
+                     its output is w
     plan             is taken over, or starts at the leg's position and velocity; its reference then
                      moves until it asks for w. It goes to the demand from there
                      as from any jump, within its bounds on rate and acceleration.
@@ -42,6 +43,7 @@ from cmf_mj.control.inverse import follow
 from cmf_mj.control.law import SIGNALS
 from cmf_mj.control.load_feedback import load
 from cmf_mj.control.plan import correct
+from cmf_mj.control.reference_model import CompiledModel
 
 _REFERENCE, _POSITION = SIGNALS.index("reference"), SIGNALS.index("position")
 _INTEGRAL = SIGNALS.index("error_integral")
@@ -157,7 +159,7 @@ def handed_over(
         return after.shape @ (command - _output(after, begun, reference, seen))
 
     _begin(before, begun, after, (now, moved), seen)
-    if after.model.active and before.model[:8] != after.model[:8]:
+    if _starts_model(before, after):
         _move(begun.model.position, missing)
     if after.planned:
         for _ in range(
@@ -203,7 +205,7 @@ def _begin(
         after.plan.inverse.legs[0] = shape.T @ plan.position
         for _ in range(_CHORDS):
             follow(after.plan.inverse, plan.pose)
-    if after.model.active and before.model[:8] != after.model[:8]:
+    if _starts_model(before, after):
         model.position[:], model.velocity[:] = modes.position, modes.velocity
         starts = True
     if starts:
@@ -221,6 +223,12 @@ def _begin(
 def _follows(dcl: Dcl) -> bool:
     """Whether a law follows a model or a plan."""
     return dcl.planned or dcl.model.active
+
+
+def _starts_model(before: Dcl, after: Dcl) -> bool:
+    """Whether a law follows a model that moves in another way than that of the law before."""
+    motion = CompiledModel._fields.index("position_gain")
+    return after.model.active and before.model[:motion] != after.model[:motion]
 
 
 def _turn(state: DclState, turn: NDArray[np.float64]) -> None:
