@@ -149,6 +149,13 @@ def acceleration_gain(host: Host, seed: int) -> float:
     return float(np.abs(late).max() / (AMPLITUDE * turn * turn))
 
 
+def jitter_gain(host: Host, seed: int) -> float:
+    """Largest acceleration over that of the same frames, errors and all, on time."""
+    return acceleration_gain(host, seed) / max(
+        acceleration_gain(host._replace(jitter=0.0), seed), 1.0
+    )
+
+
 @allocating
 def _advance(chain, out):  # type: ignore[no-untyped-def]
     """Legs that follow at once."""
@@ -182,7 +189,7 @@ class Search(NamedTuple):
 
 SEARCHES = (
     Search("position", host_of, position_gain),
-    Search("acceleration, ordinary jitter", ordinary_of, acceleration_gain),
+    Search("acceleration, ordinary jitter", ordinary_of, jitter_gain),
     Search("leg reference, hold and engage", requested_of, leg_gain),
 )
 
