@@ -4,7 +4,7 @@
 
 Each pair of versions and Python gets a virtual environment of its own below `--folder`. The lowest
 are those that pyproject.toml names, of the package and its extras; what these need in turn, and
-the tools of the tests, are as new as pip finds. A failure ends with status 1; one of `pre` is told
+the tools of the tests, are as new as goes with them. A failure ends with status 1; one of `pre` is told
 only.
 """
 
@@ -22,7 +22,7 @@ EXTRAS = ("report", "cluster", "search", "video", "studio", "flight", "rl")
 """Extras that the tests of the package import."""
 
 TOOLS = ("pytest", "pytest-xdist", "hypothesis", "sybil", "nfoursid", "fmpy", "hatchling")
-"""What runs the tests, as new as it is."""
+"""What runs the tests, as new as goes with the rest."""
 
 BY_NAME = ("mujoco", "numba")
 """Packages whose pre-releases are tried, by `pre`."""
@@ -49,8 +49,7 @@ def install(python: str, kind: str, folder: Path) -> Path:
     subprocess.run([*pip, "--upgrade", "pip"], check=True)
     limits = ["--constraint", str(here / "pins.txt")] if kind == "lowest" else []
     package = f"{ROOT}[{','.join(EXTRAS)}]"
-    subprocess.run([*pip, *limits, package], check=True)
-    subprocess.run([*pip, *TOOLS], check=True)
+    subprocess.run([*pip, *limits, package, *TOOLS], check=True)
     if kind == "pre":
         subprocess.run([*pip, "--pre", "--upgrade", *BY_NAME], check=True)
     return inside
