@@ -4,8 +4,8 @@
 
 Each pair of versions and Python gets a virtual environment of its own below `--folder`. The lowest
 are those that pyproject.toml names, of the package and its extras; what these need in turn, and
-the tools of the tests, are as new as goes with them. A failure ends with status 1; one of `pre` is told
-only.
+the tools of the tests, are as new as goes with them. A failure ends with status 1; one of `pre` is
+told only.
 """
 
 import argparse
