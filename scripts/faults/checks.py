@@ -19,7 +19,7 @@ from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.plant.oil import ATMOSPHERE
 from cmf_mj.plant.power_balance import power_balance
 from cmf_mj.record.record import Record
-from faults.hosts import WILD, Array, derivatives, told
+from faults.hosts import WILD, Array, derivatives, says
 from faults.plans import JUMPS, Plan
 from faults.runs import Part, Run
 
@@ -169,7 +169,7 @@ def _wrong(plan: Plan) -> float:
     if plan.door != "native" or plan.derivatives == "zero":
         return 0.0
     own = np.arange(0.0, plan.seconds * plan.speed, 1e-3)
-    said = told(plan, own)[:, 1]
+    said = says(plan, own)[:, 1]
     return float(np.abs(said - derivatives(plan, own)[0]).max()) * plan.speed
 
 

@@ -89,7 +89,7 @@ def datagrams(plan: Plan, end: float) -> list[Sent]:
     """Everything that comes to the machine's port until the end [s], in order of arrival."""
     time, sent, goes = _ticks(plan, end)
     arrives = sent + 1e-4
-    values = told(plan, time)
+    values = says(plan, time)
     stamps, numbers = time.copy(), np.arange(time.size)
     draws = {kind: np.random.default_rng([plan.seed, n]) for n, kind in enumerate(ODDITIES)}
     extra: list[Sent] = []
@@ -141,7 +141,7 @@ def _others(
             for k, t in enumerate(at)
         ]
     at = np.arange(oddity.at, oddity.at + oddity.length, 1.0 / plan.rate)
-    values = told(plan, at + 100.0)
+    values = says(plan, at + 100.0)
     values *= oddity.size
     port = HOST[1] + (int(rng.integers(2)) if plan.door == "native" else 0)
     return [
@@ -150,7 +150,7 @@ def _others(
     ]
 
 
-def told(plan: Plan, time: Array) -> Array:
+def says(plan: Plan, time: Array) -> Array:
     """Pose, velocity and acceleration as the host says them, (N, 3, 6)."""
     velocity, acceleration = derivatives(plan, time)
     rng = np.random.default_rng([plan.seed, 99])
