@@ -49,7 +49,7 @@ for law in {LAWS}:
         command = cmf_mj.signals.multisine(dof, 0.005, period=4.0, periods=2)
         machine = cmf_mj.SingleLegs() if plant == "single_legs" else cmf_mj.Hexapod()
         response = cmf_mj.frequency_response(cmf_mj.simulate(machine, law, command), dof)
-        points = zip(response.frequency_hz, response.gain_db, response.phase_deg)
+        points = zip(response.frequency, response.gain_db, response.phase_deg)
         rows += [(f"{{plant}}, {{dof}}", law, *map(float, point)) for point in points]
 with open("OUT/responses.csv", "w", newline="") as file:
     csv.writer(file).writerows(rows)
@@ -98,9 +98,10 @@ def differences(case: str, base: Path, head: Path) -> Iterator[Difference]:
         one, two = before.get(channel, nothing), after.get(channel, nothing)
         share = np.inf
         if one[1].shape == two[1].shape and np.array_equal(one[0], two[0]):
-            apart = np.abs(one[1] - two[1]).max()
-            span = np.ptp(one[1], axis=0).max()
-            share = float(apart / span) if apart else 0.0
+            apart, span = np.abs(one[1] - two[1]).max(axis=0), np.ptp(one[1], axis=0)
+            if case != "responses":  # legs and axes that hardly move count as the others
+                span[:] = span.max()
+            share = float((apart[apart > 0.0] / span[apart > 0.0]).max(initial=0.0))
         yield Difference(case, channel, share, one, two)
 
 
@@ -108,7 +109,7 @@ def explain(
     found: list[Difference], changes: list[dict[str, Any]]
 ) -> tuple[list[Difference], set[int]]:
     """The same with what explains them; and the explanations that nothing needs."""
-    unused, told = set(range(len(changes))), []
+    unused, explained = set(range(len(changes))), []
     for each in found:
         for number, change in enumerate(changes):
             fits = any(fnmatch(each.case, name) for name in change["cases"])
@@ -117,8 +118,8 @@ def explain(
                 each = each._replace(why=change["why"])
                 unused.discard(number)
                 break
-        told.append(each)
-    return told, unused
+        explained.append(each)
+    return explained, unused
 
 
 def figure(found: list[Difference], base: str, path: Path) -> None:
@@ -197,7 +198,8 @@ def main() -> int:
     parser.add_argument("--picture", type=Path, help="default: beside the page")
     parser.add_argument("--only", help="names of cases, comma-separated")
     options = parser.parse_args()
-    folders, cases = [], []
+    folders: list[Path] = []
+    cases: list[str] = []
     for root in (export(options.base, options.out), Path().resolve()):
         results = (
             options.out / "results" / ("working_tree" if root == Path().resolve() else root.name)
