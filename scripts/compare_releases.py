@@ -204,7 +204,7 @@ def main() -> int:
         results = (
             options.out / "results" / ("working_tree" if root == Path().resolve() else root.name)
         )
-        program = RESPONSES.replace("OUT", str((results / "responses").resolve()))
+        program = RESPONSES.replace("OUT", str(results / "responses"))
         runs = {"responses": ["-c", program], **runs_of(root, results, comparison=False)}
         cases = options.only.split(",") if options.only else list(runs)
         for name in cases:
