@@ -2,9 +2,10 @@
 
 Evolution over all that a host may do wrong with a small sine below 1 Hz: rate, speed of its clock
 in pieces, a repeated pattern of delays, jitter, losses, derivatives that are wrong, and the
-operator's requests between hold and engage. Prints the largest gain of the demand in position,
-of the leg reference under requests, and of the acceleration of a host with ordinary jitter, with
-the host that had it. `--minutes 60` before a release; same seed and count of trials, same result.
+operator's requests between hold and engage. Prints the largest gain of the demand in position, of the
+acceleration of a host with ordinary jitter, and of the leg reference under requests, over the
+host's range and the way of a stop, each with the host that had it. `--minutes 60` before a release;
+same seed and count of trials, same result.
 """
 
 import argparse
@@ -20,7 +21,13 @@ from numpy.typing import NDArray
 from cmf_mj.control.dcu.arrivals import Arrivals, upsample
 from cmf_mj.control.dcu.settings import make_dcu
 from cmf_mj.control.dcu.state import resting
+from cmf_mj.control.demand import make_demand
+from cmf_mj.control.limiter import make_leg_limiter, make_pose_limiter
+from cmf_mj.control.states import Request, State, make_states
+from cmf_mj.core.compiled import allocating
+from cmf_mj.facility.front import Blocks, follow, make_chain
 from cmf_mj.facility.host.stream import differentiate
+from cmf_mj.machine.kinematics import pose_to_legs
 
 Array = NDArray[np.float64]
 
@@ -28,10 +35,11 @@ RATE, SECONDS, FADE = 2048, 9.0, 1.5
 AMPLITUDE = 0.005
 """Of the sine in heave [m]."""
 
-DELAYS, SPEEDS = 24, 6
-GENES = 9 + DELAYS + SPEEDS
+DELAYS, SPEEDS, REQUESTS = 24, 6, 16
+GENES = 9 + DELAYS + SPEEDS + REQUESTS
 DERIVATIVES = ("exact", "spline", "zero", "delayed", "noisy")
-DCU = make_dcu()
+DCU, STATES = make_dcu(), make_states()
+BLOCKS = Blocks(DCU, make_pose_limiter(), make_demand(), STATES, make_leg_limiter())
 
 
 class Host(NamedTuple):
@@ -44,14 +52,15 @@ class Host(NamedTuple):
     loss: float  #: Share.
     derivatives: str
     error: float  #: Of noisy derivatives, share.
-    pattern: tuple[float, ...]  #: Delays of frame after frame, repeated [s].
+    pattern: tuple[float, ...]  #: Delays of frame after frame, repeated [s]; inf is lost.
     speeds: tuple[float, ...]  #: Of its clock, one after the other, repeated.
     lasting: float  #: How long each [s].
+    requests: tuple[float, ...] = ()  #: Times of hold, engage, hold ... [s].
 
 
 def host_of(genes: Array) -> Host:
     """The host of numbers from 0 to 1."""
-    delays, speeds = genes[9 : 9 + DELAYS], genes[9 + DELAYS :]
+    delays, speeds, _ = np.split(genes[9:], [DELAYS, DELAYS + SPEEDS])
     length = 1 + int(genes[6] * (DELAYS - 1e-9))
     return Host(
         rate=float(20.0 * 6.0 ** genes[0]),
@@ -75,6 +84,12 @@ def ordinary_of(genes: Array) -> Host:
     return host._replace(loss=0.0, pattern=(0.0,), speeds=(1.0,))
 
 
+def requested_of(genes: Array) -> Host:
+    """Any host, and an operator who goes to and fro between hold and engaged."""
+    times = np.sort(genes[-REQUESTS:] * SECONDS)
+    return host_of(genes)._replace(requests=tuple(times.tolist()))
+
+
 def arrivals_of(host: Host, seed: int) -> tuple[Arrivals, float]:
     """Its frames as they arrive, and the frequency of its sine in its own time [Hz]."""
     random = np.random.default_rng(seed)
@@ -82,7 +97,8 @@ def arrivals_of(host: Host, seed: int) -> tuple[Arrivals, float]:
     time = np.arange(count) / host.rate
     piece = (time / host.lasting).astype(int) % len(host.speeds)
     when = np.cumsum(1.0 / (host.rate * np.array(host.speeds)[piece]))
-    when += np.resize(np.array(host.pattern), count) + host.jitter * random.uniform(size=count)
+    delay = np.resize(np.array(host.pattern), count)
+    when += np.where(delay < np.inf, delay, 0.0) + host.jitter * random.uniform(size=count)
     when = np.maximum.accumulate(when)
     frequency = host.frequency / max(host.speeds)
     values = np.zeros((count, 3, 6))
@@ -98,7 +114,7 @@ def arrivals_of(host: Host, seed: int) -> tuple[Arrivals, float]:
         values[:, 1:, 2] += size * random.normal(size=(count, 2))
     sent = random.uniform(size=count) >= host.loss
     sent[:2] = True
-    sent &= when < SECONDS
+    sent &= (when < SECONDS) & (delay < np.inf)
     frame = np.ceil(when * RATE).astype(np.int64)
     return Arrivals(frame[sent], np.arange(count)[sent], time[sent], values[sent]), frequency
 
@@ -133,6 +149,29 @@ def acceleration_gain(host: Host, seed: int) -> float:
     return float(np.abs(late).max() / (AMPLITUDE * turn * turn))
 
 
+@allocating
+def _advance(chain, out):  # type: ignore[no-untyped-def]
+    """Legs that follow at once."""
+    table, position = np.zeros((1, 6)), np.zeros(6)
+    for frame in range(out.shape[0]):
+        follow(chain, table, frame, position, 0, False, out[frame])
+        position[:] = out[frame]
+
+
+def leg_gain(host: Host, seed: int) -> float:
+    """Largest leg reference over the host's range and the stop from its motion."""
+    names = (Request.HOLD, Request.ENGAGE)
+    requests = [(round(t * RATE), names[k % 2]) for k, t in enumerate(host.requests)]
+    rest, out = np.zeros(6), np.empty((round(SECONDS * RATE), 6))
+    arrivals, _ = arrivals_of(host, seed)
+    chain = make_chain(BLOCKS, arrivals, requests, State.ENGAGED, position=rest, pose=rest)
+    _advance(chain, out)
+    turn, stop = 2.0 * np.pi * host.frequency, STATES.stop_time
+    reach = AMPLITUDE * (1.0 + turn * stop / 2.0 + turn * turn * stop * stop / 16.0)
+    legs = pose_to_legs(np.array([[0.0, 0.0, sign * reach, 0.0, 0.0, 0.0] for sign in (-1, 1)]))
+    return float(np.abs(out).max() / np.abs(legs).max())
+
+
 class Search(NamedTuple):
     """What is searched for the largest."""
 
@@ -144,6 +183,7 @@ class Search(NamedTuple):
 SEARCHES = (
     Search("position", host_of, position_gain),
     Search("acceleration, ordinary jitter", ordinary_of, acceleration_gain),
+    Search("leg reference, hold and engage", requested_of, leg_gain),
 )
 
 PARENTS = 12
@@ -183,6 +223,7 @@ def main() -> None:
     options = parser.parse_args()
     rows = []
     for search in SEARCHES:
+        evolve(search, options.seed, 1)  # compiles
         until = time.monotonic() + 60.0 * options.minutes / len(SEARCHES)
         gain, host, made = evolve(search, options.seed, options.trials, until)
         print(f"{search.name}: largest gain {gain:.3f} of {made} hosts\n  {host}", flush=True)

@@ -134,8 +134,8 @@ def _stream(dcu, state, sequence, time, values):  # type: ignore[no-untyped-def]
         newest = state.frame[(clocks.first + clocks.buffered - 1) % CAPACITY]
         if _joins(dcu, state, newest, values, interval):
             drop_held(state)
-            _follow(dcu, state, relative, interval, sequence - clocks.sequence)
-            _take(dcu, state, sequence, relative, values, 0)
+            jumps = _follow(dcu, state, relative, interval, sequence - clocks.sequence)
+            _take(dcu, state, sequence, relative, values, jumps)
             return Verdict.ACCEPTED
     if clocks.holding:
         interval = time - clocks.held_time
@@ -288,11 +288,11 @@ def _widen(dcu, state, values):  # type: ignore[no-untyped-def]
 
 @compiled
 def _follow(dcu, state, relative, interval, ahead):  # type: ignore[no-untyped-def]
-    """Update the means of interval and lateness; set the clock anew if the host stays untimely.
+    """Update the means of interval and lateness; whether the clock is set anew, 1 or 0.
 
-    It does so once frame after frame has been late, or ahead by a quarter of the timeout, for the
-    timeout, and is off by half of it: what is less the clock makes up. The interval is the host's
-    own, so that a lost frame does not look like a slower host.
+    It is once frame after frame has been late for the timeout, or ahead by a quarter of it
+    for half of it, before they are too early, and is off by half of it: what is less the clock
+    makes up. The interval is the host's own, so that a lost frame does not look like a slower host.
     """
     clocks = state.clocks[0]
     weight = min(interval / AVERAGE, 1.0)
@@ -306,16 +306,20 @@ def _follow(dcu, state, relative, interval, ahead):  # type: ignore[no-untyped-d
         state.events[0].late += 1
     elif lateness > -0.25 * dcu.timeout:
         clocks.late_run = 0
-        return
+        return 0
     if not clocks.late_run:
         clocks.late_run = 1
         clocks.late_age = 0.0
-    elif clocks.late_age > dcu.timeout and abs(lateness) > 0.5 * dcu.timeout:
+    elif (
+        clocks.late_age > (1.0 if late else 0.5) * dcu.timeout and abs(lateness) > 0.5 * dcu.timeout
+    ):
         clear(state)
         clocks.interval = interval / ahead
         clocks.lateness = 0.0
         clocks.play = relative - play_delay(dcu, state)
         state.events[0].resynchronised += 1
+        return 1
+    return 0
 
 
 @compiled
