@@ -2,10 +2,10 @@
 
 Evolution over all that a host may do wrong with a small sine below 1 Hz: rate, speed of its clock
 in pieces, a repeated pattern of delays, jitter, losses, derivatives that are wrong, and the
-operator's requests between hold and engage. Prints the largest gain of the demand in position, of the
-acceleration of a host with ordinary jitter, and of the leg reference under requests, over the
-host's range and the way of a stop, each with the host that had it. `--minutes 60` before a release;
-same seed and count of trials, same result.
+operator's requests between hold and engage. Prints the largest gain of the demand in position, of
+the acceleration of a host with ordinary jitter, and of the leg reference under requests, over the
+host's range and the way of a stop, each with the host that had it. `--minutes 60` before a
+release; same seed and count of trials, same result.
 """
 
 import argparse
@@ -79,8 +79,8 @@ def host_of(genes: Array) -> Host:
 def ordinary_of(genes: Array) -> Host:
     """A host of 40 to 120 Hz without clock, whose frames come up to 2 ms early or late."""
     host = host_of(genes)
-    rate, frequency, jitter = 40.0 * 3.0 ** genes[0], 0.2 * 5.0 ** genes[1], 0.004 * genes[3]
-    host = host._replace(rate=rate, frequency=frequency, jitter=jitter)
+    rate, frequency = float(40.0 * 3.0 ** genes[0]), float(0.2 * 5.0 ** genes[1])
+    host = host._replace(rate=rate, frequency=frequency, jitter=float(0.004 * genes[3]))
     return host._replace(loss=0.0, pattern=(0.0,), speeds=(1.0,))
 
 

@@ -35,6 +35,7 @@ TABLES = (
     "share.md",
     "work_precision.md",
     "bench.md",
+    "host_gains.md",
 )
 COPIES = {
     "compare/bode_surge.png": "images/bode_surge.png",
@@ -49,6 +50,7 @@ COPIES = {
     "calibrate/hardware/residuals.png": "images/calibration_hardware.png",
     "omct/omct.png": "images/omct.png",
     "omct/omct.csv": "data/omct.csv",
+    "host_gains/host_gains.csv": "data/host_gains.csv",
     "fly/comparison.png": "images/fly_comparison.png",
     "fly/velocity/motion.png": "images/fly_motion.png",
     "certify/certificates.png": "images/certificates.png",

@@ -233,7 +233,7 @@ def test_missing_frames_are_waited_for_and_the_stream_is_rejoined_smoothly() -> 
 
 def test_silence_ends_in_rest_with_a_flag() -> None:
     motion = of(lambda t: 0.4 * t, lambda t: 0.4 + 0.0 * t, lambda t: 0.0 * t)
-    stream = arrivals(motion, 80.0, 1.0)
+    stream = arrivals(motion, 80.0, 2.0)
     state = resting(DCU)
     assert state.clocks.stale[0]
     last = int(stream.frame[-1])
@@ -258,16 +258,16 @@ def test_silence_ends_in_rest_with_a_flag() -> None:
 
 
 def test_a_host_that_comes_back_is_taken_up_wherever_it_is() -> None:
-    first = arrivals(of(lambda t: 0.2 + 0 * t, np.zeros_like, np.zeros_like), 80.0, 1.0)
-    other = arrivals(of(lambda t: -0.5 + 0 * t, np.zeros_like, np.zeros_like), 50.0, 3.0, 3000)
+    first = arrivals(of(lambda t: 0.2 + 0 * t, np.zeros_like, np.zeros_like), 80.0, 1.8)
+    other = arrivals(of(lambda t: -0.5 + 0 * t, np.zeros_like, np.zeros_like), 50.0, 3.0, 4500)
     both = Arrivals(*(np.concatenate(pair) for pair in zip(first, other, strict=True)))
     state = resting(DCU, [0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
-    demand = upsample(DCU, state, both, 9200)
+    demand = upsample(DCU, state, both, 10700)
     assert demand[0, 0, 2] == 0.1
-    assert demand[2500, 0, 2] == pytest.approx(0.2, abs=1e-15)
+    assert demand[4000, 0, 2] == pytest.approx(0.2, abs=1e-15)
     assert demand[-1, 0, 2] == pytest.approx(-0.5, abs=1e-15)
     assert state.counts["resynchronised"] == 2
-    assert state.counts["accepted"] == 80 + 150
+    assert state.counts["accepted"] == 144 + 150
     speed = SETTINGS.dcu.rejoin_velocity_translation.si
     # Overshoot of s^2 + 3 w s + 3 w^2, and the peak of its impulse response.
     assert np.abs(demand[:, 1, 2]).max() == pytest.approx(speed * 1.0043, rel=1e-4)

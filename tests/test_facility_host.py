@@ -113,9 +113,9 @@ def test_a_stream_of_poses_is_played_as_its_spline() -> None:
     demand = upsample(compiled, resting(compiled), arrivals_of(stream), 5000)
     spline = make_interp_spline(stream.time, stream.pose, k=5)
     delay = 1.0 / 64.0 + compiled.hold + compiled.line / RATE
-    at = np.arange(2500, 5000) / RATE - delay  # the gap of the start has closed
+    at = np.arange(3000, 5000) / RATE - delay  # the gap of the start has closed
     for order in range(3):
-        assert np.abs(demand[2500:, order] - spline(at, nu=order)).max() < 1e-9
+        assert np.abs(demand[3000:, order] - spline(at, nu=order)).max() < 1e-9
 
 
 def test_a_command_is_sampled_with_its_derivatives() -> None:

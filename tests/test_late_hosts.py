@@ -52,6 +52,9 @@ from cmf_mj.machine.cab import load_cab  # noqa: E402
 from cmf_mj.pilot.cueing.washout import Washout  # noqa: E402
 from cmf_mj.pilot.telemetry import live  # noqa: E402
 
+SLOW = pytest.mark.slow
+"""A case among others that are not."""
+
 MOST = 1.2
 """Largest gain in position from a host's motion below 1 Hz."""
 HARSHEST = 2.0
@@ -91,10 +94,12 @@ def test_the_demand_is_no_larger_than_its_host(kind: str) -> None:
 
 @pytest.mark.fuzz
 @pytest.mark.parametrize(
-    ("number", "most"), [(0, MOST), (1, HARSHEST), (2, MOST)], ids=["pose", "jitter", "requests"]
+    ("number", "trials", "most"),
+    [(0, 400, MOST), (1, 200, HARSHEST), (2, 100, MOST)],
+    ids=["pose", "jitter", "requests"],
 )
-def test_a_search_finds_no_host_that_is_amplified(number: int, most: float) -> None:
-    gain, host, _ = search.evolve(search.SEARCHES[number], 1, examples(300))
+def test_a_search_finds_no_host_that_is_amplified(number: int, trials: int, most: float) -> None:
+    gain, host, _ = search.evolve(search.SEARCHES[number], 1, examples(trials))
     assert gain <= most, host
 
 
@@ -220,14 +225,16 @@ def check_moog(record: Record, amplitude: float, harshest: float, hertz: float =
     assert bend <= harshest * amplitude * turn**2
 
 
-@pytest.mark.parametrize("rate", [40.0, 61.0, 72.0, 120.0])
+@pytest.mark.parametrize(
+    "rate", [40.0, pytest.param(61.0, marks=SLOW), pytest.param(72.0, marks=SLOW), 120.0]
+)
 def test_a_moog_client_of_any_steady_rate_is_followed(rate: float) -> None:
     """Above 61 Hz the watchdog stopped it after 5.7 s, or it lurched at 0.8 g; what is left is that
     the base looks every 2 ms."""
     check_moog(moog(ticks(rate), wave(0.02)), 0.02, 1.2)
 
 
-@pytest.mark.parametrize("back", [5.0, np.inf], ids=["for two seconds", "for good"])
+@pytest.mark.parametrize("back", [5.0, pytest.param(np.inf, marks=SLOW)], ids=["2 s", "good"])
 def test_a_moog_client_that_falls_from_60_to_55_hz_is_followed(back: float) -> None:
     """0.02 m came out as 0.19 m for twelve seconds."""
     record = moog(ticks(60.0, (3.0, back, 55.0)), wave(0.02))
