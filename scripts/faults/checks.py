@@ -28,7 +28,7 @@ SHARE = 0.2
 
 STOP = 0.1
 """Time that a host's largest speed goes on, when it falls silent [s]: half the DCU's stop time of
-0.1 s, and 0.035 s by which a gap of that speed grows before it closes."""
+0.08 s, and 0.05 s by which a gap of that speed grows before it closes."""
 
 GAIN = 1.2
 """Largest gain from host to demand below 1 Hz."""
