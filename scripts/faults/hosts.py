@@ -93,6 +93,7 @@ def datagrams(plan: Plan, end: float) -> list[Sent]:
     stamps, numbers = time.copy(), np.arange(time.size)
     draws = {kind: np.random.default_rng([plan.seed, n]) for n, kind in enumerate(ODDITIES)}
     extra: list[Sent] = []
+    blank = np.zeros(time.size, dtype=bool)
     for o in plan.oddities:
         within, size, rng = _within(o, sent), time.size, draws[o.kind]
         share = within & (rng.random(size) < o.size)
@@ -105,6 +106,7 @@ def datagrams(plan: Plan, end: float) -> list[Sent]:
             arrives = np.where(share, arrives + rng.uniform(0.01, 0.06, size), arrives)
         elif o.kind == "not_finite":
             odd = rng.choice((np.nan, np.inf, -np.inf), size)
+            blank |= share & (rng.random(size) < 0.2)
             values[share, rng.integers(3, size=size)[share], rng.integers(6, size=size)[share]] = (
                 odd[share]
             )
@@ -116,6 +118,7 @@ def datagrams(plan: Plan, end: float) -> list[Sent]:
             numbers[first:] -= first
         elif o.kind in ("garbage", "double", "second"):
             extra += _others(plan, o, sent, share, rng)
+    stamps[blank] = np.nan
     rows = zip(arrives, numbers, stamps, values, sent, strict=True)
     own = [
         Sent(float(a), k, float(s), _octets(plan, int(n), float(t), v), HOST)
