@@ -152,7 +152,7 @@ def figure(found: list[Difference], base: str, path: Path) -> None:
     for d, ax in zip(shown, axes[2:].flat, strict=False):
         chosen = 0
         if d.before[1].shape == d.after[1].shape:
-            by = np.abs(d.before[1] - d.after[1]) if d.share else np.abs(d.after[1])
+            by = np.abs(d.before[1] - d.after[1]) if d.share else np.abs(d.after[1] - d.after[1][0])
             chosen = int(by.max(axis=0).argmax())
         for (time, values), width, color in ((d.before, 4, "#9ecae1"), (d.after, 0.8, "#08306b")):
             if time.size:
@@ -164,7 +164,7 @@ def figure(found: list[Difference], base: str, path: Path) -> None:
         ax.set_visible(bool(ax.lines))
     page.suptitle(f"{base} (broad) and this release (thin); time in s, values in SI", fontsize=9)
     path.parent.mkdir(parents=True, exist_ok=True)
-    page.savefig(path, dpi=90)
+    page.savefig(path, dpi=75)
     plt.close(page)
 
 

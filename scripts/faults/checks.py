@@ -162,7 +162,7 @@ def ordinary(plan: Plan) -> bool:
 
 
 def _wrong(plan: Plan) -> float:
-    """By how much the velocity of a host is not that of its poses, in the machine's time.
+    """By how much the velocity that a host says is not that of its poses, in its own time.
 
     One that sends none is known by its first frame that moves.
     """
@@ -170,7 +170,7 @@ def _wrong(plan: Plan) -> float:
         return 0.0
     own = np.arange(0.0, plan.seconds * plan.speed, 1e-3)
     said = says(plan, own)[:, 1]
-    return float(np.abs(said - derivatives(plan, own)[0]).max()) * plan.speed
+    return float(np.abs(said - derivatives(plan, own)[0]).max())
 
 
 def acceleration(run: Run) -> str:
@@ -182,7 +182,8 @@ def acceleration(run: Run) -> str:
     if kinds & set(JUMPS) or len(run.parts) > 1 or words:
         bound = JUMP  # a Moog client begins to say positions in the midst of its motion
     elif not ordinary(plan) or plan.speed != 1.0 or plan.derivatives != "exact":
-        bound += ODD * speed + BEND * plan.rate * plan.speed * _wrong(plan)
+        fast = max(plan.speed, 1.0)  # that its clock is slow is not known at once
+        bound += ODD * speed + BEND * plan.rate * fast**2 * _wrong(plan)
     for part in run.parts:
         values = np.abs(part.operation.record["demand_acceleration"])
         values[~_sound(part)] = 0.0
