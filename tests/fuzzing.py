@@ -37,7 +37,6 @@ SEAMS = (
     "studies.tuning.search:cost",
     "studies.calibration.fit:_cost_vector",
     "studies.verification:in_mujoco",
-    "show.film.view:show",
     "show.studio.server:Studio.__init__",
 )
 """Functions in which the work of commands begins, besides joblib's."""

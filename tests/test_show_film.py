@@ -1,8 +1,7 @@
-"""Films and the viewer: pictures, encoders, pace, pulls, and what is said without a display."""
+"""Films: pictures, encoders, and what is said without a display."""
 
 import sys
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import av
@@ -16,16 +15,14 @@ from cmf_mj import Record
 from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.core.errors import MissingExtraError
-from cmf_mj.core.rates import RATE
 from cmf_mj.facility.scenario import library as scenario
-from cmf_mj.facility.scenario.run import ScenarioRun, run_scenario
+from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.show.chart import Curve, Panel
 from cmf_mj.show.film import stage
 from cmf_mj.show.film.film import FilmSettings, check_film, film
 from cmf_mj.show.film.stage import Stage, choose_backend
 from cmf_mj.show.film.strip import Strip, traces_of
-from cmf_mj.show.film.view import LiveView, show
 
 SMALL = FilmSettings(fps=10, width=160, height=100, strip=140)
 
@@ -262,126 +259,6 @@ def test_a_stage_draws_what_the_model_does() -> None:
         np.testing.assert_array_equal(level, again)
         assert np.abs(drawn.picture(raised).astype(int) - level.astype(int)).max() > 60
     assert model.vis.global_.offwidth == 1920  # the caller's model is left alone
-
-
-# Viewer
-
-
-class Window:
-    """What `launch_passive` gives, without a window: runs for some pictures, pulling the cab."""
-
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, pictures: int) -> None:
-        self.model, self.data, self.left = model, data, pictures
-        self.perturb = mujoco.MjvPerturb()
-        self.texts: list[str] = []
-
-    def __enter__(self) -> "Window":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        pass
-
-    def lock(self) -> "Window":
-        return self
-
-    def is_running(self) -> bool:
-        self.left -= 1
-        return self.left >= 0
-
-    def set_texts(self, texts: tuple[Any, Any, str, str]) -> None:
-        self.texts.append(texts[2])
-
-    def sync(self) -> None:
-        pass
-
-
-def pulling(view: LiveView, up: float) -> mujoco.MjvPerturb:
-    """The mouse holding the cab by its centre, some metres above where it is."""
-    perturb = mujoco.MjvPerturb()
-    perturb.select = view.model.body("cab/cab").id
-    perturb.active = int(mujoco.mjtPertBit.mjPERT_TRANSLATE)
-    perturb.localmass = 1.0
-    perturb.scale = 1.0
-    perturb.refselpos = view.drawn.xipos[perturb.select] + (0.0, 0.0, up)
-    perturb.localpos = view.model.body_ipos[perturb.select]
-    return perturb
-
-
-def test_pace_pause_and_pulls_without_a_window() -> None:
-    view = LiveView(ScenarioRun(quick(duration="open", signal=[])), speed=0.5)
-    view.step(0.05)
-    assert view.run.frame == int(0.05 * 0.5 * RATE)
-    np.testing.assert_array_equal(view.drawn.qpos, view.run.latest().qpos)
-    view.key(32)
-    view.step(0.05)
-    assert view.run.frame == int(0.05 * 0.5 * RATE)
-    view.key(32)
-    view.key(61)
-    assert view.speed == 1.0
-    view.key(45)
-    view.key(45)
-    assert view.speed == 0.25
-    for _ in range(4):
-        view.step(0.001)  # a picture shorter than a frame is not lost: 4 x 0.512 frames
-    assert view.run.frame == int(0.05 * 0.5 * RATE + 4 * 0.001 * 0.25 * RATE)
-    view.step(100.0)
-    assert view.run.frame <= 53 + int(0.1 * 0.25 * RATE) + 1  # it never runs far ahead to catch up
-
-    view.pull(pulling(view, 0.5))
-    view.step(0.02)
-    view.pull(mujoco.MjvPerturb())
-    view.step(0.02)
-    pushes = [change.push for change in view.run.scenario().change]
-    assert [push.body for push in pushes if push] == ["cab/cab", "cab/cab"]
-    assert pushes[0] is not None
-    assert pushes[1] is not None
-    assert pushes[0].force[2] > 0.0
-    assert pushes[1].force == (0.0, 0.0, 0.0)
-    again = run_scenario(view.run.scenario())
-    np.testing.assert_array_equal(
-        again["generalised_position"], view.run.record()["generalised_position"]
-    )
-
-
-def test_the_window_s_loop_runs_shows_and_saves() -> None:
-    view = LiveView(ScenarioRun(quick(duration="open")))
-    saved: list[int] = []
-    windows: list[Window] = []
-
-    def launch(model: mujoco.MjModel, data: mujoco.MjData, key_callback: Any) -> Window:
-        assert data is view.drawn
-        key_callback(ord("S"))
-        windows.append(Window(model, data, 4))
-        return windows[0]
-
-    show(view, save=lambda run: saved.append(run.frame), launch=launch)
-    assert len(saved) == 1
-    assert view.run.frame > saved[0]
-    assert "velocity" in windows[0].texts[-1]
-    assert "1 x" in windows[0].texts[-1]
-
-
-def test_without_a_display_view_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stage.sys, "platform", "linux")
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    result = CliRunner().invoke(app, ["view", "push", "--dof", "roll", "--amplitude", "1 deg"])
-    assert result.exit_code == 2
-    for word in ("no display", "cmf video", "MUJOCO_GL=egl", "MUJOCO_GL=osmesa", "xvfb-run"):
-        assert word in result.output
-
-
-def test_a_window_without_opengl_is_explained() -> None:
-    def launch(*_: Any, **__: Any) -> Window:
-        raise RuntimeError("could not create window")
-
-    with pytest.raises(ValueError, match="no window: could not create window"):
-        show(LiveView(ScenarioRun(quick())), launch=launch)
 
 
 # Looks

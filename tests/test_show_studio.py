@@ -276,6 +276,8 @@ def test_lamp_tells_what_failed_and_what_tripped(screen: Screen) -> None:
     order = [word for number, word in enumerate(words) if word not in words[:number]]
     assert order == ["all works", "failed", "tripped"]
     assert "0.1 s: pump lost" in lamps[-1]
+    late = screen.views[0]._replace(live=screen.views[0].live._replace(late=True))
+    assert "<b>host late" in lamp(late)
 
 
 @pytest.mark.parametrize("beside", ["", "force"])

@@ -1,4 +1,4 @@
-"""Watch a simulation: `cmf view`, `video` and `studio`."""
+"""Watch a simulation: `cmf video` and `studio`."""
 
 from __future__ import annotations
 
@@ -9,56 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Option
 
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, changed_scenario, progress_bar, quantity, show
+from cmf_mj.cli.common import app, changed_scenario, progress_bar, show
 from cmf_mj.cli.options import argument, choice, new_file
 from cmf_mj.core.errors import InputError, require
 
 if TYPE_CHECKING:
-    from cmf_mj.facility.scenario.run import ScenarioRun
+    pass
 
 command = partial(app.command, rich_help_panel="Simulate")
-
-
-_SAVED = Path("out/view/scenario.toml")
-_Law = Annotated[
-    str | None, choice(options.LAWS, "LAW", "law in place of the scenario's", free=True)
-]
-
-
-@command("view")
-def view_command(
-    scenario: options.Scenario = "heave_sine",
-    law: _Law = None,
-    machine: options.OtherMachine = None,
-    cab: options.OtherCab = None,
-    speed: options.Speed = 1.0,
-    dof: Annotated[
-        str | None, choice(options.DOFS, "DOF", "an endless sine along it instead")
-    ] = None,
-    amplitude: Annotated[str, Option(metavar="SIZE", help="of the sine, with its unit")] = "4 in",
-    frequency: Annotated[float, Option(help="of the sine [Hz]")] = 0.3,
-    seconds: Annotated[float | None, Option(help="close after this wall time [s]")] = None,
-    file: Annotated[Path, new_file(help="that S saves the run to")] = _SAVED,
-) -> None:
-    """Watch a live closed loop in MuJoCo's viewer and pull it about with the mouse."""
-    from cmf_mj.facility.scenario.library import load_scenario, save_scenario
-    from cmf_mj.facility.scenario.run import ScenarioRun
-    from cmf_mj.show.film import view
-
-    sine = None
-    if dof is not None:
-        size = list(quantity("amplitude", amplitude))
-        sine = [{"kind": "sine", "dof": dof, "amplitude": size, "frequency": frequency}]
-    chosen = changed_scenario(
-        load_scenario(scenario), law=law, machine=machine, cab=cab, signal=sine
-    )
-    if sine is not None:
-        chosen = changed_scenario(chosen, duration="open")
-
-    def save(run: ScenarioRun) -> None:
-        show(f"written: {save_scenario(run.scenario(), file)}")
-
-    view.show(view.LiveView(ScenarioRun(chosen), speed), seconds=seconds, save=save)
 
 
 @command("video")

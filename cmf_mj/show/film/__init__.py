@@ -1,1 +1,1 @@
-"""Runs and modes as pictures: off-screen films, and MuJoCo's viewer on a live run."""
+"""Runs and modes as off-screen films."""

@@ -37,12 +37,6 @@ _FINER = 2
 _TRY = "import importlib, sys; importlib.import_module('mujoco.' + sys.argv[1]).GLContext(8, 8)"
 
 
-def has_display(environment: Mapping[str, str] | None = None) -> bool:
-    """Whether a window can be opened, as far as the environment tells."""
-    variables = os.environ if environment is None else environment
-    return sys.platform != "linux" or any(map(variables.get, ("DISPLAY", "WAYLAND_DISPLAY")))
-
-
 def choose_backend(environment: Mapping[str, str] | None = None) -> str:
     """Name of MuJoCo's OpenGL module to use: egl, osmesa, glfw or cgl; refused if none works."""
     variables = os.environ if environment is None else environment
@@ -51,7 +45,7 @@ def choose_backend(environment: Mapping[str, str] | None = None) -> str:
         return named
     if named:
         raise InputError(f"MUJOCO_GL: {named!r} is not one of egl, osmesa, glfw, cgl")
-    if has_display(variables):
+    if sys.platform != "linux" or any(map(variables.get, ("DISPLAY", "WAYLAND_DISPLAY"))):
         return "cgl" if sys.platform == "darwin" else "glfw"
     for backend in BACKENDS:
         if _works(backend):
