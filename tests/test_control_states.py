@@ -368,7 +368,7 @@ def test_the_valve_fades_in_before_the_raise_and_out_after_the_return():
 
 def test_passing_states_are_no_start():
     for code in (State.RAISE, State.RETURN, State.FAULT):
-        with pytest.raises(ValueError, match=f"code: {code.name} is no state to start in"):
+        with pytest.raises(ValueError, match=f"code: <State.{code.name}: .> is no state to start"):
             start(STATES, code, [0.0])
 
 

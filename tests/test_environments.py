@@ -185,10 +185,48 @@ def test_wrong_options_are_refused_by_name() -> None:
         (lambda: HexapodEnv("lever"), "action: 'lever'"),
         (lambda: ExcavatorEnv("swim"), "task: 'swim'"),
         (lambda: HexapodEnv(render_mode="human"), "render_mode: 'human'"),
-        (lambda: hexapods(num_envs=0), "num_envs, threads: 0"),
+        (lambda: HexapodEnv(seconds=float("inf")), "seconds: inf is refused"),
+        (lambda: HexapodEnv(seconds="2"), "seconds: holds <U1"),  # type: ignore[arg-type]
+        (lambda: hexapods(num_envs=0), "num_envs: 0 is refused"),
+        (lambda: hexapods(num_envs=1.5), r"num_envs: 1\.5 is refused"),
+        (lambda: hexapods(num_envs=1, threads=0), "threads: 0 is refused"),
     ):
         with pytest.raises(InputError, match=words):
             make()
+
+
+@pytest.mark.parametrize(
+    ("make", "options", "words"),
+    [
+        (HexapodEnv, {"target": [np.nan] * 6}, r"target: \[nan.* is refused; .* shape \(6,\)"),
+        (HexapodEnv, {"target": [0.0] * 3}, "target: .* is refused"),
+        (HexapodEnv, {"target": [[0.0] * 6]}, "target: .* is refused"),
+        (HexapodEnv, {"target": [10.0] * 6}, "target: .* of size 2 at most"),
+        (HexapodEnv, {"target": None}, "target: holds object"),
+        (HexapodEnv, {"Target": [0.0] * 6}, "options: .*Target.* allowed: .*'target'"),
+        (HexapodEnv, [1], r"options: \[1\] is refused"),
+        (ExcavatorEnv, {"places": []}, r"places: \[\] is refused"),
+        (ExcavatorEnv, {"places": [[0.0, 0.0]]}, r"places: .* shape \(4, 3\)"),
+        (ExcavatorEnv, {"places": [[np.nan] * 3]}, "places: .* is refused"),
+    ],
+)
+def test_wrong_options_of_a_reset_are_refused_by_name(make: Any, options: Any, words: str) -> None:
+    """NaN gave a reward of NaN, another shape a failure inside NumPy, another name nothing."""
+    with pytest.raises(InputError, match=words):
+        make().reset(seed=1, options=options)
+
+
+@pytest.mark.parametrize(
+    "actions", [np.zeros((2, 6)), np.array([[0.0] * 6, [np.nan] * 6, [0] * 6])]
+)
+def test_a_vector_steps_all_its_environments_or_none(actions: Any) -> None:
+    """A refused action left the others a step ahead, on threads that still ran."""
+    vector = hexapods(num_envs=3, threads=2)
+    vector.reset(seed=4)
+    with pytest.raises(InputError, match=r"(?s)actions: .* finite numbers of shape \(3, 6\)"):
+        vector.step(actions)
+    vector.close()
+    assert [env.unwrapped.session.frame for env in vector.envs] == [0, 0, 0]
 
 
 def test_vectors_are_made_by_gymnasium() -> None:

@@ -15,7 +15,7 @@ from cmf_mj import Hexapod, Record, law_names, load_law, pose_to_legs, signals, 
 from cmf_mj.control.dcl import DclState
 from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.export.library import export_law, law_code, law_parts
+from cmf_mj.export.library import _header, export_law, law_code, law_parts
 from cmf_mj.export.machine import make_image
 from cmf_mj.export.machine_code import machine_code
 from cmf_mj.facility.binding import bound
@@ -117,6 +117,15 @@ def test_a_replay_in_c_gives_the_recorded_output_of_every_law(
         (out / "in").write_bytes(states.tobytes() + np.concatenate(inputs, axis=1).tobytes())
         subprocess.run([out / "host", out / "in", out / "out"], env={}, check=True)
         assert (out / "out").read_bytes() == record["compensator_output"].tobytes(), law
+
+
+@pytest.mark.parametrize("title", ["**//", "*\\\n/", "x */ #error"])
+def test_no_title_ends_the_comment_it_stands_in(title: str) -> None:
+    """With the middle taken out or a line joined, a new end of comment came to be."""
+    law = load_law("velocity").model_copy(update={"title": title})
+    parts = law_parts(bound(law, "gfd"))
+    text = _header(law, parts, make_image(parts)).replace("\\\n", "")
+    assert text.count("*/") == 1
 
 
 @pytest.mark.slow

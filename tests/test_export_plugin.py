@@ -9,6 +9,7 @@ from mujoco import rollout
 from test_plant_excavator import CYLINDERS, excavator
 
 from cmf_mj import drive
+from cmf_mj.core.errors import InputError
 from cmf_mj.export.plugin import export_plugin
 from cmf_mj.machine import models
 
@@ -83,3 +84,13 @@ def test_another_step_is_refused(model: mujoco.MjModel) -> None:
             mujoco.MjData(model)
     finally:
         model.opt.timestep /= 2.0
+
+
+def test_the_model_itself_is_not_overwritten(tmp_path: Path) -> None:
+    """A model in the folder it is exported to, its file named like it."""
+    own = tmp_path / "excavator.xml"
+    own.write_bytes(models.model_path("excavator.xml").read_bytes())
+    before = own.read_bytes()
+    with pytest.raises(InputError, match=r"out: .* is refused: excavator\.xml there is the model"):
+        export_plugin(own, CYLINDERS, models.model_path("excavator_hydraulics.toml"), tmp_path)
+    assert own.read_bytes() == before and list(tmp_path.iterdir()) == [own]

@@ -12,6 +12,7 @@ from cmf_mj.control.dcu.arrivals import Arrivals
 from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import Request, State
+from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.host.handover import make_ring, put
 from cmf_mj.facility.host.stream import HostStream, from_command
@@ -175,6 +176,16 @@ def test_a_reset_leaves_the_fault_and_the_machine_rises_again() -> None:
     assert np.abs(record["leg_position"][-1]).max() < 3.0 * INCH
 
 
+@pytest.mark.parametrize("other", [Request.RESET, Request.ENGAGE])
+@pytest.mark.parametrize("first", [True, False])
+def test_a_trip_is_lost_to_no_other_request_of_its_instant(other: Request, first: bool) -> None:
+    """The reset of the same control frame took its place, and the machine stayed engaged."""
+    requests = [(0.5, Request.TRIP), (0.5, other)]
+    asked = requests if first else requests[::-1]
+    operation = operate(Hexapod(), "velocity", sine(1.0), requests=asked, seconds=0.6)
+    assert [name for name, _ in entered(operation.record)] == ["ENGAGED", "FAULT"]
+
+
 def test_no_watchdog_before_the_first_frame_or_below_engaged() -> None:
     late = arrivals_of(sine(2.0), delay=2048)
     waiting = operate(Hexapod(), "velocity", late)
@@ -334,13 +345,18 @@ def test_refusals() -> None:
         operate(plant, law, sine(1.0), seconds=float("nan"))
     with pytest.raises(ValueError, match="seconds: 1e.17 must be at most 1.04858e.06"):
         operate(plant, law, sine(1.0), seconds=1e17)
-    with pytest.raises(ValueError, match="requests: hold at 1e.300 s is refused: must be 0 to"):
+    with pytest.raises(ValueError, match=r"requests: \(1e.300, <Request.HOLD: 4>\) is refused"):
         operate(plant, law, sine(1.0), requests=[(1e300, Request.HOLD)])
+    for wrong in ((1.0, State.RETURN), (1.0, "TRIP"), (1.0, 99), (Request.TRIP, 1.0), (1.0,)):
+        with pytest.raises(InputError, match=r"requests: \(.* is refused; allowed: a time of 0 to"):
+            operate(plant, law, sine(1.0), requests=[wrong])
+    with pytest.raises(InputError, match="code: 'ENGAGED' is no state to start in"):
+        operate(plant, law, sine(1.0), begin="ENGAGED")
     with pytest.raises(ValueError, match="record_every: a record of 2097152"):
         operate(plant, law, sine(1.0), seconds=10_240.0)
     with pytest.raises(ValueError, match="record_every: 0 is refused; allowed: a whole"):
         operate(plant, law, sine(1.0), record_every=0)
-    with pytest.raises(ValueError, match="RAISE is no state to start in"):
+    with pytest.raises(ValueError, match="RAISE: 2> is no state to start in"):
         operate(plant, law, sine(1.0), begin=State.RAISE)
 
 

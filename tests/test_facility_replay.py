@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from cmf_mj import Hexapod, Record, SingleLegs, law_names, load_law, signals, simulate
 from cmf_mj.cli.common import app
+from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.replay import law_of, replay
 from cmf_mj.record.layout import write_facility_csv
@@ -120,6 +121,20 @@ def test_refusals(run: Record) -> None:
         replay(run, "velocity", {"speed": "leg_velocity"})
     with pytest.raises(ValueError, match="gimbal_error: shape"):
         replay(run, "velocity", {"velocity": "gimbal_error"})
+    for channel in ("leg_reference", "leg_position", "leg_velocity", "compensator_output"):
+        broken = np.array(run[channel])
+        broken[5, 2] = np.nan
+        other = Record(run.time, {**run.channels, channel: broken}, run.units, run.metadata)
+        with pytest.raises(InputError, match=f"(?s){channel}: row 5: .* allowed: finite"):
+            replay(other, "velocity")
+    said = {**run.metadata["law_state"], "compensator": ["a"] * 6}
+    other = Record(run.time, run.channels, run.units, {**run.metadata, "law_state": said})
+    with pytest.raises(InputError, match="law_state: compensator: holds <U1; allowed: real"):
+        replay(other, "acceleration")
+    for name in ("machine", "cab"):
+        known = {**run.metadata, "cab_parameters": None, name: 3}
+        with pytest.raises(InputError, match=f"{name}: '3' is not one of"):
+            replay(Record(run.time, run.channels, run.units, known), "velocity")
     with pytest.raises(ValueError, match="does not say which law"):
         law_of(Record(run.time, {}, {}, {"sample_rate": 2048.0}))
 

@@ -151,6 +151,12 @@ def test_a_run_that_a_fault_ends_is_refused() -> None:
         learn(wave(1.04, 0.15), "velocity", [Hexapod("gfd")], trials=1)
 
 
+def test_a_motion_of_less_than_a_period_of_what_counts_is_refused() -> None:
+    """Two rows of a flight had an error of 40 % left."""
+    with pytest.raises(InputError, match=r"stream: lasts 0\.025 s; allowed: at least 0\.25 s"):
+        learn(HostStream(*(part[:3] for part in wave(0.05))), "velocity", [Hexapod("gfd")])
+
+
 def test_a_demand_beyond_the_stroke_is_refused(learnt: Learning) -> None:
     far = learnt._replace(demand=learnt.demand._replace(pose=30.0 * learnt.demand.pose))
     with pytest.raises(InputError, match=r"demand: a leg is .* from neutral; allowed: 0\.9525 m"):
@@ -160,7 +166,8 @@ def test_a_demand_beyond_the_stroke_is_refused(learnt: Learning) -> None:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        (("gusts", "--trials", "0"), "trials: 0 must be at least 1"),
+        (("gusts", "--trials", "0"), "trials: '0' is refused"),
+        (("gusts", "--jobs", "0"), "jobs: '0' is refused"),
         (("loop",), "flight: 'loop' is not one of"),
         (("gusts", "--law", "none"), "law: 'none'"),
     ],

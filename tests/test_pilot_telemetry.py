@@ -273,6 +273,12 @@ def test_a_capture_is_read_and_flown(tmp_path: Path) -> None:
     assert refused == 0 and received.time.size == 792 and check(received).errors == ()
     ride = fly(flight_of(received, "xplane", "gusts").motion)
     assert ride.fault is None and ride.use.within
+    data = bytearray((tmp_path / "gusts.pcap").read_bytes())
+    first = 24 + sum(16 + 42 + len(packet) for _, packet in packets[:1])
+    data[first + 16 + 14 + 6] |= 0x20  # more fragments of it follow
+    (tmp_path / "parts.pcap").write_bytes(data)
+    received, refused = read_telemetry(tmp_path / "parts.pcap", "xplane")
+    assert (received.time.size, refused) == (791, 1)
     with pytest.raises(InputError, match=r"no\.pcap: cannot be read"):
         read_telemetry(tmp_path / "no.pcap", "xplane")
     (tmp_path / "text.pcap").write_text("time,x\n")

@@ -300,6 +300,16 @@ def test_unit_without_a_channel_is_named():
         small(units=extra)
 
 
+@pytest.mark.parametrize(
+    "name", ["law_state", "machine_parameters", "cab_parameters", "electronics"]
+)
+def test_metadata_of_another_kind_are_named(name):
+    """What reads them, such as a replay, failed inside; none at all is as good as null."""
+    with pytest.raises(ValueError, match=f"metadata: {name}: 3 is refused; allowed: a table"):
+        small(metadata={name: 3})
+    assert small(metadata={name: None}).metadata[name] is None
+
+
 def test_corrupt_file_is_named(tmp_path):
     path = small().save(tmp_path / "run.parquet")
     path.write_bytes(path.read_bytes()[:-40])

@@ -102,6 +102,9 @@ def test_cmf_operate(tmp_path: Path) -> None:
 def test_cmf_serve_refuses_bad_arguments() -> None:
     for arguments, message in (
         (["--port", "70000"], "port: 70000 is refused"),
+        (["--host-port", "70000"], "host_port: '70000' is refused"),
+        (["--lockstep"], "lockstep: is nothing to the protocol cmf"),
+        (["--protocol", "moog", "--key", "secret.txt"], "key: is nothing to the protocol moog"),
         (["--bind", "everywhere"], "bind: 'everywhere' is not an IPv4 address"),
         (["--port", "0", "--seconds", "-1"], "seconds: -1.0 must be greater than 0"),
     ):

@@ -334,7 +334,7 @@ def test_a_response_is_pale_where_it_is_not_coherent_and_all_of_it_if_unstable()
     [
         (["--figures", "9-9"], "figures: '9-9' is not one of 2-4, 2-12"),
         (["--tables", "9-9"], "tables: '9-9' is not one of 2-4, 2-6"),
-        (["--jobs", "0"], "jobs: 0 must be at least 1"),
+        (["--jobs", "0"], "jobs: '0' is refused"),
         (["--seed", "-1"], "greater than or equal to 0"),
     ],
 )

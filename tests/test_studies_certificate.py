@@ -6,17 +6,19 @@ import control
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from typer.testing import CliRunner
 
 import cmf_mj
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.structured import peak_bound
+from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.binding import bound
 from cmf_mj.machine.kinematics import leg_jacobian
 from cmf_mj.studies.certificate.box import COUNTS, SIZE, load_box, save_case
 from cmf_mj.studies.certificate.family import SIZES, Family
-from cmf_mj.studies.certificate.run import QUICK, certify
+from cmf_mj.studies.certificate.run import QUICK, _attack, certify
 
 POSE = np.array([0.2, 0.05, -0.1, 0.03, 0.05, -0.1])
 BOX = load_box()
@@ -92,6 +94,20 @@ def test_no_sample_and_no_attack_beats_the_bound(tmp_path: Path, plant: cmf_mj.H
     points = np.sign(np.random.default_rng(7).uniform(-1.0, 1.0, (500, SIZE)))
     assert family.damping_in(BOX, 0.999 * one.proven * points).min() > 0.0
     assert one.within < 0.02 < 0.2 < one.beyond  # the simulation rings on beyond, not within
+
+
+def test_every_seed_that_the_command_takes_attacks(plant: cmf_mj.Hexapod) -> None:
+    """The largest and its successors, one a start, were refused inside NumPy."""
+    family, point = Family(plant, cmf_mj.load_law("velocity"), POSE), np.zeros(SIZE)
+    for seed in (0, 2**32 - 2, 2**32 - 1, 2**32 + 19):
+        assert np.isfinite(_attack(family, BOX, 0.1, point, 1, seed, -1.0)[0])
+
+
+def test_a_law_given_twice_is_refused_before_the_work(tmp_path: Path) -> None:
+    line = ["certify", "velocity", "velocity", "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, line)
+    assert result.exit_code == 2
+    assert "laws: velocity, velocity must differ in name" in result.output
 
 
 def test_law_that_is_unstable_as_built(tmp_path: Path) -> None:

@@ -419,7 +419,7 @@ def test_command_writes_table_csv_and_figure(tmp_path: Path, drawn: dict[str, se
         (["overload", "--size", "3 in"], "unit 'in' is not one of lbf, N"),
         (["all", "--size", "1 in^2"], "size, valve: are for one event"),
         (["pump_lost", "--leg", "2"], "leg: 2 is not allowed"),
-        (["pump_lost", "--jobs", "0"], "jobs: 0 must be at least 1"),
+        (["pump_lost", "--jobs", "0"], "jobs: '0' is refused"),
     ],
 )
 def test_command_refuses(arguments: list[str], message: str, tmp_path: Path) -> None:

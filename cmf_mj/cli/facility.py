@@ -92,7 +92,8 @@ def serve_command(
     bind: Annotated[str, Option(help="IPv4 address to listen on")] = "127.0.0.1",
     host: Annotated[str, Option(help="the only host whose datagrams are taken")] = "127.0.0.1",
     host_port: Annotated[
-        int | None, Option(help="its only port; default any program of that host")
+        int | None,
+        Option(min=1, max=65535, help="its only port; default any program of that host"),
     ] = None,
     key: KeyFile = None,
     protocol: Annotated[str, choice("cli.facility:PROTOCOLS", "NAME", _PROTOCOL)] = "cmf",
@@ -107,6 +108,7 @@ def serve_command(
 ) -> None:
     """Run the facility in real time on host frames from the network."""
     from cmf_mj.control.states import State
+    from cmf_mj.core.errors import InputError
     from cmf_mj.core.files import in_folder
     from cmf_mj.facility.host.datagram import read_key
     from cmf_mj.facility.host.doubts import unit_doubts
@@ -125,6 +127,8 @@ def serve_command(
 
     plant, options = Hexapod(cab, hydraulics), _start(begin, noise) | {"attend": attend}
     opened: Any
+    if key if protocol == "moog" else lockstep:
+        raise InputError(f"{'key' if key else 'lockstep'}: is nothing to the protocol {protocol}")
     if protocol == "moog":
         opened = MoogServer(port, host=host, host_port=host_port, bind=bind, lockstep=lockstep)
         options |= {"begin": State.OFF, "requests": ()}

@@ -122,7 +122,7 @@ def learn_command(
     washout: options.Washout = "simona",
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = True,
-    trials: Annotated[int, Option(help="runs after the first")] = 8,
+    trials: Annotated[int, Option(min=1, help="runs after the first")] = 8,
     on: Annotated[int, Option(help="drawn machines to fly it on", min=0)] = 0,
     seed: options.Seed = 0,
     jobs: options.Jobs = None,

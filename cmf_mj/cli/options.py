@@ -151,7 +151,9 @@ Washout = Annotated[str, name_or_file(_WASHOUTS, "WASHOUT", _SHIPPED)]
 Scenario = Annotated[str, argument(SCENARIOS, "[SCENARIO]", "name or TOML file", free=True)]
 Pose = Annotated[str, Option(metavar="POSE", help="x,y,z [in],roll,pitch,yaw [deg], z down")]
 Amplitude = Annotated[str | None, size(help="with its unit; default '0.33 in' or '0.2 deg'")]
-Jobs = Annotated[int | None, Option(help="threads or processes; default one a core")]
+Jobs = Annotated[
+    int | None, Option(min=1, max=1024, help="threads or processes; default one a core")
+]
 Noise = Annotated[bool, Option("--noise/--ideal", help="sensors and electronics with noise")]
 Quick = Annotated[bool, Option("--quick", help="shorter: sweeps of 30 s, not 100 s; fewer draws")]
 Seed = Annotated[int, Option(help="of all random numbers", min=0, max=2**32 - 1)]

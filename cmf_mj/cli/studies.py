@@ -155,6 +155,7 @@ def certify_command(
 ) -> None:
     """Bound how far machines may be off before a law fails, and find machines that break it."""
     from cmf_mj.control.law import load_law
+    from cmf_mj.core.settings import check_distinct
     from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import certificate as report
     from cmf_mj.show.look import save_files
@@ -164,6 +165,8 @@ def certify_command(
 
     unit, effort, rows = load_box(box), run.QUICK if quick else run.Effort(), []
     plants, chosen = [Hexapod(cab, hydraulics) for cab in cabs], [load_law(law) for law in laws]
+    check_distinct("laws", [law.name for law in chosen])
+    check_distinct("cabs", [plant.cab for plant in plants])
     with progress_bar() as update:
         update(0, len(plants) * len(chosen))
         for law in chosen:

@@ -290,12 +290,6 @@ class Law(Settings):
         model = self.reference_model is not None and self.reference_model.reads_velocity
         return model or (self.plan is not None and bool(np.any(self.plan.velocity)))
 
-    @property
-    def uses_integral(self) -> bool:
-        """Whether the error integral acts on the command."""
-        gains = self.direct_gain.error_integral, self.input_gain.error_integral
-        return any(bool(np.any(gain)) for gain in gains)
-
 
 def _law_of(name: str, table: object, tables: dict[str, Any], where: str) -> Law:
     """One law from its table, which may be based on another of the tables."""

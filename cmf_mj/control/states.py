@@ -175,7 +175,7 @@ def start(states: States, code: State, position: ArrayLike) -> OperatingState:
     That is off, settled, hold or engaged; at the leg positions (n,) [m] it holds, or the host is.
     """
     if code not in (State.OFF, State.SETTLED, State.HOLD, State.ENGAGED):
-        raise InputError(f"code: {State(code).name} is no state to start in")
+        raise InputError(f"code: {code!r} is no state to start in")
     at = np.clip(np.array(position, dtype=float), -states.travel, states.travel)
     if code == State.OFF:
         at[:] = -states.travel

@@ -57,12 +57,11 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         if render_mode is not None:
             check_name("render_mode", render_mode, self.metadata["render_modes"])
         self.plant, self.law, self.render_mode = plant, law, render_mode
-        if not seconds > 0.0:
-            raise InputError(f"seconds: {seconds} is refused; allowed: above 0")
+        if not 0.0 < real("seconds", seconds) * plant.machine.rate <= MOST_FRAMES:
+            allowed = f"above 0, up to {MOST_FRAMES} frames"
+            raise InputError(f"seconds: {seconds} is refused; allowed: {allowed}")
         self.steps = max(round(seconds * plant.machine.rate / FRAMES), 1)
         """Steps after which a run is truncated."""
-        if not self.steps * FRAMES <= MOST_FRAMES:
-            raise InputError(f"seconds: {seconds} is refused; allowed: {MOST_FRAMES} frames")
         largest = np.concatenate([np.full(q.width, q.largest) for q in self.quantities])
         self._high = high = largest.astype(np.float32)
         self.observation_space = gym.spaces.Box(-high, high)
@@ -76,6 +75,19 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         options = Options(start, frames=self.steps * FRAMES, record_every=FRAMES, window=FRAMES)
         self.session = Session(self.plant, self.law, Table(self.table), options)
         self._done = False
+
+    @staticmethod
+    def chosen(options: Any, name: str, drawn: Array, most: float) -> Array:
+        """What the options of a reset have under a name, rows of as many numbers as are drawn."""
+        given = {} if options is None else options
+        if not isinstance(given, dict) or given.keys() - {name}:
+            raise InputError(f"options: {options!r} is refused; allowed: {{{name!r}: numbers}}")
+        values = real(name, given.get(name, drawn))
+        fits = values.size and values.ndim <= drawn.ndim and values.shape[-1:] == drawn.shape[-1:]
+        if not (fits and (np.abs(values) <= most).all()):
+            allowed = f"numbers of shape {drawn.shape}, of size {most:g} at most"
+            raise InputError(f"{name}: {values.tolist()} is refused; allowed: {allowed}")
+        return values.copy()
 
     def step(
         self, action: NDArray[np.float32]

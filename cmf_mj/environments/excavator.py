@@ -71,7 +71,8 @@ class ExcavatorEnv(MachineEnv):
         if self.task == "reach":
             low, high = self.places.min(axis=0), self.places.max(axis=0)
             ahead = self.np_random.uniform(low, high, (1, 3))
-        self.ahead = list(np.atleast_2d((options or {}).get("places", ahead)))
+        most = self.quantities[3].largest
+        self.ahead = list(np.atleast_2d(self.chosen(options, "places", ahead, most)))
         self._reference, self._speed = self.places[0].copy(), np.zeros(3)
         self.pressure = 0.0
         """Largest pressure so far over the proof pressure."""

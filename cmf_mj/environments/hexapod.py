@@ -68,7 +68,7 @@ class HexapodEnv(MachineEnv):
         """Begin at rest at neutral; `options` may hold the `target` pose (6,) [m, rad]."""
         super().reset(seed=seed)
         drawn = self.np_random.uniform(-1.0, 1.0, 6) * _REACH
-        self.target = np.array((options or {}).get("target", drawn), dtype=float)
+        self.target = self.chosen(options, "target", drawn, self.quantities[3].largest)
         if self._mismatch is not None:
             draw, names = int(self.np_random.integers(2**31)), self.plant.actuators
             oil = self._mismatch.draw_hydraulics(self._oil, names, draw, 0)

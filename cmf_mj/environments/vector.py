@@ -15,6 +15,7 @@ import numpy as np
 from gymnasium.vector import SyncVectorEnv
 from numpy.typing import NDArray
 
+from cmf_mj.core.arrays import real, whole
 from cmf_mj.core.errors import InputError
 from cmf_mj.environments.environment import MachineEnv
 from cmf_mj.environments.excavator import ExcavatorEnv
@@ -37,11 +38,11 @@ class ThreadVectorEnv(SyncVectorEnv[NDArray[np.float32], NDArray[np.float32]]):
         self, make: Callable[[], MachineEnv], num_envs: int = 1, *, threads: int | None = None
     ) -> None:
         """Make the environments."""
-        if num_envs < 1 or (threads is not None and threads < 1):
-            raise InputError(f"num_envs, threads: {num_envs}, {threads}; allowed: at least 1")
+        num_envs = whole("num_envs", num_envs, 1, 2**31 - 1)
+        threads = whole("threads", threads is None and os.cpu_count() or threads, 1, 2**31 - 1)
         super().__init__([lambda: _Ahead(make())] * num_envs)
         self._ended = np.zeros(num_envs, dtype=bool)
-        self._pool = ThreadPoolExecutor(threads or os.cpu_count() or 1)
+        self._pool = ThreadPoolExecutor(threads)
 
     def reset(self, **options: Any) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Reset all; a seed is that of the first, and rises by one."""
@@ -49,7 +50,11 @@ class ThreadVectorEnv(SyncVectorEnv[NDArray[np.float32], NDArray[np.float32]]):
         return super().reset(**options)
 
     def step(self, actions: NDArray[np.float32]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step all; those that had ended are reset instead, with no reward."""
+        """Step all, or none; those that had ended are reset instead, with no reward."""
+        given = real("actions", actions)
+        if given.shape != self.action_space.shape or not np.isfinite(given).all():
+            allowed = f"finite numbers of shape {self.action_space.shape}"
+            raise InputError(f"actions: {actions} is refused; allowed: {allowed}")
         for env, action, ended in zip(self.envs, actions, self._ended, strict=True):
             if isinstance(env, _Ahead) and not ended:
                 env.result = self._pool.submit(env.env.step, action)

@@ -52,7 +52,7 @@ def export_library(
     frozen = freeze(plant, None if law is None else load_law(law), electronics)
     files = [*copy_sources("library", out), *write_machine(frozen, out), *copy_mujoco(out)]
     library = out / "libcmf.so"
-    build(out, library, ["cmf.c"], [name for name in os.listdir(out) if name.endswith(".o")])
+    build(out, library, ["cmf.c"], [path.name for path in files if path.suffix == ".o"])
     return [*files, library]
 
 
@@ -187,7 +187,7 @@ def _header(law: Law, parts: LawParts, image: Image) -> str:
         "OUTPUT": image.at["dcl.workspace.output"],
         "COMMAND": image.at["dcl.workspace.command"],
     }
-    lines = [f"/* {law.title.replace('*/', '')}", " *"]
+    lines = [f"/* {law.title.replace('*', '')}", " *"]
     lines += [" * x[k+1] = A x[k] + B u[k], y[k] = C x[k] + D u[k]; y in per cent of full command,"]
     lines += [" * u in in, in/s, in s, in/s^2, Pa, lbf, per leg or hydraulic mode."]
     lines += [f" * A frame is 1/{law.rate} s.", " *"]

@@ -16,6 +16,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import write_text
 from cmf_mj.export.library import build, copy_mujoco, copy_sources, write_objects
 from cmf_mj.export.machine import make_image
@@ -76,6 +77,9 @@ def export_plugin(
     Raises `InputError` as `attach_hydraulics`, and where there is no C compiler.
     """
     plant = attach_hydraulics(model, cylinders, hydraulics)
+    written = out / f"{plant.name}.xml"
+    if written.exists() and written.samefile(model):
+        raise InputError(f"out: {str(out)!r} is refused: {written.name} there is the model itself")
     spec = equipped(model, cylinders, hydraulics)[0]
     state, legs = plant.start(), plant.legs
     fixed = Fixed(plant.hydraulics, no_faults(legs), plant.neutral)
@@ -108,7 +112,7 @@ def export_plugin(
     files += write_objects({"cmf_push": code, "cmf_data": constant_data(blocks)}, out)
     library = out / "libcmf_cylinders.so"
     build(out, library, ["cmf_cylinders.c"], ["cmf_push.o", "cmf_data.o"])
-    return [*files, library, write_text(out / f"{plant.name}.xml", _mjcf(plant, model, spec))]
+    return [*files, library, write_text(written, _mjcf(plant, model, spec))]
 
 
 def _mjcf(plant: Plant, model: Path, equipment: mujoco.MjSpec) -> str:

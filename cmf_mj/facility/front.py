@@ -123,6 +123,7 @@ def _follow(chain, frame, position, fault, tripped, reference):  # type: ignore[
     for i in range(chain.request_frame.shape[0]):
         if chain.request_frame[i] == frame:
             progress.request = chain.request[i]
+            tripped = tripped or chain.request[i] == Request.TRIP.value
     request, before = progress.request, progress.state
     leaving = request == Request.RESET.value and before == State.FAULT.value
     if (fault != NO_FAULT or tripped) and not leaving:

@@ -9,6 +9,7 @@ and the session, which run again gives the same demand bit for bit.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict, Unpack
 
@@ -110,7 +111,8 @@ class OperationOptions(TypedDict, total=False):
     begin on the stops, the others at the first frame's pose, or neutral if that is beyond the
     operational limits or the legs' working stroke. Settled has its valves open from the first
     frame, so that a law whose balance is elsewhere jumps; off fades them in."""
-    requests: Sequence[tuple[float, Request]]  #: Operator's requests and their times [s].
+    requests: Sequence[tuple[float, Request]]
+    """Operator's requests and their times [s]; of one instant the last counts, after any trip."""
     events: Sequence[Event]  #: Failures on the time line.
     facility: FacilitySettings  #: Everything between host and valves.
     record_every: int  #: Keep one frame in this many; default 1, in real time 16.
@@ -274,11 +276,12 @@ def facility_session(
     electronics of the `options` are those of `start` and `settings`.
     """
     options = options.checked()
-    for at, code in start.requests:
-        if not 0.0 <= at <= LONGEST:
-            raise InputError(
-                f"requests: {code.name.lower()} at {at} s is refused: must be 0 to {LONGEST:g} s"
-            )
+    for one in start.requests:
+        match one:
+            case (int() | float() | np.integer() as at, Request()) if 0.0 <= at <= LONGEST:
+                continue
+        allowed = f"a time of 0 to {LONGEST:g} s and a Request"
+        raise InputError(f"requests: {one!r} is refused; allowed: {allowed}")
     machine = plant.machine
     limits = load_motion_limits(settings.limits, machine)
     down = start.state in (State.OFF, State.SETTLED)
@@ -292,7 +295,9 @@ def facility_session(
             limiter.make_leg_limiter(limits, frame=machine.frame),
         ),
         arrivals,
-        sorted((round(at * machine.rate), code) for at, code in start.requests),
+        sorted(
+            ((round(at * machine.rate), code) for at, code in start.requests), key=itemgetter(0)
+        ),
         start.state,
         position=legs,
         pose=start.pose,

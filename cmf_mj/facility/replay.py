@@ -19,6 +19,7 @@ from cmf_mj.control import dcl as control
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback, gravity_history
 from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.arrays import check_finite, real
 from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.settings import validated
@@ -116,8 +117,9 @@ def _begun(record: Record, law: Law, legs: int) -> control.DclState | None:
     if not said or record.metadata.get("law_parameters") != law.model_dump(mode="json"):
         return None
     known = control.DclState.zeros(legs).arrays()
-    fits = said.keys() == known.keys() and all(len(values) == legs for values in said.values())
-    return control.DclState.of(said) if fits else None
+    begun = {name: real(f"law_state: {name}", values) for name, values in said.items()}
+    fits = begun.keys() == known.keys() and all(v.shape == (legs,) for v in begun.values())
+    return control.DclState.of(begun) if fits else None
 
 
 def _every(record: Record, rate: int) -> int:
@@ -132,6 +134,7 @@ def _legs(record: Record, channel: str) -> NDArray[np.float64]:
     legs = record["leg_position"].shape
     if values.ndim != 2 or values.shape != legs or values.shape[0] < 2:
         raise InputError(f"{channel}: shape is {values.shape}; allowed: (N, n) with N >= 2")
+    check_finite(channel, values)
     return np.array(values, order="C")  # the compiled law takes writable ones only
 
 

@@ -241,7 +241,7 @@ def recorded_cab(metadata: Mapping[str, Any]) -> Cab | None:
     machine = recorded_machine(metadata)
     if metadata.get("cab_parameters"):
         return validated(Cab, _on(machine, metadata["cab_parameters"]), "cab_parameters")
-    return load_cab(metadata["cab"], machine) if metadata.get("cab") else None
+    return load_cab(str(metadata["cab"]), machine) if metadata.get("cab") else None
 
 
 def _on(machine: Machine, table: Mapping[str, Any]) -> dict[str, Any]:

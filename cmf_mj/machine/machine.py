@@ -355,7 +355,10 @@ def _beside(folder: Path, table: Mapping[str, Any], field: str) -> dict[str, Any
 
 def recorded_machine(metadata: Mapping[str, Any]) -> Machine:
     """The machine that the metadata of a record tell of; the CMF where they tell of none."""
-    name, parameters = metadata.get("machine", models.CMF), metadata.get("machine_parameters")
+    name, parameters = (
+        str(metadata.get("machine") or models.CMF),
+        metadata.get("machine_parameters"),
+    )
     if name in models.machine_names() or not parameters:
         return load_machine(name)
     return validated(Machine, parameters, "machine_parameters")

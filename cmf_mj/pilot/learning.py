@@ -156,8 +156,8 @@ def learn(
     """Fly a motion on the first plant, and again with what its leg sensors told corrected.
 
     G_i are those of the plants in turn, at the mean pose and where a leg is longest or shortest.
-    Trial k, the first run being 0, has the noise of seed + k. Refuses fewer than one trial, and a
-    run that a fault ends.
+    Trial k, the first run being 0, has the noise of seed + k. Refuses fewer than one trial, less
+    than a period of `BAND`, and a run that a fault ends.
 
     >>> from cmf_mj.facility.host.stream import from_command
     >>> from cmf_mj.pilot.learning import learn
@@ -171,6 +171,8 @@ def learn(
     loaded, chosen, machine = load_law(law), facility or FacilitySettings(), plants[0].machine
     limits = load_motion_limits(chosen.limits, machine)
     reference = within_limits(_led(stream), limits, machine)[0]
+    if (lasts := reference.time[-1] - LEAD) < 1.0 / BAND:
+        raise InputError(f"stream: lasts {lasts:.3g} s; allowed: at least {1.0 / BAND:g} s")
     legs = pose_to_legs(reference.pose, machine)
     ends = np.unique(np.concatenate([legs.argmin(axis=0), legs.argmax(axis=0)]))
     poses, lines = [reference.pose.mean(axis=0), *reference.pose[ends]], frequencies(len(legs))

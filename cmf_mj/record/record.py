@@ -29,6 +29,9 @@ _SYMBOL = r"(1|m|s|kg|N|Pa|J|W|V|A|K|Hz|rad)(\^[1-9])?"
 _SI = re.compile(rf"{_SYMBOL}((, |/| ){_SYMBOL})*")
 """Units that a channel may have: of SI, with powers, products, quotients and one a column."""
 
+_TABLES = ("machine_parameters", "cab_parameters", "law_parameters", "law_state", "electronics")
+"""Metadata that are tables, where they are there."""
+
 _OFF = 1e-6
 """How far a sample may lie from its instant [s]; the facility's files tell a time to 1e-7 s."""
 
@@ -73,6 +76,9 @@ class Record:
         for name, unit in self.units.items():
             if not _SI.fullmatch(unit):
                 raise InputError(f"units: {name}: {unit!r} is refused; allowed: of SI, such as m/s")
+        for name in _TABLES:
+            if not isinstance(value := self.metadata.get(name), Mapping | None):
+                raise InputError(f"metadata: {name}: {value!r} is refused; allowed: a table")
         object.__setattr__(self, "channels", FrozenDict(histories))
         object.__setattr__(self, "units", FrozenDict(self.units))
         object.__setattr__(self, "metadata", frozen_json(dict(self.metadata)))

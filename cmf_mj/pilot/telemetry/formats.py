@@ -142,7 +142,7 @@ _LINKS = {0: 4, 1: 14, 12: 0, 101: 0, 113: 16, 276: 20}
 
 
 def _packets(path: Path) -> Iterator[tuple[float, bytes]]:
-    """Times and contents of the UDP datagrams over IPv4 of a pcap file."""
+    """Times and contents of the UDP datagrams over IPv4 of a pcap file; of a part, nothing."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -163,7 +163,8 @@ def _packets(path: Path) -> Iterator[tuple[float, bytes]]:
         if len(packet) > 28 and packet[0] >> 4 == 4 and packet[9] == 17:
             header = 4 * (packet[0] & 0x0F)
             size = int.from_bytes(packet[header + 4 : header + 6])
-            yield seconds + fraction * part, packet[header + 8 : header + size]
+            whole = packet[6] & 0x3F == packet[7] == 0 and header + size <= len(packet)
+            yield seconds + fraction * part, packet[header + 8 : header + size] * whole
 
 
 def flight_of(telemetry: Telemetry, form: str, title: str) -> Flight:

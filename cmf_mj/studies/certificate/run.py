@@ -203,7 +203,7 @@ def _attack(
         if here >= best[0]:
             break
         best = here, corner
-    options = {"bounds": [-1.0, 1.0], "seed": seed + 1, "verbose": -9, "popsize": 16}
+    options = {"bounds": [-1.0, 1.0], "seed": seed % (2**32 - 1) + 1, "verbose": -9, "popsize": 16}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         strategy = require("cma", "search").CMAEvolutionStrategy(0.95 * best[1], 0.3, options)
