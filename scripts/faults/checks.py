@@ -111,7 +111,7 @@ def _own(part: Part, door: str) -> tuple[NDArray[np.int64], Array]:
 
 def near(run: Run) -> str:
     """The demand stays in the range of its host."""
-    speed, _ = _speed(run)
+    speed = _speed(run)[0] + _wrong(run.plan)
     for part in run.parts:
         record = part.operation.record
         demand, rate = record["demand_pose"], round(record.rate)

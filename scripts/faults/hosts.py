@@ -115,7 +115,7 @@ def datagrams(plan: Plan, end: float) -> list[Sent]:
         elif o.kind == "restart":
             first = int(np.argmax(sent >= o.at)) if (sent >= o.at).any() else size
             stamps[first:] -= stamps[min(first, size - 1)]
-            numbers[first:] -= first
+            numbers[first:] -= numbers[min(first, size - 1)]
         elif o.kind in ("garbage", "double", "second"):
             extra += _others(plan, o, sent, share, rng)
     stamps[blank] = np.nan
