@@ -64,12 +64,12 @@ def main() -> int:
     options = parser.parse_args()
     folders = []
     for commit in (options.base, options.head):
-        root = Path().resolve() if commit is None else _export(commit, options.out)
+        root = Path().resolve() if commit is None else export(commit, options.out)
         results = options.out / "results" / (root.name if commit else "working_tree")
-        runs = _runs(root, results, not options.no_compare)
+        runs = runs_of(root, results, not options.no_compare)
         chosen = options.only.split(",") if options.only else list(runs)
         for name in chosen:
-            _run(root, results / name, runs[name])
+            run_case(root, results / name, runs[name])
         folders.append(results)
     if options.keep:
         _keep(folders[0])
@@ -104,7 +104,8 @@ def _keep(results: Path) -> None:
     VALUES.write_text("\n".join(lines), encoding="utf-8")
 
 
-def _export(commit: str, out: Path) -> Path:
+def export(commit: str, out: Path) -> Path:
+    """The folder of a commit's sources below `out`."""
     digest = subprocess.run(
         ["git", "rev-parse", "--short=12", f"{commit}^{{commit}}"],
         check=True, capture_output=True, text=True,
@@ -117,7 +118,7 @@ def _export(commit: str, out: Path) -> Path:
     return root
 
 
-def _runs(root: Path, results: Path, comparison: bool) -> dict[str, list[str]]:
+def runs_of(root: Path, results: Path, comparison: bool) -> dict[str, list[str]]:
     """Arguments of the interpreter for each case."""
     runs = {}
     for name, table in tomllib.loads(CASES.read_text(encoding="utf-8")).items():
@@ -145,7 +146,8 @@ def _toml(table: dict[str, object]) -> str:
     return tomlkit.dumps(table)
 
 
-def _run(root: Path, folder: Path, arguments: list[str]) -> None:
+def run_case(root: Path, folder: Path, arguments: list[str]) -> None:
+    """Run a case of `runs_of` with the sources of a commit, or of the working tree."""
     if folder.is_dir() and root != Path().resolve():
         return  # of a commit: cannot have changed
     folder.mkdir(parents=True, exist_ok=True)

@@ -21,6 +21,7 @@ from cmf_mj import Hexapod, Record, law_names, signals
 from cmf_mj.control.states import Request, State
 from cmf_mj.facility.host.stream import HostStream, from_command
 from cmf_mj.facility.operation import FacilitySettings, operate
+from cmf_mj.plant.events import Event
 
 FEW = ["velocity", "dynamic_pressure", "modal_plan"]
 LAWS = [name for name in law_names("all") if name != "original_as_printed"]
@@ -81,6 +82,24 @@ def test_a_parked_machine_and_one_in_fault_engage_again(law: str | None, machine
         ["OFF", "ENGAGED", "OFF", "ENGAGED", "FAULT", "OFF", "ENGAGED"],
         machine,
     )
+
+
+def test_the_operators_emergency_stop_is_a_fault_and_can_be_left() -> None:
+    """The legs lay on their stops, a stroke away from a demand that was followed for ever."""
+    requests = [(20.0, Request.RESET), (40.0, Request.ENGAGE)]
+    operation = operate(
+        Hexapod(), "modal_plan", host(76.0), begin=State.ENGAGED, seconds=76.0, requests=requests,
+        events=[Event(at=0.5, kind="emergency_stop")], record_every=16,
+    )  # fmt: skip
+    record = operation.record
+    code = record["operating_state"].astype(int)
+    assert (code[record.time < 0.5] == State.ENGAGED).all()
+    assert (code[(record.time > 0.5) & (record.time < 20.0)] == State.FAULT).all()
+    down = record["leg_reference"][np.searchsorted(record.time, 19.9)]
+    np.testing.assert_allclose(down, -Hexapod().machine.working_stroke, atol=1e-9)
+    assert entered(record)[1:3] == ["FAULT", "OFF"] and code[-1] == State.ENGAGED
+    away = np.abs(record["leg_extension"] - record["leg_reference"])[-1]
+    assert away.max() < 0.01
 
 
 def circuit() -> list[str]:

@@ -54,6 +54,15 @@ def put(rows: slice, value: float) -> Callable[[np.ndarray], np.ndarray]:
     return change
 
 
+def with_fault(name: str) -> runs.Run:
+    (part,) = plain().parts
+    record = part.operation.record
+    metadata = {**record.metadata, "fault": {"name": name, "leg": None, "time": 3.9}}
+    changed = Record(record.time, record.channels, record.units, metadata)
+    operation = part.operation._replace(record=changed)
+    return plain()._replace(parts=[part._replace(operation=operation)])
+
+
 def miscounted() -> runs.Run:
     (part,) = plain().parts
     counts = {**part.operation.counts, "accepted": part.operation.counts["accepted"] + 1}
@@ -86,6 +95,10 @@ DEFECTS: dict[str, tuple[str, Callable[[], runs.Run]]] = {
     "lost oil": ("balance", lambda: with_channel("tank_content", put(late, 0.0))),
     "a frame counted twice": ("counts", miscounted),
     "a stop of the run": ("bounds", lambda: plain()._replace(stopped="beyond the proof pressure")),
+    "a chamber beyond proof": ("bounds", lambda: with_channel("cap_pressure", put(late, 1e8))),
+    "a chamber below vacuum": ("bounds", lambda: with_channel("rod_pressure", put(late, -2e5))),
+    "a fault of a clean host": ("alarm", lambda: with_fault("tracking_error")),
+    "a demand that left its host's range": ("alarm", lambda: with_fault("host_range")),
     "half a record": ("disk", lambda: plain()._replace(damage="cap_pressure came back otherwise")),
     "no way out": ("way_out", lambda: plain()._replace(end=State.OFF)),
 }
@@ -261,6 +274,22 @@ def test_a_failure_prints_seed_options_commit_and_the_least_plan(
     said = capsys.readouterr().out
     assert f"FAILED seed 5, --seconds 3, commit {script.commit()}\n  near: far\n" in said
     assert "simulate_faults.py --plan '{" in said and '"failures": 1' in said
+
+
+FOUND = {
+    "seed 13: 0.1 m of demand for 4 mm of a host that stalls twice a second": (
+        '{"seconds": 3.0, "door": "telemetry", "oddities": [["skip", 1.358, 1.346, 0.1216]]}'
+    ),
+    "seed 5003: legs on their stops, engaged, after the operator's emergency stop": (
+        '{"seconds": 8.0, "actions": [[0.1, "event", "emergency_stop", 1]]}'
+    ),
+}
+
+
+@pytest.mark.parametrize("defect", FOUND)
+def test_what_the_search_has_found_stays_mended(defect: str) -> None:
+    _, wrong = script.outcome(Plan.read(FOUND[defect]))
+    assert not wrong
 
 
 @pytest.mark.slow

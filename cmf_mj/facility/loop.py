@@ -298,7 +298,8 @@ def run(machine, controller, memory, recorder, first, last):  # type: ignore[no-
                     for leg in range(legs):
                         command[age, leg] = command[age - 1, leg]
                 measure(electronics, faults, frame, truth, compensated, feedback)
-                fault, tripped = guard.fault[0], progress.tripped != 0
+                fault = guard.fault[0]
+                tripped = progress.tripped != 0 or plant_faults[STOPPED] != 0.0
                 gain = follow(chain, table, frame, feedback.position, fault, tripped, reference)
                 latch(guard, found(chain), frame)
                 if cleared(chain):

@@ -3,8 +3,8 @@
     pump + accumulators = losses + work on the pistons + rise of what is stored by compression
     oil in chambers, manifolds, accumulators and out at the tank = constant
 
-Both close to rounding; what is left is the residual. Two things open the first: a piston pushed
-into its elastic stop beyond `minimum_gap` works on a volume that stays, and a chamber torn open
+Both close to rounding; what is left is the residual. Two things open the first: a piston in the
+last twenty `minimum_gap` before its stop works on a volume that stays, and a chamber torn open
 hides its oil: at a pressure below the atmosphere a pascal is a great deal of it, so that those rows
 of `residual` and `oil` are not a number.
 """

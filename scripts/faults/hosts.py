@@ -89,10 +89,11 @@ def datagrams(plan: Plan, end: float) -> list[Sent]:
     """Everything that comes to the machine's port until the end [s], in order of arrival."""
     time, sent, goes = _ticks(plan, end)
     arrives = sent + 1e-4
-    values = _values(plan, time)
+    values = says(plan, time)
     stamps, numbers = time.copy(), np.arange(time.size)
     draws = {kind: np.random.default_rng([plan.seed, n]) for n, kind in enumerate(ODDITIES)}
     extra: list[Sent] = []
+    blank = np.zeros(time.size, dtype=bool)
     for o in plan.oddities:
         within, size, rng = _within(o, sent), time.size, draws[o.kind]
         share = within & (rng.random(size) < o.size)
@@ -105,6 +106,7 @@ def datagrams(plan: Plan, end: float) -> list[Sent]:
             arrives = np.where(share, arrives + rng.uniform(0.01, 0.06, size), arrives)
         elif o.kind == "not_finite":
             odd = rng.choice((np.nan, np.inf, -np.inf), size)
+            blank |= share & (rng.random(size) < 0.2)
             values[share, rng.integers(3, size=size)[share], rng.integers(6, size=size)[share]] = (
                 odd[share]
             )
@@ -113,9 +115,10 @@ def datagrams(plan: Plan, end: float) -> list[Sent]:
         elif o.kind == "restart":
             first = int(np.argmax(sent >= o.at)) if (sent >= o.at).any() else size
             stamps[first:] -= stamps[min(first, size - 1)]
-            numbers[first:] -= first
+            numbers[first:] -= numbers[min(first, size - 1)]
         elif o.kind in ("garbage", "double", "second"):
             extra += _others(plan, o, sent, share, rng)
+    stamps[blank] = np.nan
     rows = zip(arrives, numbers, stamps, values, sent, strict=True)
     own = [
         Sent(float(a), k, float(s), _octets(plan, int(n), float(t), v), HOST)
@@ -141,7 +144,7 @@ def _others(
             for k, t in enumerate(at)
         ]
     at = np.arange(oddity.at, oddity.at + oddity.length, 1.0 / plan.rate)
-    values = _values(plan, at + 100.0)
+    values = says(plan, at + 100.0)
     values *= oddity.size
     port = HOST[1] + (int(rng.integers(2)) if plan.door == "native" else 0)
     return [
@@ -150,7 +153,7 @@ def _others(
     ]
 
 
-def _values(plan: Plan, time: Array) -> Array:
+def says(plan: Plan, time: Array) -> Array:
     """Pose, velocity and acceleration as the host says them, (N, 3, 6)."""
     velocity, acceleration = derivatives(plan, time)
     rng = np.random.default_rng([plan.seed, 99])

@@ -51,7 +51,7 @@ jitter      each arrives late by up to the size [s], in order
 loss        a share is lost
 double      a share arrives twice, the second up to 20 ms later
 late        a share arrives 10 to 60 ms late, behind its successors
-not_finite  a share holds a number that is not finite
+not_finite  a share holds a number that is not finite, a fifth of it the stamp too
 wild        a share holds a pose of metres
 garbage     octets of a stranger between, so many to a frame
 burst       the host stalls twice a second for the size [s] and then sends what was due
