@@ -99,7 +99,8 @@ def test_the_dcu_gives_the_same_demand_at_common_times() -> None:
         dcu = make_dcu(settings, 1.0 / rate)
         sent = arrivals(stream)
         sent = sent._replace(frame=np.round(stream.time * rate).astype(np.int64))
-        found[rate] = upsample(dcu, resting(dcu), sent, 3 * rate)[3 * rate // 2 :: rate // 512, 0, 2]
+        demand = upsample(dcu, resting(dcu), sent, 3 * rate)
+        found[rate] = demand[3 * rate // 2 :: rate // 512, 0, 2]
     assert np.abs(found[2048]).max() > 0.09
     for rate in (512, 1024):
         np.testing.assert_allclose(found[rate], found[2048], rtol=0, atol=1e-9)
