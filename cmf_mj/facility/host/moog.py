@@ -66,7 +66,6 @@ _MOST = 64
 _PATIENCE = 10.0
 """Longest wait for a command in lockstep [s]; then the host is taken to have gone."""
 
-
 _STILL = np.zeros(6)
 
 

@@ -24,7 +24,6 @@ DERIVATIVES = ("spline", "zero")
 LEAST = 6
 """Frames a quintic spline needs."""
 
-
 _PERIOD = 0.5
 """Time from stutter to stutter [s]."""
 

@@ -1,9 +1,9 @@
 """Live telemetry through washout and DCU to the cab, in real time.
 
 80 times a second the newest sample goes through the washout, and its frame to the DCU. Samples that
-are missing leave no gap in the frames: a sample older than `_FADE[0]` fades to rest until
-`_FADE[1]`, and the washout brings the machine back. Without a new sample for `_STALE` no frame is
-sent, and the host watchdog of the facility brings the machine down.
+are missing leave no gap in the frames: the last goes on at its slope s, by s T (1 - e^(-age / T)),
+and from `_FADE[0]` on fades to rest until `_FADE[1]`; the washout brings the machine back. Without
+a new sample for `_STALE` no frame is sent, and the host watchdog brings the machine down.
 """
 
 import contextlib
@@ -33,6 +33,9 @@ from cmf_mj.plant.hexapod import Hexapod
 _FADE = (0.1, 0.5)
 """Ages of the newest sample between which it fades to rest [s]."""
 
+_AHEAD, _LEARN = 0.15, 0.03
+"""T, and the time constant of the slope [s]."""
+
 _STALE = 1.0
 """Age of the newest sample from which on nothing is sent [s]."""
 
@@ -50,12 +53,13 @@ class _Host:
         self._form, self._washout = form, washout
         self._row: Row | None = None
         self._came, self._steps = -math.inf, 0
+        self._felt, self._slope = np.zeros(6), np.zeros(6)
         self.socket = open_socket(port, bind)
         self.socket.setblocking(False)
 
     def attend(self, session: Session) -> int:
         """Send a frame of the newest sample; the control frames until the next."""
-        now = session.frame / session.rate
+        now, before = session.frame / session.rate, self._came
         with contextlib.suppress(OSError):  # nothing more has come
             for _ in range(64):
                 try:
@@ -64,8 +68,14 @@ class _Host:
                 except InputError:
                     self.refused += 1
         if self._row is not None and now - self._came <= _STALE:
-            felt = np.array(self._row[1:7])
-            felt += (_REST - felt) * np.interp(now - self._came, _FADE, (0.0, 1.0))
+            if self._came > before:
+                felt, since = np.array(self._row[1:7]), now - before
+                if since < _STALE:
+                    self._slope += (felt - self._felt - self._slope * since) / (since + _LEARN)
+                self._felt = felt
+            age = now - self._came
+            felt = self._felt + self._slope * _AHEAD * (1.0 - math.exp(-age / _AHEAD))
+            felt += (_REST - felt) * np.interp(age, _FADE, (0.0, 1.0))
             self.rows.append((self._row[0], *felt.tolist(), *self._row[7:]))
             self.frames.append(self._washout.frame(felt[:3], felt[3:]))
             put(self.ring, self.frames[-1])
