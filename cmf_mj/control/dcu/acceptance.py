@@ -262,7 +262,7 @@ def _judge(state, first, last, h):  # type: ignore[no-untyped-def]
         return
     clocks.judged = min(clocks.judged + 1, _JUDGED)
     if unfit:
-        clocks.misfit += (1.0 - clocks.misfit) / (clocks.judged + 2)
+        clocks.misfit += (1.0 - clocks.misfit) / clocks.judged
     else:
         clocks.misfit -= clocks.misfit / (_PATIENCE * (clocks.judged + 2))
     if silent:  # the host sends none
