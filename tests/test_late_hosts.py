@@ -107,10 +107,15 @@ def test_a_search_finds_no_host_that_is_amplified(number: int, trials: int, most
 def test_derivatives_that_are_all_error_are_left_aside_from_the_first() -> None:
     """The search found it: at the start they were believed for three frames, 5 mm became 10 mm,
     and hold in that moment kept 40 mm."""
-    host = PLAIN._replace(rate=98.1, frequency=0.18, phase=0.5, derivatives="noisy", error=1.0)
-    assert all(search.position_gain(host, seed) <= MOST for seed in range(12))
-    held = host._replace(requests=(0.0, 0.001, 0.0625))
-    assert all(search.leg_gain(held, seed) <= MOST for seed in range(12))
+    host = Host(
+        98.1, 0.18, 0.495, 0.0, 0.0, "noisy", 1.0,
+        pattern=(0.0006, 0.0, 0.0145, 0.0005, 0.1252, 0.0315), speeds=(1.0437, 0.5, 1.17),
+        lasting=3.0,
+    )  # fmt: skip
+    held = host._replace(requests=(0.0, 0.0, 0.0625))
+    for seed in range(12):
+        assert search.position_gain(host, seed) <= MOST
+        assert search.leg_gain(held, seed) <= MOST
 
 
 def sine(amplitude: float, rate: float, seconds: float = 8.0, hertz: float = 0.2) -> HostStream:
