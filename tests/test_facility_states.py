@@ -150,7 +150,8 @@ def test_hold_and_engage_in_turns_keep_the_machine_near_its_host() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("hertz", [0.2, 0.5, 1.0, 2.0, 5.0])
+@pytest.mark.fuzz
+@pytest.mark.parametrize("hertz", [0.2, 0.5, 1.0, 2.0, 5.0] if examples(1) > 1 else [0.5, 5.0])
 @pytest.mark.parametrize("law", FEW)
 def test_requests_in_turns_keep_the_machine_near_its_host(law: str, hertz: float) -> None:
     """Settle brings the platform down, 1.1 m; trip is not undone by another request."""
