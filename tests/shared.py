@@ -1,4 +1,4 @@
-"""Runs that several tests read: computed once a suite, by whichever worker needs one first."""
+"""What several tests share; runs are computed once a suite, by whichever worker needs one first."""
 
 import fcntl
 import os
@@ -98,3 +98,15 @@ class LawsOnLeg(dict[str, Measures]):
 
 
 SINGLE = LawsOnLeg()
+
+
+def circuit(names: tuple[str, ...]) -> list[str]:
+    """A way that goes from each name to each other once, back to its beginning (Hierholzer)."""
+    left = {name: [other for other in names if other != name] for name in names}
+    way, stack = [], [names[0]]
+    while stack:
+        if left[stack[-1]]:
+            stack.append(left[stack[-1]].pop())
+        else:
+            way.append(stack.pop())
+    return way[::-1]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from shared import circuit
 
 from cmf_mj import Hexapod, law_names, load_law, signals
 from cmf_mj.control import dcl as blocks
@@ -102,18 +103,6 @@ def test_what_no_state_can_take_up_fades() -> None:
     for _ in range(1024):
         blocks.step(after, begun, reference, feedback)
     np.testing.assert_allclose(begun.offset, first * np.exp(-1.0), rtol=1e-9)
-
-
-def circuit(names: tuple[str, ...]) -> list[str]:
-    """A way that goes from each name to each other once, back to its beginning (Hierholzer)."""
-    left = {name: [other for other in names if other != name] for name in names}
-    way, stack = [], [names[0]]
-    while stack:
-        if left[stack[-1]]:
-            stack.append(left[stack[-1]].pop())
-        else:
-            way.append(stack.pop())
-    return way[::-1]
 
 
 def test_the_valve_command_is_continuous_between_all_laws_in_a_moving_run() -> None:

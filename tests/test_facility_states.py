@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from lengths import examples
+from shared import circuit
 from test_facility_moog import (
     DOF_MODE,
     ENGAGE,
@@ -102,23 +103,11 @@ def test_the_operators_emergency_stop_is_a_fault_and_can_be_left() -> None:
     assert away.max() < 0.01
 
 
-def circuit() -> list[str]:
-    """A way that goes from each state to each other once (Hierholzer)."""
-    left = {name: [other for other in ASKING if other != name] for name in ASKING}
-    way, stack = [], ["OFF"]
-    while stack:
-        if left[stack[-1]]:
-            stack.append(left[stack[-1]].pop())
-        else:
-            way.append(stack.pop())
-    return way[::-1]
-
-
 @pytest.mark.slow
 @pytest.mark.fuzz
 @pytest.mark.parametrize("law", LAWS if examples(1) > 1 else FEW)
 def test_every_state_is_reached_from_every_other_with_every_law(law: str) -> None:
-    way = circuit()
+    way = circuit(tuple(ASKING))
     assert len(set(itertools.pairwise(way))) == 20
     visit(law, way)
 
