@@ -69,6 +69,7 @@ def differing(table: list[Channel], values: NDArray[np.float64], record: Record)
 
 def export(plant: Plant, law: str, out: Path, noise: bool) -> tuple[Path, list[Channel]]:
     electronics = ElectronicsSettings() if noise else None
+    out.mkdir(exist_ok=True)
     (out / "another.o").write_text("of another program in the same folder")
     export_library(plant, law, out, electronics=electronics)
     build_host(out)
