@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from shared import FOLDER
 
-from cmf_mj.analysis.ledger import LedgerEntry, load_ledger
+from cmf_mj.report_2014.ledger import LedgerEntry, load_ledger
 from cmf_mj.show import look
 
 settings.register_profile(LONG)

@@ -32,9 +32,9 @@ from cmf_mj.analysis.identification.continuous import (
 from cmf_mj.analysis.identification.data import experiment
 from cmf_mj.analysis.identification.refinement import instrumental_variable, output_error
 from cmf_mj.analysis.identification.validation import plant_response, simulation_fit
-from cmf_mj.analysis.linear.catalogue import hardware_velocity
 from cmf_mj.analysis.linear.loop import closed_loop, closed_loop_response
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.report_2014.models import hardware_velocity
 from cmf_mj.signals.composite import orthogonal_multisines
 from cmf_mj.signals.signal import Command
 

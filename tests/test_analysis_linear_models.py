@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.linear.catalogue import hardware_velocity, report_model
 from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
 from cmf_mj.analysis.linear.plants import UnitTransferFunction, leg_plant
@@ -13,6 +12,7 @@ from cmf_mj.control.dcl import DclState, make_dcl, step
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import SIGNALS, Gains, Law, ReferenceModel, law_names, load_law
 from cmf_mj.core.rates import FRAME
+from cmf_mj.report_2014.models import hardware_velocity, report_model
 
 OMEGA = 2.0 * np.pi * np.linspace(0.05, 8.0, 4000)
 

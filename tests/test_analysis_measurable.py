@@ -20,7 +20,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.record.layout import write_facility_csv
+from cmf_mj.record.facility_csv import write_facility_csv
 from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.signals.composite import orthogonal_multisines
 from cmf_mj.studies.measurement import measure_recordings

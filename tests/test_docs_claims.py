@@ -14,10 +14,10 @@ from cmf_mj import Hexapod, attach_hydraulics, load_law, simulate
 from cmf_mj.core import units
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.show import posterior
+from cmf_mj.report_2014.posterior import answers
+from cmf_mj.report_2014.posterior import tables as posterior
 from cmf_mj.signals.composite import waypoints
 from cmf_mj.studies.capacity.asymptotes import asymptotes
-from cmf_mj.studies.posterior import answers
 
 ROOT = Path(__file__).resolve().parents[1]
 ROTATION = ROOT / "docs" / "explanation" / "acceleration_in_rotation.md"

@@ -11,7 +11,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.replay import law_of, replay
-from cmf_mj.record.layout import write_facility_csv
+from cmf_mj.record.facility_csv import write_facility_csv
 from cmf_mj.record.reader import read_facility_csv
 
 INCH = 0.0254

@@ -17,7 +17,7 @@ from cmf_mj.facility.host.doubts import unit_doubts
 from cmf_mj.facility.host.files import read_stream
 from cmf_mj.pilot.aircraft.flight import load_flight
 from cmf_mj.pilot.motion import PilotMotion
-from cmf_mj.record.layout import LAYOUT, write_facility_csv
+from cmf_mj.record.facility_csv import LAYOUT, write_facility_csv
 from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.record.record import Record
 from cmf_mj.signals.peaks import check_limits

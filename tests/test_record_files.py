@@ -7,7 +7,7 @@ import pytest
 
 from cmf_mj import Record, SingleLegs, frequency_response, signals, simulate
 from cmf_mj.core import units
-from cmf_mj.record.layout import LAYOUT, write_facility_csv
+from cmf_mj.record.facility_csv import LAYOUT, write_facility_csv
 from cmf_mj.record.reader import read_facility_csv
 
 INCH = 0.0254  # international yard and pound agreement

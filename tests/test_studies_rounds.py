@@ -11,7 +11,7 @@ from cmf_mj import Hexapod, SingleLegs, bandwidths, frequency_response, signals,
 from cmf_mj.analysis.frequency_response import matrix_frequency_response, rounds_response
 from cmf_mj.cli.common import app
 from cmf_mj.plant.plant import Plant
-from cmf_mj.record.layout import write_facility_csv
+from cmf_mj.record.facility_csv import write_facility_csv
 from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite

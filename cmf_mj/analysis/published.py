@@ -1,4 +1,4 @@
-"""The report's tables of results and gains, to compare with. They never enter a computation."""
+"""The report's tables of results, to compare with. They never enter a computation."""
 
 from functools import lru_cache
 from pathlib import Path
@@ -8,12 +8,7 @@ from pydantic import BeforeValidator
 
 from cmf_mj.core.settings import Settings, as_tuples, read_toml, validated
 
-_FILE = Path(__file__).with_name("published.toml")
-_GAINS = Path(__file__).with_name("published_gains.toml")
-
-Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuples)]
-"""A list of numbers of a table."""
-
+_FILE = Path(__file__).with_suffix(".toml")
 _READ_AS = {
     ("D-2", "acceleration"): "acceleration_d2",
     ("3-2", "combined_rate"): "combined_rate_1_8",
@@ -63,27 +58,6 @@ class Published(Settings):
     def is_of(self, law: str) -> bool:
         """Whether a law of `laws.toml` is compared with this row."""
         return law == self.read_as or _OTHERS.get(law) == self.law
-
-
-class PublishedGains(Settings):
-    """One set of compensator gains as printed; units as in `control/laws.toml`."""
-
-    table: str
-    law: str
-    a: float
-    b: Numbers  #: B, a column a signal.
-    c: float
-    d: Numbers  #: D, a column a signal.
-    signals: Names  #: What the columns act on.
-
-
-@lru_cache
-def published_gains() -> tuple[PublishedGains, ...]:
-    """All gain tables, in the report's order."""
-    rows = read_toml(_GAINS)["gains"]
-    return tuple(
-        validated(PublishedGains, row, f"{_GAINS.name}: gains {i}") for i, row in enumerate(rows)
-    )
 
 
 @lru_cache

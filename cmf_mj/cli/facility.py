@@ -231,7 +231,7 @@ def record_command(
     from cmf_mj.core import units
     from cmf_mj.core.files import in_folder
     from cmf_mj.machine.dof import dof_index, dof_unit
-    from cmf_mj.record.layout import write_facility_csv
+    from cmf_mj.record.facility_csv import write_facility_csv
     from cmf_mj.signals.peaks import peaks
     from cmf_mj.studies.case import make_case
     from cmf_mj.studies.measurement import facility_session, session_commands

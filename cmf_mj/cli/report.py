@@ -42,8 +42,8 @@ def report_command(
 ) -> None:
     """Reproduce the 2014 report on one HTML page, printed results next to ours."""
     require("jinja2", "report")
-    from cmf_mj.show.report_2014.page import make_content, save_page
-    from cmf_mj.show.report_2014.summary import verdict_tables
+    from cmf_mj.report_2014.page.document import make_content, save_page
+    from cmf_mj.report_2014.page.summary import verdict_tables
 
     with progress_bar() as update:
         content = make_content(
@@ -60,8 +60,7 @@ def ledger_command(
     number: Annotated[int | None, Argument(help="number of an entry; default all")] = None,
 ) -> None:
     """Show the misprints and contradictions of the report and what is done about each."""
-    from cmf_mj.analysis.ledger import ledger_entry, load_ledger
-    from cmf_mj.show.listing import ledger_table
+    from cmf_mj.report_2014.ledger import ledger_entry, ledger_table, load_ledger
 
     show(ledger_table(load_ledger() if number is None else (ledger_entry(number),)))
 
@@ -71,8 +70,8 @@ def linear_command(
     laws: options.Laws = options.VELOCITY, out: options.Out = Path("out/linear")
 ) -> None:
     """Show the report's linear models, Table 4-1 computed, and section 3.4's analysis."""
-    from cmf_mj.analysis.linear.catalogue import law_loops, table_4_1
-    from cmf_mj.show import linear
+    from cmf_mj.report_2014 import model_tables as linear
+    from cmf_mj.report_2014.models import law_loops, table_4_1
 
     loops, rows = law_loops(laws), table_4_1()
     paths = linear.save_linear(loops, rows, out)
@@ -106,8 +105,8 @@ def sensors_command(
 ) -> None:
     """Show a sensor set, and what the accelerometer filter does to it (Figures 3-15, 3-16)."""
     from cmf_mj.electronics.sensors.settings import load_sensors
-    from cmf_mj.show.listing import effect_table, sensor_table
-    from cmf_mj.studies.accelerometer_filter import filter_effect
+    from cmf_mj.report_2014.accelerometer_filter import effect_table, filter_effect
+    from cmf_mj.show.listing import sensor_table
 
     settings = load_sensors(sensors)
     effect = filter_effect(settings, law, seed=seed)

@@ -19,7 +19,7 @@ command = partial(app.command, rich_help_panel="Studies")
 
 _BACKEND, _FORMS = "studies.engine:Backend", "studies.tuning.forms:FORMS"
 _CALIBRATED, _TUNED = "report, hardware, hardware_lag, or `all`", Path("out/tune/law.toml")
-_READY, _TABLES = "studies.settings:ready_studies", "studies.calibration.trial:load_studies"
+_READY, _TABLES = "studies.settings:ready_studies", "report_2014.calibration.trial:load_studies"
 
 Laws = Annotated[list[str] | None, name_or_file(options.LAWS, "LAWS", "instead of the study's")]
 SomeCabs = Annotated[list[str] | None, name_or_file(options.CABS, "CABS", "instead of the study's")]
@@ -38,11 +38,11 @@ def _run(
     **changes: Any,
 ) -> None:
     """Run a study with some of its fields changed; None leaves a field."""
-    from cmf_mj.show import posterior
+    from cmf_mj.report_2014.posterior import tables as posterior
+    from cmf_mj.report_2014.posterior.run import run_posterior
+    from cmf_mj.report_2014.posterior.settings import load_posterior
     from cmf_mj.show import study as report
     from cmf_mj.studies.engine import run_study
-    from cmf_mj.studies.posterior.run import run_posterior
-    from cmf_mj.studies.posterior.settings import load_posterior
     from cmf_mj.studies.settings import load_study, study_table
 
     changes = {name: value for name, value in changes.items() if value is not None}
@@ -192,9 +192,9 @@ def calibrate_command(
 ) -> None:
     """Fit the free parameters to the published tables: values, residuals and uncertainty."""
     from cmf_mj.core.files import in_folder
-    from cmf_mj.show import calibration as report
-    from cmf_mj.studies.calibration.fit import calibrate, examine
-    from cmf_mj.studies.calibration.trial import load_study
+    from cmf_mj.report_2014.calibration import tables as report
+    from cmf_mj.report_2014.calibration.fit import calibrate, examine
+    from cmf_mj.report_2014.calibration.trial import load_study
 
     for chosen in [load_study(name) for name in tables]:
         say = partial(typer.echo, err=True)

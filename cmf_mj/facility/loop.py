@@ -32,8 +32,8 @@ from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.electronics.chain import Electronics, deliver, measure, release, without_gravity
 from cmf_mj.electronics.sensors.suite import true_acceleration, true_velocity
 from cmf_mj.facility.front import Chain, cleared, follow, found, host_age, record_demand, watched
-from cmf_mj.facility.layout import Columns
 from cmf_mj.facility.pace import Pace, begin, end
+from cmf_mj.facility.record_layout import Columns
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.events import OVERLOAD, STOPPED, Faults, Timeline, strike
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, advance, loads

@@ -24,7 +24,6 @@ from cmf_mj.core.errors import InputError, RunError, check_name
 from cmf_mj.electronics.chain import make_electronics, measure
 from cmf_mj.facility.binding import bound
 from cmf_mj.facility.front import Chain, idle_chain
-from cmf_mj.facility.layout import CHAIN, LAW, make_layout
 from cmf_mj.facility.loop import (
     FINITE,
     PROOF,
@@ -40,6 +39,7 @@ from cmf_mj.facility.loop import (
 )
 from cmf_mj.facility.options import Options
 from cmf_mj.facility.pace import Pace, idle_pace
+from cmf_mj.facility.record_layout import CHAIN, LAW, make_layout
 from cmf_mj.plant import fit
 from cmf_mj.plant.cylinder import CAP, ROD
 from cmf_mj.plant.events import OVERLOAD, Event, make_timeline, no_faults

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.settings import check_file, validated
-from cmf_mj.record.layout import (
+from cmf_mj.record.facility_csv import (
     BLOCK,
     BLOCK_WIDTH,
     COMMENT,

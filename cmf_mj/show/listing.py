@@ -1,4 +1,4 @@
-"""Tables of laws, hydraulic and sensor sets, the ledger, the accelerometer filter; replays."""
+"""Tables of laws, hydraulic and sensor sets; replays."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,15 +6,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from cmf_mj.analysis.ledger import LedgerEntry
 from cmf_mj.control.law import Law
-from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.electronics.sensors.settings import CHANNELS, SensorSettings
 from cmf_mj.facility.replay import Replay
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.show.look import BLUE, ORANGE, save_figure, stack
 from cmf_mj.show.table import Table
-from cmf_mj.studies.accelerometer_filter import FREQUENCY, REPORTED_REST, FilterEffect
 
 
 def law_table(laws: Sequence[Law]) -> Table:
@@ -47,37 +44,6 @@ def sensor_table(settings: SensorSettings) -> Table:
     gravity = "on" if settings.gravity else "off"
     columns = ("channel", "number", ("value", "g"), "unit", "status", "source")
     return Table(f"sensors: {settings.name}, gravity {gravity}", columns, rows)
-
-
-def figures_text(entry: LedgerEntry) -> str:
-    """The figures of an entry in one line."""
-    return "; ".join(str(figure) for figure in entry.figures)
-
-
-def ledger_table(entries: Sequence[LedgerEntry]) -> Table:
-    """One row an entry: what is printed, what is wrong with it, what the project does."""
-    columns = (("no.", ""), "where", "printed", "finding", "figures", "what we do")
-    rows = [
-        (str(one.number), one.where, one.printed, one.finding, figures_text(one), one.project)
-        for one in entries
-    ]
-    return Table("misprints and contradictions of the report", columns, rows, ruled=True)
-
-
-def effect_table(effect: FilterEffect) -> Table:
-    """Readings at rest and the filter's effect, measured and predicted."""
-    at, g = f"at {FREQUENCY} Hz", STANDARD_GRAVITY
-    rest = f"{effect.axial_gravity / g:.4f} g (Appendix C); hardware {REPORTED_REST / g:.2f} g"
-    rows = (
-        ("reading at rest, neutral", f"{effect.rest_reading / g:.4f} g", rest),
-        ("rms at rest, raw", f"{effect.raw_rms / g:.4f} g", ""),
-        ("rms at rest, filtered", f"{effect.filtered_rms / g:.5f} g", ""),
-        ("share of noise left", f"{effect.noise_gain:.4f}", f"{effect.predicted_noise_gain:.4f}"),
-        (f"gain {at}", f"{effect.signal_gain:.4f}", f"{effect.predicted_signal_gain:.4f}"),
-        (f"delay {at}", f"{1e3 * effect.delay:.2f} ms", f"{1e3 * effect.predicted_delay:.2f} ms"),
-    )
-    title = f"leg accelerometers, {effect.sensors} sensors"
-    return Table(title, ("quantity", "measured", "closed form"), rows)
 
 
 def replay_figure(replayed: Replay) -> Figure:

@@ -20,6 +20,9 @@ from cmf_mj.core.settings import Name, Settings
 VALVES = ("valve_1", "valve_2")
 """The servo-valves of an actuator; the second passes nothing where there is one."""
 
+OF_THE_SUPPLY = ("precharge_pressure", "relief_pressure", "proof_pressure")
+"""What is sized by the supply pressure and keeps its proportion to it."""
+
 
 class _Valve(Settings):
     """What may differ from valve to valve."""

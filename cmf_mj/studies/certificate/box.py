@@ -24,9 +24,9 @@ from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.machine.geometry import DOFS, FLIP
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.hydraulics import OF_THE_SUPPLY
 from cmf_mj.studies.case import REPORT_AMPLITUDES
-from cmf_mj.studies.posterior.machine import SMALL, swings
-from cmf_mj.studies.posterior.settings import OF_THE_SUPPLY
+from cmf_mj.studies.linear import SMALL, swings
 from cmf_mj.studies.tuning.search import save_law
 
 Array = NDArray[np.float64]

@@ -1,0 +1,1 @@
+"""The 2014 report: its models and results, what fits them, its ledger and its page."""

@@ -1,0 +1,237 @@
+"""The fit: least squares on the linear loop, shifted to what the simulation gives.
+
+With f(x) the linear results at parameters x, s(x) the simulated ones and p the printed ones, a
+residual is
+
+    bandwidth   ln((f(x) + d) / p) / tolerance        damping   (f(x) + d - p) / tolerance
+
+where d = s(x0) - f(x0) is what linearisation misses at the point x0 of the last simulation (output
+space mapping: one simulation a round instead of one a derivative). The rounds end at parameters
+where d is measured, so the residuals reported are those of the simulation. Where the velocity law
+must stay stable with several cabs, each adds max(0, m - z) / 0.01 with z the least damping ratio of
+its linear loop and m the one asked for. Solved by scipy.optimize.least_squares within the bounds.
+
+The ranges are propagated by a Latin hypercube over all parameters at once, uniform and independent
+between `low` and `high`.
+"""
+
+from collections.abc import Callable, Mapping
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+from scipy.stats import qmc
+
+from cmf_mj.analysis.measures import Measures
+from cmf_mj.core.errors import InputError
+from cmf_mj.report_2014.calibration import trial
+
+Results = Mapping[str, Measures]
+Shift = Mapping[str, Mapping[trial.Measure, float]]
+
+_SOFT = 0.01
+"""Shortfall of the least damping ratio that weighs as much as one tolerance."""
+
+
+class Residual(NamedTuple):
+    """One printed number and the computed one."""
+
+    table: str
+    law: str
+    of: str  #: `hardware` or `nonlinear`, what was printed of.
+    measure: trial.Measure
+    role: str  #: `fitted` or `predicted`.
+    printed: float  #: Hz, or 1 for a damping ratio.
+    computed: float  #: NaN where the step rings on.
+    deviation: float  #: Relative for a bandwidth, absolute for a damping ratio.
+    tolerance: float
+    within: bool  #: False where the step rings on.
+    stable: bool  #: The verdict on the step.
+
+
+class Stage(NamedTuple):
+    """Parameters with their linear and simulated results."""
+
+    values: dict[str, float]
+    linear: dict[str, Measures]
+    simulated: dict[str, Measures]
+    least_damping: dict[str, float]  #: Of the velocity law's linear loop, by cab.
+
+
+class Calibration(NamedTuple):
+    """A finished study."""
+
+    study: trial.Study
+    stages: tuple[Stage, ...]  #: As shipped, then after each round.
+    standard_errors: dict[str, float]
+    """Of the free parameters in their units, from s^2 (J' J)^-1, s^2 the mean squared residual."""
+
+    @property
+    def before(self) -> Stage:
+        """As shipped."""
+        return self.stages[0]
+
+    @property
+    def after(self) -> Stage:
+        """As fitted."""
+        return self.stages[-1]
+
+
+def residual_rows(study: trial.Study, results: Results) -> list[Residual]:
+    """Every printed number of a study with the computed one."""
+    rows = []
+    for row, measure in product(study.rows, trial.MEASURES):
+        if measure not in (*row.fitted, *row.predicted):
+            continue
+        measures, printed = results[row.law], row.printed(measure)
+        value = trial.computed(measures, measure) if measures.stable else float("nan")
+        off = value - printed if measure == "damping" else value / printed - 1.0
+        tolerance = study.tolerance[measure]
+        role = "fitted" if measure in row.fitted else "predicted"
+        numbers = (printed, value, off, tolerance, abs(off) <= tolerance, measures.stable)
+        rows.append(Residual(row.table, row.law, row.of, measure, role, *numbers))
+    return rows
+
+
+def _cost_vector(study: trial.Study, values: trial.Values, shift: Shift) -> NDArray[np.float64]:
+    fitted = {row.law: None for row in study.rows if row.fitted}
+    stepped = any("damping" in row.fitted for row in study.rows)
+    linear = trial.linear_results(study, values, tuple(fitted), damping=stepped)
+    cost = []
+    for row in study.rows:
+        for measure in row.fitted:
+            value = trial.computed(linear[row.law], measure) + shift[row.law][measure]
+            printed = row.printed(measure)
+            off = value - printed if measure == "damping" else np.log(value / printed)
+            cost.append(off / study.tolerance[measure])
+    for damping in trial.least_damping(study, values).values():
+        cost.append(max(0.0, study.least_damping - damping) / _SOFT)
+    return np.asarray(cost, dtype=float)
+
+
+def calibrate(
+    study: trial.Study,
+    *,
+    rounds: int = 1,
+    quick: bool = False,
+    jobs: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Calibration:
+    """Fit the free parameters of a study.
+
+    `rounds` are fits, each followed by a simulation, with sweeps of 30 s instead of 100 s where
+    `quick`, on `jobs` threads. `progress` is called with a line of text at each step.
+    """
+    if rounds < 1:
+        raise InputError(f"rounds: {rounds} must be at least 1")
+    report = progress or (lambda text: None)
+
+    def stage(values: dict[str, float]) -> Stage:
+        return Stage(
+            values,
+            trial.linear_results(study, values, study.laws),
+            trial.simulated_results(study, values, study.laws, quick=quick, jobs=jobs),
+            trial.least_damping(study, values),
+        )
+
+    report(f"{study.name}: as shipped")
+    stages = [stage(trial.starting_values(study))]
+    free = study.free
+    low, high = (np.array([getattr(p, end) for p in free]) for end in ("low", "high"))
+    names, scale = [p.name for p in free], high - low
+    for number in range(1, rounds + 1):
+        report(f"{study.name}: round {number} of {rounds}")
+        last = stages[-1]
+        # What linearisation misses at the parameters of the last stage, by law and measure.
+        shift = {
+            law: {
+                m: trial.computed(simulated, m) - trial.computed(last.linear[law], m)
+                for m in trial.MEASURES
+            }
+            for law, simulated in last.simulated.items()
+        }
+
+        def cost(
+            share: NDArray[np.float64], last: Stage = last, shift: Shift = shift
+        ) -> NDArray[np.float64]:
+            chosen = dict(zip(names, low + share * scale, strict=True))
+            return _cost_vector(study, last.values | chosen, shift)
+
+        start = (np.array([last.values[name] for name in names]) - low) / scale
+        solved = optimize.least_squares(
+            cost, np.clip(start, 0.01, 0.99), bounds=(0.0, 1.0), diff_step=5e-3, xtol=1e-4
+        )
+        fitted = (low + solved.x * scale).tolist()
+        stages.append(stage(last.values | dict(zip(names, fitted, strict=True))))
+    square = float(solved.fun @ solved.fun) / max(1, solved.fun.size - scale.size)
+    errors = np.sqrt(np.diag(np.linalg.pinv(solved.jac.T @ solved.jac) * square)) * scale
+    return Calibration(study, tuple(stages), dict(zip(names, errors.tolist(), strict=True)))
+
+
+ENDS = (0.05, 0.95)
+"""Quantiles that bound a spread."""
+
+
+class Spread(NamedTuple):
+    """Distribution of one result over the ranges of the parameters."""
+
+    law: str
+    measure: trial.Measure
+    nominal: float  #: At the nominal values [Hz or 1].
+    low: float  #: 5 % of the stable samples lie below.
+    high: float  #: 95 % of the stable samples lie below.
+    unstable: float  #: Share of samples whose loop is unstable.
+
+
+class Examination(NamedTuple):
+    """A calibration with the spread of results over the ranges, and stability runs."""
+
+    calibration: Calibration
+    spread: list[Spread]  #: About the shipped values.
+    verdicts: list[trial.Verdict]  #: Step runs with the fitted values.
+
+
+def examine(
+    calibration: Calibration, *, samples: int = 128, jobs: int | None = None
+) -> Examination:
+    """Add uncertainty and the stability runs of a study that asks for them."""
+    study, shipped = calibration.study, calibration.before.values
+    return Examination(
+        calibration,
+        spread(study, shipped, ("original", "velocity"), samples=samples),
+        trial.simulated_stability(study, calibration.after.values, jobs=jobs),
+    )
+
+
+def spread(
+    study: trial.Study,
+    values: trial.Values,
+    laws: tuple[str, ...] = ("velocity",),
+    *,
+    samples: int = 128,
+    seed: int = 0,
+) -> list[Spread]:
+    """Propagate the ranges of all parameters to the results of laws.
+
+    `samples` of the Latin hypercube are at least 2, `seed` is its seed.
+    """
+    if samples < 2:
+        raise InputError(f"samples: {samples} must be at least 2")
+    parameters = study.parameters
+    cube = qmc.LatinHypercube(len(parameters), rng=np.random.default_rng(seed)).random(samples)
+    low, high = (np.array([getattr(p, end) for p in parameters]) for end in ("low", "high"))
+    runs = []
+    for row in low + cube * (high - low):
+        drawn = dict(zip((p.name for p in parameters), row.tolist(), strict=True))
+        runs.append(trial.linear_results(study, drawn, laws))
+    nominal = trial.linear_results(study, values, laws)
+    spreads = []
+    for law, measure in product(laws, trial.MEASURES):
+        known = [trial.computed(run[law], measure) for run in runs if run[law].stable]
+        low_end, high_end = np.nanquantile(known or [np.nan], ENDS)
+        unstable = 1.0 - float(np.mean([run[law].stable for run in runs]))
+        value = trial.computed(nominal[law], measure)
+        spreads.append(Spread(law, measure, value, float(low_end), float(high_end), unstable))
+    return spreads

@@ -1,0 +1,183 @@
+"""The runs behind the figures and tables: each made once, shared by all that need it.
+
+Two plants stand for the report's two sources. The `model` is its non-linear model, six single legs
+with the `report` hydraulics; the `machine` is a stand-in for the hardware, the hexapod with the GFD
+and the `hardware` hydraulics. Runs share nothing and go on threads; results do not depend on how
+many there are.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, NamedTuple, cast
+
+import numpy as np
+
+from cmf_mj import signals
+from cmf_mj.analysis.frequency_response import FrequencyResponse, rounds_response
+from cmf_mj.analysis.identification.model import Orders
+from cmf_mj.control.law import load_law
+from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.threads import on_threads
+from cmf_mj.facility.simulation import simulate
+from cmf_mj.machine.cab import load_cab
+from cmf_mj.plant.build import make_plant
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+from cmf_mj.plant.parameters.loading import load_hydraulics
+from cmf_mj.plant.plant import Plant
+from cmf_mj.record.record import Record
+from cmf_mj.report_2014.accelerometer_filter import FilterEffect, filter_effect
+from cmf_mj.signals import composite
+from cmf_mj.studies.case import RECORD_EVERY, Case, CaseResult, dof_amplitude, run_case
+from cmf_mj.studies.identification import Identified, identify
+
+On = Literal["model", "machine"]
+Signal = Literal["case", "rise", "sine", "pulse", "sine_1_hz", "sine_5_hz", "rounds", "multisine"]
+
+HYDRAULICS: Mapping[On, str] = {"model": "report", "machine": "hardware"}
+"""Hydraulic sets of the two plants."""
+
+PLANTS: Mapping[On, str] = {"model": "single_legs", "machine": "hexapod"}
+"""The two plants."""
+
+CAB = "gfd"
+"""Cab of the machine."""
+
+STEP = 1.0 * units.INCH
+"""Steps, pulses and slow sines of the report [m]."""
+
+SLOW, FIRST, FAST = 0.5, 1.0, 5.0
+"""Sines of Figures 3-10 and 3-22, of linear model 2, and of Figure 4-7 [Hz]."""
+
+IDENTIFIED_ON: Mapping[int, Signal] = {1: "pulse", 2: "sine_1_hz", 3: "rounds"}
+"""Signals of the report's linear models 1 to 3 (section 4.3)."""
+
+ORDERS = Orders(4, 3, 1)
+"""Of our models of a leg: two lags and the oil mode."""
+
+LEG = "leg_1"
+"""The leg whose motion figures show."""
+
+
+class RunSpec(NamedTuple):
+    """One run; `case` is the chirp and step of a case, `rounds` the five of Table 2-3."""
+
+    on: On
+    law: str
+    dof: str = "heave"
+    signal: Signal = "case"
+
+
+def hydraulics_of(on: On) -> HydraulicParameters:
+    """The hydraulic set of a plant."""
+    return load_hydraulics(HYDRAULICS[on])
+
+
+def plant_of(on: On) -> Plant:
+    """A new plant."""
+    return make_plant(PLANTS[on], CAB, HYDRAULICS[on])
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Results of all runs asked for."""
+
+    results: Mapping[RunSpec, Any]
+    sensors: FilterEffect | None
+    quick: bool
+    seed: int
+
+    def case(self, on: On, law: str, dof: str = "heave") -> CaseResult:
+        """Chirp and step."""
+        return cast("CaseResult", self.results[RunSpec(on, law, dof)])
+
+    def records(self, on: On, law: str, signal: Signal) -> tuple[Record, ...]:
+        """The records of a signal in heave: one, of `rounds` five."""
+        return cast("tuple[Record, ...]", self.results[RunSpec(on, law, "heave", signal)])
+
+    def record(self, on: On, law: str, signal: Signal) -> Record:
+        """A single record."""
+        return self.records(on, law, signal)[0]
+
+    def rounds(self, law: str) -> FrequencyResponse:
+        """The machine's response in heave from the five rounds of sines."""
+        return rounds_response(self.records("machine", law, "rounds"))
+
+    @cached_property
+    def identified(self) -> dict[int, Identified]:
+        """Our linear models 1 to 3 of the machine's leg, made as the report made its models."""
+        validation = self.record("machine", "velocity", "multisine")
+        options: dict[str, Any] = {"method": "arx", "orders": ORDERS, "law": "velocity"}
+        return {
+            number: identify(
+                [*self.records("machine", "velocity", signal), validation], LEG, **options
+            )
+            for number, signal in IDENTIFIED_ON.items()
+        }
+
+
+def _commands(spec: RunSpec, quick: bool, seed: int) -> list[signals.Command]:
+    dof, size = spec.dof, dof_amplitude(spec.dof)
+    shorter: dict[str, Any] = {"cycles": 3, "settle": 1.0} if quick else {}
+    if spec.signal == "rounds":
+        numbers = range(1, len(composite.ROUNDS) + 1)
+        return [composite.seven_sines(dof, size, number, **shorter) for number in numbers]
+    makers: dict[Signal, Callable[[], signals.Command]] = {
+        "rise": lambda: signals.step(dof, -STEP),
+        "sine": lambda: signals.sine(dof, STEP, SLOW, cycles=5.0),
+        "pulse": lambda: signals.pulse(dof, STEP),
+        "sine_1_hz": lambda: signals.sine(dof, STEP, FIRST),
+        "sine_5_hz": lambda: signals.sine(dof, size, FAST, cycles=20.0),
+        "multisine": lambda: signals.multisine(
+            dof, size, stop=16.0, spectrum="acceleration", fade=1.0, seed=seed
+        ),
+    }
+    return [makers[spec.signal]()]
+
+
+def _perform(spec: RunSpec, quick: bool, seed: int) -> CaseResult | tuple[Record, ...]:
+    law, size = load_law(spec.law), dof_amplitude(spec.dof)
+    if spec.signal == "case":
+        cab = None if spec.on == "model" else load_cab(CAB)
+        parameters = hydraulics_of(spec.on)
+        return run_case(Case(PLANTS[spec.on], cab, parameters, law, spec.dof, size, quick))
+    plant, every = plant_of(spec.on), 1 if spec.signal in ("rise", "sine_5_hz") else RECORD_EVERY
+    commands = _commands(spec, quick, seed)
+    return tuple(simulate(plant, law, command, record_every=every) for command in commands)
+
+
+def perform(
+    specs: Iterable[RunSpec],
+    *,
+    sensors: bool = False,
+    jobs: int | None = None,
+    quick: bool = False,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Runs:
+    """Make all runs, one asked for twice once; `progress` is called with (done, in all).
+
+    Results do not depend on the number of threads, `jobs`. With `sensors` the accelerometers of
+    Figures 3-15 and 3-16 are read too; `quick` sweeps 30 s for 100 s and shortens the rounds.
+    """
+    if seed < 0:
+        raise InputError(f"seed: {seed} must be at least 0")
+    # The longest first, so that no thread is left with one at the end.
+    order = sorted(set(specs), key=lambda w: (w.signal != "rounds", w.on != "machine", w))
+    total = len(order) + int(sensors)
+    results = on_threads(
+        lambda one: _perform(one, quick, seed),
+        order,
+        jobs,
+        progress and (lambda done, _: progress(done, total)),
+    )
+    effect = filter_effect(seed=seed, duration=5.0 if quick else 60.0) if sensors else None
+    if progress is not None and sensors:
+        progress(total, total)
+    return Runs(dict(zip(order, results, strict=True)), effect, quick, seed)
+
+
+def leg_motion(record: Record, channel: str, unit: str) -> np.ndarray:
+    """A channel of leg 1 (N,) in `unit`, positive out."""
+    return units.from_si(unit, record[channel][:, 0])

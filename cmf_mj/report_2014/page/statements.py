@@ -1,0 +1,162 @@
+"""Numbers of the report's text; how many printed results are met.
+
+Every printed number counts once, however often the report prints it. A law whose step rings on has
+no bandwidth and no damping ratio, and so agrees with no printed one. Deviations are relative, those
+of damping ratios too.
+"""
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from cmf_mj.analysis.linear.loop import closed_loop, loop_step
+from cmf_mj.core import units
+from cmf_mj.report_2014.models import hardware_velocity
+from cmf_mj.report_2014.page.curves import CONTENTS, PageTable, specs, table, texts
+from cmf_mj.report_2014.page.runs import Runs, leg_motion
+from cmf_mj.report_2014.page.tables import (
+    BANDWIDTHS,
+    RATIO,
+    TITLES,
+    TOLERANCES,
+    ResultRow,
+    printed_number,
+    result_rows,
+)
+from cmf_mj.report_2014.second_order import bandwidth_example, characteristics
+from cmf_mj.signals.single import Step
+
+STATEMENT_NEEDS = specs(
+    "model original,velocity_integral,force",
+    "machine original,velocity_integral",
+    "machine velocity heave rise",
+)
+"""Runs of the numbers."""
+
+
+def _values(runs: Runs) -> dict[str, float]:
+    """What runs and formulas give, by the names that `contents.toml` has for it."""
+    gravity = units.STANDARD_GRAVITY
+    model, machine = runs.case("model", "original"), runs.case("machine", "original")
+    with_integral = runs.case("machine", "velocity_integral").measures
+    ringing, force = runs.case("model", "velocity_integral").step, runs.case("model", "force")
+    late = ringing.time > ringing.signal_as(Step).at + 1.0
+    example = bandwidth_example()
+    reference = leg_motion(runs.record("machine", "velocity", "rise"), "leg_reference", "in")
+    values = {
+        "machine_overshoot": 100.0 * machine.measures.overshoot,
+        "model_overshoot": 100.0 * model.measures.overshoot,
+        "integral_overshoot": 100.0 * with_integral.overshoot,
+        "integral_error": 100.0 * abs(with_integral.steady_state_error),
+        "late_acceleration": float(np.abs(ringing["leg_acceleration"][late]).max()) / gravity,
+        "rate_bandwidth": characteristics(example["rate"]).gain_bandwidth_hz,
+        "acceleration_bandwidth": characteristics(example["acceleration"]).gain_bandwidth_hz,
+        "force_peak": force.measures.peak_gain_db,
+        "force_acceleration": float(np.abs(force.step["leg_acceleration"]).max()) / gravity,
+        "leg_extension": float(reference[-1]),
+    }
+    for number in (1, 2):
+        _, step = loop_step(closed_loop("velocity", hardware_velocity(number)), 3.0)
+        values[f"peak_{number}"] = float(step.max()) * float(reference[-1])
+    if (effect := runs.sensors) is not None:
+        values |= {
+            "rest_reading": effect.rest_reading / gravity,
+            "filter_delay": 1e3 * effect.delay,
+        }
+    return values
+
+
+def _with_unit(value: float, unit: str) -> str:
+    """A number with its unit; NaN is a peak of legs that ring on."""
+    return f"{printed_number(value)} {unit}" if value == value else "unstable"
+
+
+def statement_rows(runs: Runs) -> list[tuple[str, ...]]:
+    """All numbers of the text that a run or a formula gives."""
+    values = _values(runs)
+    return [
+        (
+            *(entry["section"], entry["what"], f"{entry['printed']} {entry['unit']}"),
+            _with_unit(values[entry["value"]], entry["unit"]),
+            entry["remark"],
+        )
+        for entry in CONTENTS["statement"]
+        if entry["value"] in values
+    ]
+
+
+LIMITS = (0.05, 0.10, 0.15)
+"""Deviations that shares are counted within."""
+
+
+class Agreement(NamedTuple):
+    """What of a class of printed numbers is met."""
+
+    what: str
+    printed: int  #: How many numbers are printed.
+    shares: tuple[float, ...]  #: Of them, within each of `LIMITS`.
+    median: float  #: Of the deviations, signed.
+    below: float  #: Share of those computed that lie below the print.
+
+
+def once(rows: Iterable[ResultRow]) -> list[ResultRow]:
+    """The rows without the numbers that the report prints once more."""
+    seen = {(r.law, r.label, r.of, r.quantity, r.printed, r.read): r for r in reversed([*rows])}
+    return [*reversed(seen.values())]
+
+
+def agreement(what: str, rows: Collection[ResultRow], *, swept: bool = False) -> Agreement:
+    """Shares of rows, of ringing laws the bandwidths of their sweeps if `swept`."""
+    off = np.array([(r.swept if swept else r.computed) / r.printed - 1.0 for r in rows])
+    known = off[np.isfinite(off)]
+    shares = tuple(float(np.mean(np.abs(off) <= limit + 1e-9)) for limit in LIMITS)
+    return Agreement(what, len(rows), shares, float(np.median(known)), float(np.mean(known < 0.0)))
+
+
+def agreements(runs: Runs) -> list[Agreement]:
+    """All classes, from all result tables."""
+    rows = once(row for table in TITLES for row in result_rows(runs, table))
+
+    def of(quantities: Collection[str], keep: Callable[[ResultRow], bool]) -> list[ResultRow]:
+        numbers = [r for r in rows if r.quantity in quantities and r.printed == r.printed]
+        return [row for row in numbers if keep(row)]
+
+    widths = of(BANDWIDTHS, lambda row: row.read)
+    literal = of(BANDWIDTHS, lambda row: not row.read)
+    literal += [row for row in widths if row.law not in {other.law for other in literal}]
+    return [
+        agreement("bandwidths", widths),
+        agreement("of them calibrated", [row for row in widths if row.calibrated]),
+        agreement("of them predicted", [row for row in widths if not row.calibrated]),
+        *(agreement(f"of them {name}", of((name,), lambda row: row.read)) for name in BANDWIDTHS),
+        agreement("bandwidths, sweeps that ring read too", widths, swept=True),
+        agreement("bandwidths, gains and filter as printed", literal),
+        agreement("damping ratios, all predicted", of((RATIO,), lambda row: row.read)),
+    ]
+
+
+def not_available(runs: Runs) -> tuple[int, int]:
+    """How many -3 dB are printed as N/A, and how many of these ours does not reach either."""
+    rows = [row for table in TITLES for row in result_rows(runs, table)]
+    blank = [row for row in rows if row.read and row.printed != row.printed]
+    return len(blank), sum(row.within for row in blank)
+
+
+def agreement_table(runs: Runs) -> PageTable:
+    """`agreements` as the page has them."""
+    rows = [
+        (one.what, f"{one.printed}", *(100.0 * s for s in (*one.shares, one.median, one.below)))
+        for one in agreements(runs)
+    ]
+    printed, met = not_available(runs)
+    return table("agreement", rows, note=texts("agreement", printed=printed, met=met)[0])
+
+
+def verdict_table(runs: Runs, names: Sequence[str]) -> PageTable:
+    """Verdicts by result table; of laws as read, not of their gains as printed."""
+    rows = []
+    for name in names:
+        verdicts = [row.within for row in result_rows(runs, name) if row.read]
+        rows.append((name, f"{verdicts.count(True)}", f"{verdicts.count(False)}"))
+    return table("verdicts", rows, note=TOLERANCES)

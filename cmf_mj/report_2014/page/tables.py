@@ -1,0 +1,251 @@
+"""Result tables: printed and computed values side by side, judged by a stated tolerance."""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cmf_mj.analysis.frequency_response import bandwidths
+from cmf_mj.analysis.linear.poles import limit_cycle
+from cmf_mj.analysis.published import Published, published_results
+from cmf_mj.control.law import load_law
+from cmf_mj.core import units
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.kinematics import excursion_envelope
+from cmf_mj.machine.motion_limits import load_motion_limits
+from cmf_mj.report_2014.calibration.trial import MEASURES, load_study
+from cmf_mj.report_2014.gains import published_gains
+from cmf_mj.report_2014.models import table_4_1
+from cmf_mj.report_2014.page.curves import CONTENTS, law_title, texts
+from cmf_mj.report_2014.page.runs import On, Runs, RunSpec
+from cmf_mj.studies.case import CaseResult
+
+TITLES: dict[str, str] = CONTENTS["results"]
+"""Result tables of the report, by number."""
+
+PHASE, GAIN, DAMPING = 0.10, 0.12, 0.1
+"""Tolerances: relative in -90 deg, in all of the hardware and in -3 dB, absolute in damping."""
+
+(TOLERANCES,) = texts("tolerances", phase=100 * PHASE, gain=100 * GAIN, damping=DAMPING)
+"""The tolerances in words."""
+
+BANDWIDTHS, RATIO = ("-90 deg", "-3 dB"), "damping ratio"
+"""Quantities that shares of agreement are counted of."""
+
+_NAN = float("nan")
+_ON: dict[str, On] = {"hardware": "machine", "nonlinear": "model"}
+_OF = {"hardware": "hardware", "nonlinear": "model"}
+_LOOP_QUANTITIES = {"-90 deg": "-90 deg", "-3 dB": "-3 dB", "damping, step": RATIO}
+_REMARKS: dict[tuple[str, str, str], str] = {
+    (entry["law"], entry["table"], entry["quantity"]): entry["text"] for entry in CONTENTS["remark"]
+}
+_FITTED = {
+    (row.law, row.published.dof, row.of, MEASURES[measure], row.printed(measure))
+    for name in ("report", "hardware")
+    for row in load_study(name).rows
+    for measure in row.fitted
+}
+"""Printed numbers that the two calibrations fitted, wherever they are printed."""
+
+
+class Quantity(NamedTuple):
+    """A quantity of the result tables."""
+
+    field: str  #: Of `Published`.
+    title: str
+    unit: str
+    tolerance: float
+
+
+_QUANTITIES = (
+    Quantity("phase_bandwidth_hz", "-90 deg", "Hz", PHASE),
+    Quantity("gain_bandwidth_hz", "-3 dB", "Hz", GAIN),
+    Quantity("damping_ratio", RATIO, "", DAMPING),
+    Quantity("oscillation_hz", "oscillation", "Hz", PHASE),
+    Quantity("acceleration_g", "acceleration, at least", "g", 0.0),
+)
+
+
+class ResultRow(NamedTuple):
+    """One printed number and the computed one."""
+
+    law: str  #: As the report names it.
+    label: str  #: Law or degree of freedom, or linear model.
+    of: str  #: What was measured.
+    quantity: str
+    unit: str
+    printed: float  #: NaN where the report prints N/A.
+    computed: float  #: NaN where there is none, and of a law whose step rings on.
+    deviation: float  #: Relative, of damping ratios absolute.
+    tolerance: float  #: Allowed deviation, likewise.
+    within: bool  #: N/A agrees with no crossing, and with nothing else.
+    calibrated: bool  #: Whether a number of ours was fitted to the printed one.
+    read: bool  #: Whether the law is the report's as read here; False for its gains as printed.
+    stable: bool = True  #: Verdict on the step.
+    swept: float = _NAN  #: Bandwidth of the sweep whatever the step does.
+    hexapod: float | str = ""
+    """The same quantity on the machine's stand-in in tables of Appendix D."""
+    note: str = ""
+
+
+def _remark(law: str, table: str, quantity: str) -> str:
+    return _REMARKS.get((law, table, quantity), _REMARKS.get((law, table, ""), ""))
+
+
+def _computed(result: CaseResult, quantity: Quantity) -> tuple[float, float]:
+    """A quantity of a law, NaN where its step rings on, and that of its sweep in any case."""
+    stable, field = result.measures.stable, quantity.field
+    if field == "oscillation_hz":
+        return limit_cycle(result.step)[0], _NAN
+    if field == "acceleration_g":
+        largest = float(np.abs(result.step["leg_acceleration"]).max())
+        return largest / units.STANDARD_GRAVITY, _NAN
+    value = float(getattr(result.measures, field)) if stable else _NAN
+    swept = value
+    if quantity.title in BANDWIDTHS and result.response is not None:
+        widths = bandwidths(result.response)
+        swept = widths.phase_hz if quantity.title == "-90 deg" else widths.gain_hz
+    return value, swept
+
+
+def _judged(runs: Runs, row: Published, law: str) -> list[ResultRow]:
+    """The numbers of a printed row beside those of a law."""
+    rows = []
+    appendix, read = row.table.startswith("D-"), law == row.read_as
+    label = row.dof if appendix else law_title(law)
+    if appendix and not read:
+        label = f"{row.dof}, {law_title(law)}"
+    result = runs.case(_ON[row.of], law, row.dof)
+    machine = runs.case("machine", law, row.dof).measures if appendix and read else None
+    for quantity in _QUANTITIES:
+        value = getattr(row, quantity.field)
+        if value is None and quantity.field not in row.not_available:
+            continue
+        printed = _NAN if value is None else float(value)
+        computed, swept = _computed(result, quantity)
+        off = computed - printed if quantity.title == RATIO else computed / printed - 1.0
+        allowed = PHASE if row.of == "hardware" and quantity.unit == "Hz" else quantity.tolerance
+        within, stable = abs(off) <= allowed + 1e-9, result.measures.stable
+        if value is None:
+            within = stable and np.isnan(computed)
+        elif quantity.field == "acceleration_g":
+            within = off >= 0.0
+        hexapod: float | str = ""
+        if machine is not None:
+            ours = float(getattr(machine, quantity.field))
+            hexapod = ours if machine.stable else "unstable"
+        fitted = (row.law, row.dof, row.of, quantity.field, printed) in _FITTED
+        if row.read_as not in (row.law, row.printed_as):  # its gain is derived from this row
+            fitted = value is not None and quantity.title in BANDWIDTHS
+        note = "" if within else _remark(row.law, row.table, quantity.title)
+        if not (stable or note) and swept == swept:
+            note = f"the step rings on; its sweep has {swept:.2f} Hz all the same"
+        rows.append(
+            ResultRow(
+                *(row.law, label, _OF[row.of], quantity.title, quantity.unit, printed, computed),
+                *(off, allowed, bool(within), fitted and read, read),
+                stable=stable,
+                swept=swept,
+                hexapod=hexapod,
+                note=note,
+            )
+        )
+    return rows
+
+
+@cache
+def _linear_rows() -> tuple[ResultRow, ...]:
+    """Table 4-1 around the report's linear models, damping read as everywhere else."""
+    rows = []
+    for row in table_4_1():
+        if row.quantity not in _LOOP_QUANTITIES:
+            continue
+        unit, scale = ("", 1.0) if row.unit == "1" else ("Hz", row.published)
+        quantity = _LOOP_QUANTITIES[row.quantity]
+        note = "" if row.within else _remark("velocity", "4-1", quantity)
+        rows.append(
+            ResultRow(
+                *("velocity", f"linear model #{row.model}", f"Eq {row.equation}", quantity, unit),
+                *(row.published, row.computed, row.deviation / scale, row.tolerance / scale),
+                *(row.within, False, True),
+                swept=row.computed,
+                note=note,
+            )
+        )
+    return tuple(rows)
+
+
+def _readings(table: str) -> list[tuple[Published, str]]:
+    """Printed rows of a table, each with the law as read and, if that differs, as printed."""
+    rows = [row for row in published_results() if row.table == table and row.of in _ON]
+    return [(row, law) for row in rows for law in dict.fromkeys((row.read_as, row.printed_as))]
+
+
+def table_needs(table: str) -> tuple[RunSpec, ...]:
+    """Runs a result table is made from."""
+    rows = _readings(table)
+    needs = [RunSpec(_ON[row.of], law, row.dof) for row, law in rows]
+    if table.startswith("D-"):
+        needs += [RunSpec("machine", row.read_as, row.dof) for row, _ in rows]
+    return tuple(dict.fromkeys(needs))
+
+
+def result_rows(runs: Runs, table: str) -> list[ResultRow]:
+    """All rows of a result table."""
+    rows = list(_linear_rows()) if table == "4-1" else []
+    return rows + [result for row, law in _readings(table) for result in _judged(runs, row, law)]
+
+
+def gain_rows(number: str) -> list[tuple[Any, ...]]:
+    """A table of gains: law, matrix and signal, printed, in use, same or differs, remark."""
+    rows: list[tuple[Any, ...]] = []
+    for entry in (entry for entry in published_gains() if entry.table == number):
+        law = load_law(entry.law)
+        b, d = (
+            [
+                (f"{matrix}, {name.replace('_', ' ')}", value, getattr(gains, name))
+                for name, value in zip(entry.signals, values, strict=True)
+            ]
+            for matrix, values, gains in (
+                ("B", entry.b, law.input_gain),
+                ("D", entry.d, law.direct_gain),
+            )
+        )
+        gains = [("A", entry.a, law.state_gain), *(row for row in b if row[1:] != (0.0, 0.0))]
+        for gain, value, ours in [*gains, ("C", entry.c, law.output_gain), *d]:
+            note = "" if ours == value else _remark(entry.law, "gains", gain)
+            same = "same" if ours == value else "differs"
+            rows.append((law.title, gain, value, ours, same, note))
+        extra = law.direct_gain.of_legs("error_integral")
+        if extra and "error_integral" not in entry.signals:
+            note = "integral of section 3.2, with which all later laws of the report run"
+            rows.append((law.title, "D, error integral", "not printed here", extra, "same", note))
+    return rows
+
+
+def limit_rows() -> list[tuple[Any, ...]]:
+    """Table 2-1 and where, all else at neutral, the first leg reaches 37.5 in."""
+    limits, reach = load_motion_limits(), excursion_envelope()
+    notes = {
+        ("pitch", "low"): "set by something other than the legs",
+        ("heave", "high"): "down; set by something other than the legs",
+        ("yaw", "low"): "the operational limit is printed in inches; degrees are meant",
+    }
+    rows: list[tuple[Any, ...]] = []
+    for dof, ends in zip(DOFS, reach, strict=True):
+        axis = getattr(limits, dof)
+        unit = axis.mechanical.unit
+        for side, end in zip(("low", "high"), ends, strict=True):
+            stated, computed = getattr(axis.mechanical, side), units.from_si(unit, float(end))
+            texts = [f"{value:+g} {unit}" for value in (stated, getattr(axis.operational, side))]
+            texts.append(f"{computed:+.1f} {unit}")
+            off = 100.0 * (computed / stated - 1.0)
+            rows.append((dof, *texts, off, notes.get((dof, side), "")))
+    return rows
+
+
+def printed_number(value: float, digits: int = 3) -> str:
+    """A number for a table; a dash where there is none."""
+    if 0.0 < abs(value) < 1e-3:
+        return "below 0.001"
+    return "–" if not np.isfinite(value) else f"{value:.{digits}g}"

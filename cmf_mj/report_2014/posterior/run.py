@@ -1,0 +1,287 @@
+"""Runs a study of the unknown: rounds of machines, their weights, and what is asked of them.
+
+force.parquet      acceleration under force feedback by supply pressure
+machines.parquet   every machine drawn: its values, what it makes of the evidence, its weights
+damping.parquet    every machine, cab and law: damping ratios of the linear loop
+measures.parquet   machines drawn from the posterior: bandwidths, peaks, damping by law and axis
+gains.parquet      the same machines under gains of acceleration behind filters
+points.parquet     the median machine with one unknown moved, or two on a map
+simulated.parquet  machines drawn from the posterior: verdicts of the simulation
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from cmf_mj.control.law import Law, load_law
+from cmf_mj.core.files import read_table, write_parquet
+from cmf_mj.core.rates import FRAME
+from cmf_mj.machine.cab import Cab
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.report_2014.posterior import evidence, sampling
+from cmf_mj.report_2014.posterior.settings import PosteriorStudy
+from cmf_mj.studies.engine import Journal, Progress, Row, Work, Workers, run_tasks
+from cmf_mj.studies.evaluation import MEASURED
+from cmf_mj.studies.linear import Machine, simulated_stability
+
+GROUPS = ("rows", "fits", "three_g", "flown")
+"""Groups of evidence, see `evidence`."""
+
+MAPS = tuple(("cab_height", other) for other in ("leg_speed", "bulk_modulus", "leak_rate"))
+"""Pairs of unknowns that maps are made of."""
+
+TABLES = ("force", "machines", "damping", "measures", "gains", "points", "simulated")
+"""What the folder holds, each as Parquet."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One machine and what is asked of it."""
+
+    number: int
+    study: PosteriorStudy
+    kind: str  #: One of `_ASK`.
+    values: Mapping[str, float]  #: Of the unknowns.
+    draw: int | None = None  #: Of the mismatch; None for none.
+    about: str = ""  #: Of a point: what is moved. Of a simulated machine: its cab.
+
+    @property
+    def laws(self) -> list[Law]:
+        """The study's laws with the derivative filter of the machine."""
+        return [self.study.law(law, self.values) for law in self.study.laws]
+
+    def machines(self, cabs: Sequence[Cab]) -> dict[str, Machine]:
+        """The machine with each cab."""
+        oil = self.study.hydraulics_of(self.values, self.draw)
+        return {cab.name: Machine(self.study.plant(cab, self.values, oil)) for cab in cabs}
+
+
+class Results(NamedTuple):
+    """Tables of a finished study, read from its folder."""
+
+    study: PosteriorStudy
+    force: pa.Table
+    machines: pa.Table
+    damping: pa.Table
+    measures: pa.Table
+    gains: pa.Table
+    points: pa.Table
+    simulated: pa.Table
+
+
+def column(table: pa.Table, name: str) -> Array:
+    """A column as floats, NaN where it is empty."""
+    return np.array(table[name].cast(pa.float64()).to_numpy(zero_copy_only=False))
+
+
+def run_posterior(
+    study: PosteriorStudy, folder: str | Path, *, progress: Progress | None = None, **workers: Any
+) -> Results:
+    """Run what is left of a study; `workers` as for `Workers`."""
+    how, settings = Workers(**workers), study.settings
+    journal = Journal(Path(folder), study.identity())
+    tables: dict[str, list[Row]] = {name: [] for name in TABLES}
+    done, every = 0, _count(study)
+
+    def run(kind: str, cases: Sequence[tuple[Any, ...]]) -> list[list[Row]]:
+        nonlocal done
+        tasks = [Task(done + i, study, kind, *case) for i, case in enumerate(cases)]
+        before, done = done, done + len(tasks)
+
+        def tell(count: int, _: int) -> None:
+            if progress is not None:
+                progress(before + count, every)
+
+        run_tasks(journal, tasks, _WORK, how, tell)
+        return [journal.results[task.number] for task in tasks]
+
+    force = [rows[0]["g"] for rows in run("force", [({"psi": p},) for p in evidence.PRESSURES])]
+    tables["force"] = [
+        {"supply_pressure": p, "g": g} for p, g in zip(evidence.PRESSURES, force, strict=True)
+    ]
+    points = sampling.first_round(settings.draws, len(settings.unknowns), settings.seed)
+    rounds: list[sampling.Round] = []
+    drawn: list[Row] = []
+    while True:
+        new = points[len(drawn) :]
+        values = [study.values(q) for q in sampling.quantiles(new)]
+        for rows in run("drawn", [(v, len(drawn) + i) for i, v in enumerate(values)]):
+            number = len(drawn)
+            drawn.append(rows[0] | {"machine": number})
+            tables["damping"] += [row | {"machine": number} for row in rows[1:]]
+        pressures = np.array([row["supply_pressure"] for row in drawn])
+        swings = evidence.oscillation_likelihood(pressures, np.array(force))
+        told = {g: np.array([row.get(f"log_{g}", 0.0) for row in drawn]) for g in GROUPS}
+        told["three_g"] = swings
+        ratio = sampling.log_ratio(points, rounds)
+        weights = np.sum(list(told.values()), axis=0) + ratio
+        if len(rounds) == settings.rounds - 1:
+            break
+        seed = [settings.seed, 2, len(rounds)]
+        rounds.append(sampling.Round(points, weights, settings.draws, seed))
+        points = np.vstack([points, rounds[-1].draw()])
+    posterior = sampling.normalised(weights)
+    for i, row in enumerate(drawn):
+        row |= {f"log_{group}": told[group][i] for group in GROUPS}
+        row |= {"log_ratio": ratio[i], "weight": posterior[i]}
+    tables["machines"] = drawn
+    kept, counts = np.unique(
+        sampling.resampled(posterior, settings.kept, settings.seed), return_counts=True
+    )
+    every -= settings.kept - len(kept)
+    chosen = [({name: drawn[i][name] for name in settings.unknowns}, int(i)) for i in kept]
+    for (_, number), count, rows in zip(chosen, counts, run("kept", chosen), strict=True):
+        for row in rows:
+            tables[row.pop("table")].append(row | {"machine": number, "count": int(count)})
+    moved = _points(study, drawn, posterior)
+    for (_, _, about), rows in zip(moved, run("point", moved), strict=True):
+        tables["points"] += [row | {"about": about} for row in rows]
+    order = np.random.default_rng([settings.seed, 4]).permutation(len(chosen))
+    some = [chosen[i] for i in order[: settings.simulated]]
+    flights = [(*machine, cab.name) for machine in some for cab in study.cabs]
+    for (_, number, _), rows in zip(flights, run("simulated", flights), strict=True):
+        tables["simulated"] += [row | {"machine": number} for row in rows]
+    paths = (
+        write_parquet(pa.Table.from_pylist(rows), journal.folder / f"{name}.parquet")
+        for name, rows in tables.items()
+    )
+    return Results(study, *map(read_table, paths))
+
+
+def _count(study: PosteriorStudy) -> int:
+    settings = study.settings
+    moved = 1 + 2 * len(settings.unknowns) + len(MAPS) * settings.grid**2
+    flights = settings.simulated * len(study.cabs)
+    drawn = settings.rounds * settings.draws
+    return len(evidence.PRESSURES) + drawn + settings.kept + moved + flights
+
+
+def _points(
+    study: PosteriorStudy, drawn: Sequence[Row], weights: Array
+) -> list[tuple[dict[str, float], None, str]]:
+    """The median machine, with one unknown at the ends of its range, or two on a grid."""
+    unknowns, median = study.settings.unknowns, {}
+    for name in unknowns:
+        values = np.array([row[name] for row in drawn])
+        median[name] = float(sampling.weighted_quantiles(values, weights, np.array(0.5)))
+    moved: list[tuple[dict[str, Any], str]] = [({}, "median")]
+    for name, one in unknowns.items():
+        moved += [
+            ({name: one.at(q)}, f"{name} {end}") for end, q in (("low", 0.05), ("high", 0.95))
+        ]
+    sides = np.linspace(0.0, 1.0, study.settings.grid)
+    for x, y in MAPS:
+        ends = [(unknowns[x].at(p), unknowns[y].at(q)) for p, q in product(sides, sides)]
+        moved += [({x: across, y: up}, f"{x} {y}") for across, up in ends]
+    return [(median | {n: float(v) for n, v in new.items()}, None, about) for new, about in moved]
+
+
+def _drawn(task: Task) -> list[Row]:
+    """What a machine makes of the evidence, and damping ratios of all laws with all cabs."""
+    study = task.study
+    machines = task.machines(study.cabs)
+    first = next(iter(machines.values()))
+    flown = study.law(_shipped(evidence.FLOWN), task.values)
+    stable = all(machine.damping(flown)["stable"] for machine in machines.values())
+    heave = {}
+    for law in (*(law for _, law in evidence.ROWS), evidence.HELD_OUT):
+        rows = first.measures(study.law(_shipped(law), task.values))
+        heave[law] = rows[DOFS.index("heave")]
+    predicted = evidence.predictions(first.plant, heave)
+    row: Row = {
+        **task.values,
+        **predicted,
+        f"{evidence.HELD_OUT}_damping_ratio": heave[evidence.HELD_OUT].damping_ratio,
+        **{f"log_{group}": evidence.log_likelihood(predicted, group) for group in ("rows", "fits")},
+        "log_flown": 0.0 if stable else -np.inf,
+    }
+    return [row, *_dampings(machines, task.laws)]
+
+
+_shipped = lru_cache(load_law)
+
+
+def _dampings(machines: Mapping[str, Machine], laws: Sequence[Law]) -> list[Row]:
+    return [
+        {"cab": cab, "law": law.name, **machine.damping(law)}
+        for cab, machine in machines.items()
+        for law in laws
+    ]
+
+
+def _kept(task: Task) -> list[Row]:
+    """Measures of all laws with all cabs, and damping ratios under gains of acceleration."""
+    machines = task.machines(task.study.cabs)
+    rows: list[Row] = []
+    for cab, machine in machines.items():
+        for law in task.laws:
+            for dof, one in zip(DOFS, machine.measures(law), strict=True):
+                values = {name: getattr(one, name) for name in MEASURED}
+                rows.append(
+                    {"table": "measures", "cab": cab, "law": law.name, "dof": dof, **values}
+                )
+    settings = task.study.settings
+    for corner in settings.corners:
+        for gain in settings.gains:
+            law = task.study.law(acceleration_law(gain, corner), task.values)
+            about = {"table": "gains", "gain": gain, "corner": corner}
+            rows += [about | row for row in _dampings(machines, [law])]
+    return rows
+
+
+def acceleration_law(gain: float, corner: float) -> Law:
+    """Position error rate feedback with a gain of acceleration [%/(in/s^2)] behind a filter.
+
+    The filter has one pole at `corner` [Hz], 0 for none: z = e^(-2 pi corner T).
+    """
+    law = _shipped("acceleration")
+    pole = float(np.exp(-2.0 * np.pi * corner * FRAME)) if corner > 0.0 else 0.0
+    return law.model_copy(
+        update={
+            "name": f"acceleration {gain:g} behind {corner:g} Hz",
+            "direct_gain": law.direct_gain.model_copy(update={"acceleration": gain}),
+            "accelerometer_pole": pole,
+            "accelerometer_gain": 1.0 - pole,
+        }
+    )
+
+
+def _point(task: Task) -> list[Row]:
+    rows = _dampings(task.machines(task.study.cabs[:1]), task.laws)
+    return [dict(task.values) | row for row in rows]
+
+
+def _simulated(task: Task) -> list[Row]:
+    study = task.study
+    (cab,) = (cab for cab in study.cabs if cab.name == task.about)
+    oil = study.hydraulics_of(task.values, task.draw)
+    return [
+        {"cab": cab.name, "law": law.name}
+        | simulated_stability(study.plant(cab, task.values, oil), law)
+        for law in task.laws
+    ]
+
+
+_ASK: dict[str, Callable[[Task], list[Row]]] = {
+    "force": lambda task: [{"g": evidence.oscillation_g(task.values["psi"])}],
+    "drawn": _drawn,
+    "kept": _kept,
+    "point": _point,
+    "simulated": _simulated,
+}
+
+
+def _refused(error: BaseException) -> list[Row]:
+    raise error
+
+
+_WORK = Work(lambda task, _: _ASK[task.kind](task), _refused, lambda task: task.number)

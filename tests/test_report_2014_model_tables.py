@@ -1,0 +1,110 @@
+"""Tables, figures and files of `cmf linear`."""
+
+import csv
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from cmf_mj.analysis.published import published_results
+from cmf_mj.cli.common import app
+from cmf_mj.report_2014.model_tables import (
+    loop_figures,
+    misprint_table,
+    model_table,
+    roots_text,
+    table_4_1_table,
+)
+from cmf_mj.report_2014.models import law_loops, report_models, table_4_1
+from cmf_mj.report_2014.second_order import (
+    GAINS,
+    FeedbackLoop,
+    bandwidth_example,
+    characteristics,
+    gain_effects,
+)
+
+
+def test_linear_prints_the_tables_and_writes_the_files(
+    tmp_path: Path, drawn: dict[str, set[str]]
+) -> None:
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["linear", "--laws", "velocity,original", "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    for entry in report_models():
+        assert f" {entry.number} " in result.output
+    assert "-0.80725 ± 70.999j" in result.output
+    with (out / "table_4_1.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 15
+    printed = {row.of: row for row in published_results() if row.table == "4-1"}
+    for row in rows:
+        of = printed[f"linear_{row['model']}"]
+        expected = {"-90 deg": of.phase_bandwidth_hz, "-3 dB": of.gain_bandwidth_hz}
+        value = expected.get(row["quantity"], of.damping_ratio)
+        assert float(row["published"]) == value
+        off = abs(float(row["computed"]) - float(row["published"]))
+        assert row["within"] == str(off <= float(row["tolerance"]))
+    with (out / "gain_effects.csv").open(newline="") as file:
+        effects = list(csv.DictReader(file))
+    some = effects[50]
+    plant = ("plant_natural_frequency", "plant_damping_ratio")
+    loop = FeedbackLoop(*(float(some[name]) for name in (*plant, *GAINS)))
+    example = characteristics(loop)
+    assert float(some["gain_bandwidth_hz"]) == pytest.approx(example.gain_bandwidth_hz, rel=1e-7)
+    pictures = sorted(path.stem for path in out.glob("*.png"))
+    assert pictures == ["bode_original", "bode_velocity", "step_original", "step_velocity"]
+    assert set(drawn) == {f"{name}.png" for name in pictures}
+
+
+def test_linear_refuses_in_one_line_and_writes_nothing(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["linear", "--laws", "fast", "--out", str(out)])
+    assert result.exit_code == 2
+    assert "'fast'" in result.output
+    assert not out.exists()
+
+
+def test_roots_are_listed_slowest_first_and_pairs_once() -> None:
+    assert roots_text([-471.24, -0.8 - 71j, 0.0, -0.8 + 71j]) == "0, -0.8 ± 71j, -471.24"
+
+
+def test_tables_have_a_line_for_each_entry() -> None:
+    models = report_models()
+    assert len(model_table().rows) == sum(len(entry.variants) for entry in models)
+    remarks = sum(bool(entry.note) + (entry.corrected is not None) for entry in models)
+    assert len(misprint_table().rows) == remarks
+    rows = table_4_1()
+    words = [row[-1] for row in table_4_1_table(rows).cells]
+    assert words == ["within" if row.within else "OUTSIDE" for row in rows]
+
+
+@pytest.mark.parametrize(("law", "models"), [("velocity", (1, 2, 3)), ("original", ())])
+def test_published_bandwidths_lie_on_the_bode_diagram(law: str, models: tuple[int, ...]) -> None:
+    """A circle at -3 dB and one at -90 deg for each model of the velocity law, none for others."""
+    bode, step = loop_figures(law_loops([law]))
+    printed = {row.of: row for row in published_results() if row.table == "4-1"}
+    for axis, level, name in zip(
+        bode.axes, (-3.0, -90.0), ("gain_bandwidth_hz", "phase_bandwidth_hz"), strict=True
+    ):
+        marks = [line for line in axis.lines if line.get_marker() == "o"]
+        widths = [float(line.get_xdata()[0]) for line in marks]
+        assert widths == [getattr(printed[f"linear_{n}"], name) for n in models]
+        assert {float(line.get_ydata()[0]) for line in marks} <= {level}
+    assert ("circles" in bode.axes[0].get_title()) == bool(models)
+    assert len(step.axes[0].lines) == 4  # three steps and the demand
+
+
+def test_effects_run_from_no_gain_to_twice_the_example() -> None:
+    effects = gain_effects(5)
+    assert [effect.gain for effect in effects[::5]] == [
+        "position_gain",
+        "rate_gain",
+        "acceleration_gain",
+    ]
+    example = bandwidth_example()["acceleration"]
+    for start in (0, 5, 10):
+        values = [effect.value for effect in effects[start : start + 5]]
+        assert values[0] == 0.0
+        assert values[2] == pytest.approx(getattr(example, effects[start].gain))
+        assert values[4] == pytest.approx(2.0 * values[2])

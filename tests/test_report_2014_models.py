@@ -1,0 +1,224 @@
+"""The report's transfer functions: what the print gets wrong, and what holds between equations."""
+
+import control
+import numpy as np
+import pytest
+
+from cmf_mj.analysis.linear.plants import UnitTransferFunction
+from cmf_mj.core import units
+from cmf_mj.report_2014.models import (
+    hardware_velocity,
+    report_entry,
+    report_model,
+    report_models,
+)
+from cmf_mj.report_2014.second_order import FeedbackLoop
+
+NUMBERS = [entry.number for entry in report_models()]
+LOOP = FeedbackLoop(5.0, 0.2, 1.5, 0.1, 0.02)
+AREAS = (np.pi / 4.0 * 5.5**2, np.pi / 4.0 * (5.5**2 - 3.875**2))
+MASS = 7200.0 / 386.0886
+
+
+def test_the_list_has_every_transfer_function_of_sections_3_4_and_4() -> None:
+    assert NUMBERS == [f"3.{i}" for i in range(1, 7)] + [
+        f"4.{i}" for i in (*range(1, 8), *range(11, 20))
+    ]
+    misprinted = {entry.number for entry in report_models() if "corrected" in entry.variants}
+    assert misprinted == {"3.2", "3.5", "4.7", "4.17"}
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_every_model_has_labels_and_units_and_converts(number: str) -> None:
+    entry = report_entry(number)
+    system = report_model(number, loop=LOOP if entry.formula else None)
+    assert isinstance(system, control.TransferFunction)
+    assert system.input_labels == [entry.input]
+    assert system.output_labels == [entry.output]
+    assert (system.input_unit, system.output_unit) == (entry.input_unit, entry.output_unit)
+    point = 0.9 + 0.3j
+    size = units.factor(entry.output_unit) / units.factor(entry.input_unit)
+    si = system.to_si()
+    assert si(point) == pytest.approx(size * system(point), rel=1e-12)
+    assert (si.input_labels, si.output_labels, si.dt) == (
+        system.input_labels,
+        system.output_labels,
+        system.dt,
+    )
+
+
+def test_si_size_of_a_velocity_model() -> None:
+    """0.29976 in/s per % is 0.7614 m/s at full command."""
+    assert hardware_velocity(1).to_si().dcgain() == pytest.approx(2.482e11 / 8.28e11 * 2.54)
+
+
+def test_original_model_has_the_lags_and_the_leg_mode() -> None:
+    """Poles of Eq 4.1: lags of 3 and 75 Hz, the pair -0.807 +- 70.999j."""
+    poles = report_model("4.1").poles()
+    for expected in (-18.85, -471.24, -0.807 + 70.999j, -0.807 - 70.999j):
+        assert np.abs(poles - expected).min() < 5e-3
+    pair = poles[np.argmax(poles.imag)]
+    assert abs(pair) == pytest.approx(71.0035, abs=1e-4)
+    assert -pair.real / abs(pair) == pytest.approx(0.0114, abs=5e-5)
+
+
+def test_gain_of_the_original_model_is_of_no_use() -> None:
+    """Leg speed per command between the slow poles and the lags, over that of Eq 4.4."""
+    assert abs(report_model("4.1")(2.0j) / report_model("4.4")(2.0j)) == pytest.approx(5800, abs=50)
+
+
+def test_linear_model_a_has_the_lags_but_not_the_leg_mode() -> None:
+    poles = report_model("4.4").poles()
+    for expected in (-18.85, -471.24):
+        assert np.abs(poles / expected - 1.0).min() < 6e-4
+    assert np.abs(poles[poles.imag > 0.0]) / (2.0 * np.pi) == pytest.approx(568.4, abs=0.1)
+    assert np.abs(np.abs(poles) - 71.0).min() > 50.0
+
+
+def test_velocity_of_model_a_is_its_position_times_s() -> None:
+    """Eq 4.4 times s demands 4e10 s + 3.6e9 in Eq 4.7; the print is 1e20 times too small."""
+    omega = 1j * np.geomspace(0.01, 1000.0, 30)
+    demanded = omega * report_model("4.4")(omega)
+    np.testing.assert_allclose(report_model("4.7")(omega), demanded, rtol=1e-10)
+    printed = report_model("4.7", "printed")(omega)
+    np.testing.assert_allclose(printed * 1e20, demanded, rtol=1e-10)
+
+
+def test_leg_speed_of_model_a() -> None:
+    """0.352 in/s per % between its slow pole-zero pair and the lags."""
+    assert abs(report_model("4.4")(1.0j) * 1.0j) == pytest.approx(0.352, abs=0.002)
+
+
+@pytest.mark.parametrize(("variant", "pole"), [("corrected", 0.9924), ("printed", 0.99924)])
+def test_running_accelerometer_filter_is_the_hold_of_0_02_s(variant: str, pole: float) -> None:
+    sampled = control.sample_system(report_model("3.5", variant), 1.0 / 2048.0, "zoh")
+    runs = report_model("3.6")
+    assert sampled.poles()[0].real == pytest.approx(
+        pole, abs=1e-5 if variant == "printed" else 5e-5
+    )
+    same = sampled.poles()[0].real == pytest.approx(runs.poles()[0].real, abs=5e-5)
+    assert same == (variant == "corrected")
+    if same:
+        assert sampled.num_array[0, 0][-1] == pytest.approx(0.007588, abs=5e-7)
+
+
+def test_accelerometer_filter_delays_by_64_ms() -> None:
+    """One pole: phase over frequency, towards zero frequency."""
+    omega = 1e-3
+    delay = -np.angle(report_model("3.6")(np.exp(1j * omega / 2048.0))) / omega
+    assert delay == pytest.approx(0.064, abs=0.001)
+
+
+def test_eq_3_2_as_printed_closes_with_a_gain_of_one() -> None:
+    """The printed left side G/(1 + G) against the printed right side with K_p."""
+    plant = report_model("3.1", loop=LOOP)
+    s = 1j * np.geomspace(0.1, 100.0, 20)
+    g = plant(s)
+    printed = report_model("3.2", "printed", loop=LOOP)(s)
+    corrected = report_model("3.2", loop=LOOP)(s)
+    np.testing.assert_allclose(printed, g / (1.0 + g), rtol=1e-12)
+    np.testing.assert_allclose(corrected, g / (1.0 + LOOP.position_gain * g), rtol=1e-12)
+
+
+def test_eq_4_17_is_linear_model_3_and_changes_only_its_name() -> None:
+    assert report_entry("4.17", "printed").model == "linear model #1"
+    assert report_entry("4.17").model == "linear model #3"
+    assert report_entry("4.17").section == report_entry("4.18").section == "4.3.3"
+    printed, corrected = report_model("4.17", "printed"), report_model("4.17")
+    np.testing.assert_array_equal(printed.num_array[0, 0], corrected.num_array[0, 0])
+    np.testing.assert_array_equal(printed.den_array[0, 0], corrected.den_array[0, 0])
+
+
+def test_original_model_obeys_newtons_law_in_inches_psi_and_pounds() -> None:
+    """m s^2 x = A_cap p_cap - A_rod p_rod with 7200 lbm about the leg mode: fixes the units."""
+    x, cap, rod = (report_model(number) for number in ("4.1", "4.2", "4.3"))
+    s = 1j * np.geomspace(10.0, 1000.0, 20)
+    force = AREAS[0] * cap(s) - AREAS[1] * rod(s)
+    np.testing.assert_allclose(force / (MASS * s**2 * x(s)), 1.0, atol=5e-3)
+
+
+def test_original_model_has_viscous_friction() -> None:
+    """What Newton's law leaves is b s x, b = 0.44 lbf s/in: 1.5 % of the leg mode's damping."""
+    x, cap, rod = (report_model(number).num_array[0, 0] for number in ("4.1", "4.2", "4.3"))
+    friction = AREAS[0] * cap[1] - AREAS[1] * rod[1] - MASS * x[1]
+    assert friction / x[0] == pytest.approx(0.44, abs=0.01)
+    assert friction / x[0] / MASS / (2.0 * 0.807) == pytest.approx(1.0 / 68.0, rel=0.05)
+
+
+def test_original_model_has_the_stiffness_of_the_machine() -> None:
+    """Modulus of the pair from bore, rod, 38 in and 100 000 psi, over 7200 lbm."""
+    stiffness = 1e5 * sum(AREAS) / 38.0
+    poles = report_model("4.1").poles()
+    assert abs(poles[np.argmax(poles.imag)]) == pytest.approx(np.sqrt(stiffness / MASS), rel=2e-4)
+
+
+def test_pressures_of_model_a_break_newtons_law() -> None:
+    x, cap, rod = (report_model(number) for number in ("4.4", "4.5", "4.6"))
+    s = 1e6j
+    force = AREAS[0] * cap(s) - AREAS[1] * rod(s)
+    assert abs(MASS * s**2 * x(s) / force) == pytest.approx(314.0, rel=0.01)
+    # At low frequency, where the leg runs evenly, the force should vanish.
+    s = 1e-3j
+    force = AREAS[0] * cap(s) - AREAS[1] * rod(s)
+    assert abs(force) > 1e4 * abs(MASS * s**2 * x(s))
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "highest", "within"),
+    [("4.11", "4.12", 4.0, 0.06), ("4.14", "4.15", 2.0, 0.07), ("4.17", "4.18", 4.0, 0.08)],
+)
+def test_fitted_position_is_in_inches(
+    position: str, velocity: str, highest: float, within: float
+) -> None:
+    s = 2j * np.pi * np.linspace(0.5, highest, 30)
+    ratio = np.abs(s * report_model(position)(s) / report_model(velocity)(s))
+    np.testing.assert_allclose(ratio, 1.0, atol=within)
+
+
+@pytest.mark.parametrize(("number", "pole"), [("4.11", 0.0385), ("4.14", 0.216), ("4.17", 0.709)])
+def test_fitted_positions_are_unstable_for_an_integrator(number: str, pole: float) -> None:
+    poles = report_model(number).poles()
+    assert np.count_nonzero(poles.real > 0.0) == 1
+    assert poles.real.max() == pytest.approx(pole, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "velocity", "lowest", "within"),
+    [("4.13", "4.12", 1.0, 0.25), ("4.16", "4.15", 0.5, 0.11)],
+)
+def test_fitted_acceleration_is_in_g(
+    acceleration: str, velocity: str, lowest: float, within: float
+) -> None:
+    s = 2j * np.pi * np.linspace(lowest, 8.0, 40)
+    ratio = np.abs(report_model(acceleration).to_si()(s) / (s * report_model(velocity).to_si()(s)))
+    np.testing.assert_allclose(ratio, 1.0, atol=within)
+
+
+def test_acceleration_of_model_3_is_poor() -> None:
+    s = 2j * np.pi
+    ratio = report_model("4.19").to_si()(s) / (s * report_model("4.18").to_si()(s))
+    assert abs(ratio) == pytest.approx(7.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("4.8",), "number: '4.8' is not one of 3.1, "),
+        (("4.7", "guessed"), "variant: 'guessed' is not one of printed, corrected"),
+        (("3.4",), "loop: Eq 3.4 needs a FeedbackLoop"),
+        (("4.4", "printed", LOOP), "loop: Eq 4.4 has coefficients and takes none"),
+    ],
+)
+def test_bad_requests_are_named(arguments: tuple[object, ...], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        report_model(*arguments)  # type: ignore[arg-type]
+
+
+def test_unknown_units_are_named() -> None:
+    with pytest.raises(ValueError, match="unit: 'furlong' is not known"):
+        UnitTransferFunction([1.0], [1.0, 1.0], input_unit="%", output_unit="furlong")
+
+
+def test_bad_hardware_model_is_named() -> None:
+    with pytest.raises(ValueError, match="number: 4 is not one of 1, 2, 3"):
+        hardware_velocity(4)

@@ -1,0 +1,374 @@
+"""The report on one page: its tables, figures and studies."""
+
+import importlib
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cmf_mj import FrequencyResponse, bandwidths, load_law
+from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.poles import limit_cycle, oscillation
+from cmf_mj.analysis.linear.reduction import leg_model
+from cmf_mj.analysis.measures import Measures
+from cmf_mj.analysis.published import published_results
+from cmf_mj.cli.common import app
+from cmf_mj.core import errors
+from cmf_mj.core.rates import FRAME
+from cmf_mj.plant.single_legs import SingleLegs
+from cmf_mj.report_2014.gains import published_gains
+from cmf_mj.report_2014.page import tables
+from cmf_mj.report_2014.page.curves import Content, PageFigure, PageTable, response
+from cmf_mj.report_2014.page.document import (
+    FIGURES,
+    MOST,
+    TABLES,
+    corners,
+    drawn,
+    figure_data,
+    make_content,
+    render,
+    save_page,
+    thinned,
+)
+from cmf_mj.report_2014.page.runs import Runs, RunSpec, hydraulics_of
+from cmf_mj.report_2014.page.sections import result_table, sections_of
+from cmf_mj.report_2014.page.statements import STATEMENT_NEEDS
+from cmf_mj.show.chart import Curve, Panel
+from cmf_mj.show.table import Table
+from cmf_mj.studies.case import CaseResult
+
+SHOWN = ["2-4", "2-13", "3-14", "3-16", "3-21"]
+
+OWN = ("text", "provenance")
+"""Sections that no chapter of the report has."""
+
+UNPRINTED = "not printed here"
+
+REPORT_FIGURES = (
+    "2-4 2-12 2-13 2-15 2-16 3-2 3-3 3-4 3-9 3-10 3-11 3-14 3-15 3-16 3-17 3-20 3-21 3-22 3-23 "
+    "4-1 4-2 4-3 4-4 4-6 4-7 4-8 4-9 4-10 4-11 4-12 4-13 "
+    "B-1 B-2 B-3 B-4 B-5 B-6 D-1 D-2 D-3 D-4 D-5"
+)
+
+
+@pytest.fixture(scope="module")
+def content() -> Content:
+    """Five figures and Table 2-4 from quick runs."""
+    return make_content(SHOWN, ["2-4"], jobs=2, quick=True)
+
+
+@pytest.fixture(scope="module")
+def page(content: Content, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_page(content, tmp_path_factory.mktemp("report"))
+
+
+def drawings(content: Content) -> dict[str, PageFigure]:
+    return {figure.number: figure.draw(content.runs) for figure in content.figures}
+
+
+def test_every_figure_and_table_of_the_report_with_numbers_is_there() -> None:
+    assert " ".join(figure.number for figure in FIGURES) == REPORT_FIGURES
+    assert set(TABLES) == {row.table for row in published_results()}
+    assert {entry.table for entry in published_gains()} == {"2-2", "2-5", "3-1", "3-3", "3-4"}
+
+
+def test_captions_say_where_the_machine_is_a_stand_in(content: Content) -> None:
+    for figure in content.figures:
+        caption = figure.draw(content.runs).caption
+        on_machine = figure.sensors or any(need.on == "machine" for need in figure.needs)
+        assert ("stand-in" in caption) == on_machine, figure.number
+
+
+@pytest.mark.slow
+def test_page_is_the_same_for_any_number_of_jobs(content: Content) -> None:
+    chosen: Any = (["3-14", "2-4"], [])
+    first, second = (render(make_content(*chosen, jobs=jobs, quick=True)) for jobs in (1, 2))
+    assert first == second
+    other = make_content(["2-4"], [], jobs=1, quick=True)
+    curves = drawings(other)["2-4"].panels[0].curves
+    shared = drawings(content)["2-4"].panels[0].curves
+    assert all(np.array_equal(a.y, b.y) for a, b in zip(curves, shared, strict=True))
+
+
+def test_the_page_needs_no_network_and_stays_small(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert page.stat().st_size < 0.4e6
+    assert not re.search(r'<(script|img|link|iframe)[^>]*(src|href)="(?!data:)', text)
+    for block in re.findall(r'<script type="application/json">(.*?)</script>', text, re.S):
+        figure = json.loads(block)
+        assert {"title", "range", "log", "panels"} == set(figure)
+        assert all(panel["range"][0] < panel["range"][1] for panel in figure["panels"])
+
+
+def test_contents_lead_to_every_figure_and_table(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    anchors = re.findall(r' id="([^"]+)"', text)
+    assert len(anchors) == len(set(anchors))
+    links = re.findall(r'<a href="#([^"]+)"', text)
+    assert set(links) <= set(anchors)
+    assert {f"figure-{number}" for number in SHOWN} <= set(links)
+
+
+def test_table_2_4_judges_each_row_by_its_tolerance(content: Content) -> None:
+    rows = tables.result_rows(content.runs, "2-4")
+    assert [(row.of, row.quantity) for row in rows] == [
+        (of, quantity)
+        for of in ("hardware", "model")
+        for quantity in ("-90 deg", "-3 dB", "damping ratio")
+    ]
+    allowed = {"-90 deg": 0.1, "-3 dB": 0.12, "damping ratio": 0.1}
+    for row in rows:
+        limit = 0.1 if row.of == "hardware" else allowed[row.quantity]
+        off = row.computed - row.printed
+        expected = abs(off if row.quantity == "damping ratio" else off / row.printed) <= limit
+        assert row.within == expected
+
+
+def altered(runs: Runs, factor: float) -> Runs:
+    """The same runs with other -90 deg bandwidths."""
+    results: dict[RunSpec, Any] = {}
+    for key, result in runs.results.items():
+        if isinstance(result, CaseResult):
+            phase = factor * result.measures.phase_bandwidth_hz
+            measures = result.measures._replace(phase_bandwidth_hz=phase)
+            result = result._replace(measures=measures)
+        results[key] = result
+    return Runs(results, runs.sensors, runs.quick, runs.seed)
+
+
+def test_a_slower_model_falls_outside_and_is_coloured(content: Content) -> None:
+    before = tables.result_rows(content.runs, "2-4")
+    after = tables.result_rows(altered(content.runs, 0.6), "2-4")
+    assert all(row.within for row in before if row.quantity == "-90 deg")
+    assert [row.quantity for row in after if row.within is False].count("-90 deg") == 2
+    slow = Content(altered(content.runs, 0.6), (), ("2-4",), studies=False)
+    chapter = next(s for s in sections_of(slow) if s.anchor == "chapter-2")
+    judged = next(b for b in chapter.blocks if isinstance(b, PageTable) and b.anchor == "table-2-4")
+    verdict = judged.table.header.index("verdict")
+    assert [row[verdict] for row in judged.table.cells[::3]] == ["outside", "outside"]
+    assert render(slow).count('<td class="outside">') == 2
+
+
+@pytest.fixture(scope="module")
+def studied(content: Content) -> Content:
+    """All sections; the original law stands in for those that were not run."""
+    results: dict[RunSpec, Any] = dict(content.runs.results)
+    for need in STATEMENT_NEEDS:
+        results.setdefault(need, content.runs.case(need.on, "original"))
+    runs = Runs(results, content.runs.sensors, content.runs.quick, content.runs.seed)
+    return Content(runs, (), (), studies=True)
+
+
+def tables_of(content: Content) -> dict[str, Table]:
+    return {
+        block.anchor: block.table
+        for section in sections_of(content)
+        for block in section.blocks
+        if isinstance(block, PageTable)
+    }
+
+
+@pytest.mark.slow
+def test_all_sections_have_rows_as_wide_as_their_headers(studied: Content) -> None:
+    sections = sections_of(studied)
+    assert [section.anchor for section in sections if section.anchor in OWN] == list(OWN)
+    for name, table in tables_of(studied).items():
+        assert table.rows, name
+        assert {len(row) for row in table.cells} == {len(table.header)}, name
+
+
+def test_studies_are_left_out_of_a_part(content: Content) -> None:
+    anchors = {section.anchor for section in sections_of(content)}
+    assert "text" not in anchors
+    assert "provenance" in anchors
+
+
+def test_shipped_gains_are_the_printed_ones_but_for_two_readings() -> None:
+    numbers = sorted({entry.table for entry in published_gains()})
+    rows = [row for number in numbers for row in tables.gain_rows(number)]
+    assert [(row[0], row[1]) for row in rows if row[4] == "differs"] == [
+        (load_law("original").title, "B, position"),
+        (load_law("force").title, "D, force"),
+    ]
+    assert all((row[2] == row[3]) == (row[4] == "same") for row in rows if row[2] != UNPRINTED)
+    assert all(row[5] for row in rows if row[4] == "differs")
+    assert len([row for row in tables.gain_rows("3-1") if row[1] == "A"]) == 3
+
+
+def test_geometry_meets_the_printed_limits_but_for_two() -> None:
+    far = [row[:2] for row in tables.limit_rows() if abs(row[4]) > 3.0]
+    assert [dof for dof, _ in far] == ["heave", "pitch"]
+    assert [printed[0] for _, printed in far] == ["+", "-"]
+
+
+@pytest.mark.parametrize(("law", "expected"), [("velocity", 47.0 / 50.48), ("original", 0.998)])
+def test_steady_state_of_a_law_follows_from_its_gains(law: str, expected: float) -> None:
+    """The gain of the demand over the net gain of the position, D_p + C B_p / (1 - A)."""
+    gains = load_law(law)
+    through = gains.output_gain * gains.input_gain.of_legs("position") / (1.0 - gains.state_gain)
+    net = gains.direct_gain.of_legs("position") + through
+    assert -gains.direct_gain.of_legs("reference") / net == pytest.approx(expected, abs=5e-4)
+    loop = closed_loop(law, leg_model(linearize(SingleLegs("report")), 1), pressures="zero")
+    assert float(np.real(control.dcgain(loop)).item()) == pytest.approx(expected, abs=5e-4)
+
+
+def test_the_loop_at_its_crossover_and_unit_gain_has_poles_on_the_circle() -> None:
+    """Scaled by one over its gain there, the law keeps an undamped oscillation."""
+    law, parameters = load_law("force"), hydraulics_of("model")
+    unstable = oscillation(law, parameters)
+    assert unstable.crossover_gain > 1.0 > 0.0 > unstable.pole_damping
+    gains = law.direct_gain.model_dump()
+    scaled = law.model_copy(
+        update={
+            "direct_gain": law.direct_gain.model_copy(
+                update={name: value / unstable.crossover_gain for name, value in gains.items()}
+            ),
+            "output_gain": law.output_gain / unstable.crossover_gain,
+        }
+    )
+    leg = leg_model(linearize(SingleLegs(parameters)), 1)
+    poles = np.log(closed_loop(scaled, leg).poles().astype(complex)) / FRAME
+    near = poles[np.argmin(np.abs(poles - 2j * np.pi * unstable.crossover_hz))]
+    assert near.imag / (2.0 * np.pi) == pytest.approx(unstable.crossover_hz, rel=2e-3)
+    assert abs(near.real) / abs(near) < 2e-3
+
+
+def test_the_leg_rings_between_crossover_and_poles_and_not_at_25_hz(content: Content) -> None:
+    linear = oscillation(load_law("force"), hydraulics_of("model"))
+    frequency, amplitude, acceleration = limit_cycle(content.runs.case("model", "force").step)
+    assert linear.crossover_hz < frequency < 1.01 * linear.pole_hz + 0.25
+    assert frequency < 0.6 * 25.0
+    assert amplitude > 500.0
+    assert acceleration > 1.0
+    result = content.runs.case("model", "force")
+    assert result.response is not None
+    swept = bandwidths(result.response)
+    assert swept.phase_hz == pytest.approx(5.5, rel=0.1)
+    assert swept.peak_db == pytest.approx(1.0, abs=0.5)
+    assert not result.measures.stable
+    assert np.isnan(result.measures.phase_bandwidth_hz)
+
+
+def test_what_rings_on_shows_its_mark_and_does_not_agree(content: Content) -> None:
+    """The same runs, the steps of the stand-in called unstable."""
+    results: dict[RunSpec, Any] = dict(content.runs.results)
+    for key, result in results.items():
+        if isinstance(result, CaseResult) and key.on == "machine":
+            results[key] = result._replace(measures=Measures())
+    ringing = Runs(results, content.runs.sensors, content.runs.quick, content.runs.seed)
+    table = result_table(ringing, "2-4").table
+    columns = [table.header.index(name) for name in ("source", "computed", "deviation", "verdict")]
+    shown = [[row[column] for column in columns] for row in table.cells]
+    hardware = [row[1:] for row in shown if row[0] == "hardware"]
+    assert hardware == [["unstable", "-", "outside"]] * 3
+    assert all(row[1] != "unstable" for row in shown if row[0] != "hardware")
+
+
+def test_thinning_keeps_peaks_order_and_number() -> None:
+    time = np.linspace(0.0, 1.0, 50_000)
+    values = np.sin(40.0 * time)
+    values[33_333], values[44_444] = 9.0, -9.0
+    x, y = thinned(time, values)
+    assert x.size <= MOST
+    assert (np.diff(x) > 0.0).all()
+    assert (y.max(), y.min()) == (9.0, -9.0)
+    assert thinned(time[:100], values[:100])[0].size == 100
+
+
+def test_curves_drop_what_cannot_be_drawn() -> None:
+    line = Curve("c", np.arange(5.0), np.array([1.0, np.nan, np.inf, 2.0, 4.0]), "#000")
+    ranged = Panel("y", (line,), x_range=(0.0, 3.0))
+    assert [values.tolist() for values in drawn(line, ranged)] == [[0.0, 3.0], [1.0, 2.0]]
+    assert drawn(line, Panel("y", (line,)))[0].tolist() == [0.0, 3.0, 4.0]
+
+
+@pytest.mark.parametrize("most_off", [1e-2, 1e-3, 1e-4])
+def test_corners_leave_a_curve_where_it_is(most_off: float) -> None:
+    """Chords of sin over h are off by h^2/8, so that about pi / sqrt(2 most_off) points do."""
+    x = np.linspace(0.0, 2.0 * np.pi, 1000)
+    kept = corners(x, np.sin(x), most_off)
+    off = np.abs(np.sin(x) - np.interp(x, x[kept], np.sin(x)[kept]))
+    assert off.max() <= most_off
+    assert kept.size < 2.0 * np.pi / np.sqrt(2.0 * most_off)
+    assert corners(x, 2.0 * x, 1e-12).tolist() == [0, 999]
+
+
+def test_page_draws_curves_where_they_are(content: Content) -> None:
+    """On the axes that the page draws: a thousandth of their range, on both ends and between."""
+    drawing = drawings(content)["2-13"].panels
+    (panel,) = figure_data(drawing)["panels"]
+    for curve, sent in zip(drawing[0].curves, panel["curves"], strict=True):
+        low, high = drawing[0].x_range or (0.0, 0.0)
+        inside = (curve.x >= low) & (curve.x <= high)
+        between = np.interp(curve.x[inside], sent["x"], sent["y"])
+        scale = panel["range"][1] - panel["range"][0]
+        assert np.abs(between - curve.y[inside]).max() < 1e-3 * scale
+        assert len(sent["x"]) < 0.5 * inside.sum()
+
+
+def test_a_response_is_pale_where_it_is_not_coherent_and_all_of_it_if_unstable() -> None:
+    g, omega = np.full(6, 1.0 + 0.0j), 2.0 * np.pi * np.arange(1.0, 7.0)
+    coherence = np.array([0.9, 0.1, 0.9, 0.95, np.nan, 0.2])
+    measured = FrequencyResponse(g, omega, coherence)
+    gain, phase = response("a", measured, "#000")
+    assert [(c.pale, c.x.tolist()) for c in gain] == [
+        (True, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]),
+        (False, [1.0]),
+        (False, [3.0, 4.0, 5.0]),
+    ]
+    assert [c.x.tolist() for c in phase] == [c.x.tolist() for c in gain]
+    (whole,) = response("a", measured, "#000", stable=False)[0]
+    assert whole.pale
+    (whole,) = response("a", FrequencyResponse(g, omega, np.ones(6)), "#000")[0]
+    assert not whole.pale
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--figures", "9-9"], "figures: '9-9' is not one of 2-4, 2-12"),
+        (["--tables", "9-9"], "tables: '9-9' is not one of 2-4, 2-6"),
+        (["--jobs", "0"], "jobs: '0' is refused"),
+        (["--seed", "-1"], "greater than or equal to 0"),
+    ],
+)
+def test_report_refuses_before_it_runs(arguments: list[str], message: str, tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["report", *arguments, "--out", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert message in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_report_without_jinja_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = importlib.import_module
+
+    def without(name: str, package: str | None = None) -> Any:
+        if name.startswith("jinja2"):
+            raise ImportError(f"No module named {name!r}", name=name)
+        return real(name, package)
+
+    monkeypatch.setattr(errors, "import_module", without)
+    result = CliRunner().invoke(app, ["report", "--out", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert "cmf-mj[report]" in result.output
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_report_command_writes_the_page_and_counts_verdicts(tmp_path: Path) -> None:
+    arguments = ["report", "--quick", "--figures", "3-14", "--tables", "section 3.2.2"]
+    result = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    assert "1 figures" in result.output
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "Figure 3-14" in text
+    assert "section 3.2.2" in result.output
