@@ -20,7 +20,7 @@ from PIL import Image
 
 from cmf_mj.core.files import claimed, read_table
 
-ENDS = 2
+ENDS = 1
 """How often the long search ends each command."""
 LONGEST = 12.0
 """Latest end after the start [s]."""
