@@ -62,7 +62,7 @@ def _run(
                 parts, paths = (report.summary_table(table),), report.save_report(table, out)
         show(*parts, written(paths, out))
     except KeyboardInterrupt:
-        typer.secho(f"cmf: interrupted; the same command goes on with {out}", err=True)
+        typer.secho(f"cmf: interrupted; the same command continues {out}", err=True)
         if how["backend"] == "threading":
             sys.stderr.flush()
             os._exit(130)  # threads still compute: they would outlive what they compute on
