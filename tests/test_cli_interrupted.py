@@ -34,7 +34,6 @@ LINES = {
     "modes": "modes --cabs gfd --samples 90 --rounds 2 --points 3 --out {out}",
     "measure": "measure {facility} --out {out}",
     "identify": "identify {facility} {facility} --orders 2,1,1 --method arx --out {out}",
-    "verify": "verify --seconds 0.1 --finest 4 --out {out}",
     "operate": "operate {stream} --out {out}",
     "serve": "serve --port 0 --seconds 1 --out {out}",
     "record": "record --out {out}",
