@@ -45,7 +45,6 @@ LINES = {
     "cue tune": "cue tune {motion} --out {out}",
     "omct": "omct --laws none --quick --dofs heave --out {out}",
     "study": "study ablation --quick --jobs 1 --out {out}",
-    "ablation": "ablation --laws velocity --dofs heave --jobs 1 --out {out}",
     "tune": "tune --evaluations 12 --file {out}/law.toml",
     "certify": "certify velocity --cabs gfd --quick --out {out}",
     "calibrate": "calibrate report --quick --samples 2 --out {out}",
