@@ -80,6 +80,9 @@ def export_plugin(
     written = out / f"{plant.name}.xml"
     if written.exists() and written.samefile(model):
         raise InputError(f"out: {str(out)!r} is refused: {written.name} there is the model itself")
+    if ElementTree.parse(model).getroot().find(".//include") is not None:
+        one = "the whole in one file, as MjSpec.to_xml writes it"
+        raise InputError(f"model: {str(model)!r} includes other files; allowed: {one}")
     spec = equipped(model, cylinders, hydraulics)[0]
     state, legs = plant.start(), plant.legs
     fixed = Fixed(plant.hydraulics, no_faults(legs), plant.neutral)
