@@ -1,7 +1,7 @@
 """The cylinders of any model as a plugin of MuJoCo, beside plain MJCF that names it.
 
 The model then runs wherever MuJoCo does, in its viewer and in `mujoco.rollout`: a control is the
-valve command of a cylinder. All cylinders of a machine hang on one supply, so one instance of the
+valve command of a cylinder. All cylinders of a machine share one supply, so one instance of the
 plugin drives them all; what moves in the hydraulics is MuJoCo's plugin state.
 """
 
