@@ -3,6 +3,7 @@ from .analysis.frequency_response import FrequencyResponse as FrequencyResponse
 from .analysis.frequency_response import bandwidths as bandwidths
 from .analysis.frequency_response import frequency_response as frequency_response
 from .analysis.linear.assembly import linearize as linearize
+from .analysis.linear.linear import Linear as Linear
 from .analysis.step_response import StepMetrics as StepMetrics
 from .analysis.step_response import step_metrics as step_metrics
 from .control.law import Law as Law
@@ -11,6 +12,8 @@ from .control.law import load_law as load_law
 from .core.errors import CmfError as CmfError
 from .core.errors import InputError as InputError
 from .core.errors import MissingExtraError as MissingExtraError
+from .core.errors import NoPoseError as NoPoseError
+from .core.errors import NotLinearError as NotLinearError
 from .core.errors import RunError as RunError
 from .facility.many import simulate_many as simulate_many
 from .facility.scenario.library import load_scenario as load_scenario

@@ -14,7 +14,7 @@ import numpy as np
 from accept_law import poses
 
 from cmf_mj import Hexapod, load_hydraulics, load_law
-from cmf_mj.analysis.linear.stiffness import dynamic_stiffness
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.measures import Measures, measure_records
 from cmf_mj.control.law import Gains, Law
 from cmf_mj.core.threads import on_threads
@@ -104,15 +104,14 @@ def worst(found: list[Measures]) -> list[float | str]:
 
 def row(name: str, law: Law, dofs: list[str], jobs: int) -> list[float | str]:
     """A line of the table."""
-    plant, hertz = Hexapod(CAB, "hardware"), np.linspace(0.5, 5.0, 19)
+    linear, hertz = Linear(Hexapod(CAB, "hardware")), np.linspace(0.5, 5.0, 19)
     found = on_threads(measured, cases(law, dofs), jobs)
     count = len(dofs)
     neutral, corners = worst(found[:count]), worst(found[count:-1])
-    noise = qualities(plant, law, [(dofs[0], dof_amplitude(dofs[0]), 1.0)])[0].valve_noise
+    noise = qualities(linear.plant, law, [(dofs[0], dof_amplitude(dofs[0]), 1.0)])[0].valve_noise
     share: float | str = "-"
     if found[0].stable:
-        bound = law.bound_to(CAB) if law.coordinates != "legs" else law
-        own, flown = (dynamic_stiffness(plant, one, hertz) for one in (bound, "velocity"))
+        own, flown = (linear.stiffness(one, hertz) for one in (law, "velocity"))
         share = float((own / flown).min())
     return [name, *neutral, *corners, worst(found[-1:])[0], share, 100.0 * noise]
 

@@ -12,15 +12,11 @@ from pathlib import Path
 import control
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from cmf_mj import Hexapod, Law, load_law, load_machine
+from cmf_mj import Hexapod, Linear, load_law, load_machine
 from cmf_mj.analysis.frequency_response import line_bandwidths
-from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.loop import closed_loop
-from cmf_mj.analysis.linear.reduction import pose_loop
+from cmf_mj.analysis.linear.loop import loop_response
 from cmf_mj.core import units
-from cmf_mj.facility.binding import bound
 from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.table import Table
@@ -102,11 +98,10 @@ def bandwidths(names: list[str]) -> Table:
     """-90 deg and -3 dB of each law in each degree of freedom [Hz]; beyond 25 Hz none."""
     rows = []
     for name in names:
-        plant = Hexapod(machine=name)
-        system = linearize(plant)
+        linear = Linear(Hexapod(machine=name))
         for source in laws_of(name):
             law = load_law(source)
-            answer = response(plant, system, law, LINES)
+            answer = control.frequency_response(linear.loop(law), 2.0 * np.pi * LINES).frdata
             found = [line_bandwidths(LINES, answer[i, i]) for i in range(len(DOFS))]
             for kind, at in (("phase", "-90 deg"), ("gain", "-3 dB")):
                 hertz = [getattr(one, f"{kind}_hz") for one in found]
@@ -150,10 +145,10 @@ def draw(names: list[str]) -> Figure:
             axis.plot(*ring.T, color=colour, lw=2.5, label=name)
         limits: Asymptotes = asymptotes(plant, "heave")
         able.semilogx(hertz, [limits.velocity(f) for f in hertz], color=colour, label=name)
-        system = linearize(plant)
+        linear = Linear(plant)
         for source, dash in zip(laws_of(name), ("-", "--"), strict=False):
             law = load_law(source)
-            heave = response(plant, system, law, hertz)[2, 2]
+            heave = loop_response(linear.loop(law, "heave"), hertz).response
             phase = np.degrees(np.unwrap(np.angle(heave)))
             follows.semilogx(hertz, phase, dash, color=colour, label=f"{name}, {law.name}")
     above.set(xlabel="y, right [m]", ylabel="x, forward [m]", title="legs from above")
@@ -170,14 +165,6 @@ def draw(names: list[str]) -> Figure:
     for axis in (above, aside, able, follows):
         axis.grid(alpha=0.3)
     return figure
-
-
-def response(
-    plant: Hexapod, system: control.StateSpace, law: Law, hertz: NDArray[np.float64]
-) -> NDArray[np.complex128]:
-    """Response of the platform to its demand, (6, 6, N)."""
-    loop = pose_loop(closed_loop(bound(law, plant), system), plant)
-    return np.asarray(control.frequency_response(loop, 2.0 * np.pi * hertz).frdata)
 
 
 def tables(names: list[str]) -> dict[str, Table]:

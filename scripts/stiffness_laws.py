@@ -18,17 +18,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import signal
 
-from cmf_mj import Hexapod, load_law
+from cmf_mj import Hexapod, Linear, load_law
 from cmf_mj.analysis.frequency_response import line_bandwidths
-from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.loop import closed_loop
-from cmf_mj.analysis.linear.reduction import pose_loop
-from cmf_mj.analysis.linear.stiffness import compliance, disturbance, dynamic_stiffness
+from cmf_mj.analysis.linear.binding import nominal_modes
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.files import write_csv
 from cmf_mj.core.rates import FRAME
-from cmf_mj.facility.binding import bound, nominal_modes
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.table import Table
 
@@ -77,11 +73,10 @@ def point(plant: Hexapod, name: str, law: Law) -> list[Any]:
 
     NaN if unstable.
     """
-    held = bound(law, plant)
-    stiffness = float(disturbance(plant, held)[1, 0]) / KLBF_IN
-    slow = float(dynamic_stiffness(plant, held, [1.0])[0, 0]) / KLBF_IN
-    loop = pose_loop(closed_loop(held, linearize(plant)), plant)
-    response = np.asarray(control.frequency_response(loop, 2.0 * np.pi * LINES).frdata)
+    linear = Linear(plant)
+    stiffness = float(linear.disturbance(law)[1, 0]) / KLBF_IN
+    slow = float(linear.stiffness(law, [1.0])[0, 0]) / KLBF_IN
+    response = np.asarray(control.frequency_response(linear.loop(law), 2.0 * np.pi * LINES).frdata)
     phases = [line_bandwidths(LINES, response[i, i]).phase_hz for i in range(len(DOFS))]
     lowest = float(np.nanmin(phases)) if stiffness == stiffness else np.nan
     return [name, round(lowest, 3), round(slow, 1), round(stiffness, 2)]
@@ -158,7 +153,7 @@ def sampled(plant: Hexapod, seed: int = 0) -> Gains:
         for turn in z
     ]
     shape = np.array(modes.shape)[0]
-    flown = np.abs(shape @ compliance(plant, "velocity", BAND) @ shape)
+    flown = np.abs(shape @ Linear(plant).compliance("velocity", BAND) @ shape)
     share = (flown[:, None] / np.abs(np.array(moved)[:, :, 0, 0])).min(axis=0)
     off = np.min([damping_of(loops(mode, values, one)[0]) for one in OFF], axis=0)
     return Gains(values, damping_of(whole), off, share)

@@ -13,7 +13,7 @@ import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.measurable import dof_history
 from cmf_mj.analysis.response.periodic import sine_response
 from cmf_mj.control.law import Law
@@ -27,7 +27,6 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.signals.signal import Command
-from cmf_mj.studies.linearization import loop_between
 
 SINES = (0.5, 1.0, 1.7, 2.4, 3.0, 3.7, 4.5, 5.5, 6.5, 8.0)
 """Sines of a comparison with the simulation [Hz]."""
@@ -75,7 +74,7 @@ def compare_with_simulation(
     """
     leg = signal.startswith("leg_")
     size = SMALL[0] if leg else by_kind(signal, *SMALL)
-    loop = loop_between(plant, linearize(plant, pose, excitation="sine"), law, pose, signal)
+    loop = Linear(plant, pose, excitation="sine").loop(law, signal)
     fastest = float(np.abs(loop.poles()).max())
     if fastest > 1.0 + 1e-9:
         raise InputError(f"law: its loop is unstable there, with a pole at {fastest:.6f}")

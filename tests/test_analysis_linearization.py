@@ -15,6 +15,7 @@ from simulated_loops import Comparison, compare_with_simulation
 
 from cmf_mj import Hexapod, Plant, SingleLegs
 from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.operating_point import linear_mechanics, operating_point
 from cmf_mj.analysis.linear.poles import modes
@@ -32,7 +33,6 @@ from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.supply import ACCUMULATOR, PUMP, RETURN, RETURN_PRESSURE, SUPPLY, SUPPLY_PRESSURE
 from cmf_mj.show.linearization import save_system
-from cmf_mj.studies.linearization import loop_between
 
 DEGREE = np.pi / 180.0
 POSES = {
@@ -455,8 +455,7 @@ def test_mean_of_the_slopes_would_not_agree(hexapod: Hexapod) -> None:
     result = compare_with_simulation(
         hexapod, "velocity", pose, "surge", frequencies=(2.8, 3.2), cycles=3
     )
-    half = linearize(hexapod, pose, excitation="mean")
-    loop = loop_between(hexapod, half, "velocity", pose, "surge")
+    loop = Linear(hexapod, pose, excitation="mean").loop("velocity", "surge")
     other = control.frequency_response(loop, 2.0 * np.pi * result.frequency).frdata[0, 0]
     assert np.abs(20.0 * np.log10(np.abs(result.measured / other))).max() > 1.0
     assert np.abs(result.gain_error).max() < 0.5

@@ -37,7 +37,7 @@ LISTED = {
     for path in re.findall(r"^   ~?(cmf_mj\.[\w.]+)$", API.read_text(encoding="utf-8"), re.M)
 }
 """What the reference lists by task, with the module of each name."""
-SLOW = ("certify", "dynamic_stiffness", "rated")
+SLOW = ("certify", "rated")
 """Names whose examples simulate for half a minute and are not run here."""
 HEAVY = ("mujoco", "numba", "scipy", "control", "matplotlib", "pydantic", "pyarrow", "numpy")
 

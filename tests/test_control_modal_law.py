@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from cmf_mj import Hexapod, Law, SingleLegs, law_names, load_hydraulics, load_law, signals, simulate
-from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.binding import nominal_modes
 from cmf_mj.analysis.linear.law import DCL_INPUTS, FEEDBACK, dcl_state_space
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop
-from cmf_mj.analysis.linear.reduction import pose_loop
 from cmf_mj.control import dcl as blocks
 from cmf_mj.control.coordinates import MODES, make_shape, to_legs, to_modes
 from cmf_mj.control.dcl import DclState, make_dcl
@@ -17,7 +17,6 @@ from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.inverse import opened
 from cmf_mj.control.plan import actuator_polynomial, response_polynomial
 from cmf_mj.core.rates import FRAME
-from cmf_mj.facility.binding import nominal_modes
 from cmf_mj.facility.replay import replay
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_to_legs
@@ -334,7 +333,7 @@ def test_linear_law_is_the_compiled_one() -> None:
 def test_all_degrees_of_freedom_answer_alike_on_the_linear_plant() -> None:
     """Same response on the diagonal, and little beside it: gravity and the supply aside."""
     plant = Hexapod("ifd")
-    loop = pose_loop(closed_loop(MODAL.bound_to("ifd"), linearize(plant)), plant)
+    loop = Linear(plant).loop(MODAL)
     assert np.abs(loop.poles()).max() < 1.0 + 1e-9
     omega = 2.0 * np.pi * np.linspace(1.0, 6.0, 11)
     found = control.frequency_response(loop, omega).frdata

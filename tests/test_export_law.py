@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from cmf_mj import Hexapod, Record, law_names, load_law, pose_to_legs, signals, simulate
+from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.control.dcl import DclState
 from cmf_mj.core.errors import InputError, RunError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.library import _header, export_law, law_code, law_parts
 from cmf_mj.export.machine import make_image
 from cmf_mj.export.machine_code import machine_code
-from cmf_mj.facility.binding import bound
 from cmf_mj.facility.replay import FEEDBACK
 
 HOST = Path(__file__).with_name("export_law_host.c")

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 import cmf_mj
 from cmf_mj import signals
 from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.linear.law import DCL_INPUTS, dcl_state_space
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.control.dcl import DclState, make_dcl, step
@@ -19,7 +20,6 @@ from cmf_mj.control.states import State
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.electronics.sensors.settings import SensorSettings
 from cmf_mj.electronics.servo_electronics import ServoSettings
-from cmf_mj.facility.binding import bound
 from cmf_mj.facility.host.stream import from_command
 from cmf_mj.facility.operation import dcu_of, operate
 from cmf_mj.facility.scenario.library import scenario_of

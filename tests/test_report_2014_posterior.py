@@ -12,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cmf_mj import Hexapod, load_law
+from cmf_mj.analysis.linear.linear import Linear, loop_damping
 from cmf_mj.cli.common import app
 from cmf_mj.core.rates import FRAME
 from cmf_mj.machine.geometry import DOFS
@@ -20,7 +21,7 @@ from cmf_mj.report_2014.posterior.run import GROUPS, TABLES, Results, run_poster
 from cmf_mj.report_2014.posterior.settings import PosteriorStudy, load_posterior
 from cmf_mj.report_2014.posterior.tables import TEXTS, best_gain
 from cmf_mj.studies.engine import JOURNAL
-from cmf_mj.studies.linear import Machine, loop_damping, simulated_stability
+from cmf_mj.studies.linear import simulated_stability
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -177,26 +178,26 @@ def test_each_degree_of_freedom_has_the_damping_of_its_own_poles() -> None:
 
 
 def test_a_machine_without_changes_is_the_shipped_one(study: PosteriorStudy) -> None:
-    plain = Machine(Hexapod("ifd"))
+    plain = Linear(Hexapod("ifd"))
     factors = ("cab_mass", "cab_inertia", "platform_mass", "leg_mass")
     values = dict.fromkeys(study.settings.unknowns, 0.0) | dict.fromkeys(factors, 1.0)
     shipped = study.hydraulics.quantities()
     values |= {name: shipped[name].value for name in values if name in shipped}
     values["derivative_pole"] = load_law("position_error_rate").derivative_pole
     cab = study.cabs[1]
-    machine = Machine(study.plant(cab, values, study.hydraulics_of(values, None)))
+    machine = Linear(study.plant(cab, values, study.hydraulics_of(values, None)))
     law = study.law(load_law("position_error_rate"), values)
     expected = plain.damping(load_law("position_error_rate"))
     assert machine.damping(law) == pytest.approx(expected, rel=1e-6, abs=1e-9)
     heavy = values | {"cab_height": 0.5}
-    higher = Machine(study.plant(cab, heavy, study.hydraulics_of(heavy, None)))
+    higher = Linear(study.plant(cab, heavy, study.hydraulics_of(heavy, None)))
     assert higher.damping(law)["pair"] < expected["pair"] - 0.01
 
 
 @pytest.mark.parametrize(("law", "stable"), [("velocity", True), ("acceleration_d2", False)])
 def test_simulated_and_linear_verdicts_are_one(law: str, stable: bool) -> None:
     plant, loaded = Hexapod("gfd"), load_law(law)
-    assert Machine(plant).damping(loaded)["stable"] is stable
+    assert Linear(plant).damping(loaded)["stable"] is stable
     assert simulated_stability(plant, loaded)["stable"] is stable
 
 

@@ -8,9 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from cmf_mj import load_hydraulics, load_law
+from cmf_mj.analysis.linear.binding import nominal_modes
 from cmf_mj.cli.common import app
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.binding import nominal_modes
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.plant import Plant

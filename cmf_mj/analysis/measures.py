@@ -31,6 +31,7 @@ from cmf_mj.analysis.step_response import (
     resonant_damping,
     step_metrics,
 )
+from cmf_mj.core.errors import NoPoseError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.record.record import Record
 
@@ -41,7 +42,7 @@ OSCILLATING = 0.9
 """Damping ratio below which a pair of poles oscillates; above, it may be two equal real poles."""
 
 _INSIDE = 1.0 - 1e-9
-"""Modulus below which a pole counts as within the unit circle."""
+"""Modulus below which a pole counts as within the unit circle, not as an integrator's."""
 
 _NAN = float("nan")
 
@@ -120,7 +121,7 @@ def sweep_response(
     """
     try:
         return frequency_response(sweep, dof, segment=segment)
-    except ValueError:
+    except NoPoseError:
         return None
 
 
@@ -148,13 +149,18 @@ def measure_loop(
     pairs = oscillations(poles, loop.dt)
     pairs = pairs[-pairs.real < OSCILLATING * np.abs(pairs)]
     mode = _mode(pairs, np.abs(pairs))
-    if not np.all(np.abs(poles) < _INSIDE):
+    if not are_stable(poles):
         return joined(mode=mode)
     static = float(np.real(np.atleast_2d(control.dcgain(loop))[0, 0]))
     _, reached = loop_step(loop, duration)
     step = measure_step(reached, 1.0 / loop.dt, final=static)
     lines = np.asarray(frequencies, dtype=np.float64)
     return joined(bandwidths(loop_response(loop, lines)), step, mode)
+
+
+def are_stable(poles: NDArray[np.complex128]) -> bool:
+    """The verdict on a discrete loop: whether all of its poles lie within the unit circle."""
+    return bool((np.abs(poles) < _INSIDE).all())
 
 
 def oscillations(poles: NDArray[np.complex128], frame: float = FRAME) -> NDArray[np.complex128]:

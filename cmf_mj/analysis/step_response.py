@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.analysis.measurable import checked_legs, dof_history, least_demand
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, NoPoseError
 from cmf_mj.record.record import Record
 from cmf_mj.signals.single import Step
 
@@ -134,7 +134,7 @@ def step_metrics(record: Record, dof: str | None = None) -> StepMetrics:
     residual, stable = _verdict(record)
     try:
         feedback = dof_history(record, "leg_position", chosen)
-    except ValueError:
+    except NoPoseError:
         nan = float("nan")
         return StepMetrics(nan, nan, nan, nan, nan, residual, False)
     tail = round(TAIL * rate)

@@ -34,12 +34,13 @@ def linearize_command(
     out: options.Out = Path("out/linearize"),
 ) -> None:
     """Linearise a plant: modes, Bode diagrams, a law around it."""
+    from cmf_mj.analysis.linear.linear import Linear
     from cmf_mj.plant.build import make_plant
     from cmf_mj.show import linearization as report
     from cmf_mj.studies.linearization import linearization_study
 
     machine = make_plant(plant, cab, hydraulics)
-    study = linearization_study(machine, law, pose_option(pose), dofs)
+    study = linearization_study(Linear(machine, pose_option(pose)), law, dofs)
     paths = report.save_study(study, out)
     show(report.mode_table(study), report.loop_table(study), written(paths, out))
 

@@ -36,6 +36,29 @@ class InputError(CmfError, ValueError):
     __module__ = "cmf_mj"
 
 
+class NoPoseError(InputError):
+    """Legs that no pose of the platform has, such as those of a run that flew apart.
+
+    >>> try:
+    ...     cmf_mj.legs_to_pose([1.5, 0, 0, 0, 0, 0])
+    ... except cmf_mj.NoPoseError as error:
+    ...     print(str(error)[:45])
+    legs: no platform pose has the leg extensions
+    """
+
+    __module__ = "cmf_mj"
+
+
+class NotLinearError(InputError):
+    """A plant without a linearisation at a pose: overlap, dry friction, a stop that bears.
+
+    >>> issubclass(cmf_mj.NotLinearError, cmf_mj.InputError)
+    True
+    """
+
+    __module__ = "cmf_mj"
+
+
 class RunError(CmfError, FloatingPointError):
     """The state of a run left its physical bounds.
 

@@ -9,6 +9,7 @@ so that the sum over a run is an integral over time. A run that leaves the machi
 with r = -100; a run is truncated after `seconds`.
 """
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.errors import NoPoseError, check_name
 from cmf_mj.environments.environment import FRAMES, Array, MachineEnv, ObservedQuantity
 from cmf_mj.facility.session import Session
 from cmf_mj.machine.cab import Cab, load_cab
@@ -91,10 +92,10 @@ class HexapodEnv(MachineEnv):
     def _look(self, session: Session) -> tuple[Array, ...]:
         memory, pressure = session.memory, session.machine.state.pressure
         across = 1e-6 * (pressure[:, 0] - pressure[:, 1])
-        try:
-            self._apart = self.target - legs_to_pose(memory.extension, self.plant.machine)
-        except InputError:  # the legs are of no pose: the run has left its bounds
-            self._apart = np.zeros(6)
+        self._apart = np.zeros(6)
+        if np.isfinite(memory.extension).all():
+            with suppress(NoPoseError):
+                self._apart = self.target - legs_to_pose(memory.extension, self.plant.machine)
         return memory.extension, memory.mean, across, self._apart
 
     def _judge(self, action: Array) -> tuple[float, bool]:

@@ -18,6 +18,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.control import dcl
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback
@@ -28,7 +29,6 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.header import contents
 from cmf_mj.export.machine import Frozen, Image, freeze, make_image
 from cmf_mj.export.machine_code import constant_data, machine_code
-from cmf_mj.facility.binding import bound
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.plant.plant import Plant
 

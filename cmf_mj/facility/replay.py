@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.control import dcl as control
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback, gravity_history
@@ -24,7 +25,6 @@ from cmf_mj.core.compiled import allocating
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.settings import validated
 from cmf_mj.electronics.sensors.suite import at_frame
-from cmf_mj.facility.binding import bound
 from cmf_mj.machine.cab import recorded_cab
 from cmf_mj.machine.machine import recorded_machine
 from cmf_mj.record.record import Record

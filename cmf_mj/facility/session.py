@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.control import dcl as control
 from cmf_mj.control.dcu.acceptance import host_late
 from cmf_mj.control.engage import engaged, handed_over
@@ -22,7 +23,6 @@ from cmf_mj.control.states import State
 from cmf_mj.core.arrays import FrozenList, check_memory
 from cmf_mj.core.errors import InputError, RunError, check_name
 from cmf_mj.electronics.chain import make_electronics, measure
-from cmf_mj.facility.binding import bound
 from cmf_mj.facility.front import Chain, idle_chain
 from cmf_mj.facility.loop import (
     FINITE,

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 
 from cmf_mj.core.arrays import real
 from cmf_mj.core.compiled import allocating, compiled
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, NoPoseError
 from cmf_mj.machine import models
 from cmf_mj.machine.geometry import Geometry
 from cmf_mj.machine.machine import Machine, geometry_of, load_machine
@@ -288,7 +288,7 @@ def legs_to_pose(legs: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDA
         (..., 6) poses: m and rad, z down. `pose_to_legs` gives the legs back within 1e-11 m.
 
     Raises:
-        InputError: no pose has these legs, named by their row, or a leg is beyond what a cylinder
+        NoPoseError: no pose has these legs, named by their row, or a leg is beyond what a cylinder
             of one stage can do, a third of its neutral length either way.
 
     >>> legs = cmf_mj.pose_to_legs([0, 0, -0.1, 0, 0, 0])
@@ -304,7 +304,7 @@ def legs_to_pose(legs: ArrayLike, machine: MachineOrGimbals = models.CMF) -> NDA
         where = [int(i) for i in np.unravel_index(failed, rows.shape[:-1])]
         most = shape.neutral.min() / 3.0
         far = f"; allowed: within +-{most:.4g} m, a third of the neutral length"
-        raise InputError(
+        raise NoPoseError(
             f"legs{where or ''}: no platform pose has the leg extensions "
             f"{np.array2string(flat[failed], precision=4)} m{far if beyond.size else ''}"
         )

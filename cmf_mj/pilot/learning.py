@@ -36,12 +36,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.loop import closed_loop
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
-from cmf_mj.facility.binding import bound
 from cmf_mj.facility.host.stream import HostStream, differentiate, make_stream, resample
 from cmf_mj.facility.operation import FacilitySettings, dcu_of, operate
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
@@ -113,7 +111,7 @@ def leg_response(
     law: Law, plant: Hexapod, pose: Array, frequency: Array, facility: FacilitySettings
 ) -> Response:
     """G from the legs of the host's frames to those of a plant about a pose, (K, 6, 6)."""
-    loop = closed_loop(bound(law, plant), linearize(plant, pose))
+    loop = Linear(plant, pose).leg_loop(law)
     omega = 2.0 * np.pi * np.maximum(frequency, 0.01)  # at rest an integrator has no response
     response = np.moveaxis(control.frequency_response(loop, omega).frdata, -1, 0)
     delay = sum(dcu_of(plant.machine, facility.dcu).delay.parts(plant.machine.rate).values())

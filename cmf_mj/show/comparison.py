@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from cmf_mj.analysis.measurable import CLEAR, dof_history
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
+from cmf_mj.core.errors import NoPoseError
 from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.show.look import (
     COLOURS,
@@ -204,8 +205,8 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
         style: dict[str, Any] = {"color": colours[case.law.name], "linestyle": _LINES[case.plant]}
         try:
             history = dof_history(record, "leg_position", dof)
-        except ValueError:
-            continue  # no platform pose has these legs: the run went unstable
+        except NoPoseError:
+            continue
         response.plot(record.time - begin, units.from_si(unit, history), **style)
         command.plot(record.time - begin, 100.0 * record["valve_command"][:, 0], **style)
     size = float(demanded[-1])

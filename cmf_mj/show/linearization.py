@@ -44,9 +44,9 @@ _NAMED = 0.1
 
 
 def _title(study: LinearizationStudy) -> str:
-    plant = study.plant
+    plant, pose = study.linear.plant, np.asarray(study.linear.pose, dtype=float)
     name = f"{plant.name} {plant.cab}".strip().replace("_", " ")
-    return f"{name}, {plant.parameters.name}, {pose_text(study.pose)}"
+    return f"{name}, {plant.parameters.name}, {pose_text(pose)}"
 
 
 def _largest(names: Sequence[str], shares: Sequence[float]) -> str:
@@ -131,10 +131,10 @@ def loop_figure(study: LinearizationStudy) -> Figure:
 
 def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
     """Write the state space as JSON, modes as CSV, all figures as PNG."""
-    point = study.point
+    point, plant = study.linear.point, study.linear.plant
     description = {
-        **{k: v for k, v in study.plant.describe().items() if k != "hydraulic_parameters"},
-        "pose": study.pose.tolist(),
+        **{k: v for k, v in plant.describe().items() if k != "hydraulic_parameters"},
+        "pose": np.asarray(study.linear.pose, dtype=float).tolist(),
         "leg_position": point.mechanics.extension.tolist(),
         "static_load": point.mechanics.load.tolist(),
         "command": point.command.tolist(),
@@ -143,7 +143,7 @@ def save_study(study: LinearizationStudy, folder: Path) -> list[Path]:
         "return_pressure": point.return_pressure,
         "outward_share": point.outward.tolist(),
     }
-    system = partial(save_system, study.system, description=description)
+    system = partial(save_system, study.linear.system, description=description)
     files: dict[str, Any] = {"state_space.json": system}
     first = study.modes[0]
     header = [

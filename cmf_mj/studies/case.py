@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
-from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.measures import Measures, joined, measure_loop, sweep_response
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.errors import NotLinearError, check_name
 from cmf_mj.core.files import in_folder
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.simulation import simulate
@@ -32,7 +32,6 @@ from cmf_mj.plant.parameters.loading import hydraulics_of
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, check_positive
-from cmf_mj.studies.linearization import loop_between
 
 AMPLITUDE = 0.33 * units.INCH
 """Translational amplitude of the report's frequency responses [m]."""
@@ -207,10 +206,9 @@ def small_motion(case: Case) -> Measures:
     """
     if case.electronics is not None:
         return Measures()
-    plant = case.build()
     try:
-        system, delay = linearize(plant, case.pose), case.command_delay
-        loop = loop_between(plant, system, case.law, case.pose, case.dof, command_delay=delay)
-    except InputError:
+        linear = Linear(case.build(), case.pose)
+    except NotLinearError:
         return Measures()
+    loop = linear.loop(case.law, case.dof, command_delay=case.command_delay)
     return measure_loop(loop, frequencies=np.linspace(0.1, 10.0, 1000))

@@ -21,23 +21,13 @@ from numpy.typing import NDArray
 
 from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import bandwidths, matrix_frequency_response
-from cmf_mj.analysis.linear.assembly import linearize
-from cmf_mj.analysis.linear.law import labels
-from cmf_mj.analysis.linear.loop import STEP_DURATION, closed_loop
-from cmf_mj.analysis.linear.reduction import jacobian_of, pose_loop
+from cmf_mj.analysis.linear.linear import BAND, Linear, loop_measures
 from cmf_mj.analysis.measurable import dof_history
-from cmf_mj.analysis.measures import (
-    Measures,
-    crosstalk,
-    joined,
-    least_damped_mode,
-    measure_records,
-    oscillations,
-)
+from cmf_mj.analysis.measures import Measures, crosstalk, joined, measure_records
 from cmf_mj.analysis.response.welch import welch_response
-from cmf_mj.analysis.step_response import measure_step, step_metrics
+from cmf_mj.analysis.step_response import step_metrics
+from cmf_mj.core.errors import NoPoseError
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.binding import bound
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
@@ -45,12 +35,6 @@ from cmf_mj.signals import composite
 from cmf_mj.studies.case import REPORT_AMPLITUDES, STEP_PER_AMPLITUDE, Case
 from cmf_mj.studies.mismatch import with_gain_errors
 from cmf_mj.studies.settings import NOMINAL, StudyCase, rung_named
-
-BAND = (0.1, 10.0)
-"""Frequencies of all responses [Hz]."""
-
-FREQUENCIES = np.geomspace(*BAND, 120)
-"""Lines of the linear responses [Hz], next to those of their poles."""
 
 MULTISINE_SHARE = 0.25
 """Amplitude of each of six multisines over that of a sweep: together they ask a leg for no more."""
@@ -68,9 +52,6 @@ ROW_COLUMNS = (
     *("error_type", "error_message"),
 )
 """What the table of results holds of a row."""
-
-_BLOCK = 64
-"""Frames between the states that a step response goes through."""
 
 Gains = NDArray[np.float64]
 
@@ -99,10 +80,8 @@ class StudyRow(NamedTuple):
         return dict(zip(ROW_COLUMNS, row, strict=True))
 
 
-def evaluate(
-    study_case: StudyCase, shared: dict[str, control.StateSpace] | None = None
-) -> list[StudyRow]:
-    """Run a case; `shared` keeps the linearised machine for further cases of the same one.
+def evaluate(study_case: StudyCase, shared: dict[str, Linear] | None = None) -> list[StudyRow]:
+    """Run a case; `shared` keeps the linearised plant for further cases of the same one.
 
     Raises FloatingPointError where a run leaves its physical bounds.
     """
@@ -139,7 +118,7 @@ def _sweep_crosstalk(sweep: Record, case: Case) -> Gains:
     for other in DOFS:
         try:
             moved = dof_history(sweep, "leg_extension", other)[begin:]
-        except ValueError:
+        except NoPoseError:
             return _NONE
         x, y, length, band = demand - demand[0], moved - moved[0], case.segment, (0.2, BAND[1])
         estimate = welch_response(x, y, sweep.rate, segment=length, band=band, pad=True)
@@ -154,74 +133,22 @@ def _linear(
     study_case: StudyCase,
     plant: Plant,
     errors: dict[str, Gains],
-    shared: dict[str, control.StateSpace],
+    shared: dict[str, Linear],
 ) -> list[StudyRow]:
     case = study_case.case
-    if "system" not in shared:
-        shared["system"] = linearize(plant, case.pose)
-    system = shared["system"].copy()
-    for channel, error in errors.items():
-        for name, part in zip(labels((channel,), plant.legs), error, strict=True):
-            system.C[system.output_labels.index(name)] *= 1.0 + part
-    loop = pose_loop(closed_loop(bound(case.law, plant), system), plant, case.pose)
+    if "linear" not in shared:
+        shared["linear"] = Linear(plant, case.pose)
+    linear = shared["linear"].sensed(errors)
+    loop = linear.loop(case.law)
     measures, response = loop_measures(loop)
     if response is None:
         return [StudyRow(dof, one, _NONE) for dof, one in zip(DOFS, measures, strict=True)]
     # What the legs do is what their sensors read over its gain.
-    jacobian = jacobian_of(plant, case.pose)
+    jacobian = linear.jacobian
     gains = 1.0 + errors.get("leg_position", np.zeros(plant.legs))
     true = np.linalg.solve(jacobian, jacobian / gains[:, None])
     shares = crosstalk(np.einsum("ij,jkf->ikf", true, response), REPORT_AMPLITUDES)
     return [StudyRow(*row) for row in zip(DOFS, measures, shares.T, strict=True)]
-
-
-def loop_measures(
-    loop: control.StateSpace,
-) -> tuple[tuple[Measures, ...], NDArray[np.complex128] | None]:
-    """Measures of each axis of a discrete loop, and its response (n, n, K).
-
-    `loop` goes from n demands to n motions. Its lines are `FREQUENCIES` and those of its poles. A
-    loop that is not stable has no response and only a mode, the least damped of all.
-    """
-    poles = np.linalg.eigvals(np.asarray(loop.A))
-    mode = least_damped_mode(poles, frame=loop.dt)
-    axes = int(loop.noutputs)
-    if not np.abs(poles).max() < 1.0:
-        return (joined(mode=mode),) * axes, None
-    modes = np.abs(oscillations(poles, loop.dt)) / (2.0 * np.pi)
-    lines = np.union1d(FREQUENCIES, modes[(modes > BAND[0]) & (modes < BAND[1])])
-    omega = 2.0 * np.pi * lines
-    response = np.asarray(control.frequency_response(loop, omega).frdata)
-    steps = _steps(loop)
-    final = np.real(np.asarray(np.atleast_2d(control.dcgain(loop))))
-    measures = []
-    for i in range(axes):
-        widths = bandwidths(control.FrequencyResponseData(response[i, i], omega))
-        step = measure_step(steps[:, i, i], 1.0 / loop.dt, final=float(final[i, i]))
-        measures.append(joined(widths, step, mode))
-    return tuple(measures), response
-
-
-def _steps(loop: control.StateSpace) -> NDArray[np.float64]:
-    """Responses to unit steps of a discrete loop, (N, outputs, inputs), from the step on.
-
-    Blocks of outputs from states a block apart: [C; CA; ...] x_k, x_(k+1) = A^n x_k + b.
-    """
-    a, b, c = (np.asarray(m) for m in (loop.A, loop.B, loop.C))
-    order, inputs = b.shape
-    # The step is one more state that stands still.
-    whole = np.block([[a, b], [np.zeros((inputs, order)), np.eye(inputs)]])
-    rows = [np.hstack([c, np.asarray(loop.D)])]
-    for _ in range(_BLOCK - 1):
-        rows.append(rows[-1] @ whole)
-    reader = np.vstack(rows)
-    stride = np.linalg.matrix_power(whole, _BLOCK)
-    state = np.vstack([np.zeros((order, inputs)), np.eye(inputs)])
-    blocks = []
-    for _ in range(round(STEP_DURATION / loop.dt / _BLOCK)):
-        blocks.append((reader @ state).reshape(_BLOCK, c.shape[0], inputs))
-        state = stride @ state
-    return np.concatenate(blocks)
 
 
 def _matrix(case: Case, plant: Plant, sizes: Gains, seed: int) -> list[StudyRow]:
@@ -231,7 +158,7 @@ def _matrix(case: Case, plant: Plant, sizes: Gains, seed: int) -> list[StudyRow]
     sweep = case.run(sines, plant)
     try:
         measured = matrix_frequency_response(sweep)
-    except ValueError:  # the legs went where no platform joins them
+    except NoPoseError:
         measured = None
     rows = []
     for i, dof in enumerate(DOFS):

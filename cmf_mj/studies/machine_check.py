@@ -20,10 +20,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.modes import envelope_poses
 from cmf_mj.control.law import load_law
 from cmf_mj.core.errors import within
-from cmf_mj.facility.binding import bound
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.kinematics import excursion_envelope, leg_jacobian, rotation
 from cmf_mj.machine.limits import MotionLimits

@@ -2,7 +2,7 @@
 
 Over the corner of the servo drive's lag, over the lowest hydraulic mode with the valves shut, over
 where unit gain at that amplitude ends, `Asymptotes.saturation`. Stiffness and rejection are those
-of `analysis.linear.stiffness.disturbance`. Noise to the valve is the rms of the busiest valve's
+of `Linear.disturbance`. Noise to the valve is the rms of the busiest valve's
 command, less its mean, in two seconds of rest behind noisy electronics.
 """
 
@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmf_mj.analysis.linear.stiffness import disturbance
+from cmf_mj.analysis.linear.binding import bound
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import NotLinearError
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.binding import bound
 from cmf_mj.facility.simulation import simulate
 from cmf_mj.machine.dof import dof_index
 from cmf_mj.plant.hexapod import oil_modes
@@ -50,8 +50,8 @@ def qualities(plant: Plant, law: Law, swept: Sequence[tuple[str, float, float]])
         rest = simulate(plant, held, still, electronics=ElectronicsSettings())
         noise = float(rest["valve_command"][rate:].std(axis=0).max())
     try:
-        force = disturbance(plant, held)
-    except InputError:
+        force = Linear(plant).disturbance(held)
+    except NotLinearError:
         force = np.full((4, 6), np.nan)
     found = []
     for dof, amplitude, phase in swept:

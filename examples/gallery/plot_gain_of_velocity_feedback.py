@@ -10,13 +10,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cmf_mj
-from cmf_mj.analysis.linear.loop import closed_loop
-from cmf_mj.analysis.linear.reduction import pose_loop
 from cmf_mj.analysis.measures import measure_loop
-from cmf_mj.machine.geometry import DOFS
 
-plant = cmf_mj.Hexapod(cab="gfd")
-system = cmf_mj.linearize(plant)
+linear = cmf_mj.Linear(cmf_mj.Hexapod(cab="gfd"))
 velocity = cmf_mj.load_law("velocity")
 gains = np.linspace(0.7, 1.4, 8)
 bandwidth = {"surge": [], "heave": [], "pitch": []}
@@ -25,10 +21,8 @@ for factor in gains:
     gain = velocity.direct_gain.velocity * factor
     direct = velocity.direct_gain.model_copy(update={"velocity": gain})
     law = velocity.model_copy(update={"direct_gain": direct})
-    loop = pose_loop(closed_loop(law, system), plant)
     for dof in bandwidth:
-        index = DOFS.index(dof)
-        found = measure_loop(loop[index, index])
+        found = measure_loop(linear.loop(law, dof))
         bandwidth[dof].append(found.phase_bandwidth_hz)
         peak[dof].append(found.peak_gain_db)
 figure, (top, bottom) = plt.subplots(2, sharex=True, layout="constrained")

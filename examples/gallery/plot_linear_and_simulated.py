@@ -11,12 +11,11 @@ import numpy as np
 
 import cmf_mj
 from cmf_mj import signals
-from cmf_mj.analysis.linear.loop import closed_loop, loop_response
-from cmf_mj.analysis.linear.reduction import pose_loop
+from cmf_mj.analysis.linear.loop import loop_response
 from cmf_mj.machine.geometry import DOFS
 
 plant = cmf_mj.Hexapod(cab="gfd")
-loop = pose_loop(closed_loop("velocity", cmf_mj.linearize(plant)), plant)
+loop = cmf_mj.Linear(plant).loop("velocity")
 frequency = np.geomspace(0.1, 10.0, 200)
 figure, (gain, phase) = plt.subplots(2, sharex=True, layout="constrained")
 for dof, colour in (("surge", "tab:blue"), ("heave", "tab:orange")):

@@ -7,5 +7,6 @@ Our plants: `assembly.linearize` gives the state space from valve commands to wh
 the legs read, about the rest of `operating_point`; `reduction` makes smaller systems of it, `poles`
 says what its modes are, `files` keeps it.
 
-`law` is the DCL without its clamps, `loop` closes it around any of them.
+`law` is the DCL without its clamps, `loop` closes it around any of them. `linear.Linear` is a plant
+linearised once, with all that is asked of it under any law.
 """

@@ -73,7 +73,7 @@ def linearize(
     `linear.loop.closed_loop` reads them, and of a supply that is no constant one `supply_pressure`
     and `return_pressure` [Pa]. A single leg has bare names.
 
-    Raises `InputError` for what has no linearisation (overlap, hysteresis, dry friction), named
+    Raises `NotLinearError` for what has no linearisation (overlap, hysteresis, dry friction), named
     with the set and the actuator, and a configuration on a stop or beyond what the supply can hold.
 
     >>> model = cmf_mj.linearize(cmf_mj.SingleLegs(hydraulics="report"))

@@ -40,7 +40,7 @@ from cmf_mj.analysis.linear.ports import (
     outward_share,
     port_slopes,
 )
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import NotLinearError
 from cmf_mj.plant.cylinder import holding_pressures
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.oil import ATMOSPHERE
@@ -64,8 +64,8 @@ class Mechanics(NamedTuple):
 def linear_mechanics(plant: Plant, pose: ArrayLike | None = None) -> Mechanics:
     """Linearise the mechanics at rest in a configuration, default neutral; the plant is left there.
 
-    Raises `InputError` for dry friction in the model, a stop or contact that bears there, a leg on
-    its stop, or cylinders that do not determine the motion.
+    Raises `NotLinearError` for dry friction in the model, a stop or contact that bears there, a leg
+    on its stop, or cylinders that do not determine the motion.
     """
     mass = plant.reflected_mass(pose)
     _check_smooth(plant)
@@ -97,16 +97,16 @@ def _check_smooth(plant: Plant) -> None:
         ("tendon", model.tendon_frictionloss, lambda i: model.tendon(i).name),
     ):
         for i in np.flatnonzero(losses):
-            raise InputError(
+            raise NotLinearError(
                 f"frictionloss: {kind} {name(i)!r} of the model has dry friction of "
                 f"{losses[i]:g}, which has no linearisation; allowed: 0"
             )
     if (data.efc_type[: data.nefc] != mujoco.mjtConstraint.mjCNSTR_EQUALITY).any():
-        raise InputError("pose: a stop or a contact of the model bears there; there must be none")
+        raise NotLinearError("pose: a stop or a contact of the model bears there; allowed: none")
     cylinder, extension = plant.hydraulics.cylinder, plant.extensions()
     free = cylinder.half_stroke - cylinder.minimum_gap
     for leg in np.flatnonzero(np.abs(extension) >= free):
-        raise InputError(
+        raise NotLinearError(
             f"pose: puts {plant.actuators[leg]} at {extension[leg]:.4f} m; "
             f"allowed: +-{free[leg]:.4f} m"
         )
@@ -145,7 +145,7 @@ def operating_point(
 ) -> OperatingPoint:
     """Find the rest of a plant in a configuration, default neutral; the plant is left there.
 
-    `excitation` is what moves the valves, see `describing`. Raises `InputError` for what has no
+    `excitation` is what moves the valves, see `describing`. Raises `NotLinearError` for what has no
     linearisation (overlap, hysteresis, dry friction), named with the set and the actuator; a load
     or a flow the supply cannot hold; a configuration on a stop.
     """
@@ -171,7 +171,7 @@ def operating_point(
         if supply.constant:
             break
         if drawn > supply.pump_flow:
-            raise InputError(
+            raise NotLinearError(
                 f"pump_flow: set {name!r} draws {drawn:.4g} m^3/s at rest; the pump gives at most "
                 f"{supply.pump_flow:.4g} m^3/s"
             )
@@ -250,7 +250,7 @@ def _hold(plant: Plant, leg: int, mechanics: Mechanics, high: float, low: float)
         for i in np.flatnonzero((balance[:-1] > 0.0) & (balance[1:] <= 0.0))
     ]
     if not balanced:
-        raise InputError(
+        raise NotLinearError(
             f"{plant.actuators[leg]}: set {plant.parameters.name!r} has no opening of the valves "
             f"that holds {load:.0f} N still"
         )
@@ -317,7 +317,7 @@ def _check_linear(plant: Plant) -> None:
             ("coulomb_friction", friction.coulomb),
         ):
             if value > 0.0:
-                raise InputError(
+                raise NotLinearError(
                     f"{field}: {value:g} of {name} in the set {plant.parameters.name!r} has no "
                     "linearisation; allowed: 0"
                 )
@@ -327,12 +327,12 @@ def _check_supply(plant: Plant, supply: Supply, high: float, low: float) -> None
     name = plant.parameters.name
     needed = float(plant.hydraulics.valve.threshold.max())
     if high - low < needed:
-        raise InputError(
+        raise NotLinearError(
             f"threshold_pressure: set {name!r} has {high - low:.4g} Pa across the valves; "
             f"they open from {needed:.4g} Pa on"
         )
     if not supply.constant and supply.accumulators > 0.0 and high <= supply.precharge:
-        raise InputError(
+        raise NotLinearError(
             f"precharge_pressure: {supply.precharge:.4g} Pa of set {name!r} must be less than the "
             f"supply's {high:.4g} Pa at rest; the accumulators would be empty"
         )

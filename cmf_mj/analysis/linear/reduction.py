@@ -108,22 +108,3 @@ def dof_model(
     names = {"inputs": [f"{dof}_command"], "states": system.state_labels}
     names["outputs"] = [dof, f"{dof}_rate", f"{dof}_acceleration"]
     return reduced(control.ss(*matrices, system.dt, name=f"{system.name}_{dof}", **names))
-
-
-def pose_loop(
-    loop: control.StateSpace, plant: Plant, pose: ArrayLike | None = None
-) -> control.StateSpace:
-    """A closed loop of six legs, with the output `leg_position`, as one of the pose: J^-1 H J.
-
-    From `surge_demand` and on to `surge` and on, m and rad, as
-    `frequency_response.matrix_frequency_response` measures it.
-    """
-    jacobian = jacobian_of(plant, pose)
-    legs = plant.legs
-    columns = _chosen("inputs", labels(("reference",), legs), loop.input_labels)
-    rows = _chosen("outputs", labels(("leg_position",), legs), loop.output_labels)
-    c, d = np.asarray(loop.C)[rows], np.asarray(loop.D)[np.ix_(rows, columns)]
-    inverse, b = np.linalg.inv(jacobian), np.asarray(loop.B)[:, columns]
-    matrices = loop.A, b @ jacobian, inverse @ c, inverse @ d @ jacobian
-    names = {"inputs": [f"{dof}_demand" for dof in DOFS], "outputs": list(DOFS)}
-    return control.ss(*matrices, loop.dt, name=f"{loop.name}_pose", **names)

@@ -283,7 +283,7 @@ class MoogBase:
         }
         values = legs + travel
         if self._mode == Word.DOF_MODE:
-            with suppress(InputError):  # a failed sensor: the last pose that the legs had
+            with suppress(NoPoseError):  # a failed sensor: the last pose that the legs had
                 self._felt = legs_to_pose(legs, session.plant.machine)
             values = self._felt[list(ORDER)]
         io = sum(bit for bit, here in bits.items() if here)

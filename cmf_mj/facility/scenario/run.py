@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.control.law import Law
 from cmf_mj.control.states import Request
 from cmf_mj.core.errors import InputError
-from cmf_mj.facility.binding import bound
 from cmf_mj.facility.scenario.demand import Demand
 from cmf_mj.facility.scenario.settings import Change, Laws, Scenario, changed_law
 from cmf_mj.facility.scenario.signal import added

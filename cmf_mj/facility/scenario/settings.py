@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import load_state_settings
@@ -23,7 +24,6 @@ from cmf_mj.core.settings import (
     validated,
 )
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.binding import bound
 from cmf_mj.facility.operation import dcu_of
 from cmf_mj.facility.scenario.signal import Signal
 from cmf_mj.machine.cab import Cab, load_cab

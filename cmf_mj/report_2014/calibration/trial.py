@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from cmf_mj.analysis.frequency_response import Bandwidths, bandwidths
-from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
 from cmf_mj.analysis.linear.reduction import leg_model
 from cmf_mj.analysis.measures import Measures, joined, least_damped_mode, measure_loop
@@ -36,7 +36,6 @@ from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import SingleLegs, design_point
 from cmf_mj.studies.case import make_case, run_case
-from cmf_mj.studies.linearization import loop_between
 
 _FILE = Path(__file__).with_name("studies.toml")
 
@@ -236,15 +235,11 @@ def linear_results(
     Parameters left out are as shipped; without `damping` no loop is stepped and the ratios are NaN.
     Bandwidths are those of the response, also of an unstable loop: a fit must pass through it.
     """
-    plant = plant_of(study, values)
-    system = linearize(plant)
+    linear = Linear(plant_of(study, values))
     if study.plant == "single_legs":
-        leg = leg_model(system, 1)
+        leg = leg_model(linear.system, 1)
         return {name: _measure(closed_loop(law_of(name, values), leg), damping) for name in laws}
-    return {
-        name: _measure(loop_between(plant, system, law_of(name, values), None, "heave"), damping)
-        for name in laws
-    }
+    return {name: _measure(linear.loop(law_of(name, values), "heave"), damping) for name in laws}
 
 
 def _measure(loop: control.StateSpace, step: bool) -> Measures:
@@ -265,11 +260,8 @@ def _unjudged(measures: Measures, widths: Bandwidths) -> Measures:
 def least_damping(study: CalibrationStudy, values: Values) -> dict[str, float]:
     """Smallest damping ratio of the velocity law's loop, all degrees of freedom, for each cab."""
     law = law_of("velocity", values)
-    systems = {cab: linearize(plant_of(study, values, cab)) for cab in study.stable_cabs}
-    return {
-        cab: least_damped_mode(closed_loop(law, system).poles(), _FASTEST_HZ)[0]
-        for cab, system in systems.items()
-    }
+    loops = {cab: Linear(plant_of(study, values, cab)).leg_loop(law) for cab in study.stable_cabs}
+    return {cab: least_damped_mode(loop.poles(), _FASTEST_HZ)[0] for cab, loop in loops.items()}
 
 
 def simulated_results(

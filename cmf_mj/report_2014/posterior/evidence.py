@@ -24,12 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.poles import limit_cycle
 from cmf_mj.analysis.linear.reduction import dof_model
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_results
-from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import OF_THE_SUPPLY, HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.report_2014.models import HARDWARE_MODELS, hardware_velocity
@@ -130,12 +129,12 @@ def observations() -> tuple[Observation, ...]:
     return tuple(found)
 
 
-def predictions(plant: Hexapod, heave: Mapping[str, Measures]) -> dict[str, float]:
+def predictions(linear: Linear, heave: Mapping[str, Measures]) -> dict[str, float]:
     """What a machine makes of all `observations`, by name; `heave` are its measures by law."""
     stated = {
         f"{law}_{field}": float(getattr(heave[law], field)) for _, law in ROWS for field in _FIELDS
     }
-    model = dof_model(linearize(plant), plant, None, "heave")
+    model = dof_model(linear.system, linear.plant, linear.pose, "heave")
     response = control.frequency_response(model, 2.0 * np.pi * _LINES).frdata[1, 0]
     features = _fit_features(response, model.poles())
     return stated | dict(zip(_FIT_NAMES, features, strict=True))

@@ -20,6 +20,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.files import read_table, write_parquet
 from cmf_mj.core.rates import FRAME
@@ -29,7 +30,7 @@ from cmf_mj.report_2014.posterior import evidence, sampling
 from cmf_mj.report_2014.posterior.settings import PosteriorStudy
 from cmf_mj.studies.engine import Journal, Progress, Row, Work, Workers, run_tasks
 from cmf_mj.studies.evaluation import MEASURED
-from cmf_mj.studies.linear import Machine, simulated_stability
+from cmf_mj.studies.linear import simulated_stability
 
 GROUPS = ("rows", "fits", "three_g", "flown")
 """Groups of evidence, see `evidence`."""
@@ -59,10 +60,10 @@ class Task:
         """The study's laws with the derivative filter of the machine."""
         return [self.study.law(law, self.values) for law in self.study.laws]
 
-    def machines(self, cabs: Sequence[Cab]) -> dict[str, Machine]:
+    def machines(self, cabs: Sequence[Cab]) -> dict[str, Linear]:
         """The machine with each cab."""
         oil = self.study.hydraulics_of(self.values, self.draw)
-        return {cab.name: Machine(self.study.plant(cab, self.values, oil)) for cab in cabs}
+        return {cab.name: Linear(self.study.plant(cab, self.values, oil)) for cab in cabs}
 
 
 class Results(NamedTuple):
@@ -196,7 +197,7 @@ def _drawn(task: Task) -> list[Row]:
     for law in (*(law for _, law in evidence.ROWS), evidence.HELD_OUT):
         rows = first.measures(study.law(_shipped(law), task.values))
         heave[law] = rows[DOFS.index("heave")]
-    predicted = evidence.predictions(first.plant, heave)
+    predicted = evidence.predictions(first, heave)
     row: Row = {
         **task.values,
         **predicted,
@@ -210,7 +211,7 @@ def _drawn(task: Task) -> list[Row]:
 _shipped = lru_cache(load_law)
 
 
-def _dampings(machines: Mapping[str, Machine], laws: Sequence[Law]) -> list[Row]:
+def _dampings(machines: Mapping[str, Linear], laws: Sequence[Law]) -> list[Row]:
     return [
         {"cab": cab, "law": law.name, **machine.damping(law)}
         for cab, machine in machines.items()

@@ -14,11 +14,11 @@ import tomlkit
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
+from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.control.law import Law
 from cmf_mj.core.files import in_folder, write_text
 from cmf_mj.core.quantity import Kind, Length, Quantity
 from cmf_mj.core.settings import Settings, read_toml, validated
-from cmf_mj.facility.binding import bound
 from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.machine.geometry import DOFS, FLIP

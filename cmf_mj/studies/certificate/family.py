@@ -26,15 +26,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.linear.law import FEEDBACK, dcl_state_space, labels
-from cmf_mj.analysis.linear.operating_point import operating_point
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.ports import CAP, ROD, outward_share, port_slopes
 from cmf_mj.analysis.linear.reduction import reduced
 from cmf_mj.analysis.linear.structured import Uncertain
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
-from cmf_mj.facility.binding import bound
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.kinematics import leg_jacobian, rotation
 from cmf_mj.plant.hexapod import Hexapod
@@ -61,9 +60,10 @@ class Family:
     def __init__(self, plant: Hexapod, law: Law, pose: Array) -> None:
         """Linearise machine and law, and free their parameters.
 
-        Raises `InputError` as `linearize` and `bound` do.
+        Raises `InputError` as `Linear` and `bound` do.
         """
-        self.pose, self._point = pose, operating_point(plant, pose)
+        linear = Linear(plant, pose)
+        self.pose, self._point = pose, linear.point
         cab = plant.cab_parameters
         assert cab is not None
         turn = rotation(*pose[3:])
@@ -75,7 +75,7 @@ class Family:
         self._kappa, self._closed = _kappa(plant)
         cylinder = plant.hydraulics.cylinder[0]
         self._held = (cylinder.cap_area - cylinder.rod_area) * plant.parameters.supply_pressure.si
-        self._plant = reduced(linearize(plant, pose, at=self._point), outputs=labels(FEEDBACK, 6))
+        self._plant = reduced(linear.system, outputs=labels(FEEDBACK, 6))
         self._law = dcl_state_space(bound(law, plant), 6)
         self._frame, self._jacobian = law.frame, leg_jacobian(pose, plant.machine)
         self.loop, _ = self._loop(FEEDBACK)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.analysis.frequency_response import line_bandwidths
 from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.linear.law import FEEDBACK
 from cmf_mj.analysis.linear.loop import closed_loop_response
 from cmf_mj.control import dcl as blocks
@@ -24,7 +25,6 @@ from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law
 from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics import servo_electronics as servo
-from cmf_mj.facility.binding import bound
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian

@@ -7,10 +7,10 @@ import pytest
 
 from cmf_mj import Hexapod, load_law, signals, simulate
 from cmf_mj.analysis.linear.assembly import linearize
+from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.control.coordinates import make_shape, mode_mass
 from cmf_mj.control.law import Law
-from cmf_mj.facility.binding import bound
 from cmf_mj.facility.replay import law_of, replay
 from cmf_mj.facility.scenario.library import scenario_of
 from cmf_mj.machine.cab import load_cab, recorded_cab

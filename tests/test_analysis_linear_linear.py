@@ -5,8 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cmf_mj import Hexapod, SingleLegs, load_hydraulics, load_law
-from cmf_mj.analysis.linear.reduction import jacobian_of
-from cmf_mj.analysis.linear.stiffness import compliance, disturbance, dynamic_stiffness
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.control.law import Gains, Law
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME, RATE
@@ -15,12 +14,12 @@ from cmf_mj.facility.session import Session, Table
 from cmf_mj.machine.geometry import FLIP
 
 PLANT = Hexapod("ifd", load_hydraulics("hardware"))
-LAW = load_law("modal_plan").bound_to("ifd")
+LINEAR, LAW = Linear(PLANT), load_law("modal_plan").bound_to("ifd")
 
 
 def test_far_above_all_modes_only_mass_resists() -> None:
     """C = -M_leg^-1 / w^2; the modes, up to 12 Hz, are worth (12 / 400)^2, the held force less."""
-    found = compliance(PLANT, LAW, [400.0])[0]
+    found = LINEAR.compliance(LAW, [400.0])[0]
     expected = -np.linalg.inv(PLANT.reflected_mass()) / (2.0 * np.pi * 400.0) ** 2
     held = np.sinc(400.0 * FRAME) * np.exp(-1j * np.pi * 400.0 * FRAME)
     np.testing.assert_allclose(found / held, expected, atol=0.1 * np.abs(expected).max())
@@ -41,14 +40,14 @@ def test_a_mode_has_the_stiffness_of_its_closed_form(mode: int, gains: tuple[flo
     error = (position + velocity * s + 10.0 / s) * units.PERCENT / units.INCH
     damped = load * units.PERCENT / (1000.0 * units.POUND_FORCE) * s / (s + 2.0 * np.pi * 5.0)
     expected = mass * s**2 + spring * (flow * error + s) / (s + 15.0 + spring * flow * damped)
-    found = shape @ compliance(PLANT, LAW, hertz) @ shape.T
+    found = shape @ LINEAR.compliance(LAW, hertz) @ shape.T
     np.testing.assert_allclose(np.abs(1.0 / found[:, mode, mode]), np.abs(expected), rtol=0.1)
 
 
 def test_the_shipped_law_keeps_most_of_the_stiffness_of_the_law_flown() -> None:
     """From 0.5 to 5 Hz, at neutral; 8 times as much where that law resonates."""
     hertz = np.linspace(0.5, 5.0, 19)
-    flown, own = (dynamic_stiffness(PLANT, law, hertz) for law in ("velocity", LAW))
+    flown, own = (LINEAR.stiffness(law, hertz) for law in ("velocity", LAW))
     assert (own / flown).min() > 0.7
     assert (own / flown)[10, 0] > 8.0
 
@@ -84,10 +83,8 @@ def test_a_force_on_the_simulated_cab_moves_it_as_the_linear_compliance_says(
     moved = pushed(law, axis, 100.0 * waves.imag.sum(axis=1))[-last:]
     found = 2.0 * (moved - moved.mean()) @ waves[-last:].conj() / last
     found *= np.exp(1j * np.pi * HERTZ * HELD * FRAME)  # rows stand at the start of what is held
-    back = np.linalg.inv(jacobian_of(PLANT))
-    linear = (back @ compliance(PLANT, load_law(law).bound_to("ifd"), HERTZ) @ back.T)[
-        :, axis, axis
-    ]
+    back = np.linalg.inv(LINEAR.jacobian)
+    linear = (back @ LINEAR.compliance(law, HERTZ) @ back.T)[:, axis, axis]
     expected = -1j * 100.0 * linear * np.sinc(HERTZ * HELD * FRAME)
     np.testing.assert_allclose(found, expected, rtol=0.03)
 
@@ -96,10 +93,10 @@ def test_a_force_that_stays_moves_the_simulated_cab_by_the_stiffness_at_rest() -
     """1 % under the law flown; an error integral takes all of it back, at last by K_i / K_p."""
     force = np.full(8 * RATE // HELD, 1000.0)
     moved = pushed("velocity", 0, force)[-RATE // HELD :].mean()
-    assert 1000.0 / moved == pytest.approx(disturbance(PLANT, "velocity")[0, 0], rel=0.01)
+    assert 1000.0 / moved == pytest.approx(LINEAR.disturbance("velocity")[0, 0], rel=0.01)
     late = pushed("modal_plan", 0, force)[4 * RATE // HELD :]
     assert np.log(late[0] / late[-1]) / 4.0 == pytest.approx(10.0 / 46.0, rel=0.05)
-    assert disturbance(PLANT, LAW)[0, 0] == np.inf
+    assert LINEAR.disturbance(LAW)[0, 0] == np.inf
 
 
 def test_rejection_of_a_leg_is_the_sensitivity_of_its_loop() -> None:
@@ -114,11 +111,11 @@ def test_rejection_of_a_leg_is_the_sensitivity_of_its_loop() -> None:
     oil = spring * s / (s + leak)
     loop = gain * units.PERCENT / units.INCH * p.leg_speed.si / s / lags * oil / (oil + mass * s**2)
     level = -20.0 * np.log10(np.abs(1.0 + loop))
-    *_, bandwidth, peak = disturbance(plant, law)
+    *_, bandwidth, peak = Linear(plant).disturbance(law)
     first = s.imag[np.argmax(level > -3.0)] / (2.0 * np.pi)
     np.testing.assert_allclose(bandwidth, first, rtol=0.02)
     np.testing.assert_allclose(peak, level.max(), atol=0.3)
 
 
 def test_a_law_that_is_not_stable_holds_nothing() -> None:
-    assert np.isnan(disturbance(PLANT, "position_error_rate")).all()
+    assert np.isnan(LINEAR.disturbance("position_error_rate")).all()

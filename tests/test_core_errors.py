@@ -1,0 +1,119 @@
+"""Only legs that no pose has, and plants without a linearisation, go without measures.
+
+Whoever reads a run goes on where its legs flew apart, and where a plant has no linearisation. A
+refusal of any other cause comes through, by name.
+"""
+
+from types import SimpleNamespace
+from typing import Any, NoReturn
+
+import numpy as np
+import pytest
+from followed_commands import record_of
+from scipy import signal
+
+from cmf_mj import Hexapod, InputError, Linear, NoPoseError, Record, SingleLegs, load_law, signals
+from cmf_mj.analysis.frequency_response import frequency_response
+from cmf_mj.analysis.measures import Measures, measure_records
+from cmf_mj.analysis.step_response import step_metrics
+from cmf_mj.environments.hexapod import HexapodEnv
+from cmf_mj.facility.session import Session
+from cmf_mj.show.comparison import step_figure
+from cmf_mj.studies import evaluation
+from cmf_mj.studies.case import CaseResult, make_case, small_motion
+from cmf_mj.studies.qualities import qualities
+
+APART = np.array([-1.014, -1.014, 1.014, -1.014, -1.014, 1.014])
+"""Legs within their stops that reach no common platform [m]."""
+
+
+def heave(command: signals.Command, every: int = 16) -> Record:
+    return record_of(command, command.pose, every)
+
+
+def changed(record: Record, **channels: Any) -> Record:
+    held = {**record.channels, **channels}
+    return Record(record.time.copy(), held, dict.fromkeys(held, "m"), record.metadata)
+
+
+def refuse(*_: object, **__: object) -> NoReturn:
+    raise InputError("law: is refused")
+
+
+SWEEP = heave(signals.chirp("heave", 0.01, duration=20.0))
+_COMMAND = signals.step("heave", 0.0254)
+STEP = record_of(_COMMAND, signal.lfilter([0.01], [1.0, -0.99], _COMMAND.pose, axis=0), 16)
+
+
+def test_a_sweep_whose_legs_flew_apart_leaves_no_bandwidth() -> None:
+    legs = SWEEP["leg_position"].copy()
+    legs[-100:] = APART
+    sweep = changed(SWEEP, leg_position=legs)
+    with pytest.raises(NoPoseError, match="no platform pose"):
+        frequency_response(sweep)
+    assert np.isnan(measure_records(sweep, STEP, segment=10.0).phase_bandwidth_hz)
+
+
+@pytest.mark.parametrize(
+    ("dof", "segment", "words"),
+    [("heave", 40.0, "segment"), ("surge", 10.0, "holds no demand in surge")],
+)
+def test_a_sweep_that_cannot_be_read_is_refused(dof: str, segment: float, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        measure_records(SWEEP, STEP, dof, segment=segment)
+
+
+def test_a_step_of_five_legs_is_refused() -> None:
+    with pytest.raises(InputError, match="legs: shape is"):
+        step_metrics(changed(STEP, leg_position=STEP["leg_position"][:, :5].copy()))
+
+
+def test_a_sweep_without_true_extensions_has_no_crosstalk_to_read() -> None:
+    with pytest.raises(InputError, match="leg_extension"):
+        evaluation._sweep_crosstalk(SWEEP, make_case("velocity", quick=True))
+
+
+def test_multisines_recorded_too_slowly_are_refused() -> None:
+    def slowly(command: signals.Command, *_: object, **__: object) -> Record:
+        return heave(command, 1024)
+
+    with pytest.raises(InputError, match="cannot hold 10 Hz"):
+        evaluation._matrix(SimpleNamespace(run=slowly), SingleLegs(), np.full(6, 0.001), 1)
+
+
+def test_small_motion_of_a_loop_without_delay_is_refused() -> None:
+    with pytest.raises(InputError, match="command_delay: 0"):
+        small_motion(make_case("velocity", plant="single_legs", command_delay=0))
+
+
+def test_a_refusal_of_the_law_is_no_want_of_a_linearisation(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Linear, "disturbance", refuse)
+    with pytest.raises(InputError, match="law: is refused"):
+        qualities(Hexapod("gfd"), load_law("velocity"), [("heave", 0.01, np.nan)])
+
+
+def test_a_step_with_gaps_is_not_left_out_of_a_figure() -> None:
+    legs = STEP["leg_position"].copy()
+    legs[-1] = np.nan
+    broken = changed(STEP, leg_position=legs)
+    result = CaseResult(make_case("velocity"), None, Measures(), broken, 0.0, 0.0)
+    with pytest.raises(InputError, match="leg_position: row"):
+        step_figure([result])
+
+
+def test_an_environment_lets_a_refusal_through(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Legs apart, and legs that are no numbers, count as at the target; all else is refused."""
+    env = HexapodEnv()
+    env.reset(seed=0)
+    assert isinstance(env.session, Session)
+    legs = env.session.memory.extension
+    for apart in (APART, np.full(6, np.nan)):
+        legs[:] = apart
+        assert np.isfinite(env.observation()).all()
+        assert not env._apart.any()
+    legs[:] = 0.0
+    monkeypatch.setattr("cmf_mj.environments.hexapod.legs_to_pose", refuse)
+    with pytest.raises(InputError, match="law: is refused"):
+        env.observation()
