@@ -89,7 +89,7 @@ class HexapodEnv(MachineEnv):
         self._asked = aim
 
     def _look(self, session: Session) -> tuple[Array, ...]:
-        memory, pressure = session.memory, session.machine.state.pressure
+        memory, pressure = session.memory, session.dynamics.state.pressure
         across = 1e-6 * (pressure[:, 0] - pressure[:, 1])
         try:
             self._apart = self.target - legs_to_pose(memory.extension, self.plant.machine)

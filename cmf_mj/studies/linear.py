@@ -23,7 +23,7 @@ from cmf_mj.analysis.measures import Measures, oscillations
 from cmf_mj.control.law import Law
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility.binding import bound
-from cmf_mj.facility.simulation import simulate
+from cmf_mj.facility.run import simulate
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
