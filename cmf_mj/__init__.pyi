@@ -16,10 +16,11 @@ from .core.errors import NoPoseError as NoPoseError
 from .core.errors import NotLinearError as NotLinearError
 from .core.errors import RunError as RunError
 from .facility.many import simulate_many as simulate_many
+from .facility.run import Run as Run
+from .facility.run import drive as drive
+from .facility.run import simulate as simulate
 from .facility.scenario.library import load_scenario as load_scenario
 from .facility.scenario.run import run_scenario as run_scenario
-from .facility.simulation import drive as drive
-from .facility.simulation import simulate as simulate
 from .machine.cab import Cab as Cab
 from .machine.cab import load_cab as load_cab
 from .machine.geometry import Geometry as Geometry

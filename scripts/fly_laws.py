@@ -14,7 +14,7 @@ import numpy as np
 
 from cmf_mj import Hexapod, Law, load_hydraulics, load_law
 from cmf_mj.facility.host.stream import HostStream, make_stream
-from cmf_mj.facility.operation import FacilitySettings, operate
+from cmf_mj.facility.operation import operate
 from cmf_mj.machine.models import CABS
 from cmf_mj.pilot import host as pilot_host
 from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
@@ -53,9 +53,8 @@ def wild_stream(number: int) -> HostStream:
 def cycles(law: Law, number: int) -> bool:
     """Whether a wild stream leaves the machine in a limit cycle."""
     hydraulics = with_valve_gains(load_hydraulics("hardware"), number if number % 4 > 1 else None)
-    facility = FacilitySettings(electronics=None, protection=None)
-    plant = Hexapod(CABS[number % len(CABS)], hydraulics)
-    run = operate(plant, law, wild_stream(number), facility=facility, record_every=8)
+    plant, stream = Hexapod(CABS[number % len(CABS)], hydraulics), wild_stream(number)
+    run = operate(plant, law, stream, electronics=None, protection=None, record_every=8)
     tail = run.record["valve_command"][-256:]
     return bool(np.ptp(tail, axis=0).max() > 0.3)
 

@@ -31,7 +31,7 @@ from search_amplification import (
 )
 
 from cmf_mj import Hexapod
-from cmf_mj.facility.operation import FacilitySettings, operate
+from cmf_mj.facility.operation import operate
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.table import Table
 
@@ -129,9 +129,8 @@ def words(host: Host) -> str:
 def platform(host: Host) -> float:
     """Largest heave of the platform [m]; the host watchdog would stop it in 0.1 s of silence."""
     arrivals, _ = arrivals_of(host, 0)
-    unguarded = FacilitySettings(protection=None)
     record = operate(
-        Hexapod(), LAW, arrivals, seconds=SECONDS, record_every=8, facility=unguarded
+        Hexapod(), LAW, arrivals, seconds=SECONDS, record_every=8, protection=None
     ).record
     return float(np.abs(record["platform_pose"][:, 2]).max())
 

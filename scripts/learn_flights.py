@@ -49,7 +49,7 @@ def out_of_reach(done: Learning, plant: Hexapod) -> tuple[float, float]:
     Within the stroke h a leg ends at G_0 h: what r asks beyond stays missed, whatever is sent. And
     what the limits of host frames hold back of r / G_0, the demand that would be followed.
     """
-    limits = load_motion_limits(done.facility.limits, plant.machine)
+    limits = load_motion_limits(done.options.get("limits"), plant.machine)
     asked, static = done.reference, np.abs(np.diagonal(done.learner.responses[0, 0]))
     legs = pose_to_legs(asked.pose, plant.machine)
     reach = static * limits.leg.position.si

@@ -25,7 +25,7 @@ from cmf_mj.control.demand import make_demand
 from cmf_mj.control.limiter import make_leg_limiter, make_pose_limiter
 from cmf_mj.control.states import Request, State, make_states
 from cmf_mj.core.compiled import allocating
-from cmf_mj.facility.front import Blocks, follow, make_chain
+from cmf_mj.facility.front import Blocks, follow, from_host
 from cmf_mj.facility.host.stream import differentiate
 from cmf_mj.machine.kinematics import pose_to_legs
 
@@ -157,11 +157,11 @@ def jitter_gain(host: Host, seed: int) -> float:
 
 
 @allocating
-def _advance(chain, out):  # type: ignore[no-untyped-def]
+def _advance(source, out):  # type: ignore[no-untyped-def]
     """Legs that follow at once."""
-    table, position = np.zeros((1, 6)), np.zeros(6)
+    position = np.zeros(6)
     for frame in range(out.shape[0]):
-        follow(chain, table, frame, position, 0, False, out[frame])
+        follow(source, frame, position, 0, False, out[frame])
         position[:] = out[frame]
 
 
@@ -171,8 +171,8 @@ def leg_gain(host: Host, seed: int) -> float:
     requests = [(round(t * RATE), names[k % 2]) for k, t in enumerate(host.requests)]
     rest, out = np.zeros(6), np.empty((round(SECONDS * RATE), 6))
     arrivals, _ = arrivals_of(host, seed)
-    chain = make_chain(BLOCKS, arrivals, requests, State.ENGAGED, position=rest, pose=rest)
-    _advance(chain, out)
+    source = from_host(BLOCKS, arrivals, requests, State.ENGAGED, position=rest, pose=rest)
+    _advance(source, out)
     turn, stop = 2.0 * np.pi * host.frequency, STATES.stop_time
     reach = AMPLITUDE * (1.0 + turn * stop / 2.0 + turn * turn * stop * stop / 16.0)
     legs = pose_to_legs(np.array([[0.0, 0.0, sign * reach, 0.0, 0.0, 0.0] for sign in (-1, 1)]))

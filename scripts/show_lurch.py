@@ -15,7 +15,7 @@ from cmf_mj.cli.common import refuse
 from cmf_mj.control.states import Request, State
 from cmf_mj.core import units
 from cmf_mj.facility.host.stream import make_stream
-from cmf_mj.facility.operation import FacilitySettings, Operation, operate
+from cmf_mj.facility.operation import Operation, operate
 
 NO_TRIGGER = -40.0
 """Below the mechanical stop [in]: no leg comes there."""
@@ -39,7 +39,7 @@ def rise(
 
     Args:
         trigger: of the law's integrator [in].
-        protection: as `FacilitySettings`.
+        protection: as of `Run`.
         law: name of the law.
         wait: time on the stops [s].
         after: time from the request on [s].
@@ -51,7 +51,7 @@ def rise(
         make_stream(time, np.zeros((time.size, 6)), derivatives="zero"),
         begin=State.OFF,
         requests=[(wait, Request.RAISE)],
-        facility=FacilitySettings(protection=protection),
+        protection=protection,
         seconds=wait + after,
         record_every=4,
     )

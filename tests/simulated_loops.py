@@ -20,7 +20,7 @@ from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
-from cmf_mj.facility.simulation import simulate
+from cmf_mj.facility.run import simulate
 from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.plant import Plant

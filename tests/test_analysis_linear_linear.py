@@ -9,8 +9,8 @@ from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.control.law import Gains, Law
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME, RATE
-from cmf_mj.facility.options import Options
-from cmf_mj.facility.session import Session, Table
+from cmf_mj.facility.front import from_table
+from cmf_mj.facility.run import Run
 from cmf_mj.machine.geometry import FLIP
 
 PLANT = Hexapod("ifd", load_hydraulics("hardware"))
@@ -58,8 +58,8 @@ HELD = 8  # frames that a force is held
 
 def pushed(law: str | Law, axis: int, force: NDArray[np.float64]) -> NDArray[np.float64]:
     """Motion (N,) along an axis in the simulation, of a wrench (N,) about the centroid."""
-    options = Options(frames=force.size * HELD, record_every=HELD)
-    session = Session(PLANT, load_law(law), Table(np.zeros((1, 6))), options)
+    run = Run(PLANT, load_law(law), from_table(np.zeros((1, 6))), record_every=HELD)
+    session = run._replace(frames=force.size * HELD).session()
     body = PLANT.model.body("platform").id
     data, wrench = PLANT.data, np.zeros(6)
     for now in force:

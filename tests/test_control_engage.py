@@ -11,11 +11,11 @@ from cmf_mj.control.engage import engaged, handed_over
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law
 from cmf_mj.core.rates import FRAME
-from cmf_mj.facility.options import Options
+from cmf_mj.facility.front import from_table
 from cmf_mj.facility.scenario.library import scenario_of
 from cmf_mj.facility.scenario.run import ScenarioRun
 from cmf_mj.facility.scenario.settings import change_of
-from cmf_mj.facility.session import Session, Table
+from cmf_mj.facility.session import Session
 from cmf_mj.machine import kinematics
 
 INCH = 0.0254
@@ -136,7 +136,7 @@ def kick(*laws: str, hertz: float = 10.0) -> float:
     """Largest leg acceleration [m/s^2] of 6.35 mm of heave at 1 Hz under laws in turns."""
     motion = signals.sine("heave", 0.25 * INCH, 1.0, cycles=4.0)
     legs = kinematics.pose_to_legs(motion.pose)
-    session = Session(Hexapod(), load_law(laws[0]), Table(legs, motion.pose), Options())
+    session = Session(Hexapod(), load_law(laws[0]), from_table(legs, motion.pose))
     session.run(2048)
     for turn in range(1, 1 + round(6.0 * hertz)):
         if len(laws) > 1:

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from cmf_mj import Hexapod, Law, load_law, simulate
 from cmf_mj.core import units
 from cmf_mj.facility.host.stream import make_stream
-from cmf_mj.facility.operation import FacilitySettings, Operation, operate
+from cmf_mj.facility.operation import Operation, operate
 from cmf_mj.pilot.cueing.flight import within_limits
 
 PLAN = load_law("modal_plan")
@@ -18,8 +18,7 @@ def jumped(law: Law) -> Operation:
     pose = np.zeros((time.size, 6))
     pose[80:, 0] = 20.0 * units.INCH
     stream, _ = within_limits(make_stream(time, pose, np.zeros_like(pose), np.zeros_like(pose)))
-    facility = FacilitySettings(electronics=None)
-    return operate(Hexapod("ifd"), law, stream, facility=facility, record_every=8)
+    return operate(Hexapod("ifd"), law, stream, electronics=None, record_every=8)
 
 
 def swing(values: NDArray[np.float64]) -> float:

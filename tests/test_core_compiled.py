@@ -17,8 +17,8 @@ import cmf_mj
 from cmf_mj import SingleLegs, load_law, signals, simulate
 from cmf_mj.core.compiled import kernel_sources
 from cmf_mj.core.numba_inside import InTree
-from cmf_mj.facility.options import Options
-from cmf_mj.facility.session import Session, Table
+from cmf_mj.facility.front import from_table
+from cmf_mj.facility.session import Session
 from cmf_mj.machine import kinematics
 
 FORCES = """
@@ -174,7 +174,7 @@ def test_what_counts_no_references_calls_nothing_that_makes_arrays() -> None:
 
 
 def test_the_loop_allocates_nothing() -> None:
-    session = Session(SingleLegs(), load_law("velocity"), Table(np.zeros((64, 6))), Options())
+    session = Session(SingleLegs(), load_law("velocity"), from_table(np.zeros((64, 6))))
     session.run(32)
     memsys_enable_stats()
     try:

@@ -17,7 +17,7 @@ from cmf_mj.analysis.metrics import phase_delay
 from cmf_mj.control.states import State, StateSettings, load_state_settings
 from cmf_mj.facility.host.moog import MoogBase, MoogServer
 from cmf_mj.facility.host.stream import from_command
-from cmf_mj.facility.operation import FacilitySettings, Operation, operate, serve
+from cmf_mj.facility.operation import Operation, operate, serve
 from cmf_mj.facility.session import Session
 
 NEW_POSITION, INHIBIT, RESET, DOF_MODE, LENGTH_MODE = 130, 150, 160, 170, 172
@@ -51,14 +51,14 @@ Ask = Callable[[bytes], Answer | None]
 
 
 @pytest.fixture(scope="module")
-def swift() -> FacilitySettings:
+def swift() -> StateSettings:
     """Fades that take a second or two, so that tests need not wait."""
     times = {name: 1.0 for name in ("raise_time", "engage_time", "return_time", "fault_time")}
     table = load_state_settings().model_dump()
     rates = {"speed": (40.0, "in/s"), "acceleration": (1.0, "g")}
     for name, (value, unit) in {**{n: (t, "s") for n, t in times.items()}, **rates}.items():
         table[name] |= {"value": value, "unit": unit}
-    return FacilitySettings(states=StateSettings.model_validate(table))
+    return StateSettings.model_validate(table)
 
 
 def over_udp(
@@ -134,8 +134,8 @@ def ride(troubled: bool) -> Callable[[Ask, socket.socket, tuple[str, int]], Any]
 
 
 @pytest.fixture(scope="module")
-def cycle(swift: FacilitySettings) -> tuple[list[list[Answer]], MoogServer, Operation]:
-    return over_udp(ride(False), 15.0, facility=swift)
+def cycle(swift: StateSettings) -> tuple[list[list[Answer]], MoogServer, Operation]:
+    return over_udp(ride(False), 15.0, states=swift)
 
 
 def test_a_cycle_goes_through_the_states_of_the_format(cycle: Any) -> None:
@@ -161,9 +161,9 @@ def test_the_feedback_is_the_pose_of_the_machine(cycle: Any) -> None:
 
 
 def test_bad_datagrams_are_counted_latch_their_fault_and_move_nothing(
-    cycle: Any, swift: FacilitySettings
+    cycle: Any, swift: StateSettings
 ) -> None:
-    parts, base, done = over_udp(ride(True), 15.0, facility=swift)
+    parts, base, done = over_udp(ride(True), 15.0, states=swift)
     assert base.refused == {
         "wrong_sender": 3,
         "wrong_length": 9,
@@ -180,7 +180,7 @@ def test_bad_datagrams_are_counted_latch_their_fault_and_move_nothing(
 
 
 def test_in_length_mode_the_six_are_legs_from_the_settled_position(
-    swift: FacilitySettings,
+    swift: StateSettings,
 ) -> None:
     """At mid-stroke but for a heave, whose legs follow from the geometry."""
     travel = 0.0254 * 37.5
@@ -192,7 +192,7 @@ def test_in_length_mode_the_six_are_legs_from_the_settled_position(
         until(ask, ENGAGED, command(START, lengths))
         return [ask(command(NEW_POSITION, lengths)) for _ in range(60)]
 
-    answers, _, _ = over_udp(host, 8.0, "velocity_integral", facility=swift)
+    answers, _, _ = over_udp(host, 8.0, "velocity_integral", states=swift)
     assert answers[-1].mode == 0x00
     np.testing.assert_allclose(answers[-1].values, lengths, atol=2e-3)
 
@@ -200,7 +200,7 @@ def test_in_length_mode_the_six_are_legs_from_the_settled_position(
 def simulated(
     script: Callable[[Callable[[bytes, int], Answer | None], MoogBase], Iterator[None]],
     seconds: float,
-    swift: FacilitySettings,
+    swift: StateSettings,
 ) -> MoogBase:
     """A host in simulated time: each `yield` of the script is 1/2048 s times what it yields."""
     base, running = MoogBase(), []
@@ -211,7 +211,7 @@ def simulated(
             running.append(script(ask, base))
         return next(running[0], session.frames)
 
-    options: Any = {"begin": State.OFF, "facility": swift, "record_every": 512}
+    options: Any = {"begin": State.OFF, "states": swift, "record_every": 512}
     serve(Hexapod(), "velocity_integral", base.ring, seconds, attend=attend, paced=False, **options)
     assert next(running[0], None) is None, "the script did not come to its end"
     return base
@@ -222,7 +222,7 @@ def stepped(ask: Ask, state: int, data: bytes) -> Iterator[int]:
         yield 34
 
 
-def test_a_late_command_is_counted_and_silence_is_a_fault(swift: FacilitySettings) -> None:
+def test_a_late_command_is_counted_and_silence_is_a_fault(swift: StateSettings) -> None:
     seen = {}
 
     def script(ask: Ask, base: MoogBase) -> Iterator[int]:
@@ -247,7 +247,7 @@ def test_a_late_command_is_counted_and_silence_is_a_fault(swift: FacilitySetting
     assert (seen["reset"].state, seen["reset"].faults) == (IDLE, 0)
 
 
-def test_a_word_is_obeyed_in_its_states_only(swift: FacilitySettings) -> None:
+def test_a_word_is_obeyed_in_its_states_only(swift: StateSettings) -> None:
     seen: list[tuple[int, int | None]] = []
 
     def script(ask: Ask, base: MoogBase) -> Iterator[int]:
@@ -302,7 +302,7 @@ def check_lag(ridden: list[Answer], delay: float, law: str) -> None:
 
 
 @pytest.mark.parametrize("law", ["velocity", "acceleration"])
-def test_the_feedback_lags_by_the_configured_delay(law: str, swift: FacilitySettings) -> None:
+def test_the_feedback_lags_by_the_configured_delay(law: str, swift: StateSettings) -> None:
     def host(ask: Ask, *_: Any) -> list[Answer | None]:
         until(ask, IDLE, command(DOF_MODE))
         until(ask, ENGAGED, command(ENGAGE))
@@ -316,11 +316,11 @@ def test_the_feedback_lags_by_the_configured_delay(law: str, swift: FacilitySett
             "attend",
             lambda self, session: delays.append(self.delay(session)) or plain(self, session),
         )
-        ridden, _, _ = over_udp(host, 20.0, law, facility=swift)
+        ridden, _, _ = over_udp(host, 20.0, law, states=swift)
     check_lag(ridden, delays[-1], law)
 
 
-def test_in_real_time_every_command_is_answered(swift: FacilitySettings) -> None:
+def test_in_real_time_every_command_is_answered(swift: StateSettings) -> None:
     """One and a half seconds on the wall clock, at the host's own pace."""
 
     def host(ask: Ask, *_: Any) -> list[Answer]:
@@ -330,7 +330,7 @@ def test_in_real_time_every_command_is_answered(swift: FacilitySettings) -> None
 
         return until(at_its_rate, STANDBY, command(ENGAGE))
 
-    answers, base, done = over_udp(host, 2.0, lockstep=False, facility=swift)
+    answers, base, done = over_udp(host, 2.0, lockstep=False, states=swift)
     assert done.timing is not None and base.counts["commands"] >= len(answers)
     assert [a.state for a in answers if a.state != POWER_UP][-1] == STANDBY
 

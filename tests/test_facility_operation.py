@@ -17,7 +17,7 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.host.handover import make_ring, put
 from cmf_mj.facility.host.stream import HostStream, from_command
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
-from cmf_mj.facility.operation import FacilitySettings, Operation, operate, serve
+from cmf_mj.facility.operation import Operation, operate, serve
 from cmf_mj.facility.replay import replay
 from cmf_mj.machine import kinematics
 from cmf_mj.plant.events import Event
@@ -201,8 +201,8 @@ def test_a_limit_switch_trips_the_states(tmp_path) -> None:
     path.write_text(
         "switch_position = { value = 1.5, unit = 'in', status = 'assumed', source = 'test' }"
     )
-    facility = FacilitySettings(electronics=ElectronicsSettings(servo=path))
-    operation = operate(Hexapod(), "velocity", sine(4.0, 0.07), facility=facility, seconds=3.0)
+    clamped = ElectronicsSettings(servo=path)
+    operation = operate(Hexapod(), "velocity", sine(4.0, 0.07), electronics=clamped, seconds=3.0)
     record = operation.record
     over = np.flatnonzero(np.abs(record["leg_extension"]).max(axis=1) > 1.5 * INCH)[0]
     (_, start), (name, time) = entered(record)
@@ -298,8 +298,8 @@ def test_a_bad_host_moves_the_legs_within_their_limits_only(kind: str) -> None:
 
 def test_same_seed_same_bits_and_another_seed_others() -> None:
     def reading(seed: int) -> bytes:
-        facility = FacilitySettings(electronics=ElectronicsSettings(seed=seed))
-        record = operate(Hexapod(), "velocity", sine(0.5), facility=facility).record
+        noise = ElectronicsSettings(seed=seed)
+        record = operate(Hexapod(), "velocity", sine(0.5), electronics=noise).record
         return record["leg_position"].tobytes()
 
     assert reading(1) == reading(1)

@@ -16,7 +16,7 @@ from cmf_mj.control.dcu.settings import make_dcu
 from cmf_mj.control.demand import make_demand
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.compiled import allocating
-from cmf_mj.facility.front import Blocks, Chain, follow, make_chain
+from cmf_mj.facility.front import Blocks, Source, follow, from_host
 from cmf_mj.facility.host.datagram import (
     DATAGRAM_REASONS,
     MOST_SEQUENCE,
@@ -35,7 +35,7 @@ GARBAGE = ("bit", "cut", "long", "noise", "empty")
 
 
 class Outcome(NamedTuple):
-    chain: Chain
+    source: Source
     out: NDArray[np.float64]
     """Leg reference, velocity, acceleration, (3, N, 6)."""
     sent: list[bytes]
@@ -43,9 +43,9 @@ class Outcome(NamedTuple):
     refused: dict[str, int]
 
 
-def build(begin: State, requests: list[tuple[int, Request]]) -> Chain:
+def build(begin: State, requests: list[tuple[int, Request]]) -> Source:
     legs = np.full(6, -WORKING_STROKE if begin in (State.OFF, State.SETTLED) else 0.0)
-    return make_chain(
+    return from_host(
         Blocks(DCU, POSE, DEMAND, STATES, LEGS),
         make_log(4096),
         requests,
@@ -57,14 +57,13 @@ def build(begin: State, requests: list[tuple[int, Request]]) -> Chain:
 
 
 @allocating
-def _advance(chain, first, last, position, tripped_at, out):
+def _advance(source, first, last, position, tripped_at, out):
     """Legs that follow at once; a limit switch trips at a frame."""
-    table = np.zeros((1, 6))
     for frame in range(first, last):
         reference = out[0, frame]
-        follow(chain, table, frame, position, 0, frame >= tripped_at, reference)
+        follow(source, frame, position, 0, frame >= tripped_at, reference)
         for row in range(1, 3):
-            out[row, frame] = chain.reference[row]
+            out[row, frame] = source.reference[row]
         position[:] = reference
 
 
@@ -93,19 +92,19 @@ def run(
     generator = np.random.default_rng(seed)
     arrivals, frames = stream(kinds, seed)
     frames = max(frames, 4096)
-    chain, out = build(begin, requests), np.zeros((3, frames, 6))
-    position = chain.reference[0].copy()
+    source, out = build(begin, requests), np.zeros((3, frames, 6))
+    position = source.reference[0].copy()
     sent, refused, now = [], dict.fromkeys(DATAGRAM_REASONS, 0), 0
 
     def deliver(datagram: bytes) -> None:
         """As the receiving thread does."""
         try:
-            put(chain.ring, decode(datagram))
+            put(source.ring, decode(datagram))
         except DatagramError as error:
             refused[error.reason] += 1
 
     for index, arrival in enumerate(arrivals.frame):
-        _advance(chain, now, int(arrival), position, tripped_at, out)
+        _advance(source, now, int(arrival), position, tripped_at, out)
         now = max(now, int(arrival))
         frame = HostFrame(
             int(arrivals.sequence[index]) & MOST_SEQUENCE,
@@ -116,13 +115,13 @@ def run(
         deliver(sent[-1])
         if garbage:
             deliver(spoiled(sent[-1], garbage[index % len(garbage)], generator))
-    _advance(chain, now, frames, position, tripped_at, out)
-    return Outcome(chain, out, sent, refused)
+    _advance(source, now, frames, position, tripped_at, out)
+    return Outcome(source, out, sent, refused)
 
 
-def logged_datagrams(chain: Chain) -> list[bytes]:
+def logged_datagrams(source: Source) -> list[bytes]:
     """What reached the DCU, as datagrams: NaN compare like any octets."""
-    log = logged(chain.arrivals, int(chain.progress[0].collected))
+    log = logged(source.arrivals, int(source.progress[0].collected))
     return [
         encode(HostFrame(int(s), float(t), *v))
         for s, t, v in zip(log.sequence, log.time, log.values, strict=True)
@@ -144,14 +143,14 @@ def check_limits(out: NDArray[np.float64]) -> None:
 
 def check_account(outcome: Outcome, garbage: bool) -> None:
     """Every datagram sent is somewhere, and none but the good ones got through."""
-    chain, state = outcome.chain, outcome.chain.dcu_state
-    filled = int(chain.progress[0].collected)
-    lost = int(chain.ring.lost[0] + chain.ring.thinned[0])
+    source, state = outcome.source, outcome.source.dcu_state
+    filled = int(source.progress[0].collected)
+    lost = int(source.ring.lost[0] + source.ring.thinned[0])
     assert sum(outcome.refused.values()) == (len(outcome.sent) if garbage else 0)
     assert filled + lost == len(outcome.sent)
     waiting = int(state.clocks[0].holding)
     assert state.counts["accepted"] + sum(state.rejections.values()) + waiting == filled
-    reached = logged_datagrams(chain)
+    reached = logged_datagrams(source)
     assert reached == outcome.sent if not lost else set(reached) <= set(outcome.sent)
 
 
@@ -172,7 +171,7 @@ def test_whatever_comes_in_the_leg_reference_keeps_its_limits_and_all_is_counted
     check_limits(outcome.out)
     check_account(outcome, bool(garbage))
     if tripped_at < 2**40:
-        assert outcome.chain.progress[0].state in (State.FAULT, State.OFF)
+        assert outcome.source.progress[0].state in (State.FAULT, State.OFF)
 
 
 @pytest.mark.fuzz
@@ -187,7 +186,7 @@ def test_garbage_changes_nothing_to_the_bit(kinds, seed, garbage):
     clean = run(kinds, seed, State.ENGAGED, [], [])
     dirty = run(kinds, seed, State.ENGAGED, [], garbage)
     assert dirty.out.tobytes() == clean.out.tobytes()
-    assert dirty.chain.dcu_state.rejections == clean.chain.dcu_state.rejections
+    assert dirty.source.dcu_state.rejections == clean.source.dcu_state.rejections
 
 
 def test_each_kind_of_bad_frame_is_refused_for_its_reason():
@@ -200,7 +199,7 @@ def test_each_kind_of_bad_frame_is_refused_for_its_reason():
     }
     for kind, reasons in wanted.items():
         outcome = run(["held", kind, "held", kind], 5, State.ENGAGED, [], [])
-        told = {n for n, c in outcome.chain.dcu_state.rejections.items() if c}
+        told = {n for n, c in outcome.source.dcu_state.rejections.items() if c}
         assert told & reasons, (kind, told)
         assert told <= reasons | {"unconfirmed"}, (kind, told)
         check_account(outcome, garbage=False)

@@ -13,7 +13,8 @@ import pytest
 
 from cmf_mj import Record, SingleLegs, drive, load_law, signals, simulate, simulate_many
 from cmf_mj.core.errors import CmfError, InputError
-from cmf_mj.facility.options import Options
+from cmf_mj.facility.front import from_table
+from cmf_mj.facility.run import Run
 from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.studies.engine import Workers
 
@@ -31,9 +32,10 @@ def test_a_number_of_frames_is_a_whole_number(field: str, value: Any) -> None:
 @pytest.mark.parametrize("kind", [np.int32, np.int64, np.uint8])
 def test_whole_numbers_of_numpy_become_python_s(kind: type) -> None:
     """A number of another type would compile a loop of its own, for 14 to 29 s."""
-    options = Options(record_every=kind(2), command_delay=kind(1), frames=kind(8)).checked()
-    assert options == Options(record_every=2, command_delay=1, frames=8)
-    assert {type(number) for number in (options.record_every, options.command_delay)} == {int}
+    run = Run(PLANT, load_law("velocity"), from_table(STILL), frames=kind(8))
+    session = run._replace(record_every=kind(2), command_delay=kind(1)).session()
+    numbers = session.every, session.controller.delay, session.frames
+    assert numbers == (2, 1, 8) and {type(number) for number in numbers} == {int}
     one, other = (simulate(PLANT, "velocity", STILL, record_every=every) for every in (2, kind(2)))
     assert one["leg_position"].tobytes() == other["leg_position"].tobytes()
 

@@ -11,7 +11,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.facility.many import simulate_many
-from cmf_mj.facility.operation import FacilitySettings, operate
+from cmf_mj.facility.operation import operate
 from cmf_mj.facility.scenario.library import scenario_of
 from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.machine import models
@@ -93,10 +93,9 @@ def test_the_facility_follows_a_host_at_another_rate() -> None:
     time = np.arange(240) / 80.0
     pose = np.zeros((240, 6))
     pose[:, 2] = 0.02 * (1.0 - np.cos(np.pi * time))
-    ideal = FacilitySettings(electronics=None)
     for rate in (1000, 2048):
         plant = Hexapod(machine=machine(rate))
-        run = operate(plant, "velocity", make_stream(time, pose), facility=ideal, record_every=10)
+        run = operate(plant, "velocity", make_stream(time, pose), electronics=None, record_every=10)
         delay = sum(run.session.settings.delay.parts(rate).values())
         late = run.record.time[(run.record.time > 1.5) & (run.record.time < 2.8)]
         demand = np.interp(late, run.record.time, run.record["demand_pose"][:, 2])

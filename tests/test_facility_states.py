@@ -21,7 +21,7 @@ from test_facility_moog import (
 from cmf_mj import Hexapod, Record, law_names, signals
 from cmf_mj.control.states import Request, State
 from cmf_mj.facility.host.stream import HostStream, from_command
-from cmf_mj.facility.operation import FacilitySettings, operate
+from cmf_mj.facility.operation import operate
 from cmf_mj.plant.events import Event
 
 FEW = ["dynamic_pressure", "modal_plan"]
@@ -159,7 +159,7 @@ def test_a_return_that_does_not_arrive_says_so(tmp_path) -> None:
     operation = operate(
         Hexapod(), "velocity", host(51.0), begin=State.HOLD,
         requests=[(0.1, Request.SETTLE), (18.0, Request.RESET), (34.0, Request.ENGAGE)],
-        seconds=50.0, facility=FacilitySettings(states=path), record_every=16,
+        seconds=50.0, states=path, record_every=16,
     )  # fmt: skip
     record = operation.record
     names = ["HOLD", "RETURN", "FAULT", "OFF", "RETURN", "RAISE", "ENGAGED"]

@@ -30,6 +30,7 @@ from cmf_mj.control.dcu.state import resting  # noqa: E402
 from cmf_mj.control.law import load_law  # noqa: E402
 from cmf_mj.control.states import State  # noqa: E402
 from cmf_mj.core.units import STANDARD_GRAVITY  # noqa: E402
+from cmf_mj.electronics.chain import ElectronicsSettings  # noqa: E402
 from cmf_mj.facility.host.datagram import encode  # noqa: E402
 from cmf_mj.facility.host.moog import MoogServer  # noqa: E402
 from cmf_mj.facility.host.stream import (  # noqa: E402
@@ -40,14 +41,11 @@ from cmf_mj.facility.host.stream import (  # noqa: E402
 )
 from cmf_mj.facility.host.udp import UdpReceiver  # noqa: E402
 from cmf_mj.facility.operation import (  # noqa: E402
-    FacilitySettings,
     Operation,
-    Start,
-    facility_session,
     operate,
     serve,
 )
-from cmf_mj.facility.options import Options  # noqa: E402
+from cmf_mj.facility.run import Run  # noqa: E402
 from cmf_mj.facility.session import Session  # noqa: E402
 from cmf_mj.machine.cab import load_cab  # noqa: E402
 from cmf_mj.pilot.cueing.washout import Washout  # noqa: E402
@@ -329,16 +327,15 @@ def test_telemetry_that_stutters_is_followed_over_udp() -> None:
 def test_a_demand_that_leaves_its_hosts_range_is_a_fault() -> None:
     """It cannot: the gap is pulled open behind the DCU's back."""
     stream = sine(0.005, 80.0)
-    session = facility_session(
-        Hexapod(), load_law("velocity"), arrivals(stream), FacilitySettings(),
-        Start(State.ENGAGED, np.zeros(6)), Options(frames=8192),
-    )  # fmt: skip
+    run = Run(Hexapod(), load_law("velocity"), arrivals(stream), frames=8192)
+    guarded = run._replace(electronics=ElectronicsSettings(), protection="default")
+    session = guarded.session()
     session.run(4096)
     assert session.fault is None
     for frame in range(40):
-        session.chain.dcu_state.gap[0, 2] = 0.1
+        session.source.dcu_state.gap[0, 2] = 0.1
         session.run(1)
         assert (session.fault is not None) == (frame >= 20), frame
     assert session.fault is not None and session.fault.name == "host_range"
     session.run(2048)
-    assert session.chain.progress[0].state == State.FAULT
+    assert session.source.progress[0].state == State.FAULT

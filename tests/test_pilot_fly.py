@@ -4,6 +4,7 @@ import csv
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -18,7 +19,6 @@ from cmf_mj.cli.common import app
 from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility.host.stream import from_command, make_stream
-from cmf_mj.facility.operation import FacilitySettings
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot import host as pilot_host
@@ -36,7 +36,7 @@ from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.show import flight as flight_report
 
-IDEAL = FacilitySettings(electronics=None)
+IDEAL: dict[str, Any] = {"electronics": None}
 
 
 def cut(motion: PilotMotion, start: float, stop: float) -> PilotMotion:
@@ -93,7 +93,7 @@ def test_the_machines_error_is_that_of_the_flight_less_that_of_the_washout(
 
 def test_a_washout_without_gain_leaves_the_pilot_at_rest(failing: PilotMotion) -> None:
     still = load_washout("simona").with_gains(np.zeros(6))
-    ride = fly(cut(failing, 0.0, 2.0), "velocity", washout=still, facility=IDEAL)
+    ride = fly(cut(failing, 0.0, 2.0), "velocity", washout=still, **IDEAL)
     assert not ride.stream.pose.any()
     rest = np.tile([0.0, 0.0, -9.80665], (ride.asked.time.size, 1))
     np.testing.assert_allclose(ride.asked.specific_force, rest, atol=1e-12)
@@ -125,7 +125,7 @@ def test_a_live_host_is_flown_like_its_recording(failing: PilotMotion) -> None:
 def direct() -> FlightResult:
     """A slow sine in surge, in direct mode with ideal electronics."""
     command = signals.sine("surge", 0.1, 0.4, cycles=3.0, fade=2.0)
-    return fly(from_command(command, 80.0), "velocity", facility=IDEAL)
+    return fly(from_command(command, 80.0), "velocity", **IDEAL)
 
 
 def test_direct_mode_has_no_aircraft(direct: FlightResult) -> None:
@@ -162,7 +162,7 @@ def test_taking_80_hz_samples_leaves_slow_motion_as_it_is(direct: FlightResult) 
 def test_the_use_of_the_envelope_is_that_of_a_pose_held() -> None:
     pose = np.array([0.3, -0.2, 0.1, 0.05, -0.06, 0.1])
     stream = make_stream(np.arange(80) / 80.0, np.tile(pose, (80, 1)))
-    ride = fly(stream, "velocity_integral", facility=IDEAL)
+    ride = fly(stream, "velocity_integral", **IDEAL)
     low, high = load_motion_limits().operational.T
     use = envelope_use(ride.operation.record, load_motion_limits())
     # The law's own offset moves the platform by an inch or so.
@@ -188,7 +188,7 @@ def test_spectra_hold_the_power_of_the_difference() -> None:
 def test_the_way_from_host_to_pilot_adds_up(dof: str) -> None:
     """Phases add up; the DCU's part is its settings, the valve's that of its two lags, the pilot
     on the platform is no later than the legs."""
-    delay = transport_delay(dof=dof, facility=IDEAL)
+    delay = transport_delay(dof=dof, **IDEAL)
     measured = {stage.name: stage.delay for stage in delay.stages if not stage.known}
     known = sum(stage.delay for stage in delay.stages if stage.known)
     assert known == pytest.approx(load_dcu().delay.total, abs=1e-12)

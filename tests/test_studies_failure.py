@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from cmf_mj import Hexapod, load_hydraulics, simulate
 from cmf_mj.cli.common import app
 from cmf_mj.cli.simulate import events_of
-from cmf_mj.facility.simulation import OutOfBounds
+from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.show.failure import label

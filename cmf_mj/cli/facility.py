@@ -44,12 +44,11 @@ Derivatives = Annotated[str, choice(_DERIVATIVES, "KIND", _VELOCITIES)]
 def _start(begin: str, noise: bool) -> dict[str, Any]:
     """Options of a run that begins in a state and is engaged at once."""
     from cmf_mj.control.states import Request, State
-    from cmf_mj.facility.operation import FacilitySettings
 
     return {
         "begin": State[BEGIN[begin]],
         "requests": [(0.0, Request.ENGAGE)],
-        "facility": FacilitySettings(electronics=noise_choice(noise)),
+        "electronics": noise_choice(noise),
     }
 
 

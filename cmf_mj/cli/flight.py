@@ -55,7 +55,6 @@ def fly_command(
     from cmf_mj.core.errors import InputError
     from cmf_mj.core.files import in_folder
     from cmf_mj.core.settings import check_distinct
-    from cmf_mj.facility.operation import FacilitySettings
     from cmf_mj.pilot.aircraft.flight import load_flight
     from cmf_mj.pilot.fly import fly, transport_delay
     from cmf_mj.pilot.telemetry.live import fly_live
@@ -74,8 +73,8 @@ def fly_command(
     if video is not None:
         pictures = in_folder(out, video)
         check_film(hexapod_model(cab), pictures, look)
-    facility = FacilitySettings(electronics=noise_choice(noise))
-    machine: dict[str, Any] = {"cab": cab, "hydraulics": hydraulics, "facility": facility}
+    noisy = noise_choice(noise)
+    machine: dict[str, Any] = {"cab": cab, "hydraulics": hydraulics, "electronics": noisy}
     length = float(flown.motion.time[-1]) if flown else seconds or 60.0
     rides, paths = [], []
     for law in loaded:
@@ -101,7 +100,7 @@ def fly_command(
     title = flown.origin.title if flown else f"{form} at port {flight}"
     show(title, report.comparison_table(rides), unfolded=True)
     if delay:
-        of_machine = {name: machine[name] for name in ("cab", "hydraulics", "facility")}
+        of_machine = {name: machine[name] for name in ("cab", "hydraulics", "electronics")}
         show(report.delay_table(transport_delay(loaded[0], dof=dof, **of_machine)))
     for ride in rides:
         kept = "kept within" if ride.use.within else "LEFT"
@@ -129,7 +128,6 @@ def learn_command(
     out: options.Out = Path("out/learn"),
 ) -> None:
     """Repeat a flight and learn the demand with which the cab follows it."""
-    from cmf_mj.facility.operation import FacilitySettings
     from cmf_mj.pilot.aircraft.flight import load_flight
     from cmf_mj.pilot.cueing.flight import cue
     from cmf_mj.pilot.learning import compare, learn
@@ -140,7 +138,7 @@ def learn_command(
     asked = cue(load_flight(flight).motion, washout, cab=cab).stream
     machines = [drawn_machine(cab, hydraulics, seed, draw) for draw in range(_KNOWN + on)]  # type: ignore[arg-type]
     plants = [Hexapod(cab, hydraulics), *machines[:_KNOWN]]
-    run: dict[str, Any] = {"facility": FacilitySettings(electronics=noise_choice(noise))}
+    run: dict[str, Any] = {"electronics": noise_choice(noise)}
     with progress_bar(f"learning {flight}") as update:
         run |= {"trials": trials, "seed": seed, "progress": update}
         learnt = learn(asked, law, plants, **run)

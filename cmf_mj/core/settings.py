@@ -17,6 +17,7 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    PlainValidator,
     ValidationError,
     field_validator,
 )
@@ -67,6 +68,17 @@ class Settings(BaseModel):
     @classmethod
     def _numbers(cls, value: Any) -> Any:
         return in_range(value)
+
+
+def named(*loaded: type) -> PlainValidator:
+    """Validator of a field that takes a name or file of settings, or what is `loaded` already."""
+
+    def check(value: Any) -> Any:
+        if not isinstance(value, (str, Path, *loaded)):
+            raise InputError("input should be a valid string")
+        return value
+
+    return PlainValidator(check, json_schema_input_type=str)
 
 
 class FileHeader(Settings):

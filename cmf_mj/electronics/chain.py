@@ -4,18 +4,19 @@
     DCL's command -> DAC, limit switches, velocity clamp, rate limiter -> valves
 
 The protection always watches accelerations without gravity; whether the DCL reads them so is the
-law's choice. With idle electronics readings and commands go through to the bit; a bare run passes
-None instead, at no cost.
+law's choice. Through ideal electronics, which are not active, readings and commands go to the bit.
 """
 
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control.feedback import LegFeedback, find_gravity
 from cmf_mj.core.compiled import compiled, inlined
+from cmf_mj.core.settings import Seed, Settings, named
 from cmf_mj.electronics import servo_electronics as servo
 from cmf_mj.electronics.converter import (
     Converters,
@@ -41,30 +42,39 @@ from cmf_mj.plant.events import read_position
 from cmf_mj.plant.parameters.loading import fitting
 
 
-class ElectronicsSettings(NamedTuple):
+class Parts(NamedTuple):
+    """Settings of all parts."""
+
+    sensors: SensorSettings
+    converters: ConverterSettings
+    servo: ServoSettings
+
+
+class ElectronicsSettings(Settings):
     """Choice of the electronics of a run; sets by name, TOML files, or loaded settings."""
 
-    sensors: str | Path | SensorSettings = "noisy"  #: `ideal` or `noisy`.
-    converters: str | Path | ConverterSettings = "sixteen_bit"  #: `off` or `sixteen_bit`.
-    servo: str | Path | ServoSettings | None = None
+    sensors: Annotated[str | Path | SensorSettings, named(SensorSettings)] = "noisy"
+    """`ideal`, `noisy` or a file."""
+    converters: Annotated[str | Path | ConverterSettings, named(ConverterSettings)] = "sixteen_bit"
+    """`off`, `sixteen_bit` or a file."""
+    servo: Annotated[str | Path | ServoSettings, named(ServoSettings)] | None = None
     """File of changes to the servo electronics; default the shipped ones."""
-    seed: int = 0  #: Of the sensors' noise.
+    seed: Seed | None = None  #: Of the sensors' noise; default that of the scenario, or 0.
 
-    def of(self, machine: Machine) -> "ElectronicsSettings":
+    def of(self, machine: Machine) -> Parts:
         """All loaded, with the ranges of a machine; see `plant.parameters.loading.fitting`."""
         fitted = fitting(machine)
-        return ElectronicsSettings(
+        return Parts(
             load_sensors(self.sensors, fitted),
             load_converters(self.converters, fitted),
             servo.load_servo_settings(self.servo, fitted),
-            self.seed,
         )
 
     def describe(self, machine: Machine) -> dict[str, Any]:
         """What a record keeps of the electronics of a machine."""
         parts = self.of(machine)._asdict()
-        seed = parts.pop("seed")
-        return {n: s.model_dump(mode="json") for n, s in parts.items()} | {"sensor_seed": seed}
+        dumped = {name: part.model_dump(mode="json") for name, part in parts.items()}
+        return dumped | {"sensor_seed": self.seed or 0}
 
 
 class Electronics(NamedTuple):
@@ -86,27 +96,32 @@ class Electronics(NamedTuple):
     volts: NDArray[np.float64]  #: At the DAC [V], (n,).
 
 
+@cache
+def ideal_electronics(legs: int) -> Electronics:
+    """Electronics that are not active: nothing reads them or writes to them."""
+    choice = ElectronicsSettings(sensors="ideal", converters="off")
+    still = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
+    return make_electronics(choice, still)._replace(active=False)
+
+
 def make_electronics(
-    settings: ElectronicsSettings | None,
-    at_rest: LegFeedback,
-    machine: str | Machine = models.CMF,
+    settings: ElectronicsSettings, at_rest: LegFeedback, machine: str | Machine = models.CMF
 ) -> Electronics:
-    """Electronics, idle ones for None, that have seen a machine at rest for a long time.
+    """Electronics that have seen a machine at rest for a long time.
 
     Sensors that feel gravity on other than six legs are refused.
     """
-    active, carrier = settings is not None, load_machine(machine)
-    settings = (settings or ElectronicsSettings(sensors="ideal", converters="off")).of(carrier)
+    carrier = load_machine(machine)
+    parts, frame = settings.of(carrier), carrier.frame
     legs = at_rest.position.shape[0]
     truth = LegFeedback(*(np.array(values, dtype=float) for values in at_rest))
-    frame = carrier.frame
-    sensors = make_sensors(load_sensors(settings.sensors), 1.0 / frame, settings.seed, carrier)
-    converters = make_converters(load_converters(settings.converters), frame)
+    sensors = make_sensors(parts.sensors, 1.0 / frame, settings.seed or 0, carrier)
+    converters = make_converters(parts.converters, frame)
     state = sensor_state(sensors, truth)
     reading = LegFeedback(*(np.zeros(legs) for _ in LegFeedback._fields))
     sense(sensors, state, 0, truth, reading)
     return Electronics(
-        active,
+        True,
         sensors,
         state,
         converters,
@@ -114,7 +129,7 @@ def make_electronics(
         leg_axes_state(sensors.axes, reading.position if sensors.gravity else np.zeros(6)),
         np.zeros(legs),
         np.zeros(legs),
-        servo.make_servo_electronics(servo.load_servo_settings(settings.servo), frame),
+        servo.make_servo_electronics(parts.servo, frame),
         servo.start(legs),
         reading,
         np.zeros(legs),
@@ -141,15 +156,14 @@ def _measure(electronics, faults, frame, truth, compensated, feedback):  # type:
 
 @inlined
 def measure(electronics, faults, frame, truth, compensated, feedback):  # type: ignore[no-untyped-def]
-    """Write the feedback that the DCL reads of the truth; without electronics the truth itself.
+    """Write the feedback that the DCL reads of the truth; through ideal electronics the truth.
 
     The number of the control frame chooses the noise; `compensated` says whether the law reads
     accelerations without gravity.
     """
-    if electronics is not None:
-        if electronics.active:
-            _measure(electronics, faults, frame, truth, compensated, feedback)
-            return
+    if electronics.active:
+        _measure(electronics, faults, frame, truth, compensated, feedback)
+        return
     for leg in range(truth.position.shape[0]):
         feedback.position[leg] = read_position(faults, leg, truth.position[leg])
         feedback.velocity[leg] = truth.velocity[leg]
@@ -161,16 +175,13 @@ def measure(electronics, faults, frame, truth, compensated, feedback):  # type: 
 @inlined
 def without_gravity(electronics, feedback):  # type: ignore[no-untyped-def]
     """View of the feedback with inertial accelerations, for the protection."""
-    if electronics is not None:
-        if electronics.active:
-            return LegFeedback(
-                feedback.position,
-                feedback.velocity,
-                electronics.inertial,
-                feedback.cap_pressure,
-                feedback.rod_pressure,
-            )
-    return feedback
+    return LegFeedback(
+        feedback.position,
+        feedback.velocity,
+        electronics.inertial if electronics.active else feedback.acceleration,
+        feedback.cap_pressure,
+        feedback.rod_pressure,
+    )
 
 
 @inlined
@@ -180,23 +191,22 @@ def deliver(electronics, raised, position, command):  # type: ignore[no-untyped-
     Commands (n,) are fractions, positions (n,) true extensions [m]. The lower switches are watched
     if `raised`.
     """
-    if electronics is not None:
-        if electronics.active:
-            return servo.step(
-                electronics.servo,
-                electronics.servo_state,
-                raised,
-                command,
-                position,
-                electronics.counts,
-                electronics.volts,
-                command,
-            )
-    return False
+    if not electronics.active:
+        return False
+    return servo.step(
+        electronics.servo,
+        electronics.servo_state,
+        raised,
+        command,
+        position,
+        electronics.counts,
+        electronics.volts,
+        command,
+    )
 
 
 @inlined
 def release(electronics):  # type: ignore[no-untyped-def]
     """Release latched limit switches."""
-    if electronics is not None:
+    if electronics.active:
         servo.reset(electronics.servo_state)

@@ -11,8 +11,9 @@ from cmf_mj.control.law import Law
 from cmf_mj.core.arrays import real
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.rates import MOST_FRAMES
-from cmf_mj.facility.options import Options
-from cmf_mj.facility.session import OutOfBounds, Session, Table
+from cmf_mj.facility.front import from_table
+from cmf_mj.facility.run import Run
+from cmf_mj.facility.session import OutOfBounds, Session
 from cmf_mj.plant.plant import Plant
 
 Array = NDArray[np.float64]
@@ -72,8 +73,8 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     def begin(self, extension: Array, start: Any) -> None:
         """Start a session at rest at the actuators' extensions, at a configuration of the plant."""
         self.table = np.tile(0.0 * extension if self.law is None else extension, (FRAMES, 1))
-        options = Options(start, frames=self.steps * FRAMES, record_every=FRAMES, window=FRAMES)
-        self.session = Session(self.plant, self.law, Table(self.table), options)
+        run = Run(self.plant, self.law, from_table(self.table), start, record_every=FRAMES)
+        self.session = run._replace(frames=self.steps * FRAMES, window=FRAMES).session()
         self._done = False
 
     @staticmethod

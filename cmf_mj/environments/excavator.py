@@ -91,7 +91,7 @@ class ExcavatorEnv(MachineEnv):
 
     def _look(self, session: Session) -> tuple[Array, ...]:
         here, place = session.memory.extension, self.ahead[0] if self.ahead else self._reference
-        share = session.machine.state.pressure.max(axis=1) / self.plant.hydraulics.proof_pressure
+        share = session.dynamics.state.pressure.max(axis=1) / self.plant.hydraulics.proof_pressure
         left = np.array([float(len(self.ahead))])
         return here, session.memory.mean, self._reference - here, place - here, share, left
 

@@ -90,7 +90,7 @@ class HexapodEnv(MachineEnv):
         self._asked = aim
 
     def _look(self, session: Session) -> tuple[Array, ...]:
-        memory, pressure = session.memory, session.machine.state.pressure
+        memory, pressure = session.memory, session.dynamics.state.pressure
         across = 1e-6 * (pressure[:, 0] - pressure[:, 1])
         self._apart = np.zeros(6)
         if np.isfinite(memory.extension).all():

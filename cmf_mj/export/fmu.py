@@ -10,7 +10,7 @@ import tempfile
 import zipfile
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -26,7 +26,7 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.header import channels, parameters
 from cmf_mj.export.library import build, copy_mujoco, copy_sources, write_machine
 from cmf_mj.export.machine import Frozen, freeze
-from cmf_mj.facility.simulation import drive, simulate
+from cmf_mj.facility.run import Legs, Valves
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.events import KINDS
 from cmf_mj.plant.plant import Plant
@@ -109,7 +109,7 @@ def variables(frozen: Frozen) -> list[Variable]:
 def _inputs(frozen: Frozen) -> list[Variable]:
     if not frozen.chain:
         start, unit = (
-            frozen.parts.controller.table[0],
+            frozen.parts.controller.source.table[0],
             "m" if frozen.parts.controller.closed else "1",
         )
         text = "extension asked of an actuator" if unit == "m" else "valve command, fraction"
@@ -283,16 +283,14 @@ def _write_reference(frozen: Frozen, listed: list[Variable], folder: Path) -> No
 
 def _run(frozen: Frozen, rows: NDArray[np.float64]) -> Record:
     """The Python loop on inputs that a row a frame has."""
-    plant, law = frozen.plant, frozen.law
-    if law is None:
-        return drive(plant, rows)
-    how: Any = {"legs": True, "protection": "default", "electronics": frozen.electronics}
+    run = frozen.run._replace(frames=None, window=None)
     if not frozen.chain:
-        return simulate(plant, law, rows, **how)
-    block, motion, legs = demand.make_demand(plant.machine), np.zeros((3, 6)), np.zeros((3, 6))
+        return run._replace(source=Legs(rows) if run.law else Valves(rows)).record()
+    block = demand.make_demand(run.plant.machine)
+    motion, legs = np.zeros((2, 3, 6))
     table = np.empty((rows.shape[0], 6))
     for frame, pose in enumerate(rows[:, :6]):
         motion[0] = pose
         demand.step(block, motion, legs)
         table[frame] = legs[0]
-    return simulate(plant, law, table, start=np.zeros(6), **how)
+    return run._replace(source=Legs(table), start=np.zeros(6)).record()

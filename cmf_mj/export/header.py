@@ -41,7 +41,7 @@ class ExportedChannel(NamedTuple):
 
 def parameters(frozen: Frozen) -> list[ExportedParameter]:
     """All parameters of a machine in the order of the C source."""
-    supply, plant = frozen.parts.machine.hydraulics.supply, frozen.plant
+    supply, plant = frozen.parts.dynamics.hydraulics.supply, frozen.plant
     low = 0.1 * supply.pressure if supply.constant else supply.precharge
     guarded, high = float(frozen.parts.controller.guarded), supply.relief_pressure
     listed = [
@@ -121,7 +121,7 @@ def contents(frozen: Frozen) -> tuple[dict[str, NDArray[np.uint8]], str]:
         "ENERGY_COLUMN": columns["energy"],
         "PLATFORM": -1 if joint < 0 else columns["generalised_position"] + joint,
         "BODY": payload_body(frozen),
-        "ACCUMULATORS": int(not frozen.parts.machine.hydraulics.supply.constant),
+        "ACCUMULATORS": int(not frozen.parts.dynamics.hydraulics.supply.constant),
         "SUPPLY_OIL": ACCUMULATOR,
         "SUPPLY_GAS": GAS,
         "ATMOSPHERE": repr(ATMOSPHERE),
@@ -131,7 +131,7 @@ def contents(frozen: Frozen) -> tuple[dict[str, NDArray[np.uint8]], str]:
         numbers["P_" + _upper(parameter.name)] = number
     numbers["P_GAIN"] = numbers[f"P_GAIN_{_upper(SIGNALS[0])}"]
     if frozen.chain:
-        begin, end = (image.at[f"controller.chain.{name}"] for name in _DEMAND)
+        begin, end = (image.at[f"controller.source.{name}"] for name in _DEMAND)
         numbers["DEMAND_SLOTS"] = end - begin
     text = [f"#define CMF_{name} {value}" for name, value in numbers.items()]
     text += [f"#define AT_{path.replace('.', '_')} {slot}" for path, slot in image.at.items()]

@@ -16,21 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control import demand
+from cmf_mj.control.dcu.arrivals import Arrivals
 from cmf_mj.control.law import Law
-from cmf_mj.control.protection import load_protection
-from cmf_mj.control.states import Request, State
+from cmf_mj.control.states import Request
 from cmf_mj.core.errors import InputError
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.machine_code import leaves, machine_code
+from cmf_mj.facility.front import from_table
 from cmf_mj.facility.host.handover import NEVER, make_log
-from cmf_mj.facility.loop import Controller, Machine, Memory, Recorder, run
-from cmf_mj.facility.operation import FacilitySettings, Start, facility_session
-from cmf_mj.facility.options import Options
-from cmf_mj.facility.session import Session, Table
+from cmf_mj.facility.loop import Controller, Dynamics, Memory, Recorder, run
+from cmf_mj.facility.run import Run
+from cmf_mj.facility.session import Session
 from cmf_mj.plant.build import PLANTS
 from cmf_mj.plant.events import Timeline
 from cmf_mj.plant.headless import saved
-from cmf_mj.plant.parameters.loading import fitting
 from cmf_mj.plant.plant import Plant
 
 _ALIGNED = 64
@@ -96,7 +95,7 @@ EVENTS = 64
 """Failures of a run."""
 
 IN_MUJOCO = {
-    f"machine.mechanics.{name}"
+    f"dynamics.mechanics.{name}"
     for name in ("length", "ctrl", "payload", "sensordata", "site", "qpos", "warnings")
 }
 """Arrays that MuJoCo owns."""
@@ -105,7 +104,7 @@ IN_MUJOCO = {
 class Parts(NamedTuple):
     """All that the frame loop works on."""
 
-    machine: Machine
+    dynamics: Dynamics
     controller: Controller
     memory: Memory
     recorder: Recorder
@@ -115,7 +114,7 @@ class Parts(NamedTuple):
 def frames(parts, first, last):  # type: ignore[no-untyped-def]
     """Run frames of the loop; compiled where it is used."""
     frame, bound, leg = run(
-        parts.machine, parts.controller, parts.memory, parts.recorder, first, last
+        parts.dynamics, parts.controller, parts.memory, parts.recorder, first, last
     )
     parts.outcome[0], parts.outcome[1], parts.outcome[2] = frame, bound, leg
 
@@ -136,16 +135,23 @@ def legs_of_pose(parts, first, last):  # type: ignore[no-untyped-def]
 class Frozen(NamedTuple):
     """A machine at rest as data."""
 
-    plant: Plant
-    law: Law | None
-    electronics: ElectronicsSettings | None
+    run: Run
     session: Session
     parts: Parts
     image: Image
     model: NDArray[np.uint8]  #: As MuJoCo saves it.
     mechanics: NDArray[np.float64]  #: MuJoCo's state.
     sensors: NDArray[np.float64]  #: MuJoCo's sensors.
-    chain: bool  #: Whether a host's frames can move it.
+
+    @property
+    def plant(self) -> Plant:
+        """The plant of the run."""
+        return self.run.plant
+
+    @property
+    def chain(self) -> bool:
+        """Whether a host's frames can move it."""
+        return isinstance(self.run.source, Arrivals)
 
     @property
     def digest(self) -> str:
@@ -155,10 +161,10 @@ class Frozen(NamedTuple):
 
     def objects(self) -> dict[str, bytes]:
         """Object files of the loop by their names."""
-        chain = self.parts.controller.chain
+        source = self.parts.controller.source
         made = {"cmf_loop": machine_code("cmf_loop", frames, numba.typeof(self.parts))}
-        if self.chain and chain is not None:
-            posed = PoseParts(chain.blocks.demand, chain.motion, chain.legs)
+        if self.chain:
+            posed = PoseParts(source.blocks.demand, source.motion, source.legs)
             made["cmf_demand"] = machine_code("cmf_demand", legs_of_pose, numba.typeof(posed))
         return made
 
@@ -169,46 +175,39 @@ def freeze(plant: Plant, law: Law | None, electronics: ElectronicsSettings | Non
     A plant of the facility stands behind the whole chain from the host. Any other follows a table
     of extensions, or without law one of valve commands.
     """
-    chain = plant.name in PLANTS and law is not None
-    session = _session(plant, law, electronics, chain)
-    first = session.machine.mechanics.sensordata.copy()
+    run = _run(plant, law, electronics)
+    session = run.session()
+    first = session.dynamics.mechanics.sensordata.copy()
     session.run(1)
     row = session.rows(0, 1)
-    session = _session(plant, law, electronics, chain)
+    session = run.session()
     size = mujoco.mj_stateSize(plant.model, mujoco.mjtState.mjSTATE_INTEGRATION)
     mechanics = np.empty(size)
     mujoco.mj_getState(plant.model, plant.data, mechanics, mujoco.mjtState.mjSTATE_INTEGRATION)
-    machine, controller, memory, recorder = session.parts
+    dynamics, controller, memory, recorder = session.parts
     recorder.out[:] = row
     never = np.full(EVENTS, NEVER)
     kind, leg, valve = np.zeros((3, EVENTS), dtype=np.int64)
-    machine = machine._replace(timeline=Timeline(never, kind, leg, valve, np.zeros(EVENTS)))
-    if chain:
-        assert controller.chain is not None
-        controller.chain.request_frame[:] = -1
+    dynamics = dynamics._replace(timeline=Timeline(never, kind, leg, valve, np.zeros(EVENTS)))
+    if controller.source.hosted:
+        controller.source.request_frame[:] = -1
         poses = np.zeros((1, 6))
         poses.flags.writeable = False
-        resting = controller.chain._replace(active=False)
-        controller = controller._replace(poses=poses, chain=resting)
-    parts = Parts(machine, controller, memory, recorder, np.full(3, -1))
+        resting = controller.source._replace(hosted=False, poses=poses)
+        controller = controller._replace(source=resting)
+    parts = Parts(dynamics, controller, memory, recorder, np.full(3, -1))
     image = make_image(parts, IN_MUJOCO)
     model = np.frombuffer(saved(plant.model), dtype=np.uint8)
-    of_mujoco = model, mechanics, first
-    return Frozen(plant, law, electronics, session, parts, image, *of_mujoco, chain)
+    return Frozen(run, session, parts, image, model, mechanics, first)
 
 
-def _session(
-    plant: Plant, law: Law | None, electronics: ElectronicsSettings | None, chain: bool
-) -> Session:
-    options = Options(frames=1, window=1, electronics=electronics)
+def _run(plant: Plant, law: Law | None, electronics: ElectronicsSettings | None) -> Run:
+    still = from_table(np.zeros((1, plant.legs)))
+    run = Run(plant, law, still, electronics=electronics, frames=1, window=1)
     if law is None:
-        rest = Table(np.zeros((1, plant.legs)))
-        return Session(plant, law, rest, options._replace(command_delay=0))
-    if chain:
-        settings = FacilitySettings(electronics=electronics, protection="default")
-        start = Start(State.ENGAGED, np.zeros(6), [(0.0, Request.NONE)])
-        return facility_session(plant, law, make_log(ARRIVALS), settings, start, options)
-    guard = load_protection("default", fitting(plant.machine))
+        return run._replace(command_delay=0)
+    run = run._replace(protection="default")
+    if plant.name in PLANTS:
+        return run._replace(source=make_log(ARRIVALS), requests=[(0.0, Request.NONE)])
     plant.start()
-    rows = np.array([plant.extensions()])
-    return Session(plant, law, Table(rows), options._replace(protection=guard))
+    return run._replace(source=from_table(np.array([plant.extensions()])))

@@ -1,8 +1,6 @@
 """Where the leg reference comes from: a table made before the run, or the chain of Figure 2-5.
 
-    host frames -> DCU -> platform limits -> demand -> operating states -> leg limits -> reference
-
-A bare run on a table has None for the chain, any other run on a table the idle one.
+host frames -> DCU -> platform limits -> demand -> operating states -> leg limits -> reference
 """
 
 from collections.abc import Sequence
@@ -42,10 +40,15 @@ PROGRESS = np.dtype(
 been left, the code of a fault that was found here."""
 
 
-class Chain(NamedTuple):
-    """Compiled parameters, states and workspace."""
+class Source(NamedTuple):
+    """A table, and compiled parameters, states and workspace of the source."""
 
-    active: bool  #: Whether the reference comes from it; from the table otherwise.
+    hosted: bool  #: Whether the reference comes through the chain; from the table otherwise.
+    table: NDArray[np.float64]
+    """Leg references [m], or valve commands as fractions in open loop, (N, n); read again from the
+    start after its last row."""
+    poses: NDArray[np.float64]
+    """Platform demand of the table's rows [m, rad], (N, 6); (1, 0) where there is none."""
     blocks: Blocks
     dcu_state: DcuState
     pose_state: limiter.LimiterState
@@ -62,7 +65,21 @@ class Chain(NamedTuple):
     reference: NDArray[np.float64]  #: Leg reference and its derivatives, (3, 6).
 
 
-def make_chain(
+def _fixed(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A read-only view: whether the caller's array may be written makes no variant of the loop."""
+    view = np.ascontiguousarray(rows).view()
+    view.flags.writeable = False
+    return view
+
+
+def from_table(rows: NDArray[np.float64], poses: NDArray[np.float64] | None = None) -> Source:
+    """References of the legs (N, n), and the platform demand (N, 6) that they are made of."""
+    return _at_rest()._replace(
+        hosted=False, table=_fixed(rows), poses=_fixed(np.empty((1, 0)) if poses is None else poses)
+    )
+
+
+def from_host(
     blocks: Blocks,
     arrivals: Arrivals,
     requests: Sequence[tuple[int, Request]],
@@ -71,8 +88,8 @@ def make_chain(
     position: NDArray[np.float64],
     pose: NDArray[np.float64],
     ring: Ring | None = None,
-) -> Chain:
-    """A chain that has been in the operating state `begin` for a long time.
+) -> Source:
+    """The chain when it has been in the operating state `begin` for a long time.
 
     Its legs are at `position` (6,) [m], and the demand's pose is `pose` (6,). Requests are control
     frame and request in order of time. With a ring of live frames `arrivals` is an empty log.
@@ -83,8 +100,10 @@ def make_chain(
     reference[0] = -blocks.states.travel if at_rest else operating.hold
     progress = np.zeros(1, dtype=PROGRESS).view(np.recarray)
     progress.request, progress.state = int(Request.NONE), int(begin)
-    return Chain(
-        active=True,
+    return Source(
+        hosted=True,
+        table=_fixed(reference[:1].copy()),
+        poses=_fixed(np.empty((1, 0))),
         blocks=blocks,
         dcu_state=resting(blocks.dcu, pose),
         pose_state=limiter.start(blocks.pose_limits, pose),
@@ -103,8 +122,8 @@ def make_chain(
 
 
 @cache
-def idle_chain() -> Chain:
-    """A chain that nothing comes from or goes into."""
+def _at_rest() -> Source:
+    """The chain as a table stands beside it: nothing reads it or writes to it."""
     blocks = Blocks(
         make_dcu(),
         limiter.make_pose_limiter(),
@@ -113,118 +132,109 @@ def idle_chain() -> Chain:
         limiter.make_leg_limiter(),
     )
     rest = np.zeros(6)
-    chain = make_chain(blocks, make_log(1), (), State.HOLD, position=rest, pose=rest)
-    return chain._replace(active=False)
+    return from_host(blocks, make_log(1), (), State.HOLD, position=rest, pose=rest)
 
 
 @compiled
-def _follow(chain, frame, position, fault, tripped, reference):  # type: ignore[no-untyped-def]
-    blocks, progress = chain.blocks, chain.progress[0]
-    for i in range(chain.request_frame.shape[0]):
-        if chain.request_frame[i] == frame:
-            progress.request = chain.request[i]
-            tripped = tripped or chain.request[i] == Request.TRIP.value
+def _follow(source, frame, position, fault, tripped, reference):  # type: ignore[no-untyped-def]
+    blocks, progress = source.blocks, source.progress[0]
+    for i in range(source.request_frame.shape[0]):
+        if source.request_frame[i] == frame:
+            progress.request = source.request[i]
+            tripped = tripped or source.request[i] == Request.TRIP.value
     request, before = progress.request, progress.state
     leaving = request == Request.RESET.value and before == State.FAULT.value
     if (fault != NO_FAULT or tripped) and not leaving:
         request = Request.TRIP.value
-    if chain.live:
+    if source.live:
         rate = round(1.0 / blocks.dcu.frame)
-        progress.collected = collect(chain.ring, chain.arrivals, progress.collected, frame, rate)
-    progress.arrival = feed(blocks.dcu, chain.dcu_state, chain.arrivals, progress.arrival, frame)
-    motion, legs, out = chain.motion, chain.legs, chain.reference
-    play.step(blocks.dcu, chain.dcu_state, motion)
-    limiter.step(blocks.pose_limits, chain.pose_state, motion)
+        progress.collected = collect(source.ring, source.arrivals, progress.collected, frame, rate)
+    progress.arrival = feed(blocks.dcu, source.dcu_state, source.arrivals, progress.arrival, frame)
+    motion, legs, out = source.motion, source.legs, source.reference
+    play.step(blocks.dcu, source.dcu_state, motion)
+    limiter.step(blocks.pose_limits, source.pose_state, motion)
     demand.step(blocks.demand, motion, legs)
-    progress.state = states.step(blocks.states, chain.operating, request, legs, position, out)
+    progress.state = states.step(blocks.states, source.operating, request, legs, position, out)
     if before == State.FAULT.value and progress.state == State.OFF.value:
         progress.cleared = 1
     failed = progress.state == State.FAULT.value != before
     progress.found = NOT_ARRIVED if failed and request != Request.TRIP.value else NO_FAULT
-    if progress.state == State.ENGAGED.value and strayed(chain.dcu_state):
+    if progress.state == State.ENGAGED.value and strayed(source.dcu_state):
         progress.found = HOST_RANGE
-    limiter.step(blocks.leg_limits, chain.leg_state, out)
+    limiter.step(blocks.leg_limits, source.leg_state, out)
     for leg in range(6):
         reference[leg] = out[0, leg]
-    return chain.operating.valve[1]
+    return source.operating.valve[1]
 
 
 @inlined
-def follow(chain, table, frame, position, fault, tripped, reference):  # type: ignore[no-untyped-def]
+def follow(source, frame, position, fault, tripped, reference):  # type: ignore[no-untyped-def]
     """Write the leg reference (n,) [m] of a frame; returns the gain on the valve command, 0 to 1.
 
-    Without chain, or with an idle one, it is a row of the table, which begins again after its last.
+    The chain goes by the legs' positions, the code of a fault, and whether something has tripped.
     """
-    if chain is not None:
-        if chain.active:
-            return _follow(chain, frame, position, fault, tripped, reference)
-    row = frame % table.shape[0]
+    if source.hosted:
+        return _follow(source, frame, position, fault, tripped, reference)
+    row = frame % source.table.shape[0]
     for leg in range(reference.shape[0]):
-        reference[leg] = table[row, leg]
+        reference[leg] = source.table[row, leg]
     return 1.0
 
 
 @compiled
-def _record(chain, row, at):  # type: ignore[no-untyped-def]
+def _record(source, row, at):  # type: ignore[no-untyped-def]
     for i in range(6):
-        row[at.demand_pose + i] = chain.motion[0, i]
-        row[at.demand_velocity + i] = chain.motion[1, i]
-        row[at.demand_acceleration + i] = chain.motion[2, i]
-    row[at.operating_state] = chain.progress[0].state
-    row[at.host_stale] = chain.dcu_state.clocks[0].stale
-    row[at.host_late] = host_late(chain.blocks.dcu, chain.dcu_state)
-    row[at.host_clock] = 1.0 + chain.dcu_state.clocks[0].slew
-    row[at.valve_gain] = chain.operating.valve[1]
+        row[at.demand_pose + i] = source.motion[0, i]
+        row[at.demand_velocity + i] = source.motion[1, i]
+        row[at.demand_acceleration + i] = source.motion[2, i]
+    row[at.operating_state] = source.progress[0].state
+    row[at.host_stale] = source.dcu_state.clocks[0].stale
+    row[at.host_late] = host_late(source.blocks.dcu, source.dcu_state)
+    row[at.host_clock] = 1.0 + source.dcu_state.clocks[0].slew
+    row[at.valve_gain] = source.operating.valve[1]
 
 
 @inlined
-def record_demand(chain, poses, frame, row, at):  # type: ignore[no-untyped-def]
+def record_demand(source, frame, row, at):  # type: ignore[no-untyped-def]
     """Write the demand into a row of the record, its first columns given by `at`."""
-    if chain is not None:
-        if chain.active:
-            _record(chain, row, at)
-            return
+    if source.hosted:
+        _record(source, row, at)
+        return
+    poses = source.poses
     for i in range(poses.shape[1]):
         row[at.demand_pose + i] = poses[frame % poses.shape[0], i]
 
 
 @inlined
-def watched(chain):  # type: ignore[no-untyped-def]
-    """Whether the lower limit switches are watched: in hold and engaged, and without a chain."""
-    if chain is not None:
-        if chain.active:
-            state = chain.progress[0].state
-            return state == State.HOLD.value or state == State.ENGAGED.value
-    return True
+def watched(source):  # type: ignore[no-untyped-def]
+    """Whether the lower limit switches are watched: in hold and engaged, and on a table."""
+    state = source.progress[0].state
+    return not source.hosted or state == State.HOLD.value or state == State.ENGAGED.value
 
 
 @inlined
-def host_age(chain):  # type: ignore[no-untyped-def]
+def host_age(source):  # type: ignore[no-untyped-def]
     """Time since the DCU accepted a frame [s], for the host watchdog.
 
-    It counts while engaged, from the first frame on; 0 otherwise, and without a chain.
+    It counts while engaged, from the first frame on; 0 otherwise, and on a table.
     """
-    if chain is not None:
-        if chain.active and chain.progress[0].state == State.ENGAGED.value:
-            if chain.dcu_state.events[0].accepted > 0:
-                return chain.dcu_state.clocks[0].silence
+    engaged = source.hosted and source.progress[0].state == State.ENGAGED.value
+    if engaged and source.dcu_state.events[0].accepted > 0:
+        return source.dcu_state.clocks[0].silence
     return 0.0
 
 
 @inlined
-def cleared(chain):  # type: ignore[no-untyped-def]
-    """Whether the operator has just reset a fault, once; never without a chain."""
-    if chain is not None:
-        progress = chain.progress[0]
-        reset = progress.cleared != 0
+def cleared(source):  # type: ignore[no-untyped-def]
+    """Whether the operator has just reset a fault, once."""
+    progress = source.progress[0]
+    reset = source.hosted and progress.cleared != 0
+    if reset:
         progress.cleared = 0
-        return reset
-    return False
+    return reset
 
 
 @inlined
-def found(chain):  # type: ignore[no-untyped-def]
+def found(source):  # type: ignore[no-untyped-def]
     """Code of a fault that operating states or DCU have found in this frame, 0 for none."""
-    if chain is not None:
-        return chain.progress[0].found
-    return NO_FAULT
+    return source.progress[0].found

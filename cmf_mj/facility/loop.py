@@ -31,7 +31,7 @@ from cmf_mj.control.protection import (
 from cmf_mj.core.compiled import compiled, inlined
 from cmf_mj.electronics.chain import Electronics, deliver, measure, release, without_gravity
 from cmf_mj.electronics.sensors.suite import true_acceleration, true_velocity
-from cmf_mj.facility.front import Chain, cleared, follow, found, host_age, record_demand, watched
+from cmf_mj.facility.front import Source, cleared, follow, found, host_age, record_demand, watched
 from cmf_mj.facility.pace import Pace, begin, end
 from cmf_mj.facility.record_layout import Columns
 from cmf_mj.plant.cylinder import CAP, ROD
@@ -54,8 +54,8 @@ _UNTRUSTED = tuple(name not in _TRUSTED for name in FAULTS)
 """Faults after which the control law cannot be trusted to bring the machine down."""
 
 
-class Machine(NamedTuple):
-    """Plant and its state."""
+class Dynamics(NamedTuple):
+    """A plant as the loop steps it, and its state."""
 
     mechanics: Mechanics
     hydraulics: Hydraulics
@@ -65,27 +65,18 @@ class Machine(NamedTuple):
 
 
 class Controller(NamedTuple):
-    """What commands the valves.
+    """What commands the valves."""
 
-    Electronics, chain and pace are None in a bare run, and all three there in any other, idle where
-    it has no use for them: the loop is compiled in these two variants.
-    """
-
-    closed: bool  #: Whether the DCL does; the table does otherwise.
+    closed: bool  #: Whether the DCL does; the reference is the command otherwise.
     dcl: control.Dcl  #: Compiled law.
     state: control.DclState  #: Its state.
-    table: NDArray[np.float64]
-    """Leg demands [m], or valve commands as fractions, (N, n); read again from the start after its
-    last row."""
-    poses: NDArray[np.float64]
-    """Platform demand of the table's rows [m, rad], (N, 6); (1, 0) where there is none."""
+    source: Source  #: What gives the reference.
     delay: int  #: Frames from a DCL frame to its command at the valves.
     guarded: bool  #: Whether a detected fault makes an emergency stop.
     protection: Protection  #: Compiled thresholds.
     guard: ProtectionState  #: What has been detected.
-    electronics: Electronics | None  #: Sensors, converters and servo electronics.
-    chain: Chain | None  #: Where the reference comes from, if not from the table.
-    pace: Pace | None  #: Real time.
+    electronics: Electronics  #: Sensors, converters and servo electronics.
+    pace: Pace  #: Real time.
 
 
 class Recorder(NamedTuple):
@@ -122,14 +113,14 @@ class Memory(NamedTuple):
     progress: np.recarray[Any, Any]  #: One row of `PROGRESS`.
 
 
-def make_memory(machine: Machine, delay: int) -> Memory:
-    """Memory of a machine at rest."""
-    mechanics = machine.mechanics
+def make_memory(dynamics: Dynamics, delay: int) -> Memory:
+    """Memory of a plant at rest."""
+    mechanics = dynamics.mechanics
     extension = mechanics.length[mechanics.motors] - mechanics.neutral
     legs = extension.size
 
     def feedback() -> LegFeedback:
-        pressure = machine.state.pressure
+        pressure = dynamics.state.pressure
         cap, rod = pressure[:, CAP].copy(), pressure[:, ROD].copy()
         return LegFeedback(extension.copy(), np.zeros(legs), np.zeros(legs), cap, rod)
 
@@ -149,8 +140,9 @@ def make_memory(machine: Machine, delay: int) -> Memory:
 
 
 @compiled
-def _bounds(cylinders, proof_pressure, pressures, extension):  # type: ignore[no-untyped-def]
+def _bounds(hydraulics, pressures, extension):  # type: ignore[no-untyped-def]
     """Which bound (-1: none) which leg is beyond."""
+    cylinders, proof_pressure = hydraulics.cylinder, hydraulics.proof_pressure
     for leg in range(extension.shape[0]):
         for side in range(2):
             pressure = pressures[leg, side]
@@ -174,17 +166,6 @@ def _warned(warnings):  # type: ignore[no-untyped-def]
     return raised != 0
 
 
-@inlined
-def _sense(truth, extension, mean, mean_before, step, pressure):  # type: ignore[no-untyped-def]
-    """The true motion and pressures at a control frame."""
-    for leg in range(extension.shape[0]):
-        truth.position[leg] = extension[leg]
-        truth.velocity[leg] = true_velocity(mean[leg], mean_before[leg])
-        truth.acceleration[leg] = true_acceleration(mean[leg], mean_before[leg], step)
-        truth.cap_pressure[leg] = pressure[leg, CAP]
-        truth.rod_pressure[leg] = pressure[leg, ROD]
-
-
 @compiled
 def _strike(timeline, faults, payload, bodies, progress, position):  # type: ignore[no-untyped-def]
     """Let the next event happen."""
@@ -194,11 +175,44 @@ def _strike(timeline, faults, payload, bodies, progress, position):  # type: ign
         payload[body, 2] = -faults.plant[OVERLOAD] / bodies.shape[0]
 
 
-@compiled
-def _stops(protection, guard, frame, reference, feedback, supply, age, closed):  # type: ignore[no-untyped-def]
-    """Whether this frame's readings call for an emergency stop."""
-    code = protect(protection, guard, frame, reference, feedback, supply, age)
-    return code != NO_FAULT and (_UNTRUSTED[code] or not closed)
+@inlined
+def _move(mechanics, hydraulics, state, faults, memory, oldest, started, sensed):  # type: ignore[no-untyped-def]
+    """Position stage of a step, and pressures up to it; whether they have a solution.
+
+    Position and velocity sensors are read here if they are `sensed`.
+    """
+    call(mechanics.position_stage, mechanics.model if sensed else mechanics.quiet, mechanics.data)
+    extension, before = memory.extension, memory.before
+    for leg in range(extension.shape[0]):
+        before[leg] = extension[leg]
+        extension[leg] = mechanics.length[mechanics.motors[leg]] - mechanics.neutral[leg]
+        memory.mean_before[leg] = memory.mean[leg]
+        memory.mean[leg] = (extension[leg] - before[leg]) / hydraulics.step
+    if started:
+        if not advance(hydraulics, state, faults, oldest, before, extension):
+            return False
+    loads(hydraulics.cylinder, state.pressure, state.friction, memory.load)
+    return True
+
+
+@inlined
+def _sense(dynamics, controller, memory, frame):  # type: ignore[no-untyped-def]
+    """Let events happen; read the true motion and pressures, and what the sensors make of them."""
+    timeline, faults, mechanics = dynamics.timeline, dynamics.faults, dynamics.mechanics
+    progress, truth, feedback = memory.progress[0], memory.truth, memory.feedback
+    while progress.event < timeline.frame.shape[0] and timeline.frame[progress.event] <= frame:
+        payload, bodies = mechanics.payload, mechanics.payload_bodies
+        _strike(timeline, faults, payload, bodies, progress, feedback.position)
+    pressure, step = dynamics.state.pressure, dynamics.hydraulics.step
+    for leg in range(memory.extension.shape[0]):
+        mean, mean_before = memory.mean[leg], memory.mean_before[leg]
+        truth.position[leg] = memory.extension[leg]
+        truth.velocity[leg] = true_velocity(mean, mean_before)
+        truth.acceleration[leg] = true_acceleration(mean, mean_before, step)
+        truth.cap_pressure[leg] = pressure[leg, CAP]
+        truth.rod_pressure[leg] = pressure[leg, ROD]
+    compensated = controller.dcl.feedback.gravity_compensation
+    measure(controller.electronics, faults, frame, truth, compensated, feedback)
 
 
 @compiled
@@ -217,8 +231,69 @@ def _reset(electronics, guard, progress, plant_faults, integral, position):  # t
     plant_faults[STOPPED] = 0.0
 
 
+@inlined
+def _decide(controller, plant_faults, memory, frame):  # type: ignore[no-untyped-def]
+    """Let the source give its reference; returns the gain on the valve command."""
+    source, guard = controller.source, controller.guard
+    progress, position = memory.progress[0], memory.feedback.position
+    tripped = progress.tripped != 0 or plant_faults[STOPPED] != 0.0
+    gain = follow(source, frame, position, guard.fault[0], tripped, memory.reference)
+    latch(guard, found(source), frame)
+    if cleared(source):
+        integral = controller.state.error.integral
+        _reset(controller.electronics, guard, progress, plant_faults, integral, position)
+    return gain
+
+
+@inlined
+def _command(controller, memory, gain):  # type: ignore[no-untyped-def]
+    """Put the frame's command behind those on their way to the valves."""
+    command, reference = memory.command, memory.reference
+    for age in range(controller.delay, 0, -1):
+        for leg in range(reference.shape[0]):
+            command[age, leg] = command[age - 1, leg]
+    if controller.closed:
+        control.step(controller.dcl, controller.state, reference, memory.feedback)
+        for leg in range(reference.shape[0]):
+            command[0, leg] = gain * controller.dcl.workspace.command[leg]
+    else:
+        for leg in range(reference.shape[0]):
+            command[0, leg] = reference[leg]
+
+
 @compiled
-def _record(row, at, memory, work, feedback, state, qpos, closed):  # type: ignore[no-untyped-def]
+def _stops(protection, guard, frame, reference, feedback, supply, age, closed):  # type: ignore[no-untyped-def]
+    """Whether this frame's readings call for an emergency stop."""
+    code = protect(protection, guard, frame, reference, feedback, supply, age)
+    return code != NO_FAULT and (_UNTRUSTED[code] or not closed)
+
+
+@inlined
+def _deliver(controller, memory, plant_faults, supply, frame):  # type: ignore[no-untyped-def]
+    """Pass the command on through the servo electronics, and stop where the protection says so."""
+    electronics, source = controller.electronics, controller.source
+    if deliver(electronics, watched(source), memory.truth.position, memory.command[0]):
+        memory.progress[0].tripped = 1
+    if controller.guarded and plant_faults[STOPPED] == 0.0:
+        feedback, closed = without_gravity(electronics, memory.feedback), controller.closed
+        target = controller.dcl.workspace.limited if closed else feedback.position
+        protection, guard, age = controller.protection, controller.guard, host_age(source)
+        pressure = supply[SUPPLY_PRESSURE]
+        if _stops(protection, guard, frame, target, feedback, pressure, age, closed):
+            plant_faults[STOPPED] = 1.0
+
+
+@inlined
+def _gap(gimbals, site, closure):  # type: ignore[no-untyped-def]
+    """Note the largest distance between the halves of a gimbal."""
+    for i in range(gimbals.shape[0]):
+        a, b = gimbals[i, 0], gimbals[i, 1]
+        x, y, z = site[a, 0] - site[b, 0], site[a, 1] - site[b, 1], site[a, 2] - site[b, 2]
+        closure[0] = max(closure[0], np.sqrt(x * x + y * y + z * z))
+
+
+@compiled
+def _write(row, at, memory, work, feedback, state, qpos, closed):  # type: ignore[no-untyped-def]
     """Write a row, its first columns given by `at`, but for demand and sensors."""
     for leg in range(memory.extension.shape[0]):
         if closed:
@@ -243,102 +318,55 @@ def _record(row, at, memory, work, feedback, state, qpos, closed):  # type: igno
         row[at.generalised_position + i] = qpos[i]
 
 
+@inlined
+def _record(recorder, row, controller, mechanics, state, memory, frame):  # type: ignore[no-untyped-def]
+    """Write a row of the record."""
+    out, at, closed = recorder.out[row], recorder.columns, controller.closed
+    record_demand(controller.source, frame, out, at)
+    work = controller.dcl.workspace
+    _write(out, at, memory, work, memory.feedback, state, mechanics.qpos, closed)
+    for i in range(recorder.sensors.shape[0]):
+        out[at.sensors + i] = mechanics.sensordata[recorder.sensors[i]]
+
+
+@inlined
+def _accelerate(mechanics, load, sensed):  # type: ignore[no-untyped-def]
+    """Force stage of a step; whether MuJoCo warns. It reads sensors of acceleration if `sensed`."""
+    for leg in range(load.shape[0]):
+        mechanics.ctrl[mechanics.motors[leg]] = load[leg]
+    call(mechanics.force_stage, mechanics.model if sensed else mechanics.quiet, mechanics.data)
+    return _warned(mechanics.warnings)
+
+
 @compiled
-def run(machine, controller, memory, recorder, first, last):  # type: ignore[no-untyped-def]
+def run(dynamics, controller, memory, recorder, first, last):  # type: ignore[no-untyped-def]
     """Run the control frames from `first` to before `last`; all states are overwritten.
 
     Returns (frame, bound, leg) where the state left its physical bounds; frame -1 if it did not.
     """
-    # Everything is taken out of the tuples here, once: in the loop it would be counted each frame.
-    mechanics, hydraulics, state = machine.mechanics, machine.hydraulics, machine.state
-    faults, timeline = machine.faults, machine.timeline
-    model, quiet, data = mechanics.model, mechanics.quiet, mechanics.data
-    motors, length = mechanics.motors, mechanics.length
-    neutral, ctrl = mechanics.neutral, mechanics.ctrl
-    sensordata, site, qpos = mechanics.sensordata, mechanics.site, mechanics.qpos
-    payload, bodies = mechanics.payload, mechanics.payload_bodies
-    warnings = mechanics.warnings
-    cylinders, step, delay = hydraulics.cylinder, hydraulics.step, controller.delay
-    dcl, dcl_state, table = controller.dcl, controller.state, controller.table
-    protection, guard, closed = controller.protection, controller.guard, controller.closed
-    electronics, chain, pace = controller.electronics, controller.chain, controller.pace
-    extension, before, mean = memory.extension, memory.before, memory.mean
-    mean_before, load, truth = memory.mean_before, memory.load, memory.truth
-    feedback, reference, work = memory.feedback, memory.reference, dcl.workspace
-    command, progress, closure = memory.command, memory.progress[0], memory.closure
-    plant_faults, supply = faults.plant, state.supply
-    newest, oldest = command[0], command[delay]
-    limited, commanded = work.limited, work.command
-    compensated = dcl.feedback.gravity_compensation
-    inertial = without_gravity(electronics, feedback)
-    legs, events, rows = extension.shape[0], timeline.frame, recorder.out.shape[0]
-    columns, indices, gimbals = recorder.columns, recorder.sensors, recorder.gimbals
-    steps = recorder.steps
+    mechanics, hydraulics, state = dynamics.mechanics, dynamics.hydraulics, dynamics.state
+    faults, load, oldest = dynamics.faults, memory.load, memory.command[controller.delay]
     for frame in range(first, last):
-        begin(pace, frame)
-        row = frame // recorder.every % rows if frame % recorder.every == 0 else -1
-        for inner in range(steps):
-            # Position and velocity sensors are read after this stage, those of acceleration after
-            # the force stage before it.
-            call(mechanics.position_stage, model if inner == 0 and row >= 0 else quiet, data)
-            for leg in range(legs):
-                before[leg] = extension[leg]
-                extension[leg] = length[motors[leg]] - neutral[leg]
-                mean_before[leg] = mean[leg]
-                mean[leg] = (extension[leg] - before[leg]) / step
-            if frame > 0 or inner > 0:
-                if not advance(hydraulics, state, faults, oldest, before, extension):
-                    return frame, SOLUTION, 0
-            loads(cylinders, state.pressure, state.friction, load)
+        begin(controller.pace, frame)
+        recorded = frame % recorder.every == 0
+        for inner in range(recorder.steps):
+            started, sensed = frame > 0 or inner > 0, inner == 0 and recorded
+            if not _move(mechanics, hydraulics, state, faults, memory, oldest, started, sensed):
+                return frame, SOLUTION, 0
             if inner == 0:
-                while progress.event < events.shape[0] and events[progress.event] <= frame:
-                    _strike(timeline, faults, payload, bodies, progress, feedback.position)
-                _sense(truth, extension, mean, mean_before, step, state.pressure)
-                for age in range(delay, 0, -1):
-                    for leg in range(legs):
-                        command[age, leg] = command[age - 1, leg]
-                measure(electronics, faults, frame, truth, compensated, feedback)
-                fault = guard.fault[0]
-                tripped = progress.tripped != 0 or plant_faults[STOPPED] != 0.0
-                gain = follow(chain, table, frame, feedback.position, fault, tripped, reference)
-                latch(guard, found(chain), frame)
-                if cleared(chain):
-                    integral = dcl_state.error.integral
-                    _reset(electronics, guard, progress, plant_faults, integral, feedback.position)
-                if closed:
-                    control.step(dcl, dcl_state, reference, feedback)
-                    for leg in range(legs):
-                        newest[leg] = gain * commanded[leg]
-                else:
-                    for leg in range(legs):
-                        newest[leg] = reference[leg]
-                if deliver(electronics, watched(chain), truth.position, newest):
-                    progress.tripped = 1
-                if controller.guarded and plant_faults[STOPPED] == 0.0:
-                    target = limited if closed else feedback.position
-                    pressure, age = supply[SUPPLY_PRESSURE], host_age(chain)
-                    if _stops(protection, guard, frame, target, inertial, pressure, age, closed):
-                        plant_faults[STOPPED] = 1.0
-                bound, leg = _bounds(
-                    cylinders, hydraulics.proof_pressure, state.pressure, extension
-                )
+                _sense(dynamics, controller, memory, frame)
+                gain = _decide(controller, faults.plant, memory, frame)
+                _command(controller, memory, gain)
+                _deliver(controller, memory, faults.plant, state.supply, frame)
+                bound, leg = _bounds(hydraulics, state.pressure, memory.extension)
                 if bound >= 0:
                     return frame, bound, leg
-            for i in range(gimbals.shape[0]):
-                a, b = gimbals[i, 0], gimbals[i, 1]
-                x, y, z = site[a, 0] - site[b, 0], site[a, 1] - site[b, 1], site[a, 2] - site[b, 2]
-                closure[0] = max(closure[0], np.sqrt(x * x + y * y + z * z))
-            if inner == 0 and row >= 0:
-                out = recorder.out[row]
-                record_demand(chain, controller.poses, frame, out, columns)
-                _record(out, columns, memory, work, feedback, state, qpos, closed)
-                for i in range(indices.shape[0]):
-                    out[columns.sensors + i] = sensordata[indices[i]]
-            for leg in range(legs):
-                ctrl[motors[leg]] = load[leg]
-            sensed = inner == steps - 1 and (frame + 1) % recorder.every == 0
-            call(mechanics.force_stage, model if sensed else quiet, data)
-            if _warned(warnings):
+            _gap(recorder.gimbals, mechanics.site, memory.closure)
+            if sensed:
+                row = frame // recorder.every % recorder.out.shape[0]
+                _record(recorder, row, controller, mechanics, state, memory, frame)
+            ahead = inner == recorder.steps - 1 and (frame + 1) % recorder.every == 0
+            if _accelerate(mechanics, load, ahead):
                 return frame, WARNING, 0
-        end(pace, frame)
+        end(controller.pace, frame)
     return -1, -1, 0

@@ -8,7 +8,7 @@ import copy
 import threading
 from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
-from typing import NamedTuple, Unpack
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
-from cmf_mj.facility.options import RunOptions, chosen
-from cmf_mj.facility.simulation import OutOfBounds, simulate
+from cmf_mj.facility.run import OPTIONS, check_options, simulate
+from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.plant.plant import Plant
 from cmf_mj.signals.signal import Command, commanded
 
@@ -46,7 +46,7 @@ def simulate_many(
     channels: Sequence[str] = ("leg_extension",),
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
-    **options: Unpack[RunOptions],
+    **options: Any,
 ) -> ManyRuns:
     """Run thousands of cases on threads and keep some of their channels.
 
@@ -73,7 +73,7 @@ def simulate_many(
     if isinstance(commands, Command):
         raise InputError("commands: is one Command; allowed: as many in a list as there are cases")
     first = plant(0) if callable(plant) else plant
-    chosen(first, options)
+    check_options(first, options, OPTIONS)
     cases = list(commands) if isinstance(commands, Sequence) else list(np.atleast_1d(commands))
     count = len(cases)
     laws = [load_law(one) for one in ([law] if isinstance(law, str | Law) else law)]

@@ -8,66 +8,31 @@ on frames from the network. Both give an `Operation`: the record, what became of
 and the session, which run again gives the same demand bit for bit.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from operator import itemgetter
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict, Unpack
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control import limiter, states
 from cmf_mj.control.dcu.arrivals import Arrivals
-from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
-from cmf_mj.control.demand import Demand, make_demand
 from cmf_mj.control.law import Law, load_law
-from cmf_mj.control.protection import ProtectionSettings, load_protection
-from cmf_mj.control.states import Request, State, StateSettings, load_state_settings
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME, LONGEST
-from cmf_mj.core.units import INCH
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.front import Blocks, make_chain
 from cmf_mj.facility.host.files import HostSession
-from cmf_mj.facility.host.handover import (
-    NEVER,
-    Ring,
-    capacity_for,
-    logged,
-    make_log,
-    make_ring,
-)
+from cmf_mj.facility.host.handover import NEVER, Ring, capacity_for, logged, make_log, make_ring
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
-from cmf_mj.facility.options import Options
-from cmf_mj.facility.pace import Pace, make_pace
+from cmf_mj.facility.pace import make_pace
+from cmf_mj.facility.run import OPERATION, Run, check_options
 from cmf_mj.facility.session import Session
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.loading import fitting
-from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
-
-_RESTING = 0.05
-"""What a leg on the stops is above its mechanical end [in]."""
-
-
-class FacilitySettings(NamedTuple):
-    """Choice of everything between host and valves; names, TOML files or loaded settings."""
-
-    dcu: str | Path | DcuSettings | None = None  #: Digital Control Unit; default the machine's.
-    limits: str | Path | MotionLimits | None = None
-    """Limits of platform and legs; default Table 2-1 with the assumed rates."""
-    states: str | Path | StateSettings | None = None  #: Operating states.
-    demand: Demand | None = None  #: Leg demand, with body flexibility or without; default rigid.
-    electronics: ElectronicsSettings | None = ElectronicsSettings()
-    """Sensors, converters, servo electronics; None for ideal ones."""
-    protection: str | Path | ProtectionSettings | None = "default"
-    """Fault detection; None for none."""
 
 
 class Timing(NamedTuple):
@@ -103,34 +68,8 @@ class Operation(NamedTuple):
     timing: Timing | None  #: Of a run in real time.
 
 
-class OperationOptions(TypedDict, total=False):
-    """Options of `operate` and `serve`."""
-
-    begin: State
-    """Operating state to begin in: off, settled, hold or engaged, the default. Off and settled
-    begin on the stops, the others at the first frame's pose, or neutral if that is beyond the
-    operational limits or the legs' working stroke. Settled has its valves open from the first
-    frame, so that a law whose balance is elsewhere jumps; off fades them in."""
-    requests: Sequence[tuple[float, Request]]
-    """Operator's requests and their times [s]; of one instant the last counts, after any trip."""
-    events: Sequence[Event]  #: Failures on the time line.
-    facility: FacilitySettings  #: Everything between host and valves.
-    record_every: int  #: Keep one frame in this many; default 1, in real time 16.
-    progress: Callable[[float], None] | None
-    """Called with the seconds run, about once a second; in real time with 0 when the clock
-    starts."""
-
-
 Attendant = Callable[[Session], int]
 """Attends to a run between its parts; returns the control frames of the next."""
-
-
-class Start(NamedTuple):
-    """How a run of the chain begins, and what the operator does."""
-
-    state: State  #: Operating state to begin in.
-    pose: NDArray[np.float64]  #: Of the demand at the start, (6,) [m, rad].
-    requests: Sequence[tuple[float, Request]] = ()  #: Operator's requests and their times [s].
 
 
 def operate(
@@ -139,30 +78,39 @@ def operate(
     frames: HostStream | Arrivals,
     *,
     seconds: float | None = None,
-    **options: Unpack[OperationOptions],
+    progress: Callable[[float], None] | None = None,
+    **options: Any,
 ) -> Operation:
     """Run the facility on a host's stream, or on frames with the control frame they arrive in.
 
     The run lasts some `seconds`, by default until the last frame has had its turn. The host's
-    silence trips the host watchdog soon after.
+    silence trips the host watchdog soon after. It begins at the first frame's pose, or at neutral
+    if that is beyond the operational limits or the legs' working stroke.
+
+    Args:
+        plant: the machine.
+        law: name, TOML file or loaded `Law`.
+        frames: those of the host.
+        seconds: length of the run.
+        progress: called with the seconds run, about once a second.
+        **options: fields of `Run`: `begin`, an operating state, and the operator's `requests`;
+            `events`; `dcu`, `limits`, `states` and leg `demand`; `electronics`, by default noisy,
+            and `protection`, by default on, None for ideal and none; `record_every`;
+            `command_delay`.
     """
     rate = plant.machine.rate
     arrivals = arrivals_of(frames, rate=rate) if isinstance(frames, HostStream) else frames
     if not arrivals.frame.size:
         raise InputError("frames: the host sends none; give at least one")
-    settings = options.get("facility") or FacilitySettings()
-    last = arrivals.frame[-1] / rate + sum(
-        dcu_of(plant.machine, settings.dcu).delay.parts(rate).values()
-    )
+    run = _hosted(plant, law, arrivals, options)
+    last = arrivals.frame[-1] / rate + sum(run.unit().delay.parts(rate).values())
     count = _count(last if seconds is None else seconds, rate)
-    pose = starting_pose(
-        arrivals.values[0, 0], load_motion_limits(settings.limits, plant.machine), plant.machine
-    )
-    session = facility_session(
-        plant, load_law(law), arrivals, settings, _start(options, pose), _options(options, count, 1)
-    )
-    _run(session, options)
-    return _operation(session, arrivals, settings, pose, {}, None)
+    limits = load_motion_limits(run.limits, plant.machine)
+    start = starting_pose(arrivals.values[0, 0], limits, plant.machine)
+    run = run._replace(frames=count, start=start)
+    session = run.session()
+    _advance(session, progress)
+    return _operation(session, run, arrivals, {}, None)
 
 
 def serve(
@@ -173,61 +121,56 @@ def serve(
     *,
     attend: Attendant | None = None,
     paced: bool = True,
-    **options: Unpack[OperationOptions],
+    progress: Callable[[float], None] | None = None,
+    **options: Any,
 ) -> Operation:
     """Run the facility in real time on frames that a receiver puts into a ring.
 
-    Compiles and warms up first; the clock starts after that. The ring is that of a `UdpReceiver`,
-    or filled by `put`; the pose at the start is neutral. `attend` is called with the session
-    between parts of the run and returns the control frames until it wants to be called again; if
-    not `paced`, the run does not wait. Raises `OSError` on systems without a monotonic
-    clock to keep time by.
+    Compiles and warms up first; the clock starts after that, when `progress` is called with 0. The
+    ring is that of a `UdpReceiver`, or filled by `put`; the pose at the start is neutral. `attend`
+    is called with the session between parts of the run and returns the control frames until it
+    wants to be called again; if not `paced`, the run does not wait. `options` are those of
+    `operate`; every 16th frame is recorded by default. Raises `OSError` on systems without a
+    monotonic clock to keep time by.
     """
-    settings, loaded = options.get("facility") or FacilitySettings(), load_law(law)
-    start = _start(options, np.zeros(6))
-
-    def session_of(count: int, source: Ring, pace: Pace | None) -> Session:
-        log = make_log(capacity_for(count, plant.machine.rate))
-        run = _options(options, count, 16)
-        return facility_session(plant, loaded, log, settings, start, run, ring=source, pace=pace)
-
-    session_of(8, make_ring(2), make_pace(8)).run()
-    count = _count(seconds, plant.machine.rate)
-    pace = make_pace(count) if paced else None
-    session = session_of(count, ring, pace)
-    if (progress := options.get("progress")) is not None:
+    machine, start = plant.machine, np.zeros(6)
+    log = make_log(capacity_for(8, machine.rate))
+    run = _hosted(plant, law, log, {"record_every": 16, **options})
+    run = run._replace(frames=8, start=start)
+    run.session(ring=make_ring(2), pace=make_pace(8, machine.frame)).run()
+    count = _count(seconds, machine.rate)
+    run = run._replace(frames=count, source=make_log(capacity_for(count, machine.rate)))
+    pace = make_pace(count, machine.frame) if paced else None
+    session = run.session(ring=ring, pace=pace)
+    if progress is not None:
         progress(0.0)
     started, lost, thinned = (int(count[0]) for count in (ring.written, ring.lost, ring.thinned))
     unused = {"early": started - int(ring.read[0])}
     ring.read[0] = started
-    _run(session, options, attend)
-    log = session.chain.arrivals
+    _advance(session, progress, attend)
+    log = session.source.arrivals
     arrivals = logged(log, int((log.frame < NEVER).sum()))
     unused |= {"lost": int(ring.lost[0]) - lost, "thinned": int(ring.thinned[0]) - thinned}
-    timing = None if pace is None else Timing(pace.busy, pace.late, plant.machine.frame)
-    return _operation(session, arrivals, settings, start.pose, unused, timing)
+    timing = None if pace is None else Timing(pace.busy, pace.late, machine.frame)
+    return _operation(session, run, arrivals, unused, timing)
 
 
-def dcu_of(machine: Machine, source: str | Path | DcuSettings | None = None) -> DcuSettings:
-    """A DCU fitted to a machine, by default the machine's."""
-    return load_dcu(machine.dcu if source is None else source, fitting(machine))
+def _hosted(
+    plant: Hexapod, law: str | Path | Law, frames: Arrivals, options: Mapping[str, Any]
+) -> Run:
+    """A run on a host's frames, by default with noisy electronics and the protection."""
+    check_options(plant, options, OPERATION)
+    usual: dict[str, Any] = {"electronics": ElectronicsSettings(), "protection": "default"}
+    return Run(plant, load_law(law), frames, **(usual | dict(options)))
 
 
-def _start(options: OperationOptions, pose: NDArray[np.float64]) -> Start:
-    return Start(options.get("begin", State.ENGAGED), pose, options.get("requests", ()))
-
-
-def _options(options: OperationOptions, frames: int, every: int) -> Options:
-    return Options(
-        events=options.get("events", ()),
-        record_every=options.get("record_every", every),
-        frames=frames,
-    )
-
-
-def _run(session: Session, options: OperationOptions, attend: Attendant | None = None) -> None:
+def _advance(
+    session: Session,
+    progress: Callable[[float], None] | None,
+    attend: Attendant | None = None,
+) -> None:
     """Run a session to its end, by default a second at a time."""
-    progress, shown = options.get("progress"), 0
+    shown = 0
     while session.frame < session.frames:
         session.run(session.rate if attend is None else attend(session))
         if progress is not None and session.frame >= min(shown + session.rate, session.frames):
@@ -246,11 +189,6 @@ def starting_pose(
     return np.zeros(6)
 
 
-def _resting(machine: Machine) -> float:
-    """Position of a leg on the stops [m]."""
-    return -round(machine.half_stroke / INCH - _RESTING, 9) * INCH
-
-
 def _count(seconds: float, rate: int) -> int:
     if not (np.isfinite(seconds) and seconds > 0.0):
         raise InputError(f"seconds: {seconds} must be greater than 0")
@@ -259,84 +197,26 @@ def _count(seconds: float, rate: int) -> int:
     return max(round(seconds * rate), 1)
 
 
-def facility_session(
-    plant: Plant,
-    law: Law,
-    arrivals: Arrivals,
-    settings: FacilitySettings,
-    start: Start,
-    options: Options,
-    *,
-    ring: Ring | None = None,
-    pace: Pace | None = None,
-) -> Session:
-    """A session of the whole chain from host to valves.
-
-    With a ring of live frames `arrivals` is the log they are collected in. Start, protection and
-    electronics of the `options` are those of `start` and `settings`.
-    """
-    options = options.checked()
-    for one in start.requests:
-        match one:
-            case (int() | float() | np.integer() as at, Request()) if 0.0 <= at <= LONGEST:
-                continue
-        allowed = f"a time of 0 to {LONGEST:g} s and a Request"
-        raise InputError(f"requests: {one!r} is refused; allowed: {allowed}")
-    machine = plant.machine
-    limits = load_motion_limits(settings.limits, machine)
-    down = start.state in (State.OFF, State.SETTLED)
-    legs = np.full(6, _resting(machine)) if down else kinematics.pose_to_legs(start.pose, machine)
-    chain = make_chain(
-        Blocks(
-            make_dcu(dcu_of(machine, settings.dcu), machine.frame),
-            limiter.make_pose_limiter(limits, machine.frame),
-            settings.demand or make_demand(machine),
-            states.make_states(load_state_settings(settings.states, fitting(machine)), machine),
-            limiter.make_leg_limiter(limits, frame=machine.frame),
-        ),
-        arrivals,
-        sorted(
-            ((round(at * machine.rate), code) for at, code in start.requests), key=itemgetter(0)
-        ),
-        start.state,
-        position=legs,
-        pose=start.pose,
-        ring=ring,
-    )
-    protection = settings.protection
-    run = options._replace(
-        start=kinematics.legs_to_pose(legs, machine) if down else start.pose,
-        protection=None if protection is None else load_protection(protection, fitting(machine)),
-        electronics=settings.electronics,
-    )
-    session = Session(plant, law, chain, run, pace)
-    if down:
-        session.forget_integral()
-    return session
-
-
 def _operation(
     session: Session,
+    run: Run,
     arrivals: Arrivals,
-    settings: FacilitySettings,
-    pose: NDArray[np.float64],
     unused: dict[str, int],
     timing: Timing | None,
 ) -> Operation:
     time, channels, units = session.history()
-    chain, unit = session.chain, dcu_of(session.plant.machine, settings.dcu)
-    counts, rejections = chain.dcu_state.counts, chain.dcu_state.rejections
+    state, unit = session.source.dcu_state, run.unit()
     context: dict[str, Any] = {
         "command": {"signal": "host frames", "frames": int(arrivals.frame.size)},
         "seed": None,
         "dcu": unit.model_dump(mode="json"),
-        "host_counts": counts,
-        "host_rejections": rejections,
+        "host_counts": state.counts,
+        "host_rejections": state.rejections,
         "host_late": float(channels["host_late"].mean()) * session.frame / session.rate,
     }
     record = Record(time, channels, units, session.describe() | context)
-    played = HostSession(arrivals, session.frame, pose, unit)
-    return Operation(record, played, counts, rejections, unused, timing)
+    played = HostSession(arrivals, session.frame, np.array(run.start), unit)
+    return Operation(record, played, state.counts, state.rejections, unused, timing)
 
 
 def account(

@@ -1,7 +1,7 @@
 """Real time: each control frame begins when its time has come, and its computing time is logged.
 
 The compiled loop reads the system's monotonic clock and sleeps through the C library, called like
-MuJoCo by its address. A run that is not paced has the `idle_pace`, a bare run None.
+MuJoCo by its address. A run without frames to log is not paced.
 """
 
 import ctypes
@@ -32,11 +32,15 @@ class Pace(NamedTuple):
     origin: NDArray[np.float64]  #: When frame 0 began [s]; NaN before, (1,).
     busy: NDArray[np.float64]  #: Computing time of each frame [s], (N,).
     late: NDArray[np.float64]  #: How late each frame began [s], (N,).
-    frame: float = FRAME  #: T [s].
+    frame: float  #: T [s].
 
 
-def make_pace(frames: int) -> Pace:
-    """Pace for a number of frames."""
+def make_pace(frames: int = 0, frame: float = FRAME) -> Pace:
+    """Pace for a number of frames of some length [s]; of none it neither waits nor logs."""
+    if not frames:
+        spec, rest = np.zeros((2, 2), dtype=np.int64)
+        busy, late = np.zeros((2, 0))
+        return Pace(0, 0, 0, spec, rest, np.zeros(1), busy, late, frame)
     if sys.platform == "win32":
         raise OSError("real time: needs a system with clock_gettime and nanosleep")
     check_memory("seconds", f"the times of {frames} control frames", 2 * frames)
@@ -54,14 +58,8 @@ def make_pace(frames: int) -> Pace:
         np.full(1, np.nan),
         np.zeros(frames),
         np.zeros(frames),
+        frame,
     )
-
-
-def idle_pace() -> Pace:
-    """A pace that neither waits nor logs; needs no clock."""
-    spec, rest = np.zeros((2, 2), dtype=np.int64)
-    busy, late = np.zeros((2, 0))
-    return Pace(0, 0, 0, spec, rest, np.zeros(1), busy, late)
 
 
 @compiled
@@ -89,15 +87,13 @@ def _begin(pace, frame):  # type: ignore[no-untyped-def]
 
 @inlined
 def begin(pace, frame):  # type: ignore[no-untyped-def]
-    """Wait for a frame's time; None and the idle pace do not wait."""
-    if pace is not None:
-        if pace.busy.shape[0] > 0:
-            _begin(pace, frame)
+    """Wait for a frame's time, if the run is paced."""
+    if pace.busy.shape[0] > 0:
+        _begin(pace, frame)
 
 
 @inlined
 def end(pace, frame):  # type: ignore[no-untyped-def]
-    """Log a frame's computing time; None and the idle pace do not."""
-    if pace is not None:
-        if pace.busy.shape[0] > 0:
-            pace.busy[frame] += _now(pace)
+    """Log a frame's computing time, if the run is paced."""
+    if pace.busy.shape[0] > 0:
+        pace.busy[frame] += _now(pace)

@@ -5,7 +5,7 @@ from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.control import dcl as control
@@ -14,6 +14,7 @@ from cmf_mj.control.engage import engaged, handed_over
 from cmf_mj.control.law import Gains, Law
 from cmf_mj.control.protection import (
     Fault,
+    ProtectionSettings,
     latched,
     load_protection,
     make_protection,
@@ -22,8 +23,13 @@ from cmf_mj.control.protection import (
 from cmf_mj.control.states import State
 from cmf_mj.core.arrays import FrozenList, check_memory
 from cmf_mj.core.errors import InputError, RunError, check_name
-from cmf_mj.electronics.chain import make_electronics, measure
-from cmf_mj.facility.front import Chain, idle_chain
+from cmf_mj.electronics.chain import (
+    ElectronicsSettings,
+    ideal_electronics,
+    make_electronics,
+    measure,
+)
+from cmf_mj.facility.front import Source
 from cmf_mj.facility.loop import (
     FINITE,
     PROOF,
@@ -31,14 +37,13 @@ from cmf_mj.facility.loop import (
     STROKE,
     VACUUM,
     Controller,
-    Machine,
+    Dynamics,
     Memory,
     Recorder,
     make_memory,
     run,
 )
-from cmf_mj.facility.options import Options
-from cmf_mj.facility.pace import Pace, idle_pace
+from cmf_mj.facility.pace import Pace, make_pace
 from cmf_mj.facility.record_layout import CHAIN, LAW, make_layout
 from cmf_mj.plant import fit
 from cmf_mj.plant.cylinder import CAP, ROD
@@ -64,14 +69,6 @@ class OutOfBounds(RunError):
         self.frame = frame
 
 
-class Table(NamedTuple):
-    """References made before the run, taken again from the start after the last row."""
-
-    rows: NDArray[np.float64]
-    """Leg references [m], or valve commands as fractions in open loop, (N, n)."""
-    poses: NDArray[np.float64] | None = None  #: Platform demand they are made of, (N, 6).
-
-
 class Live(NamedTuple):
     """The present state of a run, copied; arrays with a leg axis are (n,)."""
 
@@ -87,16 +84,9 @@ class Live(NamedTuple):
     supply_pressure: float  #: [Pa] gauge.
     return_pressure: float  #: [Pa] gauge.
     law: str  #: Name of the law in force.
-    state: str  #: Operating state; empty without the chain.
+    state: str  #: Operating state; empty without a host.
     fault: Fault | None  #: Fault detected.
     late: bool  #: Whether the host is late.
-
-
-def _fixed(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A read-only view: whether the caller's array may be written makes no variant of the loop."""
-    view = np.ascontiguousarray(rows).view()
-    view.flags.writeable = False
-    return view
 
 
 class Session:
@@ -106,16 +96,19 @@ class Session:
         self,
         plant: Plant,
         law: Law | None,
-        source: Table | Chain,
-        options: Options,
+        source: Source,
+        start: ArrayLike | None = None,
+        *,
+        events: Sequence[Event] = (),
+        record_every: int = 1,
+        command_delay: int = 1,
+        protection: ProtectionSettings | None = None,
+        electronics: ElectronicsSettings | None = None,
+        frames: int | None = None,
+        window: int | None = None,
         pace: Pace | None = None,
     ) -> None:
-        """Put the plant at rest and engage the law there.
-
-        Without law the table holds valve commands. A chain needs `options.frames`. Without pace the
-        run goes as fast as possible.
-        """
-        options = options.checked()
+        """Put the plant at rest and engage the law there; see `run.Run`, which makes sessions."""
         self.rate = plant.machine.rate
         """Control frames a second [Hz]."""
         step, frame = float(plant.model.opt.timestep), plant.machine.frame
@@ -123,56 +116,53 @@ class Session:
         if steps < 1 or abs(steps * step - frame) > 1e-12:
             raise InputError(f"timestep: {step} s must divide the control frame of {frame} s")
         law = None if law is None else bound(law, plant)
-        table = Table(source.reference[:1].copy()) if isinstance(source, Chain) else source
         self.plant = plant
         self._law = self._engaged = law
-        self._options = options
-        self._events = tuple(options.events)
-        self.frames = table.rows.shape[0] if options.frames is None else options.frames
+        self._electronics = electronics
+        self._events = tuple(events)
+        self.frames = source.table.shape[0] if frames is None else frames
         self.frame = 0
         """Control frames run so far."""
-        self.every = options.record_every
-        state = plant.start(options.start)
-        self.machine = Machine(
+        self.every = record_every
+        state = plant.start(start)
+        self.dynamics = Dynamics(
             plant.mechanics(),
             plant.hydraulics,
             state,
             no_faults(plant.legs),
             make_timeline(self._events, plant.legs, self.rate),
         )
-        self.memory = make_memory(self.machine, options.command_delay)
+        self.memory = make_memory(self.dynamics, command_delay)
         at_rest, feedback = self.memory.truth, self.memory.feedback
-        chain = source if isinstance(source, Chain) else None
-        bare = options.electronics is None and chain is None
-        parts = None if bare else make_electronics(options.electronics, at_rest, plant.machine)
+        parts = ideal_electronics(plant.legs)
+        if electronics is not None:
+            parts = make_electronics(electronics, at_rest, plant.machine)
         dcl = control.make_dcl(law or _NO_LAW.on(plant.machine), plant.legs)
         compensated = dcl.feedback.gravity_compensation
-        measure(parts, self.machine.faults, 0, at_rest, compensated, feedback)
-        poses = table.poses
+        measure(parts, self.dynamics.faults, 0, at_rest, compensated, feedback)
         self.controller = Controller(
             closed=law is not None,
             dcl=dcl,
-            state=engaged(dcl, feedback.position if law is None else table.rows[0], feedback),
-            table=_fixed(table.rows),
-            poses=_fixed(np.empty((1, 0)) if poses is None else poses),
-            delay=options.command_delay,
-            guarded=options.protection is not None,
-            protection=make_protection(options.protection or load_protection(), frame),
+            state=engaged(dcl, source.table[0].copy() if law else feedback.position, feedback),
+            source=source,
+            delay=command_delay,
+            guarded=protection is not None,
+            protection=make_protection(protection or load_protection(), frame),
             guard=protection_state(feedback.position),
             electronics=parts,
-            chain=None if bare else chain or idle_chain(),
-            pace=None if bare else (pace or idle_pace())._replace(frame=frame),
+            pace=pace or make_pace(),
         )
         self._started = plant.started
         self._begun: dict[str, list[float]] = {}
-        absent = set() if chain else set(CHAIN) - ({"demand_pose"} if poses is not None else set())
+        posed = {"demand_pose"} if source.poses.size else set()
+        absent = set() if source.hosted else set(CHAIN) - posed
         self.layout = make_layout(plant, absent if law else absent | set(LAW))
-        rows = -(-(options.window or self.frames) // self.every)
+        rows = -(-(window or self.frames) // self.every)
         part = f"a record of {rows} rows with {self.layout.width} numbers"
         check_memory("record_every", part, 1.0 * rows * self.layout.width)
         self._taken = 0
         self._kept: dict[str, NDArray[np.float64]] = {}
-        if options.window is None:
+        if window is None:
             for name, _, _, width in self.layout.channels:
                 self._kept[name] = np.empty(rows if width is None else (rows, width))
             rows = min(rows, _ROWS)
@@ -186,17 +176,14 @@ class Session:
         )
 
     @property
-    def parts(self) -> tuple[Machine, Controller, Memory, Recorder]:
+    def parts(self) -> tuple[Dynamics, Controller, Memory, Recorder]:
         """All that the loop works on, in the order of its arguments."""
-        return self.machine, self.controller, self.memory, self._recorder
+        return self.dynamics, self.controller, self.memory, self._recorder
 
     @property
-    def chain(self) -> Chain:
-        """The chain from the host to the leg reference."""
-        chain = self.controller.chain
-        if chain is None or not chain.active:
-            raise TypeError("session: runs on a table, not on a chain")
-        return chain
+    def source(self) -> Source:
+        """What gives the reference."""
+        return self.controller.source
 
     @property
     def fault(self) -> Fault | None:
@@ -242,10 +229,10 @@ class Session:
 
     def _left(self, frame: int, bound: int, leg: int) -> str:
         """What to say of a state beyond its bounds; first what MuJoCo says of it."""
-        cap, rod = self.machine.state.pressure[leg]
+        cap, rod = self.dynamics.state.pressure[leg]
         extension = self.memory.extension[leg]
         pressures = f"cap {cap:.4g} Pa, rod {rod:.4g} Pa gauge"
-        hydraulics = self.machine.hydraulics
+        hydraulics = self.dynamics.hydraulics
         half, proof = hydraulics.cylinder.half_stroke[leg], hydraulics.proof_pressure
         what = {
             FINITE: f"is not finite: {pressures}, extension {extension:.4g} m",
@@ -264,7 +251,7 @@ class Session:
         detected = None
         if fault is not None:
             detected = {"name": fault.name, "leg": fault.leg, "time": fault.frame / self.rate}
-        electronics = self._options.electronics
+        electronics = self._electronics
         return {
             **self.plant.describe(),
             "law": law.name if law else "",
@@ -280,13 +267,13 @@ class Session:
 
     def look(self) -> Live:
         """The present state."""
-        memory, state, chain = self.memory, self.machine.state, self.controller.chain
-        poses, operating = self.controller.poses, ""
+        memory, state, source = self.memory, self.dynamics.state, self.source
+        poses, operating = source.poses, ""
         demand = poses[max(self.frame - 1, 0) % poses.shape[0]]
         late = False
-        if chain is not None and chain.active:
-            late = bool(host_late(chain.blocks.dcu, chain.dcu_state))
-            demand, operating = chain.motion[0], State(chain.progress[0].state).name.lower()
+        if source.hosted:
+            late = bool(host_late(source.blocks.dcu, source.dcu_state))
+            demand, operating = source.motion[0], State(source.progress[0].state).name.lower()
         return Live(
             time=self.frame / self.rate,
             qpos=self.plant.data.qpos.copy(),
@@ -319,24 +306,20 @@ class Session:
             dcl,
             reference,
             memory.feedback,
-            None if parts is None or not parts.active else parts.gravity,
+            parts.gravity if parts.active else None,
         )
         self.controller = controller._replace(dcl=dcl, state=state)
 
-    def forget_integral(self) -> None:
-        """Start the error integral from zero."""
-        self.controller.state.error.integral[:] = 0.0
-
     def exchange(self, **parts: Any) -> None:
-        """Continue with other parts of the chain, by their field in `Chain`."""
-        self.controller = self.controller._replace(chain=self.chain._replace(**parts))
+        """Continue with other parts of the source, by their field in `Source`."""
+        self.controller = self.controller._replace(source=self.source._replace(**parts))
 
     def body(self, name: str = "") -> int:
         """Number of a body of the model, by default the first that carries the payload."""
         model = self.plant.model
         names = [model.body(i).name for i in range(1, model.nbody)]
         if not name:
-            return int(self.machine.mechanics.payload_bodies[0])
+            return int(self.dynamics.mechanics.payload_bodies[0])
         return int(model.body(check_name("body", name, names)).id)
 
     def push(self, wrenches: Mapping[int, Sequence[float]]) -> None:
@@ -344,11 +327,11 @@ class Session:
 
         An overload that strikes during a part of the run is part of them from the next part on.
         """
-        forces, loaded = self.machine.mechanics.payload, self.machine.mechanics.payload_bodies
+        forces, loaded = self.dynamics.mechanics.payload, self.dynamics.mechanics.payload_bodies
         for body, wrench in wrenches.items():
             forces[body] = wrench
             if body in loaded:
-                forces[body, 2] -= self.machine.faults.plant[OVERLOAD] / loaded.size
+                forces[body, 2] -= self.dynamics.faults.plant[OVERLOAD] / loaded.size
 
     def inject(self, event: Event) -> None:
         """Put one more event on the time line, not before the present frame."""
@@ -357,7 +340,7 @@ class Session:
             raise InputError(f"at: {event.at} s of {event.kind} is past; allowed: from {now} s")
         events = (*self._events, event)
         timeline = make_timeline(events, self.plant.legs, self.rate)
-        self.machine = self.machine._replace(timeline=timeline)
+        self.dynamics = self.dynamics._replace(timeline=timeline)
         self._events = events
 
     def rows(self, first: int, last: int) -> NDArray[np.float64]:

@@ -18,10 +18,9 @@ by jw first. A stage of the closed loop is what is measured between its ends, so
 that leads shows a negative delay. Legs are projected on the pattern of the degree of freedom.
 """
 
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +35,7 @@ from cmf_mj.control.states import State
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility.host.stream import HostStream, from_command, resample
-from cmf_mj.facility.operation import FacilitySettings, Operation, operate
+from cmf_mj.facility.operation import Operation, operate
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import by_kind, dof_index
@@ -116,24 +115,22 @@ def fly(
     cab: str | Path | Cab | None = None,
     washout: str | WashoutSettings = "simona",
     hydraulics: str | HydraulicParameters | None = None,
-    facility: FacilitySettings | None = None,
     senses: Senses | str | None = None,
-    progress: Callable[[float], None] | None = None,
+    **options: Any,
 ) -> FlightResult:
     """Fly a host, a recorded or live flight, a motion at a pilot's station, or platform frames.
 
-    Law, washout (unused in direct mode) and hydraulics are names, TOML files or loaded; `progress`
-    is called with the seconds flown, about once a second of them.
+    Law, washout (unused in direct mode) and hydraulics are names, TOML files or loaded; `options`
+    are those of `operate`.
 
     >>> from cmf_mj.pilot.aircraft.flight import load_flight
     >>> from cmf_mj.pilot.fly import fly
     >>> fly(load_flight("gusts").motion).use.within
     True
     """
-    settings = facility or FacilitySettings()
     carried = load_cab(cab)
     machine = carried.machine
-    limits = load_motion_limits(settings.limits, machine)
+    limits = load_motion_limits(options.get("limits"), machine)
     aircraft = None
     if isinstance(host, PilotMotion | pilot_host.AircraftHost):
         flown = host if isinstance(host, PilotMotion) else pilot_host.pilot_motion(host)
@@ -145,9 +142,9 @@ def fly(
         if step.size and np.ptp(step) > 1e-6 * step.mean():  # the limiters take even frames
             sent = resample(sent, MOST_RATE)
         stream, limited = within_limits(sent, limits, machine)
-    plant, rows = Hexapod(carried, hydraulics), RECORD_EVERY
-    operation = operate(plant, law, stream, facility=settings, record_every=rows, progress=progress)
-    return flight_result(plant, aircraft, stream, operation, settings, limited, senses)
+    plant = Hexapod(carried, hydraulics)
+    operation = operate(plant, law, stream, record_every=RECORD_EVERY, **options)
+    return flight_result(plant, aircraft, stream, operation, limits, limited, senses)
 
 
 def flight_result(
@@ -155,13 +152,12 @@ def flight_result(
     aircraft: PilotMotion | None,
     stream: HostStream,
     operation: Operation,
-    settings: FacilitySettings,
+    limits: MotionLimits,
     limited: NDArray[np.bool_] | None = None,
     senses: Senses | str | None = None,
 ) -> FlightResult:
     """What an operation on some frames, of an aircraft or in direct mode, was to the pilot."""
     asked = PilotMotion.from_platform(stream, pilot_station(plant.cab_parameters))
-    limits = load_motion_limits(settings.limits, plant.machine)
     record = operation.record
     simulator = crew_motion(record, asked.time)
     legs = kinematics.pose_to_legs(resample(stream, record.rate).pose, plant.machine)
@@ -267,11 +263,12 @@ def transport_delay(
     dof: str = "heave",
     frequency: float = 1.0,
     hydraulics: str | HydraulicParameters | None = None,
-    facility: FacilitySettings | None = None,
+    **options: Any,
 ) -> TransportDelay:
     """Measure the delay from host to pilot and its parts.
 
-    The sine of 10 mm or 0.5 deg has a whole number of control frames a period, `frequency` in Hz.
+    The sine of 10 mm or 0.5 deg has a whole number of control frames a period, `frequency` in Hz;
+    `options` are those of `operate`.
     """
     index = dof_index(dof)
     signals.check_positive(frequency=frequency)
@@ -280,12 +277,11 @@ def transport_delay(
             f"frequency: {frequency} Hz; allowed: up to 8 Hz with whole control frames a period, "
             "such as 0.5, 1 or 2"
         )
-    settings = facility or FacilitySettings()
     size, cycles = by_kind(dof, 0.01, np.radians(0.5)), _SETTLE + _CYCLES + 2.0
     command = signals.sine(dof, size, frequency, cycles=cycles, fade=1.0)
     stream = from_command(command, MOST_RATE)
     plant = Hexapod(cab, hydraulics)
-    record = operate(plant, law, stream, facility=settings).record
+    record = operate(plant, law, stream, **options).record
     omega = 2.0 * np.pi * frequency
     first = round(_SETTLE * RATE / frequency)
     count = round(_CYCLES * RATE / frequency)
@@ -312,7 +308,7 @@ def transport_delay(
     else:
         felt = fundamental(record["platform_gyro"][:, index - 3] * FLIP[index - 3]) / (1j * omega)
     ahead = fundamental(command.pose[:, index])
-    dcu = load_dcu(settings.dcu).delay.parts()
+    dcu = load_dcu(options.get("dcu")).delay.parts()
     measured = {
         "control law: reference to valve command": late(1j * omega * reference, valve),
         "servo drive and valve: command to opening": late(valve, opening),

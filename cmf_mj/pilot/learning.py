@@ -29,7 +29,7 @@ fades in, since no demand can be early from its first frame on. Errors count aft
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import control
 import numpy as np
@@ -40,8 +40,10 @@ from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.threads import on_threads
+from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.host.stream import HostStream, differentiate, make_stream, resample
-from cmf_mj.facility.operation import FacilitySettings, dcu_of, operate
+from cmf_mj.facility.operation import operate
+from cmf_mj.facility.run import dcu_of
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing.flight import within_limits
@@ -108,13 +110,13 @@ def make_learner(responses: Sequence[Response], frequency: Array, share: float =
 
 
 def leg_response(
-    law: Law, plant: Hexapod, pose: Array, frequency: Array, facility: FacilitySettings
+    law: Law, plant: Hexapod, pose: Array, frequency: Array, dcu: Any = None
 ) -> Response:
     """G from the legs of the host's frames to those of a plant about a pose, (K, 6, 6)."""
     loop = Linear(plant, pose).leg_loop(law)
     omega = 2.0 * np.pi * np.maximum(frequency, 0.01)  # at rest an integrator has no response
     response = np.moveaxis(control.frequency_response(loop, omega).frdata, -1, 0)
-    delay = sum(dcu_of(plant.machine, facility.dcu).delay.parts(plant.machine.rate).values())
+    delay = sum(dcu_of(plant.machine, dcu).delay.parts(plant.machine.rate).values())
     return np.asarray(response * np.exp(-1j * omega * delay)[:, None, None])
 
 
@@ -138,7 +140,7 @@ class Learning(NamedTuple):
     errors: tuple[Array, Array]  #: Of the pose, first and best trial, after the lead [m, rad].
     learner: Learner
     law: Law
-    facility: FacilitySettings
+    options: dict[str, Any]  #: Those of `operate`.
 
 
 def learn(
@@ -147,15 +149,15 @@ def learn(
     plants: Sequence[Hexapod],
     *,
     trials: int = 8,
-    facility: FacilitySettings | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
+    **options: Any,
 ) -> Learning:
     """Fly a motion on the first plant, and again corrected by what its leg sensors measured.
 
     G_i are those of the plants in turn, at the mean pose and where a leg is longest or shortest.
     Trial k, the first run being 0, has the noise of seed + k. Refuses fewer than one trial, less
-    than a period of `BAND`, and a run that a fault ends.
+    than a period of `BAND`, and a run that a fault ends. `options` are those of `operate`.
 
     >>> from cmf_mj.facility.host.stream import from_command
     >>> from cmf_mj.pilot.learning import learn
@@ -166,8 +168,8 @@ def learn(
     """
     if trials < 1:
         raise InputError(f"trials: {trials} must be at least 1")
-    loaded, chosen, machine = load_law(law), facility or FacilitySettings(), plants[0].machine
-    limits = load_motion_limits(chosen.limits, machine)
+    loaded, machine, dcu = load_law(law), plants[0].machine, options.get("dcu")
+    limits = load_motion_limits(options.get("limits"), machine)
     reference = within_limits(_led(stream), limits, machine)[0]
     if (lasts := reference.time[-1] - LEAD) < 1.0 / BAND:
         raise InputError(f"stream: lasts {lasts:.3g} s; allowed: at least {1.0 / BAND:g} s")
@@ -175,7 +177,7 @@ def learn(
     ends = np.unique(np.concatenate([legs.argmin(axis=0), legs.argmax(axis=0)]))
     poses, lines = [reference.pose.mean(axis=0), *reference.pose[ends]], frequencies(len(legs))
     responses = [
-        leg_response(loaded, plants[i % len(plants)], poses[i % len(poses)], lines, chosen)
+        leg_response(loaded, plants[i % len(plants)], poses[i % len(poses)], lines, dcu)
         for i in range(max(len(plants), len(poses)))
     ]
     learner = make_learner(responses, lines)
@@ -193,7 +195,7 @@ def learn(
             )
             correction, held = pose_to_legs(demand.pose, machine) - legs, int(back.sum())
             demands.append(demand)
-        seen, true, pose = _missed(reference, demands[-1], loaded, plants[0], chosen, seed + trial)
+        seen, true, pose = _missed(reference, demands[-1], loaded, plants[0], options, seed + trial)
         first = first if trial else seen
         expected = first - filtered(responses[0], foreseen)
         errors.append(pose)
@@ -203,7 +205,7 @@ def learn(
             progress(trial + 1, trials + 1)
     best = int(np.argmin([one.sensed for one in done]))
     shown = errors[0], errors[best]
-    return Learning(reference, demands[best], tuple(done), best, shown, learner, loaded, chosen)
+    return Learning(reference, demands[best], tuple(done), best, shown, learner, loaded, options)
 
 
 def compare(
@@ -220,11 +222,11 @@ def compare(
     """
 
     def both(plant: Hexapod) -> list[float]:
-        most = load_motion_limits(learnt.facility.limits, plant.machine).leg.position.si
+        most = load_motion_limits(learnt.options.get("limits"), plant.machine).leg.position.si
         far = float(np.abs(pose_to_legs(learnt.demand.pose, plant.machine)).max())
         if far > most * (1.0 + 1e-9):
             raise InputError(f"demand: a leg is {far:.4g} m from neutral; allowed: {most:.4g} m")
-        asked, flown = learnt.reference, (learnt.law, plant, learnt.facility, seed)
+        asked, flown = learnt.reference, (learnt.law, plant, learnt.options, seed)
         return [rms(_missed(asked, demand, *flown)[1]) for demand in (asked, learnt.demand)]
 
     return np.array(on_threads(both, plants, jobs, progress)).reshape(-1, 2)
@@ -249,13 +251,13 @@ def _missed(
     demand: HostStream,
     law: Law,
     plant: Hexapod,
-    facility: FacilitySettings,
+    options: dict[str, Any],
     seed: int,
 ) -> tuple[Array, Array, Array]:
     """Errors of a run: of legs as sensed, all of it; true ones of legs and of pose that count."""
-    noise = facility.electronics
-    noisy = facility._replace(electronics=noise and noise._replace(seed=seed))
-    record = operate(plant, law, demand, facility=noisy, record_every=RECORD_EVERY).record
+    noise = options.get("electronics", ElectronicsSettings())
+    run = options | {"electronics": noise and noise.model_copy(update={"seed": seed})}
+    record = operate(plant, law, demand, record_every=RECORD_EVERY, **run).record
     if (fault := record.metadata["fault"]) is not None:
         raise InputError(f"law: {law.name} ends a run: {fault['name']} at {fault['time']:.3f} s")
 

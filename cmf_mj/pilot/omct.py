@@ -38,7 +38,7 @@ from cmf_mj.core.rates import RATE
 from cmf_mj.core.threads import on_threads
 from cmf_mj.core.units import DEGREE
 from cmf_mj.facility.host.stream import HostStream, arrivals, make_stream
-from cmf_mj.facility.operation import FacilitySettings, operate
+from cmf_mj.facility.operation import operate
 from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import by_kind, dof_index
@@ -211,9 +211,10 @@ def _without_machine(stream: HostStream, station: NDArray[np.float64]) -> dict[s
 
 def _on_machine(stream: HostStream, law: Law, plant: Hexapod) -> dict[str, PilotMotion]:
     """Pilot's motion on the machine by the law's name; none where it left its bounds."""
-    facility = FacilitySettings(electronics=None, protection=None)
     try:
-        operation = operate(plant, law, stream, facility=facility, record_every=_EVERY)
+        operation = operate(
+            plant, law, stream, electronics=None, protection=None, record_every=_EVERY
+        )
     except OutOfBounds:
         return {}
     return {law.name: PilotMotion.from_record(operation.record)}

@@ -17,7 +17,7 @@ what its size means, and its size if none is given:
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, NamedTuple, get_args
+from typing import Annotated, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,10 +65,9 @@ _VALVES = ("valve_hard_over", "valve_jammed", "valve_dead")
 _SENSORS = ("sensor_stuck", "sensor_offset", "sensor_open")
 
 
-class Event(Settings):
-    """One failure."""
+class Failure(Settings):
+    """Something that fails."""
 
-    at: Time  #: When [s].
     kind: Kind  #: What fails.
     leg: Count | None = None  #: Leg of a valve or sensor, from 1.
     valve: Annotated[int, Field(ge=1, le=2)] | None = None
@@ -76,7 +75,7 @@ class Event(Settings):
     size: tuple[float, str] | None = None  #: How much, with its unit, e.g. `(1.0, "in^2")`.
 
     @model_validator(mode="after")
-    def _complete(self) -> "Event":
+    def _complete(self) -> Self:
         local = self.kind in _VALVES + _SENSORS
         if local and self.leg is None:
             raise InputError(f"leg: is missing; {self.kind} needs the leg it happens to")
@@ -106,6 +105,12 @@ class Event(Settings):
         if self.size is None:
             return _SIZES[self.kind][0] if self.kind in _SIZES else 0.0
         return units.to_si(self.size[1], self.size[0])
+
+
+class Event(Failure):
+    """A failure on the time line."""
+
+    at: Time  #: When [s].
 
 
 def default_event(

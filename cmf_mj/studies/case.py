@@ -6,7 +6,7 @@ both on a machine built for the case, so that cases share nothing and may run an
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import NotLinearError, check_name
 from cmf_mj.core.files import in_folder
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.simulation import simulate
+from cmf_mj.facility.run import Run
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import by_kind, dof_index
 from cmf_mj.machine.geometry import DOFS
@@ -114,10 +114,10 @@ class Case:
         """
         pose = command.pose + np.asarray(self.pose)
         pose.setflags(write=False)  # the command then takes it without a copy
-        machine = self.build() if plant is None else plant
         moved = Command(pose, command.signal, command.seed)
-        how: Any = {"electronics": self.electronics, "command_delay": self.command_delay}
-        return simulate(machine, self.law, moved, record_every=every, **how)
+        run = Run(self.build() if plant is None else plant, self.law, moved, record_every=every)
+        own = run._replace(electronics=self.electronics, command_delay=self.command_delay)
+        return own.record()
 
     def sweep_and_step(self, plant: Plant | None = None) -> tuple[Record, Record]:
         """Run the report's chirp and its step, at 128 and 256 Hz."""
@@ -129,15 +129,6 @@ class Case:
     def step(self) -> Command:
         """The report's step, in proportion to the chirp."""
         return signals.step(self.dof, self.size * STEP_PER_AMPLITUDE)
-
-
-class CaseOptions(TypedDict, total=False):
-    """What the cases of a comparison share, see `make_case`."""
-
-    cab: str | Path | Cab | None
-    hydraulics: str | Path | HydraulicParameters | None
-    quick: bool
-    electronics: ElectronicsSettings | None
 
 
 def make_case(

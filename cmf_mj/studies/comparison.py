@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from cmf_mj.machine.models import CMF
 from cmf_mj.plant.build import PLANTS
 from cmf_mj.studies.case import (
     AMPLITUDE,
-    CaseOptions,
     CaseResult,
     dof_amplitude,
     make_case,
@@ -84,7 +83,7 @@ def compare(
     jobs: int | None = None,
     records: str | Path | None = None,
     progress: Callable[[int, int], None] | None = None,
-    **options: Unpack[CaseOptions],
+    **options: Any,
 ) -> Comparison:
     """Compare control laws in several degrees of freedom on both plants.
 

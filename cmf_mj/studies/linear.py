@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.control.law import Law
 from cmf_mj.core.rates import RATE
-from cmf_mj.facility.simulation import simulate
+from cmf_mj.facility.run import simulate
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record

@@ -17,7 +17,7 @@ from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import NotLinearError
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.simulation import simulate
+from cmf_mj.facility.run import simulate
 from cmf_mj.machine.dof import dof_index
 from cmf_mj.plant.hexapod import oil_modes
 from cmf_mj.plant.plant import Plant

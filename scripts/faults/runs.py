@@ -31,7 +31,7 @@ from cmf_mj.core.errors import RunError
 from cmf_mj.core.files import claimed
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.host import moog, udp
-from cmf_mj.facility.operation import FacilitySettings, Operation, serve
+from cmf_mj.facility.operation import Operation, serve
 from cmf_mj.facility.session import Session
 from cmf_mj.pilot.cueing.washout import Washout
 from cmf_mj.pilot.telemetry import live
@@ -43,7 +43,7 @@ from faults.plans import Action, Plan
 
 ELECTRONICS = {
     "": None,
-    "ideal": ElectronicsSettings("ideal", "off"),
+    "ideal": ElectronicsSettings(sensors="ideal", converters="off"),
     "noisy": ElectronicsSettings(),
 }
 
@@ -173,7 +173,7 @@ class _Attendant:
         line.now = self._first + session.frame / rate
         if session.frame:
             self.frames.append(session.frame - 1)
-            self.pressure.append(session.machine.state.pressure.copy())
+            self.pressure.append(session.dynamics.state.pressure.copy())
         while self._todo and self._todo[0].at <= line.now:
             action = self._todo.pop(0)
             if action.kind == "law":
@@ -193,7 +193,7 @@ class _Attendant:
 
     def _engage(self, session: Session) -> None:
         """The operator's way back; a Moog client says itself what is said from off and fault."""
-        progress = session.chain.progress[0]
+        progress = session.source.progress[0]
         if progress.state == State.FAULT:
             wanted = Request.RESET
         else:
@@ -205,7 +205,7 @@ class _Attendant:
 def _part(plan: Plan, plant: Hexapod, line: Line, first: float, last: float) -> tuple[Part, State]:
     electronics = ELECTRONICS[plan.electronics]
     if electronics is not None:
-        electronics = electronics._replace(seed=plan.seed)
+        electronics = electronics.model_copy(update={"seed": plan.seed})
     requests = [
         (a.at - first, Request[a.what.upper()])
         for a in plan.actions
@@ -228,7 +228,8 @@ def _part(plan: Plan, plant: Hexapod, line: Line, first: float, last: float) -> 
             begin=State[plan.begin.upper()],
             requests=requests,
             events=events,
-            facility=FacilitySettings(states=_states(plant), electronics=electronics),
+            states=_states(plant),
+            electronics=electronics,
             record_every=1,
         )
         received = int(door.ring.written[0])

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.control.dcu.acceptance import POSES_HOLD
 from cmf_mj.control.states import Request, State
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, NoPoseError
 from cmf_mj.facility.host.handover import make_ring, put
 from cmf_mj.facility.host.stream import HostFrame
 from cmf_mj.facility.host.udp import LOOPBACK, check_address, open_socket
@@ -157,7 +157,7 @@ class MoogBase:
     @staticmethod
     def delay(session: Session) -> float:
         """From a command to the demand: the DCU's delay of 60 poses a second [s]."""
-        dcu = session.chain.blocks.dcu
+        dcu = session.source.blocks.dcu
         wait = POSES_HOLD * dcu.hold + dcu.smoothing_delay
         return 1.0 / RATE + wait + session.plant.machine.frame * dcu.line
 
@@ -165,15 +165,15 @@ class MoogBase:
         """What the base says it is."""
         if self._stopped in (MachineState.DISABLED, MachineState.INHIBITED):
             return self._stopped
-        chain = session.chain
-        code, request = chain.progress[0].state, chain.progress[0].request
+        source = session.source
+        code, request = source.progress[0].state, source.progress[0].request
         if code == State.FAULT:
             return MachineState.FAULT_2
         if code == State.OFF and session.frame < POWER_UP * session.rate:
             return MachineState.POWER_UP
         if request == Request.OFF and code != State.OFF:
             return MachineState.PARKING
-        time, fade, stop = chain.operating.clock
+        time, fade, stop = source.operating.clock
         if code == State.ENGAGED and time >= max(fade, stop):
             return MachineState.ENGAGED
         return MachineState.IDLE if code == State.OFF else MachineState.STANDBY
@@ -214,7 +214,7 @@ class MoogBase:
 
     def _pose(self, session: Session, values: list[float]) -> NDArray[np.float64] | None:
         """The pose of six numbers, or None if the machine has none."""
-        pose, bounds = np.zeros(6), session.chain.blocks
+        pose, bounds = np.zeros(6), session.source.blocks
         if self._mode == Word.DOF_MODE:
             pose[list(ORDER)] = values
         else:
@@ -225,7 +225,7 @@ class MoogBase:
         return pose if (np.abs(pose) <= bounds.dcu.pose).all() else None
 
     def _obey(self, session: Session, word: Word, pose: NDArray[np.float64]) -> None:
-        progress = session.chain.progress[0]
+        progress = session.source.progress[0]
         if word in _MODES:
             self._mode = word
         elif word in (Word.ENGAGE, Word.START):
@@ -259,25 +259,25 @@ class MoogBase:
             self._stamp += self._interval + _FOLLOW * late
             least, most = _INTERVALS
             self._interval = min(max(self._interval + _LEARN * late, least), most)
-        if self._stamp - self._sent < session.chain.blocks.dcu.minimum_interval:
+        if self._stamp - self._sent < session.source.blocks.dcu.minimum_interval:
             return
         self._number, self._sent = self._number + 1, self._stamp
         put(self.ring, HostFrame(self._number, self._stamp, self._begin, _STILL, _STILL))
 
     def _answer(self, session: Session) -> bytes:
-        memory, chain = session.memory, session.chain
-        progress, fault = chain.progress[0], session.fault
+        memory, source = session.memory, session.source
+        progress, fault = source.progress[0], session.fault
         fresh = progress.state == State.FAULT and progress.request != Request.RESET
         if fresh and fault is not None:
             self.latched |= _OF_FAULT.get(fault.name, Latched.ACTUATOR_RUNAWAY)
-        tripped, travel = bool(memory.progress[0].tripped), chain.blocks.states.travel
+        tripped, travel = bool(memory.progress[0].tripped), source.blocks.states.travel
         if tripped:
             self.latched |= Latched.LIMIT_SWITCH
         legs = memory.feedback.position
-        home = (np.abs(legs + travel) <= chain.blocks.states.settled_tolerance).all()
+        home = (np.abs(legs + travel) <= source.blocks.states.settled_tolerance).all()
         bits = {
-            Discrete.AMPLIFIER_ENABLE: chain.operating.valve[1] > 0.0,
-            Discrete.DRIVE_BUS: session.machine.faults.plant[STOPPED] == 0.0,
+            Discrete.AMPLIFIER_ENABLE: source.operating.valve[1] > 0.0,
+            Discrete.DRIVE_BUS: session.dynamics.faults.plant[STOPPED] == 0.0,
             Discrete.LIMIT_SWITCH: tripped,
             Discrete.AT_HOME: home,
         }

@@ -19,9 +19,10 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.facility.scenario.demand import Demand
 from cmf_mj.facility.scenario.settings import Change, Laws, Scenario, changed_law
 from cmf_mj.facility.scenario.signal import added
-from cmf_mj.facility.scenario.source import BLOCK, ChainSource, TableSource
+from cmf_mj.facility.scenario.source import BLOCK, Feed
 from cmf_mj.facility.session import Live
 from cmf_mj.plant.build import make_plant
+from cmf_mj.plant.events import Event
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Motion
 
@@ -46,11 +47,8 @@ class ScenarioRun:
         """The machine; its MuJoCo data is that of the run."""
         self._law, self._rate = scenario.begun_law(), self.plant.machine.rate
         self._demand = Demand(added(scenario.signal, scenario.seed, self._rate))
-        source = TableSource if scenario.operation is None else ChainSource
-        self._source: TableSource | ChainSource = source(
-            self._demand, self.plant, self._law, scenario
-        )
-        self._session = self._source.session
+        self._feed = Feed(self._demand, self.plant, self._law, scenario)
+        self._session = self._feed.session
         self._filled = 0
         laws = Laws()
         self._due = deque(self._checked(one.when(self._rate), one, laws) for one in scenario.change)
@@ -136,7 +134,7 @@ class ScenarioRun:
             "seed": scenario.seed,
             "scenario": scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True),
         }
-        context |= session.describe() | self._source.described()
+        context |= session.describe() | self._feed.described()
         return Record(time, channels, units, context)
 
     def _checked(self, frame: int, change: Change, laws: Laws) -> _Due:
@@ -169,16 +167,16 @@ class ScenarioRun:
             if self.frame % BLOCK:
                 self._fill(self._filled)
         for failure in change.failure:
-            session.inject(failure.event(self.frame / self._rate))
+            session.inject(Event(at=self.frame / self._rate, **dict(failure)))
             self._strikes.append(self.frame + 1)
         if change.push is not None:
             push = change.push
             self._pushes[session.body(push.body)] = (*push.force, *push.torque)
-        if change.request is not None and isinstance(self._source, ChainSource):
-            self._source.request(self.frame, Request[change.request.upper()])
+        if change.request is not None:
+            self._feed.request(self.frame, Request[change.request.upper()])
 
     def _fill(self, first: int) -> None:
-        self._source.fill(first)
+        self._feed.fill(first)
         self._filled = first
 
     def _take(self) -> None:

@@ -24,14 +24,14 @@ from cmf_mj.core.settings import (
     validated,
 )
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.operation import dcu_of
+from cmf_mj.facility.run import dcu_of
 from cmf_mj.facility.scenario.signal import Signal
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.build import make_plant
-from cmf_mj.plant.events import MOST_FORCE, Event, Kind
+from cmf_mj.plant.events import MOST_FORCE, Event, Failure
 from cmf_mj.plant.parameters.loading import hydraulics_of
 from cmf_mj.signals.signal import plain
 
@@ -55,25 +55,6 @@ def _ending(*allowed: str) -> AfterValidator:
         return name
 
     return AfterValidator(check)
-
-
-class Failure(Settings):
-    """Something that fails at the time of a change."""
-
-    kind: Kind  #: What fails.
-    leg: Count | None = None  #: Leg of a valve or sensor, from 1.
-    valve: Annotated[int, Field(ge=1, le=2)] | None = None
-    """Valve of the leg, 1 or 2; both if left out."""
-    size: tuple[float, str] | None = None  #: How much, with its unit, as in `Event`.
-
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
-        self.event(0.0)
-        return self
-
-    def event(self, at: float) -> Event:
-        """The event at a time [s]."""
-        return Event(at=at, kind=self.kind, leg=self.leg, valve=self.valve, size=self.size)
 
 
 class Push(Settings):
@@ -117,14 +98,6 @@ class Change(Settings):
         if self.at is None:
             raise InputError("at: is missing; a change in a scenario needs `at` or `frame`")
         return round(self.at * rate)
-
-
-class ElectronicsChoice(Settings):
-    """Sensors, converters and servo electronics; sets by name or TOML file."""
-
-    sensors: str = "noisy"  #: `ideal`, `noisy` or a file.
-    converters: str = "sixteen_bit"  #: `off`, `sixteen_bit` or a file.
-    servo: str | None = None  #: File of changes to the servo electronics.
 
 
 class RequestAt(Settings):
@@ -180,7 +153,7 @@ class Scenario(Settings):
     gains: Gains = {}  #: Fields of the law to replace.
     signal: Signals = ()  #: Demand: the sum of these; none is rest at neutral.
     event: tuple[Event, ...] = ()  #: Failures on the time line.
-    electronics: ElectronicsChoice | None = None
+    electronics: ElectronicsSettings | None = None
     """Noisy sensors and servo electronics; default ideal ones."""
     protection: str | None = None
     """Fault detection that makes an emergency stop, `default` or a file; default none."""
@@ -225,7 +198,7 @@ class Scenario(Settings):
         if self.protection is not None:
             load_protection(self.protection)
         if self.electronics is not None:
-            ElectronicsSettings(**dict(self.electronics)).of(self.carried.machine)
+            self.electronics.of(self.carried.machine)
         if self.operation is not None:
             if self.plant != "hexapod":
                 raise InputError(f"operation: is for the hexapod, plant is {self.plant}")
@@ -295,8 +268,10 @@ class Scenario(Settings):
 
     def chosen_electronics(self) -> ElectronicsSettings | None:
         """Electronics of the run."""
-        parts = self.electronics
-        return None if parts is None else ElectronicsSettings(**dict(parts), seed=self.seed)
+        chosen = self.electronics
+        if chosen is None or chosen.seed is not None:
+            return chosen
+        return chosen.model_copy(update={"seed": self.seed})
 
 
 class Names(NamedTuple):
@@ -314,7 +289,7 @@ def names_of(plant: str) -> Names:
     return Names(bodies, tuple(model.camera(i).name for i in range(model.ncam)))
 
 
-def _check_leg(failure: Failure | Event) -> None:
+def _check_leg(failure: Failure) -> None:
     if failure.leg is not None and failure.leg > LEGS:
         raise InputError(f"leg: {failure.leg} of {failure.kind} is not a leg; allowed: 1 to {LEGS}")
 

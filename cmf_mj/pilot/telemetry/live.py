@@ -19,9 +19,10 @@ from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.handover import make_ring, put
 from cmf_mj.facility.host.stream import HostFrame, make_stream
 from cmf_mj.facility.host.udp import LOOPBACK, open_socket
-from cmf_mj.facility.operation import FacilitySettings, serve
+from cmf_mj.facility.operation import serve
 from cmf_mj.facility.session import Session
 from cmf_mj.machine.cab import Cab, load_cab
+from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing.washout import Washout
 from cmf_mj.pilot.fly import RECORD_EVERY, FlightResult, flight_result
 from cmf_mj.pilot.host import MOST_RATE
@@ -29,6 +30,7 @@ from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.telemetry.check import check
 from cmf_mj.pilot.telemetry.formats import Row, decode, listen
 from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 
 _FADE = (0.1, 0.5)
 """Ages of the newest sample between which it fades to rest [s]."""
@@ -93,28 +95,28 @@ def fly_live(
     washout: str = "simona",
     bind: str = LOOPBACK,
     trial: float = 5.0,
-    **machine: Any,
+    hydraulics: str | HydraulicParameters | None = None,
+    **options: Any,
 ) -> FlightResult:
     """Fly what comes to a UDP port for some seconds.
 
     Before anything moves, what comes within the `trial` [s] is checked; an error that is found is
-    refused in the words of `check`. The others are those of `fly`.
+    refused in the words of `check`. The others are those of `fly`, the `options` of `serve`.
     """
     telemetry, _ = listen(form, port, trial, bind=bind)
     if errors := check(telemetry).errors:
         raise InputError(f"{form} at port {port}: {'; '.join(errors)}")
     carried = load_cab(cab)
     host = _Host(form, port, bind, Washout(washout, station=carried.station))
-    settings = machine.get("facility") or FacilitySettings()
-    plant = Hexapod(carried, machine.get("hydraulics"))
-    options: Any = {"facility": settings, "record_every": RECORD_EVERY}
-    options["progress"] = machine.get("progress")
+    plant = Hexapod(carried, hydraulics)
+    options |= {"attend": host.attend, "record_every": RECORD_EVERY}
     with host.socket:
-        operation = serve(plant, law, host.ring, seconds, attend=host.attend, **options)
+        operation = serve(plant, law, host.ring, seconds, **options)
     if len(host.frames) < 2:
         raise InputError(f"{form} at port {port}: nothing came within {seconds:g} s")
+    limits = load_motion_limits(options.get("limits"), carried.machine)
     _, times, *motion = (np.array(column) for column in zip(*host.frames, strict=True))
     table = np.array(host.rows)
     angles = np.unwrap(table[:, 7:10], axis=0)
     aircraft = PilotMotion(times, table[:, 1:4], table[:, 4:7], angles)
-    return flight_result(plant, aircraft, make_stream(times, *motion), operation, settings)
+    return flight_result(plant, aircraft, make_stream(times, *motion), operation, limits)

@@ -28,7 +28,7 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, unknown_name
 from cmf_mj.core.files import read_column, read_table
 from cmf_mj.core.rates import RATE
-from cmf_mj.facility.simulation import simulate
+from cmf_mj.facility.run import simulate
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.dof import dof_index, dof_unit
 from cmf_mj.machine.geometry import DOFS

@@ -32,7 +32,8 @@ from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
 from cmf_mj.core.threads import on_threads
-from cmf_mj.facility.simulation import OutOfBounds, simulate
+from cmf_mj.facility.run import simulate
+from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.machine.dof import by_kind
 from cmf_mj.plant.events import Event
 from cmf_mj.plant.hexapod import Hexapod

@@ -95,7 +95,7 @@ static void apply(cmf_machine *m) { /* all parameters to the loop and the model 
     scale(m, AT_controller_dcl_compensator_direct_gain, CMF_LEGS, i, p[CMF_P_GAIN + i]);
     scale(m, AT_controller_dcl_compensator_input_gain, CMF_LEGS, i, p[CMF_P_GAIN + i]);
   }
-  put(m, AT_machine_hydraulics_supply_pressure, p[CMF_P_SUPPLY_PRESSURE]);
+  put(m, AT_dynamics_hydraulics_supply_pressure, p[CMF_P_SUPPLY_PRESSURE]);
 #if CMF_BODY >= 0
   double *mass = m->model->body_mass + CMF_BODY, *centre = m->model->body_ipos + 3 * CMF_BODY;
   if (mass[0] != p[CMF_P_PAYLOAD_MASS] || memcmp(centre, p + CMF_P_PAYLOAD_MASS + 1, 24)) {
@@ -144,27 +144,27 @@ int cmf_start(cmf_machine *m) {
   apply(m);
 #if CMF_ACCUMULATORS
   double gas, volume, exponent, pressure = m->head.parameter[CMF_P_SUPPLY_PRESSURE];
-  memcpy(&gas, m->slots + AT_machine_hydraulics_supply_precharge, 8);
-  memcpy(&volume, m->slots + AT_machine_hydraulics_supply_gas_volume, 8);
-  memcpy(&exponent, m->slots + AT_machine_hydraulics_supply_exponent, 8);
+  memcpy(&gas, m->slots + AT_dynamics_hydraulics_supply_precharge, 8);
+  memcpy(&volume, m->slots + AT_dynamics_hydraulics_supply_gas_volume, 8);
+  memcpy(&exponent, m->slots + AT_dynamics_hydraulics_supply_exponent, 8);
   double ratio = (gas + CMF_ATMOSPHERE) / (pressure + CMF_ATMOSPHERE);
-  double *supply = numbers(m, AT_machine_state_supply);
+  double *supply = numbers(m, AT_dynamics_state_supply);
   supply[CMF_SUPPLY_OIL] = volume * (1.0 - pow(ratio, 1.0 / exponent));
   supply[CMF_SUPPLY_GAS] = pressure;
 #endif
   int64_t guarded = m->slots[AT_controller_guarded], *progress = integers(m, AT_memory_progress);
   m->slots[AT_controller_guarded] = 0;
 #if CMF_CHAIN
-  m->slots[AT_controller_chain_active] = 0;
+  m->slots[AT_controller_source_hosted] = 0;
 #endif
   progress[0] = CMF_EVENTS; /* no failures meanwhile */
   int64_t stopped = loop(m, 0, llround(m->head.parameter[CMF_P_SETTLE] * CMF_RATE));
   progress[0] = 0;
   m->slots[AT_controller_guarded] = guarded;
 #if CMF_CHAIN
-  m->slots[AT_controller_chain_active] = m->head.host;
+  m->slots[AT_controller_source_hosted] = m->head.host;
 #endif
-  memset(numbers(m, AT_machine_state_energy), 0, 8 * CMF_ENERGIES);
+  memset(numbers(m, AT_dynamics_state_energy), 0, 8 * CMF_ENERGIES);
   memset(numbers(m, AT_recorder_out) + CMF_ENERGY_COLUMN, 0, 8 * CMF_ENERGIES);
   numbers(m, AT_memory_closure)[0] = 0.0;
   m->data->time = 0.0;
@@ -194,7 +194,7 @@ static void restore(cmf_machine *m, const unsigned char *bytes, int whole) {
   if (whole) memcpy(&m->head, bytes, sizeof(head_t));
   apply(m);
 #if CMF_CHAIN
-  m->slots[AT_controller_chain_active] = m->head.host;
+  m->slots[AT_controller_source_hosted] = m->head.host;
 #endif
   memcpy(m->mechanics, bytes + OF_MECHANICS, 8 * CMF_MECHANICS);
   mj_setState(m->model, m->data, m->mechanics, STATE);
@@ -246,20 +246,20 @@ cmf_machine *cmf_create(void) {
   const struct {
     int slot;
     const void *address;
-  } views[] = {{AT_machine_mechanics_model, m->model},
-               {AT_machine_mechanics_quiet, m->quiet},
-               {AT_machine_mechanics_data, d},
-               {AT_machine_mechanics_length, d->actuator_length},
-               {AT_machine_mechanics_ctrl, d->ctrl},
-               {AT_machine_mechanics_payload, d->xfrc_applied},
-               {AT_machine_mechanics_sensordata, d->sensordata},
-               {AT_machine_mechanics_site, d->site_xpos},
-               {AT_machine_mechanics_qpos, d->qpos},
-               {AT_machine_mechanics_warnings, &d->warning[0].number}};
+  } views[] = {{AT_dynamics_mechanics_model, m->model},
+               {AT_dynamics_mechanics_quiet, m->quiet},
+               {AT_dynamics_mechanics_data, d},
+               {AT_dynamics_mechanics_length, d->actuator_length},
+               {AT_dynamics_mechanics_ctrl, d->ctrl},
+               {AT_dynamics_mechanics_payload, d->xfrc_applied},
+               {AT_dynamics_mechanics_sensordata, d->sensordata},
+               {AT_dynamics_mechanics_site, d->site_xpos},
+               {AT_dynamics_mechanics_qpos, d->qpos},
+               {AT_dynamics_mechanics_warnings, &d->warning[0].number}};
   for (size_t i = 0; i < sizeof views / sizeof *views; i++)
     m->slots[views[i].slot] = (int64_t)(intptr_t)views[i].address;
-  m->slots[AT_machine_mechanics_position_stage] = (int64_t)(intptr_t)mj_step1;
-  m->slots[AT_machine_mechanics_force_stage] = (int64_t)(intptr_t)mj_step2;
+  m->slots[AT_dynamics_mechanics_position_stage] = (int64_t)(intptr_t)mj_step1;
+  m->slots[AT_dynamics_mechanics_force_stage] = (int64_t)(intptr_t)mj_step2;
   restore(m, cmf_start_data, 1);
   return m;
 }
@@ -287,7 +287,7 @@ int cmf_set_input(cmf_machine *m, enum cmf_input input) {
     return refused(m, "input: this machine has no such kind");
   if (m->head.frame) return refused(m, "input: is chosen before the first frame");
 #if CMF_CHAIN
-  m->slots[AT_controller_chain_active] = m->head.host = input == CMF_HOST;
+  m->slots[AT_controller_source_hosted] = m->head.host = input == CMF_HOST;
 #endif
   return CMF_OK;
 }
@@ -295,7 +295,7 @@ int cmf_set_input(cmf_machine *m, enum cmf_input input) {
 int cmf_set_reference(cmf_machine *m, const double *legs) {
   if (m->head.host) return refused(m, "reference: comes from the host");
   if (!all_finite(legs, CMF_LEGS)) return refused(m, "reference: is not finite");
-  memcpy(numbers(m, AT_controller_table), legs, 8 * CMF_LEGS);
+  memcpy(numbers(m, AT_controller_source_table), legs, 8 * CMF_LEGS);
   return CMF_OK;
 }
 
@@ -304,16 +304,16 @@ int cmf_set_pose(cmf_machine *m, const double pose[6]) {
   if (m->head.host) return refused(m, "pose: comes from the host");
   if (!all_finite(pose, 6)) return refused(m, "pose: is not finite");
   void *result, *fault;
-  double *motion = numbers(m, AT_controller_chain_motion);
+  double *motion = numbers(m, AT_controller_source_motion);
   memset(motion, 0, 18 * 8);
   memcpy(motion, pose, 6 * 8);
-  memcpy(numbers(m, AT_controller_poses), pose, 6 * 8);
+  memcpy(numbers(m, AT_controller_source_poses), pose, 6 * 8);
   int64_t slots[CMF_DEMAND_SLOTS + 10]; /* the block, motion, legs */
-  memcpy(slots, m->slots + AT_controller_chain_blocks_demand_geometry_upper, 8 * CMF_DEMAND_SLOTS);
-  memcpy(slots + CMF_DEMAND_SLOTS, m->slots + AT_controller_chain_motion, 5 * 8);
-  memcpy(slots + CMF_DEMAND_SLOTS + 5, m->slots + AT_controller_chain_legs, 5 * 8);
+  memcpy(slots, m->slots + AT_controller_source_blocks_demand_geometry_upper, 8 * CMF_DEMAND_SLOTS);
+  memcpy(slots + CMF_DEMAND_SLOTS, m->slots + AT_controller_source_motion, 5 * 8);
+  memcpy(slots + CMF_DEMAND_SLOTS + 5, m->slots + AT_controller_source_legs, 5 * 8);
   cmf_demand(&result, &fault, (int64_t)(intptr_t)slots, 0, 0);
-  memcpy(numbers(m, AT_controller_table), numbers(m, AT_controller_chain_legs), 6 * 8);
+  memcpy(numbers(m, AT_controller_source_table), numbers(m, AT_controller_source_legs), 6 * 8);
   return CMF_OK;
 #else
   (void)pose;
@@ -324,8 +324,8 @@ int cmf_set_pose(cmf_machine *m, const double pose[6]) {
 int cmf_host_frame(cmf_machine *m, int64_t sequence, double time, const double motion[18]) {
 #if CMF_CHAIN
   if (!m->head.host) return refused(m, "host: the reference does not come from the host");
-  int64_t *frame = integers(m, AT_controller_chain_arrivals_frame),
-          *progress = integers(m, AT_controller_chain_progress);
+  int64_t *frame = integers(m, AT_controller_source_arrivals_frame),
+          *progress = integers(m, AT_controller_source_progress);
   if (progress[0] == m->head.arrived) { /* all before have had their turn */
     for (int64_t i = 0; i < m->head.arrived; i++) frame[i] = NEVER;
     progress[0] = m->head.arrived = 0;
@@ -333,9 +333,9 @@ int cmf_host_frame(cmf_machine *m, int64_t sequence, double time, const double m
   int64_t place = m->head.arrived;
   if (place == CMF_ARRIVALS) return refused(m, "host: too many frames since the last cmf_step");
   frame[place] = m->head.frame;
-  integers(m, AT_controller_chain_arrivals_sequence)[place] = sequence;
-  numbers(m, AT_controller_chain_arrivals_time)[place] = time;
-  memcpy(numbers(m, AT_controller_chain_arrivals_values) + 18 * place, motion, 18 * 8);
+  integers(m, AT_controller_source_arrivals_sequence)[place] = sequence;
+  numbers(m, AT_controller_source_arrivals_time)[place] = time;
+  memcpy(numbers(m, AT_controller_source_arrivals_values) + 18 * place, motion, 18 * 8);
   m->head.arrived++;
   return CMF_OK;
 #else
@@ -349,8 +349,8 @@ int cmf_request_state(cmf_machine *m, enum cmf_request request) {
   if (!m->head.host) return refused(m, "request: the reference does not come from the host");
   if ((int)request < 0 || request > CMF_REQUEST_RESET)
     return refused(m, "request: there is none such");
-  integers(m, AT_controller_chain_request_frame)[0] = m->head.frame;
-  integers(m, AT_controller_chain_request)[0] = request;
+  integers(m, AT_controller_source_request_frame)[0] = m->head.frame;
+  integers(m, AT_controller_source_request)[0] = request;
   return CMF_OK;
 #else
   (void)request;
@@ -362,7 +362,7 @@ int cmf_inject(cmf_machine *m, int failure, double at, int leg, int valve, doubl
   const cmf_failure_info *info = cmf_failure_at(failure);
   if (!info) return refused(m, "failure: there is none such");
   if (!(at >= 0.0 && at <= CMF_LONGEST)) return refused(m, "at: is not a time of a run");
-  int64_t when = llround(at * CMF_RATE), *frames = integers(m, AT_machine_timeline_frame);
+  int64_t when = llround(at * CMF_RATE), *frames = integers(m, AT_dynamics_timeline_frame);
   if (when < m->head.frame) return refused(m, "at: is past");
   if (info->leg ? leg < 1 || leg > CMF_LEGS : leg != 0)
     return refused(m, "leg: allowed: one of the machine, or 0 where the failure has none");
@@ -372,14 +372,14 @@ int cmf_inject(cmf_machine *m, int failure, double at, int leg, int valve, doubl
   int count = 0, place;
   while (count < CMF_EVENTS && frames[count] != NEVER) count++;
   if (count == CMF_EVENTS) return refused(m, "failure: there are too many");
-  const int columns[] = {AT_machine_timeline_frame, AT_machine_timeline_kind,
-                         AT_machine_timeline_leg, AT_machine_timeline_valve,
-                         AT_machine_timeline_size};
+  const int columns[] = {AT_dynamics_timeline_frame, AT_dynamics_timeline_kind,
+                         AT_dynamics_timeline_leg, AT_dynamics_timeline_valve,
+                         AT_dynamics_timeline_size};
   for (place = count; place > 0 && frames[place - 1] > when; place--)
     for (int i = 0; i < 5; i++) integers(m, columns[i])[place] = integers(m, columns[i])[place - 1];
   const int64_t row[] = {when, failure, leg - 1, valve - 1};
   for (int i = 0; i < 4; i++) integers(m, columns[i])[place] = row[i];
-  numbers(m, AT_machine_timeline_size)[place] = size;
+  numbers(m, AT_dynamics_timeline_size)[place] = size;
   return CMF_OK;
 }
 
