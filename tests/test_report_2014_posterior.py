@@ -21,7 +21,7 @@ from cmf_mj.report_2014.posterior.run import GROUPS, TABLES, Results, run_poster
 from cmf_mj.report_2014.posterior.settings import PosteriorStudy, load_posterior
 from cmf_mj.report_2014.posterior.tables import TEXTS, best_gain
 from cmf_mj.studies.engine import JOURNAL
-from cmf_mj.studies.linear import simulated_stability
+from cmf_mj.studies.swing import swing_after_step
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -198,7 +198,7 @@ def test_a_machine_without_changes_is_the_shipped_one(study: PosteriorStudy) -> 
 def test_simulated_and_linear_verdicts_are_one(law: str, stable: bool) -> None:
     plant, loaded = Hexapod("gfd"), load_law(law)
     assert Linear(plant).damping(loaded)["stable"] is stable
-    assert simulated_stability(plant, loaded)["stable"] is stable
+    assert swing_after_step(plant, loaded)["stable"] is stable
 
 
 def test_rounds_and_tables(results: Results, folder: Path) -> None:

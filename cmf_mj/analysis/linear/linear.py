@@ -88,13 +88,16 @@ class Linear:
 
     >>> linear = cmf_mj.Linear(cmf_mj.Hexapod("gfd"))
     >>> round(linear.damping("velocity")["pair"], 2)
-    0.09
+    0.13
     """
 
     def __init__(
         self, plant: Plant, pose: ArrayLike | None = None, *, excitation: Excitation = "noise"
     ) -> None:
-        """Linearise a plant in a pose, default neutral, as `linearize` does and with its errors."""
+        """Linearise a plant in a pose, default neutral, as `linearize` does and with its errors.
+
+        `excitation` is what moves the valves, `noise`, `sine` or `mean`.
+        """
         self.plant, self.pose = plant, pose
         self.point = operating_point(plant, pose, excitation=excitation)
         self.system = linearize(plant, at=self.point)
@@ -105,7 +108,7 @@ class Linear:
         return jacobian_of(self.plant, self.pose)
 
     def sensed(self, errors: Mapping[str, Array]) -> "Linear":
-        """The same plant behind sensors whose channels are off by these shares, (n,) each."""
+        """The same plant behind sensors; `errors` are shares by channel, (n,) each."""
         off = copy(self)
         off.system = self.system.copy()
         for channel, error in errors.items():
@@ -118,7 +121,10 @@ class Linear:
         return modes(self.system, self.plant, self.pose)
 
     def leg_loop(self, law: str | Law, *, command_delay: int = 1) -> control.StateSpace:
-        """From the demands of all legs to their positions under a law, see `closed_loop`."""
+        """From the demands of all legs to their positions under a law, see `closed_loop`.
+
+        `command_delay` counts frames from the law to the valves.
+        """
         held = bound(load_law(law), self.plant)
         return closed_loop(held, self.system, command_delay=command_delay)
 
@@ -129,7 +135,7 @@ class Linear:
 
         From `surge_demand` and on to `surge` and on, m and rad. Where a `signal` is named, a degree
         of freedom or a leg, `leg_1` and so on, it has that one input and output; all other demands
-        are zero.
+        are zero. `command_delay` counts frames from the law to the valves.
         """
         loop = self.leg_loop(law, command_delay=command_delay)
         if signal is not None and signal.startswith("leg_"):
@@ -155,9 +161,9 @@ class Linear:
         return loop_measures(self.loop(law))[0]
 
     def compliance(self, law: str | Law, frequency: ArrayLike) -> NDArray[np.complex128]:
-        """Motion of legs per force that extends them, (K, n, n) [m/N], at `frequency` (K,) [Hz].
+        """Motion of legs per force that extends them, (K, n, n) [m/N], under a law.
 
-        At 0 Hz the force stays.
+        At `frequency` (K,) [Hz]; at 0 Hz the force stays.
         """
         loop, a, legs = self.leg_loop(law), np.asarray(self.system.A), self.plant.legs
         speed, cap = (
@@ -176,7 +182,8 @@ class Linear:
     def stiffness(self, law: str | Law, frequency: ArrayLike) -> Array:
         """Size of a force or moment along an axis over the motion along it [N/m, N m/rad], (K, 6).
 
-        Of a plant with six legs that carry a platform, at `frequency` (K,) [Hz]; all axes are free.
+        Under a law, of a plant with six legs that carry a platform, at `frequency` (K,) [Hz]; all
+        axes are free.
 
         >>> stiff = cmf_mj.Linear(cmf_mj.Hexapod("gfd")).stiffness("velocity", [0.1, 2.0])
         >>> stiff.shape, bool(stiff[0, 0] > stiff[1, 0])
@@ -189,8 +196,8 @@ class Linear:
     def disturbance(self, law: str | Law) -> Array:
         """Stiffness at rest, the least in `STIFF`, bandwidth [Hz] and peak [dB] of rejection.
 
-        By axis, (4, 6); NaN if unstable. Stiffness at rest is infinite under an error integral or a
-        law without pressures: shut valves hold a load in cylinders of two areas.
+        By axis, (4, 6); NaN if the law is unstable. Stiffness at rest is infinite under an error
+        integral or a law without pressures: shut valves hold a load in cylinders of two areas.
         """
         if not are_stable(self.leg_loop(law).poles()):
             return np.full((4, len(DOFS)), np.nan)

@@ -30,7 +30,7 @@ from cmf_mj.report_2014.posterior import evidence, sampling
 from cmf_mj.report_2014.posterior.settings import PosteriorStudy
 from cmf_mj.studies.engine import Journal, Progress, Row, Work, Workers, run_tasks
 from cmf_mj.studies.evaluation import MEASURED
-from cmf_mj.studies.linear import simulated_stability
+from cmf_mj.studies.swing import swing_after_step
 
 GROUPS = ("rows", "fits", "three_g", "flown")
 """Groups of evidence, see `evidence`."""
@@ -267,7 +267,7 @@ def _simulated(task: Task) -> list[Row]:
     oil = study.hydraulics_of(task.values, task.draw)
     return [
         {"cab": cab.name, "law": law.name}
-        | simulated_stability(study.plant(cab, task.values, oil), law)
+        | swing_after_step(study.plant(cab, task.values, oil), law)
         for law in task.laws
     ]
 

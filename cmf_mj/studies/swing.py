@@ -1,13 +1,8 @@
-"""What laws do on one machine: linear, in every degree of freedom, and simulated.
+"""Whether a law is stable in the simulation, by how its legs swing after a step.
 
-A pole of the loop counts in a degree of freedom where its residue |c_i v| |w b_i| in the response
-from that demand to that motion is at least `SHARE` of the largest. The damping ratio of a degree of
-freedom is the least of the poles that count in it, between `BAND`. The *pair* are the least damped
-poles in which the heavy modes of sway with roll and of surge with pitch lie, below `PAIR_HZ`.
-
-Simulated, a law is stable where the swing of its legs after a small step of all six degrees of
-freedom dies away: over the last window it is less than over the first, and than the step itself,
-or nothing is left of it.
+A law is stable where the swing of its legs after a small step of all six degrees of freedom dies
+away: over the last window it is less than over the first, and than the step itself, or nothing is
+left of it.
 """
 
 from typing import Any
@@ -24,15 +19,6 @@ from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command
 from cmf_mj.studies.case import REPORT_AMPLITUDES
 
-SHARE = 0.003
-"""Residue over the largest from which on a pole counts in a degree of freedom."""
-
-BAND = (0.5, 50.0)
-"""Poles that are looked at [Hz]."""
-
-PAIR_HZ = 8.0
-"""Below this, the least damped poles are the pair [Hz]."""
-
 SMALL = 0.15
 """Step of the simulated verdict over the report's amplitudes, all degrees of freedom at once."""
 
@@ -44,7 +30,7 @@ _NOTHING, _MOST = 1e-4, 1.0
 """Swing over the largest leg step that counts as none, and what only a limit cycle exceeds."""
 
 
-def simulated_stability(plant: Hexapod, law: Law) -> dict[str, Any]:
+def swing_after_step(plant: Hexapod, law: Law) -> dict[str, Any]:
     """Whether a law is stable in the simulation, see `swings`."""
     pose = np.zeros((round(_DURATION * RATE), len(DOFS)))
     pose[round(_BEGIN * RATE) :] = SMALL * REPORT_AMPLITUDES
