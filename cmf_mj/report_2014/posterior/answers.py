@@ -51,7 +51,7 @@ class Stability(NamedTuple):
         return bool((every < ROBUST).all() or (every > 1.0 - ROBUST).all())
 
 
-class Change(NamedTuple):
+class DampingChange(NamedTuple):
     """What a law changes in the damping ratio of the pair against `REFERENCE`."""
 
     law: str
@@ -103,7 +103,7 @@ class GainStep(NamedTuple):
     damping: Array  #: Least damping ratio of any cab, at `LEVELS`.
 
 
-class Check(NamedTuple):
+class EvidenceCheck(NamedTuple):
     """One observation with what machines make of it, at `LEVELS`."""
 
     name: str
@@ -159,7 +159,7 @@ def stability(results: Results) -> list[Stability]:
     return rows
 
 
-def changes(results: Results) -> list[Change]:
+def changes(results: Results) -> list[DampingChange]:
     """What each law changes in the pair's damping against `REFERENCE`."""
     every, pairs, rows = weights(results), _by_machine(results, "pair"), []
     for (law, cab), damping in pairs.items():
@@ -168,7 +168,7 @@ def changes(results: Results) -> list[Change]:
         change = damping - pairs[REFERENCE, cab]
         prior, posterior = _both(results, change)
         same = float(every @ (np.sign(change) == np.sign(posterior[1])))
-        rows.append(Change(law, cab, prior, posterior, same))
+        rows.append(DampingChange(law, cab, prior, posterior, same))
     return rows
 
 
@@ -225,13 +225,15 @@ def gain_steps(results: Results) -> list[GainStep]:
     return steps
 
 
-def checks(results: Results) -> list[Check]:
+def checks(results: Results) -> list[EvidenceCheck]:
     """All observations, and last the one held out: the damping ratio with the integral.
 
     What is predicted of that one includes the scatter of printed damping ratios.
     """
     rows = [
-        Check(o.name, o.value, o.deviation, *_both(results, column(results.machines, o.name)))
+        EvidenceCheck(
+            o.name, o.value, o.deviation, *_both(results, column(results.machines, o.name))
+        )
         for o in observations()
     ]
     name, error = f"{HELD_OUT}_damping_ratio", float(scatter()[2])
@@ -239,7 +241,7 @@ def checks(results: Results) -> list[Check]:
     read = (column(results.machines, name)[:, None] + errors).ravel()
     (stated,) = (r for r in published_results() if (r.law, r.of) == (HELD_OUT, "hardware"))
     assert stated.damping_ratio is not None
-    return [*rows, Check(name, stated.damping_ratio, error, *_both(results, read, _ERRORS))]
+    return [*rows, EvidenceCheck(name, stated.damping_ratio, error, *_both(results, read, _ERRORS))]
 
 
 def ranges(results: Results) -> dict[str, Array]:
