@@ -70,7 +70,7 @@ class Settings(BaseModel):
         return in_range(value)
 
 
-def named(*loaded: type) -> PlainValidator:
+def name_or(*loaded: type) -> PlainValidator:
     """Validator of a field that takes a name or file of settings, or what is `loaded` already."""
 
     def check(value: Any) -> Any:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.control.feedback import LegFeedback, find_gravity
 from cmf_mj.core.compiled import compiled, inlined
-from cmf_mj.core.settings import Seed, Settings, named
+from cmf_mj.core.settings import Seed, Settings, name_or
 from cmf_mj.electronics import servo_electronics as servo
 from cmf_mj.electronics.converter import (
     Converters,
@@ -42,7 +42,7 @@ from cmf_mj.plant.events import read_position
 from cmf_mj.plant.parameters.loading import fitting
 
 
-class Parts(NamedTuple):
+class ElectronicsParts(NamedTuple):
     """Settings of all parts."""
 
     sensors: SensorSettings
@@ -53,18 +53,20 @@ class Parts(NamedTuple):
 class ElectronicsSettings(Settings):
     """Choice of the electronics of a run; sets by name, TOML files, or loaded settings."""
 
-    sensors: Annotated[str | Path | SensorSettings, named(SensorSettings)] = "noisy"
+    sensors: Annotated[str | Path | SensorSettings, name_or(SensorSettings)] = "noisy"
     """`ideal`, `noisy` or a file."""
-    converters: Annotated[str | Path | ConverterSettings, named(ConverterSettings)] = "sixteen_bit"
+    converters: Annotated[str | Path | ConverterSettings, name_or(ConverterSettings)] = (
+        "sixteen_bit"
+    )
     """`off`, `sixteen_bit` or a file."""
-    servo: Annotated[str | Path | ServoSettings, named(ServoSettings)] | None = None
+    servo: Annotated[ServoSettings | str | Path, name_or(ServoSettings)] | None = None
     """File of changes to the servo electronics; default the shipped ones."""
     seed: Seed | None = None  #: Of the sensors' noise; default that of the scenario, or 0.
 
-    def of(self, machine: Machine) -> Parts:
+    def of(self, machine: Machine) -> ElectronicsParts:
         """All loaded, with the ranges of a machine; see `plant.parameters.loading.fitting`."""
         fitted = fitting(machine)
-        return Parts(
+        return ElectronicsParts(
             load_sensors(self.sensors, fitted),
             load_converters(self.converters, fitted),
             servo.load_servo_settings(self.servo, fitted),

@@ -26,7 +26,7 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.header import channels, parameters
 from cmf_mj.export.library import build, copy_mujoco, copy_sources, write_machine
 from cmf_mj.export.machine import Frozen, freeze
-from cmf_mj.facility.run import Legs, Valves
+from cmf_mj.facility.run import LegDemand, ValveCommands
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.events import KINDS
 from cmf_mj.plant.plant import Plant
@@ -285,7 +285,7 @@ def _run(frozen: Frozen, rows: NDArray[np.float64]) -> Record:
     """The Python loop on inputs that a row a frame has."""
     run = frozen.run._replace(frames=None, window=None)
     if not frozen.chain:
-        return run._replace(source=Legs(rows) if run.law else Valves(rows)).record()
+        return run._replace(source=LegDemand(rows) if run.law else ValveCommands(rows)).record()
     block = demand.make_demand(run.plant.machine)
     motion, legs = np.zeros((2, 3, 6))
     table = np.empty((rows.shape[0], 6))
@@ -293,4 +293,4 @@ def _run(frozen: Frozen, rows: NDArray[np.float64]) -> Record:
         motion[0] = pose
         demand.step(block, motion, legs)
         table[frame] = legs[0]
-    return run._replace(source=Legs(table), start=np.zeros(6)).record()
+    return run._replace(source=LegDemand(table), start=np.zeros(6)).record()

@@ -57,13 +57,13 @@ _RESTING = 0.05
 """What a leg on the stops is above its mechanical end [in]."""
 
 
-class Legs(NamedTuple):
+class LegDemand(NamedTuple):
     """A demand of leg extensions."""
 
     rows: ArrayLike  #: At the control rate, (N, n) [m].
 
 
-class Valves(NamedTuple):
+class ValveCommands(NamedTuple):
     """Valve commands of an open loop."""
 
     rows: ArrayLike  #: Fractions, -1 to 1, positive extending, each held over its frame, (N, n).
@@ -90,7 +90,7 @@ class Run(NamedTuple):
 
     plant: Plant
     law: str | Path | Law | None  #: None opens the loop: the source holds valve commands.
-    source: Command | ArrayLike | Legs | Valves | Source | Arrivals
+    source: Command | ArrayLike | LegDemand | ValveCommands | Source | Arrivals
     """A command or poses (N, 6) [m, rad], z down, leg extensions, valve commands, a table of any of
     them; or the host's frames, which take the whole chain."""
     start: ArrayLike | None = None
@@ -149,9 +149,9 @@ class Run(NamedTuple):
         match self.source:
             case Source() | Arrivals() as source:
                 pass
-            case Legs(rows):
+            case LegDemand(rows):
                 source, said = self._legs(rows), "leg extensions"
-            case Valves(rows):
+            case ValveCommands(rows):
                 source, said = self._valves(rows), "valve commands"
             case command:
                 demanded = commanded(command, self.plant.machine.rate)
@@ -293,7 +293,7 @@ def simulate(
     """
     check_options(plant, options, OPTIONS)
     guarded: Any = {"protection": protection, "electronics": electronics}
-    source = Legs(cast("ArrayLike", command)) if legs else command
+    source = LegDemand(cast("ArrayLike", command)) if legs else command
     return Run(plant, law, source, **options, **guarded).record()
 
 
@@ -319,7 +319,7 @@ def drive(plant: Plant, valves: ArrayLike, **options: Any) -> Record:
     True
     """
     check_options(plant, options, OPTIONS)
-    return Run(plant, None, Valves(valves), **{"command_delay": 0, **options}).record()
+    return Run(plant, None, ValveCommands(valves), **{"command_delay": 0, **options}).record()
 
 
 def check_options(plant: object, options: Mapping[str, Any], allowed: Sequence[str]) -> None:

@@ -10,11 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba import typeof
 
-from cmf_mj import Record, SingleLegs, drive, load_law, signals, simulate, simulate_many
+from cmf_mj import Hexapod, Record, SingleLegs, drive, load_law, signals, simulate, simulate_many
+from cmf_mj.control.states import State
 from cmf_mj.core.errors import CmfError, InputError
+from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.front import from_table
-from cmf_mj.facility.run import Run
+from cmf_mj.facility.host.handover import make_log
+from cmf_mj.facility.pace import make_pace
+from cmf_mj.facility.run import LegDemand, Run, ValveCommands
 from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.studies.engine import Workers
 
@@ -38,6 +43,36 @@ def test_whole_numbers_of_numpy_become_python_s(kind: type) -> None:
     assert numbers == (2, 1, 8) and {type(number) for number in numbers} == {int}
     one, other = (simulate(PLANT, "velocity", STILL, record_every=every) for every in (2, kind(2)))
     assert one["leg_position"].tobytes() == other["leg_position"].tobytes()
+
+
+def test_a_run_is_what_simulate_and_drive_make_of_their_arguments() -> None:
+    legs, options = 0.01 + STILL, {"record_every": 2, "command_delay": 3}
+    pairs = (
+        (simulate(PLANT, "velocity", STILL, **options), (PLANT, "velocity", STILL)),
+        (
+            simulate(PLANT, "velocity", legs, legs=True, **options),
+            (PLANT, "velocity", LegDemand(legs)),
+        ),
+        (drive(PLANT, legs, **options), (PLANT, None, ValveCommands(legs))),
+    )
+    for record, run in pairs:
+        same = Run(*run, **options).record()
+        assert same.metadata == record.metadata
+        for name, values in record.channels.items():
+            assert same[name].tobytes() == values.tobytes(), name
+
+
+def test_all_runs_share_one_compiled_loop() -> None:
+    """On a table, in open loop, on a host with electronics in real time: the same types."""
+    plant = Hexapod()
+    bare = Run(plant, load_law("velocity"), from_table(STILL), frames=8)
+    hosted = bare._replace(source=make_log(4), electronics=ElectronicsSettings())
+    runs = (
+        bare.session(),
+        bare._replace(law=None, source=ValveCommands(STILL)).session(),
+        hosted._replace(protection="default", begin=State.OFF).session(pace=make_pace(8)),
+    )
+    assert len({str(typeof(run.parts)) for run in runs}) == 1
 
 
 def test_an_option_that_there_is_not_is_named_with_those_there_are() -> None:
