@@ -20,10 +20,10 @@ from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.reduction import pose_loop
 from cmf_mj.core import units
+from cmf_mj.core.table import Table
 from cmf_mj.facility.binding import bound
 from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.show.table import Table
 from cmf_mj.studies.capacity.asymptotes import Asymptotes, asymptotes
 from cmf_mj.studies.machine_check import MachineCheck, check_machine
 

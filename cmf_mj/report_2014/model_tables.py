@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from cmf_mj.analysis.linear.loop import loop_response, loop_step
 from cmf_mj.analysis.published import published_results
+from cmf_mj.core.table import Table
 from cmf_mj.report_2014.models import (
     HARDWARE_MODELS,
     LawLoop,
@@ -20,7 +21,6 @@ from cmf_mj.report_2014.models import (
 from cmf_mj.report_2014.second_order import GAINS, gain_effects
 from cmf_mj.show.comparison import phase_text
 from cmf_mj.show.look import GREY, bode_axes, legend, new_figure, plot_bode, save_files
-from cmf_mj.show.table import Table
 
 _FREQUENCIES = np.geomspace(0.1, 20.0, 400)
 _EFFECT_COLUMNS = {

@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from cmf_mj.analysis.measurable import CLEAR, dof_history
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
+from cmf_mj.core.table import Cell, Column, Table, number
 from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.show.look import (
     COLOURS,
@@ -24,7 +25,6 @@ from cmf_mj.show.look import (
     save_files,
     stack,
 )
-from cmf_mj.show.table import Cell, Column, Table, number
 from cmf_mj.signals.single import Step
 from cmf_mj.studies.case import CaseResult
 from cmf_mj.studies.comparison import PUBLISHED, Comparison, published_result

@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cmf_mj.core import units
+from cmf_mj.core.table import Column, Table
 from cmf_mj.show.look import COLOURS, DARK, ORANGE, PURPLE, legend, save_files, stack
-from cmf_mj.show.table import Column, Table
 from cmf_mj.studies.failure.measures import FailureResult
 
 _LEGEND = (

@@ -10,8 +10,8 @@ from scipy import stats
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.identification.model import PolynomialModel, Root
 from cmf_mj.analysis.identification.validation import Residuals, fit_percentage, simulated
+from cmf_mj.core.table import Table
 from cmf_mj.show import look
-from cmf_mj.show.table import Table
 from cmf_mj.studies.identification import Identified
 from cmf_mj.studies.measurement import plain
 

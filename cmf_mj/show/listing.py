@@ -7,11 +7,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cmf_mj.control.law import Law
+from cmf_mj.core.table import Table
 from cmf_mj.electronics.sensors.settings import CHANNELS, SensorSettings
 from cmf_mj.facility.replay import Replay
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.show.look import BLUE, ORANGE, save_figure, stack
-from cmf_mj.show.table import Table
 
 
 def law_table(laws: Sequence[Law]) -> Table:

@@ -6,10 +6,10 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from cmf_mj.core.files import write_text
+from cmf_mj.core.table import Cell, Table, number
 from cmf_mj.report_2014.calibration.fit import Calibration, Examination, Residual, residual_rows
 from cmf_mj.report_2014.calibration.trial import MEASURES
 from cmf_mj.show.look import BLUE, GREY, ORANGE, new_figure, save_files
-from cmf_mj.show.table import Cell, Table, number
 
 _MEASURE = {"phase": "-90 deg", "gain": "-3 dB", "damping": "zeta"}
 _OF = {"hardware": "h", "nonlinear": "m"}

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.files import write_text
+from cmf_mj.core.table import Cell, Column, Table, number
 from cmf_mj.report_2014.posterior import answers
 from cmf_mj.report_2014.posterior import figures as figures
 from cmf_mj.report_2014.posterior.answers import ROBUST, GainStep
@@ -15,7 +16,6 @@ from cmf_mj.report_2014.posterior.evidence import FLOWN
 from cmf_mj.report_2014.posterior.run import GROUPS, Results
 from cmf_mj.report_2014.posterior.sampling import effective_size
 from cmf_mj.show.look import save_files
-from cmf_mj.show.table import Cell, Column, Table, number
 
 Array = NDArray[np.float64]
 
