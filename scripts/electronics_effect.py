@@ -69,7 +69,7 @@ def main() -> None:
                 quick=options.quick,
                 jobs=options.jobs,
                 electronics=electronics,
-            ).results
+            )
             for electronics in (None, ElectronicsSettings())
         )
     except (ValueError, OSError, FloatingPointError) as error:

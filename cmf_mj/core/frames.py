@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-_ROW = "row of the whole table"
+_ROW, _ROWS = "row of the table", "row of the table_list"
 
 
 def column(table: pa.Table, name: str) -> NDArray[np.float64]:
@@ -31,7 +31,6 @@ def groups(table: pa.Table, *names: str) -> Iterator[tuple[tuple[Any, ...], pa.T
     [('b', [0.1, 0.3]), ('a', [0.2])]
     """
     numbered = table.append_column(_ROW, pa.array(np.arange(table.num_rows)))
-    alike = numbered.group_by(names, use_threads=False).aggregate([(_ROW, "list")])
-    for one in alike.to_pylist():
-        *values, rows = (one[name] for name in (*names, f"{_ROW}_list"))
-        yield tuple(values), table.take(rows)
+    alike = numbered.group_by(names, use_threads=False).aggregate([(_ROW, "list")]).to_pylist()
+    for one in sorted(alike, key=lambda one: one[_ROWS][0]):
+        yield tuple(one[name] for name in names), table.take(one[_ROWS])

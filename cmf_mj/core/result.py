@@ -1,8 +1,8 @@
 """What a study returns: rows, the fields that are declared of them once, and where they come from.
 
 A field names a column of the data frame and says how to print it. The frame, CSV, Parquet and JSON
-have every field that has a name, in SI; the table in the terminal and in Markdown has every field
-that has a title, in the unit of the field.
+have every field that has a name, in SI; the table in the terminal and in Markdown has those that
+are printed, in the unit of the field.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,23 +28,29 @@ _KEY = "cmf_mj_result"
 class Field:
     """A quantity of every row.
 
-    >>> Field("load_n", "load [kN]", ".1f", "kN").text(12345.6)
+    >>> load = Field("load_n", "load [kN]", ".1f", "kN", of="largest.value")
+    >>> load.text(12345.6)
     '12.3'
     """
 
     name: str  #: Column of frame and files; empty for what is only printed.
-    title: str | None = None  #: Head of the column where it is printed; None for what is not.
+    title: str | None = None  #: Head of the column where it is printed; by default the name.
     form: str | Callable[[Any], str] | None = None
     """Format of a number, which may end in a unit, see `table.number`; or what makes it text."""
     unit: str = ""  #: In which it is printed; the frame has SI.
-    of: Callable[[Any], Any] | None = None
-    """Takes the value from a row; by default it is the attribute or entry of this name."""
+    of: str | Callable[[Any], Any] = ""
+    """Path of attributes and entries that leads from a row to the value, by default the name; or
+    what takes it from a row."""
+    printed: bool = True  #: Whether the table has it, beside the frame.
 
     def value(self, row: Any) -> Any:
-        """The value of a row."""
-        if self.of is not None:
+        """The value of a row; None where the path ends before."""
+        if callable(self.of):
             return self.of(row)
-        return row[self.name] if isinstance(row, Mapping) else getattr(row, self.name)
+        for part in (self.of or self.name).split("."):
+            if row is not None:
+                row = row[part] if isinstance(row, Mapping) else getattr(row, part)
+        return row
 
     def text(self, value: Any) -> str:
         """A value as it is printed."""
@@ -57,7 +63,7 @@ class Field:
     @property
     def column(self) -> Column:
         """Head of the printed column: numbers stand at the right."""
-        title = self.title or ""
+        title = self.name.replace("_", " ") if self.title is None else self.title
         return (title, "") if isinstance(self.form, str) else title
 
 
@@ -66,7 +72,7 @@ class Result(Sequence[Row], Generic[Row]):
     """Rows of a study with their fields; a sequence of the rows, and a data frame of them.
 
     >>> from cmf_mj.core.result import Field, Result
-    >>> fields = Field("law", "law"), Field("bandwidth_hz", "-90 deg", ".1f Hz")
+    >>> fields = Field("law"), Field("bandwidth_hz", "-90 deg", ".1f Hz")
     >>> rows = [{"law": "velocity", "bandwidth_hz": 2.75}, {"law": "force", "bandwidth_hz": 4.0}]
     >>> result = Result(rows, fields)
     >>> print(result)
@@ -116,10 +122,10 @@ class Result(Sequence[Row], Generic[Row]):
 
     @property
     def table(self) -> Table:
-        """All titled fields, as text."""
-        titled = [each for each in self.fields if each.title is not None]
-        cells = [[each.text(each.value(row)) for each in titled] for row in self.rows]
-        columns = [each.column for each in titled]
+        """All printed fields, as text."""
+        printed = [each for each in self.fields if each.printed]
+        cells = [[each.text(each.value(row)) for each in printed] for row in self.rows]
+        columns = [each.column for each in printed]
         return Table(
             self.title, columns, cells, self.caption, grouped=self.grouped, ruled=self.ruled
         )

@@ -73,19 +73,16 @@ def _percent(share: Interval) -> str:
 
 def _shares(name: str, title: str) -> list[Field]:
     """A share with its interval: three columns of the frame, one that is printed."""
-
-    def part(end: str) -> Callable[[Rate], float]:
-        return lambda row: getattr(row.shares[name], end)
-
+    ends = {"": "value", "_low": "low", "_high": "high"}
     return [
-        *(Field(name, of=part("value")), Field(f"{name}_low", of=part("low"))),
-        Field(f"{name}_high", of=part("high")),
-        Field("", title, _percent, of=lambda row: row.shares[name]),
+        *(Field(name + e, of=f"shares.{name}.{p}", printed=False) for e, p in ends.items()),
+        Field("", title, _percent, of=f"shares.{name}"),
     ]
 
 
 RATES = (
-    *(Field("cab", "cab"), Field("law", "law"), *_shares("stable", "stable %")),
+    *map(Field, ("cab", "law")),
+    *_shares("stable", "stable %"),
     *(field for dof in DOFS for field in _shares(dof, f"{dof} damped %")),
     Field("mode_damping_ratio", "least mode damping", ".3f"),
 )
@@ -125,8 +122,9 @@ def _difference(pairs: pa.Table, name: str) -> NDArray[np.float64]:
 
 
 AGREEMENT = (
-    *(Field("law", "law"), Field("machines", "machines", "d")),
-    Field("same_verdict", "same verdict", "d"),
+    Field("law"),
+    Field("machines", form="d"),
+    Field("same_verdict", form="d"),
     Field("phase_bandwidth_hz_difference", "-90 deg: median difference [Hz]", ".2f"),
     Field("damping_ratio_difference", "zeta", ".2f"),
 )
@@ -159,12 +157,10 @@ def agreement(table: pa.Table) -> Result[dict[str, Any]]:
 
 
 CLIMB = (
-    *(
-        Field("rung", "adds"),
-        Field("dof", "dof"),
-        Field("phase_bandwidth_hz", "-90 deg [Hz]", "+.2f"),
-    ),
-    *(Field("peak_gain_db", "peak [dB]", "+.1f"), Field("damping_ratio", "zeta", "+.2f")),
+    *map(Field, ("rung", "dof")),
+    Field("phase_bandwidth_hz", "-90 deg [Hz]", "+.2f"),
+    Field("peak_gain_db", "peak [dB]", "+.1f"),
+    Field("damping_ratio", form="+.2f"),
     Field("crosstalk", "largest crosstalk", "+.2f"),
 )
 
