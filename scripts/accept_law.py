@@ -75,7 +75,7 @@ def heavier(factor: float) -> Cab:
     """The IFD with masses and inertia multiplied; control laws do not know."""
     cab = load_cab("ifd")
     mass, inertia = factor * cab.mass.si, factor * cab.tensor
-    return cab.changed(f"ifd, mass {factor:g}", taken_for=cab, mass=mass, inertia=inertia)
+    return cab.changed(f"ifd, mass {factor:g}", nominal=cab, mass=mass, inertia=inertia)
 
 
 def runs(law: Law, quick: bool) -> Iterator[Run]:

@@ -8,8 +8,8 @@ warm start, timers), `headless` what the loop steps. `outside` is the share of a
 that `simulate` spends outside the loop, `speed_up_two_threads` the work done by two threads over
 that of one in the same time, by the clock on the wall. --start adds what a user waits for: import,
 `cmf --help`, and the first comparison with nothing compiled. --exudyn adds the CPU time of the
-open-loop run of `cmf verify` in Exudyn over that of ours: with steps of one frame in both, and with
-steps at which both are off by at most 1 um of leg extension. Ours takes no longer step than a
+open-loop run of `verify_plant.py` in Exudyn over that of ours: with steps of one frame in both, and
+with steps at which both are off by at most 1 um of leg extension. Ours takes no longer step than a
 frame; Exudyn's step and time for an error follow from its order 2, error ~ step^2 ~ 1 / time^2.
 --many adds ten thousand one-second cases of `simulate_many`, their time by the clock on the wall
 and what the process grew by meanwhile. --plain adds the CPU time of a Numba without its inside
@@ -43,7 +43,9 @@ from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant import native
 from cmf_mj.plant.headless import quiet
 from cmf_mj.plant.hexapod import hexapod_model
-from cmf_mj.studies.verification import ENGINES, in_mujoco, valve_sines, verify
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from crosscheck.verification import ENGINES, in_mujoco, valve_sines, verify  # noqa: E402
 
 
 @njit(nogil=True, cache=True)

@@ -36,7 +36,6 @@ SEAMS = (
     "studies.engine:_started",
     "studies.tuning.search:cost",
     "report_2014.calibration.fit:_cost_vector",
-    "studies.verification:in_mujoco",
     "show.studio.server:Studio.__init__",
 )
 """Functions in which the work of commands begins, besides joblib's."""

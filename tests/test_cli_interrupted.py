@@ -20,7 +20,7 @@ from PIL import Image
 
 from cmf_mj.core.files import claimed, read_table
 
-ENDS = 2
+ENDS = 1
 """How often the long search ends each command."""
 LONGEST = 12.0
 """Latest end after the start [s]."""
@@ -34,7 +34,6 @@ LINES = {
     "modes": "modes --cabs gfd --samples 90 --rounds 2 --points 3 --out {out}",
     "measure": "measure {facility} --out {out}",
     "identify": "identify {facility} {facility} --orders 2,1,1 --method arx --out {out}",
-    "verify": "verify --seconds 0.1 --finest 4 --out {out}",
     "operate": "operate {stream} --out {out}",
     "serve": "serve --port 0 --seconds 1 --out {out}",
     "record": "record --out {out}",
@@ -46,7 +45,6 @@ LINES = {
     "cue tune": "cue tune {motion} --out {out}",
     "omct": "omct --laws none --quick --dofs heave --out {out}",
     "study": "study ablation --quick --jobs 1 --out {out}",
-    "ablation": "ablation --laws velocity --dofs heave --jobs 1 --out {out}",
     "tune": "tune --evaluations 12 --file {out}/law.toml",
     "certify": "certify velocity --cabs gfd --quick --out {out}",
     "calibrate": "calibrate report --quick --samples 2 --out {out}",

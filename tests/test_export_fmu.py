@@ -243,7 +243,7 @@ def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Pope
 
 @pytest.mark.fuzz
 @given(calls=st.binary(min_size=1, max_size=400))
-@settings(max_examples=examples(10_000), deadline=None)
+@settings(max_examples=examples(4_000), deadline=None)
 def test_no_order_of_calls_breaks_memory(driver: subprocess.Popen[bytes], calls: bytes) -> None:
     assert driver.stdin is not None and driver.stdout is not None
     driver.stdin.write(len(calls).to_bytes(2, "little") + calls)

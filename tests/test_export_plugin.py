@@ -94,3 +94,16 @@ def test_the_model_itself_is_not_overwritten(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"out: .* is refused: excavator\.xml there is the model"):
         export_plugin(own, CYLINDERS, models.model_path("excavator_hydraulics.toml"), tmp_path)
     assert own.read_bytes() == before and list(tmp_path.iterdir()) == [own]
+
+
+def test_what_cannot_be_written_is_refused_before_anything_is(tmp_path: Path) -> None:
+    """A model of several files, whose parts would not be found; a file where the folder goes."""
+    oil, parts = models.model_path("excavator_hydraulics.toml"), tmp_path / "parts.xml"
+    parts.write_bytes(models.model_path("excavator.xml").read_bytes())
+    whole = tmp_path / "whole.xml"
+    whole.write_text(f'<mujoco model="whole"><include file="{parts}"/></mujoco>')
+    with pytest.raises(InputError, match=r"model: .* includes other files; allowed: the whole"):
+        export_plugin(whole, CYLINDERS, oil, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(InputError, match=r"out: .* is refused: .* is not a folder"):
+        export_plugin(parts, CYLINDERS, oil, whole)

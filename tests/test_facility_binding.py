@@ -51,7 +51,7 @@ def test_a_law_that_names_the_cab_keeps_its_modes() -> None:
 
 def test_a_cab_taken_for_another_has_that_one_s_modes() -> None:
     """What the control law knows is not what is there."""
-    drawn = load_cab("gfd").changed("drawn", mass=11e3, taken_for=load_cab("gfd"))
+    drawn = load_cab("gfd").changed("drawn", mass=11e3, nominal=load_cab("gfd"))
     plant = Hexapod(drawn)
     assert bound(MODAL, plant.law_key) == MODAL.bound_to("gfd")
     assert plant.reflected_mass()[0, 0] > Hexapod("gfd").reflected_mass()[0, 0]

@@ -608,6 +608,7 @@ def test_deadlines_are_absolute() -> None:
         ({"host_port": -1}, "host_port: -1"),
         ({"host": "localhost"}, "host: 'localhost' is not an IPv4 address"),
         ({"bind": "::1"}, "bind: '::1'"),
+        ({"bind": "192.0.2.1"}, "bind: '192.0.2.1' is no address of this machine"),
     ],
 )
 def test_bad_sockets_are_refused_by_name(arguments: dict[str, object], message: str) -> None:

@@ -150,5 +150,5 @@ def test_no_changed_cab_has_the_name_of_a_shipped_one(tmp_path: Path) -> None:
 
 def test_a_cab_comes_back_from_json() -> None:
     """As from the metadata of a record."""
-    cab = load_cab().changed("mine", mass=9e3, taken_for=load_cab("ifd"))
+    cab = load_cab().changed("mine", mass=9e3, nominal=load_cab("ifd"))
     assert recorded_cab({"cab_parameters": cab.model_dump(mode="json")}) == cab

@@ -97,6 +97,7 @@ def changed(name="hardware", **values):
         ({"rope": 3.5}, "'rope' starts at a length of 3.0000 m; allowed: 3.5000 to 5.4304 m"),
         ([], "names no joints or tendons"),
         ("ram", "'ram' names no joints or tendons"),
+        (None, "None names no joints or tendons"),
     ],
 )
 def test_cylinders_that_do_not_fit_are_named(cylinders, said):

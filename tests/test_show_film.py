@@ -93,7 +93,7 @@ def test_a_gif_keeps_its_pace_though_it_counts_hundredths(single: Record, tmp_pa
             picture.seek(number)
             durations.append(picture.info["duration"])
     assert sum(durations) == 500
-    with pytest.raises(ValueError, match="fps: 60 pictures a second of a GIF file .* at most 50"):
+    with pytest.raises(ValueError, match="fps: 60 frames a second of a GIF file .* at most 50"):
         film([single], tmp_path / "fast.gif", SMALL._replace(fps=60))
 
 

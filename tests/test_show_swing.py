@@ -167,7 +167,7 @@ def test_an_mp4_is_whole_and_says_what_it_shows(plant: Hexapod, tmp_path: Path) 
         ({"height": 4000}, "height: 4000 pixels must be between 16 and 1080"),
         ({"camera": "roof"}, "camera: 'roof' is not one of overview, side"),
         ({"speed": -1.0}, "speed, fps: -1.0, 6 must be greater than 0"),
-        ({"speed": 0.5}, "speed: 0.5 with 6 pictures a second leaves mode 6 at 14.1 Hz"),
+        ({"speed": 0.5}, "speed: 0.5 with 6 frames a second leaves mode 6 at 14.1 Hz"),
         ({"periods": 0.0}, "periods: 0.0 of the lowest mode must be greater than 0"),
         ({"stroke": -0.1}, "stroke: -0.1000 m must be greater than 0"),
         ({"stroke": float("nan")}, "stroke: nan m must be greater than 0"),

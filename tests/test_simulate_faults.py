@@ -283,6 +283,14 @@ FOUND = {
     "seed 5003: legs on their stops, engaged, after the operator's emergency stop": (
         '{"seconds": 8.0, "actions": [[0.1, "event", "emergency_stop", 1]]}'
     ),
+    "seed 200260: the base of a Moog client ends where a position sensor is open": (
+        '{"seconds": 2.02, "machine": "new", "door": "moog", '
+        '"actions": [[2.002, "event", "sensor_open", 6]]}'
+    ),
+    "seed 200154: a demand at the machine's limit, of a host that asks for twice of it": (
+        '{"machine": "lab", "door": "telemetry", "rate": 21.2, "speed": 1.988, '
+        '"oddities": [["wild", 0.303, 2.943, 0.1722]]}'
+    ),
 }
 
 

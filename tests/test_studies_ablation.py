@@ -1,4 +1,4 @@
-"""`cmf ablation` climbs the ladder and writes its table and figure."""
+"""`cmf study ablation` climbs the ladder and writes its table and figure."""
 
 import csv
 from pathlib import Path
@@ -20,7 +20,8 @@ def test_heave_keeps_its_single_leg_all_the_way_up(tmp_path: Path) -> None:
     Nothing but heave moves before the centre of mass leaves the centroid, in front of the legs'
     axis of symmetry.
     """
-    arguments = ["ablation", "--laws", "velocity", "--dofs", "heave", "--out", str(tmp_path)]
+    arguments = ["study", "ablation", "--laws", "velocity", "--dofs", "heave"]
+    arguments += ["--out", str(tmp_path)]
     done = CliRunner().invoke(app, [*arguments, "--jobs", "2", "--backend", "threading"])
     assert done.exit_code == 0, done.output
     rows = pq.read_table(tmp_path / RESULTS).to_pylist()

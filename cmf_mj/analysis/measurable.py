@@ -84,9 +84,9 @@ def least_demand(record: Record, dof: str) -> float:
 
 def check_alike(records: Sequence[Record]) -> None:
     """Refuse rounds that cannot be of one session, as far as they tell."""
-    told = [{"axis": record.excitation.axis or None, **record.metadata} for record in records]
+    sources = [{"axis": record.excitation.axis or None, **record.metadata} for record in records]
     for field in ("axis", *_ALIKE):
-        values = [of[field] for of in told if of.get(field) is not None]
+        values = [of[field] for of in sources if of.get(field) is not None]
         for other in values:
             if other != values[0]:
                 pair = f"{values[0]!r} and {other!r} " if isinstance(other, str) else ""

@@ -1,4 +1,4 @@
-"""Analyse: `cmf linearize`, `modes`, `measure`, `identify` and `verify`."""
+"""Analyse: `cmf linearize`, `modes`, `measure` and `identify`."""
 
 from __future__ import annotations
 
@@ -186,26 +186,3 @@ def identify_command(
     model = studies.identify(records, dof, **options)
     paths = report.save_identification(model, out)
     show(report.orders_table(model), report.model_table(model), written(paths))
-
-
-@command("verify")
-def verify_command(
-    cab: options.Cab = "gfd",
-    hydraulics: options.Hydraulics = "report",
-    seconds: Annotated[float, Option(help="simulated time [s]")] = 4.0,
-    finest: Annotated[int, Option(help="most mechanical steps to a frame: 4, 8, 16, ...")] = 8,
-    out: options.Out = Path("out/verification"),
-) -> None:
-    """Compare the plant with Exudyn, from a checkout: error and CPU time over step sizes."""
-    from cmf_mj.show import verification as report
-    from cmf_mj.studies.verification import verify
-
-    if not 0.0 < seconds <= 600.0:
-        raise InputError(f"seconds: {seconds} must be more than 0 and at most 600")
-    if finest < 4 or finest & (finest - 1):
-        raise InputError(f"finest: {finest} must be a power of two, at least 4")
-    parts = [2**i for i in range(finest.bit_length())]
-    with progress_bar() as progress:
-        result = verify(cab, hydraulics, seconds=seconds, parts=parts, progress=progress)
-    paths = report.save_verification(result, out)
-    show(report.verification_table(result), written(paths, out))

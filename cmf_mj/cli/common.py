@@ -221,7 +221,7 @@ def noise_choice(noise: bool) -> ElectronicsSettings | None:
 
 
 def changed_scenario(scenario: Any, **fields: object) -> Any:
-    """A scenario with other fields, checked anew; None leaves a field."""
+    """A scenario with other fields, checked again; None leaves a field."""
     from cmf_mj.facility.scenario.library import scenario_of
 
     changes = {name: value for name, value in fields.items() if value is not None}

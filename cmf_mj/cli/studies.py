@@ -1,4 +1,4 @@
-"""Studies: `cmf study`, `ablation`, `tune` and `calibrate`."""
+"""Studies: `cmf study`, `tune`, `certify` and `calibrate`."""
 
 from __future__ import annotations
 
@@ -28,16 +28,21 @@ Workers = Annotated[str, choice(_BACKEND, "BACKEND", "threading, loky (processes
 Address = Annotated[str | None, Option(help="address of a running Dask scheduler")]
 
 
-def _run(
-    specification: str,
-    out: Path,
-    laws: list[str] | None,
-    how: dict[str, Any],
-    *,
-    quick: bool = False,
-    **changes: Any,
+@command("study")
+def study_command(
+    context: Context,
+    specification: Annotated[str, argument(_READY, "STUDY", "name or TOML file", free=True)],
+    out: options.NamedOut = None,
+    laws: Laws = None,
+    cabs: SomeCabs = None,
+    dofs: SomeDofs = None,
+    draws: Annotated[int | None, Option(help="random samples of the machine")] = None,
+    quick: options.Quick = False,
+    jobs: options.Jobs = None,
+    backend: Workers = "loky",
+    scheduler: Address = None,
 ) -> None:
-    """Run a study with some of its fields changed; None leaves a field."""
+    """Run a study of many cases, or what is left of it; the same command resumes it."""
     from cmf_mj.report_2014.posterior import tables as posterior
     from cmf_mj.report_2014.posterior.run import run_posterior
     from cmf_mj.report_2014.posterior.settings import load_posterior
@@ -45,9 +50,11 @@ def _run(
     from cmf_mj.studies.engine import run_study
     from cmf_mj.studies.settings import load_study, study_table
 
-    changes = {name: value for name, value in changes.items() if value is not None}
-    how["jobs"] = how["jobs"] if how["jobs"] is not None else os.cpu_count() or 1
-    how["backend"] = "dask" if how["scheduler"] else how["backend"]
+    how: dict[str, Any] = {"jobs": os.cpu_count() or 1 if jobs is None else jobs}
+    how |= {"backend": "dask" if scheduler else backend, "scheduler": scheduler}
+    given = {"cabs": cabs, "dofs": dofs, "draws": draws}
+    changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    out = claim(context, out or Path("out") / Path(specification).stem)
     try:
         with progress_bar() as update:
             if "unknowns" in study_table(specification)[0]:
@@ -62,44 +69,11 @@ def _run(
                 parts, paths = (report.summary_table(table),), report.save_report(table, out)
         show(*parts, written(paths, out))
     except KeyboardInterrupt:
-        typer.secho(f"cmf: interrupted; the same command goes on with {out}", err=True)
+        typer.secho(f"cmf: interrupted; the same command continues {out}", err=True)
         if how["backend"] == "threading":
             sys.stderr.flush()
             os._exit(130)  # threads still compute: they would outlive what they compute on
         raise SystemExit(130) from None
-
-
-@command("study")
-def study_command(
-    context: Context,
-    specification: Annotated[str, argument(_READY, "STUDY", "name or TOML file", free=True)],
-    out: options.NamedOut = None,
-    laws: Laws = None,
-    cabs: SomeCabs = None,
-    draws: Annotated[int | None, Option(help="random samples of the machine")] = None,
-    quick: options.Quick = False,
-    jobs: options.Jobs = None,
-    backend: Workers = "loky",
-    scheduler: Address = None,
-) -> None:
-    """Run a study of many cases, or what is left of it; the same command resumes it."""
-    folder = claim(context, out or Path("out") / Path(specification).stem)
-    how = {"jobs": jobs, "backend": backend, "scheduler": scheduler}
-    _run(specification, folder, laws, how, quick=quick, cabs=cabs, draws=draws)
-
-
-@command("ablation")
-def ablation_command(
-    out: options.Out = Path("out/ablation"),
-    laws: Laws = None,
-    dofs: SomeDofs = None,
-    jobs: options.Jobs = None,
-    backend: Workers = "loky",
-    scheduler: Address = None,
-) -> None:
-    """Climb from a single leg to the whole machine, one effect at a time."""
-    how = {"jobs": jobs, "backend": backend, "scheduler": scheduler}
-    _run("ablation", out, laws, how, dofs=dofs)
 
 
 @command("tune")

@@ -25,7 +25,7 @@ that accelerates by less than the other share, and moves slower than V, is then 
 overshoot. With e = 0 the wish is the demand itself: while the demand keeps the bounds the output
 *is* the demand, bit by bit, with no lag. The output is the wish, moved into the bounds. There is no
 integral that could wind up: the lag is the difference of two positions. A demand outside the range
-is left behind at the limit and met on its way back, at its own speed.
+is skipped at the limit and met on its way back, at its own speed.
 
 `step` bounds each channel alone. Legs limited alone distort the pose. `step_together` shares one
 scale: from rest all channels follow one straight line between old and new demand, and when one

@@ -22,7 +22,7 @@ stays between its source and its own stop, whatever the source does, and
     |r''| <= max(|p''|, |h''|) + 3.75 |p' - h'| / D + 5.7735 |p - h| / D^2
 
 The stop is v0 S / 2 + a0 S^2 / 16 long. It obeys p''' + 2 k p'' + k^2 p' = 0, so that to start it
-anew in its course changes nothing: requests in turns, however fast, lead no further than that
+again in its course changes nothing: requests in turns, however fast, lead no further than that
 beyond the hull of where the legs were and the source is.
 
 S and D are the settings' least times, stretched where the terms that they divide would exceed the

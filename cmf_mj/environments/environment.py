@@ -39,7 +39,7 @@ class Quantity(NamedTuple):
 class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     """A machine in steps of 64 control frames.
 
-    A subclass says what an action does (`_command`), what is seen (`_look`) and what it is worth
+    A subclass says what an action does (`_command`), what is seen (`_look`) and its reward
     (`_judge`).
     """
 

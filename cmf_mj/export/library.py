@@ -23,7 +23,7 @@ from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import SIGNALS, Law, load_law
 from cmf_mj.core.errors import InputError, RunError
-from cmf_mj.core.files import write_text
+from cmf_mj.core.files import check_target, write_text
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.header import contents
 from cmf_mj.export.machine import Frozen, Image, freeze, make_image
@@ -58,6 +58,7 @@ def export_library(
 
 def copy_sources(kind: str, out: Path) -> list[Path]:
     """Copy what is the same in every export of a kind; first of all, nothing lies there before."""
+    check_target(out / "any", "out")
     _compiler()
     out.mkdir(parents=True, exist_ok=True)
     return [Path(shutil.copy(path, out)) for path in sorted((_SOURCES / kind).iterdir())]

@@ -149,7 +149,7 @@ class Frozen(NamedTuple):
 
     @property
     def digest(self) -> str:
-        """What tells the machine from others, 14 hexadecimal digits."""
+        """Name of the machine among others, 14 hexadecimal digits."""
         blocks = self.image.slots.tobytes(), self.image.block.tobytes(), self.model.tobytes()
         return hashlib.sha256(b"".join(blocks)).hexdigest()[:14]
 

@@ -7,7 +7,7 @@ a table instead, of slots of 8 bytes in the order of `leaves`,
     an array     its address, its shape and its strides: 1 + 2 ndim slots
     None         no slot
 
-from which the tuples are built anew at each call. Numba makes the LLVM code of the function and of
+from which the tuples are built again at each call. Numba makes the LLVM code of the function and of
 all it calls; from this everything that serves Python is removed, and LLVM writes position
 independent code for `PROCESSOR`. Multiplications and additions are fused in neither, so that the
 bits are the same on every processor; sine, power and the like are those of the C library.

@@ -1,7 +1,7 @@
 """The cylinders of any model as a plugin of MuJoCo, beside plain MJCF that names it.
 
 The model then runs wherever MuJoCo does, in its viewer and in `mujoco.rollout`: a control is the
-valve command of a cylinder. All cylinders of a machine hang on one supply, so one instance of the
+valve command of a cylinder. All cylinders of a machine share one supply, so one instance of the
 plugin drives them all; what moves in the hydraulics is MuJoCo's plugin state.
 """
 
@@ -80,6 +80,9 @@ def export_plugin(
     written = out / f"{plant.name}.xml"
     if written.exists() and written.samefile(model):
         raise InputError(f"out: {str(out)!r} is refused: {written.name} there is the model itself")
+    if ElementTree.parse(model).getroot().find(".//include") is not None:
+        one = "the whole in one file, as MjSpec.to_xml writes it"
+        raise InputError(f"model: {str(model)!r} includes other files; allowed: {one}")
     spec = equipped(model, cylinders, hydraulics)[0]
     state, legs = plant.start(), plant.legs
     fixed = Fixed(plant.hydraulics, no_faults(legs), plant.neutral)

@@ -58,7 +58,7 @@ def bound(law: Law, machine: str | Cab | Plant) -> Law:
 
     Args:
         law: in legs, which needs no modes, or in hydraulic modes.
-        machine: plant or cab, or name of a plant without cabs, which tells neither.
+        machine: plant or cab, or name of a plant without cabs, which has neither.
 
     Raises:
         InputError: a law in hydraulic modes has none of a CMF's cab or of a plant without cabs.

@@ -205,7 +205,7 @@ def _stops(protection, guard, frame, reference, feedback, supply, age, closed): 
 def _reset(electronics, guard, progress, plant_faults, integral, position):  # type: ignore[no-untyped-def]
     """Forget a fault the operator has reset, after noting it; the supply is open again.
 
-    The error integral starts anew: it has wound up while the valves could not answer.
+    The error integral starts again: it has wound up while the valves could not answer.
     """
     if guard.fault[0] != NO_FAULT:
         for i in range(3):

@@ -180,7 +180,7 @@ def serve(
     Compiles and warms up first; the clock starts after that. The ring is that of a `UdpReceiver`,
     or filled by `put`; the pose at the start is neutral. `attend` is called with the session
     between parts of the run and returns the control frames until it wants to be called again; if
-    not `paced`, the run waits for nothing else. Raises `OSError` on systems without a monotonic
+    not `paced`, the run does not wait. Raises `OSError` on systems without a monotonic
     clock to keep time by.
     """
     settings, loaded = options.get("facility") or FacilitySettings(), load_law(law)
@@ -227,11 +227,11 @@ def _options(options: OperationOptions, frames: int, every: int) -> Options:
 
 def _run(session: Session, options: OperationOptions, attend: Attendant | None = None) -> None:
     """Run a session to its end, by default a second at a time."""
-    progress, told = options.get("progress"), 0
+    progress, shown = options.get("progress"), 0
     while session.frame < session.frames:
         session.run(session.rate if attend is None else attend(session))
-        if progress is not None and session.frame >= min(told + session.rate, session.frames):
-            told = session.frame
+        if progress is not None and session.frame >= min(shown + session.rate, session.frames):
+            shown = session.frame
             progress(session.frame / session.rate)
 
 

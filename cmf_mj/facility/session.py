@@ -328,7 +328,7 @@ class Session:
         self.controller.state.error.integral[:] = 0.0
 
     def exchange(self, **parts: Any) -> None:
-        """Go on with other parts of the chain, by their field in `Chain`."""
+        """Continue with other parts of the chain, by their field in `Chain`."""
         self.controller = self.controller._replace(chain=self.chain._replace(**parts))
 
     def body(self, name: str = "") -> int:

@@ -52,8 +52,8 @@ class Cab(RigidBody):
     base: str  #: The machine's cab whose drawing and pilot's station it has.
     platform: RigidBody  #: The platform alone.
     legs: Legs  #: Cylinders and rods.
-    taken_for: "Cab | None" = None
-    """Cab that control laws in hydraulic modes take it for; None for itself."""
+    nominal: "Cab | None" = None
+    """Cab that control laws in hydraulic modes assume; None for itself."""
     machine: Machine = Field(exclude=True, repr=False)  #: The machine it is on.
 
     @model_validator(mode="after")
@@ -75,8 +75,8 @@ class Cab(RigidBody):
 
     @property
     def known_as(self) -> "Cab":
-        """The cab that control laws take it for."""
-        return self.taken_for or self
+        """The cab that control laws assume."""
+        return self.nominal or self
 
     @property
     def payload(self) -> Payload:
@@ -97,7 +97,7 @@ class Cab(RigidBody):
         *,
         platform: Mapping[str, ArrayLike] | None = None,
         leg_mass: float = 1.0,
-        taken_for: "Cab | None" = None,
+        nominal: "Cab | None" = None,
         **cab: ArrayLike,
     ) -> "Cab":
         """A cab with other masses.
@@ -107,7 +107,7 @@ class Cab(RigidBody):
             platform: `mass` [kg], `centre_of_mass` (3,) [m], `inertia` [kg m^2], (3, 3), of the
                 platform, as far as they change.
             leg_mass: factor on the masses of cylinders and rods.
-            taken_for: cab that control laws take it for; default itself.
+            nominal: cab that control laws assume; default itself.
             **cab: as `platform`, of the cab.
 
         Raises:
@@ -126,7 +126,7 @@ class Cab(RigidBody):
             "legs": _stated(legs if leg_mass != 1.0 else {}, name),
         }
         made = _overlaid(self, name, changes, name)
-        return made if taken_for is None else made.model_copy(update={"taken_for": taken_for})
+        return made if nominal is None else made.model_copy(update={"nominal": nominal})
 
 
 _SI = {"centre_of_mass": "m", "inertia": "kg m^2"}
@@ -232,7 +232,7 @@ def load_cab(
     names = carrier.cab_names
     if source is None or str(source) in names:
         return _own(carrier, names[0] if source is None else str(source))
-    user = user_set("cab", names, source, fixed=("base", "taken_for", "machine"))
+    user = user_set("cab", names, source, fixed=("base", "nominal", "machine"))
     return _overlaid(_own(carrier, user.base), user.name, user.changes, user.where)
 
 
@@ -245,7 +245,10 @@ def recorded_cab(metadata: Mapping[str, Any]) -> Cab | None:
 
 
 def _on(machine: Machine, table: Mapping[str, Any]) -> dict[str, Any]:
-    """The table of a recorded cab, and of the one it is taken for, on their machine."""
-    other = table.get("taken_for")
-    known = {"taken_for": _on(machine, other)} if isinstance(other, Mapping) else {}
-    return {**table, **known, "machine": machine}
+    """The table of a recorded cab, and of its nominal one, on their machine.
+
+    Older records call that one "taken_for".
+    """
+    own = {name: value for name, value in table.items() if name not in ("nominal", "taken_for")}
+    other = table.get("nominal") or table.get("taken_for")
+    return {**own, "nominal": _on(machine, other) if other else None, "machine": machine}

@@ -191,8 +191,8 @@ def _within(values, bound):  # type: ignore[no-untyped-def]
 def _newton(geometry, sense, legs, pose, error, change, jacobian):  # type: ignore[no-untyped-def]
     """Newton iteration from `pose`, in place; whether it ended on the assembly of the pose zero.
 
-    The assemblies are separated by singular poses, so the determinant's sign tells theirs; `sense`
-    is that of the pose zero. Work is done in `error` and `change`, (6,), and `jacobian`, (6, 6).
+    Singular poses separate the assemblies, so the determinant's sign is that of one; `sense` is
+    that of the pose zero. Work is done in `error` and `change`, (6,), and `jacobian`, (6, 6).
     """
     for _ in range(_NEWTON_ITERATIONS):
         write_legs(geometry, pose, error)

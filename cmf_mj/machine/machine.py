@@ -139,7 +139,7 @@ class Machine(Settings):
     """Area that turns pressures into force in the control law (Eq 3.7); default the rod's side."""
 
     def __hash__(self) -> int:
-        """By name: machines of one name are told apart by `==`."""
+        """By name: machines of one name are compared by `==`."""
         return hash(self.name)
 
     @model_validator(mode="after")

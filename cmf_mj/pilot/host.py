@@ -1,7 +1,7 @@
 """What may drive the cab: a host in aircraft mode or one in direct mode, at no more than 80 Hz.
 
-In aircraft mode a host tells what the pilot's station of an aircraft is subjected to, and a washout
-makes platform motion of it; in direct mode it tells platform pose, velocity and acceleration
+In aircraft mode a host says what the pilot's station of an aircraft is subjected to, and a washout
+makes platform motion of it; in direct mode it says platform pose, velocity and acceleration
 itself (section 2.3.1). Anything with the one method of a mode is a host of that mode: a recorded
 flight, an aircraft flown now, a stream of frames.
 """

@@ -153,7 +153,7 @@ def learn(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Learning:
-    """Fly a motion on the first plant, and again with what its leg sensors told corrected.
+    """Fly a motion on the first plant, and again corrected by what its leg sensors measured.
 
     G_i are those of the plants in turn, at the mean pose and where a leg is longest or shortest.
     Trial k, the first run being 0, has the noise of seed + k. Refuses fewer than one trial, less
@@ -187,11 +187,11 @@ def learn(
     for trial in range(trials + 1):
         if trial:
             foreseen = window * learner.improved(foreseen, expected)
-            wanted = legs_to_pose(legs + window * learner.improved(correction, seen), machine)
-            rates = differentiate(reference.time, wanted - reference.pose)
+            demanded = legs_to_pose(legs + window * learner.improved(correction, seen), machine)
+            rates = differentiate(reference.time, demanded - reference.pose)
             motion = (reference.velocity + rates[0], reference.acceleration + rates[1])
             demand, back = within_limits(
-                make_stream(reference.time, wanted, *motion), limits, machine
+                make_stream(reference.time, demanded, *motion), limits, machine
             )
             correction, held = pose_to_legs(demand.pose, machine) - legs, int(back.sum())
             demands.append(demand)

@@ -13,7 +13,7 @@ Bores, strokes, valves, hoses and the supply come from the parameter set, where 
 `actuators` gives each cylinder, by the name of its joint or tendon, what differs.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import mujoco
@@ -102,9 +102,9 @@ def equipped(
     """
     spec = _read(model)
     parameters = load_hydraulics(hydraulics)
-    lengths = dict(cylinders) if isinstance(cylinders, Mapping) else dict.fromkeys(cylinders)
-    if isinstance(cylinders, str) or not lengths:
+    if isinstance(cylinders, str) or not isinstance(cylinders, Collection) or not cylinders:
         raise InputError(f"cylinders: {cylinders!r} names no joints or tendons; allowed: a list")
+    lengths = dict(cylinders) if isinstance(cylinders, Mapping) else dict.fromkeys(cylinders)
     if not timestep > 0.0:
         raise InputError(f"timestep: {timestep} s must be greater than 0")
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:

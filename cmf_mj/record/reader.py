@@ -45,7 +45,7 @@ class _Table(NamedTuple):
     lines: list[str]
     separator: str | None  #: None for blanks.
     by_name: bool
-    """Whether the header tells the columns; otherwise they are where the report has them."""
+    """Whether the header names the columns; otherwise they are where the report has them."""
     trailer: Trailer | None
 
     def cell(self, sample: int, column: int | str) -> str:
@@ -68,7 +68,7 @@ def read_facility_csv(path: str | Path) -> Record:
     lines that begin with `#` are comments. Values that are read must be finite numbers; columns
     that are not read may hold anything.
 
-    What a file does not carry cannot be checked: without TIME the rate is taken for 128 Hz, and
+    What a file does not carry cannot be checked: without TIME the rate is 128 Hz, and
     without the line `# cmf_mj` a column filled from another one is not noticed.
 
     The record is in SI at 128 Hz. In its metadata `command` is the writer's, or of the kind
@@ -262,7 +262,7 @@ def _refuse_number(table: _Table, indices: list[int]) -> None:
 
 
 def _check_rows(table: _Table, column: dict[str, NDArray[np.float64]]) -> None:
-    """Rows are at 128 Hz and none is missing, as far as the file tells."""
+    """Rows are at 128 Hz and none is missing, as far as the file shows."""
     if TIME in column:
         time = column[TIME]
         step = np.diff(time)

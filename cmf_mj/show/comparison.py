@@ -40,7 +40,7 @@ _TITLES = {"hexapod": "hexapod", "single_legs": "single legs"}
 _LEGEND = (
     "-90, -3 dB: bandwidths in Hz from DCL leg demand to leg feedback, -3 dB from absolute 0 dB; "
     "peak in dB; zeta: damping ratio from the step's overshoot; unstable: the legs ring on "
-    "undiminished 12 s after the step, and nothing else counts. ~: the phase grazes -90 deg; "
+    "undiminished 12 s after the step, and only that counts. ~: the phase grazes -90 deg; "
     "a/b: it falls through it at a and, having come back, at b; [c]: -90 deg of small motion, "
     f"where that is more than {AGREEMENT:g} Hz off. Published: h measured on the hardware, m from "
     "the report's non-linear model of six single legs."

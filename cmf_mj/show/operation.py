@@ -107,7 +107,7 @@ _MEANINGS = {
     "waiting": "neither: held at the end until confirmed",
     "late": "accepted after their turn had begun",
     "missing": "numbers that never came",
-    "resynchronised": "starts of a stream, jumps followed, clocks set anew",
+    "resynchronised": "starts of a stream, jumps followed, clocks set again",
     "silent": "streams lost by timeout",
     "overrun": "datagrams dropped by the system, its buffer being full",
 }

@@ -12,7 +12,7 @@ The folder of a study: what it is, the results so far, the finished table.
     results.parquet   all rows in the order of the tasks, once all are finished
 
 A line that a killed process left half-written, or that is damaged, is dropped and its task runs
-again; of damaged lines it is told how many. Numbers survive the journal to the bit: JSON holds the
+again; of damaged lines it reports how many. Numbers survive the journal to the bit: JSON holds the
 shortest digits that read back the same.
 """
 
@@ -281,7 +281,7 @@ def run_tasks(
                 if type(error).__name__ not in _DEATHS:
                     raise
                 if alone:
-                    text = f"its worker died again, running nothing else: {type(error).__name__}"
+                    text = f"its worker died again, running alone: {type(error).__name__}"
                     journal.add(chosen[0].number, work.failed(WorkerDied(text)))
                     report()
                 # A death that let nothing finish: find the task that brings it.

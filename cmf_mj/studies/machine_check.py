@@ -1,4 +1,4 @@
-"""Whether the numbers of a machine fit together: what `cmf machine check` tells.
+"""Whether the numbers of a machine fit together: what `cmf machine check` reports.
 
 closure        largest gap of a gimbal over poses of the envelope, the model put together there
 envelope       single-axis excursions at which the first leg has used up its working stroke
@@ -36,7 +36,7 @@ POSES = 200
 """Poses of the envelope that are looked at."""
 
 POOR = 100.0
-"""Condition number above which a pose is told as nearly singular."""
+"""Condition number above which a pose is reported as nearly singular."""
 
 
 LONG = 15.0

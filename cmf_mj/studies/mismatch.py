@@ -154,7 +154,7 @@ def drawn_machine(cab: Cab, hydraulics: HydraulicParameters, seed: int, draw: in
         mass=mass * cab.mass.si,
         platform={"mass": platform * cab.platform.mass.si},
         leg_mass=legs,
-        taken_for=cab,
+        nominal=cab,
     )
     gains = int(generator.integers(2**32))
     return Hexapod(heavier, with_valve_gains(hydraulics.model_copy(update=changed), gains))

@@ -85,7 +85,7 @@ def lumped(
         f"{cab.name}, lumped",
         platform=halves[0],
         leg_mass=leg_mass,
-        taken_for=cab.known_as,
+        nominal=cab.known_as,
         **halves[1],
     )
 

@@ -1,9 +1,9 @@
 """What every run must keep, frame by frame; a check returns what is wrong, or nothing.
 
 The decisive one is `near`: the demand of the DCU stays inside the range of the poses that came from
-the host in the second before the newest of them, widened by SHARE of half that range and by the way
-a host's speed goes on in STOP. From the first frame of a fault on the machine is being stopped, and
-the demand may be anywhere until the fault has been reset.
+the host in the second before the newest of them, as far as the machine may go, widened by SHARE of
+half that range and by the way a host's speed goes on in STOP. From the first frame of a fault on
+the machine is being stopped, and the demand may be anywhere until the fault has been reset.
 """
 
 from collections.abc import Callable, Iterator
@@ -16,6 +16,7 @@ from cmf_mj.core.rates import RATE
 from cmf_mj.facility.operation import account
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_to_legs
+from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.oil import ATMOSPHERE
 from cmf_mj.plant.power_balance import power_balance
 from cmf_mj.record.record import Record
@@ -112,10 +113,12 @@ def _own(part: Part, door: str) -> tuple[NDArray[np.int64], Array]:
 def near(run: Run) -> str:
     """The demand stays in the range of its host."""
     speed = _speed(run)[0] + _wrong(run.plan)
+    least, most = load_motion_limits(None, run.plant.machine).operational.T
     for part in run.parts:
         record = part.operation.record
         demand, rate = record["demand_pose"], round(record.rate)
-        low, high = hulls(*_own(part, run.plan.door), record.time.size, rate)
+        frames, poses = _own(part, run.plan.door)
+        low, high = hulls(frames, np.clip(poses, least, most), record.time.size, rate)
         wide = SHARE * 0.5 * (high - low) + STOP * speed + LEAST[0]
         beyond = np.maximum(demand - high, low - demand) / wide
         beyond[~_sound(part)] = 0.0

@@ -21,7 +21,6 @@ from scipy.spatial.transform import Rotation
 from cmf_mj.core.errors import InputError, RunError, require
 from cmf_mj.core.rates import RATE
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.studies.verification import Trajectory
 from crosscheck.hydraulics import Circuit, make_circuit
 
 _LEGS = 6
@@ -62,6 +61,16 @@ def _joined(first: _Body, second: _Body) -> _Body:
 
 def _turn(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
     return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+
+
+class Trajectory(NamedTuple):
+    """What an engine computed, at the ends of the control frames and at the start."""
+
+    step: float  #: Mechanical step [s].
+    time: NDArray[np.float64]  #: [s], (N,).
+    extension: NDArray[np.float64]  #: Leg extensions from neutral [m], (N, 6).
+    pressure: NDArray[np.float64]  #: Pressures of cap and rod chambers [Pa], (N, 6, 2).
+    cpu_time: float  #: Of the run, without building the model [s].
 
 
 class Machine:

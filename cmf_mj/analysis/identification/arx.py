@@ -18,7 +18,7 @@ Orders: with V the mean square of e over the samples that every candidate explai
 
 and the fit (NRMSE, `fit_percentage`) of the simulated model to experiments not used in the fit. On
 records without noise V falls with every order and AIC and BIC choose the largest; the validation
-fit tells what is worth it.
+fit shows which order gains by it.
 """
 
 from collections.abc import Iterable, Sequence

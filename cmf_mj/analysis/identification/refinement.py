@@ -106,7 +106,7 @@ def _refined(
         variance = float(misfit @ misfit) / (y.size - theta.size)
         covariance = variance * (half @ half.T)
         change = float(np.max(np.abs(new - theta) / np.sqrt(np.diag(covariance))))
-        # Where distortion is taken for noise the iteration may swing about its end: halve it.
+        # Where distortion counts as noise the iteration may swing about its end: halve it.
         theta = new if sweep < _ITERATIONS // 3 else 0.5 * (theta + new)
         if change < _CLOSE:
             return FittedRow(new, covariance, variance, True)

@@ -52,7 +52,7 @@ _NEAR = 1e-2
 _SHARPNESS = (20.0, 60.0, 200.0)
 """Of the smooth maximum of eigenvalues that is minimised, round by round."""
 _ENOUGH, _GOOD = 0.9, 0.97
-"""Shares of beta below which a search ends, and below which it is not begun anew."""
+"""Shares of beta below which a search ends, and below which it does not begin again."""
 _OPTIONS = {"maxiter": 100, "maxcor": 20, "ftol": 1e-6}
 
 

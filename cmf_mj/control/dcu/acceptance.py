@@ -288,7 +288,7 @@ def _widen(dcu, state, values):  # type: ignore[no-untyped-def]
 
 @compiled
 def _follow(dcu, state, relative, interval, ahead):  # type: ignore[no-untyped-def]
-    """Update the means of interval and lateness; whether the clock is set anew, 1 or 0.
+    """Update the means of interval and lateness; whether the clock is set again, 1 or 0.
 
     It is once frame after frame has been late for the timeout, or ahead by a quarter of it
     for half of it, before they are too early, and is off by half of it: what is less the clock

@@ -17,7 +17,7 @@ and rests at p + v Tv / 2 + a Ta^2 / 12 from max(Tv, Ta) on.
     e''' + 3 w e'' + 3 w^2 e' + w^3 sat(e) = 0,    sat(e) = e within +-L, L = 3 V / w
 
 within L three poles at -w, beyond it a closing speed of V. It is integrated exactly with sat
-constant over a frame, and its state is e, e' and e'' themselves: to begin anew from them changes
+constant over a frame, and its state is e, e' and e'' themselves: to begin again from them changes
 nothing, so no pattern of arrivals can feed it. The circle criterion holds for any sector up to 3,
 since Re w^3 / (s^3 + 3 w s^2 + 3 w^2 s) >= -1/3 on the imaginary axis. From rest the speed is at
 most 1.0043 V and the acceleration 0.2331 w^2 L = 0.70 w V; a gap of velocity v alone grows to

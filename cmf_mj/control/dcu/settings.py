@@ -102,7 +102,7 @@ class DcuLimits(Settings):
     minimum_interval: _Time  #: Least difference of host times between accepted frames.
     timeout: _Time
     """Silence after which the stream is stale; longest gap between accepted frames; how long
-    frame after frame may be late, or far ahead, before the play clock is set anew."""
+    frame after frame may be late, or far ahead, before the play clock is set again."""
     stop_time: _Time  #: Time in which the velocity of an interrupted demand comes to rest.
     acceleration_fade: _Time  #: Time in which the acceleration of an interrupted demand has faded.
     clock_tolerance: _Wait  #: Mean lateness of the host that is left alone.

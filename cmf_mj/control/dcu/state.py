@@ -40,7 +40,7 @@ class Events(NamedTuple):
     accepted: int = 0  #: Frames taken.
     late: int = 0  #: Accepted frames whose turn had begun.
     missing: int = 0  #: Sequence numbers that never came.
-    resynchronised: int = 0  #: Starts of a stream, jumps followed and clocks set anew.
+    resynchronised: int = 0  #: Starts of a stream, jumps followed and clocks set again.
     silent: int = 0  #: Streams lost by timeout.
 
 

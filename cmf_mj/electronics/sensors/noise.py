@@ -5,7 +5,7 @@ function of key and counter alone,
 
     key = (seed, digest of the channel's name),    counter = (frame, component / 4, 0, 0),
 
-so a sample depends on seed, channel, frame and component and on nothing else: no state, no memory,
+so a sample depends on seed, channel, frame and component alone: no state, no memory,
 the same whatever other channels there are. Words become pairs of normals by Box and Muller.
 """
 

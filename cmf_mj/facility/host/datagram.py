@@ -109,11 +109,11 @@ def decode(data: bytes, key: bytes | None = None) -> HostFrame:
     if len(data) != size:
         raise DatagramError("wrong_length", f"{len(data)} octets; allowed: {size}")
     data, tag = data[:SIZE], data[SIZE:]
-    magic, told, length, sequence, time, *motion = _BODY.unpack_from(data)
+    magic, sent, length, sequence, time, *motion = _BODY.unpack_from(data)
     if magic != MAGIC:
         raise DatagramError("wrong_magic", f"{magic!r}; allowed: {MAGIC!r}")
-    if told != version:
-        raise DatagramError("wrong_version", f"{told}; allowed: {version}")
+    if sent != version:
+        raise DatagramError("wrong_version", f"{sent}; allowed: {version}")
     if length != size:
         raise DatagramError("wrong_length", f"field says {length}; allowed: {size}")
     if key is not None and not compare_digest(tag, _tag(data, key)):

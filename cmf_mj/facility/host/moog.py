@@ -22,6 +22,7 @@ counts. Positions come without derivatives, so that the DCU filters them: `MoogB
 import math
 import struct
 import sys
+from contextlib import suppress
 from enum import IntEnum, IntFlag
 
 import numpy as np
@@ -149,7 +150,7 @@ class MoogBase:
         self.latched = Latched(0)
         """Faults since the last reset."""
         self._mode, self._stopped = Word.DOF_MODE, MachineState.POWER_UP
-        self._begin = np.zeros(6)
+        self._begin, self._felt = np.zeros(6), np.zeros(6)
         self._number, self._stamp, self._sent = 0, -math.inf, -math.inf
         self._last, self._interval = 0.0, 1.0 / RATE
 
@@ -282,7 +283,9 @@ class MoogBase:
         }
         values = legs + travel
         if self._mode == Word.DOF_MODE:
-            values = legs_to_pose(legs, session.plant.machine)[list(ORDER)]
+            with suppress(InputError):  # a failed sensor: the last pose that the legs had
+                self._felt = legs_to_pose(legs, session.plant.machine)
+            values = self._felt[list(ORDER)]
         io = sum(bit for bit, here in bits.items() if here)
         return ANSWER.pack(self.latched, io, self.state(session) | _MODES[self._mode], *values, 0)
 

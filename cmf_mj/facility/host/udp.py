@@ -7,6 +7,7 @@ not fit (Linux).
 """
 
 import contextlib
+import errno
 import socket
 import struct
 import sys
@@ -145,8 +146,12 @@ def open_socket(port: int, bind: str) -> socket.socket:
             made.setsockopt(socket.SOL_SOCKET, _FORCE_BUFFER, _BUFFER)
     try:
         made.bind((bind, port))
-    except OSError:
+    except OSError as error:
         made.close()
+        if error.errno == errno.EADDRNOTAVAIL:
+            raise InputError(
+                f"bind: {bind!r} is no address of this machine; allowed: one of its own, or 0.0.0.0"
+            ) from None
         raise
     return made
 

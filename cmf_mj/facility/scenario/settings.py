@@ -151,7 +151,7 @@ class VideoChoice(Settings):
 
     file: Annotated[str, _ending(".mp4", ".gif")] = "video.mp4"  #: Name.
     camera: str = "overview"  #: Camera of the model.
-    fps: Annotated[int, Field(ge=1, le=120)] = 30  #: Pictures a second.
+    fps: Annotated[int, Field(ge=1, le=120)] = 30  #: Frame rate [1/s].
     speed: Annotated[float, Field(ge=0.01, le=100.0)] = 1.0
     """Times real speed; below 1 is slow motion."""
 

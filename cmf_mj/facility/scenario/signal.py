@@ -105,7 +105,7 @@ Signal = Annotated[
     | Recorded,
     Field(discriminator="kind"),
 ]
-"""Any of them, told apart by `kind`."""
+"""Any of them, by its `kind`."""
 
 
 def added(parts: Sequence[AnySignal], seed: int, rate: int) -> Motion:

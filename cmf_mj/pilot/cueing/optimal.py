@@ -2,7 +2,7 @@
 
 After Sivan, Ish-Shalom and Huang (1982) and Telban and Cardullo (NASA CR-2005-213747). Per mode,
 with x_v the states of canals and otoliths driven by simulator less aircraft, x_d the states to be
-kept small and x_n the aircraft's inputs, taken for first-order noise of corner b,
+kept small and x_n the aircraft's inputs, modelled as first-order noise of corner b,
 
     dx_v/dt = A_v x_v + B_v (v_S - v_A),   e = C_v x_v + D_v (v_S - v_A)
     dx_d/dt = A_d x_d + B_d u,             dx_n/dt = -b x_n + w,    v_A = x_n

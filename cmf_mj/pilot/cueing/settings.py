@@ -137,7 +137,7 @@ class RotationSizes(Settings):
     angle: Angle
     rate: Rate  #: Rate of the simulator.
     rate_bandwidth: Corner
-    """Corner of the first-order noise that the aircraft's rate is taken for."""
+    """Corner of the first-order noise as which the aircraft's rate is modelled."""
 
 
 class TranslationSizes(Settings):
@@ -150,7 +150,7 @@ class TranslationSizes(Settings):
     velocity: Speed
     acceleration: Force  #: Acceleration of the simulator.
     force_bandwidth: Corner
-    """Corner of the first-order noise that the aircraft's specific force is taken for."""
+    """Corner of the first-order noise as which the aircraft's specific force is modelled."""
 
 
 class TiltingSizes(TranslationSizes):
@@ -161,7 +161,7 @@ class TiltingSizes(TranslationSizes):
     angle: Angle
     rate: Rate  #: Rate of the simulator.
     rate_bandwidth: Corner
-    """Corner of the first-order noise that the aircraft's rate is taken for."""
+    """Corner of the first-order noise as which the aircraft's rate is modelled."""
 
 
 class OptimalSettings(_Set):

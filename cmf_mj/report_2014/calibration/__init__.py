@@ -1,1 +1,1 @@
-"""Calibration: which parameters were fitted to which published numbers, and what that is worth."""
+"""Calibration: which parameters were fitted to which published numbers, and what follows."""

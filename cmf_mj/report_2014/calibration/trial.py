@@ -224,7 +224,7 @@ def plant_of(study: Study, values: Values, cab: str = "") -> Plant:
             for part in (carried.platform, carried)
         )
         name = f"{carried.name}, payload {factor:g}"
-        carried = carried.changed(name, platform=platform, taken_for=carried.known_as, **cabin)
+        carried = carried.changed(name, platform=platform, nominal=carried.known_as, **cabin)
     return Hexapod(carried, hydraulics)
 
 

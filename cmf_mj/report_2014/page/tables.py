@@ -78,7 +78,7 @@ class ResultRow(NamedTuple):
     computed: float  #: NaN where there is none, and of a law whose step rings on.
     deviation: float  #: Relative, of damping ratios absolute.
     tolerance: float  #: Allowed deviation, likewise.
-    within: bool  #: N/A agrees with no crossing, and with nothing else.
+    within: bool  #: N/A agrees with no crossing alone.
     calibrated: bool  #: Whether a number of ours was fitted to the printed one.
     read: bool  #: Whether the law is the report's as read here; False for its gains as printed.
     stable: bool = True  #: Verdict on the step.

@@ -1,1 +1,1 @@
-"""The machines that agree with what the report tells, and what laws do on them."""
+"""The machines that agree with what the report says, and what laws do on them."""

@@ -214,8 +214,8 @@ UNKNOWNS = (
 
 def weights(results: Results, groups: Sequence[str] = GROUPS) -> Array:
     """Weights of the machines by groups of evidence, sum 1."""
-    told = [column(results.machines, f"log_{group}") for group in groups]
-    return normalised(np.sum([column(results.machines, "log_ratio"), *told], axis=0))
+    stated = [column(results.machines, f"log_{group}") for group in groups]
+    return normalised(np.sum([column(results.machines, "log_ratio"), *stated], axis=0))
 
 
 def _both(results: Results, values: Array, times: int = 1) -> list[Array]:
@@ -312,9 +312,9 @@ def checks(results: Results) -> Result[Check]:
     name, error = f"{HELD_OUT}_damping_ratio", float(scatter()[2])
     errors = error * stats.norm.ppf((np.arange(_ERRORS) + 0.5) / _ERRORS)
     read = (column(results.machines, name)[:, None] + errors).ravel()
-    (printed,) = (r for r in published_results() if (r.law, r.of) == (HELD_OUT, "hardware"))
-    assert printed.damping_ratio is not None
-    held_out = Check(name, printed.damping_ratio, error, *_both(results, read, _ERRORS))
+    (stated,) = (r for r in published_results() if (r.law, r.of) == (HELD_OUT, "hardware"))
+    assert stated.damping_ratio is not None
+    held_out = Check(name, stated.damping_ratio, error, *_both(results, read, _ERRORS))
     return Result([*rows, held_out], CHECKS)
 
 

@@ -1,4 +1,4 @@
-"""What the report tells of the machine, and how likely a machine makes it.
+"""What the report says of the machine, and how likely a machine makes it.
 
     hardware rows    -90 deg, -3 dB and damping ratio of Tables 2-4 and 2-6, in heave
     hardware fits    Eqs 4.12, 4.15 and 4.18, leg velocity per command: gain at 1 Hz, gain at 5 Hz
@@ -60,7 +60,7 @@ _FARTHEST = 8.0
 
 
 class Observation(NamedTuple):
-    """One quantity that the report tells."""
+    """One quantity that the report states."""
 
     name: str
     group: str  #: `rows` or `fits`.
@@ -110,7 +110,7 @@ _FIT_NAMES = ("gain_1_hz", "gain_5_over_1_hz", "phase_3_hz", "pair_hz", "pair_da
 
 @lru_cache
 def observations() -> tuple[Observation, ...]:
-    """All that is told as a number."""
+    """All that is stated as a number."""
     printed = {(row.table, row.law): row for row in published_results() if row.of == "hardware"}
     found = []
     for (table, law), (field, s) in product(ROWS, zip(_FIELDS, scatter().tolist(), strict=True)):
@@ -132,13 +132,13 @@ def observations() -> tuple[Observation, ...]:
 
 def predictions(plant: Hexapod, heave: Mapping[str, Measures]) -> dict[str, float]:
     """What a machine makes of all `observations`, by name; `heave` are its measures by law."""
-    told = {
+    stated = {
         f"{law}_{field}": float(getattr(heave[law], field)) for _, law in ROWS for field in _FIELDS
     }
     model = dof_model(linearize(plant), plant, None, "heave")
     response = control.frequency_response(model, 2.0 * np.pi * _LINES).frdata[1, 0]
     features = _fit_features(response, model.poles())
-    return told | dict(zip(_FIT_NAMES, features, strict=True))
+    return stated | dict(zip(_FIT_NAMES, features, strict=True))
 
 
 def log_likelihood(predicted: Mapping[str, float], group: str) -> float:

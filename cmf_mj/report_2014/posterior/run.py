@@ -115,10 +115,10 @@ def run_posterior(
             tables["damping"] += [row | {"machine": number} for row in rows[1:]]
         pressures = np.array([row["supply_pressure"] for row in drawn])
         swings = evidence.oscillation_likelihood(pressures, np.array(force))
-        told = {g: np.array([row.get(f"log_{g}", 0.0) for row in drawn]) for g in GROUPS}
-        told["three_g"] = swings
+        likelihoods = {g: np.array([row.get(f"log_{g}", 0.0) for row in drawn]) for g in GROUPS}
+        likelihoods["three_g"] = swings
         ratio = sampling.log_ratio(points, rounds)
-        weights = np.sum(list(told.values()), axis=0) + ratio
+        weights = np.sum(list(likelihoods.values()), axis=0) + ratio
         if len(rounds) == settings.rounds - 1:
             break
         seed = [settings.seed, 2, len(rounds)]
@@ -126,7 +126,7 @@ def run_posterior(
         points = np.vstack([points, rounds[-1].draw()])
     posterior = sampling.normalised(weights)
     for i, row in enumerate(drawn):
-        row |= {f"log_{group}": told[group][i] for group in GROUPS}
+        row |= {f"log_{group}": likelihoods[group][i] for group in GROUPS}
         row |= {"log_ratio": ratio[i], "weight": posterior[i]}
     tables["machines"] = drawn
     kept, counts = np.unique(

@@ -132,7 +132,7 @@ class PosteriorStudy:
                 "centre_of_mass": np.array(platform.centre_of_mass.si) + above,
             },
             leg_mass=factor["leg_mass"],
-            taken_for=cab,
+            nominal=cab,
         )
         return Hexapod(carried, oil)
 

@@ -47,7 +47,7 @@ def tables(results: Results) -> dict[str, Result[Any]]:
 
 
 def best_gain(results: Results) -> GainStep:
-    """The gain and filter of most damping, by the median, among those that hardly ever fail."""
+    """The gain and filter of most damping, by the median, among those that fail least."""
     steps = answers.gain_steps(results)
     sure = [one for one in steps if one.stable >= 1.0 - ROBUST]
     return max(sure or steps, key=lambda one: one.damping[1])

@@ -34,7 +34,7 @@ CODECS = ("libx264", "libopenh264", "mpeg4")
 """Encoders of MP4 files in order of preference: H.264, else MPEG-4 part 2."""
 
 GIF_FPS = 50
-"""Pictures a second that programs show a GIF file at, at most."""
+"""Largest frame rate at which programs show a GIF file [1/s]."""
 
 Picture = NDArray[np.uint8]
 Progress = Callable[[int, int], None]
@@ -43,7 +43,7 @@ Progress = Callable[[int, int], None]
 class FilmSettings(NamedTuple):
     """How a film looks."""
 
-    fps: int = 30  #: Pictures a second.
+    fps: int = 30  #: Frame rate [1/s].
     speed: float = 1.0  #: Times real speed.
     camera: str = "overview"  #: Camera of the model.
     width: int = 720  #: Of the picture of one run [pixels], even.
@@ -116,7 +116,7 @@ def check_settings(path: str | Path, settings: FilmSettings) -> None:
     if not (np.isfinite(speed) and speed > 0.0) or fps < 1:
         raise InputError(f"speed, fps: {speed}, {fps} must be greater than 0")
     if target.suffix == ".gif" and fps > GIF_FPS:
-        raise InputError(f"fps: {fps} pictures a second of a GIF file must be at most {GIF_FPS}")
+        raise InputError(f"fps: {fps} frames a second of a GIF file must be at most {GIF_FPS}")
     for name in ("width", "height", "strip"):
         if getattr(settings, name) % 2:
             raise InputError(f"{name}: {getattr(settings, name)} pixels must be even")
@@ -262,7 +262,7 @@ def swing_film(
     most = settings.fps / (LEAST_PICTURES * fastest)
     if settings.speed > most:
         raise InputError(
-            f"speed: {settings.speed} with {settings.fps} pictures a second leaves mode 6 at "
+            f"speed: {settings.speed} with {settings.fps} frames a second leaves mode 6 at "
             f"{fastest:.1f} Hz fewer than {LEAST_PICTURES} a period; must be at most {most:.3g}"
         )
     count = max(round(periods / (lowest * settings.speed) * settings.fps), 1)

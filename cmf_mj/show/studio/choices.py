@@ -91,7 +91,7 @@ def first_scenario() -> Scenario:
 def settled(scenario: Scenario) -> Scenario:
     """The same machine with the law and the signal in force at the end, from rest.
 
-    Failures, pushes and requests are left out: what begins anew is whole.
+    Failures, pushes and requests are left out: what begins again is whole.
     """
     law, gains, signal = scenario.law, scenario.gains, scenario.signal
     for change in scenario.change:

@@ -42,8 +42,8 @@ _STEPS = 200
 
 _GOOD, _FAILED, _TRIPPED = "#2f9e44", "#f08c00", "#d62728"
 
-_TOLD = 3
-"""Marks that the lamp tells of at most."""
+_LISTED = 3
+"""Marks that the lamp lists at most."""
 
 
 def lamp(view: View) -> str:
@@ -56,9 +56,9 @@ def lamp(view: View) -> str:
         colour, says = _TRIPPED, f"tripped: {words(fault.name, fault.leg)}"
     elif harm or view.live.late:
         colour, says = _FAILED, "failed" if harm else "host late"
-    told = "".join(f"<br>{mark.time:.1f} s: {escape(mark.text)}" for mark in view.marks[-_TOLD:])
+    marks = "".join(f"<br>{mark.time:.1f} s: {escape(mark.text)}" for mark in view.marks[-_LISTED:])
     dot = f"<span style='color:{colour};font-size:1.6em;line-height:0.6'>&#9679;</span>"
-    return f"<div style='padding:0 0.8em;font-size:0.9em'>{dot} <b>{escape(says)}</b>{told}</div>"
+    return f"<div style='padding:0 0.8em;font-size:0.9em'>{dot} <b>{escape(says)}</b>{marks}</div>"
 
 
 def run_controls(desk: Desk) -> Callable[[View], None]:

@@ -46,7 +46,7 @@ class Desk:
         self.live.apply(change).add_done_callback(self._refused)
 
     def begin(self, scenario: Scenario) -> None:
-        """Begin anew; on a refusal show it and let the run go on."""
+        """Begin again; on a refusal show it and let the run go on."""
         paused = self.live.paused
         self.live.pause(True)  # time that a new scene takes is not to be made up for
         try:
@@ -59,7 +59,7 @@ class Desk:
             self.live.pause(paused)
 
     def again(self, **settings: Any) -> None:
-        """Begin anew with the present law and signal and some settings changed."""
+        """Begin again with the present law and signal and some settings changed."""
         present = choices.settled(self.live.scenario().result())
         self.begin(present.model_copy(update=settings))
 

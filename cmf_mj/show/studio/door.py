@@ -105,7 +105,7 @@ class Door:
         serve = websocket.serve
 
         def guarded(handler: Any, host: str, port: int, **options: Any) -> websocket.serve:
-            quiet = logging.getLogger(__name__)  # what is refused is told to who sent it
+            quiet = logging.getLogger(__name__)  # what is refused is answered to who sent it
             quiet.setLevel(logging.CRITICAL)
             inner, self._guards = options["process_request"], True
             return serve(

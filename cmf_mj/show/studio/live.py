@@ -127,7 +127,7 @@ class View(NamedTuple):
 
 
 class LiveSession:
-    """One run at a time, in real time; beside it, if wanted, the same run with a second law."""
+    """One run at a time, in real time; beside it, if asked for, the same run with a second law."""
 
     def __init__(
         self,
@@ -163,7 +163,7 @@ class LiveSession:
             self._thread.join()
 
     def begin(self, scenario: Scenario, beside: str = "") -> "Future[None]":
-        """Begin anew with another scenario; the run goes on if it is refused.
+        """Begin again with another scenario; the run goes on if it is refused.
 
         With a law `beside`, a second plant does all that the first does, but with this law to the
         end. Only the first is exported and recorded.
@@ -257,7 +257,7 @@ class LiveSession:
         except Exception as error:
             self._tell(error)
             raise
-        finally:  # whoever waits, or comes later, is told that there is no session any more
+        finally:  # whoever waits, or comes later, learns that there is no session any more
             self._closed.set()
             self._answer()
 

@@ -96,7 +96,7 @@ def read_poses(path: str | Path) -> Command:
     if "time" not in table.column_names or not moved or odd:
         raise InputError(
             f"{source}: has the columns {', '.join(table.column_names)}; needed: time and at "
-            f"least one of {', '.join(DOFS)}, nothing else"
+            f"least one of {', '.join(DOFS)} alone"
         )
     columns = {name: read_column(source, table, name) for name in ("time", *moved)}
     for name, values in columns.items():

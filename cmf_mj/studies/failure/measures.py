@@ -16,7 +16,7 @@ The final state is one of these:
     settled        all legs stand on their lower stops, the first met its at most at `FALL_SPEED`
     fallen         the same, the first came faster
     against_stop   some legs stand on a stop
-    out_of_bounds  the state left its physical bounds; the message tells which and where
+    out_of_bounds  the state left its physical bounds; the message says which and where
 """
 
 from collections.abc import Callable, Sequence
@@ -185,7 +185,7 @@ def measure(
 ) -> FailureResult:
     """All measures of a run recorded at every frame.
 
-    The record is as `simulate` returns it; `message` tells what left its bounds.
+    The record is as `simulate` returns it; `message` says what left its bounds.
     """
     half = plant.hydraulics.cylinder.half_stroke
     extension = record["leg_extension"][:-1]

@@ -1,7 +1,7 @@
 """Forms of laws: what a search of gains is free to choose, and the law that makes of it.
 
     modal_plan      this project's: modes, plan, load pressure feedback
-    velocity        velocity feedback of the report, its two gains anew: what the others stand on
+    velocity        velocity feedback of the report, its two gains again: what the others stand on
     pressure        with dynamic load pressure feedback
     feed_forward    with feed-forward of the reference's velocity and acceleration
     acceleration    with opposing acceleration feedback, its filter's corner free too

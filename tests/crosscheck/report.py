@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from cmf_mj.core.table import Table
 from cmf_mj.show.look import BLUE, GREY, ORANGE, legend, new_figure, save_files
-from cmf_mj.studies.verification import ENGINES, Verification
+from crosscheck.verification import ENGINES, Verification
 
 _STYLES = {"mujoco": ("MuJoCo", BLUE, "o"), "exudyn": ("Exudyn", ORANGE, "s")}
 _MICRO = 1e6

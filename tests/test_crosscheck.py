@@ -1,6 +1,7 @@
 """The plant against Exudyn, and the second hydraulics against closed forms."""
 
 import csv
+import runpy
 import sys
 from pathlib import Path
 
@@ -8,16 +9,14 @@ import numpy as np
 import pytest
 from crosscheck.hydraulics import Circuit, make_circuit
 from crosscheck.machine import Machine
-from typer.testing import CliRunner
+from crosscheck.verification import Verification, distance, in_mujoco, valve_sines, verify
 
 from cmf_mj import Hexapod, load_hydraulics
-from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.machine import models
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.studies import verification
-from cmf_mj.studies.verification import Verification, distance, in_mujoco, valve_sines, verify
 
+SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "verify_plant.py"
 TARGET = 2e-6
 """Largest difference of a leg extension that counts as agreement [m]."""
 SECONDS = 0.5
@@ -153,22 +152,16 @@ def test_without_exudyn_the_error_says_what_to_install(monkeypatch: pytest.Monke
         Machine(Hexapod("gfd", "report"))
 
 
-def test_outside_a_checkout_the_command_says_what_it_needs(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_the_script_writes_table_data_and_figure(
+    tmp_path: Path,
+    drawn: dict[str, set[str]],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(verification, "_TESTS", tmp_path)
-    refused = CliRunner().invoke(app, ["verify", "--seconds", "0.02", "--out", str(tmp_path)])
-    assert refused.exit_code == 2
-    assert "needs a checkout" in refused.output
-
-
-def test_the_command_writes_table_data_and_figure(
-    tmp_path: Path, drawn: dict[str, set[str]]
-) -> None:
-    options = ["verify", "--seconds", "0.02", "--finest", "4", "--out", str(tmp_path)]
-    result = CliRunner().invoke(app, options)
-    assert result.exit_code == 0, result.output
-    assert "leg error [um]" in result.output
+    options = ["--seconds", "0.02", "--finest", "4", "--out", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", ["verify_plant.py", *options])
+    runpy.run_path(str(SCRIPT), run_name="__main__")
+    assert "leg error [um]" in capsys.readouterr().out
     with (tmp_path / "work_precision.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [(row["engine"], round(1.0 / float(row["step_s"]))) for row in rows] == [
@@ -176,6 +169,7 @@ def test_the_command_writes_table_data_and_figure(
     ]
     assert (tmp_path / "work_precision.md").read_text().count("\n") == 8
     assert set(drawn) == {"work_precision.png"}
-    refused = CliRunner().invoke(app, ["verify", "--finest", "6", "--out", str(tmp_path)])
-    assert refused.exit_code == 2
-    assert "finest: 6 must be a power of two" in refused.output
+    monkeypatch.setattr(sys, "argv", ["verify_plant.py", "--finest", "6"])
+    with pytest.raises(SystemExit, match="2"):
+        runpy.run_path(str(SCRIPT), run_name="__main__")
+    assert "finest: 6 must be a power of two" in capsys.readouterr().err

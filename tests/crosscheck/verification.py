@@ -1,7 +1,5 @@
 """MuJoCo and Exudyn on the same valve commands: how far apart, and at what cost.
 
-The machine in Exudyn is written in `tests/crosscheck`, which only a checkout of the repository has.
-
 Every run is compared with one reference, the Exudyn runs with the two smallest steps h and h/2
 extrapolated by Richardson's rule for order 2,
 
@@ -11,40 +9,27 @@ whose uncertainty is its distance from the same formed one step coarser. So an e
 is against another engine and another formulation, an error of Exudyn is its step error.
 """
 
-import sys
 import time as clock
 from collections.abc import Callable, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.core.errors import InputError, MissingExtraError
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import RATE
 from cmf_mj.facility.simulation import drive
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
+from crosscheck.machine import Machine, Trajectory
 
 FREQUENCY, AMPLITUDE = (0.7, 1.1, 1.6, 2.1, 2.7, 3.3), (0.20, 0.15, 0.12, 0.10, 0.08, 0.06)
 """Of the valve sines, leg by leg [Hz], fractions."""
 
 ENGINES = ("mujoco", "exudyn")
-
-_TESTS = Path(__file__).resolve().parents[2] / "tests"
-
-
-class Trajectory(NamedTuple):
-    """What an engine computed, at the ends of the control frames and at the start."""
-
-    step: float  #: Mechanical step [s].
-    time: NDArray[np.float64]  #: [s], (N,).
-    extension: NDArray[np.float64]  #: Leg extensions from neutral [m], (N, 6).
-    pressure: NDArray[np.float64]  #: Pressures of cap and rod chambers [Pa], (N, 6, 2).
-    cpu_time: float  #: Of the run, without building the model [s].
 
 
 class Run(NamedTuple):
@@ -116,7 +101,7 @@ def verify(
 
     The hydraulic set must have a constant supply and no losses. `parts` are mechanical steps to a
     control frame, at least three, each twice the one before; `progress` is called with (runs done,
-    runs in all). Raises `MissingExtraError` without exudyn or outside a checkout.
+    runs in all). Raises `MissingExtraError` without exudyn.
     """
     pairs = zip(parts, parts[1:], strict=False)
     if len(parts) < 3 or parts[0] < 1 or any(b != 2 * a for a, b in pairs):
@@ -125,14 +110,7 @@ def verify(
         raise InputError(f"seconds: {seconds} must be at least {2 / RATE} s, two frames")
     chosen, parameters = load_cab(cab), load_hydraulics(hydraulics)
     valves = valve_sines(seconds)
-    if not (_TESTS / "crosscheck").is_dir():
-        raise MissingExtraError(
-            "the cross-verification needs a checkout of the repository: the installed package "
-            "does not hold tests/crosscheck"
-        )
-    if str(_TESTS) not in sys.path:
-        sys.path.append(str(_TESTS))
-    machine = import_module("crosscheck.machine").Machine(Hexapod(chosen, parameters))
+    machine = Machine(Hexapod(chosen, parameters))
     report = progress or (lambda done, total: None)
     trajectories: dict[str, list[Trajectory]] = {engine: [] for engine in ENGINES}
     total = 2 * len(parts)
