@@ -16,7 +16,7 @@ from scipy import stats
 from cmf_mj.core.frames import column, groups, where
 from cmf_mj.core.result import Field, Result
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.studies.settings import CASE_COLUMNS, NOMINAL
+from cmf_mj.studies.settings import NOMINAL
 
 ENOUGH_DAMPING = 0.3
 """Damping ratio that counts as damped: an overshoot of 37 %."""
@@ -108,7 +108,7 @@ def _known(statistic: Callable[..., Any], values: NDArray[np.float64]) -> float:
 
 
 _BOTH = pc.field("stable") & pc.field("stable_other")
-_ALIKE = [name for name in CASE_COLUMNS if name not in ("case", "method", "rung")]
+_ALIKE = ("cab", *(f"pose_{dof}" for dof in DOFS), "draw", "law")
 
 
 def _beside(table: pa.Table, other: pa.Table, *alike: str) -> pa.Table:
