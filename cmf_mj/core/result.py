@@ -6,10 +6,10 @@ are printed, in the unit of the field.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, get_type_hints
 
 import pyarrow as pa
 from pydantic_core import to_jsonable_python
@@ -33,7 +33,7 @@ class Field:
     '12.3'
     """
 
-    name: str  #: Column of frame and files; empty for what is only printed.
+    name: str = ""  #: Column of frame and files; empty for what is only printed.
     title: str | None = None  #: Head of the column where it is printed; by default the name.
     form: str | Callable[[Any], str] | None = None
     """Format of a number, which may end in a unit, see `table.number`; or what makes it text."""
@@ -65,6 +65,24 @@ class Field:
         """Head of the printed column: numbers stand at the right."""
         title = self.name.replace("_", " ") if self.title is None else self.title
         return (title, "") if isinstance(self.form, str) else title
+
+
+def fields_of(row: type) -> tuple[Field, ...]:
+    """The fields of a class of rows: its attributes, printed as their annotations say.
+
+    >>> class Loop(NamedTuple):
+    ...     law: str
+    ...     phase_hz: Annotated[float, Field(title="-90 deg", form=".1f Hz")]
+    >>> print(Result([Loop("velocity", 2.75)], fields_of(Loop)))
+    | law | -90 deg |
+    | --- | --- |
+    | velocity | 2.8 Hz |
+    """
+    return tuple(
+        next((replace(f, name=name) for f in extras if isinstance(f, Field)), Field(name))
+        for name, hint in get_type_hints(row, include_extras=True).items()
+        for extras in [getattr(hint, "__metadata__", ())]
+    )
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ out: what survives them all does not depend on one reading of the report.
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from scipy import stats
 
 from cmf_mj.analysis.published import published_results
 from cmf_mj.core.frames import column, groups, where
-from cmf_mj.core.result import Field, Result
+from cmf_mj.core.result import Field, Result, fields_of
 from cmf_mj.core.table import number
 from cmf_mj.report_2014.posterior.evidence import HELD_OUT, observations, scatter
 from cmf_mj.report_2014.posterior.run import GROUPS, Results
@@ -57,7 +57,7 @@ def filter_name(corner: float) -> str:
     return "none" if corner == 0.0 else f"{corner:.3g} Hz"
 
 
-def _span(name: str, title: str | None = None, form: str = ".2f") -> Field:
+def _span(title: str | None = None, form: str = ".2f", name: str = "") -> Field:
     """Quantiles at `LEVELS`."""
     return Field(name, title, partial(interval, form=form))
 
@@ -104,40 +104,24 @@ class Change(NamedTuple):
 
     law: str
     cab: str
-    prior: Array  #: At `LEVELS`, before any evidence.
-    posterior: Array  #: At `LEVELS`.
-    same_sign: float  #: Probability, under all evidence, that it has the sign of its median.
-
-
-CHANGES = (
-    *map(Field, ("law", "cab")),
-    _span("prior", form="+.3f"),
-    _span("posterior", "all evidence", "+.3f"),
-    Field("same_sign", form=percent),
-)
+    prior: Annotated[Array, _span(form="+.3f")]  #: At `LEVELS`, before any evidence.
+    posterior: Annotated[Array, _span("all evidence", "+.3f")]  #: At `LEVELS`.
+    same_sign: Annotated[float, Field(form=percent)]
+    """Probability, under all evidence, that it has the sign of its median."""
 
 
 class Span(NamedTuple):
     """Measures of a law along an axis on machines drawn from the posterior, at `LEVELS`."""
 
-    law: str
     cab: str
+    law: str
     dof: str
-    stable: float  #: Share of the machines; the others have no measures.
-    phase_bandwidth_hz: Array
-    gain_bandwidth_hz: Array
-    peak_gain_db: Array
-    damping_ratio: Array
-
-
-SPANS = (
-    *map(Field, ("cab", "law", "dof")),
-    Field("stable", form=percent),
-    _span("phase_bandwidth_hz", "-90 deg [Hz]"),
-    _span("gain_bandwidth_hz", "-3 dB [Hz]"),
-    _span("peak_gain_db", "peak [dB]", ".1f"),
-    _span("damping_ratio", "zeta"),
-)
+    stable: Annotated[float, Field(form=percent)]
+    """Share of the machines; the others have no measures."""
+    phase_bandwidth_hz: Annotated[Array, _span("-90 deg [Hz]")]
+    gain_bandwidth_hz: Annotated[Array, _span("-3 dB [Hz]")]
+    peak_gain_db: Annotated[Array, _span("peak [dB]", ".1f")]
+    damping_ratio: Annotated[Array, _span("zeta")]
 
 
 class Moved(NamedTuple):
@@ -163,28 +147,23 @@ class Moved(NamedTuple):
 class GainStep(NamedTuple):
     """One gain of acceleration behind one filter, on machines drawn from the posterior."""
 
-    corner: float  #: [Hz], 0 for no filter.
-    gain: float  #: [%/(in/s^2)].
-    stable: float  #: Share of the machines on which it is stable with every cab.
-    damping: Array  #: Least damping ratio of any cab, at `LEVELS`.
-
-
-GAINS = (
-    Field("gain", "gain [%/(in/s²)]", "g"),
-    Field("corner", "filter", filter_name),
-    Field("stable", "stable with every cab", percent),
-    _span("damping", "least damping ratio", ".3f"),
-)
+    gain: Annotated[float, Field(title="gain [%/(in/s²)]", form="g")]
+    corner: Annotated[float, Field(title="filter", form=filter_name)]  #: [Hz], 0 for no filter.
+    stable: Annotated[float, Field(title="stable with every cab", form=percent)]
+    """Share of the machines on which it is stable with every cab."""
+    damping: Annotated[Array, _span("least damping ratio", ".3f")]
+    """Least damping ratio of any cab, at `LEVELS`."""
 
 
 class Check(NamedTuple):
     """One observation with what machines make of it, at `LEVELS`."""
 
-    name: str
-    observed: float
-    deviation: float  #: Of the printed value, see `evidence`.
-    prior: Array
-    posterior: Array
+    name: Annotated[str, Field(title="observation")]
+    observed: Annotated[float, Field(title="printed", form=".3g")]
+    deviation: Annotated[float, Field(title="s", form=".2g")]
+    """Of the printed value, see `evidence`."""
+    prior: Annotated[Array, _span(form=".3g")]
+    posterior: Annotated[Array, _span("all evidence", ".3g")]
 
     @property
     def inside(self) -> bool:
@@ -192,20 +171,11 @@ class Check(NamedTuple):
         return bool(self.posterior[0] <= self.observed <= self.posterior[-1])
 
 
-CHECKS = (
-    Field("name", "observation"),
-    Field("observed", "printed", ".3g"),
-    Field("deviation", "s", ".2g"),
-    _span("prior", form=".3g"),
-    _span("posterior", "all evidence", ".3g"),
-    Field("inside", form=lambda inside: "yes" if inside else "no"),
-)
-
 UNKNOWNS = (
     Field("unknown"),
     Field("unit", of="range.unit"),
     Field("", "prior", of=lambda row: f"{row['range'].low:g} to {row['range'].high:g}"),
-    _span("posterior", "all evidence", ".3g"),
+    _span("all evidence", ".3g", "posterior"),
     Field("source", "source of the bounds", of="range.source"),
     Field("low", of="range.low", printed=False),
     Field("high", of="range.high", printed=False),
@@ -254,7 +224,7 @@ def changes(results: Results) -> Result[Change]:
         prior, posterior = _both(results, change)
         same = float(every @ (np.sign(change) == np.sign(posterior[1])))
         rows.append(Change(law, cab, prior, posterior, same))
-    return Result(rows, CHANGES)
+    return Result(rows, fields_of(Change))
 
 
 def spans(results: Results) -> Result[Span]:
@@ -266,8 +236,8 @@ def spans(results: Results) -> Result[Span]:
             name: weighted_quantiles(column(machines, name), count * stable, LEVELS)
             for name in Span._fields[4:]
         }
-        rows.append(Span(law, cab, dof, float(np.average(stable, weights=count)), **quantiles))
-    return Result(rows, SPANS)
+        rows.append(Span(cab, law, dof, float(np.average(stable, weights=count)), **quantiles))
+    return Result(rows, fields_of(Span))
 
 
 def moved(results: Results) -> list[Moved]:
@@ -296,8 +266,8 @@ def gain_steps(results: Results) -> Result[GainStep]:
         machines = rows.group_by("machine", use_threads=False).aggregate(cabs)
         counts, stable = column(machines, "count_min"), column(machines, "stable_all")
         least = weighted_quantiles(column(machines, "least_min"), counts, LEVELS)
-        steps.append(GainStep(corner, gain, float(counts @ stable / counts.sum()), least))
-    return Result(steps, GAINS)
+        steps.append(GainStep(gain, corner, float(counts @ stable / counts.sum()), least))
+    return Result(steps, fields_of(GainStep))
 
 
 def checks(results: Results) -> Result[Check]:
@@ -315,7 +285,8 @@ def checks(results: Results) -> Result[Check]:
     (stated,) = (r for r in published_results() if (r.law, r.of) == (HELD_OUT, "hardware"))
     assert stated.damping_ratio is not None
     held_out = Check(name, stated.damping_ratio, error, *_both(results, read, _ERRORS))
-    return Result([*rows, held_out], CHECKS)
+    inside = Field("inside", form=lambda inside: "yes" if inside else "no")
+    return Result([*rows, held_out], [*fields_of(Check), inside])
 
 
 def unknowns(results: Results) -> Result[dict[str, Any]]:
