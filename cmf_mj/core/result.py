@@ -109,7 +109,6 @@ class Result(Sequence[Row], Generic[Row]):
     provenance: Mapping[str, Any] = field(default_factory=dict)
     """Where the rows come from, as JSON values; Parquet and JSON keep it."""
     grouped: bool = False  #: As of `Table`.
-    ruled: bool = False  #: As of `Table`.
     digits: int = 9  #: Significant digits of numbers in CSV.
 
     def __getitem__(self, index: Any) -> Any:
@@ -144,9 +143,7 @@ class Result(Sequence[Row], Generic[Row]):
         printed = [each for each in self.fields if each.printed]
         cells = [[each.text(each.value(row)) for each in printed] for row in self.rows]
         columns = [each.column for each in printed]
-        return Table(
-            self.title, columns, cells, self.caption, grouped=self.grouped, ruled=self.ruled
-        )
+        return Table(self.title, columns, cells, self.caption, grouped=self.grouped)
 
     def to_pandas(self) -> Any:
         """The frame as one of pandas, which must be installed."""
