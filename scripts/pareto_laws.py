@@ -15,7 +15,7 @@ from cmf_mj.core.files import write_csv
 from cmf_mj.machine.models import CABS
 from cmf_mj.studies.tuning.evaluation import Performance, evaluate
 from cmf_mj.studies.tuning.forms import make_template
-from cmf_mj.studies.tuning.search import Limits, search
+from cmf_mj.studies.tuning.search import Requirements, search
 
 BESIDE = ("velocity", "model_following")
 """Laws that are stable with every cab."""
@@ -49,7 +49,7 @@ def main() -> None:
     rows = [line(name, evaluate(load_law(name), template.cabs, seeds)) for name in BESIDE]
     rows.append(line("modal_plan", evaluate(load_law("modal_plan"), template.cabs, seeds)))
     for peak, overshoot in numbers(options.limits):
-        limits = Limits(peak_db=peak, overshoot=overshoot / 100.0)
+        limits = Requirements(peak_db=peak, overshoot=overshoot / 100.0)
         found = search(template, limits, seeds=seeds, evaluations=options.evaluations)
         rows.append(line(f"{peak:g} dB, {overshoot:g} %", found.performance))
         print(*rows[-1], flush=True)

@@ -14,7 +14,7 @@ from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.machine import models
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.show.film.film import FilmSettings, film
-from cmf_mj.show.film.stage import Stage
+from cmf_mj.show.film.stage import FilmStage
 
 _MOTION = FilmSettings(fps=10, width=400, height=270, strip=150)
 """Small enough for a README."""
@@ -46,7 +46,7 @@ def main() -> None:
         else:
             model = hexapod_model(arguments.cab)
         data = mujoco.MjData(model)
-        with Stage(model, arguments.width, arguments.height, arguments.camera) as stage:
+        with FilmStage(model, arguments.width, arguments.height, arguments.camera) as stage:
             pixels = stage.picture(data.qpos)
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
         matplotlib.image.imsave(arguments.out, pixels)

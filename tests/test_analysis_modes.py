@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from cmf_mj import Hexapod
 from cmf_mj.analysis import modes
-from cmf_mj.analysis.modes import Range, over_envelope, plane_map, sweep
+from cmf_mj.analysis.modes import EnvelopeModes, over_envelope, plane_map, sweep
 from cmf_mj.cli.common import app
 from cmf_mj.core import units
 from cmf_mj.machine.dof import dof_unit
@@ -28,7 +28,7 @@ def plant() -> Hexapod:
 
 
 @pytest.fixture(scope="module")
-def envelope(plant: Hexapod) -> Range:
+def envelope(plant: Hexapod) -> EnvelopeModes:
     return over_envelope(plant, samples=120, rounds=50)
 
 
@@ -105,7 +105,7 @@ def test_map_and_sweep_meet(plant: Hexapod) -> None:
     assert any(ends_by_stroke)
 
 
-def test_the_worst_pose_is_within_and_worst(plant: Hexapod, envelope: Range) -> None:
+def test_the_worst_pose_is_within_and_worst(plant: Hexapod, envelope: EnvelopeModes) -> None:
     low, high = load_motion_limits().operational.T
     worst = envelope.worst
     assert ((low <= worst.pose) & (worst.pose <= high)).all()
@@ -117,7 +117,7 @@ def test_the_worst_pose_is_within_and_worst(plant: Hexapod, envelope: Range) -> 
     assert worst.frequency_hz[0] < envelope.frequency_hz[:, 0].min()
 
 
-def test_the_same_seed_finds_the_same_pose(plant: Hexapod, envelope: Range) -> None:
+def test_the_same_seed_finds_the_same_pose(plant: Hexapod, envelope: EnvelopeModes) -> None:
     again = over_envelope(plant, samples=120, rounds=50)
     np.testing.assert_array_equal(again.worst.pose, envelope.worst.pose)
     np.testing.assert_array_equal(again.frequency_hz, envelope.frequency_hz)

@@ -34,7 +34,7 @@ from cmf_mj.studies.evaluation import evaluate as study_rows
 from cmf_mj.studies.mismatch import with_valve_gains
 from cmf_mj.studies.settings import load_study
 from cmf_mj.studies.tuning.evaluation import evaluate, linear_cab
-from cmf_mj.studies.tuning.search import Limits
+from cmf_mj.studies.tuning.search import Requirements
 
 FIELD = tuple(name for name in law_names("beyond") if not name.startswith("modal_plan"))
 SEARCHED = tuple(name for name in FIELD if "cmf tune" in load_law(name).source)
@@ -148,7 +148,7 @@ def test_the_gain_of_acceleration_stabilises_every_cab() -> None:
 @pytest.mark.parametrize("name", SEARCHED)
 def test_limits_are_kept_on_linear_plants(name: str) -> None:
     """Rounded by hand: a tenth beyond is allowed in no limit but the tail's hundredth."""
-    limits, cabs = Limits(), [linear_cab(Hexapod(cab)) for cab in ("gfd", "ifd")]
+    limits, cabs = Requirements(), [linear_cab(Hexapod(cab)) for cab in ("gfd", "ifd")]
     performance = evaluate(load_law(name), cabs, (None, 1))
     faster = evaluate(load_law(name), cabs, (None,), scale=1.5)
     assert performance.peak_db.max() <= limits.peak_db

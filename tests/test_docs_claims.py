@@ -64,7 +64,9 @@ def printed(monkeypatch: pytest.MonkeyPatch) -> Any:
         stability.append(answers.Stability(*one))
     for row in rows("changes"):
         both = span(row["prior"]), span(row["all evidence"])
-        changes.append(answers.Change(row["law"], row["cab"], *both, share(row["same sign"])))
+        changes.append(
+            answers.DampingChange(row["law"], row["cab"], *both, share(row["same sign"]))
+        )
     laws = [SimpleNamespace(name=name) for name in dict.fromkeys(one.law for one in stability)]
     monkeypatch.setattr(answers, "stability", lambda _: stability)
     monkeypatch.setattr(answers, "changes", lambda _: changes)
@@ -107,7 +109,7 @@ def test_an_interval_that_spans_zero_is_printed_as_one(
     printed: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     around = np.array([-0.003, 0.012, 0.023])
-    one = answers.Change(posterior.OPPOSED, "gfd", around, around, 0.9)
+    one = answers.DampingChange(posterior.OPPOSED, "gfd", around, around, 0.9)
     monkeypatch.setattr(answers, "changes", lambda _: [one])
     assert posterior.robust_text(printed).count("+0.012 (-0.003 to +0.023)") == 2
 

@@ -23,7 +23,7 @@ from cmf_mj import (
 )
 from cmf_mj.control.dcu.arrivals import Arrivals
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.export.header import Channel, channels
+from cmf_mj.export.header import ExportedChannel, channels
 from cmf_mj.export.library import export_library
 from cmf_mj.export.machine import freeze
 from cmf_mj.facility.operation import operate
@@ -49,7 +49,9 @@ def run_host(
     return np.fromfile(folder / "out.bin")
 
 
-def differing(table: list[Channel], values: NDArray[np.float64], record: Record) -> list[str]:
+def differing(
+    table: list[ExportedChannel], values: NDArray[np.float64], record: Record
+) -> list[str]:
     """Channels that are not those of the record, bit for bit; of the pose, not to 1e-14."""
     rows = values.reshape(-1, sum(channel.width for channel in table))
     differ, column = [], 0
@@ -67,7 +69,7 @@ def differing(table: list[Channel], values: NDArray[np.float64], record: Record)
     return differ
 
 
-def export(plant: Plant, law: str, out: Path, noise: bool) -> tuple[Path, list[Channel]]:
+def export(plant: Plant, law: str, out: Path, noise: bool) -> tuple[Path, list[ExportedChannel]]:
     electronics = ElectronicsSettings() if noise else None
     out.mkdir(exist_ok=True)
     (out / "another.o").write_text("of another program in the same folder")
@@ -77,12 +79,12 @@ def export(plant: Plant, law: str, out: Path, noise: bool) -> tuple[Path, list[C
 
 
 @pytest.fixture(scope="module")
-def noisy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Channel]]:
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[ExportedChannel]]:
     return export(Hexapod(), "velocity", tmp_path_factory.mktemp("noisy"), True)
 
 
 @pytest.mark.slow
-def test_the_library_needs_c_and_mujoco_alone(noisy: tuple[Path, list[Channel]]) -> None:
+def test_the_library_needs_c_and_mujoco_alone(noisy: tuple[Path, list[ExportedChannel]]) -> None:
     library = noisy[0] / "libcmf.so"
     dynamic = subprocess.run(["readelf", "-dW", library], capture_output=True, text=True).stdout
     needed = {line.split("[")[1][:-1] for line in dynamic.splitlines() if "NEEDED" in line}
@@ -95,7 +97,7 @@ def test_the_library_needs_c_and_mujoco_alone(noisy: tuple[Path, list[Channel]])
 
 @pytest.mark.slow
 def test_cmake_builds_the_example_and_the_machine_does_what_it_says(
-    noisy: tuple[Path, list[Channel]],
+    noisy: tuple[Path, list[ExportedChannel]],
 ) -> None:
     """It rises by a decimetre; from 2 s on, without pump, each stroke takes oil and pressure."""
     build = noisy[0] / "build"
@@ -110,7 +112,9 @@ def test_cmake_builds_the_example_and_the_machine_does_what_it_says(
 
 
 @pytest.mark.slow
-def test_a_minute_with_noise_is_the_record_bit_for_bit(noisy: tuple[Path, list[Channel]]) -> None:
+def test_a_minute_with_noise_is_the_record_bit_for_bit(
+    noisy: tuple[Path, list[ExportedChannel]],
+) -> None:
     folder, table = noisy
     time = np.arange(60 * 2048)[:, None] / 2048
     rates = 2.0 * np.pi * np.array([0.11, 0.23, 0.37, 0.41, 0.53, 0.61])
@@ -122,7 +126,7 @@ def test_a_minute_with_noise_is_the_record_bit_for_bit(noisy: tuple[Path, list[C
 
 
 @pytest.mark.slow
-def test_poses_give_the_legs_of_the_kinematics(noisy: tuple[Path, list[Channel]]) -> None:
+def test_poses_give_the_legs_of_the_kinematics(noisy: tuple[Path, list[ExportedChannel]]) -> None:
     """The DCL's own leg demand against `pose_to_legs`, computed apart: round-off of 4 m."""
     folder, table = noisy
     pose = np.random.default_rng(1).uniform(-0.2, 0.2, (20, 6))
@@ -148,7 +152,7 @@ def test_every_law_on_both_plants_through_a_failure(
 
 
 @pytest.mark.slow
-def test_host_frames_go_through_the_whole_chain(noisy: tuple[Path, list[Channel]]) -> None:
+def test_host_frames_go_through_the_whole_chain(noisy: tuple[Path, list[ExportedChannel]]) -> None:
     """Against `operate` on the same frames, late ones and refused ones among them."""
     folder, table = noisy
     count = 200

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from cmf_mj.core.units import DEGREE, FOOT, KNOT, STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostFrame, make_stream
 from cmf_mj.pilot import host as pilot_host
-from cmf_mj.pilot.aircraft.airframe import RATE, Airframe, Controls, State, without_network
+from cmf_mj.pilot.aircraft.airframe import RATE, AircraftState, Airframe, Controls, without_network
 from cmf_mj.pilot.aircraft.flight import Flight, Origin, load_flight
 from cmf_mj.pilot.aircraft.scripts import SCRIPTS, ScriptedFlight
 from cmf_mj.pilot.motion import PilotMotion, at_lever_arm, gravity_in_body
@@ -20,12 +20,12 @@ RADIUS = 6.37e6
 
 
 @pytest.fixture(scope="module")
-def flown() -> dict[str, list[State]]:
+def flown() -> dict[str, list[AircraftState]]:
     """Every script with JSBSim, once."""
     return {name: list(ScriptedFlight(name).states()) for name in SCRIPTS}
 
 
-def column(states: list[State], name: str) -> NDArray[np.float64]:
+def column(states: list[AircraftState], name: str) -> NDArray[np.float64]:
     return np.array([getattr(state, name) for state in states])
 
 
@@ -52,7 +52,7 @@ def test_jsbsims_own_pilot_acceleration_is_ours_one_step_later() -> None:
 
 
 def test_the_felt_force_is_the_centres_moved_by_the_lever_arm(
-    flown: dict[str, list[State]],
+    flown: dict[str, list[AircraftState]],
 ) -> None:
     states = flown["doublets"]
     moved = PilotMotion.from_centre_of_gravity(
@@ -69,7 +69,7 @@ def test_the_felt_force_is_the_centres_moved_by_the_lever_arm(
     np.testing.assert_allclose(moved.specific_force, felt, rtol=0, atol=5e-4)
 
 
-def test_at_rest_only_gravity_is_felt(flown: dict[str, list[State]]) -> None:
+def test_at_rest_only_gravity_is_felt(flown: dict[str, list[AircraftState]]) -> None:
     """Langley's normal gravity with the Earth's turning in it, 9.7989 m/s^2 (Somigliana)."""
     for state in flown["take_off"][: 80 * 2]:
         assert np.linalg.norm(state.specific_force) == pytest.approx(9.7989, abs=3e-3)
@@ -79,7 +79,7 @@ def test_at_rest_only_gravity_is_felt(flown: dict[str, list[State]]) -> None:
 
 
 def test_in_steady_flight_the_force_is_gravity_turned_by_the_attitude(
-    flown: dict[str, list[State]],
+    flown: dict[str, list[AircraftState]],
 ) -> None:
     """Before the doublets: no acceleration but that of following the round and turning Earth."""
     for state in flown["doublets"][:200]:
@@ -91,7 +91,7 @@ def test_in_steady_flight_the_force_is_gravity_turned_by_the_attitude(
         assert np.abs(inertial).max() < 0.03
 
 
-def test_a_coordinated_turn_has_no_side_force(flown: dict[str, list[State]]) -> None:
+def test_a_coordinated_turn_has_no_side_force(flown: dict[str, list[AircraftState]]) -> None:
     """f_y = 0, turn rate g tan(bank) / V and load 1 / cos(bank) once the bank is steady."""
     states = [state for state in flown["turn"] if 22.0 < state.time < 31.0]
     bank = column(states, "attitude")[:, 0]
@@ -105,7 +105,7 @@ def test_a_coordinated_turn_has_no_side_force(flown: dict[str, list[State]]) -> 
 
 
 @pytest.mark.parametrize("name", ["engine_failure", "doublets", "turbulence", "approach"])
-def test_rates_integrate_to_the_attitude(name: str, flown: dict[str, list[State]]) -> None:
+def test_rates_integrate_to_the_attitude(name: str, flown: dict[str, list[AircraftState]]) -> None:
     """Body rates against the Earth, compounded over the flight, less the turn of the local level by
     its travel around the Earth, V / R; trapezoid between 80 Hz samples."""
     states = flown[name]
@@ -154,7 +154,7 @@ def test_a_failed_engine_spools_down_and_the_other_does_not() -> None:
 
 
 def test_the_engine_failure_pulls_to_the_left_and_the_pilot_holds_the_runway(
-    flown: dict[str, list[State]],
+    flown: dict[str, list[AircraftState]],
 ) -> None:
     states = flown["engine_failure"]
     speed, heading = column(states, "airspeed"), column(states, "attitude")[:, 2]
@@ -166,7 +166,9 @@ def test_the_engine_failure_pulls_to_the_left_and_the_pilot_holds_the_runway(
 
 
 @pytest.mark.parametrize("name", sorted(SCRIPTS))
-def test_shipped_flights_are_what_the_scripts_fly(name: str, flown: dict[str, list[State]]) -> None:
+def test_shipped_flights_are_what_the_scripts_fly(
+    name: str, flown: dict[str, list[AircraftState]]
+) -> None:
     """A recording, rounded to single precision, and a flight flown now on the same JSBSim."""
     flight = load_flight(name)
     assert flight.origin.source.endswith(f"script {name}")

@@ -14,8 +14,8 @@ from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.report_2014.calibration import trial
 from cmf_mj.report_2014.calibration.fit import calibrate, residual_rows, spread
 from cmf_mj.report_2014.calibration.trial import (
+    CalibrationStudy,
     Row,
-    Study,
     computed,
     least_damping,
     linear_results,
@@ -38,12 +38,12 @@ TARGETS = (
 """Laws whose non-linear rows the `report` set must meet."""
 
 
-def changed(study: Study, **changes: object) -> Study:
-    return validated(Study, study.model_dump() | changes, "test")
+def changed(study: CalibrationStudy, **changes: object) -> CalibrationStudy:
+    return validated(CalibrationStudy, study.model_dump() | changes, "test")
 
 
 @pytest.fixture(scope="module")
-def small() -> Study:
+def small() -> CalibrationStudy:
     """The study `report` with two laws, phases and gains of four rows fitted."""
     study = load_study("report")
     rows = [
@@ -154,11 +154,13 @@ def test_payload_of_the_hexapod_adds_in_proportion() -> None:
 
 @pytest.mark.slow
 def test_fit_finds_known_parameters_through_a_biased_linear_model(
-    small: Study, monkeypatch: pytest.MonkeyPatch
+    small: CalibrationStudy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """ "Simulations" that are linear results 4 % and 2 % off; printed values made at known ones."""
 
-    def biased(study: Study, values: dict[str, float], laws: object, **_: object) -> object:
+    def biased(
+        study: CalibrationStudy, values: dict[str, float], laws: object, **_: object
+    ) -> object:
         linear = linear_results(study, values, study.laws)
         return {
             law: r._replace(
@@ -188,7 +190,9 @@ def test_stability_holds_the_leg_speed_back(monkeypatch: pytest.MonkeyPatch) -> 
     study = load_study("hardware")
     study = study.model_copy(update={"rows": study.rows[1:2], "stable_cabs": ("ifd",)})
 
-    def linear(study: Study, values: dict[str, float], laws: object, **_: object) -> object:
+    def linear(
+        study: CalibrationStudy, values: dict[str, float], laws: object, **_: object
+    ) -> object:
         return linear_results(study, values, study.laws)
 
     monkeypatch.setattr(trial, "simulated_results", linear)
@@ -205,7 +209,7 @@ def test_stability_holds_the_leg_speed_back(monkeypatch: pytest.MonkeyPatch) -> 
 # -- uncertainty ---------------------------------------------------------------------------------
 
 
-def test_spread_holds_the_nominal_and_repeats(small: Study) -> None:
+def test_spread_holds_the_nominal_and_repeats(small: CalibrationStudy) -> None:
     values = starting_values(small)
     rows = spread(small, values, samples=8, seed=3)
     assert rows == spread(small, values, samples=8, seed=3)
@@ -278,7 +282,7 @@ def test_unsound_studies_are_named(change: dict[str, object], message: str | Non
         changed(load_study("report"), **change)
 
 
-def test_bad_requests_are_named(small: Study) -> None:
+def test_bad_requests_are_named(small: CalibrationStudy) -> None:
     with pytest.raises(ValueError, match="study: 'moon' is not one of report, hardware"):
         load_study("moon")
     with pytest.raises(ValueError, match="rounds: 0 must be at least 1"):

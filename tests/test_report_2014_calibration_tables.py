@@ -11,13 +11,13 @@ from cmf_mj.report_2014.calibration import fit
 from cmf_mj.report_2014.calibration import tables as calibration_report
 from cmf_mj.report_2014.calibration.fit import (
     Calibration,
+    CalibrationStage,
     Examination,
-    Stage,
     residual_rows,
     spread,
 )
 from cmf_mj.report_2014.calibration.trial import (
-    Verdict,
+    StepVerdict,
     least_damping,
     linear_results,
     load_study,
@@ -32,13 +32,13 @@ def examined() -> Examination:
     values = starting_values(study)
     results = linear_results(study, values, study.laws)
     results["velocity"] = results["velocity"]._replace(gain_bandwidth_hz=float("nan"))
-    stage = Stage(values, results, results, least_damping(study, values))
+    stage = CalibrationStage(values, results, results, least_damping(study, values))
     later = stage._replace(values=values | {"leg_speed": 0.3512})
     errors = {"leg_speed": 0.011, "leak_rate": 2.5}
     return Examination(
         Calibration(study, (stage, later), errors),
         spread(study, values, samples=3),
-        [Verdict("gfd", "sway", True, 0.001), Verdict("ifd", "surge", False, 0.4)],
+        [StepVerdict("gfd", "sway", True, 0.001), StepVerdict("ifd", "surge", False, 0.4)],
     )
 
 

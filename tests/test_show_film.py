@@ -21,7 +21,7 @@ from cmf_mj.plant.hexapod import hexapod_spec
 from cmf_mj.show.chart import Curve, Panel
 from cmf_mj.show.film import stage
 from cmf_mj.show.film.film import FilmSettings, check_film, film
-from cmf_mj.show.film.stage import Stage, choose_backend
+from cmf_mj.show.film.stage import FilmStage, choose_backend
 from cmf_mj.show.film.strip import Strip, traces_of
 
 SMALL = FilmSettings(fps=10, width=160, height=100, strip=140)
@@ -251,7 +251,7 @@ def test_the_backend_of_the_tests_is_found_by_trying() -> None:
 @pytest.mark.slow
 def test_a_stage_draws_what_the_model_does() -> None:
     model = hexapod_spec("rfd").compile()
-    with Stage(model, 160, 100) as drawn:
+    with FilmStage(model, 160, 100) as drawn:
         level = drawn.picture(model.qpos0)
         again = drawn.picture(model.qpos0)
         raised = model.qpos0.copy()

@@ -18,7 +18,7 @@ from cmf_mj.studies.case import AMPLITUDE, make_case, run_case
 from cmf_mj.studies.mismatch import with_valve_gains
 from cmf_mj.studies.tuning.evaluation import evaluate, linear_cab
 from cmf_mj.studies.tuning.forms import FORMS, Form, candidate, make_template
-from cmf_mj.studies.tuning.search import Limits, save_law, search
+from cmf_mj.studies.tuning.search import Requirements, save_law, search
 
 SCRIPTS = Path(__file__).parent.parent / "scripts"
 
@@ -88,8 +88,10 @@ def test_every_form_starts_within_its_bounds_and_makes_a_law_that_is_stable(form
 def test_limits_cost() -> None:
     """A law that breaks the limits costs more than the same with wider ones."""
     template = make_template("mine", "Mine", ("ifd",))
-    tight = search(template, Limits(peak_db=-1.0, overshoot=-0.2), seeds=(None,), evaluations=1)
-    wide = search(template, Limits(9.0, 9.0, 9.0, 9.0, 99.0), seeds=(None,), evaluations=1)
+    tight = search(
+        template, Requirements(peak_db=-1.0, overshoot=-0.2), seeds=(None,), evaluations=1
+    )
+    wide = search(template, Requirements(9.0, 9.0, 9.0, 9.0, 99.0), seeds=(None,), evaluations=1)
     assert tight.cost > 0.0 > wide.cost
 
 

@@ -35,7 +35,7 @@ class Harmonics(NamedTuple):
     remainder: Signal  #: What no harmonic explains, (N,).
 
 
-class Noise(NamedTuple):
+class MotionNoise(NamedTuple):
     """Acceleration noise of a sinusoidal motion, as shares of the fundamental.
 
     With A1 the peak of the fundamental, each share is sqrt(2) rms / A1: a signal whose only fault
@@ -76,7 +76,7 @@ def harmonics(samples: Signal, rate: float, frequency: float, count: int) -> Har
     )
 
 
-def acceleration_noise(acceleration: Signal, rate: float, frequency: float) -> Noise:
+def acceleration_noise(acceleration: Signal, rate: float, frequency: float) -> MotionNoise:
     """Split the acceleration of a sinusoidal motion into fundamental, harmonics and noise.
 
     Cut to whole cycles of `frequency` [Hz] from the end. Half-hertz noise is this at 0.5 Hz over
@@ -99,7 +99,7 @@ def acceleration_noise(acceleration: Signal, rate: float, frequency: float) -> N
     random = float(np.sqrt(2.0 * np.mean(fit.remainder**2)) / first)
     angle = 2.0 * np.pi * frequency / rate * np.arange(cut.size)
     rest = cut - fit.offset - first * np.sin(angle + fit.phase[0])
-    return Noise(
+    return MotionNoise(
         fundamental=first,
         low_harmonics=low,
         high_harmonics=high,

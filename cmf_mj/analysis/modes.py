@@ -50,7 +50,7 @@ class PlaneMap(NamedTuple):
     frequency_hz: NDArray[np.float64]  #: (rays, rings, 6) [Hz].
 
 
-class Range(NamedTuple):
+class EnvelopeModes(NamedTuple):
     """Modes over the whole envelope."""
 
     modes: tuple[HydraulicModes, ...]  #: At the poses looked at.
@@ -143,7 +143,7 @@ def over_envelope(
     rounds: int = 200,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-) -> Range:
+) -> EnvelopeModes:
     """Modes over the whole envelope, and the pose where the lowest mode is lowest.
 
     The worst pose is sought by differential evolution from the lowest of the sampled poses, at
@@ -175,7 +175,7 @@ def over_envelope(
         polish=False,
     )
     tell(rounds + 1, rounds + 1)
-    return Range(looked_at, plant.hydraulic_modes(search.x))
+    return EnvelopeModes(looked_at, plant.hydraulic_modes(search.x))
 
 
 def largest_stroke(plant: Hexapod, modes: HydraulicModes, mode: int) -> float:

@@ -92,9 +92,9 @@ def tune_command(
     from cmf_mj.machine.cab import load_cab
     from cmf_mj.machine.models import CMF
     from cmf_mj.studies.tuning.forms import make_template
-    from cmf_mj.studies.tuning.search import Limits, save_law, search
+    from cmf_mj.studies.tuning.search import Requirements, save_law, search
 
-    template, limits = make_template(name, title, cabs), Limits(peak, overshoot / 100.0)
+    template, limits = make_template(name, title, cabs), Requirements(peak, overshoot / 100.0)
     how: dict[str, Any] = {"form": form, "evaluations": evaluations, "seed": seed}
     with progress_bar() as update:
         result = search(template, limits, progress=update, **how)

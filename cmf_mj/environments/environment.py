@@ -27,7 +27,7 @@ _SIZE = 480, 640
 """Of a picture: rows and columns."""
 
 
-class Quantity(NamedTuple):
+class ObservedQuantity(NamedTuple):
     """A part of the observation."""
 
     name: str
@@ -47,7 +47,7 @@ class MachineEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         "render_modes": ["rgb_array"],
         "render_fps": 32,
     }
-    quantities: tuple[Quantity, ...]
+    quantities: tuple[ObservedQuantity, ...]
     """Names, units and order of the observation."""
 
     def __init__(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.control.law import load_law
 from cmf_mj.core.errors import check_name
-from cmf_mj.environments.environment import FRAMES, Array, MachineEnv, Quantity
+from cmf_mj.environments.environment import FRAMES, Array, MachineEnv, ObservedQuantity
 from cmf_mj.facility.session import Session
 from cmf_mj.machine.models import model_path
 from cmf_mj.plant.attach import attach_hydraulics
@@ -38,12 +38,12 @@ class ExcavatorEnv(MachineEnv):
     """A 20 t excavator whose law follows the reference that the actions move."""
 
     quantities = (
-        Quantity("extension", "m", 3, 1.0),
-        Quantity("velocity", "m/s", 3, 2.0),
-        Quantity("reference_less_extension", "m", 3, 1.0),
-        Quantity("place_less_extension", "m", 3, 2.0),
-        Quantity("pressure_over_proof", "1", 3, 2.0),
-        Quantity("places_left", "1", 1, 10.0),
+        ObservedQuantity("extension", "m", 3, 1.0),
+        ObservedQuantity("velocity", "m/s", 3, 2.0),
+        ObservedQuantity("reference_less_extension", "m", 3, 1.0),
+        ObservedQuantity("place_less_extension", "m", 3, 2.0),
+        ObservedQuantity("pressure_over_proof", "1", 3, 2.0),
+        ObservedQuantity("places_left", "1", 1, 10.0),
     )
 
     def __init__(

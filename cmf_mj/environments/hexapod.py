@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.environments.environment import FRAMES, Array, MachineEnv, Quantity
+from cmf_mj.environments.environment import FRAMES, Array, MachineEnv, ObservedQuantity
 from cmf_mj.facility.session import Session
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
@@ -39,10 +39,10 @@ class HexapodEnv(MachineEnv):
     """The motion base under a law, or at its valves."""
 
     quantities = (
-        Quantity("leg_extension", "m", 6, 1.2),
-        Quantity("leg_velocity", "m/s", 6, 2.0),
-        Quantity("pressure_difference", "MPa", 6, 50.0),
-        Quantity("pose_error", "m, rad", 6, 2.0),
+        ObservedQuantity("leg_extension", "m", 6, 1.2),
+        ObservedQuantity("leg_velocity", "m/s", 6, 2.0),
+        ObservedQuantity("pressure_difference", "MPa", 6, 50.0),
+        ObservedQuantity("pose_error", "m, rad", 6, 2.0),
     )
 
     def __init__(

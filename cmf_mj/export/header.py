@@ -19,7 +19,7 @@ from cmf_mj.plant.oil import ATMOSPHERE
 from cmf_mj.plant.supply import ACCUMULATOR, GAS
 
 
-class Parameter(NamedTuple):
+class ExportedParameter(NamedTuple):
     """A number that a host may set before the first frame."""
 
     name: str
@@ -30,7 +30,7 @@ class Parameter(NamedTuple):
     most: float
 
 
-class Channel(NamedTuple):
+class ExportedChannel(NamedTuple):
     """A channel as a host reads it."""
 
     name: str
@@ -39,25 +39,27 @@ class Channel(NamedTuple):
     first: int  #: Column of the loop's row; -1 for the platform's pose.
 
 
-def parameters(frozen: Frozen) -> list[Parameter]:
+def parameters(frozen: Frozen) -> list[ExportedParameter]:
     """All parameters of a machine in the order of the C source."""
     supply, plant = frozen.parts.machine.hydraulics.supply, frozen.plant
     low = 0.1 * supply.pressure if supply.constant else supply.precharge
     guarded, high = float(frozen.parts.controller.guarded), supply.relief_pressure
     listed = [
-        Parameter("settle", "s", "rest after a change of parameters", 5.0, 0.0, 60.0),
-        Parameter("protection", "1", "1: faults make an emergency stop", guarded, 0.0, 1.0),
-        Parameter("supply.pressure", "Pa", "set pressure", supply.pressure, low, high),
+        ExportedParameter("settle", "s", "rest after a change of parameters", 5.0, 0.0, 60.0),
+        ExportedParameter("protection", "1", "1: faults make an emergency stop", guarded, 0.0, 1.0),
+        ExportedParameter("supply.pressure", "Pa", "set pressure", supply.pressure, low, high),
     ]
     for name in SIGNALS:
         text = f"factor on the law's gains of {name}"
-        listed.append(Parameter(f"gain.{name}", "1", text, 1.0, -10.0, 10.0))
+        listed.append(ExportedParameter(f"gain.{name}", "1", text, 1.0, -10.0, 10.0))
     if (body := payload_body(frozen)) >= 0:
         mass = float(plant.model.body_mass[body])
-        listed.append(Parameter("payload.mass", "kg", "of the cab", mass, 0.1 * mass, 4.0 * mass))
+        listed.append(
+            ExportedParameter("payload.mass", "kg", "of the cab", mass, 0.1 * mass, 4.0 * mass)
+        )
         for axis, value in zip("xyz", plant.model.body_ipos[body].tolist(), strict=True):
             text = f"centre of mass of the cab, {axis} of x forward, y left, z up"
-            listed.append(Parameter(f"payload.{axis}", "m", text, value, -5.0, 5.0))
+            listed.append(ExportedParameter(f"payload.{axis}", "m", text, value, -5.0, 5.0))
     return listed
 
 
@@ -66,12 +68,12 @@ def payload_body(frozen: Frozen) -> int:
     return int(mujoco.mj_name2id(frozen.plant.model, mujoco.mjtObj.mjOBJ_BODY, "cab/cab"))
 
 
-def channels(frozen: Frozen) -> list[Channel]:
+def channels(frozen: Frozen) -> list[ExportedChannel]:
     """All channels of a machine, the pose of a platform last."""
     layout = frozen.session.layout
-    listed = [Channel(c.name, c.unit, c.width or 1, c.first) for c in layout.channels]
+    listed = [ExportedChannel(c.name, c.unit, c.width or 1, c.first) for c in layout.channels]
     if platform_joint(frozen) >= 0:
-        listed.append(Channel("platform_pose", "m, rad", 6, -1))
+        listed.append(ExportedChannel("platform_pose", "m, rad", 6, -1))
     return listed
 
 

@@ -240,7 +240,7 @@ def _delays(sent: NDArray[np.float64], record: Record) -> tuple[float, float]:
     return host_delay, loop_delay
 
 
-class Stage(NamedTuple):
+class DelayStage(NamedTuple):
     """A part of the way from host to pilot."""
 
     name: str
@@ -253,7 +253,7 @@ class TransportDelay(NamedTuple):
 
     dof: str
     frequency: float  #: [Hz].
-    stages: tuple[Stage, ...]  #: In the order of the signal.
+    stages: tuple[DelayStage, ...]  #: In the order of the signal.
     host_to_reference: float  #: Measured, to compare with the sum of the DCU's settings [s].
     total: float
     """Measured from host to pilot [s]; the stages add up to it but for what the DCU's settings
@@ -319,6 +319,8 @@ def transport_delay(
         "hydraulics and mechanics: opening to legs": late(opening, 1j * omega * moved),
         "legs to pilot's station": late(moved / sent, felt / ahead),
     }
-    stages = [Stage(f"DCU: {name.replace('_', ' ')}", delay, True) for name, delay in dcu.items()]
-    stages += [Stage(name, delay, False) for name, delay in measured.items()]
+    stages = [
+        DelayStage(f"DCU: {name.replace('_', ' ')}", delay, True) for name, delay in dcu.items()
+    ]
+    stages += [DelayStage(name, delay, False) for name, delay in measured.items()]
     return TransportDelay(dof, frequency, tuple(stages), late(sent, reference), late(ahead, felt))

@@ -38,7 +38,7 @@ _OFF = 1e-6
 AnySignal = TypeVar("AnySignal", bound=Signal)
 
 
-class Header(FileHeader):
+class RecordHeader(FileHeader):
     """What the schema of a record's file holds."""
 
     units: dict[str, str]  #: Channel name to SI unit.
@@ -187,7 +187,7 @@ class Record:
             InputError: the file is damaged or not a record of this project.
         """
         source = Path(path)
-        table, header = read_headed(source, _SCHEMA_KEY, Header)
+        table, header = read_headed(source, _SCHEMA_KEY, RecordHeader)
 
         def column(name: str) -> NDArray[np.float64]:
             return read_column(source, table, name, None)

@@ -30,7 +30,7 @@ _LEAST_SPAN = 0.1
 """Of an axis, in its unit, so that round-off shows as the nothing it is."""
 
 
-class Motion(NamedTuple):
+class DrawnMotion(NamedTuple):
     """A motion and how it is drawn."""
 
     motion: PilotMotion
@@ -44,7 +44,7 @@ def six(motion: Any) -> NDArray[np.float64]:
     return np.hstack([motion.specific_force, motion.angular_rate]) / SCALE
 
 
-def motion_axes(*motions: Motion, rows: int = 3) -> tuple[Figure, NDArray[Any]]:
+def motion_axes(*motions: DrawnMotion, rows: int = 3) -> tuple[Figure, NDArray[Any]]:
     """Draw forces at the left and rates at the right; further rows of the axes are left empty."""
     figure = new_figure(11.0, 8.0 if rows == 3 else 2.4 * rows)
     axes = figure.subplots(rows, 2, sharex=True)
@@ -138,8 +138,8 @@ def tuned_table(tuned: Tuned, before: NDArray[np.float64]) -> Table:
 def motion_figure(flown: Cue) -> Figure:
     """Specific forces and rates of both pilots; pose and legs of the platform."""
     figure, axes = motion_axes(
-        Motion(flown.aircraft, "aircraft", GREY, 1.2),
-        Motion(flown.simulator, "simulator", BLUE, 1.2),
+        DrawnMotion(flown.aircraft, "aircraft", GREY, 1.2),
+        DrawnMotion(flown.simulator, "simulator", BLUE, 1.2),
         rows=5,
     )
     time, pose = flown.aircraft.time, flown.stream.pose

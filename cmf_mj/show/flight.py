@@ -14,17 +14,19 @@ from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show import look
 from cmf_mj.show.chart import Curve, Panel
-from cmf_mj.show.cueing import SCALE, Motion, motion_axes, perceived_figure, six
+from cmf_mj.show.cueing import SCALE, DrawnMotion, motion_axes, perceived_figure, six
 from cmf_mj.show.film.strip import Panels
 
 _NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")
 
 
-def _motions(ride: FlightResult) -> list[Motion]:
+def _motions(ride: FlightResult) -> list[DrawnMotion]:
     """Motions at the pilot's station: aircraft, asked, cab."""
-    aircraft = [] if ride.aircraft is None else [Motion(ride.aircraft, "aircraft", look.BLUE, 1.2)]
-    asked = Motion(ride.asked, "asked of the platform", look.DARK, 0.9)
-    return [*aircraft, asked, Motion(ride.simulator, "cab", look.ORANGE, 0.9)]
+    aircraft = (
+        [] if ride.aircraft is None else [DrawnMotion(ride.aircraft, "aircraft", look.BLUE, 1.2)]
+    )
+    asked = DrawnMotion(ride.asked, "asked of the platform", look.DARK, 0.9)
+    return [*aircraft, asked, DrawnMotion(ride.simulator, "cab", look.ORANGE, 0.9)]
 
 
 def flight_traces(ride: FlightResult) -> Panels:

@@ -17,7 +17,7 @@ from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.hexapod import hexapod_model
-from cmf_mj.show.film.stage import Stage
+from cmf_mj.show.film.stage import FilmStage
 from cmf_mj.studies.machine_check import MachineCheck
 
 
@@ -78,7 +78,7 @@ def save_picture(machine: Machine, cab: str | None, path: Path, size: tuple[int,
     if path.suffix != ".png":
         raise InputError(f"file: {path} must end in .png")
     model = hexapod_model(load_cab(cab, machine))
-    with Stage(model, *size, "overview") as stage:
+    with FilmStage(model, *size, "overview") as stage:
         pixels = stage.picture(mujoco.MjData(model).qpos)
     with whole_file(path) as part:
         matplotlib.image.imsave(part, pixels, format="png")

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from cmf_mj.analysis.modes import PlaneMap, Range, Sweep
+from cmf_mj.analysis.modes import EnvelopeModes, PlaneMap, Sweep
 from cmf_mj.core import units
 from cmf_mj.core.table import Table
 from cmf_mj.machine.dof import dof_unit
@@ -53,7 +53,7 @@ def mass_table(modes: HydraulicModes) -> Table:
     return Table(f"reflected mass in lbm, {modes.cab.upper()}", columns, rows)
 
 
-def range_table(ranges: Sequence[Range]) -> Table:
+def range_table(ranges: Sequence[EnvelopeModes]) -> Table:
     """The frequencies over the envelope, a row a cab and mode."""
     rows = []
     for each in ranges:
@@ -131,7 +131,7 @@ def _pose_cells(modes: HydraulicModes) -> list[str]:
 
 
 def save_envelope(
-    ranges: Sequence[Range],
+    ranges: Sequence[EnvelopeModes],
     sweeps: Sequence[Sequence[Sweep]],
     maps: Sequence[Sequence[PlaneMap]],
     folder: Path,

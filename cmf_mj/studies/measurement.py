@@ -83,7 +83,7 @@ class Measurement:
     """Fitted to the response; None where the step rings on."""
     transport_delay: float  #: Of the sweep, by cross-correlation [s].
     describing_function: tuple[Described, ...]
-    half_hertz_noise: tuple[tuple[float, metrics.Noise], ...]
+    half_hertz_noise: tuple[tuple[float, metrics.MotionNoise], ...]
     """Demand amplitude [m or rad] and its noise."""
     hysteresis: float  #: Loop width over peak-to-peak, fraction.
     threshold: tuple[Threshold, ...]
@@ -214,7 +214,7 @@ def _describe(case: Case, plant: Plant, frequency: float, size: float) -> Descri
     return Described(frequency, size, float(gain), float(phase))
 
 
-def _half_hertz_noise(case: Case, plant: Plant, size: float) -> metrics.Noise:
+def _half_hertz_noise(case: Case, plant: Plant, size: float) -> metrics.MotionNoise:
     record = case.run(signals.sine(case.dof, size, HALF_HERTZ, cycles=8.0), plant)
     part = _whole_cycles(record, HALF_HERTZ, 4)
     moved = dof_accelerations(record)[part, DOFS.index(case.dof)]

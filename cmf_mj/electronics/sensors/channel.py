@@ -19,7 +19,7 @@ from cmf_mj.electronics.sensors.settings import ChannelSettings
 from cmf_mj.electronics.stages import low_pass, steps
 
 
-class Channel(NamedTuple):
+class SensorChannel(NamedTuple):
     """Compiled parameters of one kind of sensor, SI."""
 
     low_pass: NDArray[np.float64]  #: Sections (s, 6) of H; none for an unlimited bandwidth.
@@ -32,7 +32,7 @@ class Channel(NamedTuple):
     keys: NDArray[np.uint64]  #: Round keys of the noise, (10, 2).
 
 
-def make_channel(name: str, settings: ChannelSettings, rate: float, seed: int) -> Channel:
+def make_channel(name: str, settings: ChannelSettings, rate: float, seed: int) -> SensorChannel:
     """Derive a channel from its settings for a rate of frames [Hz]; its name chooses the noise."""
 
     def size(field: str, absent: float) -> float:
@@ -40,7 +40,7 @@ def make_channel(name: str, settings: ChannelSettings, rate: float, seed: int) -
         return absent if quantity is None else float(quantity.si)
 
     corner = size("bandwidth", 0.0) / (2.0 * np.pi)
-    return Channel(
+    return SensorChannel(
         filters.low_pass(1 if corner else 0, corner, rate),
         np.array([1.0 + error.si for error in settings.gain_errors]),
         size("lowest", -np.inf),

@@ -22,7 +22,7 @@ from cmf_mj.core import filters
 from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
-from cmf_mj.electronics.sensors.channel import Channel, make_channel, read
+from cmf_mj.electronics.sensors.channel import SensorChannel, make_channel, read
 from cmf_mj.electronics.sensors.settings import CHANNELS, SensorSettings
 from cmf_mj.machine import models
 from cmf_mj.machine.gravity import (
@@ -45,13 +45,13 @@ _STILL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, STANDARD_GRAVITY])
 class Sensors(NamedTuple):
     """Compiled parameters of all sensors."""
 
-    position: Channel
-    velocity: Channel
-    acceleration: Channel
-    cap_pressure: Channel
-    rod_pressure: Channel
-    platform_gyro: Channel
-    platform_accelerometer: Channel
+    position: SensorChannel
+    velocity: SensorChannel
+    acceleration: SensorChannel
+    cap_pressure: SensorChannel
+    rod_pressure: SensorChannel
+    platform_gyro: SensorChannel
+    platform_accelerometer: SensorChannel
     gravity: bool  #: Whether the leg accelerometers feel gravity and swing.
     axes: LegAxes
     distance: float  #: d, from an upper gimbal down to the accelerometer [m].

@@ -30,7 +30,7 @@ _KINDS = ("", "_velocity", "_acceleration")
 _SCHEMA_KEY = "cmf_mj_host"
 
 
-class Header(FileHeader):
+class StreamHeader(FileHeader):
     """What the schema of a session's file holds."""
 
     frames: Annotated[int, Field(ge=0)]  #: Control frames of the run.
@@ -96,7 +96,7 @@ class HostSession:
     def load(path: str | Path) -> "HostSession":
         """Read a session written by `save`; numbers come back bit for bit."""
         source = Path(path)
-        table, header = read_headed(source, _SCHEMA_KEY, Header)
+        table, header = read_headed(source, _SCHEMA_KEY, StreamHeader)
         frame, sequence = (
             read_column(source, table, name, pa.int64()) for name in ("control_frame", "sequence")
         )

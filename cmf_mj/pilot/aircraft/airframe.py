@@ -32,7 +32,7 @@ RATE = 240
 """Steps of the flight mechanics a second [Hz]: three a host frame of 80 Hz."""
 
 
-class State(NamedTuple):
+class AircraftState(NamedTuple):
     """What the aircraft does at the end of a step, SI, body axes."""
 
     time: float  #: [s].
@@ -187,7 +187,7 @@ class Airframe:
             self[name] = value
         self._fdm.run()
 
-    def state(self) -> State:
+    def state(self) -> AircraftState:
         """What is felt at the end of the last step."""
         rate = self._vector("velocities/{}i-rad_sec", "pqr")
         turning = self._vector("accelerations/{}idot-rad_sec2", "pqr")
@@ -195,7 +195,7 @@ class Airframe:
         from_centre = self._vector("metrics/eyepoint-{}-in") - self._vector("inertia/cg-{}-in")
         lever = from_centre * np.array([-1.0, 1.0, -1.0]) * units.INCH
         felt = force + np.cross(turning, lever) + np.cross(rate, np.cross(rate, lever))
-        return State(
+        return AircraftState(
             self["simulation/sim-time-sec"],
             felt,
             force,

@@ -56,7 +56,7 @@ class Origin(Settings):
     seed: int | None = None  #: Of its turbulence, where there is any.
 
 
-class Header(FileHeader):
+class FlightHeader(FileHeader):
     """What the schema of a flight's Parquet file holds."""
 
     units: dict[str, str]  #: Column to unit.
@@ -164,7 +164,7 @@ def _text(path: Path) -> str:
 def _parts(path: Path) -> tuple[pa.Table, dict[str, str], Origin]:
     """Table, units of its columns and origin."""
     if path.suffix != ".csv":
-        table, header = read_headed(path, _KEY, Header)
+        table, header = read_headed(path, _KEY, FlightHeader)
         return table, header.units, header.origin
     first, _, rest = _text(path).partition("\n")
     if not first.startswith(f"# {_KEY} "):

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.errors import check_name
 from cmf_mj.core.units import DEGREE, FOOT, KNOT
-from cmf_mj.pilot.aircraft.airframe import RATE, Airframe, Controls, State
+from cmf_mj.pilot.aircraft.airframe import RATE, AircraftState, Airframe, Controls
 from cmf_mj.pilot.aircraft.flight import Flight, Origin
 from cmf_mj.pilot.host import MOST_RATE, PilotSample
 from cmf_mj.pilot.motion import PilotMotion
@@ -73,7 +73,7 @@ class Pilot:
         self._airframe.step(Controls(elevator, aileron, rudder, throttle, brakes, gear, flaps))
         self.state = self._airframe.state()
 
-    def _demand(self, state: State, targets: Targets) -> NDArray[np.float64]:
+    def _demand(self, state: AircraftState, targets: Targets) -> NDArray[np.float64]:
         """Elevator, aileron, rudder and throttle, (4,)."""
         scale = min((_REFERENCE_SPEED / max(state.airspeed, 1.0)) ** 2, 1.0)
         roll, pitch, heading = state.attitude
@@ -101,7 +101,7 @@ def _wrapped(angle: float) -> float:
     return float(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
 
 
-Aim = Callable[[float, State], Targets]
+Aim = Callable[[float, AircraftState], Targets]
 """What the pilot aims at, at a time since the start [s] and in a state."""
 
 
@@ -143,7 +143,7 @@ def _take_off(airframe: Airframe, *, failure: bool) -> tuple[float, Aim]:
     best = (10.0 if failure else 15.0) * DEGREE
     clock = _Clock()
 
-    def aim(time: float, state: State) -> Targets:
+    def aim(time: float, state: AircraftState) -> Targets:
         failed = clock.since("failure", time, failure and state.airspeed > _FAILURE)
         if failed == 0.0:
             airframe.fail_engine(0)
@@ -179,7 +179,7 @@ def _doublets(airframe: Airframe) -> tuple[float, Aim]:
     def doublet(time: float, start: float) -> float:
         return float(np.sign(start + 1.0 - time)) if start <= time < start + 2.0 else 0.0
 
-    def aim(time: float, state: State) -> Targets:
+    def aim(time: float, state: AircraftState) -> Targets:
         free = [start <= time < start + 9.0 for start in (3.0, 17.0, 31.0)]
         lateral = free[1] or free[2]
         moved = controls._replace(
@@ -196,7 +196,7 @@ def _doublets(airframe: Airframe) -> tuple[float, Aim]:
 def _turn(airframe: Airframe) -> tuple[float, Aim]:
     controls, level = _cruise(airframe)
 
-    def aim(time: float, state: State) -> Targets:
+    def aim(time: float, state: AircraftState) -> Targets:
         share = np.clip(min((time - 3.0) / 6.0, (38.0 - time) / 6.0), 0.0, 1.0)
         pushed = controls._replace(throttle=min(controls.throttle + 0.08 * share, 1.0))
         return Targets(pushed, level + 1.3 * DEGREE * share, 30.0 * DEGREE * share)
@@ -207,7 +207,7 @@ def _turn(airframe: Airframe) -> tuple[float, Aim]:
 def _gusts(airframe: Airframe) -> tuple[float, Aim]:
     controls, level = _cruise(airframe)
 
-    def aim(time: float, state: State) -> Targets:
+    def aim(time: float, state: AircraftState) -> Targets:
         if time in _GUSTS:
             airframe.gust(*_GUSTS[time])
         return Targets(controls, level, coordinate=False)
@@ -228,7 +228,7 @@ def _approach(airframe: Airframe) -> tuple[float, Aim]:
     airframe.turbulence(15.0 * KNOT, "milspec")
     clock = _Clock()
 
-    def aim(time: float, state: State) -> Targets:
+    def aim(time: float, state: AircraftState) -> Targets:
         flaring = clock.since("flare", time, state.height < _FLARE)
         rolling = clock.since("ground", time, state.height < 1.3)
         pitch = level + 4.0 * DEGREE * np.clip(flaring / 4.0, 0.0, 1.0)
@@ -269,7 +269,7 @@ class ScriptedFlight:
         check_name("flight", name, SCRIPTS)
         self.name, self.aircraft, self.seed = name, aircraft, seed
 
-    def states(self) -> Iterator[State]:
+    def states(self) -> Iterator[AircraftState]:
         """Fly; yields the state 80 times a second, with time from 0 and heading without wrapping.
 
         Raises:

@@ -40,7 +40,7 @@ from cmf_mj.pilot.perception import canal_response, load_senses, otolith_respons
 Matrix = NDArray[np.float64]
 
 
-class Mode(NamedTuple):
+class WashoutMode(NamedTuple):
     """A linear-quadratic problem and its solution."""
 
     plant: tuple[Matrix, Matrix]  #: A, B of dx/dt = A x + B u with x = (x_v, x_d, x_n).
@@ -75,7 +75,7 @@ def _solve(
     sizes: tuple[list[float], list[float], list[float]],
     corners: list[float],
     motion: tuple[Matrix, Matrix],
-) -> Mode:
+) -> WashoutMode:
     """Solve one mode, whose filter's outputs are the rows `motion` of x_d and u.
 
     `vestibular` leads from v to what is sensed, `tilt` is the specific force of its last input per
@@ -111,7 +111,7 @@ def _solve(
     )
     rows, efforts_in = motion
     c = np.hstack([np.zeros((len(rows), nv)), rows]) - efforts_in @ kept
-    return Mode((a, b), (q, n, r), p, feedback, (*closed, c, -efforts_in @ aircraft))
+    return WashoutMode((a, b), (q, n, r), p, feedback, (*closed, c, -efforts_in @ aircraft))
 
 
 def _pick(count: int, *places: int | None) -> Matrix:
@@ -130,7 +130,7 @@ def _si(sizes: Settings, *names: str) -> list[float]:
 _TRAVEL = ("position_integral", "position", "velocity")
 
 
-def modes(settings: OptimalSettings) -> dict[str, Mode]:
+def modes(settings: OptimalSettings) -> dict[str, WashoutMode]:
     """All four modes by name.
 
     Inputs of a filter are Euler rate and specific force, outputs angle, its rate, displacement,
@@ -143,7 +143,7 @@ def modes(settings: OptimalSettings) -> dict[str, Mode]:
     path, pushed = np.diag([1.0, 1.0], 1), np.array([[0.0], [0.0], [1.0]])
     turn, turned = np.diag([1.0], 1), np.array([[0.0], [1.0]])
 
-    def tilting(sizes: TiltingSizes, sign: float) -> Mode:
+    def tilting(sizes: TiltingSizes, sign: float) -> WashoutMode:
         chain = (linalg.block_diag(path, [[0.0]]), linalg.block_diag(pushed, [[1.0]])[:, ::-1])
         kept = (
             _si(sizes, "rate_error", "force_error"),

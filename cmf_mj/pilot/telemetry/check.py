@@ -67,7 +67,7 @@ class Doubt(NamedTuple):
     mend: Callable[[Array, Array], Array]  #: Of the channel and the attitude, each (N, 3).
 
 
-class Verdict(NamedTuple):
+class TelemetryVerdict(NamedTuple):
     """What a check found."""
 
     errors: tuple[str, ...]  #: In words; empty if there is none.
@@ -119,7 +119,7 @@ DOUBTS = (
 _FINE = {name: Doubt(name, "", lambda values, _: values) for name in ("attitude", "rate", "force")}
 
 
-def check(telemetry: Telemetry) -> Verdict:
+def check(telemetry: Telemetry) -> TelemetryVerdict:
     """Say what is wrong with telemetry, in words, and what could not be seen."""
     errors = _time_errors(telemetry.time)
     if any(said.endswith("ms?") for said in errors):
@@ -127,7 +127,7 @@ def check(telemetry: Telemetry) -> Verdict:
     rising = np.diff(telemetry.time, prepend=-np.inf) > 0.0
     kept = Telemetry._make(values[rising] for values in telemetry)
     if kept.time.size < 2 or kept.time[-1] - kept.time[0] < 4.0 * _MEAN:
-        return Verdict((*errors, f"less than {4.0 * _MEAN:g} s of data"), ())
+        return TelemetryVerdict((*errors, f"less than {4.0 * _MEAN:g} s of data"), ())
     costs = _Costs(kept)
     ways = {
         name: [_FINE[name], *(doubt for doubt in DOUBTS if doubt.channel == name)] for name in _FINE
@@ -142,7 +142,7 @@ def check(telemetry: Telemetry) -> Verdict:
         tried = [doubt if doubt.channel == was.channel else was for was in best]
         if doubt not in best and costs.misfit(*tried) - base < _CHANGE:
             unseen.append(doubt.said)
-    return Verdict(tuple(errors), tuple(unseen))
+    return TelemetryVerdict(tuple(errors), tuple(unseen))
 
 
 def _said(way: Sequence[Doubt]) -> tuple[str, ...]:

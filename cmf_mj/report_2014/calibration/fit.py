@@ -56,7 +56,7 @@ class Residual(NamedTuple):
     stable: bool  #: The verdict on the step.
 
 
-class Stage(NamedTuple):
+class CalibrationStage(NamedTuple):
     """Parameters with their linear and simulated results."""
 
     values: dict[str, float]
@@ -68,23 +68,23 @@ class Stage(NamedTuple):
 class Calibration(NamedTuple):
     """A finished study."""
 
-    study: trial.Study
-    stages: tuple[Stage, ...]  #: As shipped, then after each round.
+    study: trial.CalibrationStudy
+    stages: tuple[CalibrationStage, ...]  #: As shipped, then after each round.
     standard_errors: dict[str, float]
     """Of the free parameters in their units, from s^2 (J' J)^-1, s^2 the mean squared residual."""
 
     @property
-    def before(self) -> Stage:
+    def before(self) -> CalibrationStage:
         """As shipped."""
         return self.stages[0]
 
     @property
-    def after(self) -> Stage:
+    def after(self) -> CalibrationStage:
         """As fitted."""
         return self.stages[-1]
 
 
-def residual_rows(study: trial.Study, results: Results) -> list[Residual]:
+def residual_rows(study: trial.CalibrationStudy, results: Results) -> list[Residual]:
     """Every printed number of a study with the computed one."""
     rows = []
     for row, measure in product(study.rows, trial.MEASURES):
@@ -100,7 +100,9 @@ def residual_rows(study: trial.Study, results: Results) -> list[Residual]:
     return rows
 
 
-def _cost_vector(study: trial.Study, values: trial.Values, shift: Shift) -> NDArray[np.float64]:
+def _cost_vector(
+    study: trial.CalibrationStudy, values: trial.Values, shift: Shift
+) -> NDArray[np.float64]:
     fitted = {row.law: None for row in study.rows if row.fitted}
     stepped = any("damping" in row.fitted for row in study.rows)
     linear = trial.linear_results(study, values, tuple(fitted), damping=stepped)
@@ -117,7 +119,7 @@ def _cost_vector(study: trial.Study, values: trial.Values, shift: Shift) -> NDAr
 
 
 def calibrate(
-    study: trial.Study,
+    study: trial.CalibrationStudy,
     *,
     rounds: int = 1,
     quick: bool = False,
@@ -133,8 +135,8 @@ def calibrate(
         raise InputError(f"rounds: {rounds} must be at least 1")
     report = progress or (lambda text: None)
 
-    def stage(values: dict[str, float]) -> Stage:
-        return Stage(
+    def stage(values: dict[str, float]) -> CalibrationStage:
+        return CalibrationStage(
             values,
             trial.linear_results(study, values, study.laws),
             trial.simulated_results(study, values, study.laws, quick=quick, jobs=jobs),
@@ -159,7 +161,7 @@ def calibrate(
         }
 
         def cost(
-            share: NDArray[np.float64], last: Stage = last, shift: Shift = shift
+            share: NDArray[np.float64], last: CalibrationStage = last, shift: Shift = shift
         ) -> NDArray[np.float64]:
             chosen = dict(zip(names, low + share * scale, strict=True))
             return _cost_vector(study, last.values | chosen, shift)
@@ -198,7 +200,7 @@ class Examination(NamedTuple):
 
     calibration: Calibration
     spread: Result[Spread]  #: About the shipped values.
-    verdicts: list[trial.Verdict]  #: Step runs with the fitted values.
+    verdicts: list[trial.StepVerdict]  #: Step runs with the fitted values.
 
 
 def examine(
@@ -214,7 +216,7 @@ def examine(
 
 
 def spread(
-    study: trial.Study,
+    study: trial.CalibrationStudy,
     values: trial.Values,
     laws: tuple[str, ...] = ("velocity",),
     *,

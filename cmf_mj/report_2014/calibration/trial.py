@@ -61,7 +61,7 @@ def computed(measures: Measures, measure: Measure) -> float:
     return float(getattr(measures, MEASURES[measure]))
 
 
-class Parameter(Settings):
+class FreeParameter(Settings):
     """A number of the plant or the law, and the range its source allows."""
 
     name: str
@@ -73,7 +73,7 @@ class Parameter(Settings):
     source: str = Field(min_length=1)  #: Where the range comes from.
 
     @model_validator(mode="after")
-    def _ordered(self) -> "Parameter":
+    def _ordered(self) -> "FreeParameter":
         check_name("name", self.name, (*HYDRAULIC, "derivative_pole", "payload"))
         if not 0.0 < self.low < self.high:
             raise InputError(
@@ -105,7 +105,7 @@ class Row(Settings):
         return float("nan") if value is None else float(value)
 
 
-class Study(Settings):
+class CalibrationStudy(Settings):
     """One calibration."""
 
     name: Name
@@ -119,11 +119,11 @@ class Study(Settings):
     """Cabs with which the velocity law must be stable in six degrees of freedom."""
     least_damping: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     """Least damping ratio of the velocity law's loop with each of these cabs."""
-    parameters: Annotated[tuple[Parameter, ...], Field(strict=False)]
+    parameters: Annotated[tuple[FreeParameter, ...], Field(strict=False)]
     rows: Annotated[tuple[Row, ...], Field(strict=False)]
 
     @model_validator(mode="after")
-    def _sound(self) -> "Study":
+    def _sound(self) -> "CalibrationStudy":
         for row in self.rows:
             for measure in (*row.fitted, *row.predicted):
                 if row.printed(measure) != row.printed(measure):
@@ -139,7 +139,7 @@ class Study(Settings):
         return self
 
     @property
-    def free(self) -> tuple[Parameter, ...]:
+    def free(self) -> tuple[FreeParameter, ...]:
         """The parameters that are fitted."""
         return tuple(parameter for parameter in self.parameters if parameter.free)
 
@@ -150,15 +150,15 @@ class Study(Settings):
 
 
 @lru_cache
-def load_studies() -> dict[str, Study]:
+def load_studies() -> dict[str, CalibrationStudy]:
     """The shipped studies by name."""
     return {
-        name: validated(Study, table | {"name": name}, f"{_FILE.name}: {name}")
+        name: validated(CalibrationStudy, table | {"name": name}, f"{_FILE.name}: {name}")
         for name, table in read_toml(_FILE).items()
     }
 
 
-def load_study(name: str) -> Study:
+def load_study(name: str) -> CalibrationStudy:
     """A shipped study by name."""
     studies = load_studies()
     return studies[check_name("study", name, studies)]
@@ -175,7 +175,7 @@ _FASTEST_HZ = 30.0
 """Modes above it are of valves and sensors, not of the machine [Hz]."""
 
 
-def starting_values(study: Study) -> dict[str, float]:
+def starting_values(study: CalibrationStudy) -> dict[str, float]:
     """Values of all parameters as the set and the laws ship, in the units of the study."""
     quantities = load_hydraulics(study.hydraulics).quantities()
     shipped = {"derivative_pole": load_law("position_error_rate").derivative_pole, "payload": 1.0}
@@ -187,7 +187,7 @@ def starting_values(study: Study) -> dict[str, float]:
     return {p.name: shipped[p.name] for p in study.parameters}
 
 
-def hydraulics_of(study: Study, values: Values) -> HydraulicParameters:
+def hydraulics_of(study: CalibrationStudy, values: Values) -> HydraulicParameters:
     """The study's hydraulic set with the values of a trial, checked."""
     table = load_hydraulics(study.hydraulics).model_dump(exclude_none=True)
     for parameter in study.parameters:
@@ -204,7 +204,7 @@ def law_of(name: str, values: Values) -> Law:
     return law.model_copy(update={"derivative_pole": values["derivative_pole"]})
 
 
-def plant_of(study: Study, values: Values, cab: str = "") -> Plant:
+def plant_of(study: CalibrationStudy, values: Values, cab: str = "") -> Plant:
     """The study's plant with the values of a trial.
 
     Parameters left out are as shipped; `cab` stands in for the study's.
@@ -229,7 +229,7 @@ def plant_of(study: Study, values: Values, cab: str = "") -> Plant:
 
 
 def linear_results(
-    study: Study, values: Values, laws: Sequence[str], *, damping: bool = True
+    study: CalibrationStudy, values: Values, laws: Sequence[str], *, damping: bool = True
 ) -> dict[str, Measures]:
     """Measures of laws around the linearised plant, in heave.
 
@@ -262,7 +262,7 @@ def _unjudged(measures: Measures, widths: Bandwidths) -> Measures:
     return measures._replace(phase_bandwidth_hz=widths.phase_hz, gain_bandwidth_hz=widths.gain_hz)
 
 
-def least_damping(study: Study, values: Values) -> dict[str, float]:
+def least_damping(study: CalibrationStudy, values: Values) -> dict[str, float]:
     """Smallest damping ratio of the velocity law's loop, all degrees of freedom, for each cab."""
     law = law_of("velocity", values)
     systems = {cab: linearize(plant_of(study, values, cab)) for cab in study.stable_cabs}
@@ -273,7 +273,7 @@ def least_damping(study: Study, values: Values) -> dict[str, float]:
 
 
 def simulated_results(
-    study: Study,
+    study: CalibrationStudy,
     values: Values,
     laws: Sequence[str],
     *,
@@ -297,7 +297,7 @@ def simulated_results(
     }
 
 
-class Verdict(NamedTuple):
+class StepVerdict(NamedTuple):
     """The end of one step run of the velocity law."""
 
     cab: str
@@ -307,15 +307,15 @@ class Verdict(NamedTuple):
 
 
 def simulated_stability(
-    study: Study, values: Values, *, dofs: Sequence[str] = DOFS, jobs: int | None = None
-) -> list[Verdict]:
+    study: CalibrationStudy, values: Values, *, dofs: Sequence[str] = DOFS, jobs: int | None = None
+) -> list[StepVerdict]:
     """Steps of 1 in or 0.6 deg of the velocity law with every cab of the study."""
     hydraulics, law = hydraulics_of(study, values), law_of("velocity", values)
 
-    def run(cab_and_dof: tuple[str, str]) -> Verdict:
+    def run(cab_and_dof: tuple[str, str]) -> StepVerdict:
         cab, dof = cab_and_dof
         case = make_case(law, dof, cab=cab, hydraulics=hydraulics)
         metrics = step_metrics(case.run(case.step(), every=8))
-        return Verdict(cab, dof, metrics.stable, metrics.residual)
+        return StepVerdict(cab, dof, metrics.stable, metrics.residual)
 
     return on_threads(run, list(product(study.stable_cabs, dofs)), jobs)

@@ -48,7 +48,7 @@ _FITTED = {
 """Printed numbers that the two calibrations fitted, wherever they are printed."""
 
 
-class Quantity(NamedTuple):
+class PrintedQuantity(NamedTuple):
     """A quantity of the result tables."""
 
     field: str  #: Of `Published`.
@@ -58,11 +58,11 @@ class Quantity(NamedTuple):
 
 
 _QUANTITIES = (
-    Quantity("phase_bandwidth_hz", "-90 deg", "Hz", PHASE),
-    Quantity("gain_bandwidth_hz", "-3 dB", "Hz", GAIN),
-    Quantity("damping_ratio", RATIO, "", DAMPING),
-    Quantity("oscillation_hz", "oscillation", "Hz", PHASE),
-    Quantity("acceleration_g", "acceleration, at least", "g", 0.0),
+    PrintedQuantity("phase_bandwidth_hz", "-90 deg", "Hz", PHASE),
+    PrintedQuantity("gain_bandwidth_hz", "-3 dB", "Hz", GAIN),
+    PrintedQuantity("damping_ratio", RATIO, "", DAMPING),
+    PrintedQuantity("oscillation_hz", "oscillation", "Hz", PHASE),
+    PrintedQuantity("acceleration_g", "acceleration, at least", "g", 0.0),
 )
 
 
@@ -92,7 +92,7 @@ def _remark(law: str, table: str, quantity: str) -> str:
     return _REMARKS.get((law, table, quantity), _REMARKS.get((law, table, ""), ""))
 
 
-def _computed(result: CaseResult, quantity: Quantity) -> tuple[float, float]:
+def _computed(result: CaseResult, quantity: PrintedQuantity) -> tuple[float, float]:
     """A quantity of a law, NaN where its step rings on, and that of its sweep in any case."""
     stable, field = result.measures.stable, quantity.field
     if field == "oscillation_hz":

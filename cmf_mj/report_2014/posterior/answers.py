@@ -99,7 +99,7 @@ STABILITY = (
 )
 
 
-class Change(NamedTuple):
+class DampingChange(NamedTuple):
     """What a law changes in the damping ratio of the pair against `REFERENCE`."""
 
     law: str
@@ -155,7 +155,7 @@ class GainStep(NamedTuple):
     """Least damping ratio of any cab, at `LEVELS`."""
 
 
-class Check(NamedTuple):
+class EvidenceCheck(NamedTuple):
     """One observation with what machines make of it, at `LEVELS`."""
 
     name: Annotated[str, Field(title="observation")]
@@ -213,7 +213,7 @@ def stability(results: Results) -> Result[Stability]:
     return Result(rows, STABILITY)
 
 
-def changes(results: Results) -> Result[Change]:
+def changes(results: Results) -> Result[DampingChange]:
     """What each law changes in the pair's damping against `REFERENCE`."""
     every, rows = weights(results), []
     pairs = {at: column(machines, "pair") for at, machines in groups(results.damping, "law", "cab")}
@@ -223,8 +223,8 @@ def changes(results: Results) -> Result[Change]:
         change = damping - pairs[REFERENCE, cab]
         prior, posterior = _both(results, change)
         same = float(every @ (np.sign(change) == np.sign(posterior[1])))
-        rows.append(Change(law, cab, prior, posterior, same))
-    return Result(rows, fields_of(Change))
+        rows.append(DampingChange(law, cab, prior, posterior, same))
+    return Result(rows, fields_of(DampingChange))
 
 
 def spans(results: Results) -> Result[Span]:
@@ -270,13 +270,15 @@ def gain_steps(results: Results) -> Result[GainStep]:
     return Result(steps, fields_of(GainStep))
 
 
-def checks(results: Results) -> Result[Check]:
+def checks(results: Results) -> Result[EvidenceCheck]:
     """All observations, and last the one held out: the damping ratio with the integral.
 
     What is predicted of that one includes the scatter of printed damping ratios.
     """
     rows = [
-        Check(o.name, o.value, o.deviation, *_both(results, column(results.machines, o.name)))
+        EvidenceCheck(
+            o.name, o.value, o.deviation, *_both(results, column(results.machines, o.name))
+        )
         for o in observations()
     ]
     name, error = f"{HELD_OUT}_damping_ratio", float(scatter()[2])
@@ -284,9 +286,9 @@ def checks(results: Results) -> Result[Check]:
     read = (column(results.machines, name)[:, None] + errors).ravel()
     (stated,) = (r for r in published_results() if (r.law, r.of) == (HELD_OUT, "hardware"))
     assert stated.damping_ratio is not None
-    held_out = Check(name, stated.damping_ratio, error, *_both(results, read, _ERRORS))
+    held_out = EvidenceCheck(name, stated.damping_ratio, error, *_both(results, read, _ERRORS))
     inside = Field("inside", form=lambda inside: "yes" if inside else "no")
-    return Result([*rows, held_out], [*fields_of(Check), inside])
+    return Result([*rows, held_out], [*fields_of(EvidenceCheck), inside])
 
 
 def unknowns(results: Results) -> Result[dict[str, Any]]:

@@ -24,7 +24,7 @@ from cmf_mj.machine.cab import recorded_cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod, HydraulicModes, hexapod_model
 from cmf_mj.record.record import Record
-from cmf_mj.show.film.stage import Stage
+from cmf_mj.show.film.stage import FilmStage
 from cmf_mj.show.film.strip import Panels, Strip, traces_of
 from cmf_mj.show.look import save_figure
 from cmf_mj.show.modes import title_of
@@ -104,7 +104,7 @@ def check_film(model: mujoco.MjModel, path: str | Path, settings: FilmSettings) 
     check_settings(path, settings)
     if Path(path).suffix == ".mp4":
         _mp4_codec()
-    with Stage(model, settings.width, settings.height, settings.camera):
+    with FilmStage(model, settings.width, settings.height, settings.camera):
         pass
 
 
@@ -163,10 +163,10 @@ def _pictures(
 ) -> Iterator[Picture]:
     times = chosen.start + np.arange(count) * chosen.speed / chosen.fps
     with ExitStack() as stack:
-        stages: dict[mujoco.MjModel, Stage] = {}
+        stages: dict[mujoco.MjModel, FilmStage] = {}
         for reel in reels:
             if reel.model not in stages:
-                stage = Stage(reel.model, chosen.width, chosen.height, chosen.camera)
+                stage = FilmStage(reel.model, chosen.width, chosen.height, chosen.camera)
                 stages[reel.model] = stack.enter_context(stage)
         every = [reel.traces for reel in reels if reel.traces and chosen.strip]
         span = chosen.start, chosen.start + count * chosen.speed / chosen.fps

@@ -60,7 +60,7 @@ def _works(backend: str) -> bool:
     return subprocess.run(command, env=environment, capture_output=True).returncode == 0
 
 
-class Stage:
+class FilmStage:
     """A model, a camera and a buffer to render into; use it in a `with` block."""
 
     def __init__(

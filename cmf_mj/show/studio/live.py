@@ -37,7 +37,7 @@ _WINDOW = 2.0
 """Wall time the ratios are taken over [s]."""
 
 
-class Pace(NamedTuple):
+class SessionPace(NamedTuple):
     """How a session keeps up, over the last two seconds."""
 
     factor: float  #: Simulated time over wall time while running; the speed is what it should be.
@@ -84,10 +84,10 @@ class Clock:
             self._turns.popleft()
 
     @property
-    def pace(self) -> Pace:
+    def pace(self) -> SessionPace:
         """How the session keeps up; NaN before the first turn."""
         wall, simulated, busy = np.sum(self._turns, axis=0) if self._turns else (np.nan,) * 3
-        return Pace(float(simulated / wall), float(simulated / busy), self._given_up)
+        return SessionPace(float(simulated / wall), float(simulated / busy), self._given_up)
 
 
 TURN = 1.0 / 30.0
@@ -115,7 +115,7 @@ class View(NamedTuple):
     beside: Collection[Live | None]  #: Those of the second law at the same times, where it runs.
     marks: tuple[Mark, ...]  #: What has happened, in order of time.
     plant: Hexapod  #: The machine; its MuJoCo data is that of the run.
-    pace: Pace  #: How the session keeps up.
+    pace: SessionPace  #: How the session keeps up.
     paused: bool  #: Whether time stands still.
     end: str  #: Why the run has ended; empty while it goes on.
 

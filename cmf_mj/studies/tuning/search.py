@@ -3,7 +3,8 @@
 Searched is what a `Form` leaves free (`cmf_mj.studies.tuning.forms`). Minimised by CMA-ES
 (N. Hansen, package `cma`), over all cabs, degrees of freedom and sets of valve gains,
 
-    -min(-90 deg bandwidth, f_rate) - mean / 10 + excess of peak, overshoot and tail over `Limits`,
+    -min(-90 deg bandwidth, f_rate) - mean / 10
+        + excess of peak, overshoot and tail over `Requirements`,
 
 the mean that of the bandwidths: what does not bear on the lowest is as fast as the limits allow
 too. Each excess is in units of its weight, f_rate the frequency to which a plan's reference can
@@ -36,7 +37,7 @@ Seeds = Sequence[int | None]
 """Sets of valve gains, `valve_gains`."""
 
 
-class Limits(NamedTuple):
+class Requirements(NamedTuple):
     """What a law has to keep."""
 
     peak_db: float = 2.0
@@ -46,7 +47,7 @@ class Limits(NamedTuple):
     margin_db: float = 6.0  #: Peak with all valves faster by `FASTER`.
 
 
-_WEIGHTS = Limits(0.3, 0.03, 0.06, 0.05, 1.0)
+_WEIGHTS = Requirements(0.3, 0.03, 0.06, 0.05, 1.0)
 
 
 class SearchResult(NamedTuple):
@@ -59,7 +60,7 @@ class SearchResult(NamedTuple):
 
 
 def cost(
-    form: Form, values: Sequence[float], template: Template, limits: Limits, seeds: Seeds
+    form: Form, values: Sequence[float], template: Template, limits: Requirements, seeds: Seeds
 ) -> float:
     """What is minimised."""
     law = candidate(form, template, values)
@@ -80,7 +81,7 @@ def cost(
 
 def search(
     template: Template,
-    limits: Limits | None = None,
+    limits: Requirements | None = None,
     *,
     form: str = "modal_plan",
     seeds: Seeds = (None, 1),
@@ -95,7 +96,7 @@ def search(
     """
     if evaluations < 1:
         raise InputError(f"evaluations: {evaluations} must be at least 1")
-    limits, chosen = limits or Limits(), FORMS[check_name("form", form, FORMS)]
+    limits, chosen = limits or Requirements(), FORMS[check_name("form", form, FORMS)]
     first = np.array(chosen.start)
     low, high = np.array(list(chosen.free.values())).T
 
