@@ -9,10 +9,10 @@ from pathlib import Path
 
 from cmf_mj import load_law
 from cmf_mj.control.law import Law
+from cmf_mj.core.table import Table
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.show.table import Table
 from cmf_mj.studies.tuning.evaluation import LINES, LinearCab, evaluate, linear_cab
 from cmf_mj.studies.tuning.search import FASTER, Seeds
 

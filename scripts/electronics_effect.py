@@ -9,8 +9,8 @@ from pathlib import Path
 
 from cmf_mj.cli.common import refuse
 from cmf_mj.control.law import law_names
+from cmf_mj.core.table import Table, number
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.show.table import Table, number
 from cmf_mj.studies.case import CaseResult
 from cmf_mj.studies.comparison import compare
 
@@ -69,7 +69,7 @@ def main() -> None:
                 quick=options.quick,
                 jobs=options.jobs,
                 electronics=electronics,
-            ).results
+            )
             for electronics in (None, ElectronicsSettings())
         )
     except (ValueError, OSError, FloatingPointError) as error:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from cmf_mj import Hexapod, Law, load_hydraulics, load_law
+from cmf_mj.core.table import Table
 from cmf_mj.facility.host.stream import HostStream, make_stream
 from cmf_mj.facility.operation import operate
 from cmf_mj.machine.models import CABS
@@ -20,7 +21,6 @@ from cmf_mj.pilot import host as pilot_host
 from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
 from cmf_mj.pilot.cueing.flight import within_limits
 from cmf_mj.pilot.fly import fly
-from cmf_mj.show.table import Table
 from cmf_mj.studies.mismatch import with_valve_gains
 
 SIZES = np.array([1.2, 1.2, 0.9, 0.45, 0.4, 0.6])

@@ -31,9 +31,9 @@ from search_amplification import (
 )
 
 from cmf_mj import Hexapod
+from cmf_mj.core.table import Table
 from cmf_mj.facility.operation import operate
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.show.table import Table
 
 RATES = (20.0, 25.0, 40.0, 58.0, 72.0, 80.0, 100.0, 120.0)
 FREQUENCIES = (0.2, 0.9)

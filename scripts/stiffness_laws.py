@@ -25,8 +25,8 @@ from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.files import write_csv
 from cmf_mj.core.rates import FRAME
+from cmf_mj.core.table import Table
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.show.table import Table
 
 LAWS = (
     *("velocity", "velocity_tuned", "dynamic_pressure", "acceleration_compensated"),

@@ -9,18 +9,19 @@ from cmf_mj.analysis.linear.loop import closed_loop, loop_step
 from cmf_mj.analysis.linear.plants import UnitTransferFunction
 from cmf_mj.analysis.measures import measure_loop
 from cmf_mj.core.rates import FRAME
+from cmf_mj.core.result import Result
 from cmf_mj.report_2014.models import TableRow, hardware_velocity, table_4_1
 
 OMEGA = 2.0 * np.pi * np.linspace(0.05, 8.0, 4000)
 
 
 @pytest.fixture(scope="module")
-def table() -> tuple[TableRow, ...]:
+def table() -> Result[TableRow]:
     return table_4_1()
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_table_4_1_bandwidths_within_0_03_hz(number: int, table: tuple[TableRow, ...]) -> None:
+def test_table_4_1_bandwidths_within_0_03_hz(number: int, table: Result[TableRow]) -> None:
     """Table 2-5 around Eqs 4.12, 4.15, 4.18, without a free parameter."""
     rows = {row.quantity: row for row in table if row.model == number}
     published = {1: (2.75, 3.59), 2: (2.62, 3.62), 3: (2.72, 3.32)}[number]
@@ -34,7 +35,7 @@ def test_table_4_1_bandwidths_within_0_03_hz(number: int, table: tuple[TableRow,
     assert result.phase_hz == pytest.approx(rows["-90 deg"].computed, abs=1e-4)
 
 
-def test_table_4_1_damping_depends_on_its_reading(table: tuple[TableRow, ...]) -> None:
+def test_table_4_1_damping_depends_on_its_reading(table: Result[TableRow]) -> None:
     """From the gain's peak all three agree; model 3's 0.7 is not its overshoot over the end."""
     rows = {(row.model, row.quantity): row for row in table}
     for number, published in ((1, 0.5), (2, 0.5), (3, 0.7)):

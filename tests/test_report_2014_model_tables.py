@@ -13,7 +13,6 @@ from cmf_mj.report_2014.model_tables import (
     misprint_table,
     model_table,
     roots_text,
-    table_4_1_table,
 )
 from cmf_mj.report_2014.models import law_loops, report_models, table_4_1
 from cmf_mj.report_2014.second_order import (
@@ -75,7 +74,7 @@ def test_tables_have_a_line_for_each_entry() -> None:
     remarks = sum(bool(entry.note) + (entry.corrected is not None) for entry in models)
     assert len(misprint_table().rows) == remarks
     rows = table_4_1()
-    words = [row[-1] for row in table_4_1_table(rows).cells]
+    words = [row[-1] for row in rows.table.cells]
     assert words == ["within" if row.within else "OUTSIDE" for row in rows]
 
 

@@ -21,6 +21,7 @@ from cmf_mj.analysis.published import published_results
 from cmf_mj.cli.common import app
 from cmf_mj.core import errors
 from cmf_mj.core.rates import FRAME
+from cmf_mj.core.table import Table
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.report_2014.gains import published_gains
 from cmf_mj.report_2014.page import tables
@@ -41,7 +42,6 @@ from cmf_mj.report_2014.page.runs import Runs, RunSpec, hydraulics_of
 from cmf_mj.report_2014.page.sections import result_table, sections_of
 from cmf_mj.report_2014.page.statements import STATEMENT_NEEDS
 from cmf_mj.show.chart import Curve, Panel
-from cmf_mj.show.table import Table
 from cmf_mj.studies.case import CaseResult
 
 SHOWN = ["2-4", "2-13", "3-14", "3-16", "3-21"]

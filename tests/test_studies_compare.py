@@ -2,7 +2,6 @@
 
 import csv
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -11,7 +10,7 @@ from cmf_mj.analysis.measures import Measures
 from cmf_mj.record.record import Record
 from cmf_mj.show.comparison import AGREEMENT, comparison_table, phase_text
 from cmf_mj.studies import comparison
-from cmf_mj.studies.case import AMPLITUDE, make_case
+from cmf_mj.studies.case import AMPLITUDE, CaseResult, make_case
 
 COLUMNS = (
     "plant,cab,hydraulics,law,dof,phase_bandwidth_hz,gain_bandwidth_hz,peak_gain_db,damping_ratio,"
@@ -22,14 +21,14 @@ COLUMNS = (
 
 
 def test_columns_are_the_promised_ones() -> None:
-    assert list(comparison.COLUMNS) == COLUMNS
+    assert [field.name for field in comparison.COMPARISON] == COLUMNS
 
 
 def test_published_values_are_of_the_facility_alone() -> None:
     for machine, known in (("cmf", True), ("simona", False)):
         case = make_case("velocity", "heave", cab=load_cab(machine=machine))
-        result = SimpleNamespace(case=case)
-        assert (comparison.published_result(result) is not None) == known
+        result = CaseResult(case, None, Measures(), None, 0.0, 0.0)  # type: ignore[arg-type]
+        assert (result.published is not None) == known
 
 
 @pytest.mark.slow
@@ -45,7 +44,7 @@ def test_results_are_bit_identical_whatever_the_jobs(tmp_path: Path) -> None:
         for jobs in (1, 2)
     }
     tables = {
-        jobs: comparison.save_csv(tmp_path / f"{jobs}.csv").read_bytes()
+        jobs: comparison.save(tmp_path / f"{jobs}.csv").read_bytes()
         for jobs, comparison in comparisons.items()
     }
     assert tables[1] == tables[2]
@@ -63,7 +62,7 @@ def test_results_are_bit_identical_whatever_the_jobs(tmp_path: Path) -> None:
 def test_quick_sweep_reads_the_same_bandwidths() -> None:
     """A sweep three times as fast: within 2 % on a damped response, as the docstring says."""
     quick, full = (
-        compare(["velocity"], ["heave"], plants=["single_legs"], quick=quick).results[0].measures
+        compare(["velocity"], ["heave"], plants=["single_legs"], quick=quick)[0].measures
         for quick in (True, False)
     )
     assert quick.phase_bandwidth_hz == pytest.approx(full.phase_bandwidth_hz, rel=0.02)
@@ -76,7 +75,7 @@ def test_published_values_stand_beside_ours(tmp_path: Path) -> None:
         result = compare(
             ["velocity"], ["heave"], plants=["single_legs"], hydraulics=hydraulics, quick=True
         )
-        with result.save_csv(tmp_path / "c.csv").open(newline="") as file:
+        with result.save(tmp_path / "c.csv").open(newline="") as file:
             (row,) = csv.DictReader(file)
         assert tuple(float(row[name]) for name in COLUMNS[-3:]) == values
         assert row["hydraulics"] == hydraulics
@@ -88,28 +87,28 @@ def test_a_law_that_rings_has_no_bandwidth_but_its_mark(tmp_path: Path) -> None:
     done = compare(
         ["velocity_error"], ["heave"], plants=["single_legs"], hydraulics="report", quick=True
     )
-    (result,) = done.results
+    (result,) = done
     assert result.response is not None
     assert bandwidths(result.response).phase_hz == pytest.approx(4.0, rel=0.05)  # as printed
-    with done.save_csv(tmp_path / "c.csv").open(newline="") as file:
+    with done.save(tmp_path / "c.csv").open(newline="") as file:
         (row,) = csv.DictReader(file)
     assert row["stable"] == "False"
     first, last = COLUMNS.index("phase_bandwidth_hz"), COLUMNS.index("small_motion_phase_hz")
     assert [row[name] for name in COLUMNS[first : last + 1] if name != "stable"] == [""] * 10
-    (cells,) = comparison_table(done.results).cells
+    (cells,) = comparison_table(done).cells
     assert cells[:6] == ["velocity_error", "heave", "-", "-", "-", "unstable"]
 
 
 def test_small_motion_stands_beside_a_sweep_that_is_not() -> None:
     """Surge under the law flown: 2.5 Hz at 0.33 in, where the valves' opening damps, 2.7 Hz small;
     a sweep of a fiftieth agrees."""
-    (large,) = compare(["velocity"], ["surge"], plants=["hexapod"], quick=True).results
+    (large,) = compare(["velocity"], ["surge"], plants=["hexapod"], quick=True)
     cell = comparison_table([large]).cells[0][2]
     first, small = large.measures.phase_bandwidth_hz, large.small_motion_phase_hz
     assert cell == f"{first:.2f} [{small:.2f}]"
     assert small - first > AGREEMENT
     options = {"plants": ["hexapod"], "quick": True, "amplitude": AMPLITUDE / 50.0}
-    (tiny,) = compare(["velocity"], ["surge"], **options).results  # type: ignore[arg-type]
+    (tiny,) = compare(["velocity"], ["surge"], **options)  # type: ignore[arg-type]
     assert tiny.small_motion_phase_hz == small
     assert tiny.measures.phase_bandwidth_hz == pytest.approx(small, abs=AGREEMENT)
     assert comparison_table([tiny]).cells[0][2] == f"{tiny.measures.phase_bandwidth_hz:.2f}"

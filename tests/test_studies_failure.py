@@ -15,7 +15,6 @@ from cmf_mj.cli.simulate import events_of
 from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.hydraulics import ENERGIES
-from cmf_mj.show.failure import label
 from cmf_mj.signals.signal import Command
 from cmf_mj.studies.case import make_case
 from cmf_mj.studies.failure import measures
@@ -44,7 +43,7 @@ SINGLE = ("valve_hard_over", "valve_jammed", "valve_dead")
 def hardware() -> dict[str, FailureResult]:
     events = [default_event(kind, AT) for kind in KINDS]
     events += [default_event(kind, AT, valve=1) for kind in SINGLE]
-    return {label(r): r for r in run_failures(events, after=14.0, jobs=1)}
+    return {r.label: r for r in run_failures(events, after=14.0, jobs=1)}
 
 
 @pytest.fixture(scope="module")
@@ -56,14 +55,14 @@ def lossy() -> dict[str, FailureResult]:
         events = [default_event(kind, AT) for kind in kinds]
         lossy = make_case("velocity", hydraulics="lossy")
         results += run_failures(events, lossy, after=after, jobs=1)
-    return {label(result): result for result in results}
+    return {result.label: result for result in results}
 
 
 @pytest.fixture(scope="module")
 def unprotected() -> dict[str, FailureResult]:
     events = [default_event(kind, AT) for kind in KINDS]
     events.append(default_event("valve_hard_over", AT, valve=1))
-    return {label(r): r for r in run_failures(events, after=6.0, protection=None, jobs=1)}
+    return {r.label: r for r in run_failures(events, after=6.0, protection=None, jobs=1)}
 
 
 def physical(result: FailureResult, supply: float = SUPPLY) -> None:

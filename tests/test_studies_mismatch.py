@@ -2,6 +2,7 @@
 
 import control
 import numpy as np
+import pyarrow as pa
 import pytest
 from scipy import stats
 
@@ -197,10 +198,8 @@ def test_shares_have_wilsons_interval() -> None:
 
 def test_damped_counts_the_overshoot_of_a_damping_ratio_of_three_tenths() -> None:
     """exp(-pi 0.3 / sqrt(1 - 0.09)) = 0.3723."""
-    assert effects.damped({"stable": True, "overshoot": 0.372})
-    assert not effects.damped({"stable": True, "overshoot": 0.373})
-    assert not effects.damped({"stable": False, "overshoot": 0.0})
-    assert not effects.damped({"stable": True, "overshoot": float("nan")})
+    columns = {"stable": [True, True, False, True], "overshoot": [0.372, 0.373, 0.0, float("nan")]}
+    assert effects.damped(pa.table(columns)).tolist() == [True, False, False, False]
 
 
 def test_the_plant_of_a_drawn_machine_has_the_numbers_drawn() -> None:

@@ -75,7 +75,7 @@ def linear_command(
 
     loops, rows = law_loops(laws), table_4_1()
     paths = linear.save_linear(loops, rows, out)
-    tables = (linear.model_table(), linear.misprint_table(), linear.table_4_1_table(rows))
+    tables = (linear.model_table(), linear.misprint_table(), rows)
     show(*tables, linear.loop_table(loops), written(paths, out))
 
 

@@ -25,8 +25,9 @@ from cmf_mj.cli.options import argument, file, name_or_file, size
 from cmf_mj.core.errors import InputError
 
 if TYPE_CHECKING:
+    from cmf_mj.core.result import Result
     from cmf_mj.plant.events import Event
-    from cmf_mj.studies.comparison import Comparison
+    from cmf_mj.studies.case import CaseResult
 
 command = partial(app.command, rich_help_panel="Simulate")
 
@@ -70,7 +71,9 @@ def run_command(
     show(written(paths))
 
 
-def run_comparison(laws: list[str], dofs: list[str], out: Path, **options: Any) -> Comparison:
+def run_comparison(
+    laws: list[str], dofs: list[str], out: Path, **options: Any
+) -> Result[CaseResult]:
     """Compare with a progress bar, print the table and write all files.
 
     `options` are others of `compare`; records are kept unless `records` is False, with `measures`
@@ -84,12 +87,12 @@ def run_comparison(laws: list[str], dofs: list[str], out: Path, **options: Any) 
     with progress_bar() as update:
         comparison = compare(laws, dofs, records=folder, progress=update, **options)
     paths = report.save_comparison(comparison, out)
-    tables, beside = [report.comparison_table(comparison.results)], ""
+    tables, beside = [report.comparison_table(comparison)], ""
     if more:
-        found = rated(comparison.results, options.get("jobs"))
-        tables.append(report.qualities_table(comparison.results, found))
+        found = rated(comparison, options.get("jobs"))
+        tables.append(report.qualities_table(comparison, found))
         beside = f", {tables[1].save(out / 'measures.md').name}"
-    gap = max(result.gimbal_error for result in comparison.results)
+    gap = max(result.gimbal_error for result in comparison)
     show(
         *tables,
         f"largest gap of a closed gimbal: {gap * 1e6:.2f} micrometres",
@@ -175,7 +178,7 @@ def failure_command(
     paths = report.save_failures(results, out)
     load = max(results, key=lambda result: abs(result.load.after.value)).load.after
     show(
-        report.failure_table(results),
+        results,
         *[result.message for result in results if result.message],
         f"largest load: {load.value / 1e3:.1f} kN in leg {load.leg}",
         f"written to {out}: failures.csv, failures.md, {len(paths) - 2} figures",

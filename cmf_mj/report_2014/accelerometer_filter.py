@@ -21,6 +21,7 @@ from cmf_mj.control.feedback import LegFeedback, noise_gain
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME
+from cmf_mj.core.table import Table
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.electronics.sensors.settings import SensorSettings, load_sensors
 from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
@@ -29,7 +30,6 @@ from cmf_mj.facility.run import simulate
 from cmf_mj.machine.gravity import axial_gravity
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
-from cmf_mj.show.table import Table
 
 AMPLITUDE, FREQUENCY = 0.33 * units.INCH, 1.2
 """Heave motion of Figure 3-16 [m, Hz] (section 3.4.1)."""

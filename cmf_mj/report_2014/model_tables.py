@@ -9,6 +9,8 @@ from matplotlib.figure import Figure
 
 from cmf_mj.analysis.linear.loop import loop_response, loop_step
 from cmf_mj.analysis.published import published_results
+from cmf_mj.core.result import Field, Result
+from cmf_mj.core.table import Table
 from cmf_mj.report_2014.models import (
     HARDWARE_MODELS,
     LawLoop,
@@ -20,18 +22,22 @@ from cmf_mj.report_2014.models import (
 from cmf_mj.report_2014.second_order import GAINS, gain_effects
 from cmf_mj.show.comparison import phase_text
 from cmf_mj.show.look import GREY, bode_axes, legend, new_figure, plot_bode, save_files
-from cmf_mj.show.table import Table
 
 _FREQUENCIES = np.geomspace(0.1, 20.0, 400)
-_EFFECT_COLUMNS = {
-    "natural_frequency_hz": "mode_frequency_hz",
-    "damping_ratio": "mode_damping_ratio",
-    "static_gain": "static_gain",
-    "phase_bandwidth_hz": "phase_bandwidth_hz",
-    "gain_bandwidth_hz": "gain_bandwidth_hz",
-    "peak_db": "peak_gain_db",
-    "overshoot": "overshoot",
-}
+EFFECTS = (
+    *map(Field, ("gain", "value")),
+    Field("plant_natural_frequency", of="loop.natural_frequency"),
+    Field("plant_damping_ratio", of="loop.damping_ratio"),
+    *(Field(name, of=f"loop.{name}") for name in GAINS),
+    Field("natural_frequency_hz", of="result.mode_frequency_hz"),
+    Field("damping_ratio", of="result.mode_damping_ratio"),
+    Field("static_gain", of="result.static_gain"),
+    Field("phase_bandwidth_hz", of="result.phase_bandwidth_hz"),
+    Field("gain_bandwidth_hz", of="result.gain_bandwidth_hz"),
+    Field("peak_db", of="result.peak_gain_db"),
+    Field("overshoot", of="result.overshoot"),
+)
+"""What varying a gain does."""
 
 
 def roots_text(roots: Sequence[complex]) -> str:
@@ -77,32 +83,6 @@ def misprint_table() -> Table:
     return Table("remarks", ("Eq", "", "remark"), rows)
 
 
-def table_4_1_table(rows: Sequence[TableRow]) -> Table:
-    """Table 4-1 as published and as computed, the hardware under the same law in the caption."""
-    machine = next(r for r in published_results() if (r.table, r.of) == ("4-1", "hardware"))
-    columns = (
-        *("model", "Eq", "quantity", ("published", ".2f"), ("computed", ".3f")),
-        *(("deviation", "+.3f"), ("allowed", ""), ""),
-    )
-    cells = [
-        (
-            *(f"#{row.model}", row.equation, row.quantity),
-            *(row.published, row.computed, row.deviation),
-            f"{row.tolerance:g} {row.unit if row.unit != '1' else ''}".strip(),
-            "within" if row.within else "OUTSIDE",
-        )
-        for row in rows
-    ]
-    caption = (
-        "damping from the step's overshoot over its final value (step) or over the demand "
-        "(demand), or from the gain's peak over 0 dB (peak); the report does not say which. "
-        f"Hardware: -90 deg {machine.phase_bandwidth_hz} Hz, -3 dB {machine.gain_bandwidth_hz} Hz, "
-        f"damping {machine.damping_ratio}"
-    )
-    title = "Table 4-1: velocity law around linear models 1 to 3"
-    return Table(title, columns, cells, caption, grouped=True)
-
-
 def loop_table(loops: Sequence[LawLoop]) -> Table:
     """Bandwidths and damping of laws around the hardware models."""
     rows = []
@@ -145,24 +125,11 @@ def loop_figures(loops: Sequence[LawLoop]) -> tuple[Figure, Figure]:
     return bode, step
 
 
-def save_linear(loops: Sequence[LawLoop], rows: Sequence[TableRow], folder: Path) -> list[Path]:
+def save_linear(loops: Sequence[LawLoop], rows: Result[TableRow], folder: Path) -> list[Path]:
     """Write the tables as CSV and all figures as PNG."""
-    effects = gain_effects()
-    figures: dict[str, Any] = {}
+    effects = Result(gain_effects(), EFFECTS)
+    files: dict[str, Any] = {"table_4_1.csv": rows.save, "gain_effects.csv": effects.save}
     for law in dict.fromkeys(item.law.name for item in loops):
-        figures[f"bode_{law}.png"], figures[f"step_{law}.png"] = loop_figures(
-            [item for item in loops if item.law.name == law]
-        )
-    effect_header = (
-        *("gain", "value", "plant_natural_frequency", "plant_damping_ratio"),
-        *(*GAINS, *_EFFECT_COLUMNS),
-    )
-    values = [
-        (e.gain, e.value, *e.loop, *(getattr(e.result, n) for n in _EFFECT_COLUMNS.values()))
-        for e in effects
-    ]
-    tables = {
-        "table_4_1.csv": (TableRow._fields, rows),
-        "gain_effects.csv": (effect_header, values),
-    }
-    return save_files(tables | figures, folder)
+        figures = loop_figures([item for item in loops if item.law.name == law])
+        files[f"bode_{law}.png"], files[f"step_{law}.png"] = figures
+    return save_files(files, folder)

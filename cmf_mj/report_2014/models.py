@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import Annotated, NamedTuple, get_args
 
 import control
 from pydantic import Field
@@ -13,6 +13,7 @@ from cmf_mj.analysis.linear.plants import UnitTransferFunction
 from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import Law, load_law
+from cmf_mj.core import result
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.settings import Settings, read_toml, validated
 from cmf_mj.report_2014.gains import Numbers
@@ -140,21 +141,40 @@ def law_loops(laws: Sequence[str]) -> tuple[LawLoop, ...]:
 class TableRow(NamedTuple):
     """One entry of Table 4-1 and the computed one."""
 
-    model: int  #: Linear model 1 to 3.
-    equation: str  #: Of its velocity transfer function.
+    model: Annotated[int, result.Field(form="#{}".format)]  #: Linear model 1 to 3.
+    equation: Annotated[str, result.Field(title="Eq")]  #: Of its velocity transfer function.
     quantity: str  #: `-90 deg`, `-3 dB`, or `damping` with its reading.
-    unit: str
-    published: float
-    computed: float
-    deviation: float  #: Computed minus published.
-    tolerance: float  #: Largest deviation that counts as within.
-    within: bool
+    unit: Annotated[str, result.Field(printed=False)]
+    published: Annotated[float, result.Field(form=".2f")]
+    computed: Annotated[float, result.Field(form=".3f")]
+    deviation: Annotated[float, result.Field(form="+.3f")]  #: Computed minus published.
+    tolerance: Annotated[float, result.Field(printed=False)]
+    """Largest deviation that counts as within."""
+    within: Annotated[bool, result.Field(printed=False)]
+
+    @property
+    def allowed(self) -> str:
+        """The tolerance with its unit."""
+        return f"{self.tolerance:g} {self.unit if self.unit != '1' else ''}".strip()
 
 
-def table_4_1() -> tuple[TableRow, ...]:
+TABLE_4_1 = (
+    *result.fields_of(TableRow),
+    result.Field("", "allowed", "", of="allowed"),
+    result.Field("", "", of=lambda row: "within" if row.within else "OUTSIDE"),
+)
+
+_LEGEND = (
+    "damping from the step's overshoot over its final value (step) or over the demand (demand), or "
+    "from the gain's peak over 0 dB (peak); the report does not say which. Hardware: -90 deg {} "
+    "Hz, -3 dB {} Hz, damping {}"
+)
+
+
+def table_4_1() -> result.Result[TableRow]:
     """Table 4-1 computed: the velocity law around linear models 1 to 3, with the printed values.
 
-    The damping ratio stands in all three readings.
+    The damping ratio stands in all three readings, the hardware under the same law in the caption.
     """
     rows = []
     printed = {str(row.of): row for row in published_results() if row.table == "4-1"}
@@ -174,4 +194,8 @@ def table_4_1() -> tuple[TableRow, ...]:
             off = computed - value
             name = (number, equation, quantity, unit)
             rows.append(TableRow(*name, value, computed, off, tolerance, abs(off) <= tolerance))
-    return tuple(rows)
+    machine = printed["hardware"]
+    widths = machine.phase_bandwidth_hz, machine.gain_bandwidth_hz
+    caption = _LEGEND.format(*widths, machine.damping_ratio)
+    title = "Table 4-1: velocity law around linear models 1 to 3"
+    return result.Result(rows, TABLE_4_1, title, caption, grouped=True)

@@ -12,11 +12,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
 from cmf_mj.core import units
+from cmf_mj.core.table import Table, number
 from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.show import look
 from cmf_mj.show.operation import plot_motion
-from cmf_mj.show.table import Table, number
 from cmf_mj.studies.capacity.asymptotes import Asymptotes
 from cmf_mj.studies.capacity.envelope import Envelope, EnvelopePoint
 from cmf_mj.studies.capacity.verdict import CapacityResult, relief_flow

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from cmf_mj.core.table import Table
 from cmf_mj.show import look
-from cmf_mj.show.table import Table
 from cmf_mj.studies.certificate.run import Certificate
 
 

@@ -13,6 +13,8 @@ from cmf_mj.analysis.measurable import CLEAR, dof_history
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
 from cmf_mj.core.errors import NoPoseError
+from cmf_mj.core.result import Result
+from cmf_mj.core.table import Cell, Column, Table, number
 from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.show.look import (
     COLOURS,
@@ -25,10 +27,9 @@ from cmf_mj.show.look import (
     save_files,
     stack,
 )
-from cmf_mj.show.table import Cell, Column, Table, number
 from cmf_mj.signals.single import Step
 from cmf_mj.studies.case import CaseResult
-from cmf_mj.studies.comparison import PUBLISHED, Comparison, published_result
+from cmf_mj.studies.comparison import PUBLISHED
 from cmf_mj.studies.qualities import Qualities
 
 AGREEMENT = 0.1
@@ -80,7 +81,7 @@ def comparison_table(results: Sequence[CaseResult]) -> Table:
             measures = result.measures
             line += [phase_text(measures, result.small_motion_phase_hz), *measures[1:3]]
             line.append(measures.damping_ratio if measures.stable else "unstable")
-        printed = published_result(by_case[law, dof, plants[0]])
+        printed = by_case[law, dof, plants[0]].published
         line += [getattr(printed, name, None) for name in PUBLISHED]
         of = {"hardware": "h", "nonlinear": "m"}.get(printed.of, "") if printed else ""
         cells.append([*line, of])
@@ -176,7 +177,7 @@ def bode_figure(results: Sequence[CaseResult]) -> Figure:
         if result.response is not None:
             style = {"color": colour, "linestyle": _LINES[case.plant]}
             plot_bode(gain, phase, result.response, stable=result.measures.stable, **style)
-        printed = published_result(result)
+        printed = result.published
         for axis, value, level in (
             (phase, printed and printed.phase_bandwidth_hz, -90.0),
             (gain, printed and printed.gain_bandwidth_hz, -3.0),
@@ -216,12 +217,12 @@ def step_figure(results: Sequence[CaseResult]) -> Figure:
     return figure
 
 
-def save_comparison(comparison: Comparison, folder: Path) -> list[Path]:
+def save_comparison(comparison: Result[CaseResult], folder: Path) -> list[Path]:
     """Write `comparison.csv`, `comparison.md`, and `bode_<dof>.png` and `step_<dof>.png`."""
-    table = comparison_table(comparison.results)
-    files: dict[str, Any] = {"comparison.csv": comparison.save_csv, "comparison.md": table.save}
-    for dof in dict.fromkeys(result.case.dof for result in comparison.results):
-        chosen = [result for result in comparison.results if result.case.dof == dof]
+    table = comparison_table(comparison)
+    files: dict[str, Any] = {"comparison.csv": comparison.save, "comparison.md": table.save}
+    for dof in dict.fromkeys(result.case.dof for result in comparison):
+        chosen = [result for result in comparison if result.case.dof == dof]
         files[f"bode_{dof}.png"] = bode_figure(chosen)
         files[f"step_{dof}.png"] = step_figure(chosen)
     return save_files(files, folder)

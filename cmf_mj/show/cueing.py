@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from cmf_mj.core.table import Table
 from cmf_mj.core.units import DEGREE, INCH
 from cmf_mj.facility.host.files import write_stream
 from cmf_mj.machine.dof import by_kind
@@ -17,7 +18,6 @@ from cmf_mj.pilot.cueing.flight import LIMITS, Cue, Excursion, Tuned
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import QUANTITIES, CueingError
 from cmf_mj.show.look import BLUE, GREY, ORANGE, legend, new_figure, save_files, shade
-from cmf_mj.show.table import Table
 
 SCALE = np.array([1.0, 1.0, 1.0, DEGREE, DEGREE, DEGREE])
 """Plotted units in SI."""

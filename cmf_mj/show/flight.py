@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from cmf_mj.core.table import Cell, Column, Table
 from cmf_mj.machine.dof import by_kind
 from cmf_mj.pilot.fly import FlightResult, TransportDelay, error_spectra
 from cmf_mj.pilot.motion import PilotMotion
@@ -15,7 +16,6 @@ from cmf_mj.show import look
 from cmf_mj.show.chart import Curve, Panel
 from cmf_mj.show.cueing import SCALE, DrawnMotion, motion_axes, perceived_figure, six
 from cmf_mj.show.film.strip import Panels
-from cmf_mj.show.table import Cell, Column, Table
 
 _NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")
 

@@ -8,10 +8,12 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from cmf_mj.analysis.frequency_response import FrequencyResponse
+from cmf_mj.analysis.identification.arx import Candidate
 from cmf_mj.analysis.identification.model import PolynomialModel, Root
 from cmf_mj.analysis.identification.validation import Residuals, fit_percentage, simulated
+from cmf_mj.core.result import Field, Result
+from cmf_mj.core.table import Table
 from cmf_mj.show import look
-from cmf_mj.show.table import Table
 from cmf_mj.studies.identification import Identified
 from cmf_mj.studies.measurement import plain
 
@@ -22,16 +24,23 @@ _LISTED = 8  # orders
 _WINDOW = 10.0  # length of the fit's figure [s]
 
 
-def orders_table(result: Identified) -> Table:
+ORDERS = (
+    *(Field(name, form="d", of=f"orders.{name}") for name in ("na", "nb", "nk")),
+    Field("parameters", form="d"),
+    Field("loss", form=".3g"),
+    Field("aic", "AIC", ".0f"),
+    Field("bic", "BIC", ".0f"),
+    Field("fit", "validation fit", ".2f %"),
+)
+
+
+def orders_table(result: Identified) -> Result[Candidate]:
     """The best ARX orders of the grid by validation fit, with AIC and BIC."""
     candidates = []
     if result.selection is not None:
         best = sorted(result.selection.candidates, key=lambda c: -c.fit)[:_LISTED]
         candidates = list(dict.fromkeys([*best, result.selection.best()]))
-    rows = [(*c.orders, c.parameters, c.loss, c.aic, c.bic, c.fit) for c in candidates]
-    counts = ((name, "d") for name in ("na", "nb", "nk", "parameters"))
-    quality = (("loss", ".3g"), ("AIC", ".0f"), ("BIC", ".0f"), ("validation fit", ".2f %"))
-    return Table("ARX orders", (*counts, *quality), rows)
+    return Result(candidates, ORDERS, "ARX orders")
 
 
 def _root_cells(root: Root, step: float) -> tuple[str, str, str]:

@@ -6,13 +6,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cmf_mj.core import units
+from cmf_mj.core.table import Table
 from cmf_mj.facility.host.files import write_stream
 from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.pilot.host import MOST_RATE
 from cmf_mj.pilot.learning import BAND, LEAD, Array, Learning, frequencies
 from cmf_mj.show import look
-from cmf_mj.show.table import Table
 
 _SCALE = np.array([by_kind(dof, 1e3, 1.0 / units.DEGREE) for dof in DOFS])
 

@@ -14,10 +14,10 @@ from cmf_mj.analysis.frequency_response import bandwidths
 from cmf_mj.analysis.linear.poles import Mode
 from cmf_mj.analysis.measures import joined
 from cmf_mj.core.files import write_text
+from cmf_mj.core.table import Cell, Table
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.comparison import phase_text
 from cmf_mj.show.look import bode_axes, legend, plot_bode, pose_text, save_files
-from cmf_mj.show.table import Cell, Table
 from cmf_mj.studies.linearization import FREQUENCIES, LinearizationStudy
 
 

@@ -7,17 +7,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cmf_mj.control.law import Law
+from cmf_mj.core.result import Field, Result
+from cmf_mj.core.table import Table
 from cmf_mj.electronics.sensors.settings import CHANNELS, SensorSettings
 from cmf_mj.facility.replay import Replay
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.show.look import BLUE, ORANGE, save_figure, stack
-from cmf_mj.show.table import Table
 
 
-def law_table(laws: Sequence[Law]) -> Table:
+def law_table(laws: Sequence[Law]) -> Result[Law]:
     """Laws with their sources."""
-    rows = [(law.name, law.title, law.source) for law in laws]
-    return Table("control laws", ("name", "title", "source"), rows)
+    return Result(laws, [*map(Field, ("name", "title", "source"))], "control laws")
 
 
 def parameter_table(parameters: HydraulicParameters) -> Table:

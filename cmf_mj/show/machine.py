@@ -11,13 +11,13 @@ from cmf_mj.control.law import load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file
+from cmf_mj.core.table import Table
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.dof import by_kind
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.machine import Machine
 from cmf_mj.plant.hexapod import hexapod_model
 from cmf_mj.show.film.stage import FilmStage
-from cmf_mj.show.table import Table
 from cmf_mj.studies.machine_check import MachineCheck
 
 

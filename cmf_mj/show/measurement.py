@@ -11,11 +11,11 @@ from cmf_mj.analysis.measurable import CLEAR
 from cmf_mj.analysis.measures import Measures, joined
 from cmf_mj.analysis.metrics import SecondOrder
 from cmf_mj.core import units
+from cmf_mj.core.table import Table, number
 from cmf_mj.machine.dof import by_kind, dof_unit
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.comparison import quality_rows
 from cmf_mj.show.look import dress_bode, legend, plot_band, plot_bode, save_files, stack
-from cmf_mj.show.table import Table, number
 from cmf_mj.studies.measurement import Measurement, RecordingMeasures, plain
 
 _COLUMNS = ("measure", "value", "definition")

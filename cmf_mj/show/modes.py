@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from cmf_mj.analysis.modes import EnvelopeModes, PlaneMap, Sweep
 from cmf_mj.core import units
+from cmf_mj.core.table import Table
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import HydraulicModes
 from cmf_mj.show.look import COLOURS, DARK, new_figure, pose_text, save_files
-from cmf_mj.show.table import Table
 
 PLANES = (("surge", "pitch"), ("sway", "roll"), ("heave", "yaw"))
 """Planes of the maps: the two coupled pairs, and the rest."""

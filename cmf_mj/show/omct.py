@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
+from cmf_mj.core.table import Table, number
 from cmf_mj.core.units import DEGREE, STANDARD_GRAVITY
 from cmf_mj.pilot.omct import STAGES, TESTS, Omct
 from cmf_mj.show.look import COLOURS, GREY, grid, new_figure, save_files
-from cmf_mj.show.table import Table, number
 
 _LEGEND = (
     "modulus and phase [deg] from the aircraft's pilot to the simulator's; washout: host frames; "

@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 from cmf_mj.control.states import State
 from cmf_mj.core import units
 from cmf_mj.core.rates import FRAME
+from cmf_mj.core.table import Table
 from cmf_mj.facility.host.handover import MOST_RATE
 from cmf_mj.facility.operation import Operation, Timing, account
 from cmf_mj.machine.dof import dof_unit
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.record.record import Record
 from cmf_mj.show import look
-from cmf_mj.show.table import Table
 
 _LEAST = 1e-9
 """Demand below which a degree of freedom is at rest [m or rad]."""

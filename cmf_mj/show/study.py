@@ -1,6 +1,6 @@
 """Tables and figures of finished studies."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,20 +9,13 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from cmf_mj.analysis.measures import Measures
+from cmf_mj.core.frames import column, groups, where
+from cmf_mj.core.result import Result
+from cmf_mj.core.table import Table, number
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.comparison import phase_text
 from cmf_mj.show.look import COLOURS, new_figure, save_files
-from cmf_mj.show.table import Table, number
-from cmf_mj.studies.effects import (
-    Interval,
-    Row,
-    agreement,
-    climb,
-    in_order,
-    largest_crosstalk,
-    rates,
-    rows_of,
-)
+from cmf_mj.studies.effects import Rate, agreement, climb, finished, largest_crosstalk, rates
 from cmf_mj.studies.evaluation import MEASURED
 from cmf_mj.studies.settings import NOMINAL
 
@@ -34,32 +27,19 @@ _MEASURES = (
 )
 
 
-def _percent(share: Interval) -> str:
-    if share.machines == 0:
-        return "-"
-    return f"{100.0 * share.value:.0f} ({100.0 * share.low:.0f}-{100.0 * share.high:.0f})"
-
-
-def rate_table(table: pa.Table) -> Table:
-    """Shares of machines that are stable, and damped in each degree of freedom [%]."""
-    names = ("cab", "law", "stable %", *(f"{dof} damped %" for dof in DOFS))
-    rows = [(cab, law, *map(_percent, shares), least) for cab, law, shares, least in rates(table)]
-    return Table("", (*names, ("least mode damping", ".3f")), rows)
-
-
-def rate_figure(found: Sequence[tuple[str, str, list[Interval], float]]) -> Figure:
+def rate_figure(found: Result[Rate]) -> Figure:
     """Shares of stable and of damped machines [%], laws down, a panel a cab."""
-    cabs, laws = (list(dict.fromkeys(names)) for names in list(zip(*found, strict=True))[:2])
+    cabs, laws = (found.frame[name].unique().to_pylist() for name in ("cab", "law"))
     figure = new_figure(3.3 * len(cabs) + 1.8, 0.33 * len(laws) + 1.4, gridded=False)
     axes = figure.subplots(1, len(cabs), sharey=True, squeeze=False)[0]
-    by_case = {(cab, law): [100.0 * one.value for one in ones] for cab, law, ones, _ in found}
+    by_case = {(r.cab, r.law): [100.0 * one.value for one in r.shares.values()] for r in found}
     for cab, axis in zip(cabs, axes, strict=True):
         shares = np.array([by_case[cab, law] for law in laws])
         axis.imshow(shares, cmap="cividis", vmin=0.0, vmax=100.0, aspect="auto")
-        for (row, column), share in np.ndenumerate(shares):
+        for (row, place), share in np.ndenumerate(shares):
             colour = "white" if share < 50.0 else "black"
             middle: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 8}
-            axis.text(column, row, number(share, ".0f"), color=colour, **middle)
+            axis.text(place, row, number(share, ".0f"), color=colour, **middle)
         axis.set_xticks(range(1 + len(DOFS)), ["stable", *DOFS], rotation=45, fontsize=8)
         axis.set_yticks(range(len(laws)), laws, fontsize=8)
         axis.set(title=cab.upper(), xlabel="stable; damped in")
@@ -67,30 +47,20 @@ def rate_figure(found: Sequence[tuple[str, str, list[Interval], float]]) -> Figu
     return figure
 
 
-def agreement_table(table: pa.Table) -> Table:
-    """Linear cases compared with simulated ones."""
-    columns = (
-        *("law", ("machines", "d"), ("same verdict", "d")),
-        *(("-90 deg: median difference [Hz]", ".2f"), ("zeta", ".2f")),
-    )
-    return Table("", columns, agreement(table))
-
-
 def measure_table(table: pa.Table) -> Table:
     """Measures of every case that was swept, a column a rung or cab."""
-    rows = rows_of(table)
-    columns = list(dict.fromkeys((row["rung"], row["cab"]) for row in rows))
+    done = finished(table)
+    columns = [values for values, _ in groups(done, "rung", "cab")]
     several = len({cab for _, cab in columns}) > 1
     header = ["law", "dof", *(cab if several else rung for rung, cab in columns)]
-    by_case = {(r["law"], r["dof"], r["rung"], r["cab"]): r for r in rows}
     lines = []
-    for law, dof in dict.fromkeys((row["law"], row["dof"]) for row in rows):
-        cases = [by_case.get((law, dof, *column)) for column in columns]
-        lines.append([law, dof, *("" if row is None else _cell(row) for row in cases)])
+    for axis, rows in groups(done, "law", "dof"):
+        cells = {(row["rung"], row["cab"]): _cell(row) for row in rows.to_pylist()}
+        lines.append([*axis, *(cells.get(each, "") for each in columns)])
     return Table("", header, lines)
 
 
-def _cell(row: Row) -> str:
+def _cell(row: Mapping[str, Any]) -> str:
     if not row["stable"]:
         return "u"
     measures = Measures(**{name: row[name] for name in MEASURED})
@@ -100,17 +70,12 @@ def _cell(row: Row) -> str:
 
 def climb_table(table: pa.Table) -> Table:
     """Share of each effect: median change over the laws, a row a rung."""
-    rows: dict[str, list[str]] = {}
-    for (rung, _), changes in climb(table).items():
-        text = " / ".join(map(number, changes, ("+.2f", "+.1f", "+.2f", "+.2f")))
-        rows.setdefault(rung, [rung]).append(text)
-    return Table("", ("adds", *in_order(rows_of(table), "dof")), list(rows.values()))
-
-
-def _value(row: Row | None, name: str) -> float:
-    if row is None:
-        return float("nan")
-    return largest_crosstalk(row) if name == "crosstalk" else float(row[name])
+    changes = climb(table)
+    measures, rows = changes.fields[2:], dict[str, list[str]]()
+    for row in changes:
+        text = " / ".join(field.text(field.value(row)) for field in measures)
+        rows.setdefault(row["rung"], [row["rung"]]).append(text)
+    return Table("", ("adds", *dict.fromkeys(row["dof"] for row in changes)), list(rows.values()))
 
 
 def ladder_figure(table: pa.Table) -> Figure:
@@ -118,22 +83,24 @@ def ladder_figure(table: pa.Table) -> Figure:
 
     Crosses at the foot are unstable.
     """
-    rows = rows_of(table)
-    rungs, laws, dofs = (in_order(rows, name) for name in ("rung", "law", "dof"))
-    by_case = {(r["rung"], r["law"], r["dof"]): r for r in rows}
+    done = finished(table)
+    rungs, laws, dofs = (done[name].unique().to_pylist() for name in ("rung", "law", "dof"))
     figure = new_figure(2.6 * len(dofs) + 0.6, 10.5)
     axes = figure.subplots(len(_MEASURES), len(dofs), sharex=True, sharey="row", squeeze=False)
     for (name, title), line in zip(_MEASURES, axes, strict=True):
         for dof, axis in zip(dofs, line, strict=True):
             for i, law in enumerate(laws):
-                cases = [by_case.get((rung, law, dof)) for rung in rungs]
-                values = np.array([_value(row, name) for row in cases])
+                cases = where(done, law=law, dof=dof)
+                at = [rungs.index(rung) for rung in cases["rung"].to_pylist()]
+                values = np.full(len(rungs), np.nan)
+                mixed = name == "crosstalk"
+                values[at] = largest_crosstalk(cases, dof) if mixed else column(cases, name)
                 style: dict[str, Any] = {
                     "color": COLOURS[i % len(COLOURS)],
                     "linestyle": "-" if i < len(COLOURS) else "--",
                 }
                 axis.plot(values, marker="o", markersize=3.0, linewidth=1.0, label=law, **style)
-                unstable = [k for k, row in enumerate(cases) if row and not row["stable"]]
+                unstable = np.array(at)[~np.array(cases["stable"])]
                 style["linestyle"] = ""
                 foot = axis.get_xaxis_transform()
                 style |= {"marker": "x", "markersize": 7.0, "transform": foot}
@@ -152,17 +119,16 @@ def ladder_figure(table: pa.Table) -> Figure:
 
 def tables_of(table: pa.Table) -> dict[str, Table]:
     """The tables a study has something for, by the name of their file."""
-    rows = rows_of(table)
-    methods = in_order(rows, "method")
-    tables: dict[str, Table] = {}
+    done, tables = finished(table), dict[str, Table]()
+    methods = set(done["method"].to_pylist())
     if "sweep" in methods:
         tables["measures"] = measure_table(table)
-    if len(in_order(rows, "rung")) > 1:
+    if len(done["rung"].unique()) > 1:
         tables["effects"] = climb_table(table)
-    if "linear" in methods and any(row["draw"] != NOMINAL for row in rows):
-        tables["rates"] = rate_table(table)
-    if "linear" in methods and "matrix" in methods:
-        tables["agreement"] = agreement_table(table)
+    if "linear" in methods and any(draw != NOMINAL for draw in done["draw"].to_pylist()):
+        tables["rates"] = rates(table).table
+    if {"linear", "matrix"} <= methods:
+        tables["agreement"] = agreement(table).table
     return tables
 
 
@@ -182,12 +148,10 @@ def save_report(table: pa.Table, folder: Path) -> list[Path]:
 
 def summary_table(table: pa.Table) -> Table:
     """Cases by law and method: how many ran, were stable, failed."""
-    rows = table.to_pylist()
     lines = []
-    for method, law in dict.fromkeys((row["method"], row["law"]) for row in rows):
-        every = [row for row in rows if (row["method"], row["law"]) == (method, law)]
-        wrong = sum(bool(row["error_type"]) for row in every)
-        stable = sum(row["stable"] for row in every)
-        lines.append((method, law, len(in_order(every, "case")), stable, len(every) - wrong, wrong))
+    for names, rows in groups(table, "method", "law"):
+        stable, done = sum(rows["stable"].to_pylist()), finished(rows).num_rows
+        cases = len(rows["case"].unique())
+        lines.append((*names, cases, stable, done, rows.num_rows - done))
     counts = ((name, "d") for name in ("cases", "stable rows", "rows", "failed"))
-    return Table(f"{len(in_order(rows, 'case'))} cases", ("method", "law", *counts), lines)
+    return Table(f"{len(table['case'].unique())} cases", ("method", "law", *counts), lines)

@@ -15,6 +15,7 @@ from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.measures import Measures, joined, measure_loop, sweep_response
+from cmf_mj.analysis.published import Published, published
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
@@ -26,6 +27,7 @@ from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.dof import by_kind, dof_index
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.machine import Machine, load_machine
+from cmf_mj.machine.models import CMF
 from cmf_mj.plant.build import PLANTS, make_plant
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import hydraulics_of
@@ -169,6 +171,14 @@ class CaseResult(NamedTuple):
     gimbal_error: float  #: Largest gap of a closed gimbal over both runs [m].
     small_motion_phase_hz: float
     """First fall through -90 deg of the linearised machine [Hz]; see `small_motion`."""
+
+    @property
+    def published(self) -> Published | None:
+        """The published values of the case, if there are any: of the CMF alone."""
+        case = self.case
+        if case.on.name != CMF:
+            return None
+        return published(case.law.name, case.dof, case.hydraulics.name)
 
 
 def run_case(case: Case, records: Path | None = None) -> CaseResult:

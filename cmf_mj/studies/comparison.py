@@ -6,21 +6,18 @@ loop releases the interpreter lock) and their results do not depend on how many 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cmf_mj.analysis.published import Published, published
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.files import write_csv
+from cmf_mj.core.result import Field, Result
 from cmf_mj.core.settings import check_distinct
 from cmf_mj.core.threads import on_threads
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.machine.models import CMF
 from cmf_mj.plant.build import PLANTS
 from cmf_mj.studies.case import (
     AMPLITUDE,
@@ -36,42 +33,21 @@ MEASURED = (
     *("damping_ratio", "overshoot", "steady_state_error", "stable"),
     *("later_phase_hz", "graze_from_hz", "graze_to_hz"),
 )
-"""Measures in `comparison.csv`."""
+"""Measures of a comparison."""
 
 PUBLISHED = ("phase_bandwidth_hz", "gain_bandwidth_hz", "damping_ratio")
-"""Published values in `comparison.csv`."""
+"""Published values of a comparison."""
 
-COLUMNS = (
-    *("plant", "cab", "hydraulics", "law", "dof", *MEASURED, "small_motion_phase_hz"),
-    *(f"published_{name}" for name in PUBLISHED),
+COMPARISON = (
+    Field("plant", of="case.plant"),
+    Field("cab", of="case.cab_name"),
+    Field("hydraulics", of="case.hydraulics.name"),
+    Field("law", of="case.law.name"),
+    Field("dof", of="case.dof"),
+    *(Field(name, form=".3g", of=f"measures.{name}") for name in MEASURED),
+    Field("small_motion_phase_hz", form=".3g"),
+    *(Field(f"published_{name}", form=".3g", of=f"published.{name}") for name in PUBLISHED),
 )
-"""Header of `comparison.csv`."""
-
-
-def published_result(result: CaseResult) -> Published | None:
-    """The published values of a case, if there are any: of the CMF alone."""
-    case = result.case
-    return published(case.law.name, case.dof, case.hydraulics.name) if case.on.name == CMF else None
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """All cases of a comparison, in the order asked for."""
-
-    results: tuple[CaseResult, ...]
-
-    def save_csv(self, path: str | Path) -> Path:
-        """Write `COLUMNS`, a line a case; missing measures are empty."""
-        lines = []
-        for result in self.results:
-            case, printed = result.case, published_result(result)
-            line: list[Any] = [case.plant, case.cab_name, case.hydraulics.name]
-            line += [case.law.name, case.dof]
-            line += [getattr(result.measures, name) for name in MEASURED]
-            line.append(result.small_motion_phase_hz)
-            line += [getattr(printed, name, None) for name in PUBLISHED]
-            lines.append(["" if value is None or value != value else value for value in line])
-        return write_csv(Path(path), COLUMNS, lines, digits=6)
 
 
 def compare(
@@ -84,7 +60,7 @@ def compare(
     records: str | Path | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
-) -> Comparison:
+) -> Result[CaseResult]:
     """Compare control laws in several degrees of freedom on both plants.
 
     The `laws` are names, TOML files or loaded laws, by default the law flown, and the report's two
@@ -100,8 +76,11 @@ def compare(
     some of surge to yaw.
 
     >>> comparison = cmf_mj.compare(["velocity"], ["heave"], plants=["single_legs"], quick=True)
-    >>> round(comparison.results[0].measures.overshoot, 2)
+    >>> round(comparison[0].measures.overshoot, 2)
     0.22
+    >>> comparison.to_pandas()[["law", "dof", "damping_ratio"]].round(2)
+            law    dof  damping_ratio
+    0  velocity  heave           0.44
     """
     loaded = [load_law(law) for law in laws]
     for field, chosen, known in (("dofs", dofs, DOFS), ("plants", plants, PLANTS)):
@@ -122,14 +101,14 @@ def compare(
     ]
     folder = Path(records) if records is not None else None
     results = on_threads(lambda case: run_case(case, folder), cases, jobs, progress)
-    return Comparison(tuple(results))
+    return Result(results, COMPARISON, digits=6)
 
 
 def rated(results: Sequence[CaseResult], jobs: int | None = None) -> list[Qualities]:
     """What compares laws, of the results of `compare`; on `jobs` threads, one a law and plant.
 
     >>> comparison = cmf_mj.compare(["velocity"], ["heave"], plants=["single_legs"], quick=True)
-    >>> (found,) = cmf_mj.studies.comparison.rated(comparison.results)
+    >>> (found,) = cmf_mj.studies.comparison.rated(comparison)
     >>> round(found.over_drive_lag, 1)  # 2.7 Hz behind a lag of 3 Hz
     0.9
     """

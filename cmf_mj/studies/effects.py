@@ -1,17 +1,20 @@
-"""What a finished study says: shares, effects and agreement, as plain rows.
+"""What a finished study says: shares, effects and agreement.
 
 Each function takes the table of results. A share of machines has Wilson's score interval.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable
 from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from cmf_mj.core.frames import column, groups, where
+from cmf_mj.core.result import Field, Result
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.studies.settings import NOMINAL
 
@@ -22,9 +25,6 @@ LEVEL = 0.95
 """Confidence of all intervals."""
 
 _MOST_OVERSHOOT = float(np.exp(-np.pi * ENOUGH_DAMPING / np.sqrt(1.0 - ENOUGH_DAMPING**2)))
-
-Row = dict[str, Any]
-Pair = tuple[Row, Row]
 
 
 class Interval(NamedTuple):
@@ -45,112 +45,147 @@ def share(outcomes: ArrayLike) -> Interval:
     return Interval(float(flags.mean()), float(bounds.low), float(bounds.high), flags.size)
 
 
-def rows_of(table: pa.Table, **equal: object) -> list[Row]:
-    """Rows that did not fail and have these values."""
+def finished(table: pa.Table) -> pa.Table:
+    """Rows that did not fail."""
+    return where(table, error_type="")
+
+
+def damped(table: pa.Table) -> NDArray[np.bool_]:
+    """Which rows are stable and damped enough."""
+    return np.array(table["stable"]) & (column(table, "overshoot") <= _MOST_OVERSHOOT)
+
+
+class Rate(NamedTuple):
+    """How often a law stays stable and damped over the machines drawn with a cab."""
+
+    cab: str
+    law: str
+    shares: dict[str, Interval]
+    """Of machines that are `stable`, and of those `damped` in each degree of freedom."""
+    mode_damping_ratio: float  #: Mean of the least damping ratio of all modes.
+
+
+def _percent(share: Interval) -> str:
+    if share.machines == 0:
+        return "-"
+    return f"{100.0 * share.value:.0f} ({100.0 * share.low:.0f}-{100.0 * share.high:.0f})"
+
+
+def _shares(name: str, title: str) -> list[Field]:
+    """A share with its interval: three columns of the frame, one that is printed."""
+    ends = {"": "value", "_low": "low", "_high": "high"}
     return [
-        row
-        for row in table.to_pylist()
-        if not row["error_type"] and all(row[name] == value for name, value in equal.items())
+        *(Field(name + e, of=f"shares.{name}.{p}", printed=False) for e, p in ends.items()),
+        Field("", title, _percent, of=f"shares.{name}"),
     ]
 
 
-def in_order(rows: Iterable[Row], name: str) -> list[Any]:
-    """Different values of a column, in the order of their first appearance."""
-    return list(dict.fromkeys(row[name] for row in rows))
+RATES = (
+    *map(Field, ("cab", "law")),
+    *_shares("stable", "stable %"),
+    *(field for dof in DOFS for field in _shares(dof, f"{dof} damped %")),
+    Field("mode_damping_ratio", "least mode damping", ".3f"),
+)
 
 
-def damped(row: Row) -> bool:
-    """Whether a row is stable and damped enough."""
-    return bool(row["stable"] and row["overshoot"] <= _MOST_OVERSHOOT)
+def rates(table: pa.Table) -> Result[Rate]:
+    """How often each law stays stable and damped over the machines drawn, a row a cab and law."""
+    linear = where(finished(table), method="linear")
+    rows = []
+    for (cab, law), drawn in groups(linear.filter(pc.field("draw") != NOMINAL), "cab", "law"):
+        axes = {dof: where(drawn, dof=dof) for dof in DOFS}
+        machines = axes[DOFS[0]]
+        shares = {"stable": share(machines["stable"])}
+        shares |= {dof: share(damped(one)) for dof, one in axes.items()}
+        rows.append(Rate(cab, law, shares, _known(np.mean, column(machines, "mode_damping_ratio"))))
+    return Result(rows, RATES)
 
 
-def rates(table: pa.Table) -> list[tuple[str, str, list[Interval], float]]:
-    """How often each law stays stable and damped over the machines drawn, a line a cab and law.
-
-    The shares are of machines that are stable, and of those that are `damped` in each degree of
-    freedom; the number is the mean of the least damping ratio of all modes.
-    """
-    rows = [row for row in rows_of(table, method="linear") if row["draw"] != NOMINAL]
-    every = []
-    for cab, law in product(in_order(rows, "cab"), in_order(rows, "law")):
-        chosen = [row for row in rows if (row["cab"], row["law"]) == (cab, law)]
-        machines = [row for row in chosen if row["dof"] == DOFS[0]]
-        shares = [share([row["stable"] for row in machines])]
-        shares += [share([damped(r) for r in chosen if r["dof"] == dof]) for dof in DOFS]
-        modes = np.array([row["mode_damping_ratio"] for row in machines], dtype=float)
-        known = modes[~np.isnan(modes)]
-        every.append((cab, law, shares, float(known.mean()) if known.size else float("nan")))
-    return every
+def _known(statistic: Callable[..., Any], values: NDArray[np.float64]) -> float:
+    """A statistic of the values that are not NaN."""
+    known = values[~np.isnan(values)]
+    return float(statistic(known)) if known.size else float("nan")
 
 
-def _stable(pairs: Iterable[Pair]) -> list[Pair]:
-    """Pairs of which both are stable."""
-    return [pair for pair in pairs if pair[0]["stable"] and pair[1]["stable"]]
+_BOTH = pc.field("stable") & pc.field("stable_other")
+_ALIKE = ("cab", *(f"pose_{dof}" for dof in DOFS), "draw", "law")
 
 
-def _differences(pairs: Iterable[Pair], name: str) -> NDArray[np.float64]:
-    return np.array([one[name] - other[name] for one, other in pairs], dtype=float)
+def _beside(table: pa.Table, other: pa.Table, *alike: str) -> pa.Table:
+    """Rows beside those of `other` on the same machine under the same law, named `_other`."""
+    keys = [*_ALIKE, "dof", *alike]
+    return table.join(other, keys, join_type="inner", right_suffix="_other", use_threads=False)
 
 
-def agreement(table: pa.Table) -> list[tuple[str, int, int, float, float]]:
+def _difference(pairs: pa.Table, name: str) -> NDArray[np.float64]:
+    return column(pairs, name) - column(pairs, f"{name}_other")
+
+
+AGREEMENT = (
+    Field("law"),
+    Field("machines", form="d"),
+    Field("same_verdict", form="d"),
+    Field("phase_bandwidth_hz_difference", "-90 deg: median difference [Hz]", ".2f"),
+    Field("damping_ratio_difference", "zeta", ".2f"),
+)
+
+
+def agreement(table: pa.Table) -> Result[dict[str, Any]]:
     """Linear cases against the same ones simulated, law by law.
 
     Machines compared, and those with the same verdict: simulated, one is unstable where any step
     rings on. Medians of |simulated - linear| over all degrees of freedom of the -90 deg bandwidth
     [Hz] and of the damping ratio from the overshoot.
     """
-    linear = {_where(row): row for row in rows_of(table, method="linear")}
-    simulated = {_where(row): row for row in rows_of(table, method="matrix")}
-    keys = [key for key in simulated if key in linear]
-    rows = []
-    for law in dict.fromkeys(key[0] for key in keys):
-        pairs = {key: (simulated[key], linear[key]) for key in keys if key[0] == law}
-        machines: dict[tuple[Any, ...], list[Pair]] = {}
-        for key, pair in pairs.items():
-            machines.setdefault(key[:-1], []).append(pair)
-        same = [all(one["stable"] for one, _ in p) == p[0][1]["stable"] for p in machines.values()]
-        phase, damping = (
-            _median(np.abs(_differences(_stable(pairs.values()), name)))
-            for name in ("phase_bandwidth_hz", "damping_ratio")
-        )
-        rows.append((law, len(same), sum(same), phase, damping))
-    return rows
+    rows, linear = [], where(finished(table), method="linear")
+    for (law,), simulated in groups(where(finished(table), method="matrix"), "law"):
+        pairs = _beside(simulated, linear, "rung")
+        same = [
+            bool(np.all(machine["stable"])) == machine["stable_other"][0].as_py()
+            for _, machine in groups(pairs, "rung", *_ALIKE)
+        ]
+        if same:
+            medians = {
+                f"{name}_difference": _known(
+                    np.median, np.abs(_difference(pairs.filter(_BOTH), name))
+                )
+                for name in ("phase_bandwidth_hz", "damping_ratio")
+            }
+            counts = {"machines": len(same), "same_verdict": sum(same)}
+            rows.append({"law": law} | counts | medians)
+    return Result(rows, AGREEMENT)
 
 
-def _where(row: Row) -> tuple[Any, ...]:
-    return row["law"], row["rung"], row["cab"], row["draw"], row["dof"]
+CLIMB = (
+    *map(Field, ("rung", "dof")),
+    Field("phase_bandwidth_hz", "-90 deg [Hz]", "+.2f"),
+    Field("peak_gain_db", "peak [dB]", "+.1f"),
+    Field("damping_ratio", form="+.2f"),
+    Field("crosstalk", "largest crosstalk", "+.2f"),
+)
 
 
-def _median(values: NDArray[np.float64]) -> float:
-    known = values[~np.isnan(values)]
-    return float(np.median(known)) if known.size else float("nan")
-
-
-def climb(table: pa.Table) -> dict[tuple[str, str], list[float]]:
+def climb(table: pa.Table) -> Result[dict[str, Any]]:
     """What each rung changes against the one before, by rung and degree of freedom.
 
     Medians over the laws of -90 deg [Hz], peak [dB], damping ratio, and of the largest crosstalk
     out of the degree of freedom.
     """
-    rows = rows_of(table)
-    by_case = {(row["rung"], row["law"], row["dof"], row["cab"]): row for row in rows}
-    steps = {}
-    for (before, rung), dof in product(pairwise(in_order(rows, "rung")), in_order(rows, "dof")):
-        both = _stable(
-            (row, by_case[before, law, dof, cab])
-            for (name, law, moved, cab), row in by_case.items()
-            if (name, moved) == (rung, dof) and (before, law, dof, cab) in by_case
-        )
-        changes = [
-            _differences(both, name)
-            for name in ("phase_bandwidth_hz", "peak_gain_db", "damping_ratio")
-        ]
-        changes.append(np.array([largest_crosstalk(a) - largest_crosstalk(b) for a, b in both]))
-        steps[rung, dof] = [_median(change) for change in changes]
-    return steps
+    done, rows = finished(table), []
+    rungs, dofs = (done[name].unique().to_pylist() for name in ("rung", "dof"))
+    for (before, rung), dof in product(pairwise(rungs), dofs):
+        pairs = _beside(where(done, rung=rung, dof=dof), where(done, rung=before), "method")
+        stable = pairs.filter(_BOTH)
+        names = ("phase_bandwidth_hz", "peak_gain_db", "damping_ratio")
+        changes = {name: _difference(stable, name) for name in names}
+        mixed, before_mixed = (largest_crosstalk(stable, dof, end) for end in ("", "_other"))
+        changes["crosstalk"] = mixed - before_mixed
+        medians = {name: _known(np.median, change) for name, change in changes.items()}
+        rows.append({"rung": rung, "dof": dof} | medians)
+    return Result(rows, CLIMB)
 
 
-def largest_crosstalk(row: Row) -> float:
-    """Largest crosstalk out of the degree of freedom of a row."""
-    values = np.array([row[f"crosstalk_{dof}"] for dof in DOFS if dof != row["dof"]])
-    return float(values.max())
+def largest_crosstalk(table: pa.Table, dof: str, end: str = "") -> NDArray[np.float64]:
+    """Largest crosstalk out of a degree of freedom, row by row."""
+    others = [column(table, f"crosstalk_{other}{end}") for other in DOFS if other != dof]
+    return np.asarray(np.max(others, axis=0))

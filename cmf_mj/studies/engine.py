@@ -41,8 +41,8 @@ from cmf_mj.core.files import write_parquet, write_text
 from cmf_mj.core.settings import parsed_json
 from cmf_mj.core.threads import MOST_JOBS
 from cmf_mj.machine import models
-from cmf_mj.studies.evaluation import ROW_COLUMNS, evaluate, failed
-from cmf_mj.studies.settings import CASE_COLUMNS, Study, StudyCase
+from cmf_mj.studies.evaluation import evaluate, failed
+from cmf_mj.studies.settings import Study, StudyCase
 
 SPECIFICATION, JOURNAL, RESULTS = "study.json", "journal.jsonl", "results.parquet"
 
@@ -161,18 +161,6 @@ _PATIENCE = 5.0
 
 Progress = Callable[[int, int], None]
 """Called with (tasks done, tasks in all)."""
-
-_TEXT = ("method", "rung", "cab", "law", "dof", "error_type", "error_message")
-_OTHERS = {"case": pa.int64(), "draw": pa.int64(), "stable": pa.bool_()}
-
-SCHEMA = pa.schema(
-    [
-        (name, pa.string() if name in _TEXT else _OTHERS.get(name, pa.float64()))
-        for name in (*CASE_COLUMNS, *ROW_COLUMNS)
-    ]
-)
-"""Columns of the results: the case's, then those of its rows."""
-
 
 _DEATHS = {"TerminatedWorkerError", "KilledWorker", "FutureCancelledError"}
 """What joblib and Dask raise where a worker dies."""
@@ -299,12 +287,8 @@ def run_study(
     how, cases = Workers(**workers), study.cases
     journal = Journal(Path(folder), study.identity())
     run_tasks(journal, cases, CASES, how, progress)
-    columns: dict[str, list[Any]] = {name: [] for name in SCHEMA.names}
-    for case in cases:
-        for row in journal.results[case.number]:
-            for name, value in (case.columns | row).items():
-                columns[name].append(value)
-    table = pa.table(columns, schema=SCHEMA.with_metadata({"study": journal.identity}))
+    rows = [case.columns | row for case in cases for row in journal.results[case.number]]
+    table = pa.Table.from_pylist(rows).replace_schema_metadata({"study": journal.identity})
     write_parquet(table, journal.folder / RESULTS)
     return table
 

@@ -47,11 +47,7 @@ MEASURED = (
     *("damping_ratio", "steady_state_error", "mode_damping_ratio", "mode_frequency_hz"),
     *("later_phase_hz", "graze_from_hz", "graze_to_hz"),
 )
-ROW_COLUMNS = (
-    *("dof", *MEASURED, *(f"crosstalk_{dof}" for dof in DOFS)),
-    *("error_type", "error_message"),
-)
-"""What the table of results holds of a row."""
+"""Measures in the table of results."""
 
 Gains = NDArray[np.float64]
 
@@ -73,11 +69,13 @@ class StudyRow(NamedTuple):
 
     @property
     def columns(self) -> dict[str, Any]:
-        """The row in `ROW_COLUMNS`."""
-        measures = (getattr(self.measures, name) for name in MEASURED)
-        gains = map(float, self.crosstalk)
-        row = (self.dof, *measures, *gains, self.error_type, self.error_message)
-        return dict(zip(ROW_COLUMNS, row, strict=True))
+        """The row in the table of results."""
+        return {
+            "dof": self.dof,
+            **{name: getattr(self.measures, name) for name in MEASURED},
+            **{f"crosstalk_{dof}": float(g) for dof, g in zip(DOFS, self.crosstalk, strict=True)},
+            **{"error_type": self.error_type, "error_message": self.error_message},
+        }
 
 
 def evaluate(study_case: StudyCase, shared: dict[str, Linear] | None = None) -> list[StudyRow]:

@@ -147,13 +147,6 @@ Method = Literal["sweep", "linear", "matrix"]
 NOMINAL = -1
 """Draw of the machine without mismatch."""
 
-CASE_COLUMNS = (
-    *("case", "method", "rung", "cab"),
-    *(f"pose_{dof}" for dof in DOFS),
-    *("draw", "law"),
-)
-"""What the table of results holds of a case."""
-
 _READY = Path(__file__).parent / "ready"
 
 
@@ -201,10 +194,13 @@ class StudyCase:
 
     @property
     def columns(self) -> dict[str, int | str | float]:
-        """The case in `CASE_COLUMNS`."""
+        """The case in the table of results."""
         case = self.case
-        machine = (self.number, self.method, self.rung, case.cab_name, *case.pose)
-        return dict(zip(CASE_COLUMNS, (*machine, self.draw, case.law.name), strict=True))
+        return {
+            **{"case": self.number, "method": self.method, "rung": self.rung, "cab": case.cab_name},
+            **{f"pose_{dof}": value for dof, value in zip(DOFS, case.pose, strict=True)},
+            **{"draw": self.draw, "law": case.law.name},
+        }
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from cmf_mj.core.table import Table
 from cmf_mj.show.look import BLUE, GREY, ORANGE, legend, new_figure, save_files
-from cmf_mj.show.table import Table
 from crosscheck.verification import ENGINES, Verification
 
 _STYLES = {"mujoco": ("MuJoCo", BLUE, "o"), "exudyn": ("Exudyn", ORANGE, "s")}

@@ -17,7 +17,7 @@ between `low` and `high`.
 
 from collections.abc import Callable, Mapping
 from itertools import product
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from scipy.stats import qmc
 
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.result import Field, Result, fields_of
 from cmf_mj.report_2014.calibration import trial
 
 Results = Mapping[str, Measures]
@@ -33,6 +34,10 @@ Shift = Mapping[str, Mapping[trial.Measure, float]]
 
 _SOFT = 0.01
 """Shortfall of the least damping ratio that weighs as much as one tolerance."""
+
+
+MEASURE_TITLES = {"phase": "-90 deg", "gain": "-3 dB", "damping": "zeta"}
+"""What a reader calls each measure."""
 
 
 class Residual(NamedTuple):
@@ -180,18 +185,21 @@ class Spread(NamedTuple):
     """Distribution of one result over the ranges of the parameters."""
 
     law: str
-    measure: trial.Measure
-    nominal: float  #: At the nominal values [Hz or 1].
-    low: float  #: 5 % of the stable samples lie below.
-    high: float  #: 95 % of the stable samples lie below.
-    unstable: float  #: Share of samples whose loop is unstable.
+    measure: Annotated[trial.Measure, Field(title="what", form=MEASURE_TITLES.get)]
+    nominal: Annotated[float, Field(form=".2f")]  #: At the nominal values [Hz or 1].
+    low: Annotated[float, Field(title="5 %", form=".2f")]
+    """5 % of the stable samples lie below."""
+    high: Annotated[float, Field(title="95 %", form=".2f")]
+    """95 % of the stable samples lie below."""
+    unstable: Annotated[float, Field(form=".0f %", unit="%")]
+    """Share of samples whose loop is unstable."""
 
 
 class Examination(NamedTuple):
     """A calibration with the spread of results over the ranges, and stability runs."""
 
     calibration: Calibration
-    spread: list[Spread]  #: About the shipped values.
+    spread: Result[Spread]  #: About the shipped values.
     verdicts: list[trial.StepVerdict]  #: Step runs with the fitted values.
 
 
@@ -214,7 +222,7 @@ def spread(
     *,
     samples: int = 128,
     seed: int = 0,
-) -> list[Spread]:
+) -> Result[Spread]:
     """Propagate the ranges of all parameters to the results of laws.
 
     `samples` of the Latin hypercube are at least 2, `seed` is its seed.
@@ -236,4 +244,4 @@ def spread(
         unstable = 1.0 - float(np.mean([run[law].stable for run in runs]))
         value = trial.computed(nominal[law], measure)
         spreads.append(Spread(law, measure, value, float(low_end), float(high_end), unstable))
-    return spreads
+    return Result(spreads, fields_of(Spread), "uncertainty from the ranges")

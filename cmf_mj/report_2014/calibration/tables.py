@@ -6,12 +6,17 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from cmf_mj.core.files import write_text
-from cmf_mj.report_2014.calibration.fit import Calibration, Examination, Residual, residual_rows
+from cmf_mj.core.table import Cell, Table, number
+from cmf_mj.report_2014.calibration.fit import (
+    MEASURE_TITLES,
+    Calibration,
+    Examination,
+    Residual,
+    residual_rows,
+)
 from cmf_mj.report_2014.calibration.trial import MEASURES
 from cmf_mj.show.look import BLUE, GREY, ORANGE, new_figure, save_files
-from cmf_mj.show.table import Cell, Table, number
 
-_MEASURE = {"phase": "-90 deg", "gain": "-3 dB", "damping": "zeta"}
 _OF = {"hardware": "h", "nonlinear": "m"}
 
 
@@ -46,17 +51,12 @@ def tables(result: Examination) -> list[Table]:
         parameters.append((p.name, p.unit, before.values[p.name], fitted, bounds, p.source))
     residuals = [
         (
-            *(a.table, a.law, _OF[a.of], _MEASURE[a.measure], a.role),
+            *(a.table, a.law, _OF[a.of], MEASURE_TITLES[a.measure], a.role),
             *(a.printed, _computed(a), _deviation(a), _computed(b), _deviation(b)),
         )
         for a, b in _pairs(calibration)
     ]
     header = ("table", "law", "of", "what", "role", ("printed", ".2f"), ("shipped", ".2f"))
-    spreads = [
-        (row.law, _MEASURE[row.measure], row.nominal, row.low, row.high, 100 * row.unstable)
-        for row in result.spread
-    ]
-    percentiles = [(name, ".2f") for name in ("nominal", "5 %", "95 %")]
     every = [
         Table(
             f"{study.name}: {study.title}",
@@ -68,11 +68,7 @@ def tables(result: Examination) -> list[Table]:
             (*header, ("off", ""), ("fitted", ".2f"), ("off", "")),
             residuals,
         ),
-        Table(
-            "uncertainty from the ranges",
-            ("law", "what", *percentiles, ("unstable", ".0f %")),
-            spreads,
-        ),
+        result.spread.table,
     ]
     if before.least_damping:
         damping = [
@@ -118,7 +114,9 @@ def residual_figure(calibration: Calibration) -> Figure:
         axes.plot(ends, [place, place], color=colour, linewidth=0.8)
         axes.plot(ends[0], place, "o", color=colour, markerfacecolor="white", markersize=5)
         axes.plot(ends[1], place, "o", color=colour, markersize=5)
-    labels = [f"{p.table.removeprefix('section ')} {p.law} {_MEASURE[p.measure]}" for p, _ in pairs]
+    labels = [
+        f"{p.table.removeprefix('section ')} {p.law} {MEASURE_TITLES[p.measure]}" for p, _ in pairs
+    ]
     axes.set_yticks(range(len(pairs)), labels, fontsize=8)
     axes.invert_yaxis()
     axes.set_xlabel("deviation from the print over its tolerance")

@@ -6,6 +6,7 @@ A new section is an entry there; a new kind of block is a function and its entry
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 
+from cmf_mj.core.table import number
 from cmf_mj.report_2014.page import summary
 from cmf_mj.report_2014.page.curves import (
     CONTENTS,
@@ -28,7 +29,6 @@ from cmf_mj.report_2014.page.tables import (
     result_rows,
 )
 from cmf_mj.show.listing import parameter_table
-from cmf_mj.show.table import number
 
 
 def provenance(runs: Runs) -> PageTable:

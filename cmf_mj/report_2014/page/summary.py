@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from cmf_mj.analysis.measures import Measures
+from cmf_mj.core.table import number
 from cmf_mj.report_2014.page.curves import Block, Content, PageTable, law_title, table, texts
 from cmf_mj.report_2014.page.runs import Runs
 from cmf_mj.report_2014.page.statements import (
@@ -13,7 +14,6 @@ from cmf_mj.report_2014.page.statements import (
     verdict_table,
 )
 from cmf_mj.report_2014.page.tables import TITLES, ResultRow, result_rows
-from cmf_mj.show.table import number
 
 _SHARES = {
     "bandwidths": "all -90 deg and -3 dB",

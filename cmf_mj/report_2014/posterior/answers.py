@@ -5,15 +5,19 @@ out: what survives them all does not depend on one reading of the report.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
 from cmf_mj.analysis.published import published_results
+from cmf_mj.core.frames import column, groups, where
+from cmf_mj.core.result import Field, Result, fields_of
+from cmf_mj.core.table import number
 from cmf_mj.report_2014.posterior.evidence import HELD_OUT, observations, scatter
-from cmf_mj.report_2014.posterior.run import GROUPS, Results, column
+from cmf_mj.report_2014.posterior.run import GROUPS, Results
 from cmf_mj.report_2014.posterior.sampling import normalised, weighted_quantiles
 
 Array = NDArray[np.float64]
@@ -30,6 +34,33 @@ _ERRORS = 41
 ROBUST = 0.05
 """Largest distance of a probability from 0 or 1 that counts as robust."""
 
+EVIDENCE = {"rows": "hardware rows", "fits": "hardware fits", "three_g": "3 g", "flown": "flown"}
+"""What a reader calls each of `GROUPS`."""
+
+
+def interval(span: Array, form: str = ".2f") -> str:
+    """A median and a 90 % interval as text."""
+    low, middle, high = (number(float(value), form) for value in span)
+    return middle if middle == "-" else f"{middle} ({low} to {high})"
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """A share as per cent, without rounding to certainty."""
+    text = f"{100.0 * share:.{digits}f} %"
+    if share < 1.0 and text == "100 %":
+        return "over 99 %"
+    return "under 1 %" if share > 0.0 and text == "0 %" else text
+
+
+def filter_name(corner: float) -> str:
+    """What stands before the gain."""
+    return "none" if corner == 0.0 else f"{corner:.3g} Hz"
+
+
+def _span(title: str | None = None, form: str = ".2f", name: str = "") -> Field:
+    """Quantiles at `LEVELS`."""
+    return Field(name, title, partial(interval, form=form))
+
 
 class Stability(NamedTuple):
     """How often a law is unstable with a cab."""
@@ -39,7 +70,7 @@ class Stability(NamedTuple):
     prior: float  #: Probability before any evidence.
     posterior: float  #: Probability under all evidence.
     error: float  #: Standard error of the sampling.
-    without: tuple[float, ...]  #: Probability with each of `GROUPS` left out.
+    without: dict[str, float]  #: Probability with each of `GROUPS` left out.
     simulated: int  #: Machines found unstable by simulation.
     machines: int  #: Machines simulated.
     agreeing: int  #: Of these, the ones with the verdict of the linear loop.
@@ -47,8 +78,25 @@ class Stability(NamedTuple):
     @property
     def robust(self) -> bool:
         """Whether prior, posterior and all between agree that it is, or is not."""
-        every = np.array([self.prior, self.posterior, *self.without])
+        every = np.array([self.prior, self.posterior, *self.without.values()])
         return bool((every < ROBUST).all() or (every > 1.0 - ROBUST).all())
+
+
+STABILITY = (
+    *map(Field, ("law", "cab")),
+    Field("prior", form=percent),
+    Field("", "all evidence", of=lambda r: f"{percent(r.posterior)} +- {100.0 * r.error:.1f}"),
+    *(
+        Field(f"without_{group}", f"without {title}", percent, of=f"without.{group}")
+        for group, title in EVIDENCE.items()
+    ),
+    Field("", "simulated", of=lambda row: f"{row.simulated} of {row.machines}"),
+    Field("", "same verdict", of=lambda row: f"{row.agreeing} of {row.machines}"),
+    *(
+        Field(name, printed=False)
+        for name in ("posterior", "error", "simulated", "machines", "agreeing")
+    ),
+)
 
 
 class DampingChange(NamedTuple):
@@ -56,22 +104,24 @@ class DampingChange(NamedTuple):
 
     law: str
     cab: str
-    prior: Array  #: At `LEVELS`, before any evidence.
-    posterior: Array  #: At `LEVELS`.
-    same_sign: float  #: Probability, under all evidence, that it has the sign of its median.
+    prior: Annotated[Array, _span(form="+.3f")]  #: At `LEVELS`, before any evidence.
+    posterior: Annotated[Array, _span("all evidence", "+.3f")]  #: At `LEVELS`.
+    same_sign: Annotated[float, Field(form=percent)]
+    """Probability, under all evidence, that it has the sign of its median."""
 
 
 class Span(NamedTuple):
     """Measures of a law along an axis on machines drawn from the posterior, at `LEVELS`."""
 
-    law: str
     cab: str
+    law: str
     dof: str
-    stable: float  #: Share of the machines; the others have no measures.
-    phase_bandwidth_hz: Array
-    gain_bandwidth_hz: Array
-    peak_gain_db: Array
-    damping_ratio: Array
+    stable: Annotated[float, Field(form=percent)]
+    """Share of the machines; the others have no measures."""
+    phase_bandwidth_hz: Annotated[Array, _span("-90 deg [Hz]")]
+    gain_bandwidth_hz: Annotated[Array, _span("-3 dB [Hz]")]
+    peak_gain_db: Annotated[Array, _span("peak [dB]", ".1f")]
+    damping_ratio: Annotated[Array, _span("zeta")]
 
 
 class Moved(NamedTuple):
@@ -97,25 +147,39 @@ class Moved(NamedTuple):
 class GainStep(NamedTuple):
     """One gain of acceleration behind one filter, on machines drawn from the posterior."""
 
-    corner: float  #: [Hz], 0 for no filter.
-    gain: float  #: [%/(in/s^2)].
-    stable: float  #: Share of the machines on which it is stable with every cab.
-    damping: Array  #: Least damping ratio of any cab, at `LEVELS`.
+    gain: Annotated[float, Field(title="gain [%/(in/s²)]", form="g")]
+    corner: Annotated[float, Field(title="filter", form=filter_name)]  #: [Hz], 0 for no filter.
+    stable: Annotated[float, Field(title="stable with every cab", form=percent)]
+    """Share of the machines on which it is stable with every cab."""
+    damping: Annotated[Array, _span("least damping ratio", ".3f")]
+    """Least damping ratio of any cab, at `LEVELS`."""
 
 
 class EvidenceCheck(NamedTuple):
     """One observation with what machines make of it, at `LEVELS`."""
 
-    name: str
-    observed: float
-    deviation: float  #: Of the printed value, see `evidence`.
-    prior: Array
-    posterior: Array
+    name: Annotated[str, Field(title="observation")]
+    observed: Annotated[float, Field(title="printed", form=".3g")]
+    deviation: Annotated[float, Field(title="s", form=".2g")]
+    """Of the printed value, see `evidence`."""
+    prior: Annotated[Array, _span(form=".3g")]
+    posterior: Annotated[Array, _span("all evidence", ".3g")]
 
     @property
     def inside(self) -> bool:
         """Whether the 90 % interval holds it."""
         return bool(self.posterior[0] <= self.observed <= self.posterior[-1])
+
+
+UNKNOWNS = (
+    Field("unknown"),
+    Field("unit", of="range.unit"),
+    Field("", "prior", of=lambda row: f"{row['range'].low:g} to {row['range'].high:g}"),
+    _span("all evidence", ".3g", "posterior"),
+    Field("source", "source of the bounds", of="range.source"),
+    Field("low", of="range.low", printed=False),
+    Field("high", of="range.high", printed=False),
+)
 
 
 def weights(results: Results, groups: Sequence[str] = GROUPS) -> Array:
@@ -130,38 +194,29 @@ def _both(results: Results, values: Array, times: int = 1) -> list[Array]:
     return [weighted_quantiles(values, np.repeat(each, times), LEVELS) for each in every]
 
 
-def _by_machine(results: Results, name: str) -> dict[tuple[str, str], Array]:
-    """A column of the damping ratios by law and cab, machines in order."""
-    found: dict[tuple[str, str], list[float]] = {}
-    for row in results.damping.to_pylist():
-        found.setdefault((row["law"], row["cab"]), []).append(float(row[name]))
-    return {key: np.array(values) for key, values in found.items()}
-
-
-def stability(results: Results) -> list[Stability]:
+def stability(results: Results) -> Result[Stability]:
     """How often each law is unstable with each cab."""
     every, prior, rows = weights(results), weights(results, ()), []
-    without = [weights(results, [one for one in GROUPS if one != left]) for left in GROUPS]
-    verdicts = results.simulated.to_pylist()
-    for (law, cab), stable in _by_machine(results, "stable").items():
-        unstable = 1.0 - stable
-        share = float(every @ unstable)
-        run = [row for row in verdicts if (row["law"], row["cab"]) == (law, cab)]
-        same = [row["stable"] == bool(stable[row["machine"]]) for row in run]
+    without = {g: weights(results, [one for one in GROUPS if one != g]) for g in GROUPS}
+    for (law, cab), machines in groups(results.damping, "law", "cab"):
+        unstable, run = 1.0 - column(machines, "stable"), where(results.simulated, law=law, cab=cab)
+        share, simulated = float(every @ unstable), 1.0 - column(run, "stable")
         rows.append(
             Stability(
                 *(law, cab, float(prior @ unstable), share),
                 float(np.sqrt(np.sum(every**2 * (unstable - share) ** 2))),
-                tuple(float(some @ unstable) for some in without),
-                *(sum(not row["stable"] for row in run), len(run), sum(same)),
+                {group: float(some @ unstable) for group, some in without.items()},
+                *(int(simulated.sum()), run.num_rows),
+                int((simulated == unstable[run["machine"].to_numpy()]).sum()),
             )
         )
-    return rows
+    return Result(rows, STABILITY)
 
 
-def changes(results: Results) -> list[DampingChange]:
+def changes(results: Results) -> Result[DampingChange]:
     """What each law changes in the pair's damping against `REFERENCE`."""
-    every, pairs, rows = weights(results), _by_machine(results, "pair"), []
+    every, rows = weights(results), []
+    pairs = {at: column(machines, "pair") for at, machines in groups(results.damping, "law", "cab")}
     for (law, cab), damping in pairs.items():
         if law == REFERENCE or (REFERENCE, cab) not in pairs:
             continue
@@ -169,25 +224,20 @@ def changes(results: Results) -> list[DampingChange]:
         prior, posterior = _both(results, change)
         same = float(every @ (np.sign(change) == np.sign(posterior[1])))
         rows.append(DampingChange(law, cab, prior, posterior, same))
-    return rows
+    return Result(rows, fields_of(DampingChange))
 
 
-def spans(results: Results) -> list[Span]:
+def spans(results: Results) -> Result[Span]:
     """Measures of all laws on machines drawn from the posterior."""
-    groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
-    for row in results.measures.to_pylist():
-        groups.setdefault((row["law"], row["cab"], row["dof"]), []).append(row)
-    every = []
-    for key, rows in groups.items():
-        count, stable = _of(rows, "count"), _of(rows, "stable")
-        values = (_of(rows, name) for name in Span._fields[4:])
-        quantiles = (weighted_quantiles(each, count * stable, LEVELS) for each in values)
-        every.append(Span(*key, float(np.average(stable, weights=count)), *quantiles))
-    return every
-
-
-def _of(rows: Sequence[dict[str, Any]], name: str) -> Array:
-    return np.array([row[name] for row in rows], dtype=float)
+    rows = []
+    for (law, cab, dof), machines in groups(results.measures, "law", "cab", "dof"):
+        count, stable = column(machines, "count"), column(machines, "stable")
+        quantiles = {
+            name: weighted_quantiles(column(machines, name), count * stable, LEVELS)
+            for name in Span._fields[4:]
+        }
+        rows.append(Span(cab, law, dof, float(np.average(stable, weights=count)), **quantiles))
+    return Result(rows, fields_of(Span))
 
 
 def moved(results: Results) -> list[Moved]:
@@ -203,29 +253,24 @@ def moved(results: Results) -> list[Moved]:
 
 def stability_map(results: Results, x: str, y: str, law: str, name: str) -> tuple[Array, ...]:
     """Damping ratio over two unknowns: the values of x (n,) and y (n,), and the map (n, n)."""
-    rows = [r for r in results.points.to_pylist() if (r["about"], r["law"]) == (f"{x} {y}", law)]
-    side = results.study.settings.grid
-    grids = [np.array([row[key] for row in rows]).reshape(side, side) for key in (x, y, name)]
+    rows, side = where(results.points, about=f"{x} {y}", law=law), results.study.settings.grid
+    grids = [column(rows, key).reshape(side, side) for key in (x, y, name)]
     return grids[0][:, 0], grids[1][0], grids[2]
 
 
-def gain_steps(results: Results) -> list[GainStep]:
+def gain_steps(results: Results) -> Result[GainStep]:
     """All gains of acceleration tried, behind all filters."""
-    found: dict[tuple[float, float], dict[int, list[dict[str, Any]]]] = {}
-    for row in results.gains.to_pylist():
-        by_machine = found.setdefault((row["corner"], row["gain"]), {})
-        by_machine.setdefault(row["machine"], []).append(row)
     steps = []
-    for (corner, gain), machines in found.items():
-        counts = np.array([rows[0]["count"] for rows in machines.values()], dtype=float)
-        stable = np.array([_of(rows, "stable").all() for rows in machines.values()])
-        least = np.array([_of(rows, "least").min() for rows in machines.values()])
-        share = float(counts @ stable / counts.sum())
-        steps.append(GainStep(corner, gain, share, weighted_quantiles(least, counts, LEVELS)))
-    return steps
+    for (corner, gain), rows in groups(results.gains, "corner", "gain"):
+        cabs = [("count", "min"), ("stable", "all"), ("least", "min")]
+        machines = rows.group_by("machine", use_threads=False).aggregate(cabs)
+        counts, stable = column(machines, "count_min"), column(machines, "stable_all")
+        least = weighted_quantiles(column(machines, "least_min"), counts, LEVELS)
+        steps.append(GainStep(gain, corner, float(counts @ stable / counts.sum()), least))
+    return Result(steps, fields_of(GainStep))
 
 
-def checks(results: Results) -> list[EvidenceCheck]:
+def checks(results: Results) -> Result[EvidenceCheck]:
     """All observations, and last the one held out: the damping ratio with the integral.
 
     What is predicted of that one includes the scatter of printed damping ratios.
@@ -241,12 +286,19 @@ def checks(results: Results) -> list[EvidenceCheck]:
     read = (column(results.machines, name)[:, None] + errors).ravel()
     (stated,) = (r for r in published_results() if (r.law, r.of) == (HELD_OUT, "hardware"))
     assert stated.damping_ratio is not None
-    return [*rows, EvidenceCheck(name, stated.damping_ratio, error, *_both(results, read, _ERRORS))]
+    held_out = EvidenceCheck(name, stated.damping_ratio, error, *_both(results, read, _ERRORS))
+    inside = Field("inside", form=lambda inside: "yes" if inside else "no")
+    return Result([*rows, held_out], [*fields_of(EvidenceCheck), inside])
 
 
-def ranges(results: Results) -> dict[str, Array]:
-    """Posterior of each unknown at `LEVELS`."""
-    return {
-        name: _both(results, column(results.machines, name))[1]
-        for name in results.study.settings.unknowns
-    }
+def unknowns(results: Results) -> Result[dict[str, Any]]:
+    """Range and posterior of each unknown."""
+    rows = [
+        {
+            "unknown": name,
+            "range": one,
+            "posterior": _both(results, column(results.machines, name))[1],
+        }
+        for name, one in results.study.settings.unknowns.items()
+    ]
+    return Result(rows, UNKNOWNS)

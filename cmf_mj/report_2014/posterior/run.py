@@ -79,11 +79,6 @@ class Results(NamedTuple):
     simulated: pa.Table
 
 
-def column(table: pa.Table, name: str) -> Array:
-    """A column as floats, NaN where it is empty."""
-    return np.array(table[name].cast(pa.float64()).to_numpy(zero_copy_only=False))
-
-
 def run_posterior(
     study: PosteriorStudy, folder: str | Path, *, progress: Progress | None = None, **workers: Any
 ) -> Results:

@@ -4,20 +4,22 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cmf_mj.core.files import write_text
+from cmf_mj.core.result import Result
 from cmf_mj.report_2014.posterior import answers
 from cmf_mj.report_2014.posterior import figures as figures
-from cmf_mj.report_2014.posterior.answers import ROBUST, GainStep
+from cmf_mj.report_2014.posterior.answers import (
+    EVIDENCE,
+    ROBUST,
+    GainStep,
+    filter_name,
+    interval,
+    percent,
+)
 from cmf_mj.report_2014.posterior.evidence import FLOWN
 from cmf_mj.report_2014.posterior.run import GROUPS, Results
 from cmf_mj.report_2014.posterior.sampling import effective_size
 from cmf_mj.show.look import save_files
-from cmf_mj.show.table import Cell, Column, Table, number
-
-Array = NDArray[np.float64]
 
 DERIVED = "acceleration_d2"
 """Law that reaches on single legs what the report hoped for in rotation."""
@@ -31,110 +33,17 @@ OPPOSED = "acceleration_opposing"
 FAST = "acceleration"
 """Acceleration feedback as printed behind the filter that the text describes."""
 
-EVIDENCE = {"rows": "hardware rows", "fits": "hardware fits", "three_g": "3 g", "flown": "flown"}
-"""What a reader calls each of `GROUPS`."""
 
-
-def interval(span: Array, form: str = ".2f") -> str:
-    """A median and a 90 % interval as text."""
-    low, middle, high = (number(float(value), form) for value in span)
-    return middle if middle == "-" else f"{middle} ({low} to {high})"
-
-
-def percent(share: float, digits: int = 0) -> str:
-    """A share as per cent, without rounding to certainty."""
-    text = f"{100.0 * share:.{digits}f} %"
-    if share < 1.0 and text == "100 %":
-        return "over 99 %"
-    return "under 1 %" if share > 0.0 and text == "0 %" else text
-
-
-def stability_table(results: Results) -> Table:
-    """Probability that each law is unstable, with each cab."""
-    columns = (
-        *("law", "cab", "prior", "all evidence"),
-        *(f"without {EVIDENCE[group]}" for group in GROUPS),
-        *("simulated", "same verdict"),
-    )
-    rows = [
-        (
-            *(one.law, one.cab, percent(one.prior)),
-            f"{percent(one.posterior)} +- {100.0 * one.error:.1f}",
-            *(percent(share) for share in one.without),
-            f"{one.simulated} of {one.machines}",
-            f"{one.agreeing} of {one.machines}",
-        )
-        for one in answers.stability(results)
-    ]
-    return Table("", columns, rows)
-
-
-def filter_name(corner: float) -> str:
-    """What stands before the gain."""
-    return "none" if corner == 0.0 else f"{corner:.3g} Hz"
-
-
-def tables(results: Results) -> dict[str, Table]:
+def tables(results: Results) -> dict[str, Result[Any]]:
     """All tables by the name of their file."""
-    unknowns = results.study.settings.unknowns.items()
-    ranges, both = answers.ranges(results), ("prior", "all evidence")
-    every: dict[str, tuple[tuple[Column, ...], list[tuple[Cell, ...]]]] = {
-        "changes": (
-            ("law", "cab", *both, "same sign"),
-            [
-                (
-                    *(one.law, one.cab, interval(one.prior, "+.3f")),
-                    *(interval(one.posterior, "+.3f"), percent(one.same_sign)),
-                )
-                for one in answers.changes(results)
-            ],
-        ),
-        "spans": (
-            ("cab", "law", "dof", "stable", "-90 deg [Hz]", "-3 dB [Hz]", "peak [dB]", "zeta"),
-            [
-                (
-                    *(one.cab, one.law, one.dof, percent(one.stable)),
-                    *(interval(one.phase_bandwidth_hz), interval(one.gain_bandwidth_hz)),
-                    *(interval(one.peak_gain_db, ".1f"), interval(one.damping_ratio)),
-                )
-                for one in answers.spans(results)
-            ],
-        ),
-        "gains": (
-            (("gain [%/(in/s²)]", "g"), "filter", "stable with every cab", "least damping ratio"),
-            [
-                (
-                    one.gain,
-                    filter_name(one.corner),
-                    percent(one.stable),
-                    interval(one.damping, ".3f"),
-                )
-                for one in answers.gain_steps(results)
-            ],
-        ),
-        "unknowns": (
-            ("unknown", "unit", *both, "source of the bounds"),
-            [
-                (
-                    *(name, one.unit, f"{one.low:g} to {one.high:g}"),
-                    *(interval(ranges[name], ".3g"), one.source),
-                )
-                for name, one in unknowns
-            ],
-        ),
-        "evidence": (
-            ("observation", ("printed", ".3g"), ("s", ".2g"), *both, "inside"),
-            [
-                (
-                    *(one.name, one.observed, one.deviation, interval(one.prior, ".3g")),
-                    *(interval(one.posterior, ".3g"), "yes" if one.inside else "no"),
-                )
-                for one in answers.checks(results)
-            ],
-        ),
+    return {
+        "stability": answers.stability(results),
+        "changes": answers.changes(results),
+        "spans": answers.spans(results),
+        "gains": answers.gain_steps(results),
+        "unknowns": answers.unknowns(results),
+        "evidence": answers.checks(results),
     }
-    others = {name: Table("", columns, rows) for name, (columns, rows) in every.items()}
-    return {"stability": stability_table(results)} | others
 
 
 def best_gain(results: Results) -> GainStep:
@@ -193,10 +102,8 @@ def fragile_text(results: Results) -> str:
             continue
         mine = [one for one in stability if one.law == law]
         shares = _list(f"{percent(one.posterior)} ({one.cab.upper()})" for one in mine)
-        away = [
-            sum(abs(one.without[i] - one.posterior) for one in mine) for i in range(len(GROUPS))
-        ]
-        most = int(np.argmax(away))
+        away = {g: sum(abs(one.without[g] - one.posterior) for one in mine) for g in GROUPS}
+        most = max(GROUPS, key=lambda group: away[group])
         left = _list(f"{percent(one.without[most])}" for one in mine)
         swings = sorted((one for one in moved if one.law == law), key=lambda one: -one.swing)
         turned = [f"`{one.unknown}`" for one in swings if one.turns]
@@ -204,7 +111,7 @@ def fragile_text(results: Results) -> str:
         flips = f" One of these turns its verdict: {_list(turned[:4] + more)}." if turned else ""
         lines.append(
             f"`{law}` is unstable with a probability of {shares}, without the evidence "
-            f"*{EVIDENCE[GROUPS[most]]}* of {left}. Its least damping ratio depends "
+            f"*{EVIDENCE[most]}* of {left}. Its least damping ratio depends "
             f"most on {_list(f'`{one.unknown}`' for one in swings[:3])}.{flips}"
         )
     return "".join(f"- {line}\n" for line in lines)
@@ -260,8 +167,8 @@ TEXTS: Mapping[str, Any] = {
 def save_posterior(results: Results, folder: Path) -> list[Path]:
     """Write tables, sentences and figures."""
     files: dict[str, Any] = {}
-    for name, table in tables(results).items():
-        files |= {f"{name}.{kind}": table.save for kind in ("md", "csv")}
+    for name, result in tables(results).items():
+        files |= {f"{name}.{kind}": result.table.save for kind in ("md", "csv")}
     for name, text in TEXTS.items():
         content = text(results)
         files[f"{name}.md"] = lambda path, content=content: write_text(path, content)
@@ -279,5 +186,5 @@ def summary(results: Results) -> tuple[Any, ...]:
     """What the command prints: the answer first."""
     return (
         *(TEXTS[name](results) for name in ("robust", "fragile", "advice", "held_out", "sample")),
-        stability_table(results),
+        answers.stability(results),
     )

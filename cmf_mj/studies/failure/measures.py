@@ -31,6 +31,7 @@ from cmf_mj.control.protection import ProtectionSettings
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.rates import FRAME
+from cmf_mj.core.result import Field, Result
 from cmf_mj.core.threads import on_threads
 from cmf_mj.facility.run import simulate
 from cmf_mj.facility.session import OutOfBounds
@@ -105,9 +106,79 @@ class FailureResult(NamedTuple):
     """The run at 256 Hz, with the channels of `simulate`, and `axial_load` and
     `crew_acceleration` (world axes, z up) among them."""
 
-    def multiple(self, load: Peak) -> float:
-        """A load over the static load of its leg."""
-        return load.value / float(self.static_load[(load.leg or 1) - 1])
+    @property
+    def label(self) -> str:
+        """The event in a few words, fit for a file name."""
+        places = {"leg": self.event.leg, "valve": self.event.valve}
+        known = (f"{name}_{place}" for name, place in places.items() if place is not None)
+        return "-".join([self.event.kind, *known])
+
+    @property
+    def setting(self) -> str:
+        """Whether the protection could stop the machine."""
+        return f"protection {'on' if self.protected else 'off'}"
+
+    @property
+    def multiples(self) -> dict[str, float]:
+        """Loads over the static load of their leg, by the phase."""
+        return {
+            phase: load.value / float(self.static_load[(load.leg or 1) - 1])
+            for phase, load in self.load._asdict().items()
+        }
+
+
+_LEGEND = (
+    "load: largest axial leg load before the event, after it until a leg meets a stop, and in all "
+    "the time after it, in kN and times the leg's static load, negative pulls; crew: largest "
+    "acceleration at the crew's heads, gravity removed, in g; found: time to detect in s; "
+    "pressures in psi gauge: least supply, least and largest of all chambers; stops: speed of the "
+    "first and of the fastest leg to meet one, in/s."
+)
+
+
+def _loads(phase: str, title: str) -> list[Field]:
+    return [
+        Field(f"load_{phase}_n", title, ".1f", "kN", of=f"load.{phase}.value"),
+        Field(f"load_{phase}_multiple", "\nx", ".2f", of=f"multiples.{phase}"),
+        Field(f"load_{phase}_leg", of=f"load.{phase}.leg", printed=False),
+    ]
+
+
+def _crew(phase: str, title: str) -> Field:
+    return Field(
+        f"crew_acceleration_{phase}_m_s2", title, ".2f", "g", of=f"acceleration.{phase}.value"
+    )
+
+
+FAILURES = (
+    Field("", "event", of=lambda row: row.label.replace("-", " ")),
+    Field("event", of="event.kind", printed=False),
+    Field("leg", of="event.leg", printed=False),
+    Field("valve", of="event.valve", printed=False),
+    Field("size_si", of="event.magnitude", printed=False),
+    Field("at_s", of="event.at", printed=False),
+    *(
+        Field(name, of=f"record.metadata.{name}", printed=False)
+        for name in ("law", "cab", "hydraulics")
+    ),
+    Field("dof", printed=False),
+    Field("protected", printed=False),
+    *_loads("before", "load\nbefore"),
+    *_loads("free", "\nafter"),
+    *_loads("after", "\nall"),
+    _crew("before", "crew\nbefore"),
+    _crew("free", "\nafter"),
+    _crew("after", "\nall"),
+    Field("detected_by", "found\nby"),
+    Field("detection_time_s", "\nafter", ".4f", of="detection_time"),
+    Field("state", "ends"),
+    Field("supply_pressure_least_pa", "supply\nleast", ".0f", "psi", of="supply_least.value"),
+    Field("chamber_pressure_least_pa", "chamber\nleast", ".0f", "psi", of="pressure_least.value"),
+    Field("chamber_pressure_most_pa", "\nmost", ".0f", "psi", of="pressure_peak.value"),
+    Field("stop_speed_first_m_s", "stops\nfirst", ".1f", "in/s", of="contact_speed.value"),
+    Field("stop_speed_fastest_m_s", "\nfastest", ".1f", "in/s", of="impact_speed.value"),
+    Field("message", printed=False),
+)
 
 
 def measure(
@@ -282,6 +353,11 @@ def run_failure(
 
 def run_failures(
     events: Sequence[Event], case: Case | None = None, *, jobs: int | None = None, **options: Any
-) -> list[FailureResult]:
+) -> Result[FailureResult]:
     """Run several events with the options of `run_failure`, each on a new machine, on threads."""
-    return on_threads(lambda event: run_failure(event, case, **options), events, jobs)
+    results = on_threads(lambda event: run_failure(event, case, **options), events, jobs)
+    first = results[0]
+    about = {name: first.record.metadata[name] for name in ("law", "cab", "hydraulics")}
+    title = "{law} in {dof}, {cab} cab, {hydraulics} hydraulics, {setting}"
+    title = title.format(dof=first.dof, setting=first.setting, **about)
+    return Result(results, FAILURES, title, _LEGEND, about)

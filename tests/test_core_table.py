@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from cmf_mj.core.table import Table
 from cmf_mj.show.look import bode_axes, pose_text, save_figure
-from cmf_mj.show.table import Table
 
 TABLE = Table(
     "bandwidths [Hz]",

@@ -8,13 +8,12 @@ missing is a dash.
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import rich.table
-from rich.box import HEAVY_HEAD, SIMPLE_HEAD
-from rich.markup import escape
+from typing import TYPE_CHECKING, Any
 
 from cmf_mj.core.files import write_csv, write_text
+
+if TYPE_CHECKING:
+    import rich.table
 
 Column = Sequence[str]
 """A title alone, for text; or a title and a format, for numbers and what stands at the right."""
@@ -68,8 +67,12 @@ class Table:
             [number(cell, form) for cell, form in zip(row, forms, strict=True)] for row in self.rows
         ]
 
-    def __rich__(self) -> rich.table.Table:
+    def __rich__(self) -> "rich.table.Table":
         """The table for the terminal."""
+        import rich.table
+        from rich.box import HEAVY_HEAD, SIMPLE_HEAD
+        from rich.markup import escape
+
         table = rich.table.Table(
             title=escape(self.title),
             caption=escape(self.caption),

@@ -1,0 +1,175 @@
+"""What a study returns: rows, the fields that are declared of them once, and where they come from.
+
+A field names a column of the data frame and says how to print it. The frame, CSV, Parquet and JSON
+have every field that has a name, in SI; the table in the terminal and in Markdown has those that
+are printed, in the unit of the field.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Generic, TypeVar, get_type_hints
+
+import pyarrow as pa
+from pydantic_core import to_jsonable_python
+
+from cmf_mj.core import units
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.files import write_csv, write_json, write_parquet, write_text
+from cmf_mj.core.table import Column, Table, number
+
+Row = TypeVar("Row")
+
+_KEY = "cmf_mj_result"
+
+
+@dataclass(frozen=True)
+class Field:
+    """A quantity of every row.
+
+    >>> load = Field("load_n", "load [kN]", ".1f", "kN", of="largest.value")
+    >>> load.text(12345.6)
+    '12.3'
+    """
+
+    name: str = ""  #: Column of frame and files; empty for what is only printed.
+    title: str | None = None  #: Head of the column where it is printed; by default the name.
+    form: str | Callable[[Any], str] | None = None
+    """Format of a number, which may end in a unit, see `table.number`; or what makes it text."""
+    unit: str = ""  #: In which it is printed; the frame has SI.
+    of: str | Callable[[Any], Any] = ""
+    """Path of attributes and entries that leads from a row to the value, by default the name; or
+    what takes it from a row."""
+    printed: bool = True  #: Whether the table has it, beside the frame.
+
+    def value(self, row: Any) -> Any:
+        """The value of a row; None where the path ends before."""
+        if callable(self.of):
+            return self.of(row)
+        for part in (self.of or self.name).split("."):
+            if row is not None:
+                row = row[part] if isinstance(row, Mapping) else getattr(row, part)
+        return row
+
+    def text(self, value: Any) -> str:
+        """A value as it is printed."""
+        if callable(self.form):
+            return self.form(value)
+        if self.unit and value is not None:
+            value = units.from_si(self.unit, value)
+        return number(value, self.form or "")
+
+    @property
+    def column(self) -> Column:
+        """Head of the printed column: numbers stand at the right."""
+        title = self.name.replace("_", " ") if self.title is None else self.title
+        return (title, "") if isinstance(self.form, str) else title
+
+
+def fields_of(row: type) -> tuple[Field, ...]:
+    """The fields of a class of rows: its attributes, printed as their annotations say.
+
+    >>> class Loop(NamedTuple):
+    ...     law: str
+    ...     phase_hz: Annotated[float, Field(title="-90 deg", form=".1f Hz")]
+    >>> print(Result([Loop("velocity", 2.75)], fields_of(Loop)))
+    | law | -90 deg |
+    | --- | --- |
+    | velocity | 2.8 Hz |
+    """
+    return tuple(
+        next((replace(f, name=name) for f in extras if isinstance(f, Field)), Field(name))
+        for name, hint in get_type_hints(row, include_extras=True).items()
+        for extras in [getattr(hint, "__metadata__", ())]
+    )
+
+
+@dataclass(frozen=True)
+class Result(Sequence[Row], Generic[Row]):
+    """Rows of a study with their fields; a sequence of the rows, and a data frame of them.
+
+    >>> from cmf_mj.core.result import Field, Result
+    >>> fields = Field("law"), Field("bandwidth_hz", "-90 deg", ".1f Hz")
+    >>> rows = [{"law": "velocity", "bandwidth_hz": 2.75}, {"law": "force", "bandwidth_hz": 4.0}]
+    >>> result = Result(rows, fields)
+    >>> print(result)
+    | law | -90 deg |
+    | --- | --- |
+    | velocity | 2.8 Hz |
+    | force | 4.0 Hz |
+    >>> result.to_pandas()["bandwidth_hz"].max()
+    np.float64(4.0)
+    """
+
+    rows: Sequence[Row]
+    fields: Sequence[Field]
+    title: str = ""
+    caption: str = ""
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    """Where the rows come from, as JSON values; Parquet and JSON keep it."""
+    grouped: bool = False  #: As of `Table`.
+    digits: int = 9  #: Significant digits of numbers in CSV.
+
+    def __getitem__(self, index: Any) -> Any:
+        """A row, or rows of a slice."""
+        return self.rows[index]
+
+    def __len__(self) -> int:
+        """How many rows."""
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[Row]:
+        """The rows."""
+        return iter(self.rows)
+
+    def __str__(self) -> str:
+        """The table in Markdown."""
+        return self.table.markdown().rstrip()
+
+    def __rich__(self) -> Any:
+        """The table for the terminal."""
+        return self.table.__rich__()
+
+    @cached_property
+    def frame(self) -> pa.Table:
+        """All named fields, in SI."""
+        named = [each for each in self.fields if each.name]
+        return pa.table({each.name: [each.value(row) for row in self.rows] for each in named})
+
+    @property
+    def table(self) -> Table:
+        """All printed fields, as text."""
+        printed = [each for each in self.fields if each.printed]
+        cells = [[each.text(each.value(row)) for each in printed] for row in self.rows]
+        columns = [each.column for each in printed]
+        return Table(self.title, columns, cells, self.caption, grouped=self.grouped)
+
+    def to_pandas(self) -> Any:
+        """The frame as one of pandas, which must be installed."""
+        return self.frame.to_pandas()
+
+    def save(self, path: Path) -> Path:
+        """Write the frame as CSV, Parquet or JSON, or the table as Markdown, by the name's end.
+
+        CSV leaves empty what is missing or NaN. Parquet and JSON have titles, units and provenance.
+        """
+        about = {
+            "title": self.title,
+            "fields": {e.name: {"title": e.title, "unit": e.unit} for e in self.fields if e.name},
+            "provenance": dict(self.provenance),
+        }
+        rows = self.frame.to_pylist()
+        match path.suffix:
+            case ".md":
+                return write_text(path, self.table.markdown())
+            case ".parquet":
+                return write_parquet(self.frame, path, (_KEY, about))
+            case ".json":
+                return write_json(
+                    path, to_jsonable_python(about | {"rows": rows}, inf_nan_mode="null")
+                )
+            case ".csv":
+                cells = ([None if v != v else v for v in row.values()] for row in rows)
+                return write_csv(path, self.frame.column_names, cells, self.digits)
+        raise InputError(f"{path}: must end in .md, .csv, .parquet or .json")
