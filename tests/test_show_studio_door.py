@@ -286,7 +286,7 @@ def test_sessions_end_with_their_tabs_also_while_they_are_built(studio: Studio) 
 
     def alive() -> int:
         gc.collect()
-        return sum(isinstance(one, LiveSession) for one in gc.get_objects())
+        return sum(type(one) is LiveSession for one in gc.get_objects())
 
     wait(lambda: not studio.pages and alive() == 0)
 

@@ -94,7 +94,7 @@ def test_a_pose_at_the_end_of_a_leg_has_no_room(plant: Hexapod) -> None:
         largest_stroke(plant, modes, 0)
 
 
-class Watched(film.Stage):
+class Watched(film.FilmStage):
     """A stage that keeps the configurations it draws."""
 
     seen: list[NDArray[np.float64]] = []
@@ -109,7 +109,7 @@ def test_the_film_shows_each_mode_with_its_own_period(
     plant: Hexapod, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Frequency on the screen, by fitting a sine to what was drawn: the mode's times the speed."""
-    monkeypatch.setattr(film, "Stage", Watched)
+    monkeypatch.setattr(film, "FilmStage", Watched)
     Watched.seen = []
     modes, chosen = plant.hydraulic_modes(), SMALL._replace(fps=20, speed=0.2)
     reported: list[tuple[int, int]] = []

@@ -252,7 +252,7 @@ def test_an_interrupted_run_says_how_to_go_on(
     process.send_signal(signal.SIGINT)
     _, printed = process.communicate(timeout=120)
     assert process.returncode == 130, printed
-    assert "interrupted; the same command goes on" in printed
+    assert "interrupted; the same command continues" in printed
     assert 1 <= lines(tmp_path) < CASES
     again = CliRunner().invoke(
         app, ["study", str(specification), "--out", str(tmp_path), "--backend", "threading"]

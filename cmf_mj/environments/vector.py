@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -21,6 +21,11 @@ from cmf_mj.environments.environment import MachineEnv
 from cmf_mj.environments.excavator import ExcavatorEnv
 from cmf_mj.environments.hexapod import HexapodEnv
 
+if TYPE_CHECKING:
+    _Side = SyncVectorEnv[NDArray[np.float32], NDArray[np.float32]]
+else:
+    _Side = SyncVectorEnv  # before 1.4 it takes no types
+
 
 class _Ahead(gym.Wrapper[NDArray[np.float32], NDArray[np.float32], Any, Any]):
     """An environment whose step has begun on a thread when its result is asked for."""
@@ -31,7 +36,7 @@ class _Ahead(gym.Wrapper[NDArray[np.float32], NDArray[np.float32], Any, Any]):
         return self.result.result()
 
 
-class ThreadVectorEnv(SyncVectorEnv[NDArray[np.float32], NDArray[np.float32]]):
+class ThreadVectorEnv(_Side):
     """`num_envs` environments on `threads`, by default one a core."""
 
     def __init__(

@@ -160,13 +160,13 @@ def export_law(law: str | Path | Law, out: Path, cab: str | Path | Cab | None = 
     carried = load_cab(cab)
     chosen = bound(load_law(law), carried.known_as)
     parts = law_parts(chosen)
-    image = make_image(parts)
+    image, code = make_image(parts), law_code(parts)  # refused before anything is written
     files = copy_sources("law", out)
     blocks = {
         "cmf_law_slots_data": np.frombuffer(image.slots.tobytes(), dtype=np.uint8),
         "cmf_law_memory_data": image.block,
     }
-    objects = {"cmf_law_code": law_code(parts), "cmf_law_data": constant_data(blocks)}
+    objects = {"cmf_law_code": code, "cmf_law_data": constant_data(blocks)}
     files += write_objects(objects, out)
     files.append(write_text(out / "cmf_law_data.h", _header(chosen, parts, image)))
     files += copy_licences(out, ["cmf-mj"])
