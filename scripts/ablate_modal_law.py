@@ -17,12 +17,11 @@ from cmf_mj import Hexapod, load_hydraulics, load_law
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.measures import Measures, measure_records
 from cmf_mj.control.law import Gains, Law
-from cmf_mj.core.table import Table
+from cmf_mj.core.result import Table
 from cmf_mj.core.threads import on_threads
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.studies.case import Case, dof_amplitude, make_case
+from cmf_mj.studies.case import Case, dof_amplitude, make_case, qualities
 from cmf_mj.studies.mismatch import with_valve_gains
-from cmf_mj.studies.qualities import qualities
 
 CAB, SEED = "ifd", 1
 

@@ -27,7 +27,7 @@ from cmf_mj import load_cab, load_hydraulics, load_law
 from cmf_mj.analysis.measures import Measures, joined, measure_records
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law
-from cmf_mj.core.table import Table
+from cmf_mj.core.result import Table
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS

@@ -36,13 +36,13 @@ from numba import njit
 
 from cmf_mj import Hexapod, load_hydraulics, load_law, signals, simulate, simulate_many
 from cmf_mj.core.files import write_json, write_text
-from cmf_mj.core.rates import FRAME, RATE
-from cmf_mj.core.table import Table
+from cmf_mj.core.result import Table
+from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.facility import loop, session
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.plant import native
-from cmf_mj.plant.headless import quiet
 from cmf_mj.plant.hexapod import hexapod_model
+from cmf_mj.plant.native import quiet
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from crosscheck.verification import ENGINES, in_mujoco, valve_sines, verify  # noqa: E402

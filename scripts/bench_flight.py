@@ -13,12 +13,11 @@ import time
 from bench import bare_seconds
 
 from cmf_mj import Hexapod
-from cmf_mj.core.rates import RATE
+from cmf_mj.core.units import RATE
 from cmf_mj.pilot.aircraft.flight import load_flight
 from cmf_mj.pilot.fly import fly
 from cmf_mj.pilot.motion import PilotMotion
-from cmf_mj.plant.headless import quiet
-from cmf_mj.plant.native import untimed
+from cmf_mj.plant.native import quiet, untimed
 
 
 def part(motion: PilotMotion, seconds: float) -> PilotMotion:

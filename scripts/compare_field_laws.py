@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cmf_mj import load_law
 from cmf_mj.control.law import Law
-from cmf_mj.core.table import Table
+from cmf_mj.core.result import Table
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.hexapod import Hexapod

@@ -17,9 +17,8 @@ from cmf_mj import Hexapod, Linear, load_law, load_machine
 from cmf_mj.analysis.frequency_response import line_bandwidths
 from cmf_mj.analysis.linear.loop import loop_response
 from cmf_mj.core import units
-from cmf_mj.core.table import Table
-from cmf_mj.machine.dof import by_kind
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.core.result import Table
+from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.studies.capacity.asymptotes import Asymptotes, asymptotes
 from cmf_mj.studies.machine_check import MachineCheck, check_machine
 

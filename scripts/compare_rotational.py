@@ -11,7 +11,7 @@ from pathlib import Path
 
 from cmf_mj.cli.common import refuse
 from cmf_mj.cli.simulate import run_comparison
-from cmf_mj.plant.build import PLANTS
+from cmf_mj.plant.hexapod import PLANTS
 
 LAWS = [
     *("velocity", "position_error_rate", "acceleration", "acceleration_eq_3_6"),

@@ -19,10 +19,9 @@ from cmf_mj.analysis.frequency_response import matrix_frequency_response
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.files import write_csv, write_text
-from cmf_mj.core.table import Table
+from cmf_mj.core.result import Table
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.machine.dof import dof_unit
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.record.record import Record

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cmf_mj.cli.common import refuse
 from cmf_mj.control.law import law_names
-from cmf_mj.core.table import Table, number
+from cmf_mj.core.result import Table, number
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.studies.case import CaseResult
 from cmf_mj.studies.comparison import compare

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from cmf_mj import Plant, Record, attach_hydraulics, drive, load_law, simulate
 from cmf_mj.cli.common import refuse
 from cmf_mj.core import units
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.machine import models
 from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.plant.power_balance import power_balance

@@ -28,7 +28,7 @@ START = 6.0
 
 GARBAGE = """
 import random, socket, sys, time
-from cmf_mj.facility.host.datagram import SIZE
+from cmf_mj.facility.host.udp import SIZE
 port, rate, count = int(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3])
 sender, made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), random.Random(19)
 start = time.monotonic()

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from cmf_mj import Hexapod, Law, load_hydraulics, load_law
-from cmf_mj.core.table import Table
+from cmf_mj.core.result import Table
 from cmf_mj.facility.host.stream import HostStream, make_stream
 from cmf_mj.facility.operation import operate
 from cmf_mj.machine.models import CABS

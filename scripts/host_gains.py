@@ -31,7 +31,7 @@ from search_amplification import (
 )
 
 from cmf_mj import Hexapod
-from cmf_mj.core.table import Table
+from cmf_mj.core.result import Table
 from cmf_mj.facility.operation import operate
 from cmf_mj.machine.geometry import DOFS
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from cmf_mj import Hexapod, load_cab, load_hydraulics, load_law
-from cmf_mj.core.table import Table
+from cmf_mj.core.result import Table
 from cmf_mj.facility.host.stream import differentiate, make_stream
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
@@ -22,7 +22,7 @@ from cmf_mj.pilot.cueing.flight import cue, within_limits
 from cmf_mj.pilot.host import MOST_RATE
 from cmf_mj.pilot.learning import Learning, compare, counted, learn, rms
 from cmf_mj.pilot.motion import interpolated
-from cmf_mj.show.learning import save_learning
+from cmf_mj.show.flight import save_learning
 from cmf_mj.studies.mismatch import drawn_machine
 
 KNOWN, SEED = 6, 0

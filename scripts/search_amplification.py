@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control.dcu.arrivals import Arrivals, upsample
+from cmf_mj.control.dcu.play import Arrivals, upsample
 from cmf_mj.control.dcu.settings import make_dcu
 from cmf_mj.control.dcu.state import resting
 from cmf_mj.control.demand import make_demand

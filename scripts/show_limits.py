@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cmf_mj.cli.common import refuse
 from cmf_mj.control.limiter import Limiter, limit_history, make_leg_limiter
 from cmf_mj.core import units
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.machine.motion_limits import load_motion_limits
 
 _ROWS = (

@@ -24,8 +24,8 @@ from cmf_mj.analysis.linear.binding import nominal_modes
 from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.files import write_csv
-from cmf_mj.core.rates import FRAME
-from cmf_mj.core.table import Table
+from cmf_mj.core.result import Table
+from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS
 
 LAWS = (

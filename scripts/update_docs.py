@@ -21,7 +21,7 @@ from typer.main import get_command
 import cmf_mj.cli  # noqa: F401, registers every command with `app`
 from cmf_mj import load_hydraulics
 from cmf_mj.cli.common import app
-from cmf_mj.core.table import Table
+from cmf_mj.core.result import Table
 from cmf_mj.report_2014.ledger import LedgerEntry, figures_text, load_ledger
 from cmf_mj.show.listing import parameter_table
 

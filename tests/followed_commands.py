@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.core.rates import RATE
+from cmf_mj.core.units import RATE
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from fuzzing import damaged
 
-from cmf_mj.control.dcu.arrivals import Arrivals
+from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.facility.host.files import HostSession, write_stream
 from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.pilot.aircraft.flight import Flight, load_flight

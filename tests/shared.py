@@ -14,7 +14,7 @@ from cmf_mj import Hexapod, SingleLegs, bandwidths, frequency_response, signals,
 from cmf_mj.analysis.frequency_response import Bandwidths
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import closed_loop
-from cmf_mj.analysis.linear.reduction import leg_model
+from cmf_mj.analysis.linear.poles import leg_model
 from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import Published, published_results
 from cmf_mj.core.units import INCH

@@ -8,16 +8,17 @@ import pytest
 from identified_systems import RATE, SIXTH, driven, lag, noisy, pair, sampled, series
 from scipy import signal, stats
 
-from cmf_mj.analysis.identification.arx import arx, select_orders
-from cmf_mj.analysis.identification.data import Experiment
-from cmf_mj.analysis.identification.model import Orders
-from cmf_mj.analysis.identification.validation import (
+from cmf_mj.analysis.identification.arx import (
     Residuals,
+    arx,
     fit_percentage,
     residual_analysis,
+    select_orders,
     simulated,
     simulation_fit,
 )
+from cmf_mj.analysis.identification.data import Experiment
+from cmf_mj.analysis.identification.model import Orders
 
 FREQUENCY = np.linspace(0.2, 15.0, 75)
 

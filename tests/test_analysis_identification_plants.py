@@ -22,7 +22,7 @@ from cmf_mj.analysis.frequency_response import (
     line_bandwidths,
     matrix_frequency_response,
 )
-from cmf_mj.analysis.identification.arx import arx
+from cmf_mj.analysis.identification.arx import arx, plant_response, simulation_fit
 from cmf_mj.analysis.identification.continuous import (
     fit_response,
     in_field_units,
@@ -31,7 +31,6 @@ from cmf_mj.analysis.identification.continuous import (
 )
 from cmf_mj.analysis.identification.data import experiment
 from cmf_mj.analysis.identification.refinement import instrumental_variable, output_error
-from cmf_mj.analysis.identification.validation import plant_response, simulation_fit
 from cmf_mj.analysis.linear.loop import closed_loop, closed_loop_response
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.report_2014.models import hardware_velocity

@@ -8,11 +8,10 @@ import pytest
 from identified_systems import RATE, SIXTH, driven, lag, noisy, pair, sampled, series
 from scipy import signal
 
-from cmf_mj.analysis.identification.arx import arx
+from cmf_mj.analysis.identification.arx import arx, simulation_fit
 from cmf_mj.analysis.identification.data import Experiment
 from cmf_mj.analysis.identification.model import PolynomialModel
 from cmf_mj.analysis.identification.refinement import instrumental_variable, output_error
-from cmf_mj.analysis.identification.validation import simulation_fit
 
 FREQUENCY = np.linspace(0.2, 15.0, 75)
 LEG = lag(3.0) * pair(11.0, 0.11)

@@ -8,7 +8,7 @@ from cmf_mj import Hexapod, SingleLegs, load_hydraulics, load_law
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.control.law import Gains, Law
 from cmf_mj.core import units
-from cmf_mj.core.rates import FRAME, RATE
+from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.run import Run
 from cmf_mj.machine.geometry import FLIP

@@ -11,7 +11,7 @@ from cmf_mj.analysis.linear.plants import UnitTransferFunction, leg_plant
 from cmf_mj.control.dcl import DclState, make_dcl, step
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import SIGNALS, Gains, Law, ReferenceModel, law_names, load_law
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.report_2014.models import hardware_velocity, report_model
 
 OMEGA = 2.0 * np.pi * np.linspace(0.05, 8.0, 4000)

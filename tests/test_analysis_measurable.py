@@ -18,7 +18,7 @@ from cmf_mj.analysis.frequency_response import (
 )
 from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import RATE
+from cmf_mj.core.units import RATE
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.record.facility_csv import write_facility_csv
 from cmf_mj.record.reader import read_facility_csv

@@ -14,7 +14,7 @@ from cmf_mj.analysis.measures import (
     measure_loop,
     measure_records,
 )
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 
 
 def test_records_and_loop_agree_in_every_measure() -> None:

@@ -12,8 +12,7 @@ from cmf_mj.analysis import modes
 from cmf_mj.analysis.modes import EnvelopeModes, over_envelope, plane_map, sweep
 from cmf_mj.cli.common import app
 from cmf_mj.core import units
-from cmf_mj.machine.dof import dof_unit
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant import cylinder

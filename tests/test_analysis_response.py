@@ -20,8 +20,7 @@ from cmf_mj.analysis.response.periodic import (
     sine_response,
     stitch,
 )
-from cmf_mj.analysis.response.spectra import Estimate, Estimator
-from cmf_mj.analysis.response.welch import report_response, welch_response
+from cmf_mj.analysis.response.spectra import Estimate, Estimator, report_response, welch_response
 
 RATE = 64.0
 SEEDS = 100

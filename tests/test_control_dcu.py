@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
 from cmf_mj.analysis.metrics import correlation_delay, harmonics
-from cmf_mj.control.dcu.arrivals import Arrivals, upsample
+from cmf_mj.control.dcu.play import Arrivals, upsample
 from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting
 from cmf_mj.core.settings import Settings

@@ -9,7 +9,7 @@ from lengths import examples
 from numpy.typing import NDArray
 
 from cmf_mj.control.dcu import play
-from cmf_mj.control.dcu.arrivals import Arrivals, feed, upsample
+from cmf_mj.control.dcu.play import Arrivals, feed, upsample
 from cmf_mj.control.dcu.settings import make_dcu
 from cmf_mj.control.dcu.state import DcuState, resting
 

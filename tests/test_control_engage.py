@@ -10,7 +10,7 @@ from cmf_mj.control.dcl import Dcl, DclState
 from cmf_mj.control.engage import engaged, handed_over
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Law
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.scenario.library import scenario_of
 from cmf_mj.facility.scenario.run import ScenarioRun

@@ -16,7 +16,7 @@ from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.inverse import opened
 from cmf_mj.control.plan import actuator_polynomial, response_polynomial
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.facility.replay import replay
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_to_legs

@@ -19,7 +19,7 @@ from cmf_mj.control.protection import (
     protection_state,
     reset,
 )
-from cmf_mj.electronics.sensors.settings import load_sensors
+from cmf_mj.electronics.sensors.channel import load_sensors
 from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
 from cmf_mj.facility.replay import FEEDBACK
 from cmf_mj.machine.machine import load_machine

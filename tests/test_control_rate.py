@@ -6,7 +6,7 @@ import pytest
 from cmf_mj import law_names, load_law
 from cmf_mj.control import states
 from cmf_mj.control.compensator import compensate, make_compensator
-from cmf_mj.control.dcu.arrivals import upsample
+from cmf_mj.control.dcu.play import upsample
 from cmf_mj.control.dcu.settings import load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting
 from cmf_mj.control.feedback import filter_acceleration, make_feedback

@@ -13,7 +13,7 @@ from cmf_mj.control.dcl import DclState, make_dcl, step
 from cmf_mj.control.engage import engaged
 from cmf_mj.control.feedback import LegFeedback
 from cmf_mj.control.law import Gains
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.facility.replay import replay
 
 INCH = 0.0254

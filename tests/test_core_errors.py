@@ -20,8 +20,7 @@ from cmf_mj.environments.hexapod import HexapodEnv
 from cmf_mj.facility.session import Session
 from cmf_mj.show.comparison import step_figure
 from cmf_mj.studies import evaluation
-from cmf_mj.studies.case import CaseResult, make_case, small_motion
-from cmf_mj.studies.qualities import qualities
+from cmf_mj.studies.case import CaseResult, make_case, qualities, small_motion
 
 APART = np.array([-1.014, -1.014, 1.014, -1.014, -1.014, 1.014])
 """Legs within their stops that reach no common platform [m]."""

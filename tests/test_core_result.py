@@ -12,8 +12,7 @@ import pytest
 
 from cmf_mj import InputError
 from cmf_mj.core.files import read_table
-from cmf_mj.core.frames import column, groups, where
-from cmf_mj.core.result import Field, Result
+from cmf_mj.core.result import Field, Result, column, groups, where
 
 
 class Load(NamedTuple):

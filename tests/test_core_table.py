@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from cmf_mj.core.table import Table
+from cmf_mj.core.result import Table
 from cmf_mj.show.look import bode_axes, pose_text, save_figure
 
 TABLE = Table(

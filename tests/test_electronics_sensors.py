@@ -8,12 +8,15 @@ from scipy import signal, stats
 
 from cmf_mj import Hexapod, signals, simulate
 from cmf_mj.control.feedback import LegFeedback
-from cmf_mj.electronics.sensors.noise import block, four_normals, key_schedule, stream_key
-from cmf_mj.electronics.sensors.settings import (
+from cmf_mj.electronics.sensors.channel import (
     CHANNELS,
     ChannelSettings,
     SensorSettings,
+    block,
+    four_normals,
+    key_schedule,
     load_sensors,
+    stream_key,
 )
 from cmf_mj.electronics.sensors.suite import make_sensors, sense, sense_history, sensor_state
 

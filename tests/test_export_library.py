@@ -21,7 +21,7 @@ from cmf_mj import (
     signals,
     simulate,
 )
-from cmf_mj.control.dcu.arrivals import Arrivals
+from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.header import ExportedChannel, channels
 from cmf_mj.export.library import export_library

@@ -21,19 +21,10 @@ from typer.testing import CliRunner
 from cmf_mj import signals
 from cmf_mj.cli.common import app
 from cmf_mj.control.dcu import play
-from cmf_mj.control.dcu.arrivals import Arrivals, feed, upsample
+from cmf_mj.control.dcu.play import Arrivals, feed, upsample
 from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting
 from cmf_mj.core.compiled import allocating
-from cmf_mj.facility.host.datagram import (
-    DATAGRAM_REASONS,
-    SIZE,
-    DatagramError,
-    decode,
-    encode,
-    read_key,
-)
-from cmf_mj.facility.host.doubts import unit_doubts
 from cmf_mj.facility.host.files import HostSession, read_stream, write_stream
 from cmf_mj.facility.host.handover import (
     NEVER,
@@ -51,9 +42,19 @@ from cmf_mj.facility.host.stream import (
     from_command,
     make_stream,
     resample,
+    unit_doubts,
 )
 from cmf_mj.facility.host.stream import arrivals as arrivals_of
-from cmf_mj.facility.host.udp import UdpReceiver, send_stream
+from cmf_mj.facility.host.udp import (
+    DATAGRAM_REASONS,
+    SIZE,
+    DatagramError,
+    UdpReceiver,
+    decode,
+    encode,
+    read_key,
+    send_stream,
+)
 from cmf_mj.facility.operation import account
 
 RATE = 2048

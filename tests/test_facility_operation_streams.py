@@ -17,15 +17,15 @@ from cmf_mj.control.demand import make_demand
 from cmf_mj.control.states import Request, State
 from cmf_mj.core.compiled import allocating
 from cmf_mj.facility.front import Blocks, Source, follow, from_host
-from cmf_mj.facility.host.datagram import (
+from cmf_mj.facility.host.handover import logged, make_log, make_ring, put
+from cmf_mj.facility.host.stream import HostFrame
+from cmf_mj.facility.host.udp import (
     DATAGRAM_REASONS,
     MOST_SEQUENCE,
     DatagramError,
     decode,
     encode,
 )
-from cmf_mj.facility.host.handover import logged, make_log, make_ring, put
-from cmf_mj.facility.host.stream import HostFrame
 
 T = 1.0 / 2048.0
 DCU = make_dcu()

@@ -13,8 +13,7 @@ from typer.testing import CliRunner
 from cmf_mj import Hexapod, load_law, signals, simulate
 from cmf_mj.cli.common import app
 from cmf_mj.core import units
-from cmf_mj.core.rates import FRAME, RATE
-from cmf_mj.facility.scenario.demand import Demand
+from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.facility.scenario.library import (
     load_scenario,
     save_scenario,
@@ -23,7 +22,7 @@ from cmf_mj.facility.scenario.library import (
 )
 from cmf_mj.facility.scenario.run import ScenarioRun, run_scenario
 from cmf_mj.facility.scenario.settings import Scenario, change_of
-from cmf_mj.facility.scenario.signal import added
+from cmf_mj.facility.scenario.signal import Demand, added
 from cmf_mj.record.record import Record
 from cmf_mj.signals.composite import FadedSines
 from cmf_mj.signals.signal import tabulated

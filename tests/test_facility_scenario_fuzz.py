@@ -11,7 +11,7 @@ from lengths import examples
 from numpy.random import Generator
 
 from cmf_mj import InputError, RunError
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.facility.scenario.library import scenario_of
 from cmf_mj.facility.scenario.run import ScenarioRun
 from cmf_mj.facility.scenario.settings import Scenario, change_of

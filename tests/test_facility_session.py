@@ -13,7 +13,7 @@ from test_plant_excavator import CYLINDERS
 
 from cmf_mj import Hexapod, InputError, SingleLegs, attach_hydraulics
 from cmf_mj.control.law import load_law
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.session import OutOfBounds, Session
 from cmf_mj.machine import models

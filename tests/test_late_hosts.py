@@ -25,13 +25,12 @@ from search_amplification import DERIVATIVES, Host  # noqa: E402
 
 from cmf_mj import Hexapod, Record, signals  # noqa: E402
 from cmf_mj.cli.facility import _end  # noqa: E402
-from cmf_mj.control.dcu.arrivals import upsample  # noqa: E402
+from cmf_mj.control.dcu.play import upsample  # noqa: E402
 from cmf_mj.control.dcu.state import resting  # noqa: E402
 from cmf_mj.control.law import load_law  # noqa: E402
 from cmf_mj.control.states import State  # noqa: E402
 from cmf_mj.core.units import STANDARD_GRAVITY  # noqa: E402
 from cmf_mj.electronics.chain import ElectronicsSettings  # noqa: E402
-from cmf_mj.facility.host.datagram import encode  # noqa: E402
 from cmf_mj.facility.host.moog import MoogServer  # noqa: E402
 from cmf_mj.facility.host.stream import (  # noqa: E402
     HostStream,
@@ -39,7 +38,10 @@ from cmf_mj.facility.host.stream import (  # noqa: E402
     arrivals,
     from_command,
 )
-from cmf_mj.facility.host.udp import UdpReceiver  # noqa: E402
+from cmf_mj.facility.host.udp import (  # noqa: E402
+    UdpReceiver,
+    encode,
+)
 from cmf_mj.facility.operation import (  # noqa: E402
     Operation,
     operate,
@@ -49,7 +51,7 @@ from cmf_mj.facility.run import Run  # noqa: E402
 from cmf_mj.facility.session import Session  # noqa: E402
 from cmf_mj.machine.cab import load_cab  # noqa: E402
 from cmf_mj.pilot.cueing.washout import Washout  # noqa: E402
-from cmf_mj.pilot.telemetry import live  # noqa: E402
+from cmf_mj.pilot.telemetry import formats as live  # noqa: E402
 
 SLOW = pytest.mark.slow
 """A case among others that are not."""

@@ -4,7 +4,7 @@ import doctest
 
 import pytest
 
-from cmf_mj.machine import dof
+from cmf_mj.machine import geometry as dof
 from cmf_mj.machine.geometry import DOFS
 
 

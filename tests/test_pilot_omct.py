@@ -22,7 +22,7 @@ from cmf_mj.pilot.omct import (
     omct,
     outputs_of,
 )
-from cmf_mj.show.omct import omct_table, phase, share_table, unit
+from cmf_mj.show.cueing import omct_table, phase, share_table, unit
 
 SIMONA = load_washout()
 S = control.TransferFunction.s

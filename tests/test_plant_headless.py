@@ -9,8 +9,8 @@ import pytest
 
 from cmf_mj import Hexapod, InputError, SingleLegs, signals, simulate
 from cmf_mj.plant import native
-from cmf_mj.plant.headless import headless, quiet
 from cmf_mj.plant.hexapod import hexapod_model, hexapod_spec
+from cmf_mj.plant.native import headless, quiet
 from cmf_mj.plant.plant import Plant
 
 

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from cmf_mj import InputError, load_scenario
-from cmf_mj.control.dcu.arrivals import Arrivals
+from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.core.files import write_parquet
 from cmf_mj.facility.host.files import HostSession
 from cmf_mj.facility.scenario.library import save_scenario

@@ -12,7 +12,7 @@ from cmf_mj.report_2014.page import statements as accounting
 from cmf_mj.report_2014.page import tables
 from cmf_mj.report_2014.page.curves import Content, PageTable, specs
 from cmf_mj.report_2014.page.runs import Runs, RunSpec, perform
-from cmf_mj.report_2014.page.summary import blocks
+from cmf_mj.report_2014.page.statements import blocks
 from cmf_mj.report_2014.page.tables import BANDWIDTHS, TITLES, ResultRow, result_rows
 from cmf_mj.studies.case import CaseResult
 

@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.operating_point import operating_point
-from cmf_mj.analysis.linear.reduction import leg_model
+from cmf_mj.analysis.linear.poles import leg_model
 from cmf_mj.cli.common import app
 from cmf_mj.core.settings import validated
 from cmf_mj.plant.hexapod import Hexapod

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from cmf_mj.cli.common import app
 from cmf_mj.report_2014.calibration import fit
-from cmf_mj.report_2014.calibration import tables as calibration_report
+from cmf_mj.report_2014.calibration import fit as calibration_report
 from cmf_mj.report_2014.calibration.fit import (
     Calibration,
     CalibrationStage,

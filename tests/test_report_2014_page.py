@@ -14,16 +14,15 @@ from typer.testing import CliRunner
 from cmf_mj import FrequencyResponse, bandwidths, load_law
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.loop import closed_loop
-from cmf_mj.analysis.linear.poles import limit_cycle, oscillation
-from cmf_mj.analysis.linear.reduction import leg_model
+from cmf_mj.analysis.linear.poles import leg_model, limit_cycle, oscillation
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_results
 from cmf_mj.cli.common import app
 from cmf_mj.core import errors
-from cmf_mj.core.rates import FRAME
-from cmf_mj.core.table import Table
+from cmf_mj.core.result import Table
+from cmf_mj.core.units import FRAME
 from cmf_mj.plant.single_legs import SingleLegs
-from cmf_mj.report_2014.gains import published_gains
+from cmf_mj.report_2014.models import published_gains
 from cmf_mj.report_2014.page import tables
 from cmf_mj.report_2014.page.curves import Content, PageFigure, PageTable, response
 from cmf_mj.report_2014.page.document import (
@@ -35,13 +34,14 @@ from cmf_mj.report_2014.page.document import (
     figure_data,
     make_content,
     render,
+    result_table,
     save_page,
+    sections_of,
     thinned,
 )
 from cmf_mj.report_2014.page.runs import Runs, RunSpec, hydraulics_of
-from cmf_mj.report_2014.page.sections import result_table, sections_of
 from cmf_mj.report_2014.page.statements import STATEMENT_NEEDS
-from cmf_mj.show.chart import Curve, Panel
+from cmf_mj.show.look import Curve, Panel
 from cmf_mj.studies.case import CaseResult
 
 SHOWN = ["2-4", "2-13", "3-14", "3-16", "3-21"]

@@ -14,14 +14,14 @@ from typer.testing import CliRunner
 from cmf_mj import Hexapod, load_law
 from cmf_mj.analysis.linear.linear import Linear, loop_damping
 from cmf_mj.cli.common import app
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.report_2014.posterior import answers, evidence, sampling
 from cmf_mj.report_2014.posterior.run import GROUPS, TABLES, Results, run_posterior
 from cmf_mj.report_2014.posterior.settings import PosteriorStudy, load_posterior
 from cmf_mj.report_2014.posterior.tables import TEXTS, best_gain
+from cmf_mj.studies.case import swing_after_step
 from cmf_mj.studies.engine import JOURNAL
-from cmf_mj.studies.swing import swing_after_step
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -26,10 +26,9 @@ from cmf_mj.facility.scenario.run import run_scenario
 from cmf_mj.facility.scenario.settings import Scenario, change_of, overlaid_law
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.show.studio import choices
+from cmf_mj.show.studio.choices import knobs, marks_of
 from cmf_mj.show.studio.controls import lamp
-from cmf_mj.show.studio.knobs import knobs
 from cmf_mj.show.studio.live import KEPT_ROWS, LARGEST, LONGEST, PLOT_RATE, Clock, LiveSession, View
-from cmf_mj.show.studio.marks import marks_of
 from cmf_mj.show.studio.plots import Plots, spikes
 
 SHORT = {"duration": 1.0, "record_every": 16}

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cmf_mj import signals
-from cmf_mj.core.rates import RATE
+from cmf_mj.core.units import RATE
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.signals import composite
 from cmf_mj.signals.peaks import peaks

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from cmf_mj import signals
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import RATE
+from cmf_mj.core.units import RATE
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.signals.signal import Command
 

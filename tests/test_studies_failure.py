@@ -16,9 +16,9 @@ from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.hydraulics import ENERGIES
 from cmf_mj.signals.signal import Command
+from cmf_mj.studies import failure as measures
 from cmf_mj.studies.case import make_case
-from cmf_mj.studies.failure import measures
-from cmf_mj.studies.failure.measures import (
+from cmf_mj.studies.failure import (
     FALL_SPEED,
     FailureResult,
     manoeuvre,

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from cmf_mj.cli.common import app
 from cmf_mj.record.facility_csv import write_facility_csv
 from cmf_mj.record.record import Record
-from cmf_mj.show.identification import model_table, orders_table, save_identification
+from cmf_mj.show.measurement import model_table, orders_table, save_identification
 from cmf_mj.studies.case import make_case
 from cmf_mj.studies.identification import (
     Identified,

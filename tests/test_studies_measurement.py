@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from cmf_mj import SingleLegs, signals, simulate
-from cmf_mj.core.rates import RATE
+from cmf_mj.core.units import RATE
 from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.show.measurement import measurement_table, save_measurement
 from cmf_mj.signals.composite import acceleration_step

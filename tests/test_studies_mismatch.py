@@ -8,8 +8,8 @@ from scipy import stats
 
 from cmf_mj import Hexapod, load_hydraulics
 from cmf_mj.control.feedback import LegFeedback
-from cmf_mj.core.rates import FRAME
-from cmf_mj.electronics.sensors.settings import load_sensors
+from cmf_mj.core.units import FRAME
+from cmf_mj.electronics.sensors.channel import load_sensors
 from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters

@@ -23,7 +23,7 @@ from protected_records import fault_of
 
 from cmf_mj import Hexapod, signals, simulate
 from cmf_mj.control.dcl import make_dcl
-from cmf_mj.control.dcu.arrivals import upsample
+from cmf_mj.control.dcu.play import upsample
 from cmf_mj.control.dcu.settings import load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting
 from cmf_mj.control.feedback import gravity_history

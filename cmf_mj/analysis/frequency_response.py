@@ -31,8 +31,14 @@ from cmf_mj.analysis.response.periodic import (
     sine_response,
     stitch,
 )
-from cmf_mj.analysis.response.spectra import SEGMENT, Estimate, Estimator
-from cmf_mj.analysis.response.welch import from_h1, report_response, welch_response
+from cmf_mj.analysis.response.spectra import (
+    SEGMENT,
+    Estimate,
+    Estimator,
+    from_h1,
+    report_response,
+    welch_response,
+)
 from cmf_mj.core.errors import InputError
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import legs_to_pose

@@ -10,7 +10,7 @@ from cmf_mj.analysis.response.spectra import SEGMENT
 from cmf_mj.core import units
 from cmf_mj.core.arrays import check_finite
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.machine.dof import dof_index
+from cmf_mj.machine.geometry import dof_index
 from cmf_mj.machine.kinematics import legs_to_pose, pose_jacobian
 from cmf_mj.machine.machine import recorded_machine
 from cmf_mj.record.record import Record

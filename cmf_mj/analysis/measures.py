@@ -32,7 +32,7 @@ from cmf_mj.analysis.step_response import (
     step_metrics,
 )
 from cmf_mj.core.errors import NoPoseError
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.record.record import Record
 
 FREQUENCIES = np.linspace(0.02, 20.0, 4000)

@@ -35,14 +35,14 @@ def linearize_command(
 ) -> None:
     """Linearise a plant: modes, Bode diagrams, a law around it."""
     from cmf_mj.analysis.linear.linear import Linear
-    from cmf_mj.plant.build import make_plant
+    from cmf_mj.plant.hexapod import make_plant
     from cmf_mj.show import linearization as report
     from cmf_mj.studies.linearization import linearization_study
 
     machine = make_plant(plant, cab, hydraulics)
     study = linearization_study(Linear(machine, pose_option(pose)), law, dofs)
     paths = report.save_study(study, out)
-    show(report.mode_table(study), report.loop_table(study), written(paths, out))
+    show(report.pole_table(study), report.loop_table(study), written(paths, out))
 
 
 @command("modes")
@@ -70,7 +70,7 @@ def modes_command(
     from cmf_mj.core.files import in_folder
     from cmf_mj.machine.geometry import DOFS
     from cmf_mj.plant.hexapod import Hexapod
-    from cmf_mj.show import modes as report
+    from cmf_mj.show import linearization as report
     from cmf_mj.show.film.film import FilmSettings, swing_film
 
     plants = [Hexapod(name, hydraulics) for name in cabs]
@@ -169,7 +169,7 @@ def identify_command(
 ) -> None:
     """Identify a linear model of leg velocity per valve command; the last file validates."""
     from cmf_mj.record.reader import read_recording
-    from cmf_mj.show import identification as report
+    from cmf_mj.show import measurement as report
     from cmf_mj.studies import identification as studies
     from cmf_mj.studies.case import make_case
 

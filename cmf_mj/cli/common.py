@@ -188,7 +188,7 @@ def quantity(field: str, text: str) -> tuple[float, str]:
 def in_si(dof: str, amplitude: str | None) -> float | None:
     """An amplitude of the command line, such as `3 deg`, in SI."""
     from cmf_mj.core import units
-    from cmf_mj.machine.dof import by_kind
+    from cmf_mj.machine.geometry import by_kind
 
     if amplitude is None:
         return None
@@ -202,7 +202,7 @@ def pose_option(text: str) -> NDArray[np.float64]:
     import numpy as np
 
     from cmf_mj.core import units
-    from cmf_mj.machine.dof import dof_unit
+    from cmf_mj.machine.geometry import dof_unit
 
     try:
         values = [float(part) for part in text.split(",")]

@@ -27,7 +27,7 @@ def library_command(
 ) -> None:
     """Write the machine as a C library that needs no Python, with header and example."""
     from cmf_mj.export.library import export_library
-    from cmf_mj.plant.build import make_plant
+    from cmf_mj.plant.hexapod import make_plant
 
     machine = make_plant(plant, cab, hydraulics)
     files = export_library(machine, law, out, electronics=noise_choice(noise))
@@ -60,7 +60,7 @@ def fmu_command(
 ) -> None:
     """Write the machine as an FMU for co-simulation."""
     from cmf_mj.export.fmu import export_fmu
-    from cmf_mj.plant.build import make_plant
+    from cmf_mj.plant.hexapod import make_plant
 
     machine = make_plant(plant, cab, hydraulics)
     path = export_fmu(machine, law, file, fmi=fmi, electronics=noise_choice(noise))

@@ -70,9 +70,8 @@ def _end(operation: Operation) -> str:
 
 
 def _stream(file: Path, derivatives: str, rate: float | None, cab: Cab | None = None) -> HostStream:
-    from cmf_mj.facility.host.doubts import unit_doubts
     from cmf_mj.facility.host.files import read_stream
-    from cmf_mj.facility.host.stream import resample
+    from cmf_mj.facility.host.stream import resample, unit_doubts
     from cmf_mj.machine.cab import load_cab
 
     stream = read_stream(file, derivatives=derivatives)
@@ -109,10 +108,9 @@ def serve_command(
     from cmf_mj.control.states import State
     from cmf_mj.core.errors import InputError
     from cmf_mj.core.files import in_folder
-    from cmf_mj.facility.host.datagram import read_key
-    from cmf_mj.facility.host.doubts import unit_doubts
     from cmf_mj.facility.host.moog import MoogServer
-    from cmf_mj.facility.host.udp import UdpReceiver
+    from cmf_mj.facility.host.stream import unit_doubts
+    from cmf_mj.facility.host.udp import UdpReceiver, read_key
     from cmf_mj.facility.operation import serve
     from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.record.record import Record
@@ -200,9 +198,8 @@ def host_command(
     loss: Annotated[float, Option(help="share of frames that are lost")] = 0.0,
 ) -> None:
     """Send a file of host frames over UDP in real time, or as an overloaded host would."""
-    from cmf_mj.facility.host.datagram import read_key
     from cmf_mj.facility.host.stream import HostTiming
-    from cmf_mj.facility.host.udp import parse_target, send_stream
+    from cmf_mj.facility.host.udp import parse_target, read_key, send_stream
 
     target, secret = parse_target(to), None if key is None else read_key(key)
     stream = _stream(file, derivatives, rate)
@@ -229,7 +226,7 @@ def record_command(
     """Run the facility's session, five rounds of seven sines, and write its five CSV files."""
     from cmf_mj.core import units
     from cmf_mj.core.files import in_folder
-    from cmf_mj.machine.dof import dof_index, dof_unit
+    from cmf_mj.machine.geometry import dof_index, dof_unit
     from cmf_mj.record.facility_csv import write_facility_csv
     from cmf_mj.signals.peaks import peaks
     from cmf_mj.studies.case import make_case

@@ -57,7 +57,7 @@ def fly_command(
     from cmf_mj.core.settings import check_distinct
     from cmf_mj.pilot.aircraft.flight import load_flight
     from cmf_mj.pilot.fly import fly, transport_delay
-    from cmf_mj.pilot.telemetry.live import fly_live
+    from cmf_mj.pilot.telemetry.formats import fly_live
     from cmf_mj.plant.hexapod import hexapod_model
     from cmf_mj.show import flight as report
     from cmf_mj.show.film.film import FilmSettings, check_film, film
@@ -132,7 +132,7 @@ def learn_command(
     from cmf_mj.pilot.cueing.flight import cue
     from cmf_mj.pilot.learning import compare, learn
     from cmf_mj.plant.hexapod import Hexapod
-    from cmf_mj.show import learning as report
+    from cmf_mj.show import flight as report
     from cmf_mj.studies.mismatch import drawn_machine
 
     asked = cue(load_flight(flight).motion, washout, cab=cab).stream
@@ -296,7 +296,7 @@ def omct_command(
 ) -> None:
     """Objective motion cueing test; `--laws none` leaves law and machine out."""
     from cmf_mj.pilot.omct import FREQUENCIES, omct
-    from cmf_mj.show import omct as report
+    from cmf_mj.show import cueing as report
 
     machine: dict[str, Any] = {"washout": washout, "cab": cab, "hydraulics": hydraulics}
     frequencies, tested = _QUICK if quick else FREQUENCIES, [] if laws == ["none"] else laws

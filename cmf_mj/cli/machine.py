@@ -25,7 +25,7 @@ def list_command() -> None:
     """List the shipped machines."""
     from cmf_mj.machine.machine import load_machine
     from cmf_mj.machine.models import machine_names
-    from cmf_mj.show.machine import machine_table
+    from cmf_mj.show.listing import machine_table
 
     show(machine_table([load_machine(name) for name in machine_names()]))
 
@@ -55,7 +55,7 @@ def new_command(
 def check_command(machine: Machine) -> None:
     """Tell whether the numbers of a machine fit together; status 1 if they do not."""
     from cmf_mj.machine.machine import load_machine
-    from cmf_mj.show import machine as report
+    from cmf_mj.show import listing as report
     from cmf_mj.studies.machine_check import check_machine
 
     check = check_machine(load_machine(machine))
@@ -74,7 +74,7 @@ def show_command(
 ) -> None:
     """Draw a machine with a cab at neutral."""
     from cmf_mj.machine.machine import load_machine
-    from cmf_mj.show.machine import save_picture
+    from cmf_mj.show.listing import save_picture
 
     drawn = save_picture(load_machine(machine), cab, file, (width, height))
     show(f"written: {drawn}")

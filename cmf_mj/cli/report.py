@@ -43,7 +43,7 @@ def report_command(
     """Reproduce the 2014 report on one HTML page, printed results next to ours."""
     require("jinja2", "report")
     from cmf_mj.report_2014.page.document import make_content, save_page
-    from cmf_mj.report_2014.page.summary import verdict_tables
+    from cmf_mj.report_2014.page.statements import verdict_tables
 
     with progress_bar() as update:
         content = make_content(
@@ -104,7 +104,7 @@ def sensors_command(
     seed: options.Seed = 0,
 ) -> None:
     """Show a sensor set, and what the accelerometer filter does to it (Figures 3-15, 3-16)."""
-    from cmf_mj.electronics.sensors.settings import load_sensors
+    from cmf_mj.electronics.sensors.channel import load_sensors
     from cmf_mj.report_2014.accelerometer_filter import effect_table, filter_effect
     from cmf_mj.show.listing import sensor_table
 

@@ -165,9 +165,9 @@ def failure_command(
     out: options.Out = Path("out/failure"),
 ) -> None:
     """Let something fail during a manoeuvre: leg loads, what the crew feels, how it ends."""
-    from cmf_mj.show import failure as report
+    from cmf_mj.show import study as report
     from cmf_mj.studies.case import make_case
-    from cmf_mj.studies.failure.measures import run_failures
+    from cmf_mj.studies.failure import run_failures
 
     events, sine = events_of(event, at, leg, valve, size), in_si(dof, amplitude)
     case = make_case(law, dof, cab=cab, hydraulics=hydraulics, amplitude=sine)

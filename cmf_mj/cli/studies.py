@@ -131,7 +131,7 @@ def certify_command(
     from cmf_mj.control.law import load_law
     from cmf_mj.core.settings import check_distinct
     from cmf_mj.plant.hexapod import Hexapod
-    from cmf_mj.show import certificate as report
+    from cmf_mj.show import study as report
     from cmf_mj.show.look import save_files
     from cmf_mj.studies.certificate import run
     from cmf_mj.studies.certificate.box import load_box
@@ -166,7 +166,7 @@ def calibrate_command(
 ) -> None:
     """Fit the free parameters to the published tables: values, residuals and uncertainty."""
     from cmf_mj.core.files import in_folder
-    from cmf_mj.report_2014.calibration import tables as report
+    from cmf_mj.report_2014.calibration import fit as report
     from cmf_mj.report_2014.calibration.fit import calibrate, examine
     from cmf_mj.report_2014.calibration.trial import load_study
 

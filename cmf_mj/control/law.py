@@ -25,8 +25,8 @@ from cmf_mj.control.load_feedback import LoadFeedback
 from cmf_mj.control.plan import Plan
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, unknown_name
-from cmf_mj.core.rates import FASTEST_RATE, RATE, SLOWEST_RATE
 from cmf_mj.core.settings import Name, Settings, checked_name, merged, read_toml, validated
+from cmf_mj.core.units import FASTEST_RATE, RATE, SLOWEST_RATE
 from cmf_mj.machine.machine import Machine, load_machine
 
 SIGNAL_UNITS = {

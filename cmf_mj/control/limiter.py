@@ -46,7 +46,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.motion_limits import load_motion_limits
 

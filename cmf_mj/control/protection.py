@@ -32,8 +32,8 @@ from pydantic import model_validator
 from cmf_mj.core.compiled import assign, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity, positive_in
-from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Count, Loader, Settings
+from cmf_mj.core.units import FRAME
 
 NO_FAULT = 0
 _LENGTH, _PRESSURE, _TIME = ("in", "m"), ("psi", "Pa"), ("s",)

@@ -9,8 +9,8 @@ from pydantic.fields import FieldInfo
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import LONGEST
 from cmf_mj.core.settings import Settings, as_tuples
+from cmf_mj.core.units import LONGEST
 
 Value = TypeVar("Value")
 

@@ -23,7 +23,7 @@ from pydantic import (
 )
 
 from cmf_mj.core.errors import InputError, reason, unknown_name
-from cmf_mj.core.rates import LONGEST
+from cmf_mj.core.units import LONGEST
 
 LARGEST = 1e20
 """Largest number of a settings file: none of a machine in any unit of the field is beyond, and its

@@ -26,14 +26,8 @@ from cmf_mj.electronics.converter import (
     load_converters,
     make_converters,
 )
-from cmf_mj.electronics.sensors.settings import SensorSettings, load_sensors
-from cmf_mj.electronics.sensors.suite import (
-    Sensors,
-    SensorState,
-    make_sensors,
-    sense,
-    sensor_state,
-)
+from cmf_mj.electronics.sensors.channel import SensorSettings, load_sensors
+from cmf_mj.electronics.sensors.suite import Sensors, SensorState, make_sensors, sense, sensor_state
 from cmf_mj.electronics.servo_electronics import ServoElectronics, ServoSettings, ServoState
 from cmf_mj.machine import models
 from cmf_mj.machine.gravity import LegAxesState, leg_axes_state

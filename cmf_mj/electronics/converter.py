@@ -27,9 +27,8 @@ from cmf_mj.core import filters
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Kind, Quantity, positive_in
-from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Loader, Name, Settings
-from cmf_mj.electronics.stages import low_pass, steps
+from cmf_mj.core.units import FRAME
 
 CONVERTER_SETS = ("off", "sixteen_bit")
 """Names of the shipped sets."""
@@ -160,3 +159,21 @@ def aliased(frequency: float, settings: ConverterSettings) -> tuple[float, float
     order = settings.filter_order
     gain = 1.0 / np.sqrt(1.0 + ratio ** (2 * order)) if order else 1.0
     return float(abs(frequency - rate * np.round(frequency / rate))), float(gain)
+
+
+@compiled
+def low_pass(sections, state, values, passed):  # type: ignore[no-untyped-def]
+    """All legs or axes (n,) through filters (s, 6) of states (n, s, 2); none pass as they are.
+
+    `passed` is overwritten and may be `values` itself.
+    """
+    for i in range(values.shape[0]):
+        passed[i] = values[i]
+        if sections.shape[0] > 0:
+            passed[i] = filters.filtered(sections, state[i], passed[i])
+
+
+@compiled
+def steps(value, resolution):  # type: ignore[no-untyped-def]
+    """The value in whole steps of the resolution; halves go up."""
+    return np.floor(value / resolution + 0.5)

@@ -25,8 +25,8 @@ from pydantic import Field
 
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.quantity import Quantity, positive_in
-from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import Loader, Settings
+from cmf_mj.core.units import FRAME
 
 
 class Bits(Settings):

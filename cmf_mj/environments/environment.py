@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cmf_mj.control.law import Law
 from cmf_mj.core.arrays import real
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.rates import MOST_FRAMES
+from cmf_mj.core.units import MOST_FRAMES
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import OutOfBounds, Session

@@ -21,7 +21,7 @@ from cmf_mj.control import demand
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import whole_file, write_csv, write_text
-from cmf_mj.core.rates import LONGEST, RATE
+from cmf_mj.core.units import LONGEST, RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.export.header import channels, parameters
 from cmf_mj.export.library import build, copy_mujoco, copy_sources, write_machine

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cmf_mj.control.law import SIGNALS
 from cmf_mj.control.states import Request
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import LONGEST, MOST_FRAMES
+from cmf_mj.core.units import LONGEST, MOST_FRAMES
 from cmf_mj.export.machine import ARRIVALS, EVENTS, Frozen
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.hydraulics import ENERGIES

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control import demand
-from cmf_mj.control.dcu.arrivals import Arrivals
+from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.control.law import Law
 from cmf_mj.control.states import Request
 from cmf_mj.core.errors import InputError
@@ -27,9 +27,9 @@ from cmf_mj.facility.host.handover import NEVER, make_log
 from cmf_mj.facility.loop import Controller, Dynamics, Memory, Recorder, run
 from cmf_mj.facility.run import Run
 from cmf_mj.facility.session import Session
-from cmf_mj.plant.build import PLANTS
 from cmf_mj.plant.events import Timeline
-from cmf_mj.plant.headless import saved
+from cmf_mj.plant.hexapod import PLANTS
+from cmf_mj.plant.native import saved
 from cmf_mj.plant.plant import Plant
 
 _ALIGNED = 64

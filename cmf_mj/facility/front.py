@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from cmf_mj.control import demand, limiter, states
 from cmf_mj.control.dcu import play
 from cmf_mj.control.dcu.acceptance import host_late
-from cmf_mj.control.dcu.arrivals import Arrivals, feed
-from cmf_mj.control.dcu.play import strayed
+from cmf_mj.control.dcu.play import Arrivals, feed, strayed
 from cmf_mj.control.dcu.settings import Dcu, make_dcu
 from cmf_mj.control.dcu.state import DcuState, resting
 from cmf_mj.control.protection import HOST_RANGE, NO_FAULT, NOT_ARRIVED

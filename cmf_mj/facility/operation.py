@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control.dcu.arrivals import Arrivals
+from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME, LONGEST
+from cmf_mj.core.units import FRAME, LONGEST
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.host.files import HostSession
 from cmf_mj.facility.host.handover import NEVER, Ring, capacity_for, logged, make_log, make_ring

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.arrays import check_memory
 from cmf_mj.core.compiled import compiled, inlined
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.plant.native import call
 
 _SPIN = 100e-6

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.control import limiter, states
-from cmf_mj.control.dcu.arrivals import Arrivals
+from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.demand import Demand, make_demand
 from cmf_mj.control.law import Law, load_law
@@ -21,8 +21,7 @@ from cmf_mj.control.protection import ProtectionSettings, load_protection
 from cmf_mj.control.states import Request, State, StateSettings, load_state_settings
 from cmf_mj.core.arrays import real, whole
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.rates import LONGEST, MOST_FRAMES, RATE
-from cmf_mj.core.units import INCH
+from cmf_mj.core.units import INCH, LONGEST, MOST_FRAMES, RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.front import Blocks, Source, from_host, from_table
 from cmf_mj.facility.host.handover import Ring

@@ -35,9 +35,9 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Name, Settings, checked_name, user_set, validated
 from cmf_mj.machine import models
-from cmf_mj.machine.bodies import ENTRIES, ROUND_OFF, Legs, Payload, RigidBody
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.machine import Machine, load_machine, recorded_machine
+from cmf_mj.machine.mjcf import ENTRIES, ROUND_OFF, Legs, Payload, RigidBody
 
 
 class Cab(RigidBody):

@@ -1,11 +1,14 @@
 """Gimbals of a Stewart platform, in the report's axes, and which way those lie in MuJoCo's."""
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import AfterValidator, model_validator
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
+from cmf_mj.core.quantity import Kind, Length, Points, Quantity
+from cmf_mj.core.settings import Settings
 
 DOFS = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 """Names of the six degrees of freedom, in the order of a pose."""
@@ -61,3 +64,94 @@ def paired_circles(
         circle(*upper, (0, 120, 120, 240, 240, 360), (1, -1, 1, -1, 1, -1), 0.0),
         circle(*lower, (60, 60, 180, 180, 300, 300), (-1, 1, -1, 1, -1, 1), height),
     )
+
+
+Choice = TypeVar("Choice")
+
+
+def dof_index(dof: str) -> int:
+    """Position of a degree of freedom in a pose."""
+    return DOFS.index(check_name("dof", dof, DOFS))
+
+
+def by_kind(dof: str | int, translation: Choice, rotation: Choice) -> Choice:
+    """The first for surge, sway and heave, the second for roll, pitch and yaw.
+
+    >>> by_kind("pitch", "m/s^2", "deg/s^2")
+    'deg/s^2'
+    """
+    index = dof_index(dof) if isinstance(dof, str) else dof
+    return translation if index < 3 else rotation
+
+
+def dof_unit(dof: str | int) -> str:
+    """The unit of the field for a degree of freedom: in or deg.
+
+    >>> dof_unit("heave"), dof_unit(5)
+    ('in', 'deg')
+    """
+    return by_kind(dof, "in", "deg")
+
+
+LENGTHS = ("m", "mm", "in", "ft")
+_COORDINATES = ("upper", "lower")
+_CIRCLES = ("upper_radius", "upper_spacing", "lower_radius", "lower_spacing", "height")
+
+
+def _six(points: Points) -> Points:
+    if points.unit not in LENGTHS:
+        raise InputError(f"{points.unit!r} is refused: unit must be one of {', '.join(LENGTHS)}")
+    if len(points.value) != 6:
+        raise InputError(f"has {len(points.value)} points; allowed: 6, one a leg")
+    return points
+
+
+_Points = Annotated[Points, AfterValidator(_six)]
+_Spacing = Annotated[Quantity, AfterValidator(Kind(("deg", "rad"), below=2.0 * np.pi / 3.0).check)]
+_Direction = Annotated[Quantity, AfterValidator(Kind(("deg", "rad"), signed=True).check)]
+
+
+class Gimbals(Settings):
+    """Where the legs are joined: coordinates, or three pairs on each of two circles.
+
+    The circles are those of `geometry.paired_circles`.
+    """
+
+    upper: _Points | None = None  #: Upper gimbals at neutral, legs 1 to 6.
+    lower: _Points | None = None  #: Lower gimbals.
+    upper_radius: Length | None = None  #: Of the circle through the upper gimbals.
+    upper_spacing: _Spacing | None = None  #: Angle between the two gimbals of an upper pair.
+    lower_radius: Length | None = None  #: Of the circle through the lower gimbals.
+    lower_spacing: _Spacing | None = None  #: Angle between the two gimbals of a lower pair.
+    height: Length | None = None  #: Of the upper circle above the lower one at neutral.
+    forward: _Direction | None = None
+    """Direction of the middle of upper gimbals 6 and 1, clockwise from above; default ahead."""
+
+    @model_validator(mode="after")
+    def _either(self) -> "Gimbals":
+        ways = [[name for name in way if getattr(self, name) is not None] for way in _WAYS]
+        if all(ways) or (ways[0] and self.forward):
+            raise InputError(f"{ways[0][0]}: is given with {(ways[1] or ['forward'])[0]}; {_WAY}")
+        for way, given in zip(_WAYS, ways, strict=True):
+            missing = sorted(set(way) - set(given))
+            if given and missing:
+                raise InputError(f"{missing[0]}: is missing; {_WAY}")
+        if not any(ways):
+            raise InputError(f"upper: is missing; {_WAY}")
+        return self
+
+    def in_report_axes(self, turn: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+        """Upper and lower gimbals, z down [m], (6, 3) each; `turn` are the file's axes in it."""
+        if self.upper is not None and self.lower is not None:
+            return self.upper.si * turn, self.lower.si * turn
+        upper_radius, upper_spacing, lower_radius, lower_spacing, height = (
+            getattr(self, name).si for name in _CIRCLES
+        )
+        forward = 0.0 if self.forward is None else self.forward.si
+        return paired_circles(
+            (upper_radius, upper_spacing), (lower_radius, lower_spacing), height, forward
+        )
+
+
+_WAYS = (_COORDINATES, _CIRCLES)
+_WAY = f"allowed: either {' and '.join(_COORDINATES)}, or {', '.join(_CIRCLES)} and forward"

@@ -31,14 +31,12 @@ from pydantic import AfterValidator, Field, model_validator
 
 from cmf_mj.core.errors import InputError, within
 from cmf_mj.core.quantity import Area, Kind, Length, Quantity
-from cmf_mj.core.rates import FASTEST_RATE, RATE, SLOWEST_RATE
 from cmf_mj.core.settings import Name, Settings, merged, read_toml, user_file, validated
-from cmf_mj.core.units import HERTZ, INCH
+from cmf_mj.core.units import FASTEST_RATE, HERTZ, INCH, RATE, SLOWEST_RATE
 from cmf_mj.machine import mjcf, models
-from cmf_mj.machine.bodies import Legs, Mass, Place, RigidBody
-from cmf_mj.machine.geometry import FLIP, Geometry, make_geometry
-from cmf_mj.machine.gimbals import LENGTHS, Gimbals
+from cmf_mj.machine.geometry import FLIP, LENGTHS, Geometry, Gimbals, make_geometry
 from cmf_mj.machine.limits import StatedLimits
+from cmf_mj.machine.mjcf import Legs, Mass, Place, RigidBody
 
 _SINGULAR = 1e3
 """Condition number of the Jacobian at neutral above which the legs do not hold the platform; 3 to 6

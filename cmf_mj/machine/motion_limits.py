@@ -14,8 +14,7 @@ import numpy as np
 
 from cmf_mj.core.settings import merged, read_toml, validated
 from cmf_mj.machine import models
-from cmf_mj.machine.dof import by_kind
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.machine.kinematics import excursion_envelope, pose_jacobian
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine, load_machine

@@ -33,13 +33,12 @@ from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.control.law import Law
 from cmf_mj.control.states import State
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import RATE
+from cmf_mj.core.units import RATE
 from cmf_mj.facility.host.stream import HostStream, from_command, resample
 from cmf_mj.facility.operation import Operation, operate
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.cab import Cab, load_cab
-from cmf_mj.machine.dof import by_kind, dof_index
-from cmf_mj.machine.geometry import FLIP
+from cmf_mj.machine.geometry import FLIP, by_kind, dof_index
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot import host as pilot_host

@@ -29,20 +29,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.analysis.response.periodic import sine_response
-from cmf_mj.control.dcu.arrivals import upsample
+from cmf_mj.control.dcu.play import upsample
 from cmf_mj.control.dcu.settings import load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.rates import RATE
 from cmf_mj.core.threads import on_threads
-from cmf_mj.core.units import DEGREE
+from cmf_mj.core.units import DEGREE, RATE
 from cmf_mj.facility.host.stream import HostStream, arrivals, make_stream
 from cmf_mj.facility.operation import operate
 from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.machine.cab import Cab, load_cab
-from cmf_mj.machine.dof import by_kind, dof_index
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.geometry import DOFS, by_kind, dof_index
 from cmf_mj.pilot.cueing.settings import WashoutSettings, load_washout
 from cmf_mj.pilot.cueing.washout import Washout
 from cmf_mj.pilot.host import MOST_RATE

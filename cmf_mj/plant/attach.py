@@ -20,8 +20,8 @@ import mujoco
 import numpy as np
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME
 from cmf_mj.core.settings import checked_name
+from cmf_mj.core.units import FRAME
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.plant import Plant

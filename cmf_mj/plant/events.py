@@ -26,8 +26,8 @@ from pydantic import Field, model_validator
 from cmf_mj.core import units
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import RATE
 from cmf_mj.core.settings import Count, Settings, Time, validated
+from cmf_mj.core.units import RATE
 from cmf_mj.plant.valve import JAMMED, OVERRIDE
 
 Kind = Literal[

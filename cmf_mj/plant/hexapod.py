@@ -15,19 +15,19 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 from scipy.spatial.transform import Rotation
 
-from cmf_mj.core.errors import InputError
+from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.machine import kinematics
-from cmf_mj.machine.bodies import RigidBody
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.machine import Machine
+from cmf_mj.machine.mjcf import RigidBody
 from cmf_mj.plant import cylinder, fit
-from cmf_mj.plant.headless import headless
 from cmf_mj.plant.model_text import model_texts
+from cmf_mj.plant.native import headless
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import hydraulics_of
 from cmf_mj.plant.plant import Plant
-from cmf_mj.plant.single_legs import set_timestep
+from cmf_mj.plant.single_legs import SingleLegs, set_timestep
 
 _LEGS = range(1, 7)
 
@@ -324,3 +324,20 @@ def _same_frame(place: NDArray[np.float64], turn: NDArray[np.float64]) -> int:
     if turn[0] != 1.0:
         return int(kinds.mjSAMEFRAME_NONE)
     return int(kinds.mjSAMEFRAME_BODYROT if np.any(place) else kinds.mjSAMEFRAME_BODY)
+
+
+PLANTS = ("hexapod", "single_legs")
+"""The faithful plant and the report's original one."""
+
+
+def make_plant(
+    plant: str = "hexapod",
+    cab: str | Path | Cab | None = None,
+    hydraulics: str | Path | HydraulicParameters | None = None,
+    machine: str | Path | Machine | None = None,
+) -> Plant:
+    """Build a new plant: one of `PLANTS` with a cab, of which single legs have none."""
+    check_name("plant", plant, PLANTS)
+    if plant == "hexapod":
+        return Hexapod(cab, hydraulics, machine=machine)
+    return SingleLegs(hydraulics, machine=load_cab(cab, machine).machine)

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.machine import models
-from cmf_mj.machine.bodies import RigidBody
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.machine import Machine, load_machine
+from cmf_mj.machine.mjcf import RigidBody
 
 Element = ElementTree.Element
 

@@ -8,6 +8,7 @@ C interface takes two plain pointers, which the bindings expose as `MjModel._add
 of the compiled code, so the compilation caches across processes.
 """
 
+import copy
 import ctypes
 import logging
 import threading
@@ -121,3 +122,41 @@ def _call(typing_context: Any, function: Any, model: Any, data: Any) -> Any:
 @overload(call, jit_options={"forceinline": True})
 def _compiled_call(function, model, data):  # type: ignore[no-untyped-def]
     return lambda function, model, data: _call(function, model, data)
+
+
+def headless(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile a copy of a model without cameras, lights, and geoms that touch and weigh nothing.
+
+    A geom stays where it can collide (`contype` or `conaffinity`) or where its body moves and has
+    no inertia of its own, so that it weighs what its geoms do. With the last geom go meshes,
+    materials and textures.
+
+    Raises:
+        ValueError: what `MjSpec.compile` raises.
+    """
+    bare = spec.copy()
+    for geom in list(bare.geoms):
+        weighs = geom.parent.name != "world" and not geom.parent.explicitinertial
+        if not (geom.contype or geom.conaffinity or weighs):
+            bare.delete(geom)
+    seen = [bare.cameras, bare.lights]
+    if not bare.geoms:
+        seen += [bare.meshes, bare.materials, bare.textures]
+    for kind in seen:
+        for thing in list(kind):
+            bare.delete(thing)
+    return bare.compile()
+
+
+def quiet(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy of a model whose steps compute no sensor."""
+    without = copy.copy(model)
+    without.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
+    return without
+
+
+def saved(model: mujoco.MjModel) -> bytes:
+    """A compiled model as MuJoCo saves it."""
+    buffer = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return buffer.tobytes()

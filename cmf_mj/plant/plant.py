@@ -30,9 +30,8 @@ from cmf_mj.core.threads import OneAtATime
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.plant import fit, native
-from cmf_mj.plant.headless import quiet, saved
 from cmf_mj.plant.hydraulics import Hydraulics, HydraulicState, make_hydraulics, rest
-from cmf_mj.plant.native import Mechanics
+from cmf_mj.plant.native import Mechanics, quiet, saved
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
 

@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import load_cab
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.machine import Machine, load_machine
-from cmf_mj.plant.headless import headless
+from cmf_mj.plant.native import headless
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import hydraulics_of
 from cmf_mj.plant.plant import Plant

@@ -20,10 +20,9 @@ from cmf_mj.analysis.response.periodic import fit_sines
 from cmf_mj.control.feedback import LegFeedback, noise_gain
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
-from cmf_mj.core.rates import FRAME
-from cmf_mj.core.table import Table
-from cmf_mj.core.units import STANDARD_GRAVITY
-from cmf_mj.electronics.sensors.settings import SensorSettings, load_sensors
+from cmf_mj.core.result import Table
+from cmf_mj.core.units import FRAME, STANDARD_GRAVITY
+from cmf_mj.electronics.sensors.channel import SensorSettings, load_sensors
 from cmf_mj.electronics.sensors.suite import make_sensors, sense_history
 from cmf_mj.facility.replay import FEEDBACK
 from cmf_mj.facility.run import simulate

@@ -13,8 +13,8 @@ from pydantic import Field, field_validator
 
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
+from cmf_mj.core.result import Table
 from cmf_mj.core.settings import Settings, read_toml, validated
-from cmf_mj.core.table import Table
 
 _FILE = Path(__file__).with_suffix(".toml")
 

@@ -9,8 +9,7 @@ from matplotlib.figure import Figure
 
 from cmf_mj.analysis.linear.loop import loop_response, loop_step
 from cmf_mj.analysis.published import published_results
-from cmf_mj.core.result import Field, Result
-from cmf_mj.core.table import Table
+from cmf_mj.core.result import Field, Result, Table
 from cmf_mj.report_2014.models import (
     HARDWARE_MODELS,
     LawLoop,

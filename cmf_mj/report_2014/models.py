@@ -6,20 +6,45 @@ from pathlib import Path
 from typing import Annotated, NamedTuple, get_args
 
 import control
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.plants import UnitTransferFunction
 from cmf_mj.analysis.measures import Measures, measure_loop
-from cmf_mj.analysis.published import published_results
+from cmf_mj.analysis.published import Names, published_results
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import result
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.settings import Settings, read_toml, validated
-from cmf_mj.report_2014.gains import Numbers
+from cmf_mj.core.settings import Settings, as_tuples, read_toml, validated
 from cmf_mj.report_2014.second_order import FeedbackLoop, Variant, feedback_model
 
 _FILE = Path(__file__).with_suffix(".toml")
+_GAINS_FILE = Path(__file__).with_name("gains.toml")
+
+Numbers = Annotated[tuple[float, ...], BeforeValidator(as_tuples)]
+"""A list of numbers of a table."""
+
+
+class PublishedGains(Settings):
+    """One set of compensator gains as printed; units as in `control/laws.toml`."""
+
+    table: str
+    law: str
+    a: float
+    b: Numbers  #: B, a column a signal.
+    c: float
+    d: Numbers  #: D, a column a signal.
+    signals: Names  #: What the columns act on.
+
+
+@lru_cache
+def published_gains() -> tuple[PublishedGains, ...]:
+    """All gain tables, in the report's order."""
+    rows = read_toml(_GAINS_FILE)["gains"]
+    return tuple(
+        validated(PublishedGains, row, f"{_GAINS_FILE.name}: gains {i}")
+        for i, row in enumerate(rows)
+    )
 
 
 class Correction(Settings):

@@ -13,9 +13,8 @@ from cmf_mj.analysis.measurable import CLEAR, dof_history
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.core import units
 from cmf_mj.core.errors import NoPoseError
-from cmf_mj.core.result import Result
-from cmf_mj.core.table import Cell, Column, Table, number
-from cmf_mj.machine.dof import by_kind, dof_unit
+from cmf_mj.core.result import Cell, Column, Result, Table, number
+from cmf_mj.machine.geometry import by_kind, dof_unit
 from cmf_mj.show.look import (
     COLOURS,
     DARK,
@@ -28,9 +27,8 @@ from cmf_mj.show.look import (
     stack,
 )
 from cmf_mj.signals.single import Step
-from cmf_mj.studies.case import CaseResult
+from cmf_mj.studies.case import CaseResult, Qualities
 from cmf_mj.studies.comparison import PUBLISHED
-from cmf_mj.studies.qualities import Qualities
 
 AGREEMENT = 0.1
 """Distance of two readings of -90 deg from which on a table shows both [Hz]."""

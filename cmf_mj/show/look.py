@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from matplotlib import rc_context
@@ -16,8 +16,7 @@ from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.measurable import CLEAR
 from cmf_mj.core import units
 from cmf_mj.core.files import in_folder, whole_file, write_csv, write_json
-from cmf_mj.machine.dof import dof_unit
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.geometry import DOFS, dof_unit
 
 BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9",
@@ -198,3 +197,38 @@ def save_files(files: Mapping[str, Any], folder: Path, dpi: int = 110) -> list[P
             content(path)
         paths.append(path)
     return paths
+
+
+"""Of demands and references."""
+
+Dash = Literal["solid", "dash", "dot"]
+
+Marks = Literal["", "ring", "dot"]
+
+
+class Curve(NamedTuple):
+    """One line or set of marks; curves of one name share an entry of the legend."""
+
+    name: str
+    x: NDArray[np.floating]
+    y: NDArray[np.floating]
+    colour: str
+    dash: Dash = "solid"
+    marks: Marks = ""  #: Drawn in place of a line.
+    width: float = 1.5
+    pale: bool = False  #: Not to be relied on.
+
+
+class Panel(NamedTuple):
+    """One pair of axes; all panels of a figure have the x axis of the last."""
+
+    y_title: str
+    curves: tuple[Curve, ...]
+    y_range: tuple[float, float] | None = None
+    y_tick: float | None = None
+    guides: tuple[float, ...] = ()  #: Horizontal lines.
+    x_title: str = ""
+    x_range: tuple[float, float] | None = None
+    x_log: bool = False
+    height: float = 1.0  #: Relative.
+    from_zero: bool = False  #: Whether the y axis of a film has zero at its lower end.

@@ -10,12 +10,11 @@ from matplotlib.figure import Figure
 
 from cmf_mj.control.states import State
 from cmf_mj.core import units
-from cmf_mj.core.rates import FRAME
-from cmf_mj.core.table import Table
+from cmf_mj.core.result import Table
+from cmf_mj.core.units import FRAME
 from cmf_mj.facility.host.handover import MOST_RATE
 from cmf_mj.facility.operation import Operation, Timing, account
-from cmf_mj.machine.dof import dof_unit
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.record.record import Record
 from cmf_mj.show import look
 

@@ -1,6 +1,6 @@
-"""Tables and figures of finished studies."""
+"""Tables, figures and files of finished studies, of failures and of certificates."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +9,16 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from cmf_mj.analysis.measures import Measures
-from cmf_mj.core.frames import column, groups, where
-from cmf_mj.core.result import Result
-from cmf_mj.core.table import Table, number
+from cmf_mj.core import units
+from cmf_mj.core.result import Result, Table, column, groups, number, where
 from cmf_mj.machine.geometry import DOFS
+from cmf_mj.show import look
 from cmf_mj.show.comparison import phase_text
-from cmf_mj.show.look import COLOURS, new_figure, save_files
+from cmf_mj.show.look import COLOURS, DARK, ORANGE, PURPLE, legend, new_figure, save_files, stack
+from cmf_mj.studies.certificate.run import Certificate
 from cmf_mj.studies.effects import Rate, agreement, climb, finished, largest_crosstalk, rates
 from cmf_mj.studies.evaluation import MEASURED
+from cmf_mj.studies.failure import FailureResult
 from cmf_mj.studies.settings import NOMINAL
 
 _MEASURES = (
@@ -155,3 +157,91 @@ def summary_table(table: pa.Table) -> Table:
         lines.append((*names, cases, stable, done, rows.num_rows - done))
     counts = ((name, "d") for name in ("cases", "stable rows", "rows", "failed"))
     return Table(f"{len(table['case'].unique())} cases", ("method", "law", *counts), lines)
+
+
+def save_failures(results: Result[FailureResult], folder: Path) -> list[Path]:
+    """Write `failures.csv`, `failures.md` and a figure an event."""
+    files = {"failures.csv": results.save, "failures.md": results.save}
+    figures = {f"{result.label}.png": failure_figure(result) for result in results}
+    return save_files(files | figures, folder)
+
+
+def failure_figure(result: FailureResult) -> Figure:
+    """Extensions, axial loads, crew acceleration and pressures, with event and detection."""
+    record = result.record
+    time = record.time - result.event.at
+    labels = ("extension [in]", "axial leg load [kN]", "crew acceleration [g]", "pressure [psi]")
+    figure, axes = stack(9.0, 11.0, *labels, x="time after the event [s]")
+    legs, loads, crew, pressures = axes
+    legs.plot(time, record["leg_reference"] / units.INCH, linewidth=0.6, alpha=0.5)
+    numbers = [f"leg {leg}" for leg in range(1, 7)]
+    legs.set_prop_cycle(color=COLOURS)
+    legs.plot(time, record["leg_extension"] / units.INCH, label=numbers)
+    loads.plot(time, 1e-3 * record["axial_load"])
+    felt = record["crew_acceleration"] / units.STANDARD_GRAVITY
+    crew.plot(time, felt, linewidth=0.8, label=["x", "y", "z"])
+    crew.plot(time, np.linalg.norm(felt, axis=1), color=DARK, linewidth=0.8, label="size")
+    for side in ("cap", "rod"):
+        values = record[f"{side}_pressure"] / units.PSI
+        for name, extreme in (("largest", values.max(axis=1)), ("least", values.min(axis=1))):
+            pressures.plot(time, extreme, label=f"{name} {side}", linewidth=0.9)
+    pressures.plot(time, record["supply_pressure"] / units.PSI, label="supply", linewidth=0.9)
+    about, state = record.metadata, result.state.replace("_", " ")
+    legs.set(
+        title=f"Legs, crew and pressures after {result.label.replace('-', ' ')}: {state}\n"
+        f"{about['law']} in {result.dof}, "
+        f"{about['cab']}, {about['hydraulics']}, {result.setting}",
+        xlim=(max(time[0], -4.0), time[-1]),
+    )
+    for axis in axes:
+        axis.axvline(0.0, color=ORANGE, linestyle="--", linewidth=1.0, label="event")
+        if (at := result.detection_time) is not None:
+            axis.axvline(at, color=PURPLE, linestyle=":", linewidth=1.4, label="detected")
+    legend(legs, crew, pressures, fontsize=7, ncols=2, loc="upper right")
+    return figure
+
+
+def certificate_table(certificates: Sequence[Certificate]) -> Table:
+    """One row a law and cab: nominal damping, scales, machines drawn, and the replays."""
+    kept = ("law", "cab", ("zeta", ".3f"), ("proven", ".2g"), ("broken", ".2g"), "breaks at")
+    drawn = (("stable", ".1f %"), ("least zeta", ".3f"), ("peak [dB]", ".1f"), ("highest", ".1f"))
+    rows = []
+    for one in certificates:
+        where, swings = look.pose_text(one.pose, ".2g"), (100.0 * one.beyond, 100.0 * one.within)
+        scales = one.law, one.cab, one.nominal, _down(one.proven), one.broken, where
+        rows.append((*scales, 100.0 * one.share, one.least, one.peak, one.highest, *swings))
+    return Table("", (*kept, *drawn, ("beyond", ".0f %"), ("within", ".1f %")), rows)
+
+
+def _down(scale: float) -> float:
+    """A scale to two digits, never more than it is."""
+    digit = 10.0 ** (np.floor(np.log10(scale)) - 1.0) if scale > 0.0 else 1.0
+    return float(np.floor(scale / digit) * digit)
+
+
+def proof_table(certificates: Sequence[Certificate]) -> Table:
+    """One row a damping ratio: the box in which it is proven, and the least found there."""
+    numbers = ((name, ".3f") for name in ("zeta", "proven box", "least zeta found"))
+    rows = [(one.law, one.cab, *proof) for one in certificates for proof in one.proofs]
+    return Table("", ("law", "cab", *numbers), rows)
+
+
+def certificate_figure(certificates: Sequence[Certificate]) -> Figure:
+    """Boxes of all laws: what is proven, what is not known, and where machines fail."""
+    figure = look.new_figure(7.0, 1.2 + 0.32 * len(certificates))
+    axes = figure.add_subplot()
+    proven, broken = np.array([(one.proven, one.broken) for one in certificates]).T
+    most = 1.15 * float(np.nanmax([*proven, *broken, 1.0]))
+    ends = np.array([0.0 * proven, proven, np.where(np.isnan(broken), most, broken)])
+    widths, place = np.diff(ends, axis=0, append=most), np.arange(len(certificates))
+    colours = look.GREEN, look.PALE, look.ORANGE
+    labels = "proven stable", "neither", "machines fail"
+    for left, wide, colour, label in zip(ends, widths, colours, labels, strict=True):
+        axes.barh(place, wide, left=left, color=colour, label=label)
+    axes.axvline(1.0, color=look.DARK, linestyle="--")
+    axes.set(xlim=(0.0, most), xlabel="scale of the unit box")
+    axes.set_yticks(place, [f"{one.law}, {one.cab}" for one in certificates])
+    axes.invert_yaxis()
+    axes.set_title("Boxes of machines that are proven stable", pad=28)
+    look.legend(axes, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    return figure

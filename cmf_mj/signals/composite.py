@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import RATE
 from cmf_mj.core.settings import Count, validated
-from cmf_mj.machine.dof import by_kind, dof_index
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.core.units import RATE
+from cmf_mj.machine.geometry import DOFS, by_kind, dof_index
 from cmf_mj.signals.signal import (
     Amplitude,
     Command,

@@ -51,7 +51,7 @@ class Peaks(NamedTuple):
 class Limits(NamedTuple):
     """What a command must stay within; `command_limits` gives those of a machine.
 
-    Velocities and accelerations are free: those of `cmf_mj.machine.motion_limits` bound what the
+    Velocities and accelerations are free: those of `cmf_mj.machine.limits` bound what the
     control law does, not what may be tried.
     """
 

@@ -17,9 +17,9 @@ from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, model_v
 from cmf_mj.core import units
 from cmf_mj.core.arrays import frozen, real
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FASTEST_RATE, RATE, SLOWEST_RATE
 from cmf_mj.core.settings import Settings, validated
-from cmf_mj.machine.dof import by_kind, dof_index
+from cmf_mj.core.units import FASTEST_RATE, RATE, SLOWEST_RATE
+from cmf_mj.machine.geometry import by_kind, dof_index
 
 Motion = Callable[[NDArray[np.int64]], NDArray[np.float64]]
 """Control frames since the beginning (N,) to poses (N, 6) [m, rad], z down."""

@@ -14,9 +14,9 @@ from pydantic import Field
 from scipy import signal
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FASTEST_RATE
 from cmf_mj.core.settings import Seed
-from cmf_mj.machine.dof import dof_index
+from cmf_mj.core.units import FASTEST_RATE
+from cmf_mj.machine.geometry import dof_index
 from cmf_mj.signals.signal import (
     LONGEST,
     Duration,

@@ -4,6 +4,7 @@ The report sweeps 0.33 in or 0.2 deg (Appendix D) from 0 to 10 Hz and steps 1 in
 both on a machine built for the case, so that cases share nothing and may run anywhere.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import FrequencyResponse, bandwidths
+from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.measures import Measures, joined, measure_loop, sweep_response
 from cmf_mj.analysis.published import Published, published
@@ -21,19 +23,20 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import NotLinearError, check_name
 from cmf_mj.core.files import in_folder
+from cmf_mj.core.units import RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.facility.run import Run
+from cmf_mj.facility.run import Run, simulate
 from cmf_mj.machine.cab import Cab, load_cab
-from cmf_mj.machine.dof import by_kind, dof_index
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.geometry import DOFS, by_kind, dof_index
 from cmf_mj.machine.machine import Machine, load_machine
 from cmf_mj.machine.models import CMF
-from cmf_mj.plant.build import PLANTS, make_plant
+from cmf_mj.plant.hexapod import PLANTS, Hexapod, make_plant, oil_modes
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import hydraulics_of
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, check_positive
+from cmf_mj.studies.capacity.asymptotes import asymptotes
 
 AMPLITUDE = 0.33 * units.INCH
 """Translational amplitude of the report's frequency responses [m]."""
@@ -213,3 +216,87 @@ def small_motion(case: Case) -> Measures:
         return Measures()
     loop = linear.loop(case.law, case.dof, command_delay=case.command_delay)
     return measure_loop(loop, frequencies=np.linspace(0.1, 10.0, 1000))
+
+
+class Qualities(NamedTuple):
+    """What compares laws along one axis, at neutral; NaN where unstable or not to be had."""
+
+    over_drive_lag: float
+    over_oil_mode: float
+    of_saturation: float
+    static_stiffness: float  #: [N/m, N m/rad]; infinite where a force leaves no motion.
+    dynamic_stiffness: float  #: Least from 0.5 to 5 Hz [N/m, N m/rad].
+    rejection_hz: float  #: Disturbance rejection bandwidth [Hz].
+    rejection_peak_db: float  #: Its peak [dB].
+    valve_noise: float  #: Fraction of full command.
+
+
+def qualities(plant: Plant, law: Law, swept: Sequence[tuple[str, float, float]]) -> list[Qualities]:
+    """Qualities of a law on a plant along axes that were swept.
+
+    `swept` holds of each its name, amplitude [m or rad] and -90 deg bandwidth [Hz], NaN where
+    unstable. What has no linearisation has neither stiffness nor rejection.
+    """
+    held, rate = bound(law, plant), plant.machine.rate
+    stable = not np.isnan([phase for *_, phase in swept]).all()
+    still, noise = np.zeros((3 * rate, 6)), float("nan")
+    if stable:
+        rest = simulate(plant, held, still, electronics=ElectronicsSettings())
+        noise = float(rest["valve_command"][rate:].std(axis=0).max())
+    try:
+        force = Linear(plant).disturbance(held)
+    except NotLinearError:
+        force = np.full((4, 6), np.nan)
+    found = []
+    for dof, amplitude, phase in swept:
+        limits = asymptotes(plant, dof)
+        mode = oil_modes(limits.mass, limits.stiffness)[0][0]
+        over = [units.from_si("Hz", rate) for rate in (limits.corners[0], mode)]
+        shares = (phase / end for end in (*over, limits.saturation(amplitude)))
+        found.append(Qualities(*map(float, (*shares, *force[:, dof_index(dof)], noise))))
+    return found
+
+
+SMALL = 0.15
+"""Step of the simulated verdict over the report's amplitudes, all degrees of freedom at once."""
+
+_BEGIN, _DURATION, _WINDOW = 0.5, 12.0, 2.0
+"""Of the simulated verdict [s]: the step, the end, and the windows compared."""
+_FIRST = 2.5
+"""Begin of the first window after the step [s]."""
+_NOTHING, _MOST = 1e-4, 1.0
+"""Swing over the largest leg step that counts as none, and what only a limit cycle exceeds."""
+
+
+def swing_after_step(plant: Hexapod, law: Law) -> dict[str, Any]:
+    """Whether a law is stable in the simulation, see `swings`."""
+    pose = np.zeros((round(_DURATION * RATE), len(DOFS)))
+    pose[round(_BEGIN * RATE) :] = SMALL * REPORT_AMPLITUDES
+    try:
+        return swings(simulate(plant, law, Command.from_pose(pose), record_every=16))
+    except FloatingPointError:  # it left the bounds of the model
+        return {"stable": False, "first": float("nan"), "last": float("nan")}
+
+
+def swings(record: Record) -> dict[str, Any]:
+    """Whether a run with a step at 0.5 s is stable, and the swing of its windows.
+
+    `first` and `last` are the largest standard deviations of a leg about a straight line within the
+    windows, over the largest leg step.
+    """
+    legs, reference = record["leg_position"], record["leg_reference"]
+    size = float(np.abs(reference[-1] - reference[0]).max())
+    count = round(_WINDOW * record.rate)
+    begin = round((_BEGIN + _FIRST) * record.rate)
+    first, last = (_swing(part) / size for part in (legs[begin : begin + count], legs[-count:]))
+    stable = bool(last < _NOTHING or last < min(first, _MOST))
+    return {"stable": stable, "first": first, "last": last}
+
+
+def _swing(legs: NDArray[np.float64]) -> float:
+    time = np.linspace(-1.0, 1.0, len(legs))
+    about = (
+        legs
+        - np.polynomial.polynomial.polyval(time, np.polynomial.polynomial.polyfit(time, legs, 1)).T
+    )
+    return float(about.std(axis=0).max())

@@ -18,15 +18,16 @@ from cmf_mj.core.result import Field, Result
 from cmf_mj.core.settings import check_distinct
 from cmf_mj.core.threads import on_threads
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.plant.build import PLANTS
+from cmf_mj.plant.hexapod import PLANTS
 from cmf_mj.studies.case import (
     AMPLITUDE,
     CaseResult,
+    Qualities,
     dof_amplitude,
     make_case,
+    qualities,
     run_case,
 )
-from cmf_mj.studies.qualities import Qualities, qualities
 
 MEASURED = (
     *("phase_bandwidth_hz", "gain_bandwidth_hz", "peak_gain_db"),

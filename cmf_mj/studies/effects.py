@@ -13,8 +13,7 @@ import pyarrow.compute as pc
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from cmf_mj.core.frames import column, groups, where
-from cmf_mj.core.result import Field, Result
+from cmf_mj.core.result import Field, Result, column, groups, where
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.studies.settings import NOMINAL
 

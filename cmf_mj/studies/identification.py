@@ -12,7 +12,15 @@ from typing import Any, Literal, get_args
 
 from cmf_mj import signals
 from cmf_mj.analysis.frequency_response import FrequencyResponse, frequency_response
-from cmf_mj.analysis.identification.arx import Selection, arx, select_orders
+from cmf_mj.analysis.identification.arx import (
+    Residuals,
+    Selection,
+    arx,
+    plant_response,
+    residual_analysis,
+    select_orders,
+    simulation_fit,
+)
 from cmf_mj.analysis.identification.continuous import (
     LoopErrors,
     ResponseFit,
@@ -23,12 +31,6 @@ from cmf_mj.analysis.identification.continuous import (
 from cmf_mj.analysis.identification.data import Experiment, experiment
 from cmf_mj.analysis.identification.model import Orders, PolynomialModel
 from cmf_mj.analysis.identification.refinement import instrumental_variable, output_error
-from cmf_mj.analysis.identification.validation import (
-    Residuals,
-    plant_response,
-    residual_analysis,
-    simulation_fit,
-)
 from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.control.law import Law, law_names
 from cmf_mj.core.errors import InputError, check_name

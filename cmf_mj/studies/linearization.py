@@ -9,8 +9,7 @@ import numpy as np
 from cmf_mj.analysis.frequency_response import FrequencyResponse
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import loop_response
-from cmf_mj.analysis.linear.poles import Mode
-from cmf_mj.analysis.linear.reduction import dof_model, leg_model, reduced
+from cmf_mj.analysis.linear.poles import Mode, dof_model, leg_model, reduced
 from cmf_mj.analysis.measures import are_stable
 
 FREQUENCIES = np.geomspace(0.1, 20.0, 400)

@@ -31,8 +31,7 @@ from cmf_mj.analysis.step_response import step_metrics
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.threads import on_threads
-from cmf_mj.machine.dof import by_kind
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.machine.leg_motion import leg_motion_to_pose
 from cmf_mj.machine.machine import Machine, recorded_machine
@@ -43,8 +42,7 @@ from cmf_mj.record.record import Record
 from cmf_mj.signals import composite
 from cmf_mj.signals.peaks import check_limits
 from cmf_mj.signals.signal import Command
-from cmf_mj.studies.case import Case, dof_amplitude
-from cmf_mj.studies.qualities import Qualities, qualities
+from cmf_mj.studies.case import Case, Qualities, dof_amplitude, qualities
 
 HALF_HERTZ = 0.5
 """Frequency of the half-hertz noise [Hz]."""

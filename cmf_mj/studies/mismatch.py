@@ -24,7 +24,7 @@ from cmf_mj.core.errors import InputError, check_name
 from cmf_mj.core.quantity import Quantity
 from cmf_mj.core.settings import Settings, validated
 from cmf_mj.electronics.chain import ElectronicsSettings
-from cmf_mj.electronics.sensors.settings import CHANNELS, SensorSettings, load_sensors
+from cmf_mj.electronics.sensors.channel import CHANNELS, SensorSettings, load_sensors
 from cmf_mj.machine.cab import Cab
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import (

@@ -9,7 +9,7 @@ within a fraction of a second (dotted), and the emergency stop lets the machine 
 import matplotlib.pyplot as plt
 
 from cmf_mj.plant.events import default_event
-from cmf_mj.studies.failure.measures import run_failure
+from cmf_mj.studies.failure import run_failure
 
 result = run_failure(default_event("valve_hard_over", 2.0), after=6.0)
 record = result.record

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.control.states import State
-from cmf_mj.core.rates import RATE
+from cmf_mj.core.units import RATE
 from cmf_mj.facility.operation import account
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_to_legs

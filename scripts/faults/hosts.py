@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host import moog
-from cmf_mj.facility.host.datagram import encode
 from cmf_mj.facility.host.stream import HostFrame
+from cmf_mj.facility.host.udp import encode
 from cmf_mj.machine.geometry import DOFS
 from faults.plans import ODDITIES, Oddity, Plan
 

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import RATE
+from cmf_mj.core.units import RATE
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 
 _OFF = (

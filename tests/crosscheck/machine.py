@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from cmf_mj.core.errors import InputError, RunError, require
-from cmf_mj.core.rates import RATE
+from cmf_mj.core.units import RATE
 from cmf_mj.plant.hexapod import Hexapod
 from crosscheck.hydraulics import Circuit, make_circuit
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from cmf_mj.core.table import Table
+from cmf_mj.core.result import Table
 from cmf_mj.show.look import BLUE, GREY, ORANGE, legend, new_figure, save_files
 from crosscheck.verification import ENGINES, Verification
 

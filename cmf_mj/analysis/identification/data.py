@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import interpolate, signal
 
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.rates import RATE as FRAMES
+from cmf_mj.core.units import RATE as FRAMES
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import legs_to_pose
 from cmf_mj.machine.leg_motion import leg_motion_to_pose

@@ -35,9 +35,8 @@ from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.linear.law import labels
 from cmf_mj.analysis.linear.loop import STEP_DURATION, closed_loop
 from cmf_mj.analysis.linear.operating_point import operating_point
-from cmf_mj.analysis.linear.poles import Mode, modes
+from cmf_mj.analysis.linear.poles import Mode, jacobian_of, modes
 from cmf_mj.analysis.linear.ports import Excitation
-from cmf_mj.analysis.linear.reduction import jacobian_of
 from cmf_mj.analysis.measures import (
     Measures,
     are_stable,
@@ -48,8 +47,7 @@ from cmf_mj.analysis.measures import (
 from cmf_mj.analysis.step_response import measure_step
 from cmf_mj.control.law import Gains, Law, load_law
 from cmf_mj.core.errors import check_name
-from cmf_mj.machine.dof import dof_index
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.geometry import DOFS, dof_index
 from cmf_mj.plant.plant import Plant
 
 Array = NDArray[np.float64]

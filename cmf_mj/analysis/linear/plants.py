@@ -17,7 +17,7 @@ from scipy import linalg, signal
 from cmf_mj.analysis.linear.law import FEEDBACK
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 
 _POSITION, _VELOCITY, _ACCELERATION = FEEDBACK[:3]
 

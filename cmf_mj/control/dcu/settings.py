@@ -18,8 +18,8 @@ from scipy.signal import bessel
 
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.quantity import Kind, Quantity, positive_in
-from cmf_mj.core.rates import FRAME, RATE
 from cmf_mj.core.settings import Loader, Settings
+from cmf_mj.core.units import FRAME, RATE
 
 
 def _whole(quantity: Quantity) -> Quantity:

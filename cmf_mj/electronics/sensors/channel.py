@@ -1,22 +1,122 @@
-"""One kind of sensor: bandwidth, gain, bias, noise, resolution and range, in that order.
+"""Settings of sensors, their noise, and one channel of one."""
 
-    y = saturate(resolve((1 + e) H(truth) + bias + sigma n)),   sigma^2 = density^2 rate / 2
-
-H is a first-order low-pass at the bandwidth (`cmf_mj.core.filters`). The noise is that of the
-output: white from 0 to half the frame rate with the given one-sided density, not shaped by the
-bandwidth.
-"""
-
+import hashlib
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import model_validator
 
 from cmf_mj.core import filters
 from cmf_mj.core.compiled import compiled
-from cmf_mj.electronics.sensors.noise import four_normals, key_schedule, stream_key
-from cmf_mj.electronics.sensors.settings import ChannelSettings
-from cmf_mj.electronics.stages import low_pass, steps
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.quantity import Quantity
+from cmf_mj.core.settings import Loader, Name, Settings
+from cmf_mj.electronics.converter import low_pass, steps
+
+SENSOR_SETS = ("ideal", "noisy")
+"""Names of the shipped sets."""
+
+CHANNELS = {
+    "leg_position": ("in", "m"),
+    "leg_velocity": ("in/s", "m/s"),
+    "leg_acceleration": ("g", "in/s/s", "m/s/s"),
+    "cap_pressure": ("psi", "Pa"),
+    "rod_pressure": ("psi", "Pa"),
+    "platform_gyro": ("deg/s", "rad/s"),
+    "platform_accelerometer": ("g", "in/s/s", "m/s/s"),
+}
+"""Channels with the units their numbers may be given in."""
+
+
+class ChannelSettings(Settings):
+    """One kind of sensor; what is left out is ideal."""
+
+    lowest: Quantity | None = None  #: Least reading.
+    highest: Quantity | None = None  #: Largest reading.
+    bias: Quantity | None = None  #: Constant error, the same for all legs or axes.
+    noise_density: Quantity | None = None
+    """One-sided density of the white noise of the output, per root hertz."""
+    bandwidth: Quantity | None = None
+    """-3 dB corner of the first-order lag, below half the frame rate."""
+    resolution: Quantity | None = None  #: Step between readings.
+    gain_errors: list[Quantity] = []
+    """Relative error of the gain, one a leg or axis; none for none."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "ChannelSettings":
+        for field in ("noise_density", "bandwidth", "resolution"):
+            quantity = getattr(self, field)
+            least = 0.0 if quantity is None else quantity.value
+            if least < 0.0 or (field != "noise_density" and quantity is not None and least == 0.0):
+                bound = "at least 0" if field == "noise_density" else "greater than 0"
+                raise InputError(f"{field}: {least:g} {quantity.unit} must be {bound}")
+        for error in self.gain_errors:
+            if error.unit not in ("1", "%") or abs(error.si) >= 1.0:
+                raise InputError(
+                    f"gain_errors: {error} must be between -1 and 1, in a unit of 1 or %"
+                )
+        if self.lowest and self.highest and self.lowest.si >= self.highest.si:
+            raise InputError(
+                f"lowest: {self.lowest.value:g} {self.lowest.unit} must be less than highest, "
+                f"{self.highest.value:g} {self.highest.unit}"
+            )
+        return self
+
+    def quantities(self) -> dict[str, Quantity]:
+        """The numbers common to all legs or axes that are given, by name."""
+        return {name: value for name, value in self if isinstance(value, Quantity)}
+
+
+class SensorSettings(Settings):
+    """A whole set of sensors."""
+
+    name: Name  #: Name of the set.
+    gravity: bool
+    """Whether the leg accelerometers sit on the rods and feel gravity and swing (Appendix C).
+    Otherwise they read the second derivative of the leg extension, as the report's non-linear model
+    has it."""
+    leg_position: ChannelSettings = ChannelSettings()
+    leg_velocity: ChannelSettings = ChannelSettings()
+    leg_acceleration: ChannelSettings = ChannelSettings()
+    cap_pressure: ChannelSettings = ChannelSettings()
+    rod_pressure: ChannelSettings = ChannelSettings()
+    platform_gyro: ChannelSettings = ChannelSettings()
+    platform_accelerometer: ChannelSettings = ChannelSettings()
+
+    @model_validator(mode="after")
+    def _units(self) -> "SensorSettings":
+        for channel, units in CHANNELS.items():
+            for field, quantity in self.channel(channel).quantities().items():
+                allowed = _units_of(field, units)
+                if quantity.unit not in allowed:
+                    raise InputError(
+                        f"{channel}.{field}: unit {quantity.unit!r} must be one of "
+                        f"{', '.join(allowed)}"
+                    )
+        return self
+
+    def channel(self, name: str) -> ChannelSettings:
+        """Settings of one of `CHANNELS`."""
+        return getattr(self, name)
+
+
+def _units_of(field: str, units: tuple[str, ...]) -> tuple[str, ...]:
+    if field == "noise_density":
+        return tuple(f"{unit}/rtHz" for unit in units)
+    return ("Hz", "rad/s") if field == "bandwidth" else units
+
+
+load_sensors = Loader(
+    SensorSettings,
+    Path(__file__).with_name("sensors.toml"),
+    what="sensors",
+    names=SENSOR_SETS,
+    default="ideal",
+)
+"""Loads a sensor set: `ideal`, `noisy`, or a file with `base` naming one of them and one table of
+changes; channels are merged number by number."""
 
 
 class SensorChannel(NamedTuple):
@@ -72,3 +172,68 @@ def read(channel, state, frame, truth, reading):  # type: ignore[no-untyped-def]
         if channel.resolution > 0.0:
             reading[i] = steps(reading[i], channel.resolution) * channel.resolution
         reading[i] = min(max(reading[i], channel.lowest), channel.highest)
+
+
+_ROUNDS = 10
+_WEYL = (0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B)
+_FIRST = np.uint64(0xD2E7470EE14C6C93)
+_SECOND = np.uint64(0xCA5A826395121157)
+_LOW = np.uint64(0xFFFFFFFF)
+_HALF = np.uint64(32)
+_SPARE = np.uint64(11)
+_UNIT = 2.0**-53
+_NONE = np.uint64(0)
+
+
+def stream_key(seed: int, channel: str) -> tuple[int, int]:
+    """Key of a channel's stream: the seed, 0 to 2^64 - 1, and 64 bits of its name's SHA-256."""
+    if not 0 <= seed < 2**64:
+        raise InputError(f"seed: {seed} must be between 0 and 2^64 - 1")
+    return seed, int.from_bytes(hashlib.sha256(channel.encode()).digest()[:8], "little")
+
+
+def key_schedule(key: tuple[int, int]) -> NDArray[np.uint64]:
+    """Keys of the ten rounds, (10, 2)."""
+    rows = [
+        [(part + i * weyl) % 2**64 for part, weyl in zip(key, _WEYL, strict=True)]
+        for i in range(_ROUNDS)
+    ]
+    return np.array(rows, dtype=np.uint64)
+
+
+@compiled
+def _product(one, two):  # type: ignore[no-untyped-def]
+    """High and low word of a product of two words, from products of halves: nothing overflows."""
+    a, b = one >> _HALF, one & _LOW
+    c, d = two >> _HALF, two & _LOW
+    low = b * d
+    cross = a * d + (low >> _HALF)
+    middle = b * c + (cross & _LOW)
+    return a * c + (cross >> _HALF) + (middle >> _HALF), (middle << _HALF) | (low & _LOW)
+
+
+@compiled
+def block(keys, first, second):  # type: ignore[no-untyped-def]
+    """Four words of the counter (first, second, 0, 0), lowest word first."""
+    c0, c1, c2, c3 = first, second, _NONE, _NONE
+    for i in range(keys.shape[0]):
+        high0, low0 = _product(_FIRST, c0)
+        high1, low1 = _product(_SECOND, c2)
+        c0, c1, c2, c3 = high1 ^ c1 ^ keys[i, 0], low1, high0 ^ c3 ^ keys[i, 1], low0
+    return c0, c1, c2, c3
+
+
+@compiled
+def _pair(one, two):  # type: ignore[no-untyped-def]
+    radius = np.sqrt(-2.0 * np.log((np.float64(one >> _SPARE) + 1.0) * _UNIT))
+    angle = 2.0 * np.pi * np.float64(two >> _SPARE) * _UNIT
+    return radius * np.cos(angle), radius * np.sin(angle)
+
+
+@compiled
+def four_normals(keys, frame, group):  # type: ignore[no-untyped-def]
+    """Standard normals of the components 4 group to 4 group + 3 at a frame."""
+    w0, w1, w2, w3 = block(keys, np.uint64(frame), np.uint64(group))
+    n0, n1 = _pair(w0, w1)
+    n2, n3 = _pair(w2, w3)
+    return n0, n1, n2, n3

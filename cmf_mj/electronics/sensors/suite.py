@@ -22,8 +22,13 @@ from cmf_mj.core import filters
 from cmf_mj.core.compiled import allocating, compiled
 from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
-from cmf_mj.electronics.sensors.channel import SensorChannel, make_channel, read
-from cmf_mj.electronics.sensors.settings import CHANNELS, SensorSettings
+from cmf_mj.electronics.sensors.channel import (
+    CHANNELS,
+    SensorChannel,
+    SensorSettings,
+    make_channel,
+    read,
+)
 from cmf_mj.machine import models
 from cmf_mj.machine.gravity import (
     LegAxes,

@@ -17,7 +17,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cmf_mj.control.dcu.arrivals import Arrivals, upsample
+from cmf_mj.control.dcu.play import Arrivals, upsample
 from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
 from cmf_mj.control.dcu.state import resting
 from cmf_mj.core.errors import InputError

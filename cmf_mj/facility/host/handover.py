@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmf_mj.control.dcu.arrivals import Arrivals
 from cmf_mj.control.dcu.motion import copy
+from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.core.arrays import check_memory
 from cmf_mj.core.compiled import compiled
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import RATE
+from cmf_mj.core.units import RATE
 from cmf_mj.facility.host.stream import HostFrame
 
 NEVER = np.iinfo(np.int64).max

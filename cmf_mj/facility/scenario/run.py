@@ -16,13 +16,12 @@ from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.control.law import Law
 from cmf_mj.control.states import Request
 from cmf_mj.core.errors import InputError
-from cmf_mj.facility.scenario.demand import Demand
 from cmf_mj.facility.scenario.settings import Change, Laws, Scenario, changed_law
-from cmf_mj.facility.scenario.signal import added
+from cmf_mj.facility.scenario.signal import Demand, added
 from cmf_mj.facility.scenario.source import BLOCK, Feed
 from cmf_mj.facility.session import Live
-from cmf_mj.plant.build import make_plant
 from cmf_mj.plant.events import Event
+from cmf_mj.plant.hexapod import make_plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Motion
 

@@ -13,7 +13,6 @@ from cmf_mj.control.protection import load_protection
 from cmf_mj.control.states import load_state_settings
 from cmf_mj.core.arrays import check_memory
 from cmf_mj.core.errors import InputError, check_name
-from cmf_mj.core.rates import LONGEST, MOST_FRAMES, RATE
 from cmf_mj.core.settings import (
     Count,
     Seed,
@@ -23,6 +22,7 @@ from cmf_mj.core.settings import (
     merged,
     validated,
 )
+from cmf_mj.core.units import LONGEST, MOST_FRAMES, RATE
 from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.run import dcu_of
 from cmf_mj.facility.scenario.signal import Signal
@@ -30,8 +30,8 @@ from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.machine.models import CMF
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.plant.build import make_plant
 from cmf_mj.plant.events import MOST_FORCE, Event, Failure
+from cmf_mj.plant.hexapod import make_plant
 from cmf_mj.plant.parameters.loading import hydraulics_of
 from cmf_mj.signals.signal import plain
 

@@ -6,7 +6,7 @@ a multisine is faded. Several signals of a scenario are added.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.files import read_stream
 from cmf_mj.record.record import Record
 from cmf_mj.signals import composite, single
+from cmf_mj.signals.composite import quintic
 from cmf_mj.signals.signal import Command, Duration, Motion, Wait, check_length
 from cmf_mj.signals.signal import Signal as AnySignal
 
@@ -119,3 +120,38 @@ def added(parts: Sequence[AnySignal], seed: int, rate: int) -> Motion:
         return poses
 
     return total
+
+
+class _Layer(NamedTuple):
+    start: int
+    fade: int
+    motion: Motion
+
+
+class Demand:
+    """Motions one on top of the other."""
+
+    def __init__(self, motion: Motion) -> None:
+        """Begin with one, in force since frame 0."""
+        self._layers = [_Layer(0, 0, motion)]
+
+    def change(self, frame: int, motion: Motion, fade: int) -> None:
+        """Go over to another motion from frame k0, not before that of the last change, in F."""
+        self._layers.append(_Layer(frame, fade, motion))
+
+    def poses(self, first: int, count: int) -> NDArray[np.float64]:
+        """Poses (count, 6) [m, rad] of the frames from `first` on."""
+        frames = np.arange(first, first + count)
+        done = [i for i, layer in enumerate(self._layers) if layer.start + layer.fade <= first]
+        del self._layers[: max(done, default=0)]
+        bottom, *above = self._layers
+        poses = bottom.motion(frames - bottom.start)
+        for layer in above:
+            since = frames - layer.start
+            new = layer.motion(since)
+            s = np.clip(since / max(layer.fade, 1), 0.0, 1.0)
+            weight = quintic(s)[:, None]
+            blend = poses + weight * (new - poses)
+            begun, over = (since >= 0)[:, None], (since >= layer.fade)[:, None]
+            poses = np.where(over, new, np.where(begun, blend, poses))
+        return poses

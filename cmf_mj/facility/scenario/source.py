@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from cmf_mj.control.dcu.arrivals import Arrivals
+from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.control.law import Law
 from cmf_mj.control.states import Request, State
-from cmf_mj.core.rates import MOST_FRAMES
+from cmf_mj.core.units import MOST_FRAMES
 from cmf_mj.facility.front import from_table
 from cmf_mj.facility.host.handover import make_log
 from cmf_mj.facility.operation import starting_pose
 from cmf_mj.facility.run import Run
-from cmf_mj.facility.scenario.demand import Demand
 from cmf_mj.facility.scenario.settings import OperationChoice, Scenario
+from cmf_mj.facility.scenario.signal import Demand
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.plant import Plant

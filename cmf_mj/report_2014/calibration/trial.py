@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 from cmf_mj.analysis.frequency_response import Bandwidths, bandwidths
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.analysis.linear.loop import closed_loop, loop_response
-from cmf_mj.analysis.linear.reduction import leg_model
+from cmf_mj.analysis.linear.poles import leg_model
 from cmf_mj.analysis.measures import Measures, joined, least_damped_mode, measure_loop
 from cmf_mj.analysis.published import Published, published_results
 from cmf_mj.analysis.step_response import step_metrics

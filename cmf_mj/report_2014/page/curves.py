@@ -13,13 +13,12 @@ from cmf_mj.analysis.measurable import CLEAR, dof_history
 from cmf_mj.analysis.published import published_results
 from cmf_mj.control.law import load_law
 from cmf_mj.core import units
+from cmf_mj.core.result import Table
 from cmf_mj.core.settings import read_toml
-from cmf_mj.core.table import Table
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.record.record import Record
 from cmf_mj.report_2014.page.runs import On, Runs, RunSpec
-from cmf_mj.show.chart import GREY, Curve, Dash, Marks, Panel
-from cmf_mj.show.look import COLOURS
+from cmf_mj.show.look import COLOURS, GREY, Curve, Dash, Marks, Panel
 from cmf_mj.studies.case import CaseResult
 
 CONTENTS: Mapping[str, Any] = read_toml(Path(__file__).with_name("contents.toml"))

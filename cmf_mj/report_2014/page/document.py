@@ -2,7 +2,8 @@
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
 
@@ -11,14 +12,138 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.errors import check_name, require
 from cmf_mj.core.files import write_text
+from cmf_mj.core.result import number
 from cmf_mj.report_2014.page import figures_of_laws, figures_of_models
-from cmf_mj.report_2014.page.curves import CONTENTS, Content, ReportFigure, specs
-from cmf_mj.report_2014.page.runs import perform
-from cmf_mj.report_2014.page.sections import sections_of
-from cmf_mj.report_2014.page.statements import STATEMENT_NEEDS
-from cmf_mj.report_2014.page.summary import verdict_tables
-from cmf_mj.report_2014.page.tables import TITLES, table_needs
-from cmf_mj.show.chart import Curve, Panel
+from cmf_mj.report_2014.page import statements as summary
+from cmf_mj.report_2014.page.curves import (
+    CONTENTS,
+    VERDICTS,
+    Block,
+    Content,
+    PageTable,
+    ReportFigure,
+    Section,
+    specs,
+    table,
+    texts,
+)
+from cmf_mj.report_2014.page.runs import (
+    CAB,
+    HYDRAULICS,
+    PLANTS,
+    On,
+    Runs,
+    hydraulics_of,
+    perform,
+    plant_of,
+)
+from cmf_mj.report_2014.page.statements import STATEMENT_NEEDS, statement_rows, verdict_tables
+from cmf_mj.report_2014.page.tables import (
+    TITLES,
+    TOLERANCES,
+    ResultRow,
+    gain_rows,
+    limit_rows,
+    result_rows,
+    table_needs,
+)
+from cmf_mj.show.listing import parameter_table
+from cmf_mj.show.look import Curve, Panel
+
+
+def provenance(runs: Runs) -> PageTable:
+    """What made the page: models, versions, seed."""
+    packages = ("cmf-mj", "mujoco", "numpy", "scipy", "numba", "control")
+    rows = [
+        *(("seed", str(runs.seed)), ("cab of the hexapod", CAB.upper())),
+        *((f"model digest, {name}", plant_of(on).digest) for on, name in PLANTS.items()),
+        *((f"version, {name}", version(name)) for name in packages),
+    ]
+    return table("provenance-table", rows)
+
+
+def parameters(on: On) -> PageTable:
+    """The hydraulic numbers of a plant, each with its status."""
+    shown = parameter_table(hydraulics_of(on))
+    return table(
+        "parameters", shown.rows, f"parameters-{on}", f"{PLANTS[on]}, {HYDRAULICS[on]} set"
+    )
+
+
+def _share(value: float, relative: bool, sign: str = "+") -> str:
+    """A deviation: relative in %, absolute as it is."""
+    return number(100.0 * value, f"{sign}.1f %") if relative else number(value, f"{sign}.2f")
+
+
+def _computed(row: ResultRow) -> float | str:
+    """A computed number, or why there is none."""
+    if row.computed == row.computed:
+        return row.computed
+    return "none below 10 Hz" if row.stable else "unstable"
+
+
+def result_table(runs: Runs, name: str) -> PageTable:
+    """A result table as the page has it; a long remark is written once."""
+    appendix = name.startswith("D-")
+    seen: set[str] = set()
+    rows = []
+    for row in result_rows(runs, name):
+        again = len(row.note) > 40 and row.note in seen
+        seen.add(row.note)
+        relative = row.unit != ""
+        rows.append(
+            (
+                *(row.label, row.of, f"{row.quantity} [{row.unit}]" if row.unit else row.quantity),
+                row.printed if row.printed == row.printed else "N/A",
+                _computed(row),
+                _share(row.deviation, relative),
+                _share(row.tolerance, relative, "").replace(".0 %", " %"),
+                *(VERDICTS[row.within], "calibrated" if row.calibrated else "predicted"),
+                *([number(row.hexapod, ".2f")] if appendix else []),
+                "as above" if again else row.note,
+            )
+        )
+    title = f"Table {name}" if name[0] != "s" else name.capitalize()
+    head, anchor = "results-hexapod" if appendix else "results", f"table-{name.replace(' ', '-')}"
+    return table(head, rows, anchor, f"{title}: {TITLES[name]}", TOLERANCES)
+
+
+def _results(content: Content, number: str) -> list[PageTable]:
+    return [result_table(content.runs, number)] if number in content.tables else []
+
+
+BLOCKS: Mapping[str, Callable[[Content, str], Sequence[Block]]] = {
+    "about": lambda content, _: [
+        *texts("about"),
+        *(texts("quick") if content.runs.quick else []),
+        *summary.verdict_tables(content),
+    ],
+    "summary": summary.blocks,
+    "limits": lambda content, _: [table("table-2-1", limit_rows())],
+    "gains": lambda content, number: [
+        table("gains", gain_rows(number), f"table-{number}", f"Table {number}: gains")
+    ],
+    "results": _results,
+    "figures": lambda content, prefix: [
+        figure.draw(content.runs) for figure in content.figures if figure.number.startswith(prefix)
+    ],
+    "statements": lambda content, _: [table("text-numbers", statement_rows(content.runs))],
+    "parameters": lambda content, _: [parameters(on) for on in PLANTS],
+    "provenance": lambda content, _: [provenance(content.runs)],
+}
+"""Kinds of blocks: functions of what was run and an argument."""
+
+
+def sections_of(content: Content) -> tuple[Section, ...]:
+    """The sections that have something to say; studies only with all figures and tables."""
+    sections = []
+    for entry in CONTENTS["section"]:
+        if content.studies or not entry.get("study"):
+            parts = (name.partition(" ") for name in entry["blocks"])
+            blocks = [block for kind, _, what in parts for block in BLOCKS[kind](content, what)]
+            sections.append(Section(entry["anchor"], entry["title"], tuple(blocks)))
+    return tuple(section for section in sections if section.blocks)
+
 
 MOST = 1200
 """Largest number of points a curve keeps."""
@@ -135,9 +260,9 @@ TABLES = tuple(TITLES)
 
 def _chosen(name: str, numbers: Sequence[str] | None, known: Sequence[str]) -> tuple[str, ...]:
     """Those of `known` that are in `numbers`; all for None."""
-    for number in numbers or ():
-        check_name(name, number, known)
-    return tuple(number for number in known if numbers is None or number in numbers)
+    for one in numbers or ():
+        check_name(name, one, known)
+    return tuple(one for one in known if numbers is None or one in numbers)
 
 
 def make_content(

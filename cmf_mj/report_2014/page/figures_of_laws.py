@@ -6,7 +6,7 @@ import numpy as np
 
 from cmf_mj.analysis.linear.loop import loop_response
 from cmf_mj.core import units
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.report_2014.accelerometer_filter import AMPLITUDE, FREQUENCY, FilterEffect, Readings
 from cmf_mj.report_2014.page.curves import (
     Drawing,
@@ -24,8 +24,7 @@ from cmf_mj.report_2014.page.curves import (
 )
 from cmf_mj.report_2014.page.runs import LEG, SLOW, On, Runs, leg_motion, plant_of
 from cmf_mj.report_2014.second_order import bandwidth_example, characteristics, feedback_model
-from cmf_mj.show.chart import GREY, Curve, Dash
-from cmf_mj.show.look import COLOURS
+from cmf_mj.show.look import COLOURS, GREY, Curve, Dash
 
 _PLANTS: tuple[tuple[On, str, Dash], ...] = (
     ("machine", "hexapod", "solid"),

@@ -13,7 +13,7 @@ from cmf_mj.analysis.linear.loop import closed_loop, loop_response
 from cmf_mj.analysis.linear.plants import UnitTransferFunction, leg_plant
 from cmf_mj.analysis.measures import measure_loop
 from cmf_mj.core import units
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.record.record import Record
 from cmf_mj.report_2014.models import hardware_velocity, report_model
@@ -27,8 +27,7 @@ from cmf_mj.report_2014.page.curves import (
     response,
 )
 from cmf_mj.report_2014.page.runs import IDENTIFIED_ON, Runs, Signal, leg_motion
-from cmf_mj.show.chart import GREY, Curve, Dash
-from cmf_mj.show.look import COLOURS
+from cmf_mj.show.look import COLOURS, GREY, Curve, Dash
 
 _EQUATIONS = {1: ("4.11", "4.12", "4.13"), 2: ("4.14", "4.15", "4.16"), 3: ("4.17", "4.18", "4.19")}
 """Position, velocity and acceleration of linear models 1 to 3."""

@@ -14,8 +14,7 @@ from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import excursion_envelope
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.report_2014.calibration.trial import MEASURES, load_study
-from cmf_mj.report_2014.gains import published_gains
-from cmf_mj.report_2014.models import table_4_1
+from cmf_mj.report_2014.models import published_gains, table_4_1
 from cmf_mj.report_2014.page.curves import CONTENTS, law_title, texts
 from cmf_mj.report_2014.page.runs import On, Runs, RunSpec
 from cmf_mj.studies.case import CaseResult

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from cmf_mj.analysis.published import published_results
-from cmf_mj.core.frames import column, groups, where
-from cmf_mj.core.result import Field, Result, fields_of
-from cmf_mj.core.table import number
+from cmf_mj.core.result import Field, Result, column, fields_of, groups, number, where
 from cmf_mj.report_2014.posterior.evidence import HELD_OUT, observations, scatter
 from cmf_mj.report_2014.posterior.run import GROUPS, Results
 from cmf_mj.report_2014.posterior.sampling import normalised, weighted_quantiles

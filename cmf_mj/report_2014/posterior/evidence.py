@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from cmf_mj.analysis.linear.linear import Linear
-from cmf_mj.analysis.linear.poles import limit_cycle
-from cmf_mj.analysis.linear.reduction import dof_model
+from cmf_mj.analysis.linear.poles import dof_model, limit_cycle
 from cmf_mj.analysis.measures import Measures
 from cmf_mj.analysis.published import published_results
 from cmf_mj.plant.parameters.hydraulics import OF_THE_SUPPLY, HydraulicParameters

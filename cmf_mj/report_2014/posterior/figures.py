@@ -5,7 +5,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from cmf_mj.core.frames import column
+from cmf_mj.core.result import column
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.report_2014.posterior import answers
 from cmf_mj.report_2014.posterior.run import MAPS, Results

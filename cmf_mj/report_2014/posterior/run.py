@@ -23,14 +23,14 @@ from numpy.typing import NDArray
 from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.files import read_table, write_parquet
-from cmf_mj.core.rates import FRAME
+from cmf_mj.core.units import FRAME
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.report_2014.posterior import evidence, sampling
 from cmf_mj.report_2014.posterior.settings import PosteriorStudy
+from cmf_mj.studies.case import swing_after_step
 from cmf_mj.studies.engine import Journal, Progress, Row, Work, Workers, run_tasks
 from cmf_mj.studies.evaluation import MEASURED
-from cmf_mj.studies.swing import swing_after_step
 
 GROUPS = ("rows", "fits", "three_g", "flown")
 """Groups of evidence, see `evidence`."""

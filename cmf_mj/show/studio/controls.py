@@ -14,15 +14,13 @@ from cmf_mj.core import units
 from cmf_mj.facility.scenario.library import scenario_toml
 from cmf_mj.facility.scenario.settings import Change, Push, Scenario, change_of, overlaid_law
 from cmf_mj.machine import models
-from cmf_mj.machine.dof import dof_unit
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.plant.events import KINDS, default_event
 from cmf_mj.plant.parameters.loading import HYDRAULICS, hydraulics_of
 from cmf_mj.show.studio import choices
+from cmf_mj.show.studio.choices import Knob, knobs, words
 from cmf_mj.show.studio.desk import Desk, by_hand, pick
-from cmf_mj.show.studio.knobs import Knob, knobs
 from cmf_mj.show.studio.live import View
-from cmf_mj.show.studio.marks import words
 from cmf_mj.signals.signal import SingleSignal
 
 SPEEDS = {"1": 1.0, "1/2": 0.5, "1/5": 0.2, "1/10": 0.1, "1/50": 0.02}

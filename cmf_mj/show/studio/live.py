@@ -22,13 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmf_mj.core.errors import CmfError, InputError
-from cmf_mj.core.rates import FRAME, RATE
+from cmf_mj.core.units import FRAME, RATE
 from cmf_mj.facility.scenario.run import ScenarioRun
 from cmf_mj.facility.scenario.settings import Change, Scenario
 from cmf_mj.facility.session import Live
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.record.record import Record
-from cmf_mj.show.studio.marks import Mark, marks_of
+from cmf_mj.show.studio.choices import Mark, marks_of
 
 LARGEST = 0.25
 """Wall time made up for at most in one turn [s]."""

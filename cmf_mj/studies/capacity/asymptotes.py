@@ -40,7 +40,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.analysis.frequency_response import falls
-from cmf_mj.machine.dof import dof_index
+from cmf_mj.machine.geometry import dof_index
 from cmf_mj.machine.kinematics import excursion_envelope, one_pose, pose_jacobian, pose_to_legs
 from cmf_mj.plant.cylinder import stiffness
 from cmf_mj.plant.hydraulics import Hydraulics

@@ -26,12 +26,11 @@ import numpy as np
 from cmf_mj.analysis.response.periodic import fit_sines
 from cmf_mj.control.law import Law, load_law
 from cmf_mj.core.errors import InputError
-from cmf_mj.core.rates import RATE
 from cmf_mj.core.threads import on_threads
+from cmf_mj.core.units import RATE
 from cmf_mj.facility.run import simulate
 from cmf_mj.machine.cab import Cab, load_cab
-from cmf_mj.machine.dof import dof_index
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.geometry import DOFS, dof_index
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import hydraulics_of

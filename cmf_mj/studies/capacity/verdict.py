@@ -27,11 +27,10 @@ from cmf_mj.control.law import Law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, unknown_name
 from cmf_mj.core.files import read_column, read_table
-from cmf_mj.core.rates import RATE
+from cmf_mj.core.units import RATE
 from cmf_mj.facility.run import simulate
 from cmf_mj.machine.cab import Cab
-from cmf_mj.machine.dof import dof_index, dof_unit
-from cmf_mj.machine.geometry import DOFS
+from cmf_mj.machine.geometry import DOFS, dof_index, dof_unit
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.hydraulics import Hydraulics
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
@@ -39,7 +38,7 @@ from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.peaks import check_limits
 from cmf_mj.signals.signal import Command, Other
-from cmf_mj.studies.failure.measures import Peak, extreme
+from cmf_mj.studies.failure import Peak, extreme
 
 SIGNALS = ("sine", "step", "chirp", "noise", "multisine")
 """Manoeuvres with a name."""
