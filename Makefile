@@ -66,9 +66,9 @@ imports: $(VENV)/ready-dev
 
 # In three parts, so that a worker, which never gives all memory back, stays below 1 GB.
 tests: $(VENV)/ready-dev
-	$(PYTEST) --dist worksteal -m "not slow" tests/test_[a-d]*.py
-	$(PYTEST) --dist worksteal -m "not slow" tests/test_[e-q]*.py
-	$(PYTEST) --dist worksteal -m "not slow" tests/test_[r-z]*.py
+	$(PYTEST) --dist worksteal -m "not slow" tests/[a-d]*/
+	$(PYTEST) --dist worksteal -m "not slow" tests/[e-q]*/
+	$(PYTEST) --dist worksteal -m "not slow" tests/[r-z]*/
 	$(PYTEST) --dist loadfile README.md docs models
 
 slow: $(VENV)/ready-dev

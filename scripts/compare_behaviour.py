@@ -21,7 +21,7 @@ CASES = Path("tests/references/behaviour.toml")
 """Scenarios; those of this checkout run at both commits."""
 
 VALUES = Path("tests/references/behaviour_values.toml")
-"""Key values of their records, which tests/test_behaviour.py holds on any processor."""
+"""Key values of their records, which tests/across/test_behaviour.py holds on any processor."""
 
 KEY_CHANNELS = ("leg_reference", "leg_extension", "valve_command", "cap_pressure", "leg_force")
 

@@ -39,7 +39,12 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     os.environ.setdefault("MALLOC_MMAP_THRESHOLD_", "1048576")  # so can large arrays, at once
     if config.getoption("numprocesses", default=None):
         warm = Path(__file__).with_name("warm.py")
-        runs = [subprocess.Popen([sys.executable, warm, loop]) for loop in ("table", "chain")]
+        paths = (str(warm.parent), str(config.rootpath), os.environ.get("PYTHONPATH", ""))
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
+        runs = [
+            subprocess.Popen([sys.executable, warm, loop], env=environment)
+            for loop in ("table", "chain")
+        ]
         if any([run.wait() for run in runs]):
             raise pytest.UsageError(f"{warm.name}: the loops could not be compiled")
 

@@ -10,14 +10,6 @@ python tests/warm.py chain    the loop of the facility, from host to sensors, an
 import sys
 
 import numpy as np
-import test_control_limit_chain as limit_chain
-import test_control_states as operating_states
-import test_facility_host as host
-import test_facility_operation_streams as streams
-import test_plant_cylinder as cylinders
-import test_plant_friction as frictions
-import test_plant_oil as oils
-import test_plant_valve as valves
 from flights import level
 from protected_records import fault_of
 
@@ -43,6 +35,14 @@ from cmf_mj.plant.cylinder import Cylinder, make_cylinders
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.power_balance import power_balance
 from cmf_mj.studies.tuning.evaluation import linear_cab, step_response
+from tests.control import test_limit_chain as limit_chain
+from tests.control import test_states as operating_states
+from tests.facility import test_host as host
+from tests.facility import test_operation_streams as streams
+from tests.plant import test_cylinder as cylinders
+from tests.plant import test_friction as frictions
+from tests.plant import test_oil as oils
+from tests.plant import test_valve as valves
 
 
 def table() -> None:

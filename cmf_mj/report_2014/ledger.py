@@ -51,7 +51,7 @@ class LedgerEntry(Settings):
     finding: _Text  #: What is wrong with it.
     project: _Text  #: What this project does.
     demonstration: Annotated[
-        str, Field(pattern=r"^tests/test_report_2014_ledger\w*\.py::test_\w+$")
+        str, Field(pattern=r"^tests/report_2014/test_ledger\w*\.py::test_\w+$")
     ]
     """The test that shows it in numbers."""
     figures: Annotated[tuple[Evidence, ...], Field(strict=False)] = ()  #: What the test computes.

@@ -1,0 +1,175 @@
+"""The plant against Exudyn, and the second hydraulics against closed forms."""
+
+import csv
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from crosscheck.hydraulics import Circuit, make_circuit
+from crosscheck.machine import Machine
+from crosscheck.verification import Verification, distance, in_mujoco, valve_sines, verify
+
+from cmf_mj import Hexapod, load_hydraulics
+from cmf_mj.core import units
+from cmf_mj.machine import models
+from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
+
+SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "verify_plant.py"
+TARGET = 2e-6
+"""Largest difference of a leg extension that counts as agreement [m]."""
+SECONDS = 0.5
+
+
+def altered(name: str, factor: float) -> HydraulicParameters:
+    report = load_hydraulics("report")
+    quantity = getattr(report, name)
+    return report.model_copy(
+        update={name: quantity.model_copy(update={"value": factor * quantity.value})}
+    )
+
+
+@pytest.fixture(scope="module")
+def compared() -> Verification:
+    return verify(seconds=SECONDS, parts=(1, 2, 4))
+
+
+@pytest.fixture(scope="module")
+def circuit() -> Circuit:
+    return make_circuit(load_hydraulics("report"))
+
+
+def errors(compared: Verification, engine: str) -> list[float]:
+    return [run.extension_error for run in compared.runs if run.engine == engine]
+
+
+def test_both_engines_agree_within_two_micrometres(compared: Verification) -> None:
+    # A leg 2 um off between closed valves is this far off in pressure: beta / h per metre.
+    report = load_hydraulics("report")
+    allowed = TARGET * report.bulk_modulus.si / report.half_stroke.si
+    assert compared.travel > 1e4 * TARGET
+    for run in compared.runs:
+        assert run.extension_error < TARGET, run
+        assert run.pressure_error < allowed, run
+    assert compared.extension_uncertainty < 0.05 * TARGET
+
+
+def test_step_errors_fall_with_order_two(compared: Verification) -> None:
+    exudyn, mujoco = errors(compared, "exudyn"), errors(compared, "mujoco")
+    assert exudyn[0] / exudyn[1] == pytest.approx(4.0, rel=0.1)
+    assert exudyn[1] / exudyn[2] == pytest.approx(4.0, rel=0.1)
+    assert mujoco[0] / mujoco[1] > 3.0
+
+
+def test_the_comparison_would_see_a_small_mistake() -> None:
+    valves = valve_sines(SECONDS)
+    right = in_mujoco(valves, 1.0 / 2048.0, "gfd", load_hydraulics("report"))
+    for name, factor in (("bulk_modulus", 1.002), ("leak_rate", 1.02), ("leg_speed", 1.0002)):
+        wrong = in_mujoco(valves, 1.0 / 2048.0, "gfd", altered(name, factor))
+        assert distance(wrong, right)[0] > TARGET, name
+
+
+@pytest.mark.parametrize("cab", sorted(models.CABS))
+def test_exudyn_has_the_reflected_mass_and_stays_at_rest(cab: str) -> None:
+    plant = Hexapod(cab, "report")
+    machine = Machine(plant)
+    mass = plant.reflected_mass()
+    np.testing.assert_allclose(machine.reflected_mass(), mass, rtol=0.0, atol=1e-9 * mass.max())
+    still = machine.run(np.zeros((205, 6)), 1.0 / 2048.0)
+    assert np.abs(still.extension).max() < 1e-12
+    start = np.broadcast_to(plant.start().pressure, still.pressure.shape)
+    np.testing.assert_allclose(still.pressure, start, rtol=1e-9)
+
+
+def test_a_machine_starts_every_run_anew() -> None:
+    machine = Machine(Hexapod("rfd", "report"))
+    valves = valve_sines(0.02)
+    first = machine.run(valves, 1.0 / 2048.0)
+    again = machine.run(valves, 1.0 / 2048.0)
+    np.testing.assert_array_equal(first.extension, again.extension)
+    np.testing.assert_array_equal(first.pressure, again.pressure)
+
+
+def test_matched_ports_give_the_leg_speed_at_half_the_supply(circuit: Circuit) -> None:
+    # 0.28 in/s per per cent with 750 psi across each port: nothing is left to raise a pressure.
+    middle = np.full((2, 1), 750.0 * units.PSI)
+    for share in (-0.4, 0.1, 1.0):
+        speed = np.array([100.0 * share * 0.28 * units.INCH])
+        rate = circuit.rates(middle, np.array([0.3]), speed, np.array([share]))
+        closed = circuit.rates(middle, np.array([0.3]), speed, np.array([0.0]))
+        assert (np.abs(rate) < 1e-9 * np.abs(closed)).all()
+
+
+def test_a_held_leg_relaxes_at_the_leak_rate(circuit: Circuit) -> None:
+    # dF/dt = -lambda dF for the force of a small displacement at neutral, 1.614 1/s.
+    stiffness = circuit.bulk_modulus / circuit.half_stroke
+    pressed = 1e-6 * stiffness * np.array([[-1.0], [1.0]])
+    middle = 0.5 * circuit.supply
+    still = np.zeros(1)
+    rate = circuit.rates(middle + pressed, still, still, still)
+    assert circuit.forces(rate) / circuit.forces(pressed) == pytest.approx(-1.614, rel=2e-3)
+
+
+def test_spools_are_the_exact_answer_of_two_lags(circuit: Circuit) -> None:
+    # Step answer of a b / ((s + a)(s + b)).
+    a, b = 3.0 * units.HERTZ, 75.0 * units.HERTZ
+    commands = np.full((100, 6), 0.5)
+    spools = circuit.spools(commands, 4)
+    time = np.arange(401) / (4 * 2048)
+    answer = 0.5 * (1.0 - (b * np.exp(-a * time) - a * np.exp(-b * time)) / (b - a))
+    np.testing.assert_allclose(spools, np.tile(answer[:, None], 6), rtol=0.0, atol=1e-13)
+
+
+def test_losses_bad_steps_and_torn_chambers_are_refused(circuit: Circuit) -> None:
+    with pytest.raises(ValueError, match="'hardware' must have a constant supply"):
+        Machine(Hexapod("gfd", "hardware"))
+    report = load_hydraulics("report")
+    biased = report.null_bias.model_copy(update={"value": 1.0})
+    with pytest.raises(ValueError, match="null_bias: 1 % must be 0"):
+        make_circuit(report.model_copy(update={"null_bias": biased}))
+    machine = Machine(Hexapod("gfd", "report"))
+    with pytest.raises(ValueError, match="step: 0.0003 s must be 1/2048 s over a whole number"):
+        machine.run(np.zeros((4, 6)), 3e-4)
+    with pytest.raises(ValueError, match=r"valves: shape \(4, 5\)"):
+        machine.run(np.zeros((4, 5)), 1.0 / 2048.0)
+    with pytest.raises(ValueError, match="falls to -5 Pa"):
+        circuit.check(np.full((1, 6, 2), -5.0), np.zeros((1, 6)))
+    with pytest.raises(ValueError, match="reaches 0.9500 m"):
+        circuit.check(np.ones((1, 6, 2)), np.full((1, 6), 0.95))
+
+
+def test_the_study_refuses_bad_steps_and_durations() -> None:
+    with pytest.raises(ValueError, match=r"parts: \[1, 3, 6\] must be"):
+        verify(parts=(1, 3, 6))
+    with pytest.raises(ValueError, match="seconds: 0.0 must be at least"):
+        verify(seconds=0.0)
+
+
+def test_without_exudyn_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "exudyn", None)
+    with pytest.raises(ImportError, match=r"cmf-mj\[verification\]"):
+        Machine(Hexapod("gfd", "report"))
+
+
+def test_the_script_writes_table_data_and_figure(
+    tmp_path: Path,
+    drawn: dict[str, set[str]],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    options = ["--seconds", "0.02", "--finest", "4", "--out", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", ["verify_plant.py", *options])
+    runpy.run_path(str(SCRIPT), run_name="__main__")
+    assert "leg error [um]" in capsys.readouterr().out
+    with (tmp_path / "work_precision.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["engine"], round(1.0 / float(row["step_s"]))) for row in rows] == [
+        (engine, parts * 2048) for engine in ("mujoco", "exudyn") for parts in (1, 2, 4)
+    ]
+    assert (tmp_path / "work_precision.md").read_text().count("\n") == 8
+    assert set(drawn) == {"work_precision.png"}
+    monkeypatch.setattr(sys, "argv", ["verify_plant.py", "--finest", "6"])
+    with pytest.raises(SystemExit, match="2"):
+        runpy.run_path(str(SCRIPT), run_name="__main__")
+    assert "finest: 6 must be a power of two" in capsys.readouterr().err

@@ -1,0 +1,180 @@
+"""What pages and sentences claim, against the data, the models and the contracts they speak of."""
+
+import csv
+import re
+import tomllib
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cmf_mj import Hexapod, attach_hydraulics, load_law, simulate
+from cmf_mj.core import units
+from cmf_mj.machine import models
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.report_2014.posterior import answers
+from cmf_mj.report_2014.posterior import tables as posterior
+from cmf_mj.signals.composite import waypoints
+from cmf_mj.studies.capacity.asymptotes import asymptotes
+
+ROOT = Path(__file__).resolve().parents[2]
+ROTATION = ROOT / "docs" / "explanation" / "acceleration_in_rotation.md"
+TABLES = ROOT / "docs" / "reference" / "rotation_tables.md"
+
+
+def read(page: str | Path) -> str:
+    return (ROOT / page).read_text(encoding="utf-8")
+
+
+def made(page: str | Path, name: str) -> str:
+    """What a study wrote into a page."""
+    (text,) = re.findall(
+        rf"<!-- table: rotation/{name} -->\n\n(.*?)\n*<!-- end -->", read(page), re.S
+    )
+    return str(text)
+
+
+def rows(name: str) -> list[dict[str, str]]:
+    with (ROOT / "docs" / "data" / f"rotation_{name}.csv").open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def share(text: str) -> float:
+    known = {"over 99 %": 0.999, "under 1 %": 0.001}
+    return known[text] if text in known else float(text.split(" ")[0]) / 100.0
+
+
+def span(text: str) -> np.ndarray:
+    middle, low, high = re.fullmatch(r"(\S+) \((\S+) to (\S+)\)", text).groups()  # type: ignore[union-attr]
+    return np.array([float(low), float(middle), float(high)])
+
+
+@pytest.fixture
+def printed(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Results whose answers are those of the CSV files beside the pages."""
+    stability, changes = [], []
+    for row in rows("stability"):
+        without = tuple(share(row[f"without {posterior.EVIDENCE[g]}"]) for g in answers.GROUPS)
+        simulated, machines = (int(part) for part in row["simulated"].split(" of "))
+        both = share(row["prior"]), share(row["all evidence"].split(" +-")[0])
+        agreeing = int(row["same verdict"].split(" of ")[0])
+        one = (row["law"], row["cab"], *both, 0.0, without, simulated, machines, agreeing)
+        stability.append(answers.Stability(*one))
+    for row in rows("changes"):
+        both = span(row["prior"]), span(row["all evidence"])
+        changes.append(
+            answers.DampingChange(row["law"], row["cab"], *both, share(row["same sign"]))
+        )
+    laws = [SimpleNamespace(name=name) for name in dict.fromkeys(one.law for one in stability)]
+    monkeypatch.setattr(answers, "stability", lambda _: stability)
+    monkeypatch.setattr(answers, "changes", lambda _: changes)
+    monkeypatch.setattr(
+        answers, "moved", lambda _: [answers.Moved("x", law.name, 0.0, 0.0, 0.0) for law in laws]
+    )
+    return SimpleNamespace(study=SimpleNamespace(laws=laws, cabs=[SimpleNamespace(name="gfd")]))
+
+
+@pytest.mark.parametrize("page", [ROTATION, ROTATION.with_name("paper.md")], ids=lambda p: p.name)
+def test_sentences_of_rotation_are_those_of_its_data(printed: Any, page: Path) -> None:
+    assert made(page, "robust") == posterior.robust_text(printed).strip()
+
+
+def test_what_a_verdict_depends_on_is_that_of_its_data(printed: Any) -> None:
+    """Up to the unknowns, whose swings the data beside the pages do not hold."""
+
+    def begins(text: str) -> list[str]:
+        return [line.split(" Its least")[0] for line in text.strip().splitlines()]
+
+    assert begins(made(TABLES, "fragile")) == begins(posterior.fragile_text(printed))
+
+
+def test_every_printed_interval_has_the_signs_of_its_quantiles() -> None:
+    """Each change is one of the data, character by character, its ends in order."""
+    every = {row[key] for row in rows("changes") for key in ("prior", "all evidence")}
+    form = r"[+-]\d\.\d{3} \([+-]\d\.\d{3} to [+-]\d\.\d{3}\)"
+    for page in (ROTATION, ROTATION.with_name("paper.md")):
+        found = re.findall(form, made(page, "robust"))
+        assert len(found) == 2 * 3 and set(found) <= every
+    assert set(re.findall(form, made(TABLES, "changes"))) == every
+    pages = "".join(made(TABLES, name) for name in ("changes", "gains", "unknowns", "evidence"))
+    intervals = re.findall(r"\S+ \(\S+ to \S+\)", pages)
+    assert len(intervals) > 100
+    for text in intervals:
+        assert (np.diff(span(text)) >= 0.0).all(), text
+
+
+def test_an_interval_that_spans_zero_is_printed_as_one(
+    printed: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    around = np.array([-0.003, 0.012, 0.023])
+    one = answers.DampingChange(posterior.OPPOSED, "gfd", around, around, 0.9)
+    monkeypatch.setattr(answers, "changes", lambda _: [one])
+    assert posterior.robust_text(printed).count("+0.012 (-0.003 to +0.023)") == 2
+
+
+def test_contributing_has_the_layers_of_the_contract() -> None:
+    contracts = tomllib.loads(read("pyproject.toml"))["tool"]["importlinter"]["contracts"]
+    (layers,) = (one["layers"] for one in contracts if one["type"] == "layers")
+    (order,) = re.findall(r"^`(cli > .*)`\.$", read("CONTRIBUTING.md"), re.MULTILINE)
+    assert order.split(" > ") == layers
+
+
+@pytest.mark.parametrize("cab", ["gfd", "rfd", "ifd"])
+def test_amplitude_md_has_the_limits_of_unit_gain(cab: str) -> None:
+    """Valve, drive of 2000 %/s and stall, the load at rest taken off, to one decimal."""
+    text = read("docs/explanation/amplitude.md")
+    cells = re.findall(rf"^\|.*\| {cab.upper()} \| (.*) \|$", text, re.MULTILINE)
+    plant, frequency = Hexapod(cab), np.geomspace(1.0, 30.0, 20_000)
+    s = 2j * np.pi * frequency[:, None]
+    for i, dof in enumerate(DOFS):
+        one = asymptotes(plant, dof)
+        lags = np.prod([1.0 + s / corner for corner in one.corners], axis=0)
+        spring = one.stiffness * s / (s + one.leak_rate)
+        flow = np.abs(lags * s * (one.column + s**2 * (one.mass @ one.column) / spring))
+        amplitude = 0.33 * units.INCH if i < 3 else np.radians(0.2)
+        valve = amplitude * (flow / one.speed).max(axis=1)
+        rate = np.abs(s[:, 0])
+        used = valve, rate * 100.0 * valve / 2000.0, rate**2 * amplitude / one.acceleration
+        for row, limit in zip(cells, used, strict=True):
+            at = float(frequency[np.argmax(limit >= 1.0)])
+            assert float(row.split(" | ")[i]) == pytest.approx(at, abs=0.051), (dof, row)
+
+
+def test_modal_plan_is_as_fast_as_the_pages_say() -> None:
+    """The slowest nominal row of the tables, rounded down."""
+    nominal = re.findall(
+        r"^\| nominal \| .*? of 24 \| ([\d.]+) ", read("docs/reference/modal_plan_tables.md"), re.M
+    )
+    said = np.floor(10.0 * min(float(value) for value in nominal)) / 10.0
+    assert len(nominal) == 3
+    for page in ("laws_beyond.md", "paper.md"):
+        assert f"-90 deg at {said:g} Hz or more" in read(f"docs/explanation/{page}").replace(
+            "\n", " "
+        )
+
+
+def test_the_boom_without_pressures_ends_in_the_limit_cycle_of_any_model_md() -> None:
+    """From under 1 mm at the end of the lift to 9 mm peak to peak at 2.0 Hz; with them it rests."""
+    names = ("boom_cylinder", "stick_cylinder", "bucket_cylinder")
+    files = (models.model_path(f"excavator{end}") for end in (".xml", "_hydraulics.toml"))
+    spec, oil = files
+    digger = attach_hydraulics(spec, names, oil, payload=["load"])
+    lengths = np.array([[2.673, 3.038, 2.667], *[[2.80, 2.90, 2.70]] * 2])
+    path = waypoints([0.0, 3.0, 16.0], lengths - digger.neutral)
+    law = load_law(models.model_path("excavator_laws.toml"))
+    bare = law.direct_gain.model_copy(update={"cap_pressure": 0.0, "rod_pressure": 0.0})
+    for one, least, most in (
+        (law, 0.0, 0.2),
+        (law.model_copy(update={"direct_gain": bare}), 8.5, 9.5),
+    ):
+        run = simulate(digger, one, path, legs=True, start=digger.configuration(path[0]))
+        swing = 1e3 * run["leg_extension"][:, 0]
+        late = swing[run.time >= 12.0]
+        assert np.ptp(swing[(run.time >= 3.0) & (run.time < 4.0)]) < 1.0
+        assert least <= np.ptp(late) <= most
+    crossings = np.flatnonzero(np.diff(np.sign(late - late.mean())) > 0)
+    assert 2048.0 / np.diff(crossings).mean() == pytest.approx(2.0, abs=0.05)
+    page = read("docs/how_to/any_model.md").replace("\n", " ")
+    assert "a limit cycle of 9 mm peak to peak at 2.0 Hz" in page

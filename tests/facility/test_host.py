@@ -1,0 +1,676 @@
+"""Host streams, files, datagrams and sockets: what is sent arrives, bit for bit, or is counted."""
+
+import hashlib
+import runpy
+import socket
+import struct
+import threading
+import time as clock
+import zlib
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dcu_bounds import output_bounds
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import make_interp_spline
+from typer.testing import CliRunner
+
+from cmf_mj import signals
+from cmf_mj.cli.common import app
+from cmf_mj.control.dcu import play
+from cmf_mj.control.dcu.play import Arrivals, feed, upsample
+from cmf_mj.control.dcu.settings import DcuSettings, load_dcu, make_dcu
+from cmf_mj.control.dcu.state import resting
+from cmf_mj.core.compiled import allocating
+from cmf_mj.facility.host.files import HostSession, read_stream, write_stream
+from cmf_mj.facility.host.handover import (
+    NEVER,
+    capacity_for,
+    collect,
+    logged,
+    make_log,
+    make_ring,
+    put,
+)
+from cmf_mj.facility.host.stream import (
+    HostFrame,
+    HostStream,
+    differentiate,
+    from_command,
+    make_stream,
+    resample,
+    unit_doubts,
+)
+from cmf_mj.facility.host.stream import arrivals as arrivals_of
+from cmf_mj.facility.host.udp import (
+    DATAGRAM_REASONS,
+    SIZE,
+    DatagramError,
+    UdpReceiver,
+    decode,
+    encode,
+    read_key,
+    send_stream,
+)
+from cmf_mj.facility.operation import account
+
+RATE = 2048
+
+
+def wave(count: int = 40, rate: float = 80.0) -> HostStream:
+    time = np.arange(count) / rate
+    angle = np.outer(time, 2.0 * np.pi * np.array([0.5, 0.7, 1.0, 0.3, 0.4, 0.6]))
+    return make_stream(time, 0.05 * np.sin(angle))
+
+
+def frame(sequence: int = 7, time: float = 1.25) -> HostFrame:
+    values = np.random.default_rng(2).normal(size=(3, 6))
+    return HostFrame(sequence, time, *values)
+
+
+def assert_same(a: HostStream, b: HostStream) -> None:
+    for left, right in zip(a, b, strict=True):
+        assert left.dtype == right.dtype
+        assert left.tobytes() == right.tobytes()
+
+
+# Streams
+
+
+def test_derivatives_of_a_quintic_are_exact() -> None:
+    time = np.sort(np.random.default_rng(1).uniform(0.0, 1.0, 30))
+    poly = np.polynomial.Polynomial([0.1, -0.2, 0.3, 1.0, -1.5, 0.5])
+    pose = np.tile(poly(time)[:, None], 6)
+    velocity, acceleration = differentiate(time, pose)
+    assert np.abs(velocity[:, 3] - poly.deriv()(time)).max() < 1e-9
+    assert np.abs(acceleration[:, 3] - poly.deriv(2)(time)).max() < 1e-6
+
+
+def test_the_error_of_derivatives_falls_with_the_fifth_and_fourth_power() -> None:
+    errors = []
+    for rate in (20.0, 40.0):
+        time = np.arange(int(8 * rate)) / rate
+        pose = np.tile(np.sin(2.0 * np.pi * time)[:, None], 6)
+        first, second = differentiate(time, pose)
+        inner = (time > 2.0) & (time < 6.0)
+        w = 2.0 * np.pi
+        errors.append(
+            (
+                np.abs(first[inner, 0] - w * np.cos(w * time[inner])).max(),
+                np.abs(second[inner, 0] + w * w * np.sin(w * time[inner])).max(),
+            )
+        )
+    orders = np.log2(np.array(errors[0]) / np.array(errors[1]))
+    assert orders[0] > 4.8
+    assert orders[1] == pytest.approx(4.0, abs=0.3)
+
+
+def test_a_stream_of_poses_is_played_as_its_spline() -> None:
+    stream = wave(160, 64.0)
+    compiled = make_dcu()
+    demand = upsample(compiled, resting(compiled), arrivals_of(stream), 5000)
+    spline = make_interp_spline(stream.time, stream.pose, k=5)
+    delay = 1.0 / 64.0 + compiled.hold + compiled.line / RATE
+    at = np.arange(3000, 5000) / RATE - delay  # the gap of the start has closed
+    for order in range(3):
+        assert np.abs(demand[3000:, order] - spline(at, nu=order)).max() < 1e-9
+
+
+def test_a_command_is_sampled_with_its_derivatives() -> None:
+    command = signals.sine("pitch", 0.05, 0.5)
+    stream = from_command(command, 64.0)
+    assert stream.time[-1] <= command.duration
+    assert np.diff(stream.time) == pytest.approx(1 / 64.0)
+    picked = command.pose[:: RATE // 64][: stream.time.size]
+    assert np.abs(stream.pose - picked).max() < 1e-12
+    again = from_command(signals.step("heave", 0.0254), 80.0, derivatives="zero")
+    assert set(np.unique(again.pose[:, 2])) == {0.0, 0.0254}
+    assert again.pose[80, 2] == 0.0254
+    assert again.pose[79, 2] == 0.0
+    assert not again.velocity.any()
+
+
+def test_resampling_keeps_the_motion() -> None:
+    stream = wave(81, 40.0)
+    finer = resample(stream, 80.0)
+    assert finer.time.size == 161
+    back = resample(finer, 40.0)
+    for name in ("time", "pose", "velocity", "acceleration"):
+        assert np.abs(getattr(back, name) - getattr(stream, name)).max() < 1e-10
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"pose": np.zeros((10, 5))}, r"pose: shape is \(10, 5\)"),
+        ({"time": np.zeros(10)}, "time: frame 1: 0.0 is refused"),
+        ({"time": np.full(10, np.nan)}, "time: frame 0: nan"),
+        ({"pose": np.full((10, 6), np.inf)}, "pose: frame 0"),
+        ({"velocity": np.zeros((10, 6))}, "give both or neither"),
+        (
+            {"velocity": np.zeros((9, 6)), "acceleration": np.zeros((10, 6))},
+            r"velocity: shape is \(9, 6\)",
+        ),
+        ({"sequence": np.arange(10)[::-1]}, "sequence: frame 1: 8 is refused"),
+        ({"sequence": np.arange(10.0)}, "sequence: float64"),
+        ({"derivatives": "exact"}, "'exact' is not one of spline, zero"),
+        ({"time": np.arange(5.0), "pose": np.zeros((5, 6))}, "at least 6"),
+    ],
+)
+def test_a_bad_stream_is_refused_by_name(changes: dict[str, object], message: str) -> None:
+    arguments: dict[str, object] = {"time": np.arange(10.0), "pose": np.zeros((10, 6))} | changes
+    with pytest.raises(ValueError, match=message):
+        make_stream(**arguments)  # type: ignore[arg-type]
+
+
+# Files
+
+
+@pytest.mark.parametrize("name", ["run.csv", "run.parquet"])
+def test_a_stream_reads_back_bit_for_bit(name: str, tmp_path: Path) -> None:
+    stream = wave()
+    assert_same(read_stream(write_stream(stream, tmp_path / name)), stream)
+
+
+def test_a_file_of_poses_alone_in_any_order(tmp_path: Path) -> None:
+    path = tmp_path / "poses.csv"
+    rows = [f"0,0,{0.001 * k},9,0,0,0,{k / 50}" for k in range(8)]
+    path.write_text("\n".join(["yaw,pitch,heave,note,roll,sway,surge,time", *rows]))
+    stream = read_stream(path)
+    assert stream.pose[:, 2] == pytest.approx(0.001 * np.arange(8))
+    assert stream.velocity[:, 2] == pytest.approx(0.05)
+    assert stream.sequence.tolist() == list(range(8))
+    assert not read_stream(path, derivatives="zero").velocity.any()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time,surge\n0,0\n", "sway: column is missing"),
+        ("time,surge,sway,heave,roll,pitch,yaw\n0,0,0,,0,0,0\n", "heave: row 1 is empty"),
+        ("time,surge,sway,heave,roll,pitch,yaw\n0,0,0,up,0,0,0\n", "heave: is not a column"),
+        ("time,time,surge\n0,0,0\n", "time: column is twice"),
+        ("time,surge,sway,heave,roll,pitch,yaw\n1,0,0,0,0,0,0\n1,0,0,0,0,0,0\n", "frame 1: 1.0"),
+        ("", "cannot be read"),
+    ],
+)
+def test_a_bad_file_is_refused_with_its_place(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        read_stream(path, derivatives="zero")
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="must end in"):
+        read_stream(tmp_path / "run.xlsx")
+    with pytest.raises(ValueError, match="must end in"):
+        write_stream(wave(), tmp_path / "run.txt")
+    with pytest.raises(ValueError, match="is not a readable Parquet file"):
+        read_stream(tmp_path / "none.parquet")
+    path = write_stream(wave(), tmp_path / "run.parquet")
+    with pytest.raises(ValueError, match="carries no cmf_mj_host header"):
+        HostSession.load(path)
+
+
+def test_a_session_with_bad_frames_is_replayed_bit_for_bit(tmp_path: Path) -> None:
+    arrivals = arrivals_of(wave(120))
+    arrivals.values[30, 1, 2] = np.nan
+    arrivals.values[31, 0, 0] = np.inf
+    arrivals.time[40] = np.nan
+    arrivals.sequence[50] = 49
+    arrivals.frame[60:] += 400
+    table = load_dcu().model_dump()
+    table["delay"]["transmission"]["value"] = 11.0
+    session = HostSession(arrivals, 4000, np.full(6, 0.01), DcuSettings.model_validate(table))
+    demand = session.replay()
+    again = HostSession.load(session.save(tmp_path / "session.parquet"))
+    assert again.settings == session.settings
+    for left, right in zip(arrivals, again.arrivals, strict=True):
+        assert left.tobytes() == right.tobytes()
+    assert again.replay().tobytes() == demand.tobytes()
+    assert np.ptp(demand[:, 0]) > 0.05
+
+
+# Datagrams
+
+
+def test_the_session_of_a_silent_host_is_kept(tmp_path: Path) -> None:
+    number, none = np.arange(0), np.zeros((0, 3, 6))
+    session = HostSession(Arrivals(number, number, number / 80.0, none), 900)
+    again = HostSession.load(session.save(tmp_path / "session.parquet"))
+    assert again.arrivals.values.shape == none.shape and again.frames == 900
+
+
+def test_a_datagram_is_laid_out_as_documented() -> None:
+    """Against the struct module: another reading of the same table."""
+    sent = frame()
+    data = encode(sent)
+    body = struct.pack(
+        "<4sHHQd18d",
+        b"CMFH",
+        1,
+        172,
+        sent.sequence,
+        sent.time,
+        *sent.pose,
+        *sent.velocity,
+        *sent.acceleration,
+    )
+    assert data == body + struct.pack("<I", zlib.crc32(body))
+    assert len(data) == SIZE == 172
+
+
+@given(
+    sequence=st.integers(0, 2**63 - 1),
+    time=st.floats(),
+    values=st.lists(st.floats(), min_size=18, max_size=18),
+)
+def test_decoding_undoes_encoding(sequence: int, time: float, values: list[float]) -> None:
+    sent = HostFrame(sequence, time, *np.array(values).reshape(3, 6))
+    found = decode(encode(sent))
+    assert found.sequence == sequence
+    assert struct.pack("<d", found.time) == struct.pack("<d", time)
+    for name in ("pose", "velocity", "acceleration"):
+        assert getattr(found, name).tobytes() == getattr(sent, name).tobytes()
+
+
+def forged(offset: int, octets: bytes) -> bytes:
+    """A datagram with other octets and a checksum that fits them."""
+    body = bytearray(encode(frame())[:-4])
+    body[offset : offset + len(octets)] = octets
+    return bytes(body) + struct.pack("<I", zlib.crc32(body))
+
+
+MALFORMED = [
+    (b"", "wrong_length"),
+    (encode(frame())[:-1], "wrong_length"),
+    (encode(frame()) + b"\0", "wrong_length"),
+    (forged(0, b"CMFX"), "wrong_magic"),
+    (forged(4, b"\2\0"), "wrong_version"),
+    (forged(6, b"\1\0"), "wrong_length"),
+    (forged(8, b"\xff" * 8), "wrong_sequence"),
+    (encode(frame())[:-4] + b"\0\0\0\0", "wrong_checksum"),
+]
+
+
+@pytest.mark.parametrize(("data", "reason"), MALFORMED)
+def test_a_malformed_datagram_is_refused_with_its_reason(data: bytes, reason: str) -> None:
+    with pytest.raises(DatagramError, match=reason) as error:
+        decode(data)
+    assert error.value.reason == reason
+    assert reason in DATAGRAM_REASONS
+
+
+@given(bit=st.integers(0, 8 * SIZE - 1))
+def test_any_flipped_bit_is_noticed(bit: int) -> None:
+    data = bytearray(encode(frame()))
+    data[bit // 8] ^= 1 << bit % 8
+    with pytest.raises(DatagramError):
+        decode(bytes(data))
+
+
+@settings(max_examples=200)
+@example(data=b"CMFH" + bytes(168))
+@given(data=st.binary(max_size=400) | st.binary(min_size=SIZE, max_size=SIZE))
+def test_garbage_is_refused(data: bytes) -> None:
+    with pytest.raises(DatagramError):
+        decode(data)
+
+
+def test_a_frame_that_does_not_fit_is_not_encoded() -> None:
+    with pytest.raises(ValueError, match="sequence: -1"):
+        encode(frame(-1))
+    with pytest.raises(ValueError, match=r"pose: shape is \(5,\)"):
+        encode(frame()._replace(pose=np.zeros(5)))
+
+
+# Hand-over
+
+
+def test_the_ring_hands_over_in_order_and_counts_what_it_lost() -> None:
+    ring, log = make_ring(4), make_log(10)
+    filled = collect(ring, log, 0, 0)
+    assert filled == 0
+    for number in range(3):
+        put(ring, frame(number, float(number)))
+    filled = collect(ring, log, filled, 5)
+    assert (filled, ring.lost[0]) == (3, 0)
+    for number in range(3, 10):
+        put(ring, frame(number, float(number)))
+    filled = collect(ring, log, filled, 9)
+    assert (filled, ring.lost[0]) == (7, 3)
+    kept = logged(log, filled)
+    assert kept.sequence.tolist() == [0, 1, 2, 6, 7, 8, 9]
+    assert kept.frame.tolist() == [5, 5, 5, 9, 9, 9, 9]
+    assert (kept.values[0] == np.array(frame()[2:])).all()
+    assert (log.frame[filled:] == NEVER).all()
+    for number in range(4):
+        put(ring, frame(number))
+    assert collect(ring, log, filled, 12) == 10
+    assert ring.lost[0] == 4
+
+
+def test_of_frames_that_come_too_fast_the_newest_goes_on_and_the_rest_is_counted() -> None:
+    """A host of 2048 Hz for two seconds: 256 + 200 t are handed over, spread evenly, none older."""
+    ring, log, filled = make_ring(64), make_log(capacity_for(2 * RATE)), 0
+    for now in range(2 * RATE):
+        put(ring, frame(now, now / RATE))
+        filled = collect(ring, log, filled, now)
+    kept = logged(log, filled)
+    waiting = int(ring.written[0] - ring.read[0])
+    assert filled == pytest.approx(256 + 2 * 200, abs=1)
+    assert filled + ring.thinned[0] + ring.lost[0] + waiting == 2 * RATE
+    assert ring.lost[0] == 0 and waiting <= 10
+    late = kept.sequence[-200:]
+    assert set(np.diff(late)) <= {10, 11}  # 2048 / 200 frames, to the whole one
+    assert (kept.sequence == kept.frame).all()  # what goes on is what has just come
+
+
+def test_a_host_of_80_hz_is_never_thinned_and_a_burst_keeps_its_newest() -> None:
+    ring, log, filled = make_ring(512), make_log(capacity_for(20 * RATE)), 0
+    for now in range(0, 10 * RATE, 26):
+        put(ring, frame(now))
+        filled = collect(ring, log, filled, now)
+    assert (filled, ring.thinned[0]) == (len(range(0, 10 * RATE, 26)), 0)
+    log, filled = make_log(capacity_for(20 * RATE)), 0
+    for number in range(400):
+        put(ring, frame(number))
+    filled = collect(ring, log, filled, 0)
+    assert (filled, ring.thinned[0]) == (256, 144)
+    assert logged(log, filled).sequence.tolist() == list(range(144, 400))
+
+
+def test_a_slot_under_the_writers_hand_is_lost_not_torn() -> None:
+    ring, log = make_ring(4), make_log(10)
+    for number in range(2):
+        put(ring, frame(number))
+    ring.mark[0] = -1  # the writer has come round and is at work in slot 0
+    assert collect(ring, log, 0, 0) == 1
+    assert ring.lost[0] == 1
+    assert log.sequence[0] == 1
+
+
+@allocating
+def _read_until(ring, log, last):  # type: ignore[no-untyped-def]
+    """Collect without pause until the writer's last frame is read or lost."""
+    filled, turns = 0, 0
+    while ring.read[0] < last and turns < 10**9:
+        filled = collect(ring, log, filled, turns)
+        turns += 1
+    return filled
+
+
+def test_writer_and_reader_at_once_tear_no_frame() -> None:
+    """A reader that never pauses beside a writer that never waits, on a ring of two slots."""
+    count = 20000
+    ring, log = make_ring(2), make_log(count)
+    _read_until(ring, log, 0)  # compiled before the race
+    frames = [HostFrame(n, float(n), *np.full((3, 6), float(n))) for n in range(count)]
+    with ThreadPoolExecutor(1) as pool:
+        reader = pool.submit(_read_until, ring, log, count)
+        for sent in frames:
+            put(ring, sent)
+        filled = reader.result(timeout=60)
+    kept = logged(log, filled)
+    assert filled + ring.lost[0] == count
+    assert filled > 0
+    assert (np.diff(kept.sequence) > 0).all()
+    assert (np.diff(kept.frame) >= 0).all()
+    assert (kept.time == kept.sequence).all()
+    assert (kept.values == kept.sequence[:, None, None]).all()
+
+
+# Sockets
+
+
+def wait_for(receiver: UdpReceiver, count: int) -> None:
+    """Until that many datagrams were taken or dropped; ten seconds at most."""
+    end = clock.monotonic() + 10.0
+    while receiver.received + sum(receiver.refused.values()) < count:
+        assert clock.monotonic() < end, "datagrams did not arrive"
+        clock.sleep(0.001)
+
+
+def test_frames_cross_the_loopback_in_real_time() -> None:
+    stream = wave(24)
+    log = make_log(100)
+    with UdpReceiver() as receiver:
+        assert receiver.address[0] == "127.0.0.1"
+        report = send_stream(stream, *receiver.address)
+        wait_for(receiver, 24)
+        assert collect(receiver.ring, log, 0, 0) == 24
+    assert report.frames == 24
+    assert report.duration + report.worst_lateness >= 23 / 80.0 - 1e-9
+    kept = logged(log, 24)
+    assert kept.values.tobytes() == stream.values.tobytes()
+    assert kept.time.tobytes() == stream.time.tobytes()
+    assert not any(receiver.refused.values())
+
+
+def test_garbage_never_reaches_the_ring_and_is_counted() -> None:
+    expected = dict.fromkeys((*DATAGRAM_REASONS, "overrun"), 0)
+    with (
+        UdpReceiver() as receiver,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw,
+    ):
+        for data, reason in MALFORMED:
+            raw.sendto(data, receiver.address)
+            expected[reason] += 1
+        raw.sendto(encode(frame()), receiver.address)
+        raw.sendto(b"\0" * 5000, receiver.address)
+        expected["wrong_length"] += 1
+        wait_for(receiver, len(MALFORMED) + 2)
+        assert receiver.received == 1
+        assert receiver.refused == expected
+
+
+def test_other_senders_are_dropped_and_counted() -> None:
+    """127.0.0.2 is another host on the same loopback; another port is another program."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as mine,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as neighbour,
+    ):
+        mine.bind(("127.0.0.1", 0))
+        neighbour.bind(("127.0.0.1", 0))
+        stranger.bind(("127.0.0.2", 0))
+        port = mine.getsockname()[1]
+        with UdpReceiver(host="127.0.0.1", host_port=port) as receiver:
+            for sender in (stranger, neighbour, mine):
+                sender.sendto(encode(frame()), receiver.address)
+            wait_for(receiver, 3)
+            assert receiver.received == 1
+            assert receiver.refused["wrong_sender"] == 2
+
+
+def test_with_a_session_key_only_its_owner_is_the_host(tmp_path: Path) -> None:
+    """The tag is BLAKE2s of RFC 7693; without the key no form of a datagram helps."""
+    path = tmp_path / "key"
+    path.write_text("0123456789abcdef\n")
+    key = read_key(path)
+    assert key == b"0123456789abcdef"
+    data = encode(frame(), key)
+    assert len(data) == SIZE + 16 and data[4:8] == b"\2\0\xbc\0"
+    assert data[SIZE:] == hashlib.blake2s(data[:SIZE], key=key, digest_size=16).digest()
+    assert np.array_equal(decode(data, key).pose, frame().pose)
+    others = [
+        (encode(frame()), "wrong_length"),
+        (encode(frame(), b"another key 1234"), "wrong_key"),
+        (data[:-1] + bytes([data[-1] ^ 1]), "wrong_key"),
+        (data[:20] + bytes([data[20] ^ 1]) + data[21:], "wrong_key"),
+    ]
+    for octets, reason in others:
+        with pytest.raises(DatagramError, match=reason):
+            decode(octets, key)
+    with pytest.raises(DatagramError, match="wrong_length"):
+        decode(data)
+    with (
+        UdpReceiver(key=key) as receiver,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw,
+    ):
+        for octets, _ in others:
+            raw.sendto(octets, receiver.address)
+        assert send_stream(wave(8), *receiver.address, key=key).frames == 8
+        wait_for(receiver, len(others) + 8)
+        assert receiver.received == 8
+        assert receiver.refused["wrong_key"] == 3
+    for text, message in (("short", "key: 5 octets; allowed: 16 to 32"), ("x" * 33, "33 octets")):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=message):
+            read_key(path)
+    with pytest.raises(ValueError, match="none: cannot be read"):
+        read_key(tmp_path / "none")
+
+
+def test_what_the_system_drops_is_counted_and_what_waits_is_taken_at_the_end() -> None:
+    """More than the buffer holds, while the thread has no turn."""
+    with UdpReceiver() as receiver, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw:
+        take, count = receiver._take, 40_000
+        begun = threading.Event()
+
+        def held() -> None:
+            begun.set()
+            closing.wait()
+            take()
+
+        closing = threading.Event()
+        receiver._take = held  # type: ignore[method-assign]
+        raw.sendto(b"", receiver.address)
+        assert begun.wait(10.0)
+        for _ in range(count):
+            raw.sendto(bytes(100), receiver.address)
+        receiver._take = take  # type: ignore[method-assign]
+        receiver._ending.set()
+        closing.set()
+    dropped = receiver.refused
+    assert dropped["overrun"] > 0 and dropped["wrong_length"] > 100
+    assert sum(dropped.values()) + receiver.received == count + 1
+
+
+def test_a_flood_of_garbage_loses_no_frame_of_the_host_and_is_counted() -> None:
+    """A short one of `scripts/flood_host.py`, ten minutes of it are in real_time.md."""
+    script = Path(__file__).parents[2] / "scripts" / "flood_host.py"
+    done = runpy.run_path(str(script))["flood"](3.0, 2000.0)
+    counts = account(done.operation, done.received, done.dropped)
+    assert done.received + sum(done.dropped.values()) == done.good + done.garbage
+    assert done.good - done.received <= done.dropped["overrun"]
+    assert counts["lost"] == counts["thinned"] == 0
+    assert counts["wrong_sender"] > 0.5 * done.garbage
+    assert counts["received"] == counts["early"] + counts["after_end"] + (
+        done.operation.session.arrivals.frame.size
+    )
+
+
+def test_other_units_are_said_and_the_right_ones_are_not() -> None:
+    stream = wave(200)
+    assert unit_doubts(stream.time, stream.pose) == []
+    (text,) = unit_doubts(1e3 * stream.time, stream.pose)
+    assert text == "time: 12.5 s from frame to frame; host times are in s: is this ms?"
+    assert unit_doubts(1e6 * stream.time, stream.pose)[0].endswith("is this us?")
+    turned = stream.pose * [1, 1, 1, 57.3, 57.3, 57.3]
+    lines = unit_doubts(stream.time, turned)
+    assert [line.split(":")[0] for line in lines] == ["roll", "pitch", "yaw"]
+    assert all(line.endswith("is this deg?") for line in lines)
+    assert unit_doubts(stream.time, stream.pose * [39.37, 1, 1, 1, 1, 1])[0].endswith("in?")
+    bad = np.full((3, 6), np.nan)
+    assert unit_doubts(np.array([np.nan, 0.0, np.inf]), bad) == []
+    assert unit_doubts(np.zeros(0), np.zeros((0, 6))) == []
+
+
+def test_the_command_line_says_so_before_the_run(tmp_path: Path) -> None:
+    stream = wave(8)
+    path = write_stream(stream._replace(time=1e3 * stream.time), tmp_path / "run.csv")
+    result = CliRunner().invoke(app, ["operate", str(path), "--out", "", "--seconds", "nan"])
+    assert "time: 12.5 s from frame to frame" in result.output.replace("\n", " ")
+
+
+def test_deadlines_are_absolute() -> None:
+    """A clock that is late by 1 ms at each sleep: no frame is later than that, so none adds up."""
+    now = 0.0
+
+    def sleep(seconds: float) -> None:
+        nonlocal now
+        now += seconds + 0.001
+
+    with UdpReceiver() as receiver:
+        report = send_stream(wave(200), *receiver.address, clock=lambda: now, sleep=sleep)
+    assert report.worst_lateness == pytest.approx(0.001)
+    assert report.duration == pytest.approx(199 / 80.0 + 0.001)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"port": 70000}, "port: 70000"),
+        ({"host_port": -1}, "host_port: -1"),
+        ({"host": "localhost"}, "host: 'localhost' is not an IPv4 address"),
+        ({"bind": "::1"}, "bind: '::1'"),
+        ({"bind": "192.0.2.1"}, "bind: '192.0.2.1' is no address of this machine"),
+    ],
+)
+def test_bad_sockets_are_refused_by_name(arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        UdpReceiver(**arguments)  # type: ignore[arg-type]
+
+
+def test_a_port_in_use_is_an_error_at_once() -> None:
+    with UdpReceiver() as receiver, pytest.raises(OSError):
+        UdpReceiver(receiver.address[1])
+
+
+def test_the_command_line_sends_a_file(tmp_path: Path) -> None:
+    path = write_stream(wave(17, 40.0), tmp_path / "run.csv")
+    with UdpReceiver() as receiver:
+        target = f"127.0.0.1:{receiver.address[1]}"
+        result = CliRunner().invoke(app, ["host", str(path), "--to", target, "--rate", "80"])
+        assert result.exit_code == 0, result.output
+        assert "33 frames in " in result.output
+        wait_for(receiver, 33)
+        assert receiver.received == 33
+    for arguments, message in (
+        (["nothing.csv", "--to", "127.0.0.1:2048"], "nothing.csv: cannot be read"),
+        ([str(path), "--to", "127.0.0.1"], "ADDRESS:PORT"),
+        ([str(path), "--to", "127.0.0.1:0"], "port: 0"),
+        ([str(path), "--to", "127.0.0.1:2048", "--rate", "0"], "greater than or equal to 1"),
+    ):
+        result = CliRunner().invoke(app, ["host", *arguments])
+        assert result.exit_code == 2
+        assert message in result.output
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    datagrams=st.lists(
+        st.binary(max_size=200)
+        | st.builds(
+            lambda n, t, v: encode(HostFrame(n, t, *np.full((3, 6), v))),
+            st.integers(0, 100),
+            st.floats(),
+            st.floats(),
+        ),
+        max_size=30,
+    )
+)
+def test_from_datagram_to_demand_nothing_is_unaccounted_for(datagrams: list[bytes]) -> None:
+    """Octets in, demand out, one datagram a host interval, without the socket between."""
+    ring, log = make_ring(), make_log(64)
+    compiled = make_dcu()
+    state, demand = resting(compiled), np.empty((3, 6))
+    refused = filled = cursor = 0
+    bounds = output_bounds(compiled)
+    for now in range(len(datagrams) * 26 + 600):
+        if now % 26 == 0 and now // 26 < len(datagrams):
+            try:
+                put(ring, decode(datagrams[now // 26]))
+            except DatagramError:
+                refused += 1
+        filled = collect(ring, log, filled, now)
+        cursor = feed(compiled, state, log, cursor, now)
+        play.step(compiled, state, demand)
+        assert np.isfinite(demand).all()
+        assert (np.abs(demand) <= bounds).all()
+    assert state.counts["accepted"] + int(state.rejected.sum()) + refused == len(datagrams)

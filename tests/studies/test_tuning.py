@@ -1,0 +1,146 @@
+"""The search of gains, its files and commands, and what the shipped law keeps in the simulation."""
+
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from cmf_mj import load_hydraulics, load_law
+from cmf_mj.analysis.linear.binding import nominal_modes
+from cmf_mj.cli.common import app
+from cmf_mj.electronics.chain import ElectronicsSettings
+from cmf_mj.machine.geometry import DOFS
+from cmf_mj.plant.hexapod import Hexapod
+from cmf_mj.plant.plant import Plant
+from cmf_mj.studies.case import AMPLITUDE, make_case, run_case
+from cmf_mj.studies.mismatch import with_valve_gains
+from cmf_mj.studies.tuning.evaluation import evaluate, linear_cab
+from cmf_mj.studies.tuning.forms import FORMS, Form, candidate, make_template
+from cmf_mj.studies.tuning.search import Requirements, save_law, search
+
+SCRIPTS = Path(__file__).parents[2] / "scripts"
+
+
+@pytest.mark.parametrize(("cab", "dof"), [("ifd", "sway"), ("ifd", "pitch"), ("gfd", "heave")])
+@pytest.mark.parametrize("electronics", [None, ElectronicsSettings()], ids=["ideal", "noisy"])
+def test_the_shipped_law_keeps_the_targets_with_valves_off(
+    cab: str, dof: str, electronics: ElectronicsSettings | None
+) -> None:
+    """-90 deg >= 5.6 Hz, peak <= 1 dB, damping ratio >= 0.5, valve gains within 10 % at random."""
+    hydraulics = with_valve_gains(load_hydraulics("hardware"), 1)
+    machine = {"cab": cab, "hydraulics": hydraulics, "electronics": electronics}
+    measures = run_case(make_case("modal_plan", dof, quick=True, **machine)).measures
+    assert measures.stable
+    assert measures.phase_bandwidth_hz >= 5.6
+    assert measures.peak_gain_db <= 1.0
+    assert measures.overshoot <= 0.1
+    assert not measures.damping_ratio < 0.5  # NaN without an overshoot
+
+
+def test_the_shipped_law_is_where_its_form_starts() -> None:
+    form, law = FORMS["modal_plan"], load_law("modal_plan")
+    begun = candidate(form, make_template("modal_plan", law.title), form.start)
+    assert (begun.plan, begun.load_feedback) == (law.plan, law.load_feedback)
+    assert begun.direct_gain == law.direct_gain
+
+
+def test_the_linear_plants_say_what_the_simulation_does() -> None:
+    """Sway with the heaviest cab at a tenth of the amplitude, where neither the rate limit acts nor
+    the valves' mean opening damps: -90 deg within 5 %, peak within 0.5 dB."""
+    law = load_law("modal_plan")
+    performance = evaluate(law, [linear_cab(Hexapod("ifd"))], (1,))
+    hydraulics = with_valve_gains(load_hydraulics("hardware"), 1)
+    machine = {"cab": "ifd", "hydraulics": hydraulics, "amplitude": 0.1 * AMPLITUDE}
+    measures = run_case(make_case(law, "sway", quick=True, **machine)).measures
+    sway = DOFS.index("sway")
+    assert measures.phase_bandwidth_hz == pytest.approx(performance.phase_hz[0, 0, sway], rel=0.05)
+    assert measures.peak_gain_db == pytest.approx(performance.peak_db[0, 0, sway], abs=0.5)
+
+
+def test_a_search_repeats_and_its_file_is_the_law(tmp_path: Path) -> None:
+    template = make_template("mine", "Mine", ("gfd",))
+    first, second = (search(template, seeds=(None,), evaluations=1) for _ in range(2))
+    assert first.law == second.law and first.evaluations == 12
+    form = FORMS["modal_plan"]
+    begun = evaluate(candidate(form, template, form.start), template.cabs, (None,))
+    assert first.performance.phase_hz.min() > 0.95 * begun.phase_hz.min()
+    path = save_law(first.law, tmp_path / "laws" / "mine.toml", "By a test.")
+    back = load_law(path)
+    assert back.plan == first.law.plan and back.load_feedback == first.law.load_feedback
+    text = path.read_text()
+    assert save_law(back, path, "By a test.").read_text() == text
+    assert [p.name for p in path.parent.iterdir()] == ["mine.toml"]
+
+
+@pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
+def test_every_form_starts_within_its_bounds_and_makes_a_law_that_is_stable(form: Form) -> None:
+    for value, (low, high) in zip(form.start, form.free.values(), strict=True):
+        assert low <= value <= high
+    template = make_template("mine", "Mine", ("gfd",))
+    performance = evaluate(candidate(form, template, form.start), template.cabs, (None,))
+    assert performance.tail.max() < 0.2
+    assert performance.phase_hz.min() > 1.0
+
+
+@pytest.mark.slow
+def test_limits_cost() -> None:
+    """A law that breaks the limits costs more than the same with wider ones."""
+    template = make_template("mine", "Mine", ("ifd",))
+    tight = search(
+        template, Requirements(peak_db=-1.0, overshoot=-0.2), seeds=(None,), evaluations=1
+    )
+    wide = search(template, Requirements(9.0, 9.0, 9.0, 9.0, 99.0), seeds=(None,), evaluations=1)
+    assert tight.cost > 0.0 > wide.cost
+
+
+def test_bad_requests_are_named() -> None:
+    template = make_template("mine", "Mine", ("gfd",))
+    with pytest.raises(ValueError, match="form: 'magic' is not one of modal_plan, velocity"):
+        search(template, form="magic")
+    with pytest.raises(ValueError, match="evaluations: 0 must be at least 1"):
+        search(template, evaluations=0)
+    excavator = Plant.__new__(Plant)
+    excavator.name, excavator.actuators = "excavator", ("boom", "stick")
+    with pytest.raises(ValueError, match="excavator has 2 legs; hydraulic modes need 6"):
+        nominal_modes(excavator)
+
+
+@pytest.mark.slow
+def test_tune_command(tmp_path: Path) -> None:
+    out = tmp_path / "law.toml"
+    arguments = ["tune", "--cabs", "gfd", "--evaluations", "1", "--file", str(out)]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert "--evaluations 1 --seed 1" in load_law(out).source
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("script", "arguments", "written"),
+    [
+        (
+            "confirm_laws.py",
+            "--cabs gfd --dofs heave --seeds 0 --quick --crosstalk --jobs 1 --out",
+            ("trials.csv", "worst.md", "summary.md", "crosstalk.csv"),
+        ),
+        (
+            "pareto_laws.py",
+            "--cabs gfd --limits 2:18 --evaluations 1 --out",
+            ("front.csv", "pareto.png"),
+        ),
+        ("stiffness_laws.py", "--out", ("laws.csv", "gains.md", "stiffness.png")),
+    ],
+)
+def test_smoke_of_scripts(
+    script: str,
+    arguments: str,
+    written: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "argv", [script, *arguments.split(), str(tmp_path)])
+    runpy.run_path(str(SCRIPTS / script), run_name="__main__")
+    for name in written:
+        assert (tmp_path / name).stat().st_size > 50
