@@ -149,7 +149,7 @@ def test_modal_plan_is_as_fast_as_the_pages_say() -> None:
     )
     said = np.floor(10.0 * min(float(value) for value in nominal)) / 10.0
     assert len(nominal) == 3
-    for page in ("laws_beyond.md", "paper.md"):
+    for page in ("laws.md", "paper.md"):
         assert f"-90 deg at {said:g} Hz or more" in read(f"docs/explanation/{page}").replace(
             "\n", " "
         )

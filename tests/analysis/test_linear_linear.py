@@ -27,7 +27,7 @@ def test_far_above_all_modes_only_mass_resists() -> None:
 
 @pytest.mark.parametrize(("mode", "gains"), [(0, (46.0, 6.75, 2.88)), (4, (41.0, 0.0, 0.0))])
 def test_a_mode_has_the_stiffness_of_its_closed_form(mode: int, gains: tuple[float, ...]) -> None:
-    """m s^2 + K (k G C + s) / (s + leak + K k G H), of docs/explanation/laws_beyond.md; what other
+    """m s^2 + K (k G C + s) / (s + leak + K k G H), of docs/explanation/laws.md; what other
     modes and the two chambers' own leaks add is below a tenth."""
     own = LAW.modes["ifd"]
     shape, mass = np.array(own.shape), own.mass[mode] * units.POUND_MASS
