@@ -112,10 +112,10 @@ def commands() -> dict[tuple[str, ...], Any]:
 
     def walk(group: Any, words: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
         for name, one in group.commands.items():
+            if getattr(one, "invoke_without_command", True):
+                yield (*words, name), one
             if hasattr(one, "commands"):
                 yield from walk(one, (*words, name))
-            else:
-                yield (*words, name), one
 
     return dict(walk(typer.main.get_command(app), ()))
 

@@ -1,4 +1,4 @@
-"""Facility: `cmf serve`, `operate`, `host`, `record` and `replay`."""
+"""Facility: `cmf serve`, `operate`, `host`, `replay` and `export`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, in_si, noise_choice, progress_bar, show, written
+from cmf_mj.cli.common import app, noise_choice, progress_bar, show, written
 from cmf_mj.cli.options import choice
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ PROTOCOLS = ("cmf", "moog")
 
 _PROTOCOL = "cmf, or moog: a virtual Moog 6DOF2000E, begun off"
 _BEGIN = "engaged, or settled: off on the stops, raised and engaged at once"
+_EXPORTS = "library or fmu: the machine; law: a control law alone"
 _DERIVATIVES, _VELOCITIES = "facility.host.stream:DERIVATIVES", "of poses alone: spline or zero"
 
 Begin = Annotated[str, choice("cli.facility:BEGIN", "STATE", _BEGIN)]
@@ -98,6 +99,7 @@ def serve_command(
     lockstep: Annotated[bool, Option("--lockstep", help="moog: 1/60 s a command")] = False,
     seconds: Annotated[float, Option(help="length of the run [s]")] = 60.0,
     law: options.Law = "velocity",
+    machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = True,
@@ -166,6 +168,7 @@ def operate_command(
     derivatives: Derivatives = "spline",
     seconds: options.Seconds = None,
     law: options.Law = "velocity",
+    machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = True,
@@ -211,42 +214,6 @@ def host_command(
     )
 
 
-@command("record")
-def record_command(
-    law: options.Law = "velocity",
-    dof: options.Dof = "heave",
-    plant: options.PlantName = "hexapod",
-    cab: options.Cab = "gfd",
-    hydraulics: options.Hydraulics = "hardware",
-    amplitude: options.Amplitude = None,
-    noise: options.Noise = False,
-    jobs: options.Jobs = None,
-    out: options.Out = Path("out/record"),
-) -> None:
-    """Run the facility's session, five rounds of seven sines, and write its five CSV files."""
-    from cmf_mj.core import units
-    from cmf_mj.core.files import in_folder
-    from cmf_mj.machine.geometry import dof_index, dof_unit
-    from cmf_mj.record.facility_csv import write_facility_csv
-    from cmf_mj.signals.peaks import peaks
-    from cmf_mj.studies.case import make_case
-    from cmf_mj.studies.measurement import facility_session, session_commands
-
-    sensors, size = noise_choice(noise), in_si(dof, amplitude)
-    case = make_case(law, dof, plant, cab, hydraulics, amplitude=size, electronics=sensors)
-    largest = [peaks(command) for command in session_commands(dof, case.size, case.on)]
-    index, unit = dof_index(dof), dof_unit(dof)
-    velocity, acceleration = (
-        units.from_si(unit, max(float(getattr(peak, kind)[index]) for peak in largest))
-        for kind in ("velocity", "acceleration")
-    )
-    show(f"peak demand: {velocity:.3g} {unit}/s, {acceleration:.3g} {unit}/s^2")
-    session = facility_session(case, jobs)
-    for number, record in enumerate(session, start=1):
-        name = f"{record.metadata['law']}_{dof}_{number}of{len(session)}.csv"
-        print(write_facility_csv(record, in_folder(out, name)))
-
-
 @command("replay")
 def replay_command(
     recording: Annotated[Path, Argument(help="Parquet or facility CSV")],
@@ -264,3 +231,35 @@ def replay_command(
     name = f"{recording.stem}_{replayed.law}.png"
     path = report.save_replay(replayed, in_folder(out, name))
     show(report.replay_summary(replayed), f"written: {path}")
+
+
+EXPORTS = ("library", "law", "fmu")
+"""What leaves Python."""
+
+
+@command("export")
+def export_command(
+    what: Annotated[str, options.argument("cli.facility:EXPORTS", "WHAT", _EXPORTS)],
+    plant: options.PlantName = "hexapod",
+    machine: options.Machine = "cmf",
+    cab: options.Cab = "gfd",
+    law: options.Law = "velocity",
+    hydraulics: options.Hydraulics = "hardware",
+    noise: options.Noise = False,
+    fmi: Annotated[int, Option(help="version of FMI, 2 or 3")] = 2,
+    out: options.Out = Path("out/export"),
+) -> None:
+    """Leave Python: the machine as a C library or an FMU, or a law alone as a C library."""
+    from cmf_mj.core.files import in_folder
+    from cmf_mj.export.fmu import export_fmu
+    from cmf_mj.export.library import export_law, export_library
+    from cmf_mj.plant.hexapod import make_plant
+
+    if what == "law":
+        return show(written(export_law(law, out, cab), out))
+    built, noisy = make_plant(plant, cab, hydraulics), noise_choice(noise)
+    if what == "library":
+        paths = export_library(built, law, out, electronics=noisy)
+    else:
+        paths = [export_fmu(built, law, in_folder(out, "cmf.fmu"), fmi=fmi, electronics=noisy)]
+    show(written(paths, out))

@@ -1,4 +1,4 @@
-"""Machines: `cmf machine list`, `new`, `check`, `show` and `build`."""
+"""What there is: `cmf list`; machines: `cmf machine new`, `check`, `show` and `build`."""
 
 from __future__ import annotations
 
@@ -20,14 +20,39 @@ Machine = Annotated[str, argument(options.MACHINES, "MACHINE", "name or TOML fil
 SomeCab = Annotated[str | None, Option(metavar="CAB", help="of the machine; default its first")]
 
 
-@machines.command("list")
-def list_command() -> None:
-    """List the shipped machines."""
+LISTS = ("laws", "machines", "hydraulics", "sensors")
+"""What `cmf list` shows."""
+
+_LIST = "laws or machines; one set of hydraulics or sensors, number by number"
+
+
+@app.command("list", rich_help_panel="Show")
+def list_command(
+    what: Annotated[str, argument("cli.machine:LISTS", "WHAT", _LIST)],
+    name: Annotated[str | None, Argument(metavar="[SET]", help="by name or TOML file")] = None,
+    machine: options.Machine = "cmf",
+) -> None:
+    """List laws, machines, or the numbers of a hydraulic or sensor set with their sources."""
+    from cmf_mj.control.law import law_names, load_law
+    from cmf_mj.electronics.sensors.channel import load_sensors
     from cmf_mj.machine.machine import load_machine
     from cmf_mj.machine.models import machine_names
-    from cmf_mj.show.listing import machine_table
+    from cmf_mj.plant.parameters.loading import hydraulics_of
+    from cmf_mj.report_2014.accelerometer_filter import effect_table, filter_effect
+    from cmf_mj.show import listing
 
-    show(machine_table([load_machine(name) for name in machine_names()]))
+    if name is not None and what not in ("hydraulics", "sensors"):
+        raise InputError(f"set: {name!r} is of no use to {what}; allowed: none")
+    if what == "laws":
+        show(listing.law_table([load_law(one) for one in law_names("all")]))
+    elif what == "machines":
+        show(listing.machine_table([load_machine(one) for one in machine_names()]))
+    elif what == "hydraulics":
+        show(listing.parameter_table(hydraulics_of(load_machine(machine), name)))
+    else:
+        sensors = load_sensors(name or "noisy")
+        effect = filter_effect(sensors, "acceleration_opposing")
+        show(listing.sensor_table(sensors), effect_table(effect))
 
 
 @machines.command("new")

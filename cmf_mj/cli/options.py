@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args
 import typer
 from typer import Argument, Option
 
-from cmf_mj.cli.common import MACHINE, claim, target
+from cmf_mj.cli.common import claim, target
 from cmf_mj.core.errors import InputError, check_name
 
 
@@ -65,7 +65,7 @@ def choice(
 
 
 def of_machine(source: str, metavar: str, text: str, make: Callable[..., Any] | None = None) -> Any:
-    """An option whose names and default are those of the machine that `--machine` chooses.
+    """An option whose names and default are those of the machine of the option `machine`.
 
     The command gets what is loaded: a cab, several, or a hydraulic set; of laws the name. A default
     stands for the machine's own unless that is the CMF.
@@ -89,7 +89,7 @@ def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
     from cmf_mj.machine.models import CMF
     from cmf_mj.plant.parameters.loading import hydraulics_of
 
-    machine = load_machine(ctx.meta.get(MACHINE, CMF))
+    machine = load_machine(ctx.params.get("machine", CMF))
     given = ctx.get_parameter_source(field)
     own = machine.name != CMF and given is not None and given.name.startswith("DEFAULT")
     if field == "hydraulics":
@@ -119,6 +119,9 @@ _machine, film = (partial(Option, rich_help_panel=panel) for panel in ("Machine"
 ALL, VELOCITY = ["all"], ["velocity"]
 """Defaults of options that take several names."""
 
+NEUTRAL = "0,0,0,0,0,0"
+"""Default of a pose."""
+
 CAMERAS = ("overview", "side", "front")
 """Cameras of the machine."""
 
@@ -136,6 +139,9 @@ Dof = Annotated[str, choice(DOFS, "DOF", "surge, sway, heave, roll, pitch or yaw
 AnyDof = Annotated[str, name_or_file(DOFS, "DOF", "degree of freedom, or leg_1 to leg_6")]
 AnyDofs = Annotated[list[str], name_or_file(DOFS, "DOFS", "degrees of freedom or legs, or `all`")]
 Dofs = Annotated[list[str], choice(DOFS, "DOFS", "degrees of freedom, or `all`")]
+_first = partial(_machine, is_eager=True)
+Machine = Annotated[str, name_or_file(MACHINES, "MACHINE", "name or TOML file", make=_first)]
+"""Motion base whose cab, hydraulics and law the others name; read before them."""
 Law = Annotated[str, of_machine(LAWS, "LAW", "law by name or TOML file")]
 OtherLaw = Annotated[str | None, name_or_file(LAWS, "LAW", "default that of the file")]
 Laws = Annotated[list[str], name_or_file(LAWS, "LAWS", _MANY_LAWS, every=_REPORT)]
@@ -146,7 +152,6 @@ OtherCab = Annotated[str | None, name_or_file(CABS, "CAB", "replaces the scenari
 PlantName = Annotated[str, choice(_PLANTS, "PLANT", "hexapod or single_legs")]
 Plants = Annotated[list[str], choice(_PLANTS, "PLANTS", "hexapod, single_legs, or `all`")]
 Hydraulics = Annotated[str, of_machine(OIL, "SET", _SETS)]
-HydraulicSet = Annotated[str, of_machine(OIL, "[SET]", _SETS, make=Argument)]
 Washout = Annotated[str, name_or_file(_WASHOUTS, "WASHOUT", _SHIPPED)]
 Scenario = Annotated[str, argument(SCENARIOS, "[SCENARIO]", "name or TOML file", free=True)]
 Pose = Annotated[str, Option(metavar="POSE", help="x,y,z [in],roll,pitch,yaw [deg], z down")]
@@ -161,9 +166,8 @@ Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callba
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Simulate = Annotated[bool, Option("--simulate", help="simulate the recordings")]
 Recordings = Annotated[list[Path] | None, Argument(help="facility CSV or Parquet files")]
-FilmFile = Annotated[str | None, film("--video", metavar="NAME.mp4|NAME.gif", help="film in out")]
 Fps = Annotated[int, film(help="frame rate of a film [1/s]")]
-Speed = Annotated[float, film(help="times real speed; below 1 is slow motion")]
+Speed = Annotated[float | None, film(help="times real speed; default 1, of modes 0.05")]
 Camera = Annotated[str, choice("cli.options:CAMERAS", "CAMERA", "overview, side, front", make=film)]
 Width = Annotated[int, film(help="of the picture of one run or mode [px]")]
 Height = Width

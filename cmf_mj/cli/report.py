@@ -1,4 +1,4 @@
-"""The report and lists: `cmf report`, `ledger`, `linear`, `laws`, `parameters` and `sensors`."""
+"""The report: `cmf report`, and below it `ledger`, `linear` and `calibrate`."""
 
 from __future__ import annotations
 
@@ -6,22 +6,23 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+import typer
 from typer import Argument, Option
 
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, progress_bar, show, written
+from cmf_mj.cli.common import app, claim, progress_bar, show, written
 from cmf_mj.cli.options import argument
 from cmf_mj.core.errors import require
 
-command = partial(app.command, rich_help_panel="The report")
-listing = partial(app.command, rich_help_panel="Show")
+reports = typer.Typer()
+app.add_typer(reports, name="report", rich_help_panel="The report")
 
-
+_CALIBRATED = "report, hardware, hardware_lag"
+_TABLES = "report_2014.calibration.trial:load_studies"
 _NUMBERS = "by number with commas between, `all` or `none`"
 
 Figures = Annotated[str, Option(metavar="NUMBERS", help=f"figures {_NUMBERS}")]
 Tables = Annotated[str, Option(metavar="NUMBERS", help=f"result tables {_NUMBERS}")]
-Sensors = Annotated[str, argument(options.SENSORS, "[SET]", "ideal, noisy or TOML", free=True)]
 
 
 def _numbers(text: str) -> list[str] | None:
@@ -31,31 +32,35 @@ def _numbers(text: str) -> list[str] | None:
     return [part.strip() for part in text.split(",") if part.strip() not in ("", "none")]
 
 
-@command("report")
+@reports.callback(invoke_without_command=True)
 def report_command(
+    context: typer.Context,
     figures: Figures = "all",
     tables: Tables = "all",
     jobs: options.Jobs = None,
     seed: options.Seed = 0,
-    out: options.Out = Path("out/report"),
+    out: options.NamedOut = None,
     quick: options.Quick = False,
 ) -> None:
     """Reproduce the 2014 report on one HTML page, printed results next to ours."""
+    if context.invoked_subcommand is not None:
+        return
     require("jinja2", "report")
     from cmf_mj.report_2014.page.document import make_content, save_page
     from cmf_mj.report_2014.page.statements import verdict_tables
 
+    folder = claim(context, out or Path("out/report"))
     with progress_bar() as update:
         content = make_content(
             _numbers(figures), _numbers(tables), jobs=jobs, quick=quick, seed=seed, progress=update
         )
-    path = save_page(content, out)
+    path = save_page(content, folder)
     size = path.stat().st_size / 1e6
     parts = [part.table for part in verdict_tables(content)]
     show(*parts, f"written to {path}: {len(content.figures)} figures, {size:.1f} MB")
 
 
-@command("ledger")
+@reports.command("ledger")
 def ledger_command(
     number: Annotated[int | None, Argument(help="number of an entry; default all")] = None,
 ) -> None:
@@ -65,7 +70,7 @@ def ledger_command(
     show(ledger_table(load_ledger() if number is None else (ledger_entry(number),)))
 
 
-@command("linear")
+@reports.command("linear")
 def linear_command(
     laws: options.Laws = options.VELOCITY, out: options.Out = Path("out/linear")
 ) -> None:
@@ -79,35 +84,25 @@ def linear_command(
     show(*tables, linear.loop_table(loops), written(paths, out))
 
 
-@listing("laws")
-def laws_command() -> None:
-    """List the shipped control laws with their sources."""
-    from cmf_mj.control.law import law_names, load_law
-    from cmf_mj.show.listing import law_table
-
-    show(law_table([load_law(name) for name in law_names("all")]))
-
-
-@listing("parameters")
-def parameters_command(hydraulics: options.HydraulicSet = "hardware") -> None:
-    """Show a hydraulic parameter set: value, unit, status and source of every number."""
-    from cmf_mj.plant.parameters.loading import load_hydraulics
-    from cmf_mj.show.listing import parameter_table
-
-    show(parameter_table(load_hydraulics(hydraulics)))
-
-
-@listing("sensors")
-def sensors_command(
-    sensors: Sensors = "noisy",
-    law: options.Law = "acceleration_opposing",
-    seed: options.Seed = 0,
+@reports.command("calibrate")
+def calibrate_command(
+    tables: Annotated[list[str], argument(_TABLES, "[TABLES]...", _CALIBRATED)] = options.ALL,
+    rounds: Annotated[int, Option(help="fits, each followed by a simulation")] = 1,
+    quick: options.Quick = False,
+    samples: Annotated[int, Option(help="samples for the uncertainty")] = 128,
+    jobs: options.Jobs = None,
+    out: options.Out = Path("out/calibrate"),
 ) -> None:
-    """Show a sensor set, and what the accelerometer filter does to it (Figures 3-15, 3-16)."""
-    from cmf_mj.electronics.sensors.channel import load_sensors
-    from cmf_mj.report_2014.accelerometer_filter import effect_table, filter_effect
-    from cmf_mj.show.listing import sensor_table
+    """Fit the free parameters to the published tables: values, residuals and uncertainty."""
+    from cmf_mj.core.files import in_folder
+    from cmf_mj.report_2014.calibration import fit as report
+    from cmf_mj.report_2014.calibration.fit import calibrate, examine
+    from cmf_mj.report_2014.calibration.trial import load_study
 
-    settings = load_sensors(sensors)
-    effect = filter_effect(settings, law, seed=seed)
-    show(sensor_table(settings), effect_table(effect))
+    for chosen in [load_study(name) for name in tables]:
+        say = partial(typer.echo, err=True)
+        fitted = calibrate(chosen, rounds=rounds, quick=quick, jobs=jobs, progress=say)
+        result = examine(fitted, samples=samples, jobs=jobs)
+        folder = in_folder(out, chosen.name)
+        paths = report.save_calibration(result, folder)
+        show(*report.tables(result), report.verdict_text(result), written(paths, folder))

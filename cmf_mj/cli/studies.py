@@ -1,4 +1,4 @@
-"""Studies: `cmf study`, `tune`, `certify` and `calibrate`."""
+"""Studies: `cmf study`, `tune` and `certify`."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from cmf_mj.cli.options import argument, choice, name_or_file, new_file
 command = partial(app.command, rich_help_panel="Studies")
 
 _BACKEND, _FORMS = "studies.engine:Backend", "studies.tuning.forms:FORMS"
-_CALIBRATED, _TUNED = "report, hardware, hardware_lag, or `all`", Path("out/tune/law.toml")
-_READY, _TABLES = "studies.settings:ready_studies", "report_2014.calibration.trial:load_studies"
+_READY, _TUNED = "studies.settings:ready_studies", Path("out/tune/law.toml")
 
 Laws = Annotated[list[str] | None, name_or_file(options.LAWS, "LAWS", "instead of the study's")]
 SomeCabs = Annotated[list[str] | None, name_or_file(options.CABS, "CABS", "instead of the study's")]
@@ -83,6 +82,7 @@ def tune_command(
     title: Annotated[str, Option(help="its title")] = "Modal plan",
     peak: Annotated[float, Option(help="largest peak gain [dB]")] = 2.0,
     overshoot: Annotated[float, Option(help="largest overshoot of a step [%]")] = 18.0,
+    machine: options.Machine = "cmf",
     cabs: options.Cabs = options.ALL,
     evaluations: Annotated[int, Option(help="laws to try, about")] = 24,
     seed: options.Seed = 1,
@@ -98,8 +98,8 @@ def tune_command(
     how: dict[str, Any] = {"form": form, "evaluations": evaluations, "seed": seed}
     with progress_bar() as update:
         result = search(template, limits, progress=update, **how)
-    names, machine = ",".join(one.cab for one in template.cabs), load_cab(cabs[0]).machine
-    on = "" if machine.name == CMF else f"--machine {machine.name} "
+    names, base = ",".join(one.cab for one in template.cabs), load_cab(cabs[0]).machine.name
+    on = "" if base == CMF else f"--machine {base} "
     command_line = (
         f"cmf tune {on}--form {form} --peak {peak:g} --overshoot {overshoot:g} "
         f"--cabs {names} --evaluations {evaluations} --seed {seed}"
@@ -120,6 +120,7 @@ def certify_command(
     laws: Annotated[
         list[str], argument(options.LAWS, "LAWS...", "by name or TOML file", free=True)
     ],
+    machine: options.Machine = "cmf",
     cabs: options.Cabs = options.ALL,
     hydraulics: options.Hydraulics = "hardware",
     box: Annotated[Path | None, options.file(help="unit box; default tolerances as bought")] = None,
@@ -153,27 +154,3 @@ def certify_command(
     files = {f"{name}.{end}": one.save for name, one in tables.items() for end in ("md", "csv")}
     figure = {"certificates.png": report.certificate_figure(rows)}
     show(*tables.values(), written(save_files(files | figure, out), out))
-
-
-@command("calibrate")
-def calibrate_command(
-    tables: Annotated[list[str], argument(_TABLES, "[TABLES]...", _CALIBRATED)] = options.ALL,
-    rounds: Annotated[int, Option(help="fits, each followed by a simulation")] = 1,
-    quick: options.Quick = False,
-    samples: Annotated[int, Option(help="samples for the uncertainty")] = 128,
-    jobs: options.Jobs = None,
-    out: options.Out = Path("out/calibrate"),
-) -> None:
-    """Fit the free parameters to the published tables: values, residuals and uncertainty."""
-    from cmf_mj.core.files import in_folder
-    from cmf_mj.report_2014.calibration import fit as report
-    from cmf_mj.report_2014.calibration.fit import calibrate, examine
-    from cmf_mj.report_2014.calibration.trial import load_study
-
-    for chosen in [load_study(name) for name in tables]:
-        say = partial(typer.echo, err=True)
-        fitted = calibrate(chosen, rounds=rounds, quick=quick, jobs=jobs, progress=say)
-        result = examine(fitted, samples=samples, jobs=jobs)
-        folder = in_folder(out, chosen.name)
-        paths = report.save_calibration(result, folder)
-        show(*report.tables(result), report.verdict_text(result), written(paths, folder))

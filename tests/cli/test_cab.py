@@ -159,7 +159,7 @@ def test_the_pilot_sits_where_he_sits_in_the_base(mine: str) -> None:
         ("run", "heave_sine"),
         ("measure", "--simulate"),
         ("linearize",),
-        ("record",),
+        ("measure", "--record"),
         ("video",),
         ("tune",),
     ],

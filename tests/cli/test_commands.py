@@ -92,13 +92,13 @@ def test_compare_refuses_in_one_line_and_writes_nothing(
 
 
 def test_laws_and_parameters_show_their_sources() -> None:
-    code, laws = run("laws")
+    code, laws = run("list", "laws")
     assert code == 0
     assert "Table 2-5" in laws
-    code, parameters = run("parameters", "report")
+    code, parameters = run("list", "hydraulics", "report")
     assert code == 0
     for status in ("derived", "assumed", "calibrated"):
         assert status in parameters
-    code, refused = run("parameters", "water")
+    code, refused = run("list", "hydraulics", "water")
     assert code == 2
     assert "'water'" in refused

@@ -50,7 +50,7 @@ def test_what_does_not_fit_is_told(tmp_path: Path) -> None:
 
 
 def test_shipped_machines_are_listed_and_not_written_over() -> None:
-    code, said = run("machine", "list")
+    code, said = run("list", "machines")
     assert code == 0 and all(name in said for name in machine_names())
     code, said = run("machine", "new", "cmf")
     assert code == 2 and "is a shipped machine" in said
@@ -71,7 +71,7 @@ def test_commands_that_build_a_machine_take_one(command: str) -> None:
 
 
 def test_the_set_of_a_machine_is_shown() -> None:
-    code, said = run("parameters", "--machine", "simona")
+    code, said = run("list", "hydraulics", "--machine", "simona")
     assert code == 0 and "hydraulics: simona" in said and "160 bar" in said
-    code, said = run("parameters", "--machine", "simon")
+    code, said = run("list", "hydraulics", "--machine", "simon")
     assert code != 0

@@ -40,7 +40,7 @@ def test_a_folder_is_of_one_run_and_free_after_any_end_of_it(tmp_path: Path, num
         stderr=subprocess.DEVNULL,
     )
     assert holder.stdout is not None and holder.stdout.readline() == b"held\n"
-    code, said = run("linear", "--out", str(out))
+    code, said = run("report", "linear", "--out", str(out))
     assert code == 2
     assert said.count("\n") == 1 and f"{str(out)!r} is refused: another run writes to it" in said
     (out / ".table.csv.99.part").write_text("half")
@@ -55,7 +55,7 @@ def test_a_folder_is_of_one_run_and_free_after_any_end_of_it(tmp_path: Path, num
 
 
 def test_a_refused_run_leaves_no_folder(tmp_path: Path) -> None:
-    code, said = run("linear", "--laws", "fast", "--out", str(tmp_path / "a" / "b"))
+    code, said = run("report", "linear", "--laws", "fast", "--out", str(tmp_path / "a" / "b"))
     assert code == 2 and "'fast'" in said
     assert list(tmp_path.iterdir()) == []
     with claimed(tmp_path / "kept" / "out") as folder:
@@ -67,12 +67,12 @@ def test_what_cannot_be_written_is_refused_before_the_work(tmp_path: Path) -> No
     file = tmp_path / "file"
     file.write_text("")
     for arguments, said in (
-        (("linear", "--out", str(file)), f"out: {str(file)!r} is refused"),
+        (("report", "linear", "--out", str(file)), f"out: {str(file)!r} is refused"),
         (("compare", "--out", str(file / "out")), f"out: {str(file / 'out')!r} is refused"),
         (("video", "--file", str(tmp_path)), f"file: {str(tmp_path)!r} is refused: is a folder"),
         (("tune", "--file", str(file / "x.toml")), "is not a folder that can be written to"),
-        (("linear", "--out", "/proc/out"), "out: '/proc/out' is refused"),
-        (("linear", "--out", str(tmp_path / ("n" * 300))), "File name too long"),
+        (("report", "linear", "--out", "/proc/out"), "out: '/proc/out' is refused"),
+        (("report", "linear", "--out", str(tmp_path / ("n" * 300))), "File name too long"),
     ):
         begun = time.monotonic()
         code, output = run(*arguments)

@@ -142,7 +142,7 @@ def test_capitals_and_blanks_in_the_header_of_a_flight_are_read(tmp_path):
 
 def test_cue_run_and_tune_write_their_files(tmp_path):
     flight = PUSH.save(tmp_path / "flight.csv")
-    result = CliRunner().invoke(app, ["cue", "run", str(flight), "--out", str(tmp_path / "run")])
+    result = CliRunner().invoke(app, ["cue", str(flight), "--out", str(tmp_path / "run")])
     assert result.exit_code == 0, result.output
     assert "held back" in result.output and "threshold" in result.output
     stream = read_stream(tmp_path / "run" / "host.csv")
@@ -150,7 +150,7 @@ def test_cue_run_and_tune_write_their_files(tmp_path):
     names = {path.name for path in (tmp_path / "run").iterdir()}
     assert names == {"host.csv", "simulator.csv", "error.csv", "motion.png", "senses.png"}
     result = CliRunner().invoke(
-        app, ["cue", "tune", str(flight), "--share", "0.8", "--out", str(tmp_path / "tune")]
+        app, ["cue", str(flight), "--share", "0.8", "--out", str(tmp_path / "tune")]
     )
     assert result.exit_code == 0, result.output
     tuned = load_washout(tmp_path / "tune" / "washout.toml")
@@ -169,7 +169,7 @@ def test_cue_run_and_tune_write_their_files(tmp_path):
 def test_cue_refuses_in_one_line(arguments, message, tmp_path):
     flight = pushed(0, sustained(0.1, seconds=2.0)).save(tmp_path / "flight.csv")
     options = [str(flight) if part == "FLIGHT" else part for part in arguments]
-    result = CliRunner().invoke(app, ["cue", "run", *options, "--out", str(tmp_path / "out")])
+    result = CliRunner().invoke(app, ["cue", *options, "--out", str(tmp_path / "out")])
     assert result.exit_code == 2
     assert message in result.output
     assert not (tmp_path / "out").exists()
