@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer import Argument, Option
+from typer import Option
 
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, noise_choice, progress_bar, show, written
@@ -22,6 +22,7 @@ _FLIGHTS, _SCRIPTS = "pilot.aircraft.flight:flight_names", "pilot.aircraft.scrip
 _FLOWN = "name or file; with --from a recording, or the UDP port of live telemetry"
 _FORMATS, _FORMAT = "pilot.telemetry.formats:FORMATS", "xplane, beamng or csv: telemetry"
 From = Annotated[str | None, choice(_FORMATS, "FORMAT", _FORMAT, make=partial(Option, "--from"))]
+ShippedFlight = Annotated[str, argument(_FLIGHTS, "FLIGHT", "name or file", free=True)]
 _KNOWN = 6
 """Drawn machines that a learner is made for; those it is tried on are others."""
 _QUICK = (0.631, 2.512, 10.0)
@@ -102,7 +103,7 @@ def fly_command(
 
 @command("learn")
 def learn_command(
-    flight: Annotated[str, argument(_FLIGHTS, "FLIGHT", "name or file", free=True)],
+    flight: ShippedFlight,
     law: options.Law = "velocity",
     machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
@@ -118,7 +119,7 @@ def learn_command(
     """Repeat a flight and learn the demand with which the cab follows it."""
     from cmf_mj.pilot.aircraft.flight import load_flight
     from cmf_mj.pilot.cueing.flight import cue
-    from cmf_mj.pilot.learning import compare, learn
+    from cmf_mj.pilot.learning import learn, on_others
     from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import flight as report
     from cmf_mj.studies.mismatch import drawn_machine
@@ -131,7 +132,7 @@ def learn_command(
         run |= {"trials": trials, "seed": seed, "progress": update}
         learnt = learn(asked, law, plants, **run)
     with progress_bar("flying other machines") as update:
-        others = compare(
+        others = on_others(
             learnt, machines[_KNOWN:], seed=seed + trials + 1, jobs=jobs, progress=update
         )
     paths = report.save_learning(learnt, others, out)
@@ -202,18 +203,13 @@ def flight_command(
         show(f"written: {flight.save(file, single=single)}")
 
 
-_MOTION = (
-    "CSV or Parquet: time, specific_force_x.. [m/s^2], angular_rate_x.. [rad/s], "
-    "roll, pitch, yaw [rad] at the pilot's station"
-)
-Motion = Annotated[Path, Argument(metavar="FLIGHT", help=_MOTION)]
 Rate = Annotated[float, Option(min=1.0, max=2048.0, help="host frames a second")]
 LimitsFile = Annotated[Path | None, file(help="TOML changes to the machine's limits")]
 
 
 @command("cue")
 def cue_command(
-    flight: Motion,
+    flight: ShippedFlight,
     washout: options.Washout = "simona",
     machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
@@ -228,12 +224,12 @@ def cue_command(
     """Turn a flight into host frames and what the pilot senses; first find gains for --share."""
     from cmf_mj.machine.cab import load_cab
     from cmf_mj.machine.motion_limits import load_motion_limits
+    from cmf_mj.pilot.aircraft.flight import load_flight
     from cmf_mj.pilot.cueing.flight import cue, tune
     from cmf_mj.pilot.cueing.settings import load_washout, save_washout
-    from cmf_mj.pilot.motion import PilotMotion
     from cmf_mj.show import cueing as report
 
-    settings, motion = load_washout(washout), PilotMotion.load(flight)
+    settings, motion = load_washout(washout), load_flight(flight).motion
     bounds = load_motion_limits(limits, load_cab(cab).machine)
     how: dict[str, Any] = {"cab": cab, "limits": bounds, "rate": rate}
     thresholds, paths = None if senses is None else str(senses), []

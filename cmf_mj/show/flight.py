@@ -11,10 +11,10 @@ from cmf_mj.core import units
 from cmf_mj.core.result import Cell, Column, Table
 from cmf_mj.facility.host.files import write_stream
 from cmf_mj.machine.geometry import DOFS, by_kind
+from cmf_mj.pilot.aircraft.flight import load_flight
 from cmf_mj.pilot.fly import FlightResult, TransportDelay, error_spectra
-from cmf_mj.pilot.host import MOST_RATE
 from cmf_mj.pilot.learning import BAND, LEAD, Array, Learning, frequencies
-from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.pilot.motion import MOST_RATE, PilotMotion
 from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show import look
 from cmf_mj.show.cueing import SCALE, DrawnMotion, motion_axes, perceived_figure, six
@@ -53,7 +53,7 @@ def flight_traces(motions: Mapping[str, PilotMotion]) -> Panels:
 def saved_traces(record: Path) -> Panels:
     """The traces of the motions that `save_ride` wrote beside a record; none of another run."""
     files = {name: record.with_name(f"{name}.parquet") for name in _MOTIONS}
-    motions = {name: PilotMotion.load(path) for name, path in files.items() if path.exists()}
+    motions = {name: load_flight(path).motion for name, path in files.items() if path.exists()}
     return flight_traces(motions) if "simulator" in motions else ()
 
 

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmf_mj.core.units import DEGREE, FOOT, KNOT, STANDARD_GRAVITY
-from cmf_mj.facility.host.stream import HostFrame, make_stream
-from cmf_mj.pilot import host as pilot_host
 from cmf_mj.pilot.aircraft.airframe import RATE, AircraftState, Airframe, Controls, without_network
 from cmf_mj.pilot.aircraft.flight import Flight, Origin, load_flight
 from cmf_mj.pilot.aircraft.scripts import SCRIPTS, ScriptedFlight
@@ -180,17 +178,6 @@ def test_shipped_flights_are_what_the_scripts_fly(
     assert 30.0 < flight.motion.time[-1] <= 60.0
 
 
-def test_a_script_is_a_host_like_its_recording() -> None:
-    live, recorded = ScriptedFlight("gusts"), load_flight("gusts")
-    assert isinstance(live, pilot_host.AircraftHost) and isinstance(
-        recorded, pilot_host.AircraftHost
-    )
-    first = next(live.samples())
-    np.testing.assert_allclose(first.specific_force, recorded.motion.specific_force[0], atol=2e-6)
-    again = pilot_host.pilot_motion(recorded)
-    assert again.specific_force.tobytes() == recorded.motion.specific_force.tobytes()
-
-
 def example() -> Flight:
     time = np.arange(40) / 80.0
     wave = np.column_stack([np.sin(time), np.cos(time), 0.1 * time])
@@ -202,7 +189,7 @@ def example() -> Flight:
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 def test_flights_read_back_bit_for_bit(suffix: str, tmp_path: Path) -> None:
     flight = example()
-    again = Flight.load(flight.save(tmp_path / f"flight.{suffix}"))
+    again = load_flight(flight.save(tmp_path / f"flight.{suffix}"))
     assert again.origin == flight.origin
     for name in ("time", "specific_force", "angular_rate", "attitude"):
         assert getattr(again.motion, name).tobytes() == getattr(flight.motion, name).tobytes()
@@ -213,7 +200,7 @@ def test_single_precision_changes_a_force_by_less_than_a_micrometre_per_second_s
     tmp_path: Path,
 ) -> None:
     flight = example()
-    again = Flight.load(flight.save(tmp_path / "flight.parquet", single=True))
+    again = load_flight(flight.save(tmp_path / "flight.parquet", single=True))
     assert again.motion.time.tobytes() == flight.motion.time.tobytes()
     change = np.abs(again.motion.specific_force - flight.motion.specific_force).max()
     assert 0.0 < change < 1e-6
@@ -227,11 +214,11 @@ def csv_of(tmp_path: Path, change: tuple[str, str]) -> Path:
 
 def test_units_of_the_header_are_converted(tmp_path: Path) -> None:
     flight = example()
-    plain = Flight.load(csv_of(tmp_path, ("specific_force_x [m/s^2]", "specific_force_x [g]")))
+    plain = load_flight(csv_of(tmp_path, ("specific_force_x [m/s^2]", "specific_force_x [g]")))
     np.testing.assert_allclose(
         plain.motion.specific_force[:, 0], 9.80665 * flight.motion.specific_force[:, 0], rtol=1e-12
     )
-    turned = Flight.load(csv_of(tmp_path, ("angular_rate_y [rad/s]", "angular_rate_y [deg/s]")))
+    turned = load_flight(csv_of(tmp_path, ("angular_rate_y [rad/s]", "angular_rate_y [deg/s]")))
     np.testing.assert_allclose(
         turned.motion.angular_rate[:, 1], DEGREE * flight.motion.angular_rate[:, 1], rtol=1e-12
     )
@@ -240,8 +227,7 @@ def test_units_of_the_header_are_converted(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("# cmf_mj_flight", "# flight"), r"row 1: is '# flight .*allowed: '# cmf_mj_flight '"),
-        (('"aircraft": "none", ', ""), "row 1: aircraft: is missing"),
+        (('"title": "made up", ', ""), "row 1: title: is missing"),
         (("specific_force_z [m/s^2]", "f_z [m/s^2]"), "specific_force_z: column is missing"),
         (("[m/s^2]", "[furlong]"), "specific_force_x: unit: 'furlong' is not known"),
         (("pitch [rad]", "pitch [[rad]"), r"header: 'pitch \[\[rad\]' is refused"),
@@ -252,7 +238,7 @@ def test_flights_that_are_refused_say_why(
     change: tuple[str, str], message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ValueError, match=message) as caught:
-        Flight.load(csv_of(tmp_path, change))
+        load_flight(csv_of(tmp_path, change))
     assert str(caught.value).startswith(str(tmp_path / "flight.csv"))
 
 
@@ -272,45 +258,18 @@ def test_what_cannot_be_flown_or_loaded_is_named(tmp_path: Path) -> None:
         Flight(flight.motion, flight.origin, {"airspeed": np.zeros(3)})
     with pytest.raises(ValueError, match=r"must end in .csv or .parquet"):
         flight.save(tmp_path / "flight.txt")
-    other = tmp_path / "other.parquet"
-    flight.motion.save(other)
-    with pytest.raises(ValueError, match="carries no cmf_mj_flight header"):
-        Flight.load(other)
+    with pytest.raises(ValueError, match=r"must end in .csv or .parquet"):
+        load_flight(tmp_path / "flight.txt")
 
 
-def test_hosts_faster_than_80_hz_or_silent_are_refused() -> None:
-    flight = example()
-    quick = PilotMotion(
-        flight.motion.time / 2.0,
-        flight.motion.specific_force,
-        flight.motion.angular_rate,
-        flight.motion.attitude,
-    )
-    with pytest.raises(ValueError, match="160 frames a second; allowed: at most 80"):
-        pilot_host.pilot_motion(Flight(quick, flight.origin))
-
-    class Silent:
-        def samples(self) -> list[pilot_host.PilotSample]:
-            return []
-
-        def frames(self) -> list[HostFrame]:
-            return []
-
-    with pytest.raises(ValueError, match="samples: the host sends none"):
-        pilot_host.pilot_motion(Silent())  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="frames: the host sends none"):
-        pilot_host.host_stream(Silent())  # type: ignore[arg-type]
-
-
-def test_a_stream_is_a_host_in_direct_mode() -> None:
-    pose = np.zeros((8, 6))
-    pose[:, 2] = 0.01 * np.arange(8) ** 2
-    stream = make_stream(np.arange(8) / 80.0, pose)
-    assert isinstance(stream, pilot_host.PlatformHost) and not isinstance(
-        stream, pilot_host.AircraftHost
-    )
-    again = pilot_host.host_stream(stream)
-    assert again.values.tobytes() == stream.values.tobytes()
+@pytest.mark.parametrize("name", ["motion.csv", "motion.parquet"])
+def test_a_file_without_units_and_origin_is_in_si(name: str, tmp_path: Path) -> None:
+    motion = example().motion
+    again = load_flight(motion.save(tmp_path / name))
+    for part in ("time", "specific_force", "angular_rate", "attitude"):
+        assert getattr(again.motion, part).tobytes() == getattr(motion, part).tobytes()
+    assert again.motion.rate == pytest.approx(80.0)
+    assert (again.origin.title, again.origin.source) == ("motion", name)
 
 
 def test_no_network_port_is_opened(tmp_path: Path) -> None:

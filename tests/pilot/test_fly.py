@@ -1,7 +1,6 @@
 """From aircraft to cab: what is asked, what is felt, how late, and within which limits."""
 
 import csv
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ from cmf_mj.core.units import RATE
 from cmf_mj.facility.host.stream import from_command, make_stream
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot import host as pilot_host
 from cmf_mj.pilot.aircraft.flight import Flight, load_flight
 from cmf_mj.pilot.cueing.settings import load_washout
 from cmf_mj.pilot.fly import (
@@ -100,23 +98,6 @@ def test_a_washout_without_gain_leaves_the_pilot_at_rest(failing: PilotMotion) -
     np.testing.assert_allclose(ride.simulator.specific_force[settled], rest[settled], atol=5e-3)
     assert np.isnan(ride.host_delay)
     assert ride.use.pose.max() < 1e-3
-
-
-class Live:
-    """A host that is nothing but its samples."""
-
-    def __init__(self, motion: PilotMotion) -> None:
-        self.motion = motion
-
-    def samples(self) -> Iterator[pilot_host.PilotSample]:
-        yield from pilot_host.pilot_samples(self.motion)
-
-
-def test_a_live_host_is_flown_like_its_recording(failing: PilotMotion) -> None:
-    short = cut(failing, 3.0, 4.5)
-    live, recorded = fly(Live(short)), fly(short)
-    for name, values in recorded.operation.record.channels.items():
-        assert live.operation.record[name].tobytes() == values.tobytes(), name
 
 
 @pytest.fixture(scope="module")
@@ -205,6 +186,12 @@ def test_the_way_from_host_to_pilot_adds_up(dof: str) -> None:
     assert 0.08 < delay.total < 0.2
 
 
+def test_frames_faster_than_80_hz_are_refused() -> None:
+    stream = make_stream(np.arange(80) / 160.0, np.zeros((80, 6)))
+    with pytest.raises(ValueError, match="160 frames a second; allowed: at most 80"):
+        fly(stream)
+
+
 def test_delays_that_cannot_be_measured_are_refused() -> None:
     with pytest.raises(ValueError, match="frequency: 0.3 Hz; allowed: up to 8 Hz"):
         transport_delay(frequency=0.3)
@@ -279,7 +266,7 @@ def test_cmf_flight_flies_a_script(tmp_path: Path) -> None:
     assert "13.48 m forward" in run("flight", "gusts", "--file", str(path), "--single")
     shipped = load_flight("gusts").motion
     np.testing.assert_allclose(
-        Flight.load(path).motion.specific_force, shipped.specific_force, atol=2e-6
+        load_flight(path).motion.specific_force, shipped.specific_force, atol=2e-6
     )
 
 

@@ -22,11 +22,11 @@ from cmf_mj.pilot.learning import (
     SLOWEST,
     Learner,
     Learning,
-    compare,
-    filtered,
     frequencies,
     learn,
     make_learner,
+    on_others,
+    through,
 )
 from cmf_mj.studies.mismatch import drawn_machine
 
@@ -102,7 +102,7 @@ def test_the_filter_is_least_squares_and_no_machine_diverges() -> None:
 def test_ends_in_motion_pass_a_filter_of_one() -> None:
     ramp = np.linspace(0.0, 1.0, ROWS)[:, None] * np.ones(2)
     unit = np.broadcast_to(np.eye(2) + 0j, (len(frequencies(ROWS)), 2, 2))
-    assert np.abs(filtered(unit, ramp) - ramp)[40:-40].max() < 2e-3
+    assert np.abs(through(unit, ramp) - ramp)[40:-40].max() < 2e-3
 
 
 def wave(size: float, frequency: float = 0.6, cycles: float = 3.0) -> HostStream:
@@ -160,7 +160,7 @@ def test_a_motion_of_less_than_a_period_of_what_counts_is_refused() -> None:
 def test_a_demand_beyond_the_stroke_is_refused(learnt: Learning) -> None:
     far = learnt._replace(demand=learnt.demand._replace(pose=30.0 * learnt.demand.pose))
     with pytest.raises(InputError, match=r"demand: a leg is .* from neutral; allowed: 0\.9525 m"):
-        compare(far, [Hexapod("gfd")])
+        on_others(far, [Hexapod("gfd")])
 
 
 @pytest.mark.parametrize(
@@ -190,7 +190,7 @@ def test_a_flight_is_learnt_to_a_tenth_and_helps_thirty_other_machines() -> None
     assert left[8] < 0.1
     assert left[41:].mean() - left[8:17].mean() < 5e-4  # of the first error, in 34 trials
     assert done.learner.ratio().max() < SLOWEST + 1e-9
-    others = compare(done, list(map(machine, range(6, 36))), seed=99)
+    others = on_others(done, list(map(machine, range(6, 36))), seed=99)
     assert (others[:, 1] < others[:, 0]).all()
 
 

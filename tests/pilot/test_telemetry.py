@@ -293,7 +293,7 @@ def test_a_csv_with_units_and_without_the_header_of_a_flight_is_read(tmp_path: P
     received, _ = read_telemetry(bare, "csv")
     np.testing.assert_array_equal(received.specific_force, shipped("turn").specific_force)
     bare.write_text(text.replace("roll", "bank"))
-    with pytest.raises(InputError, match="has no column roll"):
+    with pytest.raises(InputError, match="roll: column is missing"):
         read_telemetry(bare, "csv")
 
 

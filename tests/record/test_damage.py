@@ -71,7 +71,7 @@ def flipped(path: Path, generator: np.random.Generator) -> Iterator[int]:
     [
         ("run.parquet", lambda path: record().save(path), Record.load),
         ("host.parquet", lambda path: session().save(path), HostSession.load),
-        ("flight.parquet", lambda path: load_flight("gusts").save(path), Flight.load),
+        ("flight.parquet", lambda path: load_flight("gusts").save(path), load_flight),
         ("facility.csv", lambda path: write_facility_csv(record(), path), read_facility_csv),
         (
             "session.toml",

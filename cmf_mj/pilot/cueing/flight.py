@@ -26,8 +26,7 @@ from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.cueing.settings import WashoutSettings, load_washout
 from cmf_mj.pilot.cueing.washout import Washout
-from cmf_mj.pilot.host import MOST_RATE
-from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.pilot.motion import MOST_RATE, PilotMotion
 from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
 
 LIMITS = (
