@@ -28,9 +28,9 @@ from cmf_mj.facility.host.stream import HostStream, make_stream
 from cmf_mj.facility.operation import operate
 from cmf_mj.machine.models import CABS
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.cueing.flight import cue
-from cmf_mj.pilot.cueing.settings import WASHOUTS, load_washout
+from cmf_mj.pilot.cueing import cue
 from cmf_mj.pilot.motion import MOST_RATE, PilotMotion
+from cmf_mj.pilot.washout_settings import WASHOUTS, load_washout
 from cmf_mj.record.record import Record
 
 FORCE, RATE = 100.0, 10.0

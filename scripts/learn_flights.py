@@ -17,8 +17,8 @@ from cmf_mj.core.result import Table
 from cmf_mj.facility.host.stream import differentiate, make_stream
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
-from cmf_mj.pilot.cueing.flight import cue, within_limits
+from cmf_mj.pilot.cueing import cue, within_limits
+from cmf_mj.pilot.flight import flight_names, load_flight
 from cmf_mj.pilot.learning import Learning, counted, learn, on_others, rms
 from cmf_mj.pilot.motion import MOST_RATE, interpolated
 from cmf_mj.show.flight import save_learning

@@ -14,13 +14,13 @@ from cmf_mj.cli.common import app, noise_choice, progress_bar, show, written
 from cmf_mj.cli.options import argument, choice, file, new_file
 
 if TYPE_CHECKING:
-    from cmf_mj.pilot.aircraft.flight import Flight
+    from cmf_mj.pilot.flight import Flight
 
 command = partial(app.command, rich_help_panel="Flight")
 
-_FLIGHTS, _SCRIPTS = "pilot.aircraft.flight:flight_names", "pilot.aircraft.scripts:SCRIPTS"
+_FLIGHTS, _SCRIPTS = "pilot.flight:flight_names", "pilot.scripts:SCRIPTS"
 _FLOWN = "name or file; with --from a recording, or the UDP port of live telemetry"
-_FORMATS, _FORMAT = "pilot.telemetry.formats:FORMATS", "xplane, beamng or csv: telemetry"
+_FORMATS, _FORMAT = "pilot.telemetry:FORMATS", "xplane, beamng or csv: telemetry"
 From = Annotated[str | None, choice(_FORMATS, "FORMAT", _FORMAT, make=partial(Option, "--from"))]
 ShippedFlight = Annotated[str, argument(_FLIGHTS, "FLIGHT", "name or file", free=True)]
 _KNOWN = 6
@@ -54,9 +54,9 @@ def fly_command(
     from cmf_mj.core.errors import InputError
     from cmf_mj.core.files import in_folder
     from cmf_mj.core.settings import check_distinct
-    from cmf_mj.pilot.aircraft.flight import load_flight
+    from cmf_mj.pilot.flight import load_flight
     from cmf_mj.pilot.fly import fly, transport_delay
-    from cmf_mj.pilot.telemetry.formats import fly_live
+    from cmf_mj.pilot.telemetry import fly_live
     from cmf_mj.show import flight as report
     from cmf_mj.show.operation import save_operation
 
@@ -117,8 +117,8 @@ def learn_command(
     out: options.Out = Path("out/learn"),
 ) -> None:
     """Repeat a flight and learn the demand with which the cab follows it."""
-    from cmf_mj.pilot.aircraft.flight import load_flight
-    from cmf_mj.pilot.cueing.flight import cue
+    from cmf_mj.pilot.cueing import cue
+    from cmf_mj.pilot.flight import load_flight
     from cmf_mj.pilot.learning import learn, on_others
     from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import flight as report
@@ -143,8 +143,8 @@ def learn_command(
 def _telemetry(source: str, form: str) -> Flight:
     """A recording of telemetry as a flight; what is wrong with it is said, and it is refused."""
     from cmf_mj.core.errors import InputError
-    from cmf_mj.pilot.telemetry.check import check
-    from cmf_mj.pilot.telemetry.formats import flight_of, read_telemetry
+    from cmf_mj.pilot.telemetry import flight_of, read_telemetry
+    from cmf_mj.pilot.telemetry_check import check
 
     recorded, refused = read_telemetry(source, form)
     if errors := check(recorded).errors:
@@ -174,9 +174,9 @@ def flight_command(
     seconds: Annotated[float, Option(help="to listen at a port [s]", min=1.0, max=3600.0)] = 20.0,
 ) -> None:
     """Fly a script with JSBSim, or say what is wrong with telemetry: axes, signs, units, gaps."""
-    from cmf_mj.pilot.aircraft.scripts import ScriptedFlight
-    from cmf_mj.pilot.telemetry.check import check
-    from cmf_mj.pilot.telemetry.formats import flight_of, listen, read_telemetry
+    from cmf_mj.pilot.scripts import ScriptedFlight
+    from cmf_mj.pilot.telemetry import flight_of, listen, read_telemetry
+    from cmf_mj.pilot.telemetry_check import check
 
     if form == "jsbsim":
         flight = ScriptedFlight(source, aircraft=aircraft, seed=seed).record()
@@ -224,9 +224,9 @@ def cue_command(
     """Turn a flight into host frames and what the pilot senses; first find gains for --share."""
     from cmf_mj.machine.cab import load_cab
     from cmf_mj.machine.motion_limits import load_motion_limits
-    from cmf_mj.pilot.aircraft.flight import load_flight
-    from cmf_mj.pilot.cueing.flight import cue, tune
-    from cmf_mj.pilot.cueing.settings import load_washout, save_washout
+    from cmf_mj.pilot.cueing import cue, tune
+    from cmf_mj.pilot.flight import load_flight
+    from cmf_mj.pilot.washout_settings import load_washout, save_washout
     from cmf_mj.show import cueing as report
 
     settings, motion = load_washout(washout), load_flight(flight).motion

@@ -132,7 +132,7 @@ OIL, SENSORS = "plant.parameters.loading:HYDRAULICS", "electronics.sensors.chann
 MACHINES = "machine.models:machine_names"
 SCENARIOS = "facility.scenario.library:scenario_names"
 _SETS, _REPORT = "report, hardware, lossy or TOML file", "control.law:law_names"
-_WASHOUTS, _SHIPPED = "pilot.cueing.settings:WASHOUTS", "simona, reid_nahon, optimal or TOML file"
+_WASHOUTS, _SHIPPED = "pilot.washout_settings:WASHOUTS", "simona, reid_nahon, optimal or TOML file"
 _MANY_LAWS = "laws by name or TOML file; `all` of the report"
 
 Dof = Annotated[str, choice(DOFS, "DOF", "surge, sway, heave, roll, pitch or yaw")]

@@ -41,10 +41,10 @@ from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import FLIP, by_kind, dof_index
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.cueing.flight import cue, within_limits
-from cmf_mj.pilot.cueing.settings import WashoutSettings
+from cmf_mj.pilot.cueing import cue, within_limits
 from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, interpolated, pilot_station
 from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
+from cmf_mj.pilot.washout_settings import WashoutSettings
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.record.record import Record
@@ -120,7 +120,7 @@ def fly(
     Law, washout (unused in direct mode) and hydraulics are names, TOML files or loaded; `options`
     are those of `operate`. Refuses more than 80 platform frames a second.
 
-    >>> from cmf_mj.pilot.aircraft.flight import load_flight
+    >>> from cmf_mj.pilot.flight import load_flight
     >>> from cmf_mj.pilot.fly import fly
     >>> fly(load_flight("gusts").motion).use.within
     True

@@ -46,7 +46,7 @@ from cmf_mj.facility.operation import operate
 from cmf_mj.facility.run import dcu_of
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.cueing.flight import within_limits
+from cmf_mj.pilot.cueing import within_limits
 from cmf_mj.pilot.fly import RECORD_EVERY, low_passed
 from cmf_mj.pilot.motion import MOST_RATE
 from cmf_mj.plant.hexapod import Hexapod

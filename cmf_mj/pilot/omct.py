@@ -42,9 +42,9 @@ from cmf_mj.facility.operation import operate
 from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_index
-from cmf_mj.pilot.cueing.settings import WashoutSettings, load_washout
-from cmf_mj.pilot.cueing.washout import Washout
 from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, gravity_in_body, pilot_station
+from cmf_mj.pilot.washout import Washout
+from cmf_mj.pilot.washout_settings import WashoutSettings, load_washout
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics

@@ -25,8 +25,8 @@ from cmf_mj.facility.host.files import HostSession, read_stream
 from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import load_cab
-from cmf_mj.pilot.aircraft.flight import load_flight
-from cmf_mj.pilot.cueing.settings import load_washout
+from cmf_mj.pilot.flight import load_flight
+from cmf_mj.pilot.washout_settings import load_washout
 from cmf_mj.record.reader import read_recording
 from cmf_mj.record.record import Record
 from cmf_mj.report_2014.posterior.settings import load_posterior

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmf_mj.core.units import DEGREE, FOOT, KNOT, STANDARD_GRAVITY
-from cmf_mj.pilot.aircraft.airframe import RATE, AircraftState, Airframe, Controls, without_network
-from cmf_mj.pilot.aircraft.flight import Flight, Origin, load_flight
-from cmf_mj.pilot.aircraft.scripts import SCRIPTS, ScriptedFlight
+from cmf_mj.pilot.airframe import RATE, AircraftState, Airframe, Controls, without_network
+from cmf_mj.pilot.flight import Flight, Origin, load_flight
 from cmf_mj.pilot.motion import PilotMotion, at_lever_arm, gravity_in_body
+from cmf_mj.pilot.scripts import SCRIPTS, ScriptedFlight
 
 RADIUS = 6.37e6
 

@@ -11,10 +11,10 @@ from cmf_mj.facility.host.files import read_stream
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.leg_motion import pose_motion_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.aircraft.flight import load_flight
-from cmf_mj.pilot.cueing.flight import cue, excursion, tune, within_limits
-from cmf_mj.pilot.cueing.settings import WASHOUTS, load_washout, save_washout
-from cmf_mj.pilot.cueing.washout import Washout
+from cmf_mj.pilot.cueing import cue, excursion, tune, within_limits
+from cmf_mj.pilot.flight import load_flight
+from cmf_mj.pilot.washout import Washout
+from cmf_mj.pilot.washout_settings import WASHOUTS, load_washout, save_washout
 
 LIMITS = load_motion_limits()
 PUSH = pushed(0, np.clip((np.arange(2400) / 80.0 - 1.0) * 2.0, 0.0, 5.0))

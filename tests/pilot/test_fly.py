@@ -18,8 +18,7 @@ from cmf_mj.core.units import RATE
 from cmf_mj.facility.host.stream import from_command, make_stream
 from cmf_mj.machine import kinematics
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.aircraft.flight import Flight, load_flight
-from cmf_mj.pilot.cueing.settings import load_washout
+from cmf_mj.pilot.flight import Flight, load_flight
 from cmf_mj.pilot.fly import (
     FlightResult,
     crew_motion,
@@ -29,6 +28,7 @@ from cmf_mj.pilot.fly import (
     transport_delay,
 )
 from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.pilot.washout_settings import load_washout
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.show import flight as flight_report
 

@@ -16,8 +16,8 @@ from cmf_mj.facility.host.files import read_stream
 from cmf_mj.facility.host.stream import HostStream, from_command
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.aircraft.flight import load_flight
-from cmf_mj.pilot.cueing.flight import cue
+from cmf_mj.pilot.cueing import cue
+from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.learning import (
     SLOWEST,
     Learner,

@@ -10,7 +10,6 @@ from typer.testing import CliRunner
 
 from cmf_mj.cli.common import app
 from cmf_mj.control.dcu.settings import load_dcu
-from cmf_mj.pilot.cueing.settings import load_washout, save_washout
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.omct import (
     ANGLE,
@@ -22,6 +21,7 @@ from cmf_mj.pilot.omct import (
     omct,
     outputs_of,
 )
+from cmf_mj.pilot.washout_settings import load_washout, save_washout
 from cmf_mj.show.cueing import omct_table, phase, share_table, unit
 
 SIMONA = load_washout()

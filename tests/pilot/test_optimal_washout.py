@@ -6,10 +6,10 @@ import pytest
 from flights import G, pushed, sustained, turned
 from scipy import linalg
 
-from cmf_mj.pilot.cueing.optimal import washout_modes
-from cmf_mj.pilot.cueing.settings import load_washout
-from cmf_mj.pilot.cueing.washout import Washout
 from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.pilot.optimal import washout_modes
+from cmf_mj.pilot.washout import Washout
+from cmf_mj.pilot.washout_settings import load_washout
 
 SETTINGS = load_washout("optimal")
 MODES = washout_modes(SETTINGS)

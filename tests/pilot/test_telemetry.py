@@ -13,11 +13,11 @@ import pytest
 from numpy.typing import NDArray
 
 from cmf_mj import InputError
-from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
+from cmf_mj.pilot.flight import flight_names, load_flight
 from cmf_mj.pilot.fly import fly
 from cmf_mj.pilot.motion import gravity_in_body
-from cmf_mj.pilot.telemetry.check import Telemetry, check
-from cmf_mj.pilot.telemetry.formats import decode, flight_of, fly_live, read_telemetry, telemetry_of
+from cmf_mj.pilot.telemetry import decode, flight_of, fly_live, read_telemetry, telemetry_of
+from cmf_mj.pilot.telemetry_check import Telemetry, check
 
 G, DEGREE = 9.80665, math.pi / 180.0
 

@@ -43,7 +43,7 @@ from cmf_mj.core.compiled import allocating
 from cmf_mj.core.hold import Held, advance, hold, read, settled
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.kinematics import rotation
-from cmf_mj.pilot.cueing.settings import ClassicalSettings, HighPass, ThirdOrder, Tilted
+from cmf_mj.pilot.washout_settings import ClassicalSettings, HighPass, ThirdOrder, Tilted
 
 Matrices = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 """A, B, C, D."""

@@ -24,10 +24,10 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostFrame, HostStream, make_stream
 from cmf_mj.machine.kinematics import rotation
-from cmf_mj.pilot.cueing.classical import Classical, make_classical, move_classical
-from cmf_mj.pilot.cueing.optimal import Optimal, make_optimal, move_optimal
-from cmf_mj.pilot.cueing.settings import ClassicalSettings, WashoutSettings, load_washout
+from cmf_mj.pilot.classical import Classical, make_classical, move_classical
 from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, body_rates, pilot_station, vector
+from cmf_mj.pilot.optimal import Optimal, make_optimal, move_optimal
+from cmf_mj.pilot.washout_settings import ClassicalSettings, WashoutSettings, load_washout
 
 
 class Cueing(NamedTuple):

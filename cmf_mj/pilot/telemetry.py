@@ -33,11 +33,11 @@ from cmf_mj.facility.operation import serve
 from cmf_mj.facility.session import Session
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.aircraft.flight import Flight, Origin, read_columns
-from cmf_mj.pilot.cueing.washout import Washout
+from cmf_mj.pilot.flight import Flight, Origin, read_columns
 from cmf_mj.pilot.fly import RECORD_EVERY, FlightResult, flight_result
 from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, gravity_in_body
-from cmf_mj.pilot.telemetry.check import Telemetry, check
+from cmf_mj.pilot.telemetry_check import Telemetry, check
+from cmf_mj.pilot.washout import Washout
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 

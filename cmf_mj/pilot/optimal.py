@@ -33,9 +33,9 @@ from cmf_mj.core.compiled import allocating
 from cmf_mj.core.hold import hold
 from cmf_mj.core.settings import Settings
 from cmf_mj.core.units import STANDARD_GRAVITY
-from cmf_mj.pilot.cueing.classical import Filter, Matrices, at_work, outputs, push_sample, settle
-from cmf_mj.pilot.cueing.settings import OptimalSettings, TiltingSizes
+from cmf_mj.pilot.classical import Filter, Matrices, at_work, outputs, push_sample, settle
 from cmf_mj.pilot.perception import canal_response, load_senses, otolith_response, state_space
+from cmf_mj.pilot.washout_settings import OptimalSettings, TiltingSizes
 
 Matrix = NDArray[np.float64]
 

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.errors import check_name
 from cmf_mj.core.units import DEGREE, FOOT, KNOT
-from cmf_mj.pilot.aircraft.airframe import RATE, AircraftState, Airframe, Controls
-from cmf_mj.pilot.aircraft.flight import Flight, Origin
+from cmf_mj.pilot.airframe import RATE, AircraftState, Airframe, Controls
+from cmf_mj.pilot.flight import Flight, Origin
 from cmf_mj.pilot.motion import MOST_RATE, PilotMotion
 
 LAG = 0.15
