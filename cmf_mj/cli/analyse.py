@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
+import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, in_si, noise_choice, pose_option, progress_bar, show, written
 from cmf_mj.cli.options import choice
@@ -36,12 +37,11 @@ def linearize_command(
     out: options.Out = Path("out/linearize"),
 ) -> None:
     """Linearise a plant: modes, Bode diagrams, a law around it."""
-    from cmf_mj.analysis.linear.linear import Linear
     from cmf_mj.plant.hexapod import make_plant
     from cmf_mj.show import linearization as report
     from cmf_mj.studies.linearization import linearization_study
 
-    linear = Linear(make_plant(plant, cab, hydraulics), pose_option(pose))
+    linear = cmf_mj.Linear(make_plant(plant, cab, hydraulics), pose_option(pose))
     study = linearization_study(linear, law, dofs)
     paths = report.save_study(study, out)
     show(report.pole_table(study), report.loop_table(study), written(paths, out))
@@ -62,10 +62,9 @@ def modes_command(
     """Reflected mass, hydraulic modes at a pose and over the envelope, and the worst pose."""
     from cmf_mj.analysis.modes import over_envelope, plane_map, sweep
     from cmf_mj.machine.geometry import DOFS
-    from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import linearization as report
 
-    plants = [Hexapod(name, hydraulics) for name in cabs]
+    plants = [cmf_mj.Hexapod(name, hydraulics) for name in cabs]
     here = pose_option(pose)
     at_pose = [plant.hydraulic_modes(here) for plant in plants]
     sweeps = [[sweep(plant, dof, count=points) for dof in DOFS] for plant in plants]

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
+import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, noise_choice, progress_bar, show, written
 from cmf_mj.cli.options import choice
+from cmf_mj.core.errors import InputError
 
 if TYPE_CHECKING:
     from cmf_mj.facility.host.stream import HostStream
@@ -73,15 +75,10 @@ def _end(operation: Operation) -> str:
 def _stream(file: Path, derivatives: str, rate: float | None, cab: Cab | None = None) -> HostStream:
     from cmf_mj.facility.host.files import read_stream
     from cmf_mj.facility.host.stream import resample, unit_doubts
-    from cmf_mj.machine.cab import load_cab
 
     stream = read_stream(file, derivatives=derivatives)
-    show(
-        *(
-            f"{file}: {doubt}"
-            for doubt in unit_doubts(stream.time, stream.pose, load_cab(cab).machine)
-        )
-    )
+    doubts = unit_doubts(stream.time, stream.pose, cmf_mj.load_cab(cab).machine)
+    show(*(f"{file}: {doubt}" for doubt in doubts))
     return stream if rate is None else resample(stream, rate)
 
 
@@ -108,14 +105,11 @@ def serve_command(
 ) -> None:
     """Run the facility in real time on host frames from the network."""
     from cmf_mj.control.states import State
-    from cmf_mj.core.errors import InputError
     from cmf_mj.core.files import in_folder
     from cmf_mj.facility.host.moog import MoogServer
     from cmf_mj.facility.host.stream import unit_doubts
     from cmf_mj.facility.host.udp import UdpReceiver, read_key
     from cmf_mj.facility.operation import serve
-    from cmf_mj.plant.hexapod import Hexapod
-    from cmf_mj.record.record import Record
     from cmf_mj.show import operation as report
 
     held: list[Session] = []
@@ -124,7 +118,7 @@ def serve_command(
         held[:] = [session]  # an interrupt does not lose what was run until then
         return opened.attend(session) if protocol == "moog" else session.rate
 
-    plant, options = Hexapod(cab, hydraulics), _start(begin, noise) | {"attend": attend}
+    plant, options = cmf_mj.Hexapod(cab, hydraulics), _start(begin, noise) | {"attend": attend}
     opened: Any
     if key if protocol == "moog" else lockstep:
         raise InputError(f"{'key' if key else 'lockstep'}: is nothing to the protocol {protocol}")
@@ -148,7 +142,7 @@ def serve_command(
                 operation = serve(plant, law, receiver.ring, seconds, progress=progress, **options)
             except KeyboardInterrupt:
                 if held and held[0].frame:
-                    record = Record(*held[0].history(), held[0].describe())
+                    record = cmf_mj.Record(*held[0].history(), held[0].describe())
                     print(f"written: {record.save(in_folder(out, 'record.parquet'))}", flush=True)
                 raise
     received, refused = int(receiver.ring.written[0]), receiver.refused
@@ -177,10 +171,9 @@ def operate_command(
 ) -> None:
     """Run the facility on a file of host frames, as fast as it goes."""
     from cmf_mj.facility.operation import operate
-    from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import operation as report
 
-    plant = Hexapod(cab, hydraulics)
+    plant = cmf_mj.Hexapod(cab, hydraulics)
     stream = _stream(file, derivatives, rate, plant.cab_parameters)
     operation = operate(plant, law, stream, seconds=seconds, **_start(begin, noise))
     paths = report.save_operation(operation, out)

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Option
 
+import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, noise_choice, progress_bar, show, written
 from cmf_mj.cli.options import argument, choice, file, new_file
+from cmf_mj.core.errors import InputError
 
 if TYPE_CHECKING:
     from cmf_mj.pilot.flight import Flight
@@ -50,8 +52,6 @@ def fly_command(
     out: options.Out = Path("out/fly"),
 ) -> None:
     """Fly an aircraft in the cab, once for each law, and compare what the pilot feels."""
-    from cmf_mj.control.law import load_law
-    from cmf_mj.core.errors import InputError
     from cmf_mj.core.files import in_folder
     from cmf_mj.core.settings import check_distinct
     from cmf_mj.pilot.flight import load_flight
@@ -60,7 +60,7 @@ def fly_command(
     from cmf_mj.show import flight as report
     from cmf_mj.show.operation import save_operation
 
-    loaded = [load_law(name) for name in laws]
+    loaded = [cmf_mj.load_law(name) for name in laws]
     check_distinct("laws", [one.name for one in loaded])
     port = None if form is None else _port(flight)
     if port is not None and len(loaded) != 1:
@@ -120,13 +120,12 @@ def learn_command(
     from cmf_mj.pilot.cueing import cue
     from cmf_mj.pilot.flight import load_flight
     from cmf_mj.pilot.learning import learn, on_others
-    from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import flight as report
     from cmf_mj.studies.mismatch import drawn_machine
 
     asked = cue(load_flight(flight).motion, washout, cab=cab).stream
     machines = [drawn_machine(cab, hydraulics, seed, draw) for draw in range(_KNOWN + on)]  # type: ignore[arg-type]
-    plants = [Hexapod(cab, hydraulics), *machines[:_KNOWN]]
+    plants = [cmf_mj.Hexapod(cab, hydraulics), *machines[:_KNOWN]]
     run: dict[str, Any] = {"electronics": noise_choice(noise)}
     with progress_bar(f"learning {flight}") as update:
         run |= {"trials": trials, "seed": seed, "progress": update}
@@ -142,7 +141,6 @@ def learn_command(
 
 def _telemetry(source: str, form: str) -> Flight:
     """A recording of telemetry as a flight; what is wrong with it is said, and it is refused."""
-    from cmf_mj.core.errors import InputError
     from cmf_mj.pilot.telemetry import flight_of, read_telemetry
     from cmf_mj.pilot.telemetry_check import check
 
@@ -222,7 +220,6 @@ def cue_command(
     out: options.Out = Path("out/cue"),
 ) -> None:
     """Turn a flight into host frames and what the pilot senses; first find gains for --share."""
-    from cmf_mj.machine.cab import load_cab
     from cmf_mj.machine.motion_limits import load_motion_limits
     from cmf_mj.pilot.cueing import cue, tune
     from cmf_mj.pilot.flight import load_flight
@@ -230,7 +227,7 @@ def cue_command(
     from cmf_mj.show import cueing as report
 
     settings, motion = load_washout(washout), load_flight(flight).motion
-    bounds = load_motion_limits(limits, load_cab(cab).machine)
+    bounds = load_motion_limits(limits, cmf_mj.load_cab(cab).machine)
     how: dict[str, Any] = {"cab": cab, "limits": bounds, "rate": rate}
     thresholds, paths = None if senses is None else str(senses), []
     if share is not None:

@@ -11,6 +11,7 @@ from typing import Annotated, Any, get_args
 import typer
 from typer import Argument, Option
 
+import cmf_mj
 from cmf_mj.cli.common import claim, target
 from cmf_mj.core.errors import InputError, check_name
 
@@ -23,9 +24,7 @@ def names_in(source: str) -> list[str]:
 
 def shipped_laws() -> tuple[str, ...]:
     """Names of all shipped laws."""
-    from cmf_mj.control.law import law_names
-
-    return law_names("all")
+    return cmf_mj.law_names("all")
 
 
 def choice(
@@ -84,12 +83,10 @@ def of_machine(source: str, metavar: str, text: str, make: Callable[..., Any] | 
 
 
 def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
-    from cmf_mj.machine.cab import load_cab
-    from cmf_mj.machine.machine import load_machine
     from cmf_mj.machine.models import CMF
     from cmf_mj.plant.parameters.loading import hydraulics_of
 
-    machine = load_machine(ctx.params.get("machine", CMF))
+    machine = cmf_mj.load_machine(ctx.params.get("machine", CMF))
     given = ctx.get_parameter_source(field)
     own = machine.name != CMF and given is not None and given.name.startswith("DEFAULT")
     if field == "hydraulics":
@@ -97,9 +94,9 @@ def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
     if field == "law":
         return machine.law if own else names
     if field == "cab":
-        return load_cab(None if own else names, machine)
+        return cmf_mj.load_cab(None if own else names, machine)
     everything = own or names == names_in(CABS)
-    return [load_cab(name, machine) for name in (machine.cab_names if everything else names)]
+    return [cmf_mj.load_cab(name, machine) for name in (machine.cab_names if everything else names)]
 
 
 name_or_file = partial(choice, free=True)

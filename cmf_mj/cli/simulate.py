@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Context, Option
 
+import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import (
     app,
@@ -59,8 +60,7 @@ def run_command(
     schema: Annotated[bool, Option("--schema", help="print a scenario's JSON schema")] = False,
 ) -> None:
     """Run a scenario: plant, law, signals, failures and changes; without one, list them."""
-    from cmf_mj.facility.scenario.library import load_scenario, scenario_names
-    from cmf_mj.facility.scenario.run import run_scenario
+    from cmf_mj.facility.scenario.library import scenario_names
     from cmf_mj.facility.scenario.settings import Scenario
     from cmf_mj.show.film.film import save_run
 
@@ -69,12 +69,12 @@ def run_command(
         return
     if not scenario:
         for name in scenario_names():
-            show(f"{name:24} {load_scenario(name).title}")
+            show(f"{name:24} {cmf_mj.load_scenario(name).title}")
         return
-    chosen = _changed(load_scenario(scenario), machine=machine, cab=cab)
+    chosen = _changed(cmf_mj.load_scenario(scenario), machine=machine, cab=cab)
     folder = claim(context, out or Path("out/run") / Path(scenario).stem)
     with progress_bar() as progress:
-        record = run_scenario(chosen, progress=progress)
+        record = cmf_mj.run_scenario(chosen, progress=progress)
     with progress_bar("drawing") as progress:
         paths = save_run(record, chosen, folder, progress=progress)
     show(written(paths))
@@ -89,12 +89,12 @@ def run_comparison(
     what compares laws stands in a table more.
     """
     from cmf_mj.show import comparison as report
-    from cmf_mj.studies.comparison import compare, rated
+    from cmf_mj.studies.comparison import rated
 
     kept, more = options.pop("records", True), options.pop("measures", False)
     folder = out / "records" if kept else None
     with progress_bar() as update:
-        comparison = compare(laws, dofs, records=folder, progress=update, **options)
+        comparison = cmf_mj.compare(laws, dofs, records=folder, progress=update, **options)
     paths = report.save_comparison(comparison, out)
     tables, beside = [report.comparison_table(comparison)], ""
     if more:
@@ -216,12 +216,11 @@ def capacity_command(
 ) -> None:
     """Does the supply hold through a manoeuvre (--dof), and what is the largest (--dofs)?"""
     from cmf_mj.core import units
-    from cmf_mj.plant.parameters.loading import load_hydraulics
     from cmf_mj.show import capacity as report
     from cmf_mj.studies.capacity import envelope as envelopes
     from cmf_mj.studies.capacity.verdict import capacity, manoeuvre
 
-    parameters = load_hydraulics(hydraulics)
+    parameters = cmf_mj.load_hydraulics(hydraulics)
     least = None if least_pressure is None else least_pressure * units.PSI
     demand = manoeuvre(signal, dof, in_si(dof, amplitude), frequency)
     result = capacity(demand, law, cab, parameters, least_pressure=least)
@@ -268,11 +267,6 @@ def video_command(
 ) -> None:
     """Render runs side by side, or modes of a cab, to MP4 or GIF; needs no display."""
     from cmf_mj.core import units
-    from cmf_mj.facility.scenario.library import load_scenario
-    from cmf_mj.facility.scenario.run import run_scenario
-    from cmf_mj.machine.cab import load_cab
-    from cmf_mj.plant.hexapod import Hexapod
-    from cmf_mj.record.record import Record
     from cmf_mj.show.film.film import FilmSettings, film, swing_film
     from cmf_mj.show.flight import saved_traces
 
@@ -281,7 +275,7 @@ def video_command(
     rate = speed or (0.05 if modes else 1.0)
     look = FilmSettings(fps, rate, camera, width, height, start=start, seconds=seconds)
     if modes:
-        plant = Hexapod(load_cab(cab, machine or "cmf"))
+        plant = cmf_mj.Hexapod(cmf_mj.load_cab(cab, machine or "cmf"))
         swing: dict[str, Any] = {"stroke": units.to_si("in", stroke), "periods": periods}
         with progress_bar("drawing") as progress:
             swings = plant.hydraulic_modes(pose_option(pose))
@@ -293,14 +287,14 @@ def video_command(
     with progress_bar() as progress:
         for name in names:
             if name.endswith(".parquet"):
-                records.append(Record.load(name))
+                records.append(cmf_mj.Record.load(name))
                 titles.append(f"{Path(name).stem}: {records[-1].metadata['law']}")
                 traces += [panels for panels in [saved_traces(Path(name))] if panels]
                 continue
-            base = load_scenario(name)
+            base = cmf_mj.load_scenario(name)
             for law in laws or [base.law]:
                 one = _changed(base, law=law, machine=machine, cab=cab)
-                records.append(run_scenario(one, progress=progress))
+                records.append(cmf_mj.run_scenario(one, progress=progress))
                 titles.append(one.law if laws else one.title or Path(name).stem)
     if len(traces) == len(records):  # flights, each with six traces of what its pilot felt
         look = look._replace(strip=300)
@@ -326,15 +320,13 @@ def studio_command(
     import warnings
     import webbrowser
 
-    from cmf_mj.facility.scenario.library import load_scenario
-
     for package in ("viser", "mjviser"):
         require(package, "studio")
     from cmf_mj.show.studio.server import Studio
 
     # A picture on its way to a tab that has just been closed is nothing to tell of.
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
-    studio = Studio(host, port, load_scenario(scenario) if scenario else None)
+    studio = Studio(host, port, cmf_mj.load_scenario(scenario) if scenario else None)
     try:
         # A shell that starts it in the background would have it ignore Ctrl-C for good.
         for number in (signal.SIGINT, signal.SIGTERM):

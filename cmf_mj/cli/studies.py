@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 from typer import Context, Option
 
+import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, claim, progress_bar, show, written
 from cmf_mj.cli.options import argument, choice, name_or_file, new_file
@@ -89,7 +90,6 @@ def tune_command(
     target: Annotated[Path, new_file("--file", help="law file to write")] = _TUNED,
 ) -> None:
     """Search the gains of a form of law over all cabs and degrees of freedom."""
-    from cmf_mj.machine.cab import load_cab
     from cmf_mj.machine.models import CMF
     from cmf_mj.studies.tuning.forms import make_template
     from cmf_mj.studies.tuning.search import Requirements, save_law, search
@@ -98,7 +98,7 @@ def tune_command(
     how: dict[str, Any] = {"form": form, "evaluations": evaluations, "seed": seed}
     with progress_bar() as update:
         result = search(template, limits, progress=update, **how)
-    names, base = ",".join(one.cab for one in template.cabs), load_cab(cabs[0]).machine.name
+    names, base = ",".join(one.cab for one in template.cabs), cmf_mj.load_cab(cabs[0]).machine.name
     on = "" if base == CMF else f"--machine {base} "
     command_line = (
         f"cmf tune {on}--form {form} --peak {peak:g} --overshoot {overshoot:g} "
@@ -129,9 +129,7 @@ def certify_command(
     out: options.Out = Path("out/certify"),
 ) -> None:
     """Bound how far machines may be off before a law fails, and find machines that break it."""
-    from cmf_mj.control.law import load_law
     from cmf_mj.core.settings import check_distinct
-    from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import study as report
     from cmf_mj.show.look import save_files
     from cmf_mj.studies.certificate import run
@@ -139,7 +137,10 @@ def certify_command(
     from cmf_mj.studies.engine import libraries
 
     unit, effort, rows = load_box(box), run.QUICK if quick else run.Effort(), []
-    plants, chosen = [Hexapod(cab, hydraulics) for cab in cabs], [load_law(law) for law in laws]
+    plants, chosen = (
+        [cmf_mj.Hexapod(cab, hydraulics) for cab in cabs],
+        [cmf_mj.load_law(law) for law in laws],
+    )
     check_distinct("laws", [law.name for law in chosen])
     check_distinct("cabs", [plant.cab for plant in plants])
     with progress_bar() as update:

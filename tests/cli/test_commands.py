@@ -4,9 +4,9 @@ import csv
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from shared import cmf
 
-from cmf_mj.cli.common import app
+from cmf_mj.machine.models import machine_names
 from cmf_mj.record.record import Record
 from cmf_mj.studies.comparison import COMPARISON
 
@@ -20,22 +20,16 @@ direct_gain = { reference = 23.5, position = 407.04, velocity = -1.0 }
 """
 
 
-def run(*arguments: str) -> tuple[int, str]:
-    result = CliRunner().invoke(app, list(arguments))
-    return result.exit_code, result.output
-
-
 def test_compare_writes_table_figures_and_records(
     tmp_path: Path, drawn: dict[str, set[str]]
 ) -> None:
     law = tmp_path / "mine.toml"
     law.write_text(MY_LAW)
     out = tmp_path / "out"
-    code, output = run(
+    output = cmf(
         *("compare", "--laws", f"velocity,{law}", "--dofs", "heave,roll", "--quick"),
-        *("--out", str(out), "--jobs", "2", "--measures"),
+        *("--out", out, "--jobs", "2", "--measures"),
     )
-    assert code == 0, output
     with (out / "comparison.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == [field.name for field in COMPARISON]
@@ -65,40 +59,55 @@ def test_compare_writes_table_figures_and_records(
     assert {"leg_reference", "valve_command", "leg_position"} <= set(record.channels)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--laws", "fast"), "'fast'"),
-        (("--dofs", "up"), "'up'"),
-        (("--cab", "bus"), "'bus'"),
-        (("--dofs", " , "), "names nothing; allowed: one name at least"),
-        (("--plants", "boat"), "'boat'"),
-        (("--hydraulics", "missing.toml"), "missing.toml"),
-        (("--amplitude", "0 in"), "amplitude"),
-        (("--jobs", "0"), "jobs"),
-        (("--jobs", "two"), "jobs: 'two' is refused: input should be a valid integer"),
-        (("--laws", "velocity,velocity"), "laws: velocity, velocity must differ in name"),
-    ],
-)
-def test_compare_refuses_in_one_line_and_writes_nothing(
-    arguments: tuple[str, ...], message: str, tmp_path: Path
+REFUSED = {
+    "compare --laws fast": "'fast'",
+    "compare --dofs up": "'up'",
+    "compare --cab bus": "'bus'",
+    "compare --dofs ,": "names nothing; allowed: one name at least",
+    "compare --plants boat": "'boat'",
+    "compare --hydraulics missing.toml": "missing.toml",
+    "compare --jobs 0": "jobs",
+    "compare --jobs two": "jobs: 'two' is refused: input should be a valid integer",
+    "compare --laws velocity,velocity": "laws: velocity, velocity must differ in name",
+    "fly loop": "cmf: flight: 'loop' is not one of",
+    "fly gusts --laws none": "law: 'none'",
+    "fly gusts --washout none": "'none'",
+    "flight loop --file x.csv": "flight: 'loop' is not one of",
+    "flight turn --from telex": "form: 'telex' is not one of",
+    "learn gusts --trials 0": "trials: '0' is refused",
+    "learn gusts --jobs 0": "jobs: '0' is refused",
+    "learn loop": "flight: 'loop' is not one of",
+    "learn gusts --law none": "law: 'none'",
+    "cue missing.csv": "missing.csv",
+    "cue gusts --washout best": "'best'",
+    "cue gusts --cab bus": "'bus'",
+    "cue gusts --rate 0": "rate",
+    "list hydraulics water": "'water'",
+    "list laws report": "set: 'report' is of no use to laws; allowed: none",
+    "list hydraulics --machine simon": "'simon'",
+    "machine new cmf": "is a shipped machine",
+}
+
+
+@pytest.mark.parametrize("line", REFUSED)
+def test_a_line_is_refused_in_one_line_and_writes_nothing(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = tmp_path / "out"
-    code, output = run("compare", *arguments, "--out", str(out))
-    assert code == 2
-    assert message in output
-    assert "Traceback" not in output
-    assert not out.exists()
+    monkeypatch.chdir(tmp_path)
+    output = " ".join(cmf(*line.split(), code=2).split())
+    assert REFUSED[line] in output and "Traceback" not in output
+    assert not list(tmp_path.iterdir())
 
 
-def test_laws_and_parameters_show_their_sources() -> None:
-    code, laws = run("list", "laws")
-    assert code == 0
-    assert "Table 2-5" in laws
-    code, parameters = run("list", "hydraulics", "report")
-    assert code == 0
+def test_an_amplitude_of_nothing_is_refused() -> None:
+    assert "amplitude" in cmf("compare", "--amplitude", "0 in", code=2)
+
+
+def test_lists_show_their_sources() -> None:
+    assert "Table 2-5" in cmf("list", "laws")
+    parameters = cmf("list", "hydraulics", "report")
     for status in ("derived", "assumed", "calibrated"):
         assert status in parameters
-    code, refused = run("list", "hydraulics", "water")
-    assert code == 2
-    assert "'water'" in refused
+    machines, own = cmf("list", "machines"), cmf("list", "hydraulics", "--machine", "simona")
+    assert all(name in machines for name in machine_names())
+    assert "hydraulics: simona" in own and "160 bar" in " ".join(own.split())

@@ -7,12 +7,10 @@ from typing import Any
 import av
 import numpy as np
 import pytest
-from shared import WORKING_STROKE
-from typer.testing import CliRunner
+from shared import WORKING_STROKE, cmf
 
 from cmf_mj import signals
 from cmf_mj.analysis.metrics import transient_delay
-from cmf_mj.cli.common import app
 from cmf_mj.control.dcu.settings import load_dcu
 from cmf_mj.core.units import RATE
 from cmf_mj.facility.host.stream import from_command, make_stream
@@ -199,12 +197,6 @@ def test_delays_that_cannot_be_measured_are_refused() -> None:
         transport_delay(dof="up")
 
 
-def run(*arguments: str) -> str:
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    assert result.exit_code == 0, result.output
-    return result.output
-
-
 @pytest.mark.slow
 def test_cmf_flight_records_and_cmf_fly_compares(
     failing: PilotMotion, tmp_path: Path, drawn: dict[str, set[str]]
@@ -213,7 +205,7 @@ def test_cmf_flight_records_and_cmf_fly_compares(
     short = Flight(cut(failing, 2.0, 5.0), flight.origin).save(tmp_path / "short.csv")
     out = tmp_path / "out"
     laws = "velocity,position_error_rate"
-    text = run("fly", str(short), "--laws", laws, "--washout", "optimal", "--out", str(out))
+    text = cmf("fly", short, "--laws", laws, "--washout", "optimal", "--out", out)
     assert "host to leg reference" in text and text.count("kept within the envelope") == 2
     with (out / "comparison.csv").open(newline="") as file:
         rows = list(csv.reader(file))
@@ -252,10 +244,10 @@ def test_cmf_fly_films_the_laws_side_by_side(failing: PilotMotion, tmp_path: Pat
     out, size = tmp_path / "out", ("--width", "160", "--height", "100", "--fps", "4")
     part, file = ("--start", "0.5", "--seconds", "1.5"), tmp_path / "film.mp4"
     laws = ("velocity", "modal_plan")
-    text = run("fly", short, "--laws", ",".join(laws), "--no-delay", "--ideal", "--out", out)
+    text = cmf("fly", short, "--laws", ",".join(laws), "--no-delay", "--ideal", "--out", out)
     assert text.count("kept within the envelope") == 2
     records = [out / law / "record.parquet" for law in laws]
-    run("video", *records, *part, *size, "--file", file)
+    cmf("video", *records, *part, *size, "--file", file)
     with av.open(str(file)) as container:
         pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
     assert len(pictures) == 7 and pictures[0].shape == (400, 320, 3)
@@ -263,23 +255,8 @@ def test_cmf_fly_films_the_laws_side_by_side(failing: PilotMotion, tmp_path: Pat
 
 def test_cmf_flight_flies_a_script(tmp_path: Path) -> None:
     path = tmp_path / "gusts.parquet"
-    assert "13.48 m forward" in run("flight", "gusts", "--file", str(path), "--single")
+    assert "13.48 m forward" in cmf("flight", "gusts", "--file", str(path), "--single")
     shipped = load_flight("gusts").motion
     np.testing.assert_allclose(
         load_flight(path).motion.specific_force, shipped.specific_force, atol=2e-6
     )
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("fly", "loop"), "cmf: flight: 'loop' is not one of"),
-        (("fly", "gusts", "--laws", "none"), "law: 'none'"),
-        (("fly", "gusts", "--washout", "none"), "'none'"),
-        (("flight", "loop", "--file", "x.csv"), "flight: 'loop' is not one of"),
-        (("flight", "turn", "--from", "telex"), "form: 'telex' is not one of"),
-    ],
-)
-def test_bad_names_are_refused_in_a_line(arguments: tuple[str, ...], message: str) -> None:
-    result = CliRunner().invoke(app, list(arguments))
-    assert result.exit_code == 2 and message in result.output

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import signal
-from typer.testing import CliRunner
+from shared import cmf
 
 from cmf_mj import Hexapod, load_cab, load_hydraulics, signals
-from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.files import read_stream
 from cmf_mj.facility.host.stream import HostStream, from_command
@@ -163,21 +162,6 @@ def test_a_demand_beyond_the_stroke_is_refused(learnt: Learning) -> None:
         on_others(far, [Hexapod("gfd")])
 
 
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        (("gusts", "--trials", "0"), "trials: '0' is refused"),
-        (("gusts", "--jobs", "0"), "jobs: '0' is refused"),
-        (("loop",), "flight: 'loop' is not one of"),
-        (("gusts", "--law", "none"), "law: 'none'"),
-    ],
-)
-def test_refusals_are_one_line(line: tuple[str, ...], said: str, tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["learn", *line, "--out", str(tmp_path / "out")])
-    assert result.exit_code == 2 and said in result.output.replace("\n", " ")
-    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
-
-
 @pytest.mark.slow
 def test_a_flight_is_learnt_to_a_tenth_and_helps_thirty_other_machines() -> None:
     """Eight trials leave a tenth, fifty the same; no drawn machine is worse off with it."""
@@ -197,12 +181,9 @@ def test_a_flight_is_learnt_to_a_tenth_and_helps_thirty_other_machines() -> None
 @pytest.mark.slow
 def test_cmf_learn_writes_a_demand_that_cmf_operate_replays(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    line = ["learn", "gusts", "--trials", "1", "--on", "1", "--out", str(out)]
-    assert CliRunner().invoke(app, line).exit_code == 0
+    cmf("learn", "gusts", "--trials", "1", "--on", "1", "--out", out)
     assert {path.name for path in out.iterdir()} == {
         *("demand.csv", "trials.csv", "machines.csv", "learning.png")
     }
     assert read_stream(out / "demand.csv").time[-1] == pytest.approx(36.0, abs=0.1)
-    replay = ["operate", str(out / "demand.csv"), "--out", str(tmp_path / "again")]
-    result = CliRunner().invoke(app, replay)
-    assert result.exit_code == 0 and "no fault" in result.output
+    assert "no fault" in cmf("operate", out / "demand.csv", "--out", tmp_path / "again")
