@@ -152,13 +152,17 @@ def _telemetry(source: str, form: str) -> Flight:
     return flight_of(recorded, form, Path(source).stem)
 
 
-FORMATS = ("jsbsim", "xplane", "beamng", "csv")
-"""Of `cmf flight`."""
+def formats() -> tuple[str, ...]:
+    """Formats of what `cmf flight` flies or reads."""
+    from cmf_mj.pilot.telemetry import FORMATS
+
+    return ("jsbsim", *FORMATS)
+
 
 _SOURCE = "script of JSBSim, or recording or UDP port of telemetry"
 _MADE = "jsbsim, or telemetry: xplane, beamng, csv"
 Source = Annotated[str, argument(_SCRIPTS, "SOURCE", _SOURCE, free=True)]
-Made = Annotated[str, choice("cli.flight:FORMATS", "FORMAT", _MADE, make=partial(Option, "--from"))]
+Made = Annotated[str, choice("cli.flight:formats", "FORMAT", _MADE, make=partial(Option, "--from"))]
 
 
 @command("flight")
