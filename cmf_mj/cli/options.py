@@ -63,13 +63,13 @@ def choice(
     return make(help=text, metavar=metavar, autocompletion=complete, callback=checked)
 
 
-def of_machine(source: str, metavar: str, text: str, make: Callable[..., Any] | None = None) -> Any:
+def of_machine(source: str, metavar: str, text: str) -> Any:
     """An option whose names and default are those of the machine of the option `machine`.
 
     The command gets what is loaded: a cab, several, or a hydraulic set; of laws the name. A default
     stands for the machine's own unless that is the CMF.
     """
-    plain = choice(source, metavar, text, free=True, make=make or _machine)
+    plain = choice(source, metavar, text, free=True, make=_machine)
     named = plain.callback
 
     def loaded(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
@@ -125,8 +125,7 @@ CAMERAS = ("overview", "side", "front")
 DOFS, LAWS = "machine.geometry:DOFS", "cli.options:shipped_laws"
 """Where names stand, for `names_in`."""
 CABS, _PLANTS = "machine.models:CABS", "plant.hexapod:PLANTS"
-OIL, SENSORS = "plant.parameters.loading:HYDRAULICS", "electronics.sensors.channel:SENSOR_SETS"
-MACHINES = "machine.models:machine_names"
+OIL, MACHINES = "plant.parameters.loading:HYDRAULICS", "machine.models:machine_names"
 SCENARIOS = "facility.scenario.library:scenario_names"
 _SETS, _REPORT = "report, hardware, lossy or TOML file", "control.law:law_names"
 _WASHOUTS, _SHIPPED = "pilot.washout_settings:WASHOUTS", "simona, reid_nahon, optimal or TOML file"
