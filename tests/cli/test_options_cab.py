@@ -172,7 +172,7 @@ def test_a_cab_that_cannot_be_is_one_clear_error(
 
 
 def test_the_page_shows_a_file_that_loads(tmp_path: Path) -> None:
-    page = (EXAMPLE.parents[2] / "docs" / "how_to" / "cabs.md").read_text()
+    page = (EXAMPLE.parents[1] / "docs" / "how_to" / "cabs.md").read_text()
     text = page.split("```toml\n")[1].split("```")[0]
     (tmp_path / "mine.toml").write_text(text)
     shown, example = load_cab(tmp_path / "mine.toml"), load_cab(EXAMPLE)
