@@ -14,7 +14,7 @@ from bench import bare_seconds
 
 from cmf_mj import Hexapod
 from cmf_mj.core.units import RATE
-from cmf_mj.pilot.aircraft.flight import load_flight
+from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.fly import fly
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.plant.native import quiet, untimed

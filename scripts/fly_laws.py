@@ -17,10 +17,10 @@ from cmf_mj.core.result import Table
 from cmf_mj.facility.host.stream import HostStream, make_stream
 from cmf_mj.facility.operation import operate
 from cmf_mj.machine.models import CABS
-from cmf_mj.pilot import host as pilot_host
-from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
-from cmf_mj.pilot.cueing.flight import within_limits
+from cmf_mj.pilot.cueing import within_limits
+from cmf_mj.pilot.flight import flight_names, load_flight
 from cmf_mj.pilot.fly import fly
+from cmf_mj.pilot.motion import MOST_RATE
 from cmf_mj.studies.mismatch import with_valve_gains
 
 SIZES = np.array([1.2, 1.2, 0.9, 0.45, 0.4, 0.6])
@@ -33,8 +33,8 @@ MOVING, STILL = 6.0, 4.0
 def wild_stream(number: int) -> HostStream:
     """Sums of random sines with three jumps, then rest: at neutral, or where it happens to be."""
     generator = np.random.default_rng([77, number])
-    time = np.arange(round(pilot_host.MOST_RATE * (MOVING + STILL))) / pilot_host.MOST_RATE
-    ends = round(MOVING * pilot_host.MOST_RATE)
+    time = np.arange(round(MOST_RATE * (MOVING + STILL))) / MOST_RATE
+    ends = round(MOVING * MOST_RATE)
     size = SIZES * 10.0 ** generator.uniform(-1.0, 0.0)
     pose = np.empty((time.size, 6))
     for dof in range(6):
@@ -42,7 +42,7 @@ def wild_stream(number: int) -> HostStream:
         phase, weight = generator.uniform(0.0, 2.0 * np.pi, 6), generator.uniform(0.0, 1.0, 6)
         wave = np.sin(2.0 * np.pi * np.outer(time, frequency) + phase) @ weight
         pose[:, dof] = size[dof] * wave / np.abs(wave).max()
-    for at in generator.integers(round(pilot_host.MOST_RATE), ends, 3):
+    for at in generator.integers(round(MOST_RATE), ends, 3):
         pose[at:] += generator.uniform(-0.3, 0.3, 6) * size
     pose *= np.clip(np.minimum(time, (MOVING - time) / 0.05), 0.0, 1.0)[:, None]
     if number % 2:
@@ -73,7 +73,7 @@ def main() -> None:
     for chosen in options.laws.split(","):
         law, line = load_law(chosen), [chosen]
         for name in flights:
-            ride = fly(load_flight(name), law)
+            ride = fly(load_flight(name).motion, law)
             size = 1e3 * np.linalg.norm(ride.machine.rms[:3])
             line.append(f"{size:.0f}" + (f", {ride.fault}" if ride.fault else ""))
         found = sum(cycles(law, number) for number in range(options.streams))

@@ -28,10 +28,9 @@ from cmf_mj.facility.host.stream import HostStream, make_stream
 from cmf_mj.facility.operation import operate
 from cmf_mj.machine.models import CABS
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot import host as pilot_host
-from cmf_mj.pilot.cueing.flight import cue
-from cmf_mj.pilot.cueing.settings import WASHOUTS, load_washout
-from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.pilot.cueing import cue
+from cmf_mj.pilot.motion import MOST_RATE, PilotMotion
+from cmf_mj.pilot.washout_settings import WASHOUTS, load_washout
 from cmf_mj.record.record import Record
 
 FORCE, RATE = 100.0, 10.0
@@ -110,7 +109,7 @@ def faults_of(record: Record) -> list[str]:
 def run(case: Case, seconds: float) -> Outcome:
     """Fly one case."""
     generator = np.random.default_rng([2014, case.number])
-    time = np.arange(round(seconds * pilot_host.MOST_RATE)) / pilot_host.MOST_RATE
+    time = np.arange(round(seconds * MOST_RATE)) / MOST_RATE
     if case.washout == "direct":
         stream = platform_stream(generator, time)
     else:

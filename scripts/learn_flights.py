@@ -17,11 +17,10 @@ from cmf_mj.core.result import Table
 from cmf_mj.facility.host.stream import differentiate, make_stream
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
-from cmf_mj.pilot.cueing.flight import cue, within_limits
-from cmf_mj.pilot.host import MOST_RATE
-from cmf_mj.pilot.learning import Learning, compare, counted, learn, rms
-from cmf_mj.pilot.motion import interpolated
+from cmf_mj.pilot.cueing import cue, within_limits
+from cmf_mj.pilot.flight import flight_names, load_flight
+from cmf_mj.pilot.learning import Learning, counted, learn, on_others, rms
+from cmf_mj.pilot.motion import MOST_RATE, interpolated
 from cmf_mj.show.flight import save_learning
 from cmf_mj.studies.mismatch import drawn_machine
 
@@ -93,7 +92,7 @@ def main() -> None:
         lead, kept = early(done)
         others = np.full(3, np.nan)
         if name in options.tried.split(","):
-            pairs = compare(done, machines[KNOWN:], seed=SEED + options.trials + 1)
+            pairs = on_others(done, machines[KNOWN:], seed=SEED + options.trials + 1)
             save_learning(done, pairs, options.out / name)
             others = np.percentile(pairs[:, 1] / pairs[:, 0], [0, 50, 100])
         shares = [

@@ -121,6 +121,7 @@ def commands() -> str:
             panel = command.rich_help_panel or heading
             if hasattr(command, "commands"):
                 gather(command, f"{before} {name}", panel)
+            if not getattr(command, "invoke_without_command", True):
                 continue
             sentence = command.help.split("\n\n")[0].replace("\n", " ")
             panels.setdefault(panel, []).append((f"`{before} {name}`", sentence))

@@ -26,12 +26,12 @@ LONGEST = 5.0
 SEAMS = (
     "facility.session:Session.run",
     "facility.host.udp:send_stream",
-    "pilot.cueing.washout:Washout.run",
+    "pilot.washout:Washout.run",
     "analysis.linear.linear:operating_point",
     "analysis.modes:sweep",
     "report_2014.models:measure_loop",
     "signals.peaks:peaks",
-    "pilot.aircraft.airframe:Airframe.__init__",
+    "pilot.airframe:Airframe.__init__",
     "studies.certificate.run:Family",
     "studies.engine:_started",
     "studies.tuning.search:cost",
@@ -112,10 +112,10 @@ def commands() -> dict[tuple[str, ...], Any]:
 
     def walk(group: Any, words: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
         for name, one in group.commands.items():
+            if getattr(one, "invoke_without_command", True):
+                yield (*words, name), one
             if hasattr(one, "commands"):
                 yield from walk(one, (*words, name))
-            else:
-                yield (*words, name), one
 
     return dict(walk(typer.main.get_command(app), ()))
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import control
+from typer.testing import CliRunner
 
 from cmf_mj import Hexapod, SingleLegs, bandwidths, frequency_response, signals, simulate
 from cmf_mj.analysis.frequency_response import Bandwidths
@@ -17,6 +18,7 @@ from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.poles import leg_model
 from cmf_mj.analysis.measures import Measures, measure_loop
 from cmf_mj.analysis.published import Published, published_results
+from cmf_mj.cli.common import app
 from cmf_mj.core.units import INCH
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.studies.case import AMPLITUDE, ROTATION_PER_TRANSLATION
@@ -28,6 +30,13 @@ WORKING_STROKE = 37.5 * INCH
 """Leg travel of the CMF's control law either way [m] (section 3.2.1)."""
 
 Result = TypeVar("Result")
+
+
+def cmf(*arguments: object, code: int = 0) -> str:
+    """What a line of the command prints, which ends with a status."""
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert result.exit_code == code, result.output
+    return result.output
 
 
 def once(name: str, compute: Callable[[], Result]) -> Result:

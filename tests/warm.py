@@ -27,10 +27,10 @@ from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.facility.scenario.run import ScenarioRun
 from cmf_mj.machine.gravity import axial_gravity
 from cmf_mj.machine.leg_motion import leg_motion_to_pose
-from cmf_mj.pilot.cueing.flight import within_limits
-from cmf_mj.pilot.cueing.washout import Washout
+from cmf_mj.pilot.cueing import within_limits
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.perception import sense
+from cmf_mj.pilot.washout import Washout
 from cmf_mj.plant.cylinder import Cylinder, make_cylinders
 from cmf_mj.plant.parameters.loading import load_hydraulics
 from cmf_mj.plant.power_balance import power_balance

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
+import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, in_si, noise_choice, pose_option, progress_bar, show, written
 from cmf_mj.cli.options import choice
 from cmf_mj.core.errors import InputError
 
-command = partial(app.command, rich_help_panel="Analyse")
+if TYPE_CHECKING:
+    from cmf_mj.studies.case import Case
 
-_NEUTRAL = "0,0,0,0,0,0"
+command = partial(app.command, rich_help_panel="Analyse")
 
 _METHODS = "arx (least squares), iv (instruments) or oe (output error)"
 _SIGNALS = "multisine, chirp, noise, pulse or sine"
@@ -26,66 +28,45 @@ _ESTIMATOR = "analysis.response.spectra:Estimator"
 @command("linearize")
 def linearize_command(
     plant: options.PlantName = "hexapod",
+    machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     law: options.Law = "velocity",
-    pose: options.Pose = _NEUTRAL,
+    pose: options.Pose = options.NEUTRAL,
     dofs: options.AnyDofs = options.ALL,
     out: options.Out = Path("out/linearize"),
 ) -> None:
     """Linearise a plant: modes, Bode diagrams, a law around it."""
-    from cmf_mj.analysis.linear.linear import Linear
     from cmf_mj.plant.hexapod import make_plant
     from cmf_mj.show import linearization as report
     from cmf_mj.studies.linearization import linearization_study
 
-    machine = make_plant(plant, cab, hydraulics)
-    study = linearization_study(Linear(machine, pose_option(pose)), law, dofs)
+    linear = cmf_mj.Linear(make_plant(plant, cab, hydraulics), pose_option(pose))
+    study = linearization_study(linear, law, dofs)
     paths = report.save_study(study, out)
     show(report.pole_table(study), report.loop_table(study), written(paths, out))
 
 
 @command("modes")
 def modes_command(
+    machine: options.Machine = "cmf",
     cabs: options.Cabs = options.ALL,
     hydraulics: options.Hydraulics = "hardware",
-    pose: options.Pose = _NEUTRAL,
+    pose: options.Pose = options.NEUTRAL,
     samples: Annotated[int, Option(min=90, help="poses of the envelope")] = 1000,
     rounds: Annotated[int, Option(min=0, help="generations of the search, at most")] = 200,
     seed: options.Seed = 0,
     points: Annotated[int, Option(min=3, help="excursions along each axis of a map")] = 21,
     out: options.Out = Path("out/modes"),
-    video: options.FilmFile = None,
-    fps: options.Fps = 15,
-    speed: options.Speed = 0.05,
-    camera: options.Camera = "overview",
-    width: options.Width = 320,
-    height: options.Height = 260,
-    stroke: Annotated[float, options.film(help="largest leg motion [in]")] = 12.0,
-    periods: Annotated[float, options.film(help="length, in periods of the lowest mode")] = 1.0,
 ) -> None:
     """Reflected mass, hydraulic modes at a pose and over the envelope, and the worst pose."""
     from cmf_mj.analysis.modes import over_envelope, plane_map, sweep
-    from cmf_mj.core import units
-    from cmf_mj.core.files import in_folder
     from cmf_mj.machine.geometry import DOFS
-    from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import linearization as report
-    from cmf_mj.show.film.film import FilmSettings, swing_film
 
-    plants = [Hexapod(name, hydraulics) for name in cabs]
+    plants = [cmf_mj.Hexapod(name, hydraulics) for name in cabs]
     here = pose_option(pose)
     at_pose = [plant.hydraulic_modes(here) for plant in plants]
-    looks, legs = FilmSettings(fps, speed, camera, width, height), units.to_si("in", stroke)
-
-    # The search takes longest: what the rest refuses is refused before it.
-    paths = []
-    name = Path(video or "")
-    for plant, modes in zip(plants, at_pose, strict=True) if video else ():
-        path = in_folder(out, f"{name.stem}_{plant.cab}{name.suffix}")
-        swings: dict[str, Any] = {"stroke": legs, "periods": periods}
-        with progress_bar("drawing") as progress:
-            paths.append(swing_film(plant, modes, path, looks, **swings, progress=progress))
     sweeps = [[sweep(plant, dof, count=points) for dof in DOFS] for plant in plants]
     maps = [[plane_map(p, pair, count=points) for pair in report.PLANES] for p in plants]
     with progress_bar() as progress:
@@ -93,7 +74,7 @@ def modes_command(
             over_envelope(plant, samples=samples, rounds=rounds, seed=seed, progress=progress)
             for plant in plants
         ]
-    paths += report.save_envelope(ranges, sweeps, maps, out)
+    paths = report.save_envelope(ranges, sweeps, maps, out)
     # The envelope has neutral in it.
     off_neutral = at_pose if here.any() else []
     each = [*off_neutral, *(modes for one in ranges for modes in (*one.modes, one.worst))]
@@ -105,18 +86,15 @@ def modes_command(
     show(report.range_table(ranges), written(paths, out))
 
 
-def _files_or(simulate: bool, files: list[Path] | None) -> None:
-    if simulate == bool(files):
-        raise InputError("files: name recordings, or use --simulate, not both and not neither")
-
-
 @command("measure")
 def measure_command(
     files: options.Recordings = None,
     simulate: options.Simulate = False,
+    record: Annotated[bool, Option("--record", help="write the rounds of a session")] = False,
     law: options.Law = "velocity",
     dof: options.Dof = "heave",
     plant: options.PlantName = "hexapod",
+    machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     amplitude: options.Amplitude = None,
@@ -124,23 +102,45 @@ def measure_command(
     estimator: Annotated[str, choice(_ESTIMATOR, "ESTIMATOR", "h1, h2, hv or report")] = "h1",
     out: options.Out = Path("out/measure"),
 ) -> None:
-    """Measure recordings (several are rounds of one), or a simulated session."""
+    """Measure recordings (rounds of one), or a simulated session; or record the rounds of one."""
     from cmf_mj.show import measurement as report
     from cmf_mj.studies.case import make_case
     from cmf_mj.studies.measurement import measure, measure_recordings
 
-    _files_or(simulate, files)
-    if simulate:
-        sensors, size = noise_choice(noise), in_si(dof, amplitude)
-        machine = (plant, cab, hydraulics)
-        measured = measure(make_case(law, dof, *machine, amplitude=size, electronics=sensors))
-        paths = report.save_measurement(measured, out)
-        table = report.measurement_table(measured)
-    else:
-        measures = measure_recordings(files or [], dof, estimator)
+    if simulate + record + bool(files) != 1:
+        raise InputError("files: name recordings, or use --simulate or --record, one of the three")
+    if files:
+        measures = measure_recordings(files, dof, estimator)
         paths = report.save_recordings(measures, out)
-        table = report.recordings_table(measures)
-    show(table, written(paths))
+        return show(report.recordings_table(measures), written(paths))
+    how: dict[str, Any] = {"amplitude": in_si(dof, amplitude), "electronics": noise_choice(noise)}
+    case = make_case(law, dof, plant, cab, hydraulics, **how)
+    if record:
+        return _record(case, out)
+    measured = measure(case)
+    paths = report.save_measurement(measured, out)
+    show(report.measurement_table(measured), written(paths))
+
+
+def _record(case: Case, out: Path) -> None:
+    """Run five rounds of seven sines, and write five CSV files of the facility."""
+    from cmf_mj.core import units
+    from cmf_mj.core.files import in_folder
+    from cmf_mj.machine.geometry import dof_index, dof_unit
+    from cmf_mj.record.facility_csv import write_facility_csv
+    from cmf_mj.signals.peaks import peaks
+    from cmf_mj.studies.measurement import facility_session, session_commands
+
+    rounds = [peaks(command) for command in session_commands(case.dof, case.size, case.on)]
+    index, unit = dof_index(case.dof), dof_unit(case.dof)
+    velocity, acceleration = (
+        units.from_si(unit, max(float(getattr(peak, kind)[index]) for peak in rounds))
+        for kind in ("velocity", "acceleration")
+    )
+    show(f"peak demand: {velocity:.3g} {unit}/s, {acceleration:.3g} {unit}/s^2")
+    for number, record in enumerate(facility_session(case), start=1):
+        name = f"{record.metadata['law']}_{case.dof}_{number}of{len(rounds)}.csv"
+        print(write_facility_csv(record, in_folder(out, name)))
 
 
 def parse_orders(text: str) -> tuple[int, int, int]:
@@ -159,6 +159,7 @@ def identify_command(
     law: options.OtherLaw = None,
     dof: options.AnyDof = "heave",
     plant: options.PlantName = "hexapod",
+    machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     amplitude: options.Amplitude = None,
@@ -173,12 +174,12 @@ def identify_command(
     from cmf_mj.studies import identification as studies
     from cmf_mj.studies.case import make_case
 
-    _files_or(simulate, files)
-    chosen = None if orders is None else parse_orders(orders)
-    name, machine = law or "velocity", (plant, cab, hydraulics)
-    step = None
+    if simulate == bool(files):
+        raise InputError("files: name recordings, or use --simulate, not both and not neither")
+    chosen, step = None if orders is None else parse_orders(orders), None
     if simulate:
-        case, law = make_case(name, dof, *machine, amplitude=in_si(dof, amplitude)), name
+        law = law or "velocity"
+        case = make_case(law, dof, plant, cab, hydraulics, amplitude=in_si(dof, amplitude))
         records = studies.simulated_records(case, signal)  # type: ignore[arg-type]
         step = case.run(case.step())
     else:

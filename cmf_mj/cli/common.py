@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
@@ -33,63 +33,8 @@ def refuse(error: Exception) -> NoReturn:
     raise SystemExit(2)
 
 
-MACHINE = "cmf_mj.machine"
-"""Key of the machine that `--machine` chooses, in the context of a command."""
-
-
-def _choose_machine(ctx: typer.Context, value: str) -> str:
-    if not ctx.resilient_parsing:
-        ctx.meta[MACHINE] = value
-    return value
-
-
-def _complete_machine(incomplete: str) -> list[str]:
-    from cmf_mj.machine.models import machine_names
-
-    return [name for name in machine_names() if name.startswith(incomplete)]
-
-
-_CHOICE = typer.Option(
-    metavar="MACHINE",
-    rich_help_panel="Machine",
-    help="motion base by name or TOML file",
-    is_eager=True,
-    expose_value=False,
-    callback=_choose_machine,
-    autocompletion=_complete_machine,
-)
-
-
-def _machine_option() -> Any:
-    """The option `--machine` as Typer makes it, for commands that need not know of it."""
-    alone = typer.Typer(add_completion=False)
-
-    @alone.command()
-    def _(machine: Annotated[str, _CHOICE] = "cmf") -> None: ...
-
-    return typer.main.get_command(alone).params[0]
-
-
-def _add_machine(commands: Iterable[Any]) -> None:
-    """Give every command that takes a cab or a hydraulic set the option `--machine`."""
-    for command in commands:
-        _add_machine(getattr(command, "commands", {}).values())
-        names = [parameter.name for parameter in command.params]
-        places = [names.index(name) for name in ("cab", "cabs", "hydraulics") if name in names]
-        if places and "machine" not in names:
-            command.params.insert(min(places), _machine_option())
-
-
 class Commands(TyperGroup):
-    """Commands whose errors of use are one line; a defect keeps its traceback.
-
-    Those that build a machine take `--machine`.
-    """
-
-    def __init__(self, **attributes: Any) -> None:
-        """Make the group of its commands."""
-        super().__init__(**attributes)
-        _add_machine(self.commands.values())
+    """Commands whose errors of use are one line; a defect keeps its traceback."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""
@@ -131,11 +76,11 @@ def claim(context: typer.Context, folder: Path) -> Path:
     return folder
 
 
-def target(file: Path) -> Path:
+def target(file: Path | None) -> Path | None:
     """Refuse a file that cannot be written, before the work for it."""
     from cmf_mj.core.files import check_target
 
-    return check_target(file)
+    return None if file is None else check_target(file)
 
 
 def show(*parts: RenderableType, width: int = TEXT_WIDTH, unfolded: bool = False) -> None:
@@ -218,12 +163,3 @@ def noise_choice(noise: bool) -> ElectronicsSettings | None:
     from cmf_mj.electronics.chain import ElectronicsSettings
 
     return ElectronicsSettings() if noise else None
-
-
-def changed_scenario(scenario: Any, **fields: object) -> Any:
-    """A scenario with other fields, checked again; None leaves a field."""
-    from cmf_mj.facility.scenario.library import scenario_of
-
-    changes = {name: value for name, value in fields.items() if value is not None}
-    kept = scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
-    return scenario_of(kept | changes, "options")

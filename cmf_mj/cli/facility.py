@@ -1,4 +1,4 @@
-"""Facility: `cmf serve`, `operate`, `host`, `record` and `replay`."""
+"""Facility: `cmf serve`, `operate`, `host`, `replay` and `export`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
+import cmf_mj
 from cmf_mj.cli import options
-from cmf_mj.cli.common import app, in_si, noise_choice, progress_bar, show, written
+from cmf_mj.cli.common import app, noise_choice, progress_bar, show, written
 from cmf_mj.cli.options import choice
+from cmf_mj.core.errors import InputError
 
 if TYPE_CHECKING:
     from cmf_mj.facility.host.stream import HostStream
@@ -28,6 +30,7 @@ PROTOCOLS = ("cmf", "moog")
 
 _PROTOCOL = "cmf, or moog: a virtual Moog 6DOF2000E, begun off"
 _BEGIN = "engaged, or settled: off on the stops, raised and engaged at once"
+_EXPORTS = "library or fmu: the machine; law: a control law alone"
 _DERIVATIVES, _VELOCITIES = "facility.host.stream:DERIVATIVES", "of poses alone: spline or zero"
 
 Begin = Annotated[str, choice("cli.facility:BEGIN", "STATE", _BEGIN)]
@@ -72,15 +75,10 @@ def _end(operation: Operation) -> str:
 def _stream(file: Path, derivatives: str, rate: float | None, cab: Cab | None = None) -> HostStream:
     from cmf_mj.facility.host.files import read_stream
     from cmf_mj.facility.host.stream import resample, unit_doubts
-    from cmf_mj.machine.cab import load_cab
 
     stream = read_stream(file, derivatives=derivatives)
-    show(
-        *(
-            f"{file}: {doubt}"
-            for doubt in unit_doubts(stream.time, stream.pose, load_cab(cab).machine)
-        )
-    )
+    doubts = unit_doubts(stream.time, stream.pose, cmf_mj.load_cab(cab).machine)
+    show(*(f"{file}: {doubt}" for doubt in doubts))
     return stream if rate is None else resample(stream, rate)
 
 
@@ -98,6 +96,7 @@ def serve_command(
     lockstep: Annotated[bool, Option("--lockstep", help="moog: 1/60 s a command")] = False,
     seconds: Annotated[float, Option(help="length of the run [s]")] = 60.0,
     law: options.Law = "velocity",
+    machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = True,
@@ -106,14 +105,11 @@ def serve_command(
 ) -> None:
     """Run the facility in real time on host frames from the network."""
     from cmf_mj.control.states import State
-    from cmf_mj.core.errors import InputError
     from cmf_mj.core.files import in_folder
     from cmf_mj.facility.host.moog import MoogServer
     from cmf_mj.facility.host.stream import unit_doubts
     from cmf_mj.facility.host.udp import UdpReceiver, read_key
     from cmf_mj.facility.operation import serve
-    from cmf_mj.plant.hexapod import Hexapod
-    from cmf_mj.record.record import Record
     from cmf_mj.show import operation as report
 
     held: list[Session] = []
@@ -122,7 +118,7 @@ def serve_command(
         held[:] = [session]  # an interrupt does not lose what was run until then
         return opened.attend(session) if protocol == "moog" else session.rate
 
-    plant, options = Hexapod(cab, hydraulics), _start(begin, noise) | {"attend": attend}
+    plant, options = cmf_mj.Hexapod(cab, hydraulics), _start(begin, noise) | {"attend": attend}
     opened: Any
     if key if protocol == "moog" else lockstep:
         raise InputError(f"{'key' if key else 'lockstep'}: is nothing to the protocol {protocol}")
@@ -146,7 +142,7 @@ def serve_command(
                 operation = serve(plant, law, receiver.ring, seconds, progress=progress, **options)
             except KeyboardInterrupt:
                 if held and held[0].frame:
-                    record = Record(*held[0].history(), held[0].describe())
+                    record = cmf_mj.Record(*held[0].history(), held[0].describe())
                     print(f"written: {record.save(in_folder(out, 'record.parquet'))}", flush=True)
                 raise
     received, refused = int(receiver.ring.written[0]), receiver.refused
@@ -166,6 +162,7 @@ def operate_command(
     derivatives: Derivatives = "spline",
     seconds: options.Seconds = None,
     law: options.Law = "velocity",
+    machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     noise: options.Noise = True,
@@ -174,10 +171,9 @@ def operate_command(
 ) -> None:
     """Run the facility on a file of host frames, as fast as it goes."""
     from cmf_mj.facility.operation import operate
-    from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import operation as report
 
-    plant = Hexapod(cab, hydraulics)
+    plant = cmf_mj.Hexapod(cab, hydraulics)
     stream = _stream(file, derivatives, rate, plant.cab_parameters)
     operation = operate(plant, law, stream, seconds=seconds, **_start(begin, noise))
     paths = report.save_operation(operation, out)
@@ -211,42 +207,6 @@ def host_command(
     )
 
 
-@command("record")
-def record_command(
-    law: options.Law = "velocity",
-    dof: options.Dof = "heave",
-    plant: options.PlantName = "hexapod",
-    cab: options.Cab = "gfd",
-    hydraulics: options.Hydraulics = "hardware",
-    amplitude: options.Amplitude = None,
-    noise: options.Noise = False,
-    jobs: options.Jobs = None,
-    out: options.Out = Path("out/record"),
-) -> None:
-    """Run the facility's session, five rounds of seven sines, and write its five CSV files."""
-    from cmf_mj.core import units
-    from cmf_mj.core.files import in_folder
-    from cmf_mj.machine.geometry import dof_index, dof_unit
-    from cmf_mj.record.facility_csv import write_facility_csv
-    from cmf_mj.signals.peaks import peaks
-    from cmf_mj.studies.case import make_case
-    from cmf_mj.studies.measurement import facility_session, session_commands
-
-    sensors, size = noise_choice(noise), in_si(dof, amplitude)
-    case = make_case(law, dof, plant, cab, hydraulics, amplitude=size, electronics=sensors)
-    largest = [peaks(command) for command in session_commands(dof, case.size, case.on)]
-    index, unit = dof_index(dof), dof_unit(dof)
-    velocity, acceleration = (
-        units.from_si(unit, max(float(getattr(peak, kind)[index]) for peak in largest))
-        for kind in ("velocity", "acceleration")
-    )
-    show(f"peak demand: {velocity:.3g} {unit}/s, {acceleration:.3g} {unit}/s^2")
-    session = facility_session(case, jobs)
-    for number, record in enumerate(session, start=1):
-        name = f"{record.metadata['law']}_{dof}_{number}of{len(session)}.csv"
-        print(write_facility_csv(record, in_folder(out, name)))
-
-
 @command("replay")
 def replay_command(
     recording: Annotated[Path, Argument(help="Parquet or facility CSV")],
@@ -264,3 +224,35 @@ def replay_command(
     name = f"{recording.stem}_{replayed.law}.png"
     path = report.save_replay(replayed, in_folder(out, name))
     show(report.replay_summary(replayed), f"written: {path}")
+
+
+EXPORTS = ("library", "law", "fmu")
+"""What leaves Python."""
+
+
+@command("export")
+def export_command(
+    what: Annotated[str, options.argument("cli.facility:EXPORTS", "WHAT", _EXPORTS)],
+    plant: options.PlantName = "hexapod",
+    machine: options.Machine = "cmf",
+    cab: options.Cab = "gfd",
+    law: options.Law = "velocity",
+    hydraulics: options.Hydraulics = "hardware",
+    noise: options.Noise = False,
+    fmi: Annotated[int, Option(help="version of FMI, 2 or 3")] = 2,
+    out: options.Out = Path("out/export"),
+) -> None:
+    """Leave Python: the machine as a C library or an FMU, or a law alone as a C library."""
+    from cmf_mj.core.files import in_folder
+    from cmf_mj.export.fmu import export_fmu
+    from cmf_mj.export.library import export_law, export_library
+    from cmf_mj.plant.hexapod import make_plant
+
+    if what == "law":
+        return show(written(export_law(law, out, cab), out))
+    built, noisy = make_plant(plant, cab, hydraulics), noise_choice(noise)
+    if what == "library":
+        paths = export_library(built, law, out, electronics=noisy)
+    else:
+        paths = [export_fmu(built, law, in_folder(out, "cmf.fmu"), fmi=fmi, electronics=noisy)]
+    show(written(paths, out))

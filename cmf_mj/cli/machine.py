@@ -1,4 +1,4 @@
-"""Machines: `cmf machine list`, `new`, `check`, `show` and `build`."""
+"""What there is: `cmf list`; machines: `cmf machine new`, `check`, `show` and `build`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
+import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, show
 from cmf_mj.cli.options import argument, new_file
@@ -20,14 +21,37 @@ Machine = Annotated[str, argument(options.MACHINES, "MACHINE", "name or TOML fil
 SomeCab = Annotated[str | None, Option(metavar="CAB", help="of the machine; default its first")]
 
 
-@machines.command("list")
-def list_command() -> None:
-    """List the shipped machines."""
-    from cmf_mj.machine.machine import load_machine
-    from cmf_mj.machine.models import machine_names
-    from cmf_mj.show.listing import machine_table
+LISTS = ("laws", "machines", "hydraulics", "sensors")
+"""What `cmf list` shows."""
 
-    show(machine_table([load_machine(name) for name in machine_names()]))
+_LIST = "laws or machines; one set of hydraulics or sensors, number by number"
+
+
+@app.command("list", rich_help_panel="Show")
+def list_command(
+    what: Annotated[str, argument("cli.machine:LISTS", "WHAT", _LIST)],
+    name: Annotated[str | None, Argument(metavar="[SET]", help="by name or TOML file")] = None,
+    machine: options.Machine = "cmf",
+) -> None:
+    """List laws, machines, or the numbers of a hydraulic or sensor set with their sources."""
+    from cmf_mj.electronics.sensors.channel import load_sensors
+    from cmf_mj.machine.models import machine_names
+    from cmf_mj.plant.parameters.loading import hydraulics_of
+    from cmf_mj.report_2014.accelerometer_filter import effect_table, filter_effect
+    from cmf_mj.show import listing
+
+    if name is not None and what not in ("hydraulics", "sensors"):
+        raise InputError(f"set: {name!r} is of no use to {what}; allowed: none")
+    if what == "laws":
+        show(listing.law_table([cmf_mj.load_law(one) for one in cmf_mj.law_names("all")]))
+    elif what == "machines":
+        show(listing.machine_table([cmf_mj.load_machine(one) for one in machine_names()]))
+    elif what == "hydraulics":
+        show(listing.parameter_table(hydraulics_of(cmf_mj.load_machine(machine), name)))
+    else:
+        sensors = load_sensors(name or "noisy")
+        effect = filter_effect(sensors, "acceleration_opposing")
+        show(listing.sensor_table(sensors), effect_table(effect))
 
 
 @machines.command("new")
@@ -54,11 +78,10 @@ def new_command(
 @machines.command("check")
 def check_command(machine: Machine) -> None:
     """Tell whether the numbers of a machine fit together; status 1 if they do not."""
-    from cmf_mj.machine.machine import load_machine
     from cmf_mj.show import listing as report
     from cmf_mj.studies.machine_check import check_machine
 
-    check = check_machine(load_machine(machine))
+    check = check_machine(cmf_mj.load_machine(machine))
     show(report.envelope_table(check), report.cab_table(check), *report.check_text(check))
     if check.faults:
         raise typer.Exit(1)
@@ -73,10 +96,9 @@ def show_command(
     height: options.Height = 720,
 ) -> None:
     """Draw a machine with a cab at neutral."""
-    from cmf_mj.machine.machine import load_machine
     from cmf_mj.show.listing import save_picture
 
-    drawn = save_picture(load_machine(machine), cab, file, (width, height))
+    drawn = save_picture(cmf_mj.load_machine(machine), cab, file, (width, height))
     show(f"written: {drawn}")
 
 
@@ -89,10 +111,9 @@ def build_command(
     """Write the MJCF of a machine with a cab: the scene and the files that it includes."""
     from cmf_mj.cli.common import written
     from cmf_mj.core.files import write_text
-    from cmf_mj.machine.cab import load_cab
     from cmf_mj.plant.model_text import model_texts
 
-    chosen = load_cab(cab, machine)
+    chosen = cmf_mj.load_cab(cab, machine)
     if not chosen.own:
         raise InputError(f"cab: {chosen.name!r} is changed; allowed: one of the machine's own")
     scene, files = model_texts(chosen)

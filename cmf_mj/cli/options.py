@@ -11,7 +11,8 @@ from typing import Annotated, Any, get_args
 import typer
 from typer import Argument, Option
 
-from cmf_mj.cli.common import MACHINE, claim, target
+import cmf_mj
+from cmf_mj.cli.common import claim, target
 from cmf_mj.core.errors import InputError, check_name
 
 
@@ -23,9 +24,7 @@ def names_in(source: str) -> list[str]:
 
 def shipped_laws() -> tuple[str, ...]:
     """Names of all shipped laws."""
-    from cmf_mj.control.law import law_names
-
-    return law_names("all")
+    return cmf_mj.law_names("all")
 
 
 def choice(
@@ -64,13 +63,13 @@ def choice(
     return make(help=text, metavar=metavar, autocompletion=complete, callback=checked)
 
 
-def of_machine(source: str, metavar: str, text: str, make: Callable[..., Any] | None = None) -> Any:
-    """An option whose names and default are those of the machine that `--machine` chooses.
+def of_machine(source: str, metavar: str, text: str) -> Any:
+    """An option whose names and default are those of the machine of the option `machine`.
 
     The command gets what is loaded: a cab, several, or a hydraulic set; of laws the name. A default
     stands for the machine's own unless that is the CMF.
     """
-    plain = choice(source, metavar, text, free=True, make=make or _machine)
+    plain = choice(source, metavar, text, free=True, make=_machine)
     named = plain.callback
 
     def loaded(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
@@ -84,12 +83,10 @@ def of_machine(source: str, metavar: str, text: str, make: Callable[..., Any] | 
 
 
 def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
-    from cmf_mj.machine.cab import load_cab
-    from cmf_mj.machine.machine import load_machine
     from cmf_mj.machine.models import CMF
     from cmf_mj.plant.parameters.loading import hydraulics_of
 
-    machine = load_machine(ctx.meta.get(MACHINE, CMF))
+    machine = cmf_mj.load_machine(ctx.params.get("machine", CMF))
     given = ctx.get_parameter_source(field)
     own = machine.name != CMF and given is not None and given.name.startswith("DEFAULT")
     if field == "hydraulics":
@@ -97,9 +94,9 @@ def _on_machine(ctx: typer.Context, field: str, names: Any) -> Any:
     if field == "law":
         return machine.law if own else names
     if field == "cab":
-        return load_cab(None if own else names, machine)
+        return cmf_mj.load_cab(None if own else names, machine)
     everything = own or names == names_in(CABS)
-    return [load_cab(name, machine) for name in (machine.cab_names if everything else names)]
+    return [cmf_mj.load_cab(name, machine) for name in (machine.cab_names if everything else names)]
 
 
 name_or_file = partial(choice, free=True)
@@ -119,23 +116,28 @@ _machine, film = (partial(Option, rich_help_panel=panel) for panel in ("Machine"
 ALL, VELOCITY = ["all"], ["velocity"]
 """Defaults of options that take several names."""
 
+NEUTRAL = "0,0,0,0,0,0"
+"""Default of a pose."""
+
 CAMERAS = ("overview", "side", "front")
 """Cameras of the machine."""
 
 DOFS, LAWS = "machine.geometry:DOFS", "cli.options:shipped_laws"
 """Where names stand, for `names_in`."""
 CABS, _PLANTS = "machine.models:CABS", "plant.hexapod:PLANTS"
-OIL, SENSORS = "plant.parameters.loading:HYDRAULICS", "electronics.sensors.channel:SENSOR_SETS"
-MACHINES = "machine.models:machine_names"
+OIL, MACHINES = "plant.parameters.loading:HYDRAULICS", "machine.models:machine_names"
 SCENARIOS = "facility.scenario.library:scenario_names"
 _SETS, _REPORT = "report, hardware, lossy or TOML file", "control.law:law_names"
-_WASHOUTS, _SHIPPED = "pilot.cueing.settings:WASHOUTS", "simona, reid_nahon, optimal or TOML file"
+_WASHOUTS, _SHIPPED = "pilot.washout_settings:WASHOUTS", "simona, reid_nahon, optimal or TOML file"
 _MANY_LAWS = "laws by name or TOML file; `all` of the report"
 
 Dof = Annotated[str, choice(DOFS, "DOF", "surge, sway, heave, roll, pitch or yaw")]
 AnyDof = Annotated[str, name_or_file(DOFS, "DOF", "degree of freedom, or leg_1 to leg_6")]
 AnyDofs = Annotated[list[str], name_or_file(DOFS, "DOFS", "degrees of freedom or legs, or `all`")]
 Dofs = Annotated[list[str], choice(DOFS, "DOFS", "degrees of freedom, or `all`")]
+_first = partial(_machine, is_eager=True)
+Machine = Annotated[str, name_or_file(MACHINES, "MACHINE", "name or TOML file", make=_first)]
+"""Motion base whose cab, hydraulics and law the others name; read before them."""
 Law = Annotated[str, of_machine(LAWS, "LAW", "law by name or TOML file")]
 OtherLaw = Annotated[str | None, name_or_file(LAWS, "LAW", "default that of the file")]
 Laws = Annotated[list[str], name_or_file(LAWS, "LAWS", _MANY_LAWS, every=_REPORT)]
@@ -146,7 +148,6 @@ OtherCab = Annotated[str | None, name_or_file(CABS, "CAB", "replaces the scenari
 PlantName = Annotated[str, choice(_PLANTS, "PLANT", "hexapod or single_legs")]
 Plants = Annotated[list[str], choice(_PLANTS, "PLANTS", "hexapod, single_legs, or `all`")]
 Hydraulics = Annotated[str, of_machine(OIL, "SET", _SETS)]
-HydraulicSet = Annotated[str, of_machine(OIL, "[SET]", _SETS, make=Argument)]
 Washout = Annotated[str, name_or_file(_WASHOUTS, "WASHOUT", _SHIPPED)]
 Scenario = Annotated[str, argument(SCENARIOS, "[SCENARIO]", "name or TOML file", free=True)]
 Pose = Annotated[str, Option(metavar="POSE", help="x,y,z [in],roll,pitch,yaw [deg], z down")]
@@ -161,9 +162,8 @@ Out = Annotated[Path, Option(metavar="FOLDER", help="folder for results", callba
 NamedOut = Annotated[Path | None, Option(metavar="FOLDER", help="folder; default by its name")]
 Simulate = Annotated[bool, Option("--simulate", help="simulate the recordings")]
 Recordings = Annotated[list[Path] | None, Argument(help="facility CSV or Parquet files")]
-FilmFile = Annotated[str | None, film("--video", metavar="NAME.mp4|NAME.gif", help="film in out")]
 Fps = Annotated[int, film(help="frame rate of a film [1/s]")]
-Speed = Annotated[float, film(help="times real speed; below 1 is slow motion")]
+Speed = Annotated[float | None, film(help="times real speed; default 1, of modes 0.05")]
 Camera = Annotated[str, choice("cli.options:CAMERAS", "CAMERA", "overview, side, front", make=film)]
 Width = Annotated[int, film(help="of the picture of one run or mode [px]")]
 Height = Width

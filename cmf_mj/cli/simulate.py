@@ -1,4 +1,4 @@
-"""Simulate: `cmf run`, `compare`, `failure` and `capacity`."""
+"""Simulate: `cmf run`, `compare`, `failure`, `capacity`, `video` and `studio`."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Context, Option
 
+import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import (
     app,
-    changed_scenario,
     claim,
     in_si,
     noise_choice,
+    pose_option,
     progress_bar,
     quantity,
     show,
     written,
 )
-from cmf_mj.cli.options import argument, file, name_or_file, size
-from cmf_mj.core.errors import InputError
+from cmf_mj.cli.options import argument, file, name_or_file, new_file, size
+from cmf_mj.core.errors import InputError, require
 
 if TYPE_CHECKING:
     from cmf_mj.core.result import Result
@@ -40,6 +41,15 @@ _SIGNALS = "studies.capacity.verdict:SIGNALS"
 _SIZE = "of translations; rotations 0.2 deg and steps 1 in to 0.33 in"
 
 
+def _changed(scenario: Any, **fields: object) -> Any:
+    """A scenario with other fields, checked again; None leaves a field."""
+    from cmf_mj.facility.scenario.library import scenario_of
+
+    changes = {name: value for name, value in fields.items() if value is not None}
+    kept = scenario.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
+    return scenario_of(kept | changes, "options")
+
+
 @command("run")
 def run_command(
     context: Context,
@@ -50,8 +60,7 @@ def run_command(
     schema: Annotated[bool, Option("--schema", help="print a scenario's JSON schema")] = False,
 ) -> None:
     """Run a scenario: plant, law, signals, failures and changes; without one, list them."""
-    from cmf_mj.facility.scenario.library import load_scenario, scenario_names
-    from cmf_mj.facility.scenario.run import run_scenario
+    from cmf_mj.facility.scenario.library import scenario_names
     from cmf_mj.facility.scenario.settings import Scenario
     from cmf_mj.show.film.film import save_run
 
@@ -60,12 +69,12 @@ def run_command(
         return
     if not scenario:
         for name in scenario_names():
-            show(f"{name:24} {load_scenario(name).title}")
+            show(f"{name:24} {cmf_mj.load_scenario(name).title}")
         return
-    chosen = changed_scenario(load_scenario(scenario), machine=machine, cab=cab)
+    chosen = _changed(cmf_mj.load_scenario(scenario), machine=machine, cab=cab)
     folder = claim(context, out or Path("out/run") / Path(scenario).stem)
     with progress_bar() as progress:
-        record = run_scenario(chosen, progress=progress)
+        record = cmf_mj.run_scenario(chosen, progress=progress)
     with progress_bar("drawing") as progress:
         paths = save_run(record, chosen, folder, progress=progress)
     show(written(paths))
@@ -80,12 +89,12 @@ def run_comparison(
     what compares laws stands in a table more.
     """
     from cmf_mj.show import comparison as report
-    from cmf_mj.studies.comparison import compare, rated
+    from cmf_mj.studies.comparison import rated
 
     kept, more = options.pop("records", True), options.pop("measures", False)
     folder = out / "records" if kept else None
     with progress_bar() as update:
-        comparison = compare(laws, dofs, records=folder, progress=update, **options)
+        comparison = cmf_mj.compare(laws, dofs, records=folder, progress=update, **options)
     paths = report.save_comparison(comparison, out)
     tables, beside = [report.comparison_table(comparison)], ""
     if more:
@@ -108,6 +117,7 @@ def run_comparison(
 def compare_command(
     laws: options.Laws = _DEFAULT_LAWS,
     dofs: options.Dofs = options.ALL,
+    machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
     plants: options.Plants = options.ALL,
     hydraulics: options.Hydraulics = "hardware",
@@ -120,10 +130,10 @@ def compare_command(
     noise: options.Noise = False,
 ) -> None:
     """Compare control laws in six degrees of freedom on the hexapod and on single legs."""
-    machine = {"plants": plants, "cab": cab, "hydraulics": hydraulics}
+    built = {"plants": plants, "cab": cab, "hydraulics": hydraulics}
     changed = {"amplitude": in_si("heave", amplitude), "electronics": noise_choice(noise)}
     how = {"jobs": jobs, "quick": quick, "records": records, "measures": measures}
-    run_comparison(laws, dofs, out, **machine, **changed, **how)
+    run_comparison(laws, dofs, out, **built, **changed, **how)
 
 
 def events_of(
@@ -155,6 +165,7 @@ def failure_command(
     at: Annotated[float, Option(help="time of the event [s]")] = 4.0,
     after: Annotated[float, Option(help="length of the run after it [s]")] = 26.0,
     law: options.Law = "velocity",
+    machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     amplitude: Annotated[str | None, size(help="of the sine; default '6 in' or '4 deg'")] = None,
@@ -193,6 +204,7 @@ def capacity_command(
     amplitude: Annotated[str | None, size(help="with its unit; sine: default '15 in'")] = None,
     frequency: Annotated[float | None, Option(help="of the sine, else the highest [Hz]")] = None,
     law: options.Law = "velocity",
+    machine: options.Machine = "cmf",
     cab: options.Cab = "gfd",
     hydraulics: options.Hydraulics = "hardware",
     least_pressure: Annotated[float | None, Option(help="[psi]; default 80 % of the set's")] = None,
@@ -204,12 +216,11 @@ def capacity_command(
 ) -> None:
     """Does the supply hold through a manoeuvre (--dof), and what is the largest (--dofs)?"""
     from cmf_mj.core import units
-    from cmf_mj.plant.parameters.loading import load_hydraulics
     from cmf_mj.show import capacity as report
     from cmf_mj.studies.capacity import envelope as envelopes
     from cmf_mj.studies.capacity.verdict import capacity, manoeuvre
 
-    parameters = load_hydraulics(hydraulics)
+    parameters = cmf_mj.load_hydraulics(hydraulics)
     least = None if least_pressure is None else least_pressure * units.PSI
     demand = manoeuvre(signal, dof, in_si(dof, amplitude), frequency)
     result = capacity(demand, law, cab, parameters, least_pressure=least)
@@ -225,3 +236,107 @@ def capacity_command(
         paths += report.save_envelope(sines, out)
         show(report.envelope_table(sines), width=132)
     show(written(paths))
+
+
+_SOURCES = "scenarios, Parquet records (of a flight with what its pilot felt), or `modes` of a cab"
+Stroke = Annotated[float, options.film(help="of modes: largest leg motion [in]")]
+Periods = Annotated[float, options.film(help="of modes: length, in periods of the lowest")]
+
+
+@command("video")
+def video_command(
+    sources: Annotated[
+        list[str] | None, argument(options.SCENARIOS, "[SOURCE]...", _SOURCES, free=True)
+    ] = None,
+    laws: Annotated[
+        list[str] | None, name_or_file(options.LAWS, "LAWS", "laws next to each other")
+    ] = None,
+    machine: options.OtherMachine = None,
+    cab: options.OtherCab = None,
+    file: Annotated[Path, new_file(help="MP4 or GIF file")] = Path("out/video.mp4"),
+    fps: options.Fps = 30,
+    speed: options.Speed = None,
+    camera: options.Camera = "overview",
+    width: options.Width = 720,
+    height: options.Height = 450,
+    start: options.Start = 0.0,
+    seconds: options.Seconds = None,
+    pose: options.Pose = options.NEUTRAL,
+    stroke: Stroke = 12.0,
+    periods: Periods = 1.0,
+) -> None:
+    """Render runs side by side, or modes of a cab, to MP4 or GIF; needs no display."""
+    from cmf_mj.core import units
+    from cmf_mj.show.film.film import FilmSettings, film, swing_film
+    from cmf_mj.show.flight import saved_traces
+
+    names = sources or ["heave_sine"]
+    modes = names == ["modes"]
+    rate = speed or (0.05 if modes else 1.0)
+    look = FilmSettings(fps, rate, camera, width, height, start=start, seconds=seconds)
+    if modes:
+        plant = cmf_mj.Hexapod(cmf_mj.load_cab(cab, machine or "cmf"))
+        swing: dict[str, Any] = {"stroke": units.to_si("in", stroke), "periods": periods}
+        with progress_bar("drawing") as progress:
+            swings = plant.hydraulic_modes(pose_option(pose))
+            path = swing_film(plant, swings, file, look, **swing, progress=progress)
+        return show(f"written: {path}")
+    if len(names) > 1 and laws:
+        raise InputError("laws: are for one scenario; give one, or no laws")
+    records, titles, traces = [], [], []
+    with progress_bar() as progress:
+        for name in names:
+            if name.endswith(".parquet"):
+                records.append(cmf_mj.Record.load(name))
+                titles.append(f"{Path(name).stem}: {records[-1].metadata['law']}")
+                traces += [panels for panels in [saved_traces(Path(name))] if panels]
+                continue
+            base = cmf_mj.load_scenario(name)
+            for law in laws or [base.law]:
+                one = _changed(base, law=law, machine=machine, cab=cab)
+                records.append(cmf_mj.run_scenario(one, progress=progress))
+                titles.append(one.law if laws else one.title or Path(name).stem)
+    if len(traces) == len(records):  # flights, each with six traces of what its pilot felt
+        look = look._replace(strip=300)
+    else:
+        traces = []
+    with progress_bar("drawing") as progress:
+        path = film(records, file, look, titles=titles, traces=traces, progress=progress)
+    show(f"written: {path}")
+
+
+@command("studio")
+def studio_command(
+    scenario: options.Scenario = "",
+    host: Annotated[str, Option(help="address to listen on")] = "127.0.0.1",
+    port: Annotated[int, Option(help="TCP port; the next free one if it is taken")] = 8048,
+    browse: Annotated[
+        bool, Option("--open/--no-open", help="whether to open the page in a browser")
+    ] = True,
+) -> None:
+    """Drive the machine in a web page, in real time."""
+    import signal
+    import time
+    import warnings
+    import webbrowser
+
+    for package in ("viser", "mjviser"):
+        require(package, "studio")
+    from cmf_mj.show.studio.server import Studio
+
+    # A picture on its way to a tab that has just been closed is nothing to tell of.
+    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
+    studio = Studio(host, port, cmf_mj.load_scenario(scenario) if scenario else None)
+    try:
+        # A shell that starts it in the background would have it ignore Ctrl-C for good.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.default_int_handler)
+        print(f"studio: {studio.url} (end with Ctrl-C)", flush=True)
+        if browse:
+            webbrowser.open(studio.url)
+        while True:
+            time.sleep(1.0)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        studio.stop()

@@ -1,4 +1,4 @@
-"""Studies: `cmf study`, `tune`, `certify` and `calibrate`."""
+"""Studies: `cmf study`, `tune`, `certify`; the 2014 report: `cmf report` and what is below it."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer import Context, Option
+from typer import Argument, Context, Option
 
+import cmf_mj
 from cmf_mj.cli import options
 from cmf_mj.cli.common import app, claim, progress_bar, show, written
 from cmf_mj.cli.options import argument, choice, name_or_file, new_file
+from cmf_mj.core.errors import require
 
 command = partial(app.command, rich_help_panel="Studies")
 
 _BACKEND, _FORMS = "studies.engine:Backend", "studies.tuning.forms:FORMS"
-_CALIBRATED, _TUNED = "report, hardware, hardware_lag, or `all`", Path("out/tune/law.toml")
-_READY, _TABLES = "studies.settings:ready_studies", "report_2014.calibration.trial:load_studies"
+_READY, _TUNED = "studies.settings:ready_studies", Path("out/tune/law.toml")
 
 Laws = Annotated[list[str] | None, name_or_file(options.LAWS, "LAWS", "instead of the study's")]
 SomeCabs = Annotated[list[str] | None, name_or_file(options.CABS, "CABS", "instead of the study's")]
@@ -83,13 +84,13 @@ def tune_command(
     title: Annotated[str, Option(help="its title")] = "Modal plan",
     peak: Annotated[float, Option(help="largest peak gain [dB]")] = 2.0,
     overshoot: Annotated[float, Option(help="largest overshoot of a step [%]")] = 18.0,
+    machine: options.Machine = "cmf",
     cabs: options.Cabs = options.ALL,
     evaluations: Annotated[int, Option(help="laws to try, about")] = 24,
     seed: options.Seed = 1,
     target: Annotated[Path, new_file("--file", help="law file to write")] = _TUNED,
 ) -> None:
     """Search the gains of a form of law over all cabs and degrees of freedom."""
-    from cmf_mj.machine.cab import load_cab
     from cmf_mj.machine.models import CMF
     from cmf_mj.studies.tuning.forms import make_template
     from cmf_mj.studies.tuning.search import Requirements, save_law, search
@@ -98,8 +99,8 @@ def tune_command(
     how: dict[str, Any] = {"form": form, "evaluations": evaluations, "seed": seed}
     with progress_bar() as update:
         result = search(template, limits, progress=update, **how)
-    names, machine = ",".join(one.cab for one in template.cabs), load_cab(cabs[0]).machine
-    on = "" if machine.name == CMF else f"--machine {machine.name} "
+    names, base = ",".join(one.cab for one in template.cabs), cmf_mj.load_cab(cabs[0]).machine.name
+    on = "" if base == CMF else f"--machine {base} "
     command_line = (
         f"cmf tune {on}--form {form} --peak {peak:g} --overshoot {overshoot:g} "
         f"--cabs {names} --evaluations {evaluations} --seed {seed}"
@@ -120,6 +121,7 @@ def certify_command(
     laws: Annotated[
         list[str], argument(options.LAWS, "LAWS...", "by name or TOML file", free=True)
     ],
+    machine: options.Machine = "cmf",
     cabs: options.Cabs = options.ALL,
     hydraulics: options.Hydraulics = "hardware",
     box: Annotated[Path | None, options.file(help="unit box; default tolerances as bought")] = None,
@@ -128,9 +130,7 @@ def certify_command(
     out: options.Out = Path("out/certify"),
 ) -> None:
     """Bound how far machines may be off before a law fails, and find machines that break it."""
-    from cmf_mj.control.law import load_law
     from cmf_mj.core.settings import check_distinct
-    from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import study as report
     from cmf_mj.show.look import save_files
     from cmf_mj.studies.certificate import run
@@ -138,7 +138,10 @@ def certify_command(
     from cmf_mj.studies.engine import libraries
 
     unit, effort, rows = load_box(box), run.QUICK if quick else run.Effort(), []
-    plants, chosen = [Hexapod(cab, hydraulics) for cab in cabs], [load_law(law) for law in laws]
+    plants, chosen = (
+        [cmf_mj.Hexapod(cab, hydraulics) for cab in cabs],
+        [cmf_mj.load_law(law) for law in laws],
+    )
     check_distinct("laws", [law.name for law in chosen])
     check_distinct("cabs", [plant.cab for plant in plants])
     with progress_bar() as update:
@@ -155,7 +158,77 @@ def certify_command(
     show(*tables.values(), written(save_files(files | figure, out), out))
 
 
-@command("calibrate")
+reports = typer.Typer()
+app.add_typer(reports, name="report", rich_help_panel="The report")
+
+_CALIBRATED = "report, hardware, hardware_lag"
+_TABLES = "report_2014.calibration.trial:load_studies"
+_NUMBERS = "by number with commas between, `all` or `none`"
+
+Figures = Annotated[str, Option(metavar="NUMBERS", help=f"figures {_NUMBERS}")]
+Tables = Annotated[str, Option(metavar="NUMBERS", help=f"result tables {_NUMBERS}")]
+
+
+def _numbers(text: str) -> list[str] | None:
+    """Numbers of a comma-separated option; None for all."""
+    if text == "all":
+        return None
+    return [part.strip() for part in text.split(",") if part.strip() not in ("", "none")]
+
+
+@reports.callback(invoke_without_command=True)
+def report_command(
+    context: Context,
+    figures: Figures = "all",
+    tables: Tables = "all",
+    jobs: options.Jobs = None,
+    seed: options.Seed = 0,
+    out: options.NamedOut = None,
+    quick: options.Quick = False,
+) -> None:
+    """Reproduce the 2014 report on one HTML page, printed results next to ours."""
+    if context.invoked_subcommand is not None:
+        return
+    require("jinja2", "report")
+    from cmf_mj.report_2014.page.document import make_content, save_page
+    from cmf_mj.report_2014.page.statements import verdict_tables
+
+    folder = claim(context, out or Path("out/report"))
+    with progress_bar() as update:
+        content = make_content(
+            _numbers(figures), _numbers(tables), jobs=jobs, quick=quick, seed=seed, progress=update
+        )
+    path = save_page(content, folder)
+    size = path.stat().st_size / 1e6
+    parts = [part.table for part in verdict_tables(content)]
+    show(*parts, f"written to {path}: {len(content.figures)} figures, {size:.1f} MB")
+
+
+@reports.command("ledger")
+def ledger_command(
+    number: Annotated[int | None, Argument(help="number of an entry; default all")] = None,
+) -> None:
+    """Show the misprints and contradictions of the report and what is done about each."""
+    from cmf_mj.report_2014.ledger import ledger_entry, ledger_table, load_ledger
+
+    show(ledger_table(load_ledger() if number is None else (ledger_entry(number),)))
+
+
+@reports.command("linear")
+def linear_command(
+    laws: options.Laws = options.VELOCITY, out: options.Out = Path("out/linear")
+) -> None:
+    """Show the report's linear models, Table 4-1 computed, and section 3.4's analysis."""
+    from cmf_mj.report_2014 import model_tables as linear
+    from cmf_mj.report_2014.models import law_loops, table_4_1
+
+    loops, rows = law_loops(laws), table_4_1()
+    paths = linear.save_linear(loops, rows, out)
+    tables = (linear.model_table(), linear.misprint_table(), rows)
+    show(*tables, linear.loop_table(loops), written(paths, out))
+
+
+@reports.command("calibrate")
 def calibrate_command(
     tables: Annotated[list[str], argument(_TABLES, "[TABLES]...", _CALIBRATED)] = options.ALL,
     rounds: Annotated[int, Option(help="fits, each followed by a simulation")] = 1,

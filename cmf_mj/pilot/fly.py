@@ -41,12 +41,10 @@ from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import FLIP, by_kind, dof_index
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot import host as pilot_host
-from cmf_mj.pilot.cueing.flight import cue, within_limits
-from cmf_mj.pilot.cueing.settings import WashoutSettings
-from cmf_mj.pilot.host import MOST_RATE
-from cmf_mj.pilot.motion import COLUMNS, PilotMotion, interpolated, pilot_station
+from cmf_mj.pilot.cueing import cue, within_limits
+from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, interpolated, pilot_station
 from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
+from cmf_mj.pilot.washout_settings import WashoutSettings
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.record.record import Record
@@ -108,7 +106,7 @@ class FlightResult(NamedTuple):
 
 
 def fly(
-    host: pilot_host.AircraftHost | pilot_host.PlatformHost | PilotMotion,
+    host: PilotMotion | HostStream,
     law: str | Path | Law = "velocity",
     *,
     cab: str | Path | Cab | None = None,
@@ -117,12 +115,12 @@ def fly(
     senses: Senses | str | None = None,
     **options: Any,
 ) -> FlightResult:
-    """Fly a host, a recorded or live flight, a motion at a pilot's station, or platform frames.
+    """Fly a motion at a pilot's station, or in direct mode platform frames, through the facility.
 
     Law, washout (unused in direct mode) and hydraulics are names, TOML files or loaded; `options`
-    are those of `operate`.
+    are those of `operate`. Refuses more than 80 platform frames a second.
 
-    >>> from cmf_mj.pilot.aircraft.flight import load_flight
+    >>> from cmf_mj.pilot.flight import load_flight
     >>> from cmf_mj.pilot.fly import fly
     >>> fly(load_flight("gusts").motion).use.within
     True
@@ -131,16 +129,17 @@ def fly(
     machine = carried.machine
     limits = load_motion_limits(options.get("limits"), machine)
     aircraft = None
-    if isinstance(host, PilotMotion | pilot_host.AircraftHost):
-        flown = host if isinstance(host, PilotMotion) else pilot_host.pilot_motion(host)
-        cued = cue(flown, washout, cab=carried, limits=limits, senses=senses)
+    if isinstance(host, PilotMotion):
+        cued = cue(host, washout, cab=carried, limits=limits, senses=senses)
         aircraft, stream, limited = cued.aircraft, cued.stream, cued.limited
     else:
-        sent = pilot_host.host_stream(host)
-        step = np.diff(sent.time)
+        step = np.diff(host.time)
+        if step.size and 1.0 / step.mean() > MOST_RATE * (1.0 + 1e-6):
+            rate = 1.0 / step.mean()
+            raise InputError(f"time: {rate:.5g} frames a second; allowed: at most {MOST_RATE:g}")
         if step.size and np.ptp(step) > 1e-6 * step.mean():  # the limiters take even frames
-            sent = resample(sent, MOST_RATE)
-        stream, limited = within_limits(sent, limits, machine)
+            host = resample(host, MOST_RATE)
+        stream, limited = within_limits(host, limits, machine)
     plant = Hexapod(carried, hydraulics)
     operation = operate(plant, law, stream, record_every=RECORD_EVERY, **options)
     return flight_result(plant, aircraft, stream, operation, limits, limited, senses)
@@ -179,11 +178,11 @@ def flight_result(
 def crew_motion(record: Record, time: NDArray[np.float64]) -> PilotMotion:
     """The crew's motion of a record at some times [s], without what lies beyond 30 Hz."""
     motion, since = PilotMotion.from_record(record), time - time[0]
-    channels = (smooth(record, getattr(motion, name), motion.time, since) for name in COLUMNS)
+    channels = (low_passed(record, getattr(motion, name), motion.time, since) for name in COLUMNS)
     return PilotMotion(time, *channels)
 
 
-def smooth(
+def low_passed(
     record: Record, values: NDArray[np.float64], time: NDArray[np.float64], at: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Columns at a record's rate and some times [s], at others, without what lies beyond 30 Hz."""

@@ -46,9 +46,9 @@ from cmf_mj.facility.operation import operate
 from cmf_mj.facility.run import dcu_of
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.cueing.flight import within_limits
-from cmf_mj.pilot.fly import RECORD_EVERY, smooth
-from cmf_mj.pilot.host import MOST_RATE
+from cmf_mj.pilot.cueing import within_limits
+from cmf_mj.pilot.fly import RECORD_EVERY, low_passed
+from cmf_mj.pilot.motion import MOST_RATE
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.signals.composite import quintic
 
@@ -73,7 +73,7 @@ class Learner(NamedTuple):
 
     def improved(self, correction: Array, error: Array) -> Array:
         """Q (c + L e) of a correction and an error, (N, n)."""
-        return filtered(self.smoothing, correction + filtered(self.learning, error))
+        return through(self.smoothing, correction + through(self.learning, error))
 
     def ratio(self) -> Array:
         """Largest singular value of Q (1 - L G_i), (M, K): below 1 machine i learns."""
@@ -87,7 +87,7 @@ def frequencies(rows: int) -> Array:
     return np.asarray(lines[lines <= _HIGHEST])
 
 
-def filtered(response: Response, history: Array) -> Array:
+def through(response: Response, history: Array) -> Array:
     """A history (N, n) through a response (K, n, n), nothing above its frequencies."""
     longer = np.pad(history, ((_PAD, _PAD), (0, 0)), mode="reflect", reflect_type="odd")
     lines = np.fft.rfft(longer, axis=0)[: len(response)]
@@ -197,7 +197,7 @@ def learn(
             demands.append(demand)
         seen, true, pose = _missed(reference, demands[-1], loaded, plants[0], options, seed + trial)
         first = first if trial else seen
-        expected = first - filtered(responses[0], foreseen)
+        expected = first - through(responses[0], foreseen)
         errors.append(pose)
         sizes = (rms(true), rms(counted(seen)), rms(counted(expected)))
         done.append(Trial(np.sqrt((pose**2).mean(axis=0)), *sizes, held))
@@ -208,7 +208,7 @@ def learn(
     return Learning(reference, demands[best], tuple(done), best, shown, learner, loaded, options)
 
 
-def compare(
+def on_others(
     learnt: Learning,
     plants: Sequence[Hexapod],
     *,
@@ -262,7 +262,7 @@ def _missed(
         raise InputError(f"law: {law.name} ends a run: {fault['name']} at {fault['time']:.3f} s")
 
     def missed(asked: Array, channel: str) -> Array:
-        return asked - smooth(record, record[channel], record.time, reference.time)
+        return asked - low_passed(record, record[channel], record.time, reference.time)
 
     legs = pose_to_legs(reference.pose, plant.machine)
     true, pose = missed(legs, "leg_extension"), missed(reference.pose, "platform_pose")

@@ -15,7 +15,6 @@ specific force at the pilot's station; its constructors take the centre of gravi
 the platform of the simulator or a record of a run.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,8 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmf_mj.core.arrays import check_finite
 from cmf_mj.core.compiled import allocating
-from cmf_mj.core.errors import InputError, within
-from cmf_mj.core.files import read_column, read_table, write_table
+from cmf_mj.core.errors import InputError
+from cmf_mj.core.files import write_table
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine.cab import Cab, load_cab
@@ -41,9 +40,8 @@ COLUMNS = {
 }
 """Names of the columns of each channel in files."""
 
-
-_SLOWEST = 1.0
-"""Longest time from row to row of a flight in a file [s]."""
+MOST_RATE = 80.0
+"""Most frames a second a host may send [Hz] (section 2.3.1)."""
 
 
 @dataclass(frozen=True)
@@ -163,32 +161,9 @@ class PilotMotion:
             columns |= zip(names, np.ascontiguousarray(getattr(self, channel).T), strict=True)
         return columns
 
-    @staticmethod
-    def from_columns(column: Callable[[str], NDArray[np.float64]], where: Path) -> "PilotMotion":
-        """The motion whose columns in SI a function reads from a file; refusals name the file."""
-        channels = [np.column_stack([column(name) for name in names]) for names in COLUMNS.values()]
-        with within(where):
-            motion = PilotMotion(column("time"), *channels)
-            if motion.time.size < 2:
-                raise InputError(f"time: has {motion.time.size} row; at least 2 are needed")
-            if (step := float(np.median(np.diff(motion.time)))) > _SLOWEST:
-                raise InputError(
-                    f"time: {step:g} s from row to row; allowed: to {_SLOWEST} s; in ms?"
-                )
-            if (pitch := float(np.abs(motion.attitude[:, 1]).max())) > 0.5 * np.pi:
-                raise InputError(f"pitch: {pitch:g} rad; allowed: within +-90 deg; in degrees?")
-        return motion
-
     def save(self, path: str | Path) -> Path:
-        """Write `columns` as CSV or Parquet, by the name's end; it reads back bit for bit."""
+        """Write `columns` as CSV or Parquet, by the name's end; `load_flight` reads it."""
         return write_table(pa.table(self.columns()), Path(path))
-
-    @staticmethod
-    def load(path: str | Path) -> "PilotMotion":
-        """Read what `save` wrote, or any CSV or Parquet table with its columns."""
-        source = Path(path)
-        table = read_table(source)
-        return PilotMotion.from_columns(lambda name: read_column(source, table, name), source)
 
 
 def pilot_station(cab: str | Path | Cab | None = None) -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ units of the cross tests are this project's. No boundary of acceptance is known,
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -41,10 +42,9 @@ from cmf_mj.facility.operation import operate
 from cmf_mj.facility.session import OutOfBounds
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS, by_kind, dof_index
-from cmf_mj.pilot.cueing.settings import WashoutSettings, load_washout
-from cmf_mj.pilot.cueing.washout import Washout
-from cmf_mj.pilot.host import MOST_RATE
-from cmf_mj.pilot.motion import PilotMotion, gravity_in_body, pilot_station
+from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, gravity_in_body, pilot_station
+from cmf_mj.pilot.washout import Washout
+from cmf_mj.pilot.washout_settings import WashoutSettings, load_washout
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 from cmf_mj.plant.parameters.loading import load_hydraulics
@@ -179,10 +179,12 @@ def omct(
         size = amplitude(dof, frequency)
         flown, begin = aircraft_motion(dof, frequency, size)
         stream = Washout(settings, station=station).run(flown)
-        if law is None:
-            motions = _without_machine(stream, station)
-        else:
-            motions = _on_machine(stream, law, Hexapod(chosen, parameters))
+        motions = _without_machine(stream, station) if law is None else {}
+        if law is not None:
+            plant, ideal = Hexapod(chosen, parameters), {"electronics": None, "protection": None}
+            with suppress(OutOfBounds):
+                operation = operate(plant, law, stream, record_every=_EVERY, **ideal)
+                motions = {law.name: PilotMotion.from_record(operation.record)}
         for name, motion in motions.items():
             for place in outputs_of(dof):
                 output = TESTS[place][1]
@@ -205,17 +207,6 @@ def _without_machine(stream: HostStream, station: NDArray[np.float64]) -> dict[s
     demand = make_stream(np.arange(frames)[::_EVERY] / RATE, *np.swapaxes(played[::_EVERY], 0, 1))
     motions = (PilotMotion.from_platform(frames, station) for frames in (stream, demand))
     return dict(zip(STAGES, motions, strict=True))
-
-
-def _on_machine(stream: HostStream, law: Law, plant: Hexapod) -> dict[str, PilotMotion]:
-    """Pilot's motion on the machine by the law's name; none where it left its bounds."""
-    try:
-        operation = operate(
-            plant, law, stream, electronics=None, protection=None, record_every=_EVERY
-        )
-    except OutOfBounds:
-        return {}
-    return {law.name: PilotMotion.from_record(operation.record)}
 
 
 def _fundamental(

@@ -1,7 +1,7 @@
 """The ledger: misprints and contradictions of the 2014 report, and what this project does.
 
 Every entry names a test that shows the claim in numbers; the figures an entry states are those that
-its test computes. `cmf ledger` prints it, docs/reference/ledger.md is made from it.
+its test computes. `cmf report ledger` prints it, docs/reference/ledger.md is made from it.
 """
 
 from collections.abc import Sequence

@@ -15,7 +15,7 @@ from cmf_mj.core.units import DEGREE, INCH, STANDARD_GRAVITY
 from cmf_mj.facility.host.files import write_stream
 from cmf_mj.machine.geometry import DOFS, by_kind
 from cmf_mj.machine.kinematics import pose_to_legs
-from cmf_mj.pilot.cueing.flight import LIMITS, Cue, Excursion, Tuned
+from cmf_mj.pilot.cueing import LIMITS, Cue, Excursion, Tuned
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.omct import STAGES, TESTS, Omct
 from cmf_mj.pilot.perception import QUANTITIES, CueingError

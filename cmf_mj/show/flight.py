@@ -1,6 +1,6 @@
 """Tables, figures and files of flights in the cab, and of manoeuvres that were learnt."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +11,10 @@ from cmf_mj.core import units
 from cmf_mj.core.result import Cell, Column, Table
 from cmf_mj.facility.host.files import write_stream
 from cmf_mj.machine.geometry import DOFS, by_kind
+from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.fly import FlightResult, TransportDelay, error_spectra
-from cmf_mj.pilot.host import MOST_RATE
 from cmf_mj.pilot.learning import BAND, LEAD, Array, Learning, frequencies
-from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.pilot.motion import MOST_RATE, PilotMotion
 from cmf_mj.pilot.perception import CueingError
 from cmf_mj.show import look
 from cmf_mj.show.cueing import SCALE, DrawnMotion, motion_axes, perceived_figure, six
@@ -24,29 +24,43 @@ from cmf_mj.show.look import Curve, Panel
 _NAMES = ("f_x", "f_y", "f_z", "p", "q", "r")
 
 
-def _motions(ride: FlightResult) -> list[DrawnMotion]:
-    """Motions at the pilot's station: aircraft, asked, cab."""
-    aircraft = (
-        [] if ride.aircraft is None else [DrawnMotion(ride.aircraft, "aircraft", look.BLUE, 1.2)]
-    )
-    asked = DrawnMotion(ride.asked, "asked of the platform", look.DARK, 0.9)
-    return [*aircraft, asked, DrawnMotion(ride.simulator, "cab", look.ORANGE, 0.9)]
+_MOTIONS = {
+    "aircraft": ("aircraft", look.BLUE, 1.2),
+    "asked": ("asked of the platform", look.DARK, 0.9),
+    "simulator": ("cab", look.ORANGE, 0.9),
+}
+"""Motions at the pilot's station, and how they are drawn."""
 
 
-def flight_traces(ride: FlightResult) -> Panels:
+def ride_motions(ride: FlightResult) -> dict[str, PilotMotion]:
+    """Those of a ride; in direct mode it has no aircraft."""
+    return {name: getattr(ride, name) for name in _MOTIONS if getattr(ride, name) is not None}
+
+
+def flight_traces(motions: Mapping[str, PilotMotion]) -> Panels:
     """Specific force and angular rate at the pilot's station as traces of a film."""
-    lines = [(six(m), label, colour, width) for m, label, colour, width in _motions(ride)]
-    time = ride.asked.time - ride.asked.time[0]
+    lines = [(motion.time, six(motion), *_MOTIONS[name]) for name, motion in motions.items()]
     panels = []
     for index, name in enumerate(_NAMES):
-        curves = (Curve(label, time, y[:, index], c, width=width) for y, label, c, width in lines)
+        curves = (
+            Curve(label, time - time[0], values[:, index], colour, width=width)
+            for time, values, label, colour, width in lines
+        )
         panels.append(Panel(f"{name} [{by_kind(index, 'm/s²', 'deg/s')}]", tuple(curves)))
     return panels
 
 
+def saved_traces(record: Path) -> Panels:
+    """The traces of the motions that `save_ride` wrote beside a record; none of another run."""
+    files = {name: record.with_name(f"{name}.parquet") for name in _MOTIONS}
+    motions = {name: load_flight(path).motion for name, path in files.items() if path.exists()}
+    return flight_traces(motions) if "simulator" in motions else ()
+
+
 def motion_figure(ride: FlightResult) -> Figure:
     """Specific force and angular rate at the pilot's station: aircraft, asked, cab."""
-    figure, _ = motion_axes(*_motions(ride))
+    drawn = (DrawnMotion(motion, *_MOTIONS[name]) for name, motion in ride_motions(ride).items())
+    figure, _ = motion_axes(*drawn)
     figure.suptitle(f"Motion at the pilot's station: {ride.law}, cab {ride.cab}")
     return figure
 
@@ -145,12 +159,10 @@ def delay_table(delay: TransportDelay) -> Table:
 
 
 def save_ride(ride: FlightResult, folder: Path) -> list[Path]:
-    """Write `motion.png` and `perceived.png`."""
-    files = {
-        "motion.png": motion_figure(ride),
-        "perceived.png": sensed_figure(ride),
-    }
-    return look.save_files(files, folder)
+    """Write `motion.png`, `perceived.png` and the motions that `saved_traces` reads."""
+    motions = {f"{name}.parquet": motion.save for name, motion in ride_motions(ride).items()}
+    figures = {"motion.png": motion_figure(ride), "perceived.png": sensed_figure(ride)}
+    return look.save_files(motions | figures, folder)
 
 
 def save_comparison(rides: Sequence[FlightResult], folder: Path) -> list[Path]:

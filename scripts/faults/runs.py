@@ -33,8 +33,8 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.host import moog, udp
 from cmf_mj.facility.operation import Operation, serve
 from cmf_mj.facility.session import Session
-from cmf_mj.pilot.cueing.washout import Washout
-from cmf_mj.pilot.telemetry import formats as live
+from cmf_mj.pilot import telemetry as live
+from cmf_mj.pilot.washout import Washout
 from cmf_mj.plant.events import default_event
 from cmf_mj.plant.parameters.loading import fitting
 from cmf_mj.record.record import Record

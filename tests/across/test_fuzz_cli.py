@@ -54,7 +54,7 @@ def test_every_line_begins_or_is_refused(folder: Path) -> None:
             words = pick(generator, list(every)) if number >= len(every) else list(every)[number]
             given = line(words, every[words], generator, files)
             how, said, took = outcome(given)
-            if how == "exit 1" and words[-1] == "check":  # it found what it looks for
+            if how == "exit 1" and words[-1] in ("check", "flight"):  # it found what it looks for
                 how = "exit 0"
             left = below(folder) - before
             assert not fault(how, said, left, took), (given, fault(how, said, left, took))

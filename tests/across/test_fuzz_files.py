@@ -25,9 +25,8 @@ from cmf_mj.facility.host.files import HostSession, read_stream
 from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.machine import models
 from cmf_mj.machine.cab import load_cab
-from cmf_mj.pilot.aircraft.flight import Flight
-from cmf_mj.pilot.cueing.settings import load_washout
-from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.pilot.flight import load_flight
+from cmf_mj.pilot.washout_settings import load_washout
 from cmf_mj.record.reader import read_recording
 from cmf_mj.record.record import Record
 from cmf_mj.report_2014.posterior.settings import load_posterior
@@ -147,9 +146,9 @@ def tables(folder: Path) -> Iterator[tuple[Read, Path]]:
         ("stream.csv", read_stream),
         ("stream.parquet", read_stream),
         ("host.parquet", HostSession.load),
-        ("flight.csv", Flight.load),
-        ("flight.parquet", Flight.load),
-        ("motion.csv", PilotMotion.load),
+        ("flight.csv", load_flight),
+        ("flight.parquet", load_flight),
+        ("motion.csv", load_flight),
         ("poses.csv", lambda path: manoeuvre(str(path), "heave", None, None)),
     ):
         yield read, folder / name

@@ -51,8 +51,8 @@ from cmf_mj.facility.operation import (  # noqa: E402
 from cmf_mj.facility.run import Run  # noqa: E402
 from cmf_mj.facility.session import Session  # noqa: E402
 from cmf_mj.machine.cab import load_cab  # noqa: E402
-from cmf_mj.pilot.cueing.washout import Washout  # noqa: E402
-from cmf_mj.pilot.telemetry import formats as live  # noqa: E402
+from cmf_mj.pilot import telemetry as live  # noqa: E402
+from cmf_mj.pilot.washout import Washout  # noqa: E402
 
 SLOW = pytest.mark.slow
 """A case among others that are not."""

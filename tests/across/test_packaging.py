@@ -14,7 +14,7 @@ assert cmf_mj.__file__.startswith({site!r}), cmf_mj.__file__
 assert str(cmf_mj.machine.models.directory()).startswith({site!r})
 for cab in cmf_mj.machine.models.CABS:
     plant = cmf_mj.Hexapod(cab)
-from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
+from cmf_mj.pilot.flight import flight_names, load_flight
 assert all(load_flight(name).motion.rate > 79.0 for name in flight_names()), flight_names()
 assert len(flight_names()) == 7
 record = cmf_mj.simulate(plant, "velocity", np.zeros((20, 6)))

@@ -15,7 +15,7 @@ from fuzzing import outcome, seams
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.files import read_stream
 from cmf_mj.facility.host.stream import unit_doubts
-from cmf_mj.pilot.aircraft.flight import load_flight
+from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.record.facility_csv import LAYOUT, write_facility_csv
 from cmf_mj.record.reader import read_facility_csv
@@ -111,7 +111,7 @@ FILES: dict[str, tuple[Callable[[Path], Any], tuple[str, ...]]] = {
     "stream.csv": (read_stream, ("operate {file}", "host {file} --to 127.0.0.1:9")),
     "poses.csv": (manoeuvre, ("capacity --signal {file} --no-envelope",)),
     "flight.csv": (load_flight, ("fly {file}", "learn {file}")),
-    "motion.csv": (PilotMotion.load, ("cue run {file}", "cue tune {file}")),
+    "motion.csv": (load_flight, ("cue {file}", "cue {file} --share 1")),
 }
 
 

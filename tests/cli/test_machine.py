@@ -5,30 +5,27 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from shared import cmf
 from typer.main import get_command
-from typer.testing import CliRunner
 
 from cmf_mj import Hexapod
 from cmf_mj.cli.common import app
-from cmf_mj.machine.models import machine_names
 
 TAKING = ("cab", "cabs", "hydraulics")
 
 
-def run(*arguments: str) -> tuple[int, str]:
-    result = CliRunner().invoke(app, list(arguments))
-    return result.exit_code, " ".join(result.output.split())
+def run(*arguments: object, code: int = 0) -> str:
+    return " ".join(cmf("machine", *arguments, code=code).split())
 
 
 def test_a_new_machine_is_checked_and_built(tmp_path: Path) -> None:
     """The template fits together; its MJCF is the model that runs."""
     file, out = tmp_path / "mine.toml", tmp_path / "model"
-    assert run("machine", "new", "mine", "--file", str(file)) == (0, f"written: {file}")
-    code, said = run("machine", "check", str(file))
-    assert code == 0 and "does not fit" not in said, said
+    assert run("new", "mine", "--file", file) == f"written: {file}"
+    said = run("check", file)
+    assert "does not fit" not in said, said
     assert "neutral legs 1.0366 to 1.0366 m" in said and "assumed: hydraulics.bore_diameter" in said
-    code, said = run("machine", "build", str(file), "--out", str(out))
-    assert code == 0, said
+    run("build", file, "--out", out)
     model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
     drawn = Hexapod(machine=file).drawn_model
     for field in ("body_mass", "body_pos", "body_inertia", "site_pos", "jnt_range"):
@@ -38,29 +35,19 @@ def test_a_new_machine_is_checked_and_built(tmp_path: Path) -> None:
 def test_what_does_not_fit_is_told(tmp_path: Path) -> None:
     """A payload a hundred times too heavy, and legs asked for more speed than their valves give."""
     file = tmp_path / "mine.toml"
-    run("machine", "new", "mine", "--file", str(file))
+    run("new", "mine", "--file", file)
     text = file.read_text()
     file.write_text(text.replace("value = 300,", "value = 30000,"))
-    code, said = run("machine", "check", str(file))
-    assert code == 2
+    said = run("check", file, code=2)
     assert "cabs.payload: static load of leg 1: " in said and "cannot be held by a supply" in said
     file.write_text(text.replace("value = 0.4,", "value = 4.0,"))
-    code, said = run("machine", "check", str(file))
-    assert code == 1 and "limits.leg.velocity asks for 4 m/s" in said
-
-
-def test_shipped_machines_are_listed_and_not_written_over() -> None:
-    code, said = run("machine", "list")
-    assert code == 0 and all(name in said for name in machine_names())
-    code, said = run("machine", "new", "cmf")
-    assert code == 2 and "is a shipped machine" in said
+    assert "limits.leg.velocity asks for 4 m/s" in run("check", file, code=1)
 
 
 def test_a_new_machine_writes_over_no_file(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text("# a day's work")
-    code, said = run("machine", "new", "mine", "--file", str(file))
-    assert code == 2 and "exists and is kept" in said
+    assert "exists and is kept" in run("new", "mine", "--file", file, code=2)
     assert file.read_text() == "# a day's work"
 
 
@@ -68,10 +55,3 @@ def test_a_new_machine_writes_over_no_file(tmp_path: Path) -> None:
 def test_commands_that_build_a_machine_take_one(command: str) -> None:
     parameters = [p.name for p in get_command(app).commands[command].params]  # type: ignore[attr-defined]
     assert "machine" in parameters and set(TAKING) & set(parameters)
-
-
-def test_the_set_of_a_machine_is_shown() -> None:
-    code, said = run("parameters", "--machine", "simona")
-    assert code == 0 and "hydraulics: simona" in said and "160 bar" in said
-    code, said = run("parameters", "--machine", "simon")
-    assert code != 0

@@ -7,7 +7,7 @@ from cmf_mj import Hexapod, Law, load_law, simulate
 from cmf_mj.core import units
 from cmf_mj.facility.host.stream import make_stream
 from cmf_mj.facility.operation import Operation, operate
-from cmf_mj.pilot.cueing.flight import within_limits
+from cmf_mj.pilot.cueing import within_limits
 
 PLAN = load_law("modal_plan")
 

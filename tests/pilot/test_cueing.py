@@ -3,18 +3,16 @@
 import numpy as np
 import pytest
 from flights import pushed, sustained, turn_entry
-from shared import WORKING_STROKE
-from typer.testing import CliRunner
+from shared import WORKING_STROKE, cmf
 
-from cmf_mj.cli.common import app
 from cmf_mj.facility.host.files import read_stream
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.leg_motion import pose_motion_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.cueing.flight import cue, excursion, tune, within_limits
-from cmf_mj.pilot.cueing.settings import WASHOUTS, load_washout, save_washout
-from cmf_mj.pilot.cueing.washout import Washout
-from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.pilot.cueing import cue, excursion, tune, within_limits
+from cmf_mj.pilot.flight import load_flight
+from cmf_mj.pilot.washout import Washout
+from cmf_mj.pilot.washout_settings import WASHOUTS, load_washout, save_washout
 
 LIMITS = load_motion_limits()
 PUSH = pushed(0, np.clip((np.arange(2400) / 80.0 - 1.0) * 2.0, 0.0, 5.0))
@@ -136,40 +134,20 @@ def test_capitals_and_blanks_in_the_header_of_a_flight_are_read(tmp_path):
     header, _, rows = path.read_text().partition("\n")
     named = path.with_name("named.csv")
     named.write_text(header.replace(",", ", ").replace("_x", "_X").title() + "\n" + rows)
-    one, other = (cue(PilotMotion.load(file)).stream.pose for file in (path, named))
+    one, other = (cue(load_flight(file).motion).stream.pose for file in (path, named))
     np.testing.assert_array_equal(one, other)
 
 
-def test_cue_run_and_tune_write_their_files(tmp_path):
+def test_cue_writes_its_files_and_tunes_first(tmp_path):
     flight = PUSH.save(tmp_path / "flight.csv")
-    result = CliRunner().invoke(app, ["cue", "run", str(flight), "--out", str(tmp_path / "run")])
-    assert result.exit_code == 0, result.output
-    assert "held back" in result.output and "threshold" in result.output
+    said = cmf("cue", flight, "--out", tmp_path / "run")
+    assert "held back" in said and "threshold" in said
     stream = read_stream(tmp_path / "run" / "host.csv")
     np.testing.assert_allclose(stream.pose, cue(PUSH).stream.pose, atol=1e-12)
     names = {path.name for path in (tmp_path / "run").iterdir()}
     assert names == {"host.csv", "simulator.csv", "error.csv", "motion.png", "senses.png"}
-    result = CliRunner().invoke(
-        app, ["cue", "tune", str(flight), "--share", "0.8", "--out", str(tmp_path / "tune")]
-    )
-    assert result.exit_code == 0, result.output
-    tuned = load_washout(tmp_path / "tune" / "washout.toml")
-    assert 0.79 < cue(PUSH, tuned).excursion.largest <= 0.8
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("missing.csv",), "missing.csv"),
-        (("FLIGHT", "--washout", "best"), "'best'"),
-        (("FLIGHT", "--cab", "bus"), "'bus'"),
-        (("FLIGHT", "--rate", "0"), "rate"),
-    ],
-)
-def test_cue_refuses_in_one_line(arguments, message, tmp_path):
-    flight = pushed(0, sustained(0.1, seconds=2.0)).save(tmp_path / "flight.csv")
-    options = [str(flight) if part == "FLIGHT" else part for part in arguments]
-    result = CliRunner().invoke(app, ["cue", "run", *options, "--out", str(tmp_path / "out")])
-    assert result.exit_code == 2
-    assert message in result.output
-    assert not (tmp_path / "out").exists()
+    cmf("cue", flight, "--share", "0.8", "--out", tmp_path / "tune")
+    flown = cue(PUSH, load_washout(tmp_path / "tune" / "washout.toml"))
+    assert 0.79 < flown.excursion.largest <= 0.8
+    stream = read_stream(tmp_path / "tune" / "host.csv")
+    np.testing.assert_allclose(stream.pose, flown.stream.pose, atol=1e-12)

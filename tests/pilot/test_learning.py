@@ -7,26 +7,25 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import signal
-from typer.testing import CliRunner
+from shared import cmf
 
 from cmf_mj import Hexapod, load_cab, load_hydraulics, signals
-from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.files import read_stream
 from cmf_mj.facility.host.stream import HostStream, from_command
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.aircraft.flight import load_flight
-from cmf_mj.pilot.cueing.flight import cue
+from cmf_mj.pilot.cueing import cue
+from cmf_mj.pilot.flight import load_flight
 from cmf_mj.pilot.learning import (
     SLOWEST,
     Learner,
     Learning,
-    compare,
-    filtered,
     frequencies,
     learn,
     make_learner,
+    on_others,
+    through,
 )
 from cmf_mj.studies.mismatch import drawn_machine
 
@@ -102,7 +101,7 @@ def test_the_filter_is_least_squares_and_no_machine_diverges() -> None:
 def test_ends_in_motion_pass_a_filter_of_one() -> None:
     ramp = np.linspace(0.0, 1.0, ROWS)[:, None] * np.ones(2)
     unit = np.broadcast_to(np.eye(2) + 0j, (len(frequencies(ROWS)), 2, 2))
-    assert np.abs(filtered(unit, ramp) - ramp)[40:-40].max() < 2e-3
+    assert np.abs(through(unit, ramp) - ramp)[40:-40].max() < 2e-3
 
 
 def wave(size: float, frequency: float = 0.6, cycles: float = 3.0) -> HostStream:
@@ -160,22 +159,7 @@ def test_a_motion_of_less_than_a_period_of_what_counts_is_refused() -> None:
 def test_a_demand_beyond_the_stroke_is_refused(learnt: Learning) -> None:
     far = learnt._replace(demand=learnt.demand._replace(pose=30.0 * learnt.demand.pose))
     with pytest.raises(InputError, match=r"demand: a leg is .* from neutral; allowed: 0\.9525 m"):
-        compare(far, [Hexapod("gfd")])
-
-
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        (("gusts", "--trials", "0"), "trials: '0' is refused"),
-        (("gusts", "--jobs", "0"), "jobs: '0' is refused"),
-        (("loop",), "flight: 'loop' is not one of"),
-        (("gusts", "--law", "none"), "law: 'none'"),
-    ],
-)
-def test_refusals_are_one_line(line: tuple[str, ...], said: str, tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["learn", *line, "--out", str(tmp_path / "out")])
-    assert result.exit_code == 2 and said in result.output.replace("\n", " ")
-    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
+        on_others(far, [Hexapod("gfd")])
 
 
 @pytest.mark.slow
@@ -190,19 +174,16 @@ def test_a_flight_is_learnt_to_a_tenth_and_helps_thirty_other_machines() -> None
     assert left[8] < 0.1
     assert left[41:].mean() - left[8:17].mean() < 5e-4  # of the first error, in 34 trials
     assert done.learner.ratio().max() < SLOWEST + 1e-9
-    others = compare(done, list(map(machine, range(6, 36))), seed=99)
+    others = on_others(done, list(map(machine, range(6, 36))), seed=99)
     assert (others[:, 1] < others[:, 0]).all()
 
 
 @pytest.mark.slow
 def test_cmf_learn_writes_a_demand_that_cmf_operate_replays(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    line = ["learn", "gusts", "--trials", "1", "--on", "1", "--out", str(out)]
-    assert CliRunner().invoke(app, line).exit_code == 0
+    cmf("learn", "gusts", "--trials", "1", "--on", "1", "--out", out)
     assert {path.name for path in out.iterdir()} == {
         *("demand.csv", "trials.csv", "machines.csv", "learning.png")
     }
     assert read_stream(out / "demand.csv").time[-1] == pytest.approx(36.0, abs=0.1)
-    replay = ["operate", str(out / "demand.csv"), "--out", str(tmp_path / "again")]
-    result = CliRunner().invoke(app, replay)
-    assert result.exit_code == 0 and "no fault" in result.output
+    assert "no fault" in cmf("operate", out / "demand.csv", "--out", tmp_path / "again")

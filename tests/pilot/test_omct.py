@@ -6,11 +6,9 @@ import control
 import numpy as np
 import pytest
 from flights import G
-from typer.testing import CliRunner
+from shared import cmf
 
-from cmf_mj.cli.common import app
 from cmf_mj.control.dcu.settings import load_dcu
-from cmf_mj.pilot.cueing.settings import load_washout, save_washout
 from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.pilot.omct import (
     ANGLE,
@@ -22,6 +20,7 @@ from cmf_mj.pilot.omct import (
     omct,
     outputs_of,
 )
+from cmf_mj.pilot.washout_settings import load_washout, save_washout
 from cmf_mj.show.cueing import omct_table, phase, share_table, unit
 
 SIMONA = load_washout()
@@ -168,13 +167,9 @@ def test_the_remainder_is_what_is_beside_mean_and_fundamental():
 def test_command_writes_table_and_figure(tmp_path):
     quiet = save_washout(SIMONA.with_gains(0.5 * SIMONA.gains), tmp_path / "mine.toml")
     out = tmp_path / "out"
-    result = CliRunner().invoke(
-        app,
-        ["omct", "--laws", "none", "--quick", "--dofs", "yaw", "--jobs", "1"]
-        + ["--washout", str(quiet), "--out", str(out)],
-    )
-    assert result.exit_code == 0, result.output
-    assert "yaw > yaw" in result.output and "boundary" in result.output
+    options = ("--laws", "none", "--quick", "--dofs", "yaw", "--jobs", "1")
+    said = cmf("omct", *options, "--washout", quiet, "--out", out)
+    assert "yaw > yaw" in said and "boundary" in said
     with (out / "omct.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {row["stage"] for row in rows} == {"washout", "ideal"}

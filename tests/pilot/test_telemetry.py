@@ -6,18 +6,19 @@ import struct
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from cmf_mj import InputError
-from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
+from cmf_mj.pilot.flight import flight_names, load_flight
 from cmf_mj.pilot.fly import fly
 from cmf_mj.pilot.motion import gravity_in_body
-from cmf_mj.pilot.telemetry.check import Telemetry, check
-from cmf_mj.pilot.telemetry.formats import decode, flight_of, fly_live, read_telemetry, telemetry_of
+from cmf_mj.pilot.telemetry import decode, flight_of, fly_live, read_telemetry, telemetry_of
+from cmf_mj.pilot.telemetry_check import Telemetry, check
 
 G, DEGREE = 9.80665, math.pi / 180.0
 
@@ -49,64 +50,35 @@ def beamng(
     return struct.pack("<4s21f", b"BNG1", *numbers)
 
 
-def line(force: tuple[float, ...], rates: tuple[float, ...], attitude: tuple[float, ...]) -> bytes:
-    return ",".join(map(str, (1.5, *force, *rates, *attitude))).encode()
+BRAKES, SPEED, TURN, UP = -4.0, 20.0, 0.2, 10.0 * DEGREE
+"""Along x [m/s^2]; a flat turn to the right, v r to the right; nose up."""
 
-
-BRAKES = -4.0
-"""m/s^2 along x."""
-
-SPEED, TURN = 20.0, 0.2
-"""A flat turn to the right: v r to the right, nose moving right."""
-
-NOSE_UP = 10.0 * DEGREE
+STILL, LIFT, PUSH = (0.0, 0.0, 0.0), G * math.cos(UP), G * math.sin(UP)
 
 GOLDEN = {
-    "rest": {
-        "xplane": xplane((0.0, G, 0.0)),
-        "beamng": beamng((0.0, 0.0, 0.0)),
-        "csv": line((0.0, 0.0, -G), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-    },
-    "brakes": {
-        "xplane": xplane((0.0, G, -BRAKES)),
-        "beamng": beamng((0.0, BRAKES, 0.0)),
-        "csv": line((BRAKES, 0.0, -G), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-    },
-    "right turn": {
-        "xplane": xplane((SPEED * TURN, G, 0.0), (0.0, 0.0, TURN)),
-        "beamng": beamng((SPEED * TURN, 0.0, 0.0), (0.0, 0.0, TURN)),
-        "csv": line((0.0, SPEED * TURN, -G), (0.0, 0.0, TURN), (0.0, 0.0, 0.0)),
-    },
-    "nose up": {
-        "xplane": xplane(
-            (0.0, G * math.cos(NOSE_UP), -G * math.sin(NOSE_UP)), attitude=(0.0, NOSE_UP, 0.0)
-        ),
-        "beamng": beamng((0.0, 0.0, 0.0), attitude=(0.0, NOSE_UP, 0.0)),
-        "csv": line(
-            (G * math.sin(NOSE_UP), 0.0, -G * math.cos(NOSE_UP)),
-            (0.0, 0.0, 0.0),
-            (0.0, NOSE_UP, 0.0),
-        ),
-    },
-}
-EXPECTED = {  # specific force, angular rate, attitude
-    "rest": ((0.0, 0.0, -G), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-    "brakes": ((BRAKES, 0.0, -G), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-    "right turn": ((0.0, SPEED * TURN, -G), (0.0, 0.0, TURN), (0.0, 0.0, 0.0)),
-    "nose up": (
-        (G * math.sin(NOSE_UP), 0.0, -G * math.cos(NOSE_UP)),
-        (0.0, 0.0, 0.0),
-        (0.0, NOSE_UP, 0.0),
+    "rest": ((0.0, G, 0.0), STILL, (0.0, 0.0, -G), STILL, STILL),
+    "brakes": ((0.0, G, -BRAKES), (0.0, BRAKES, 0.0), (BRAKES, 0.0, -G), STILL, STILL),
+    "right turn": (
+        *((SPEED * TURN, G, 0.0), (SPEED * TURN, 0.0, 0.0), (0.0, SPEED * TURN, -G)),
+        *((0.0, 0.0, TURN), STILL),
     ),
+    "nose up": ((0.0, LIFT, -PUSH), STILL, (PUSH, 0.0, -LIFT), STILL, (0.0, UP, 0.0)),
 }
+"""Right, up, back with gravity as of X-Plane; right, forward, up without as of BeamNG; specific
+force, angular rate and attitude of the body."""
 
 
 @pytest.mark.parametrize("form", ["xplane", "beamng", "csv"])
 @pytest.mark.parametrize("motion", list(GOLDEN))
 def test_golden_packets_give_body_axes(motion: str, form: str) -> None:
-    row = decode(form, GOLDEN[motion][form])
-    expected = [number for part in EXPECTED[motion] for number in part]
-    np.testing.assert_allclose(row[1:10], expected, atol=2e-6)
+    of_xplane, of_beamng, *body = GOLDEN[motion]
+    _, rates, attitude = body
+    sent = {
+        "xplane": xplane(of_xplane, rates, attitude),
+        "beamng": beamng(of_beamng, rates, attitude),
+        "csv": ",".join(map(str, (1.5, *np.ravel(body)))).encode(),
+    }
+    np.testing.assert_allclose(decode(form, sent[form])[1:10], np.ravel(body), atol=2e-6)
 
 
 @pytest.mark.parametrize(
@@ -150,50 +122,50 @@ def as_packets(name: str, form: str) -> list[tuple[float, bytes]]:
     return packets
 
 
-def _force(change: Callable[[Telemetry], NDArray[np.float64]]) -> Callable[[Telemetry], Telemetry]:
-    return lambda sent: sent._replace(specific_force=change(sent))
+Spoil = Callable[[Telemetry], Telemetry]
 
 
-def _rate(change: Callable[[Telemetry], NDArray[np.float64]]) -> Callable[[Telemetry], Telemetry]:
-    return lambda sent: sent._replace(angular_rate=change(sent))
+def spoiled(channel: str, change: Callable[[Any], Any], attitude: float = 0.0) -> Spoil:
+    """A channel changed, and so many times gravity in the attitude added to it."""
+
+    def spoil(sent: Telemetry) -> Telemetry:
+        values = change(getattr(sent, channel)) + attitude * gravity_in_body(sent.attitude)
+        return sent._replace(**{channel: values})
+
+    return spoil
 
 
-def _angle(change: Callable[[Telemetry], NDArray[np.float64]]) -> Callable[[Telemetry], Telemetry]:
-    return lambda sent: sent._replace(attitude=change(sent))
+_force, _rate, _angle = (
+    partial(spoiled, name) for name in ("specific_force", "angular_rate", "attitude")
+)
 
 
 def _interrupted(sent: Telemetry) -> Telemetry:
     return Telemetry._make(np.delete(values, slice(800, 840), axis=0) for values in sent)
 
 
-ERRORS: dict[str, tuple[Callable[[Telemetry], Telemetry], str]] = {
-    "y and z": (_force(lambda s: s.specific_force[:, [0, 2, 1]]), "force y and z are swapped"),
-    "p and q": (_rate(lambda s: s.angular_rate[:, [1, 0, 2]]), "p and q are swapped"),
-    "q and r": (_rate(lambda s: s.angular_rate[:, [0, 2, 1]]), "q and r are swapped"),
-    "g": (_force(lambda s: s.specific_force / G), "the specific force is in g, not in m/s^2"),
-    "deg/s": (_rate(lambda s: s.angular_rate / DEGREE), "the angular rates are in deg/s"),
-    "deg": (_angle(lambda s: s.attitude / DEGREE), "the angles are in deg, not in rad"),
-    "no gravity": (
-        _force(lambda s: s.specific_force + gravity_in_body(s.attitude)),
-        "gravity is left out",
-    ),
-    "gravity twice": (
-        _force(lambda s: s.specific_force - gravity_in_body(s.attitude)),
-        "gravity is in twice",
-    ),
-    "z up": (_force(lambda s: s.specific_force * [1, 1, -1]), "force z has the wrong sign"),
-    "nose down": (_rate(lambda s: s.angular_rate * [1, -1, 1]), "rate q has the wrong sign"),
-    "pitch": (_angle(lambda s: s.attitude * [1, -1, 1]), "angle of pitch has the wrong sign"),
+ERRORS: dict[str, tuple[Spoil, str]] = {
+    "y and z": (_force(lambda f: f[:, [0, 2, 1]]), "force y and z are swapped"),
+    "p and q": (_rate(lambda w: w[:, [1, 0, 2]]), "p and q are swapped"),
+    "q and r": (_rate(lambda w: w[:, [0, 2, 1]]), "q and r are swapped"),
+    "g": (_force(lambda f: f / G), "the specific force is in g, not in m/s^2"),
+    "deg/s": (_rate(lambda w: w / DEGREE), "the angular rates are in deg/s"),
+    "deg": (_angle(lambda e: e / DEGREE), "the angles are in deg, not in rad"),
+    "no gravity": (_force(lambda f: f, 1.0), "gravity is left out"),
+    "gravity twice": (_force(lambda f: f, -1.0), "gravity is in twice"),
+    "z up": (_force(lambda f: f * [1, 1, -1]), "force z has the wrong sign"),
+    "nose down": (_rate(lambda w: w * [1, -1, 1]), "rate q has the wrong sign"),
+    "pitch": (_angle(lambda e: e * [1, -1, 1]), "angle of pitch has the wrong sign"),
     "gap": (_interrupted, "a gap of 0.512 s after 9.9875 s"),
 }
 """Twelve errors, and words of what is said of each."""
 
-EXCITED: dict[str, tuple[Callable[[Telemetry], Telemetry], str]] = {
-    "x": (_force(lambda s: s.specific_force * [-1, 1, 1]), "force x has the wrong sign"),
-    "x and y": (_force(lambda s: s.specific_force[:, [1, 0, 2]]), "force x and y are swapped"),
-    "p": (_rate(lambda s: s.angular_rate * [-1, 1, 1]), "rate p has the wrong sign"),
-    "roll": (_angle(lambda s: s.attitude * [-1, 1, 1]), "angle of roll has the wrong sign"),
-    "yaw": (_angle(lambda s: s.attitude * [1, 1, -1]), "angle of yaw has the wrong sign"),
+EXCITED: dict[str, tuple[Spoil, str]] = {
+    "x": (_force(lambda f: f * [-1, 1, 1]), "force x has the wrong sign"),
+    "x and y": (_force(lambda f: f[:, [1, 0, 2]]), "force x and y are swapped"),
+    "p": (_rate(lambda w: w * [-1, 1, 1]), "rate p has the wrong sign"),
+    "roll": (_angle(lambda e: e * [-1, 1, 1]), "angle of roll has the wrong sign"),
+    "yaw": (_angle(lambda e: e * [1, 1, -1]), "angle of yaw has the wrong sign"),
 }
 """Errors that only some flights can show."""
 
@@ -293,7 +265,7 @@ def test_a_csv_with_units_and_without_the_header_of_a_flight_is_read(tmp_path: P
     received, _ = read_telemetry(bare, "csv")
     np.testing.assert_array_equal(received.specific_force, shipped("turn").specific_force)
     bare.write_text(text.replace("roll", "bank"))
-    with pytest.raises(InputError, match="has no column roll"):
+    with pytest.raises(InputError, match="roll: column is missing"):
         read_telemetry(bare, "csv")
 
 

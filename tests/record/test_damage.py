@@ -20,7 +20,7 @@ from cmf_mj.control.dcu.play import Arrivals
 from cmf_mj.core.files import write_parquet
 from cmf_mj.facility.host.files import HostSession
 from cmf_mj.facility.scenario.library import save_scenario
-from cmf_mj.pilot.aircraft.flight import Flight, load_flight
+from cmf_mj.pilot.flight import Flight, load_flight
 from cmf_mj.record.facility_csv import write_facility_csv
 from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.record.record import Record
@@ -71,7 +71,7 @@ def flipped(path: Path, generator: np.random.Generator) -> Iterator[int]:
     [
         ("run.parquet", lambda path: record().save(path), Record.load),
         ("host.parquet", lambda path: session().save(path), HostSession.load),
-        ("flight.parquet", lambda path: load_flight("gusts").save(path), Flight.load),
+        ("flight.parquet", lambda path: load_flight("gusts").save(path), load_flight),
         ("facility.csv", lambda path: write_facility_csv(record(), path), read_facility_csv),
         (
             "session.toml",

@@ -60,8 +60,8 @@ def test_refusals() -> None:
 
 
 def test_the_command_line() -> None:
-    result = CliRunner().invoke(app, ["sensors"])
+    result = CliRunner().invoke(app, ["list", "sensors"])
     assert result.exit_code == 0, result.output
     assert "0.86 g" in result.output
     assert "noise_density" in result.output
-    assert CliRunner().invoke(app, ["sensors", "loud"]).exit_code == 2
+    assert CliRunner().invoke(app, ["list", "sensors", "loud"]).exit_code == 2

@@ -289,6 +289,6 @@ def test_bad_requests_are_named(small: CalibrationStudy) -> None:
         calibrate(small, rounds=0)
     with pytest.raises(ValueError, match=r"payload: 1.1 must be 1 in a simulation"):
         simulated_results(small, {"payload": 1.1}, ["velocity"])
-    result = CliRunner().invoke(app, ["calibrate", "moon"])
+    result = CliRunner().invoke(app, ["report", "calibrate", "moon"])
     assert result.exit_code == 2
     assert "tables: 'moon' is not one of" in result.output

@@ -76,7 +76,7 @@ def test_command_writes_a_folder_a_study(
 ) -> None:
     monkeypatch.setattr(fit, "calibrate", lambda *_, **__: examined.calibration)
     monkeypatch.setattr(fit, "examine", lambda *_, **__: examined)
-    arguments = ["calibrate", "hardware", "--out", str(tmp_path / "out")]
+    arguments = ["report", "calibrate", "hardware", "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     assert "residuals of the simulation" in result.output

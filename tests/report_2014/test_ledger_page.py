@@ -81,7 +81,7 @@ def test_page_is_what_the_data_give() -> None:
 
 @pytest.mark.parametrize(("arguments", "count"), [([], None), (["3"], 1)])
 def test_command_prints_entries(arguments: list[str], count: int | None) -> None:
-    result = CliRunner().invoke(app, ["ledger", *arguments])
+    result = CliRunner().invoke(app, ["report", "ledger", *arguments])
     assert result.exit_code == 0, result.output
     rows = [line for line in result.output.splitlines() if "B = 0.1709" in line]
     assert len(rows) == 1
@@ -90,6 +90,6 @@ def test_command_prints_entries(arguments: list[str], count: int | None) -> None
 
 
 def test_command_refuses_an_unknown_entry() -> None:
-    result = CliRunner().invoke(app, ["ledger", "999"])
+    result = CliRunner().invoke(app, ["report", "ledger", "999"])
     assert result.exit_code == 2
     assert "number: 999 is not one of 1 to" in result.output

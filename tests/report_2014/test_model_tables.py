@@ -1,4 +1,4 @@
-"""Tables, figures and files of `cmf linear`."""
+"""Tables, figures and files of `cmf report linear`."""
 
 import csv
 from pathlib import Path
@@ -28,7 +28,9 @@ def test_linear_prints_the_tables_and_writes_the_files(
     tmp_path: Path, drawn: dict[str, set[str]]
 ) -> None:
     out = tmp_path / "out"
-    result = CliRunner().invoke(app, ["linear", "--laws", "velocity,original", "--out", str(out)])
+    result = CliRunner().invoke(
+        app, ["report", "linear", "--laws", "velocity,original", "--out", str(out)]
+    )
     assert result.exit_code == 0, result.output
     for entry in report_models():
         assert f" {entry.number} " in result.output
@@ -58,7 +60,7 @@ def test_linear_prints_the_tables_and_writes_the_files(
 
 def test_linear_refuses_in_one_line_and_writes_nothing(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    result = CliRunner().invoke(app, ["linear", "--laws", "fast", "--out", str(out)])
+    result = CliRunner().invoke(app, ["report", "linear", "--laws", "fast", "--out", str(out)])
     assert result.exit_code == 2
     assert "'fast'" in result.output
     assert not out.exists()

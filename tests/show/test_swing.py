@@ -187,14 +187,13 @@ def test_what_a_film_of_modes_cannot_do_is_named(
 
 @pytest.mark.slow
 def test_the_command_films_the_pose(tmp_path: Path) -> None:
-    cheap = ["--samples", "90", "--points", "3", "--rounds", "2", "--out", str(tmp_path)]
     looks = ["--fps", "4", "--speed", "0.02", "--width", "64", "--height", "50"]
-    arguments = ["modes", "--cabs", "ifd", "--pose", "0,0,-20,0,10,0", *cheap, *looks]
-    done = CliRunner().invoke(app, [*arguments, "--periods", "0.05", "--video", "film.gif"])
+    arguments = ["video", "modes", "--cab", "ifd", "--pose", "0,0,-20,0,10,0", *looks]
+    film = tmp_path / "film.gif"
+    done = CliRunner().invoke(app, [*arguments, "--periods", "0.05", "--file", str(film)])
     assert done.exit_code == 0, done.output
-    assert "film_ifd.gif" in done.output
-    with Image.open(tmp_path / "film_ifd.gif") as picture:
+    with Image.open(film) as picture:
         assert picture.size[0] == 192 and picture.n_frames >= 2
-    refused = CliRunner().invoke(app, [*arguments, "--video", "film.avi"])
+    refused = CliRunner().invoke(app, [*arguments, "--file", str(film.with_suffix(".avi"))])
     assert refused.exit_code == 2
-    assert "film_ifd.avi must end in .mp4 or .gif" in refused.output
+    assert "film.avi must end in .mp4 or .gif" in refused.output

@@ -125,7 +125,7 @@ def test_rounds_of_different_rates_or_without_demand_are_refused() -> None:
 
 def test_record_and_measure_from_the_command_line(tmp_path: Path) -> None:
     made = CliRunner().invoke(
-        app, ["record", "--plant", "single_legs", "--out", str(tmp_path / "r"), "--jobs", "2"]
+        app, ["measure", "--record", "--plant", "single_legs", "--out", str(tmp_path / "r")]
     )
     assert made.exit_code == 0, made.output
     files = sorted((tmp_path / "r").glob("*.csv"))
@@ -157,9 +157,9 @@ def test_record_and_measure_from_the_command_line(tmp_path: Path) -> None:
         (["measure", "notes.txt"], "ending '.txt' is not one of .csv, .parquet"),
         (["measure", "--simulate", "--plant", "boat"], "plant: 'boat'"),
         (["measure", "a.csv", "--estimator", "h3"], "estimator: 'h3' is not one of h1"),
-        (["record", "--dof", "up"], "dof: 'up' is not one of surge"),
-        (["record", "--law", "fast"], "law: 'fast'"),
-        (["record", "--amplitude", "60 in"], "heave"),
+        (["measure", "--record", "--dof", "up"], "dof: 'up' is not one of surge"),
+        (["measure", "--record", "--law", "fast"], "law: 'fast'"),
+        (["measure", "--record", "--amplitude", "60 in"], "heave"),
     ],
 )
 def test_what_cannot_be_measured_is_refused(

@@ -57,7 +57,7 @@ class HostStream(NamedTuple):
         return np.stack([self.pose, self.velocity, self.acceleration], axis=1)
 
     def frames(self) -> Iterator[HostFrame]:
-        """The frames one by one: a stream is a `PlatformHost`."""
+        """The frames one by one."""
         return (self.row(index) for index in range(self.time.size))
 
     def row(self, index: int) -> HostFrame:

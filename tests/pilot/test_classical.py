@@ -8,17 +8,17 @@ from flights import G, level, pushed, sustained, turn_entry, turned
 from cmf_mj.core.hold import Held, history, hold
 from cmf_mj.facility.host.stream import HostStream
 from cmf_mj.machine.geometry import DOFS
-from cmf_mj.pilot.cueing.classical import (
+from cmf_mj.pilot.classical import (
     follow,
     low_pass_filter,
     rotation_filter,
     side_by_side,
     translation_filter,
 )
-from cmf_mj.pilot.cueing.flight import cue
-from cmf_mj.pilot.cueing.settings import load_washout
-from cmf_mj.pilot.cueing.washout import Washout
+from cmf_mj.pilot.cueing import cue
 from cmf_mj.pilot.motion import PilotMotion, pilot_station
+from cmf_mj.pilot.washout import Washout
+from cmf_mj.pilot.washout_settings import load_washout
 
 SIMONA = load_washout("simona")
 STEP = 1.0 / 80.0

@@ -3,11 +3,11 @@
 A set is a table with `kind`, `classical` or `optimal`; its numbers have unit, status and source.
 """
 
-import json
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
+import tomlkit
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
@@ -199,18 +199,6 @@ def load_washout(source: str | Path | WashoutSettings = "simona") -> WashoutSett
 
 def save_washout(settings: WashoutSettings, path: str | Path) -> Path:
     """Write parameters as a TOML file that `load_washout` reads back."""
-
-    def text(value: str | float) -> str:
-        return json.dumps(value, ensure_ascii=False)
-
-    base, name = "optimal" if settings.kind == "optimal" else "simona", text(settings.name)
-    lines = [f'base = "{base}"', "", f"[{name}]"]
-    tables = settings.model_dump(exclude={"name", "kind"})
-    lines += [f"{key} = {text(value)}" for key, value in tables.items() if isinstance(value, str)]
-    for key, table in tables.items():
-        if isinstance(table, dict):
-            lines += ["", f"[{name}.{key}]"]
-            for field, quantity in table.items():
-                parts = (f"{part} = {text(value)}" for part, value in quantity.items())
-                lines.append(f"{field} = {{ {', '.join(parts)} }}")
-    return write_text(Path(path), "\n".join(lines) + "\n")
+    base = "optimal" if settings.kind == "optimal" else "simona"
+    table = settings.model_dump(mode="json", exclude={"name", "kind"})
+    return write_text(Path(path), tomlkit.dumps({"base": base, settings.name: table}))

@@ -43,7 +43,7 @@ from cmf_mj.core.compiled import allocating
 from cmf_mj.core.hold import Held, advance, hold, read, settled
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.machine.kinematics import rotation
-from cmf_mj.pilot.cueing.settings import ClassicalSettings, HighPass, ThirdOrder, Tilted
+from cmf_mj.pilot.washout_settings import ClassicalSettings, HighPass, ThirdOrder, Tilted
 
 Matrices = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 """A, B, C, D."""
@@ -74,7 +74,7 @@ def settle(filtering: Filter, inputs: NDArray[np.float64]) -> None:
 
 
 @allocating
-def push(filtering, inputs):  # type: ignore[no-untyped-def]
+def push_sample(filtering, inputs):  # type: ignore[no-untyped-def]
     """Move a filter to the next sample, with inputs (m,)."""
     work = np.empty(filtering.state.size)
     advance(filtering.system, filtering.state, filtering.inputs, inputs, work)
@@ -100,6 +100,15 @@ class Classical(NamedTuple):
     tilt_rate: float  #: R [rad/s].
     recovery: float  #: tau [s].
     interval: float  #: T [s].
+
+    def settle(self, euler_rates: NDArray[np.float64], force: NDArray[np.float64]) -> None:
+        """Settle on Euler rates (3,) and a specific force f1 (3,), constant for a long time."""
+        settle(self.low_pass, np.clip(force[:2], -self.tilt_force, self.tilt_force))
+        _tilt_demands(self.low_pass, self.demand)
+        self.tilt[:] = self.demand
+        turn = rotation(-self.tilt[1, 0], self.tilt[0, 0], 0.0)
+        settle(self.translation, turn @ force + np.array([0.0, 0.0, STANDARD_GRAVITY]))
+        settle(self.rotation, np.concatenate([euler_rates, np.zeros(3)]))
 
 
 def rotation_filter(axis: HighPass) -> Matrices:
@@ -141,7 +150,7 @@ def side_by_side(systems: list[Matrices], interval: float) -> Held:
 
 
 def make_classical(settings: ClassicalSettings, interval: float) -> Classical:
-    """The algorithm at samples `interval` [s] apart; `settle_classical` starts it."""
+    """The algorithm at samples `interval` [s] apart; `settle` starts it."""
     turns = (settings.roll, settings.pitch, settings.yaw)
     tilts = (settings.surge, settings.sway)
     rotations = side_by_side([rotation_filter(axis) for axis in turns], interval)
@@ -158,18 +167,6 @@ def make_classical(settings: ClassicalSettings, interval: float) -> Classical:
         settings.inputs.tilt_recovery.si,
         interval,
     )
-
-
-def settle_classical(
-    classical: Classical, euler_rates: NDArray[np.float64], force: NDArray[np.float64]
-) -> None:
-    """Settle on Euler rates (3,) and a specific force f1 (3,), constant for a long time."""
-    settle(classical.low_pass, np.clip(force[:2], -classical.tilt_force, classical.tilt_force))
-    _tilt_demands(classical.low_pass, classical.demand)
-    classical.tilt[:] = classical.demand
-    turn = rotation(-classical.tilt[1, 0], classical.tilt[0, 0], 0.0)
-    settle(classical.translation, turn @ force + np.array([0.0, 0.0, STANDARD_GRAVITY]))
-    settle(classical.rotation, np.concatenate([euler_rates, np.zeros(3)]))
 
 
 @allocating
@@ -238,14 +235,14 @@ def move_classical(classical, euler_rates, slopes, force, angular, linear):  # t
     """
     turning = np.empty(6)
     turning[:3], turning[3:] = euler_rates, slopes
-    push(classical.rotation, turning)
+    push_sample(classical.rotation, turning)
     outputs(classical.rotation, angular.reshape(9))
 
     pushing = np.empty(2)
     demand = np.empty((2, 3))
     for axis in range(2):
         pushing[axis] = min(max(force[axis], -classical.tilt_force), classical.tilt_force)
-    push(classical.low_pass, pushing)
+    push_sample(classical.low_pass, pushing)
     _tilt_demands(classical.low_pass, demand)
     limits = (classical.tilt_rate, classical.recovery, classical.interval)
     for axis in range(2):
@@ -257,5 +254,5 @@ def move_classical(classical, euler_rates, slopes, force, angular, linear):  # t
 
     moving = rotation(angular[0, 0], angular[0, 1], angular[0, 2]) @ force
     moving[2] += STANDARD_GRAVITY
-    push(classical.translation, moving)
+    push_sample(classical.translation, moving)
     outputs(classical.translation, linear.reshape(9))

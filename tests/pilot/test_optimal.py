@@ -6,13 +6,13 @@ import pytest
 from flights import G, pushed, sustained, turned
 from scipy import linalg
 
-from cmf_mj.pilot.cueing.optimal import modes
-from cmf_mj.pilot.cueing.settings import load_washout
-from cmf_mj.pilot.cueing.washout import Washout
 from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.pilot.optimal import washout_modes
+from cmf_mj.pilot.washout import Washout
+from cmf_mj.pilot.washout_settings import load_washout
 
 SETTINGS = load_washout("optimal")
-MODES = modes(SETTINGS)
+MODES = washout_modes(SETTINGS)
 NAMES = tuple(MODES)
 
 
@@ -65,7 +65,7 @@ def test_with_travel_and_effort_for_nothing_the_simulator_does_what_the_aircraft
         if field.removesuffix("_integral") in ("position", "velocity", "acceleration", "angle")
         or field == "rate"
     }
-    freed = modes(SETTINGS.model_copy(update={name: mode.model_copy(update=free)}))
+    freed = washout_modes(SETTINGS.model_copy(update={name: mode.model_copy(update=free)}))
     points = 1j * np.array([3.0, 10.0])
     for point in points:
         ours, bound = (
@@ -77,7 +77,7 @@ def test_with_travel_and_effort_for_nothing_the_simulator_does_what_the_aircraft
 
 def test_sway_mirrors_surge_with_equal_sizes():
     sizes = SETTINGS.pitch_surge
-    mirrored = modes(SETTINGS.model_copy(update={"roll_sway": sizes}))
+    mirrored = washout_modes(SETTINGS.model_copy(update={"roll_sway": sizes}))
     points = 1j * np.geomspace(0.05, 20.0, 9)
     surge, sway = (control.ss(*mirrored[n].filter) for n in ("pitch_surge", "roll_sway"))
     for point in points:

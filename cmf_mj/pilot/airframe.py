@@ -194,7 +194,7 @@ class Airframe:
         force = self._vector("forces/fb{}-total-lbs") / self["inertia/mass-slugs"] * units.FOOT
         from_centre = self._vector("metrics/eyepoint-{}-in") - self._vector("inertia/cg-{}-in")
         lever = from_centre * np.array([-1.0, 1.0, -1.0]) * units.INCH
-        felt = force + np.cross(turning, lever) + np.cross(rate, np.cross(rate, lever))
+        felt = force + _cross(turning, lever) + _cross(rate, _cross(rate, lever))
         return AircraftState(
             self["simulation/sim-time-sec"],
             felt,
@@ -213,6 +213,12 @@ class Airframe:
 
     def _vector(self, pattern: str, names: Iterable[str] = "xyz") -> NDArray[np.float64]:
         return np.array([self[pattern.format(name)] for name in names])
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """As `np.cross` to the bit, which takes half the time of a flight."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def without_network(aircraft: Path, copy: Path) -> None:

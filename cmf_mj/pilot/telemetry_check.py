@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmf_mj.core.units import DEGREE, STANDARD_GRAVITY
-from cmf_mj.pilot.motion import gravity_in_body, interpolated
+from cmf_mj.facility.host.stream import make_stream
+from cmf_mj.pilot.motion import PilotMotion, gravity_in_body, interpolated
 
 Array = NDArray[np.float64]
 
@@ -194,8 +195,8 @@ class _Costs:
         apart = _mean(values - (rates if change.channel == "rate" else force))
         if change.channel == "force" and self._path is None:
             # On the whole nothing rises or falls; along and across it may do what it likes.
-            apart = _to_body(angles[: len(apart)], apart, back=True)
-            return float(np.log(_FLOOR["vertical"] + abs(apart[:, 2].mean())))
+            level = Rotation.from_euler("ZYX", angles[: len(apart), ::-1]).apply(apart)
+            return float(np.log(_FLOOR["vertical"] + abs(level[:, 2].mean())))
         rms = np.sqrt((apart**2).mean(axis=0))
         if attitude.said == _DEGREES[0] and change.said == _DEGREES[1]:
             rms /= DEGREE  # if both shrink alike, nothing fits better
@@ -205,15 +206,14 @@ class _Costs:
         """Attitude, and the rate and the force that belong to it."""
         angles = attitude.mend(self._channels["attitude"], self._channels["attitude"])
         angles = interpolated(self._even, self._time, np.unwrap(angles, axis=0))
-        (roll, pitch, _), (p, q, r) = angles.T, np.gradient(angles, 1.0 / _RATE, axis=0).T
-        across, sine, cosine = r * np.cos(pitch), np.sin(roll), np.cos(roll)
-        turned = q * cosine + sine * across, -q * sine + cosine * across
-        rates = np.column_stack([p - r * np.sin(pitch), *turned])
-        force = -gravity_in_body(angles)
+        pose, velocity, acceleration = np.zeros((3, len(angles), 6))
+        pose[:, 3:], velocity[:, 3:] = angles, np.gradient(angles, 1.0 / _RATE, axis=0)
         if self._path is not None:
             speed, height = self._path.T
-            force += _to_body(angles, _acceleration(speed, height, angles[:, 2]))
-        return angles, rates, force
+            acceleration[:, :3] = _acceleration(speed, height, angles[:, 2])
+        path = make_stream(self._even, pose, velocity, acceleration)
+        motion = PilotMotion.from_platform(path, np.zeros(3))
+        return angles, motion.angular_rate, motion.specific_force
 
 
 def _mean(values: Array) -> Array:
@@ -229,9 +229,3 @@ def _acceleration(speed: Array, height: Array, heading: Array) -> Array:
     level = np.sqrt(np.maximum(speed**2 - climb**2, 0.0))
     velocity = np.column_stack([level * np.cos(heading), level * np.sin(heading), -climb])
     return np.asarray(np.gradient(velocity, 1.0 / _RATE, axis=0))
-
-
-def _to_body(angles: Array, vectors: Array, *, back: bool = False) -> Array:
-    """T^T v of rows (N, 3), or T v."""
-    turn = Rotation.from_euler("ZYX", angles[:, ::-1])
-    return np.asarray((turn if back else turn.inv()).apply(vectors))

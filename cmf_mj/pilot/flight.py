@@ -6,17 +6,17 @@ A file is CSV or Parquet with the columns of `PilotMotion` and any others,
 
 each with its unit: in a Parquet file as JSON in the schema, in a CSV file in the header, `time
 [s],specific_force_x [g],angular_rate_x [deg/s] ...`. Units that `cmf_mj.core.units` knows are
-converted; a column without one is in SI. The metadata are with the units in Parquet, and in the
-first line of a CSV file after `# cmf_mj_flight`, as JSON.
+converted; a column without one is in SI. The origin is with the units in Parquet, and in the first
+line of a CSV file after `# cmf_mj_flight`, as JSON; a file may do without.
 """
 
 import io
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pyarrow as pa
@@ -27,9 +27,8 @@ from pydantic import Field
 from cmf_mj.core import units
 from cmf_mj.core.arrays import FrozenDict, check_finite, frozen
 from cmf_mj.core.errors import InputError, reason, unknown_name, within
-from cmf_mj.core.files import read_column, read_headed, whole_file, write_parquet
+from cmf_mj.core.files import read_column, read_table, whole_file, write_parquet
 from cmf_mj.core.settings import FileHeader, Settings, check_file, parsed_json, validated
-from cmf_mj.pilot.host import PilotSample, pilot_samples
 from cmf_mj.pilot.motion import COLUMNS, PilotMotion
 
 _KEY = "cmf_mj_flight"
@@ -44,13 +43,16 @@ _UNITS = {
 }
 _SHIPPED = Path(__file__).parent / "flights"
 
+_SLOWEST = 1.0
+"""Longest time from row to row of a flight in a file [s]."""
+
 
 class Origin(Settings):
     """Where a flight comes from."""
 
     title: str  #: In words.
-    aircraft: str  #: Type.
-    lever_arm: Annotated[tuple[float, float, float], Field(strict=False)]
+    aircraft: str = "unknown"  #: Type.
+    lever_arm: Annotated[tuple[float, float, float], Field(strict=False)] = (0.0, 0.0, 0.0)
     """From the centre of gravity to the pilot's station at the start, body axes [m]."""
     source: str  #: What flew it, with its version.
     seed: int | None = None  #: Of its turbulence, where there is any.
@@ -65,7 +67,7 @@ class FlightHeader(FileHeader):
 
 @dataclass(frozen=True)
 class Flight:
-    """A recorded flight; an `AircraftHost`."""
+    """A recorded flight."""
 
     motion: PilotMotion  #: At the pilot's station.
     origin: Origin  #: Where it comes from.
@@ -81,10 +83,6 @@ class Flight:
             check_finite(name, values)
         frozen_others = {name: frozen(values) for name, values in others.items()}
         object.__setattr__(self, "others", FrozenDict(frozen_others))
-
-    def samples(self) -> Iterator[PilotSample]:
-        """The samples one by one, as a host in aircraft mode sends them."""
-        return pilot_samples(self.motion)
 
     def save(self, path: str | Path, *, single: bool = False) -> Path:
         """Write as CSV or Parquet, by the name's end; the file appears when it is complete.
@@ -109,22 +107,6 @@ class Flight:
             pyarrow.csv.write_csv(pa.table(titled), file)
         return target
 
-    @staticmethod
-    def load(path: str | Path) -> "Flight":
-        """Read a flight; what is refused in file, header, columns and units is named."""
-        source = Path(path)
-        table, column_units, origin = _parts(source)
-
-        def column(name: str) -> NDArray[np.float64]:
-            values = read_column(source, table, name)
-            with within(f"{source}: {name}"):
-                return np.asarray(units.to_si(column_units.get(name, "1"), values))
-
-        motion = PilotMotion.from_columns(column, source)
-        others = {n: column(n) for n in table.column_names if n not in motion.columns()}
-        with within(source):
-            return Flight(motion, origin, others)
-
 
 def flight_names() -> list[str]:
     """Names of the flights that ship with the project."""
@@ -133,58 +115,69 @@ def flight_names() -> list[str]:
 
 def load_flight(source: str | Path) -> Flight:
     """Load a shipped flight by its name, or a CSV or Parquet file."""
-    if Path(source).suffix:
-        return Flight.load(source)
-    if str(source) not in flight_names():
-        raise unknown_name("flight", str(source), flight_names(), " nor a .csv or .parquet file")
-    return Flight.load(_SHIPPED / f"{source}.parquet")
+    path, columns, origin = read_columns(source)
+    time = columns.pop("time")
+    channels = [np.column_stack([columns.pop(n) for n in names]) for names in COLUMNS.values()]
+    with within(path):
+        motion = PilotMotion(time, *channels)
+        if time.size < 2:
+            raise InputError(f"time: has {time.size} row; at least 2 are needed")
+        if (step := float(np.median(np.diff(time)))) > _SLOWEST:
+            raise InputError(f"time: {step:g} s from row to row; allowed: to {_SLOWEST} s; in ms?")
+        if (pitch := float(np.abs(motion.attitude[:, 1]).max())) > 0.5 * np.pi:
+            raise InputError(f"pitch: {pitch:g} rad; allowed: within +-90 deg; in degrees?")
+        return Flight(motion, origin, columns)
 
 
-def read_columns(path: Path) -> dict[str, NDArray[np.float64]]:
-    """Columns of a CSV file in SI, by the units of its header; a line with `#` above it is left."""
-    text = _text(path)
-    if text.startswith("#"):
-        text = text.partition("\n")[2]
-    table, column_units = _titled(path, text)
+def read_columns(source: str | Path) -> tuple[Path, dict[str, NDArray[np.float64]], Origin]:
+    """The file of a shipped flight or a user's, its columns in SI, which may yet make no sense."""
+    path = Path(source)
+    if not path.suffix:
+        if str(source) not in flight_names():
+            files = " nor a .csv or .parquet file"
+            raise unknown_name("flight", str(source), flight_names(), files)
+        path = _SHIPPED / f"{source}.parquet"
+    table, column_units, origin = (_csv if path.suffix == ".csv" else _parquet)(path)
     columns = {}
-    for name in table.column_names:
+    for name in dict.fromkeys(["time", *sum(COLUMNS.values(), ()), *table.column_names]):
+        values = read_column(path, table, name)
         with within(f"{path}: {name}"):
-            values = read_column(path, table, name)
             columns[name] = np.asarray(units.to_si(column_units.get(name, "1"), values))
-    return columns
+    return path, columns, origin or Origin(title=path.stem, source=path.name)
 
 
-def _text(path: Path) -> str:
+Parts = tuple[pa.Table, dict[str, str], Origin | None]
+"""Table, units of its columns, origin."""
+
+
+def _parquet(path: Path) -> Parts:
+    table = read_table(path)
+    raw = (table.schema.metadata or {}).get(_KEY.encode())
+    if raw is None:
+        return table, {}, None
+    where = f"{path}: header {_KEY}"
+    header = validated(FlightHeader, parsed_json(raw, where), where)
+    return table, header.units, header.origin
+
+
+def _csv(path: Path) -> Parts:
+    origin: Any = None
     try:
-        return check_file(path).read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {reason(error)}") from error
-
-
-def _parts(path: Path) -> tuple[pa.Table, dict[str, str], Origin]:
-    """Table, units of its columns and origin."""
-    if path.suffix != ".csv":
-        table, header = read_headed(path, _KEY, FlightHeader)
-        return table, header.units, header.origin
-    first, _, rest = _text(path).partition("\n")
-    if not first.startswith(f"# {_KEY} "):
-        raise InputError(
-            f"{path}: row 1: is {first[:40]!r}; allowed: '# {_KEY} ' and the origin as JSON"
-        )
-    origin = parsed_json(first.removeprefix(f"# {_KEY} "), f"{path}: row 1")
-    return *_titled(path, rest), validated(Origin, origin, f"{path}: row 1")
-
-
-def _titled(path: Path, text: str) -> tuple[pa.Table, dict[str, str]]:
-    """Table of a CSV text and the units of its columns."""
-    try:
+        text = check_file(path).read_text(encoding="utf-8-sig")
+        if text.startswith("#"):
+            first, _, text = text.partition("\n")
+            if first.startswith(f"# {_KEY} "):
+                origin = parsed_json(first.removeprefix(f"# {_KEY} "), f"{path}: row 1")
+                origin = validated(Origin, origin, f"{path}: row 1")
         table = pyarrow.csv.read_csv(io.BytesIO(text.encode()))
-    except (ValueError, pa.ArrowException) as error:
+    except InputError:
+        raise
+    except (OSError, ValueError, pa.ArrowException) as error:
         raise InputError(f"{path}: cannot be read: {reason(error)}") from error
-    matches = [_HEADER.match(cell.strip().strip('"')) for cell in table.column_names]
-    if not all(matches):
-        odd = table.column_names[matches.index(None)]
-        raise InputError(f"{path}: header: {odd!r} is refused; allowed: name or name [unit]")
-    cells = [match.groupdict() for match in matches if match]
-    column_units = {str(cell["name"]): cell["unit"] or "1" for cell in cells}
-    return table.rename_columns([str(cell["name"]) for cell in cells]), column_units
+    names, column_units = [], {}
+    for cell in table.column_names:
+        if (title := _HEADER.match(cell.strip(' "'))) is None:
+            raise InputError(f"{path}: header: {cell!r} is refused; allowed: name or name [unit]")
+        names.append(title["name"].lower())
+        column_units[names[-1]] = title["unit"] or "1"
+    return table.rename_columns(names), column_units, origin

@@ -24,11 +24,10 @@ from cmf_mj.machine.leg_motion import leg_motion_to_pose, pose_motion_to_legs
 from cmf_mj.machine.limits import MotionLimits
 from cmf_mj.machine.machine import Machine
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.cueing.settings import WashoutSettings, load_washout
-from cmf_mj.pilot.cueing.washout import Washout
-from cmf_mj.pilot.host import MOST_RATE
-from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.pilot.motion import MOST_RATE, PilotMotion
 from cmf_mj.pilot.perception import CueingError, Senses, cueing_error
+from cmf_mj.pilot.washout import Washout
+from cmf_mj.pilot.washout_settings import WashoutSettings, load_washout
 
 LIMITS = (
     *("displacement", "velocity", "acceleration"),

@@ -24,16 +24,10 @@ from cmf_mj.core.errors import InputError
 from cmf_mj.core.units import STANDARD_GRAVITY
 from cmf_mj.facility.host.stream import HostFrame, HostStream, make_stream
 from cmf_mj.machine.kinematics import rotation
-from cmf_mj.pilot.cueing.classical import (
-    Classical,
-    make_classical,
-    move_classical,
-    settle_classical,
-)
-from cmf_mj.pilot.cueing.optimal import Optimal, make_optimal, move_optimal, settle_optimal
-from cmf_mj.pilot.cueing.settings import ClassicalSettings, WashoutSettings, load_washout
-from cmf_mj.pilot.host import MOST_RATE
-from cmf_mj.pilot.motion import PilotMotion, body_rates, pilot_station, vector
+from cmf_mj.pilot.classical import Classical, make_classical, move_classical
+from cmf_mj.pilot.motion import MOST_RATE, PilotMotion, body_rates, pilot_station, vector
+from cmf_mj.pilot.optimal import Optimal, make_optimal, move_optimal
+from cmf_mj.pilot.washout_settings import ClassicalSettings, WashoutSettings, load_washout
 
 
 class Cueing(NamedTuple):
@@ -82,7 +76,7 @@ def euler_rates_of(roll, pitch, rate, out):  # type: ignore[no-untyped-def]
 
 
 @allocating
-def place(cueing, motion):  # type: ignore[no-untyped-def]
+def place_platform(cueing, motion):  # type: ignore[no-untyped-def]
     """Write pose, velocity and acceleration of the centroid, (3, 6)."""
     station, angular, linear = cueing.station, cueing.angular, cueing.linear
     omega, alpha = np.empty(3), np.empty(3)
@@ -116,12 +110,12 @@ def step(cueing, specific_force, angular_rate, motion):  # type: ignore[no-untyp
         slopes[axis] = (euler_rates[axis] - cueing.euler_rates[axis]) / span
     cueing.euler_rates[:] = euler_rates
     move(cueing.algorithm, euler_rates, slopes, force, angular, cueing.linear)
-    place(cueing, motion)
+    place_platform(cueing, motion)
 
 
 @allocating
 def _run(cueing, specific_force, angular_rate, motion):  # type: ignore[no-untyped-def]
-    place(cueing, motion[0])
+    place_platform(cueing, motion[0])
     for row in range(1, specific_force.shape[0]):
         step(cueing, specific_force[row], angular_rate[row], motion[row])
 
@@ -194,16 +188,13 @@ class Washout:
         # The attitude depends on the force only, the Euler rates on the attitude.
         for roll, pitch in ((0.0, 0.0), cueing.angular[0, :2]):
             euler_rates_of(roll, pitch, rate, cueing.euler_rates)
-            if isinstance(cueing.algorithm, Classical):
-                settle_classical(cueing.algorithm, cueing.euler_rates, force)
-            else:
-                settle_optimal(cueing.algorithm, cueing.euler_rates, force)
+            cueing.algorithm.settle(cueing.euler_rates, force)
             # At rest a step with the same inputs changes nothing; it reads the outputs.
             rest = (cueing.euler_rates, np.zeros(3), force)
             move(cueing.algorithm, *rest, cueing.angular, cueing.linear)
         self._sequence = 0
         motion = np.empty((3, 6))
-        place(cueing, motion)
+        place_platform(cueing, motion)
         return HostFrame(0, 0.0, *motion)
 
     def frame(self, specific_force: ArrayLike, angular_rate: ArrayLike) -> HostFrame:

@@ -33,12 +33,11 @@ from cmf_mj.facility.operation import serve
 from cmf_mj.facility.session import Session
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.motion_limits import load_motion_limits
-from cmf_mj.pilot.aircraft.flight import Flight, Origin, load_flight, read_columns
-from cmf_mj.pilot.cueing.washout import Washout
+from cmf_mj.pilot.flight import Flight, Origin, read_columns
 from cmf_mj.pilot.fly import RECORD_EVERY, FlightResult, flight_result
-from cmf_mj.pilot.host import MOST_RATE
-from cmf_mj.pilot.motion import COLUMNS, PilotMotion, gravity_in_body
-from cmf_mj.pilot.telemetry.check import Telemetry, check
+from cmf_mj.pilot.motion import COLUMNS, MOST_RATE, PilotMotion, gravity_in_body
+from cmf_mj.pilot.telemetry_check import Telemetry, check
+from cmf_mj.pilot.washout import Washout
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
 
@@ -130,24 +129,13 @@ def listen(form: str, port: int, seconds: float, *, bind: str = LOOPBACK) -> tup
 
 def read_telemetry(source: str | Path, form: str) -> tuple[Telemetry, int]:
     """A recording: a pcap file of datagrams; of csv, a CSV file or a flight by name or file."""
-    path = Path(source)
     if form != "csv":
-        return telemetry_of(form, _packets(path))
-    if path.suffix == ".csv":
-        columns = read_columns(path)
-        names = ["time", *(name for channel in COLUMNS.values() for name in channel)]
-        missing = [name for name in names if name not in columns]
-        if missing:
-            raise InputError(f"{path}: has no column {', '.join(missing)}")
-        stamps, *values = (columns[name] for name in names)
-    else:
-        flight = load_flight(source)
-        columns = {**flight.motion.columns(), **flight.others}
-        stamps, *values = (columns[name] for name in flight.motion.columns())
-    unknown = np.full(stamps.size, np.nan)
+        return telemetry_of(form, _packets(Path(source)))
+    _, columns, _ = read_columns(source)
+    unknown = np.full(columns["time"].size, np.nan)
+    motion = (np.column_stack([columns[n] for n in names]) for names in COLUMNS.values())
     path_of = (columns.get(name, unknown) for name in ("airspeed", "height"))
-    table = np.column_stack(values)
-    return Telemetry(stamps, table[:, :3], table[:, 3:6], table[:, 6:], *path_of), 0
+    return Telemetry(columns["time"], *motion, *path_of), 0
 
 
 _LINKS = {0: 4, 1: 14, 12: 0, 101: 0, 113: 16, 276: 20}
@@ -184,8 +172,7 @@ def flight_of(telemetry: Telemetry, form: str, title: str) -> Flight:
     """Telemetry as a flight at 80 Hz, from time 0, of an aircraft that nobody named."""
     angles, time = np.unwrap(telemetry.attitude, axis=0), telemetry.time - telemetry.time[0]
     motion = PilotMotion(time, telemetry.specific_force, telemetry.angular_rate, angles)
-    origin = Origin(title=title, aircraft="unknown", lever_arm=(0.0, 0.0, 0.0), source=form)
-    return Flight(motion.resampled(MOST_RATE), origin)
+    return Flight(motion.resampled(MOST_RATE), Origin(title=title, source=form))
 
 
 _FADE = (0.1, 0.5)

@@ -33,9 +33,9 @@ from cmf_mj.core.compiled import allocating
 from cmf_mj.core.hold import hold
 from cmf_mj.core.settings import Settings
 from cmf_mj.core.units import STANDARD_GRAVITY
-from cmf_mj.pilot.cueing.classical import Filter, Matrices, at_work, outputs, push, settle
-from cmf_mj.pilot.cueing.settings import OptimalSettings, TiltingSizes
+from cmf_mj.pilot.classical import Filter, Matrices, at_work, outputs, push_sample, settle
 from cmf_mj.pilot.perception import canal_response, load_senses, otolith_response, state_space
+from cmf_mj.pilot.washout_settings import OptimalSettings, TiltingSizes
 
 Matrix = NDArray[np.float64]
 
@@ -66,6 +66,11 @@ class Optimal(NamedTuple):
     """Euler rates (3), specific force less that of level rest (3) and slopes of the Euler rates
     and the force (6) to angles and displacements with two derivatives (18)."""
     interval: float  #: T [s].
+
+    def settle(self, euler_rates: Matrix, force: Matrix) -> None:
+        """As `Classical.settle`."""
+        beyond = force + [0.0, 0.0, STANDARD_GRAVITY]
+        settle(self.filter, np.concatenate([euler_rates, beyond, np.zeros(6)]))
 
 
 def _solve(
@@ -130,7 +135,7 @@ def _si(sizes: Settings, *names: str) -> list[float]:
 _TRAVEL = ("position_integral", "position", "velocity")
 
 
-def modes(settings: OptimalSettings) -> dict[str, WashoutMode]:
+def washout_modes(settings: OptimalSettings) -> dict[str, WashoutMode]:
     """All four modes by name.
 
     Inputs of a filter are Euler rate and specific force, outputs angle, its rate, displacement,
@@ -188,8 +193,8 @@ _PLACES = {
 
 
 def make_optimal(settings: OptimalSettings, interval: float) -> Optimal:
-    """The algorithm at samples `interval` [s] apart; `settle_optimal` starts it."""
-    by_name = modes(settings)
+    """The algorithm at samples `interval` [s] apart; `settle` starts it."""
+    by_name = washout_modes(settings)
     a = linalg.block_diag(*(mode.filter[0] for mode in by_name.values()))
     b, c, d = np.zeros((len(a), 12)), np.zeros((18, len(a))), np.zeros((18, 12))
     begin = 0
@@ -210,12 +215,6 @@ def make_optimal(settings: OptimalSettings, interval: float) -> Optimal:
     return Optimal(at_work(hold(a, b, c, d, interval)), interval)
 
 
-def settle_optimal(optimal: Optimal, euler_rates: Matrix, force: Matrix) -> None:
-    """Settle on Euler rates (3,) and a specific force f1 (3,), constant for a long time."""
-    beyond = force + [0.0, 0.0, STANDARD_GRAVITY]
-    settle(optimal.filter, np.concatenate([euler_rates, beyond, np.zeros(6)]))
-
-
 @allocating
 def move_optimal(optimal, euler_rates, slopes, force, angular, linear):  # type: ignore[no-untyped-def]
     """One sample; arguments as for `move_classical`."""
@@ -227,7 +226,7 @@ def move_optimal(optimal, euler_rates, slopes, force, angular, linear):  # type:
     inputs[5] += STANDARD_GRAVITY
     for axis in range(3):
         inputs[9 + axis] = (inputs[3 + axis] - optimal.filter.inputs[3 + axis]) / optimal.interval
-    push(optimal.filter, inputs)
+    push_sample(optimal.filter, inputs)
     outputs(optimal.filter, out)
     angular[:] = out[:9].reshape(3, 3)
     linear[:] = out[9:].reshape(3, 3)

@@ -25,10 +25,9 @@ from numpy.typing import NDArray
 
 from cmf_mj.core.errors import check_name
 from cmf_mj.core.units import DEGREE, FOOT, KNOT
-from cmf_mj.pilot.aircraft.airframe import RATE, AircraftState, Airframe, Controls
-from cmf_mj.pilot.aircraft.flight import Flight, Origin
-from cmf_mj.pilot.host import MOST_RATE, PilotSample
-from cmf_mj.pilot.motion import PilotMotion
+from cmf_mj.pilot.airframe import RATE, AircraftState, Airframe, Controls
+from cmf_mj.pilot.flight import Flight, Origin
+from cmf_mj.pilot.motion import MOST_RATE, PilotMotion
 
 LAG = 0.15
 """Time constant from what the pilot wants to the control surface [s]: arm and actuator, assumed.
@@ -262,10 +261,10 @@ SCRIPTS = {
 
 
 class ScriptedFlight:
-    """An aircraft of JSBSim that a script flies, made for the 737; an `AircraftHost`."""
+    """An aircraft of JSBSim that a script flies, made for the 737."""
 
     def __init__(self, name: str, *, aircraft: str = "737", seed: int = 1) -> None:
-        """Choose one of `SCRIPTS` and the turbulence's seed; the first sample starts the flight."""
+        """Choose one of `SCRIPTS` and the turbulence's seed; the first state starts the flight."""
         check_name("flight", name, SCRIPTS)
         self.name, self.aircraft, self.seed = name, aircraft, seed
 
@@ -288,11 +287,6 @@ class ScriptedFlight:
                 attitude = np.array([*state.attitude[:2], heading])
                 yield state._replace(time=step / RATE, attitude=attitude)
             pilot.fly(aim(step / RATE, state))
-
-    def samples(self) -> Iterator[PilotSample]:
-        """Fly, frame by frame."""
-        for state in self.states():
-            yield PilotSample(state.time, state.specific_force, state.angular_rate, state.attitude)
 
     def record(self) -> Flight:
         """Fly it all."""

@@ -1,1 +1,0 @@
-"""Telemetry of other simulators: its formats, and whether it is what it says."""
