@@ -128,12 +128,12 @@ def learn_command(
     out: options.Out = Path("out/learn"),
 ) -> None:
     """Repeat a flight and learn the demand with which the cab follows it."""
+    from cmf_mj.facility.unknowns import drawn_machine
     from cmf_mj.pilot.aircraft.flight import load_flight
     from cmf_mj.pilot.cueing.flight import cue
     from cmf_mj.pilot.learning import compare, learn
     from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import flight as report
-    from cmf_mj.studies.mismatch import drawn_machine
 
     asked = cue(load_flight(flight).motion, washout, cab=cab).stream
     machines = [drawn_machine(cab, hydraulics, seed, draw) for draw in range(_KNOWN + on)]  # type: ignore[arg-type]

@@ -48,6 +48,7 @@ from cmf_mj.control.law import Law, load_law
 from cmf_mj.core import units
 from cmf_mj.core.errors import InputError, check_name, unknown_name, within
 from cmf_mj.core.settings import Settings, check_distinct, read_toml, validated
+from cmf_mj.facility.unknowns import Unknown
 from cmf_mj.machine.cab import Cab, load_cab
 from cmf_mj.machine.geometry import DOFS, dof_unit
 from cmf_mj.machine.machine import load_machine
@@ -58,7 +59,6 @@ from cmf_mj.plant.parameters.loading import hydraulics_of, load_hydraulics
 from cmf_mj.plant.plant import Plant
 from cmf_mj.plant.single_legs import SingleLegs
 from cmf_mj.studies.case import Case, dof_amplitude
-from cmf_mj.studies.mismatch import Mismatch
 
 SMALL = 0.01
 """Share of an inertia that is left where there should be none."""
@@ -172,7 +172,7 @@ class StudySettings(Settings):
     draws: Annotated[int, Field(ge=0)] = 0  #: Machines with mismatch, and the nominal one.
     simulate_every: Annotated[int, Field(ge=0)] = 0
     """Of a linear study: one machine in this many is simulated too; 0 for none."""
-    mismatch: Mismatch = Mismatch()
+    mismatch: dict[str, Unknown] = {}  #: What scatters from draw to draw, see `Unknowns`.
 
 
 @dataclass(frozen=True)
@@ -302,8 +302,7 @@ def _check(settings: StudySettings) -> None:
     for pose in settings.poses:
         if len(pose) != 6:
             raise InputError(f"poses: {pose} must be six numbers, in and deg")
-    settings.mismatch.check()
-    if settings.draws and not (settings.mismatch.hydraulics or settings.mismatch.sensor_gains):
+    if settings.draws and not settings.mismatch:
         raise InputError(f"draws: {settings.draws} machines are alike without [mismatch]")
     if settings.simulate_every and settings.method != "linear":
         raise InputError(f"simulate_every: needs method linear, not {settings.method}")

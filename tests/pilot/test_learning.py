@@ -14,6 +14,7 @@ from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.files import read_stream
 from cmf_mj.facility.host.stream import HostStream, from_command
+from cmf_mj.facility.unknowns import drawn_machine
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.aircraft.flight import load_flight
@@ -28,7 +29,6 @@ from cmf_mj.pilot.learning import (
     learn,
     make_learner,
 )
-from cmf_mj.studies.mismatch import drawn_machine
 
 ROWS, RATE, SHARE = 1600, 80.0, 0.5
 POLE = np.exp(-2.0 * np.pi * 2.0 / RATE)

@@ -15,8 +15,9 @@ from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.structured import peak_bound
 from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
+from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.kinematics import leg_jacobian
-from cmf_mj.studies.certificate.box import COUNTS, SIZE, load_box, save_case
+from cmf_mj.studies.certificate.box import KINDS, SIZE, load_box, save_case
 from cmf_mj.studies.certificate.family import SIZES, Family
 from cmf_mj.studies.certificate.run import QUICK, _attack, certify
 
@@ -55,18 +56,18 @@ def test_peaks_are_those_of_the_loop_in_frames(name: str, plant: cmf_mj.Hexapod)
     assert found == pytest.approx(highest, abs=0.1)
 
 
-@pytest.mark.parametrize("kind", [*COUNTS, "all"])
+@pytest.mark.parametrize("kind", [*KINDS, "all"])
 def test_machines_are_those_of_their_files(
     kind: str, plant: cmf_mj.Hexapod, tmp_path: Path
 ) -> None:
     """Each number off alone, then all at once; the files name a machine that is linearised anew."""
     point = np.random.default_rng(5).uniform(-1.0, 1.0, (1, SIZE))
-    parts = np.split(np.arange(SIZE), np.cumsum(list(COUNTS.values()))[:-1])
+    parts = Unknowns(BOX.unknowns).split(np.arange(SIZE))
     if kind != "all":
-        point[:, np.delete(np.arange(SIZE), parts[list(COUNTS).index(kind)])] = 0.0
+        point[:, np.delete(np.arange(SIZE), parts[kind])] = 0.0
     changes = BOX.changes(point)
     law = cmf_mj.load_law("velocity")
-    save_case(tmp_path, "drawn", plant, law, POSE, changes)
+    save_case(tmp_path, "drawn", plant, law, POSE, BOX, changes)
     cab = cmf_mj.load_cab(tmp_path / "cab.toml")
     machine = cmf_mj.Hexapod(cab, tmp_path / "hydraulics.toml")
     exact = least_damping(cmf_mj.load_law(tmp_path / "law.toml"), machine, POSE)
@@ -129,6 +130,6 @@ def test_bound_of_less_is_not_asked_for(plant: cmf_mj.Hexapod) -> None:
 def test_refused_boxes(tmp_path: Path) -> None:
     path = tmp_path / "box.toml"
     text = Path(cmf_mj.__file__).parent.joinpath("studies/certificate/box.toml").read_text()
-    path.write_text(text.replace("value = 15.0", "value = -1.0"))
+    path.write_text(text.replace("deviation = 15.0", "deviation = -1.0"))
     with pytest.raises(InputError, match="drive_lag"):
         load_box(path)

@@ -34,15 +34,16 @@ method = "linear"
 laws = ["velocity", "position_error_rate"]
 poses = [[0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, -60.0, 0.0, 0.0, 0.0]]
 draws = 4
-[mismatch.hydraulics.leak_rate]
+[mismatch.leak_rate]
+path = "hydraulics.actuators.*.leak_rate"
 distribution = "lognormal"
 deviation = 30.0
-status = "assumed"
 source = "test"
-[mismatch.sensor_gains.leg_velocity]
+[mismatch.leg_velocity]
+path = "electronics.leg_velocity.gain_errors.*"
+effect = "offset"
 distribution = "normal"
 deviation = 1.0
-status = "assumed"
 source = "test"
 """
 CASES = 20  # two poses, five machines, two laws

@@ -12,34 +12,42 @@ from typing import Annotated, Any
 import numpy as np
 import tomlkit
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field
+from pydantic import Field, model_validator
 
 from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.control.law import Law
+from cmf_mj.core.errors import InputError
 from cmf_mj.core.files import in_folder, write_text
-from cmf_mj.core.quantity import Kind, Length, Quantity
 from cmf_mj.core.settings import Settings, read_toml, validated
 from cmf_mj.facility.scenario.library import load_scenario
 from cmf_mj.facility.scenario.run import run_scenario
+from cmf_mj.facility.unknowns import Unknown, Unknowns
 from cmf_mj.machine.geometry import DOFS, FLIP
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.plant.parameters.hydraulics import OF_THE_SUPPLY
 from cmf_mj.studies.case import REPORT_AMPLITUDES, SMALL, swings
 from cmf_mj.studies.tuning.search import save_law
 
 Array = NDArray[np.float64]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Part = Annotated[Quantity, AfterValidator(Kind(("%",), at_most=0.6).check)]
 
-COUNTS = {
-    **dict.fromkeys(("drive_lag", "valve_lag", "valve_gain", "leak_rate"), 6),
-    **dict.fromkeys(("bulk_modulus", "supply_pressure", "cab_mass"), 1),
-    **{"cab_place": 3, "cab_inertia": 1},
+KINDS = {
+    "drive_lag": ("hydraulics.actuators.*.drive_lag", 6),
+    "valve_lag": ("hydraulics.actuators.*.valve_lag", 6),
+    "valve_gain": ("hydraulics.actuators.*.valve_gain", 6),
+    "leak_rate": ("hydraulics.actuators.*.leakage", 6),
+    "bulk_modulus": ("hydraulics.bulk_modulus", 1),
+    "supply_pressure": ("hydraulics.supply", 1),
+    "cab_mass": ("cab.mass", 1),
+    "cab_place": ("cab.centre_of_mass", 3),
+    "cab_inertia": ("cab.inertia", 1),
 }
-"""How many numbers of each kind a machine has, in the order of a point of the box."""
+"""Paths of the unknowns and how many numbers each has, in the order of a point of the box."""
 
-SIZE = sum(COUNTS.values())
+SIZE = sum(count for _, count in KINDS.values())
+
+WIDEST = 0.6
+"""Largest deviation of a factor: at `LARGEST`, numbers stay positive."""
 
 LARGEST = 1.3
 """Largest scale: numbers stay positive, and closed valves hold every leg."""
@@ -51,20 +59,30 @@ class Box(Settings):
     title: str
     pose_share: Share  #: Of an axis alone over its operational limit.
     corner_share: Share  #: Of all axes at once.
-    drive_lag: Part
-    valve_lag: Part
-    valve_gain: Part
-    leak_rate: Part  #: Of the conductance.
-    bulk_modulus: Part
-    supply_pressure: Part
-    cab_mass: Part
-    cab_place: Length
-    cab_inertia: Part
+    unknowns: dict[str, Unknown]  #: Those of `KINDS`, each with a deviation.
+
+    @model_validator(mode="after")
+    def _whole(self) -> "Box":
+        paths = [(name, one.path) for name, one in self.unknowns.items()]
+        if paths != [(name, path) for name, (path, _) in KINDS.items()]:
+            allowed = f"allowed: {', '.join(KINDS)}, in this order, with their paths"
+            raise InputError(f"unknowns: {', '.join(self.unknowns)} are refused; {allowed}")
+        for name, one in self.unknowns.items():
+            most = WIDEST if one.effect == "factor" else np.inf
+            if one.distribution != "uniform" or not 0.0 < one.half <= most:
+                allowed = f"a uniform deviation of at most {100.0 * WIDEST:g} %"
+                raise InputError(f"unknowns.{name}: is refused; allowed: {allowed}")
+        return self
 
     def changes(self, points: Array) -> dict[str, Array]:
         """Relative changes (of the place: metres) of points (N, 31) by kind, (N, count)."""
-        parts = np.split(points, np.cumsum(list(COUNTS.values()))[:-1], axis=1)
-        return {name: getattr(self, name).si * p for name, p in zip(COUNTS, parts, strict=True)}
+        parts = Unknowns(self.unknowns).split(points)
+        return {name: self.unknowns[name].half * part for name, part in parts.items()}
+
+    def values(self, changes: Mapping[str, Array]) -> dict[str, Any]:
+        """Values of the unknowns in a machine with changes (1, count), in axes of the cab."""
+        found = {name: change + 1.0 for name, change in changes.items()}
+        return Unknowns(self.unknowns).shaped(found | {"cab_place": FLIP * changes["cab_place"]})
 
     def poses(self, plant: Hexapod) -> Array:
         """Neutral, the ends of each axis, and corners of all, (n, 6) [m, rad]."""
@@ -82,39 +100,27 @@ def load_box(source: str | Path | None = None) -> Box:
 
 
 def save_case(
-    folder: Path, name: str, plant: Hexapod, law: Law, pose: Array, changes: Mapping[str, Array]
+    folder: Path,
+    name: str,
+    plant: Hexapod,
+    law: Law,
+    pose: Array,
+    box: Box,
+    changes: Mapping[str, Array],
 ) -> Path:
     """Write a machine with its law as files, and the scenario that `cmf run` replays it by.
 
     The law knows the nominal cab. The run begins in the pose and steps all axes by a small step.
     """
-    cab, oil = plant.cab_parameters, plant.parameters
+    cab, oil, tables = plant.cab_parameters, plant.parameters, []
     assert cab is not None
-    f = {kind: values[0] + (kind != "cab_place") for kind, values in changes.items()}
-    stiff, (high,), (heavy,) = f["bulk_modulus"][0], f["supply_pressure"], f["cab_mass"]
-    known = {"status": "assumed", "source": "cmf certify"}
-
-    def scaled(factors: Mapping[str, float]) -> dict[str, Any]:
-        given = {field: getattr(oil, field) for field in factors}
-        return {
-            field: {"value": given[field].value * float(factor), "unit": given[field].unit, **known}
-            for field, factor in factors.items()
-        }
-
-    speed, leak = f["valve_gain"] * np.sqrt(high), f["leak_rate"] * stiff
-    legs = zip(speed, leak, f["drive_lag"], f["valve_lag"], strict=True)
-    fields = "leg_speed", "leak_rate", "drive_lag", "valve_lag"
-    hydraulics = scaled(
-        {"bulk_modulus": stiff, **dict.fromkeys(("supply_pressure", *OF_THE_SUPPLY), high)}
-    ) | {
-        "actuators": {
-            f"leg_{leg}": scaled(dict(zip(fields, one, strict=True)))
-            for leg, one in enumerate(legs, start=1)
-        }
-    }
-    place = cab.centre_of_mass.si + FLIP * f["cab_place"]
-    masses = {"mass": heavy * cab.mass.si, "inertia": f["cab_inertia"][0] * cab.tensor}
-    changed = cab.changed(name, centre_of_mass=place, **masses)
+    for part in (oil, cab):
+        changed = Unknowns(box.unknowns).apply(box.values(changes), part, name)
+        before, after = (
+            one.model_dump(mode="json", exclude_none=True, exclude={"nominal", "name"})
+            for one in (part, changed)
+        )
+        tables.append({field: value for field, value in after.items() if value != before[field]})
     modes = dict(zip((name,), bound(law, plant).modes.values(), strict=False))  # none in legs
     known_law = law.model_copy(update={"name": f"{law.name}_{name}", "modes": modes})
     save_law(known_law, in_folder(folder, "law.toml"))
@@ -124,11 +130,8 @@ def save_case(
     ]
     stay: dict[str, Any] = {"kind": "waypoints", "times": [0.0, 12.0], "poses": [pose.tolist()] * 2}
     files: dict[str, dict[str, Any]] = {
-        "hydraulics.toml": {"base": oil.name, name: hydraulics},
-        "cab.toml": {
-            "base": cab.name,
-            name: changed.model_dump(mode="json", include={"centre_of_mass", *masses}),
-        },
+        "hydraulics.toml": {"base": oil.name, name: tables[0]},
+        "cab.toml": {"base": cab.name, name: tables[1]},
         "scenario.toml": {
             "title": f"{law.title}: the machine of its certificate that breaks it",
             **{"machine": plant.machine.name, "cab": "cab.toml", "hydraulics": "hydraulics.toml"},

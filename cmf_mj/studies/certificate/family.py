@@ -37,7 +37,7 @@ from cmf_mj.core import units
 from cmf_mj.machine.geometry import FLIP
 from cmf_mj.machine.kinematics import leg_jacobian, rotation
 from cmf_mj.plant.hexapod import Hexapod
-from cmf_mj.studies.certificate.box import COUNTS, Box
+from cmf_mj.studies.certificate.box import KINDS, SIZE, Box
 
 Array = NDArray[np.float64]
 
@@ -223,8 +223,9 @@ def _corners(box: Box, scale: float) -> dict[str, Array]:
     signs = np.array(list(product((-1.0, 1.0), repeat=4)))
     cabs = (signs[:, None] * np.linspace(-1.0, 1.0, _STEPS)[:, None]).reshape(-1, 4)
     rest = np.array(list(product((-1.0, 0.0, 1.0), (-1.0, 1.0))))  # supply and gains
-    at = dict(zip(COUNTS, np.cumsum([0, *COUNTS.values()]), strict=False))
-    points = np.ones((len(cabs) * len(rest), sum(COUNTS.values())))
+    counts = [count for _, count in KINDS.values()]
+    at = dict(zip(KINDS, np.cumsum([0, *counts]), strict=False))
+    points = np.ones((len(cabs) * len(rest), SIZE))
     points[:, at["cab_mass"] : at["cab_inertia"]] = np.repeat(cabs, len(rest), axis=0)
     high, gains = np.tile(rest, (len(cabs), 1)).T[:, :, None]
     points[:, [at["supply_pressure"]]] = high

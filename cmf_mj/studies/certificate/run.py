@@ -18,12 +18,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
-from scipy.stats import qmc
 
 from cmf_mj.analysis.linear.structured import peak_bound
 from cmf_mj.control.law import Law
 from cmf_mj.core.errors import require
 from cmf_mj.core.files import in_folder
+from cmf_mj.facility.unknowns import cube
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.studies.certificate.box import LARGEST, SIZE, Box, replayed, save_case
 from cmf_mj.studies.certificate.family import SIZES, Family
@@ -114,7 +114,7 @@ def certify(
     True
     """
     poses = [_pose(plant, law, box, pose) for pose in box.poses(plant)[: effort.poses]]
-    points = qmc.LatinHypercube(SIZE, rng=np.random.default_rng(seed)).random(effort.samples)
+    points = cube("latin_hypercube", effort.samples, SIZE, seed)
     drawn, worst, peaks = [], [], []
     for pose, some in zip(poses, np.array_split(2.0 * points - 1.0, len(poses)), strict=True):
         parts = np.array_split(some, len(some) // _CHUNK + 1)
@@ -145,7 +145,7 @@ def certify(
     swing = []
     for name, factor in (("beyond", BEYOND), ("within", WITHIN)):
         changes = box.changes(factor * min(scale, LARGEST) * point[None])
-        case = save_case(in_folder(folder, name), name, plant, law, pose.pose, changes)
+        case = save_case(in_folder(folder, name), name, plant, law, pose.pose, box, changes)
         swing.append(replayed(case))
     every, limit = np.concatenate(drawn), scale if np.isfinite(scale) else float("nan")
     highest = float(max(peaks)) if every.min() > 0.0 else np.inf
@@ -175,7 +175,7 @@ def _break(
     for start in range(effort.starts):
         pose, point = begins[start % len(begins)]
         if start >= len(begins):
-            point = generator.choice([-1.0, 1.0], SIZE)
+            point = 2.0 * cube("corners", 1, SIZE, generator)[0] - 1.0
         while True:
             damping, point = _attack(pose, box, scale, point, effort.rounds, seed + start, 0.0)
             if damping > 0.0:
