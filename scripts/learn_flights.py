@@ -15,13 +15,12 @@ import numpy as np
 from cmf_mj import Hexapod, load_cab, load_hydraulics, load_law
 from cmf_mj.core.result import Table
 from cmf_mj.facility.host.stream import differentiate, make_stream
-from cmf_mj.facility.unknowns import drawn_machine
 from cmf_mj.machine.kinematics import legs_to_pose, pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.aircraft.flight import flight_names, load_flight
 from cmf_mj.pilot.cueing.flight import cue, within_limits
 from cmf_mj.pilot.host import MOST_RATE
-from cmf_mj.pilot.learning import Learning, compare, counted, learn, rms
+from cmf_mj.pilot.learning import Learning, compare, counted, drawn_machine, learn, rms
 from cmf_mj.pilot.motion import interpolated
 from cmf_mj.show.flight import save_learning
 

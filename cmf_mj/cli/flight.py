@@ -128,10 +128,9 @@ def learn_command(
     out: options.Out = Path("out/learn"),
 ) -> None:
     """Repeat a flight and learn the demand with which the cab follows it."""
-    from cmf_mj.facility.unknowns import drawn_machine
     from cmf_mj.pilot.aircraft.flight import load_flight
     from cmf_mj.pilot.cueing.flight import cue
-    from cmf_mj.pilot.learning import compare, learn
+    from cmf_mj.pilot.learning import compare, drawn_machine, learn
     from cmf_mj.plant.hexapod import Hexapod
     from cmf_mj.show import flight as report
 

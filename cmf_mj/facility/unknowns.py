@@ -49,7 +49,6 @@ from cmf_mj.core.settings import Settings, read_toml, user_file, validated
 from cmf_mj.electronics.sensors.channel import CHANNELS, SensorSettings
 from cmf_mj.machine.cab import Cab
 from cmf_mj.machine.machine import Machine
-from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.plant.parameters.hydraulics import (
     ACTUATOR_FIELDS,
     OF_THE_SUPPLY,
@@ -72,23 +71,17 @@ _DERIVED = {"valve_gain": "leg_speed", "leakage": "leak_rate"}
 _FACTORS = re.compile(r".*(valve_gain|leakage|inertia|density)|legs\.mass")
 
 
-def _paths() -> re.Pattern[str]:
-    actuator, valve = "|".join([*ACTUATOR_FIELDS, *_DERIVED]), "|".join(VALVE_FIELDS)
-    numbers = (name for name in HydraulicParameters.model_fields if name not in _NO_NUMBERS)
-    forms = (
-        rf"hydraulics\.({'|'.join(numbers)}|supply)",
-        rf"hydraulics\.actuators\.(\*|\w+)\.({actuator})",
-        rf"hydraulics\.actuators\.(\*|\w+)\.valve_[12*]\.({valve})",
-        r"(cab|platform)\.(mass|inertia|density|centre_of_mass(\.[xyz])?)",
-        r"legs\.mass|payload\.density",
-        rf"(law\.({'|'.join(Law.model_fields)})|machine\.({'|'.join(Machine.model_fields)}))(\.\w+)*",
-        rf"electronics\.({'|'.join(CHANNELS)})\.(\w+)(\.(\*|\d+))?",
-    )
-    return re.compile("|".join(forms))
-
-
-_NO_NUMBERS = ("name", "supply", "actuators")
-_PATH = _paths()
+_NO_NUMBERS = {"name", "supply", "actuators"}
+_PATH = re.compile(
+    rf"hydraulics\.({'|'.join(HydraulicParameters.model_fields.keys() - _NO_NUMBERS)}|supply)"
+    rf"|hydraulics\.actuators\.(\*|leg_[1-6])\.({'|'.join([*ACTUATOR_FIELDS, *_DERIVED])})"
+    rf"|hydraulics\.actuators\.(\*|leg_[1-6])\.valve_[12*]\.({'|'.join(VALVE_FIELDS)})"
+    r"|(cab|platform)\.(mass|inertia|density|centre_of_mass(\.[xyz])?)"
+    r"|legs\.mass|payload\.density"
+    rf"|law\.({'|'.join(Law.model_fields)})(\.\w+)*"
+    rf"|machine\.({'|'.join(Machine.model_fields)})(\.\w+)*"
+    rf"|electronics\.({'|'.join(CHANNELS)})\.(\w+|gain_errors\.(\*|[1-6]))"
+)
 
 
 class Unknown(Settings):
@@ -139,9 +132,10 @@ class Unknown(Settings):
         """The deviation in SI."""
         return units.to_si(self.unit, self.deviation or 0.0)
 
-    def shape(self, actuators: Sequence[str] = LEGS) -> tuple[int, ...]:
+    @property
+    def shape(self) -> tuple[int, ...]:
         """Shape of its values on a machine."""
-        legs = (len(actuators),) if "*" in self.path.split(".") else ()
+        legs = (len(LEGS),) if "*" in self.path.split(".") else ()
         valves = (len(VALVES),) if ".valve_*." in self.path else ()
         return legs + valves + ((3,) if self.path.endswith(".centre_of_mass") else ())
 
@@ -169,13 +163,15 @@ class Unknown(Settings):
 
     def changed(self, nominal: Quantity, value: float) -> dict[str, Any]:
         """A quantity with a value of the unknown, as files state it."""
-        known = {"status": self.status, "source": self.source}
-        if self.effect == "value":
-            return {"value": value, "unit": self.unit, **known}
-        if self.effect == "offset":
-            value = nominal.value + value * (1.0 / units.factor(nominal.unit))
-            return {"value": value, "unit": nominal.unit, **known}
-        return {"value": nominal.value * value, "unit": nominal.unit, **known}
+        unit = nominal.unit
+        match self.effect:
+            case "value":
+                unit = self.unit
+            case "offset":
+                value = nominal.value + value * (1.0 / units.factor(unit))
+            case _:
+                value = nominal.value * value
+        return {"value": value, "unit": unit, "status": self.status, "source": self.source}
 
 
 Values = Mapping[str, Any]
@@ -184,9 +180,7 @@ Values = Mapping[str, Any]
 SAMPLERS = ("random", "sobol", "latin_hypercube", "corners")
 
 
-def cube(
-    sampler: str, count: int, size: int, seed: int | Sequence[int] | np.random.Generator
-) -> Array:
+def cube(sampler: str, count: int, size: int, seed: Any) -> Array:
     """Points of the unit cube, (count, size).
 
     Of the corners all in their order where there are no more than `count`, else random ones.
@@ -217,75 +211,61 @@ class Unknowns(dict[str, Unknown]):
     1.002
     """
 
-    def split(self, points: Array, actuators: Sequence[str] = LEGS) -> dict[str, Array]:
+    def split(self, points: Array) -> dict[str, Array]:
         """Coordinates of points (..., n) by name, (..., numbers of it)."""
-        sizes = [int(np.prod(one.shape(actuators))) for one in self.values()]
+        sizes = [int(np.prod(one.shape)) for one in self.values()]
         parts = np.split(points, np.cumsum(sizes)[:-1], axis=-1)
         return dict(zip(self, parts, strict=True))
 
-    def at(self, point: Array, actuators: Sequence[str] = LEGS) -> dict[str, Any]:
+    def at(self, point: Array) -> dict[str, Any]:
         """Values at a point of the unit cube, (n,)."""
-        parts = self.split(point, actuators).items()
-        return self.shaped({name: self[name].at(part) for name, part in parts}, actuators)
+        parts = self.split(point).items()
+        return self.shaped({name: self[name].at(part) for name, part in parts})
 
-    def shaped(self, parts: Mapping[str, Array], actuators: Sequence[str] = LEGS) -> dict[str, Any]:
+    def shaped(self, parts: Mapping[str, Array]) -> dict[str, Any]:
         """Values of one machine in the shapes that `apply` takes."""
-        shapes = {name: one.shape(actuators) for name, one in self.items()}
+        shapes = {name: one.shape for name, one in self.items()}
         return {k: v.reshape(shapes[k]) if shapes[k] else v.item() for k, v in parts.items()}
 
-    def draw(
-        self, sampler: str, count: int, seed: Any, actuators: Sequence[str] = LEGS
-    ) -> list[dict[str, Any]]:
+    def draw(self, sampler: str, count: int, seed: Any) -> list[dict[str, Any]]:
         """Values of so many machines; see `cube`."""
-        size = sum(int(np.prod(one.shape(actuators))) for one in self.values())
-        return [self.at(point, actuators) for point in cube(sampler, count, size, seed)]
+        size = sum(int(np.prod(one.shape)) for one in self.values())
+        return [self.at(point) for point in cube(sampler, count, size, seed)]
 
-    def streams(self, seed: int, draw: int, actuators: Sequence[str] = LEGS) -> dict[str, Any]:
+    def streams(self, seed: int, draw: int) -> dict[str, Any]:
         """Values of a machine, each name from a stream keyed by seed, draw and name."""
         values = {}
         for name, one in self.items():
             key = np.random.SeedSequence(seed, spawn_key=(draw, zlib.crc32(name.encode())))
-            values[name] = one.at(np.random.default_rng(key).random(one.shape(actuators)))
+            values[name] = one.at(np.random.default_rng(key).random(one.shape))
         return values
 
     def of(self, row: Values) -> dict[str, Any]:
         """Values that are given, such as a row of a posterior's."""
-        missing = [name for name in self if name not in row]
-        if missing:
-            raise InputError(f"row: has no {', '.join(missing)}; allowed: a value of each unknown")
+        for name in self:
+            check_name("row", name, row)
         return {name: row[name] for name in self}
 
     def gain_errors(self, values: Values) -> dict[str, Array]:
         """Gain errors of sensors, (n,) by channel."""
-        paths = {name: one.path.split(".") for name, one in self.items() if name in values}
-        return {path[1]: values[name] for name, path in paths.items() if path[-2:] == _GAINS}
+        end = ".gain_errors.*"
+        asked = {one.path: known for known, one in self.items() if known in values}
+        return {p.split(".")[1]: values[known] for p, known in asked.items() if p.endswith(end)}
 
-    def apply(
-        self,
-        values: Values,
-        part: Part,
-        name: str | None = None,
-        actuators: Sequence[str] = LEGS,
-    ) -> Part:
+    def apply(self, values: Values, part: Part, name: str | None = None) -> Part:
         """A cab, hydraulic set, law, machine or set of sensors with these values.
 
-        What `values` leave out changes nothing. Laws take a changed cab for
-        the nominal one. `name` is that of the new part.
-
-        Raises:
-            InputError: a number that the part cannot have.
+        What `values` leave out changes nothing. Laws take a changed cab for the nominal one. `name`
+        is that of the new part. Raises `InputError` for a number that the part cannot have.
         """
         roots = next(roots for kind, roots in _ROOTS.items() if isinstance(part, kind))
-        given = {
-            one.path: (one, values[known])
-            for known, one in self.items()
-            if known in values and one.path.partition(".")[0] in roots
-        }
+        found = {one.path: (one, values[key]) for key, one in self.items() if key in values}
+        given = {path: entry for path, entry in found.items() if path.partition(".")[0] in roots}
         if all(one.effect == "factor" and np.all(x == 1.0) for one, x in given.values()):
             return part
         match part:
             case HydraulicParameters():
-                made: Any = _hydraulics(given, part, name or part.name, actuators)
+                made: Any = _hydraulics(given, part, name or part.name)
             case Cab():
                 made = _cab(given, part, name or f"{part.name}_drawn")
             case _:
@@ -301,7 +281,6 @@ class Unknowns(dict[str, Unknown]):
         return write_text(path, tomlkit.dumps({"unknowns": tables}))
 
 
-_GAINS = ["gain_errors", "*"]
 _ROOTS: dict[type[Settings], tuple[str, ...]] = {
     Cab: ("cab", "platform", "legs", "payload"),
     HydraulicParameters: ("hydraulics",),
@@ -312,9 +291,7 @@ _ROOTS: dict[type[Settings], tuple[str, ...]] = {
 _Given = Mapping[str, tuple[Unknown, Any]]
 
 
-def _hydraulics(
-    given: _Given, base: HydraulicParameters, name: str, actuators: Sequence[str]
-) -> HydraulicParameters:
+def _hydraulics(given: _Given, base: HydraulicParameters, name: str) -> HydraulicParameters:
     """A hydraulic set: first what all have in common, then what actuators have of their own."""
     table = base.model_dump(exclude_none=True)
     ratio = {"supply_pressure": 1.0, "bulk_modulus": 1.0}
@@ -323,8 +300,8 @@ def _hydraulics(
         if path not in own:
             asked = path.split(".")[1]
             field = "supply_pressure" if asked == "supply" else asked
-            before, after = getattr(base, field), one.changed(getattr(base, field), float(value))
-            table[field] |= after
+            before: Quantity = getattr(base, field)
+            table[field] = one.changed(before, float(value))
             factor = one.effect == "factor"
             ratio[field] = value if factor else Quantity(**table[field]).si / before.si
             for other in OF_THE_SUPPLY if asked == "supply" else ():
@@ -332,7 +309,7 @@ def _hydraulics(
     scale = {"valve_gain": np.sqrt(ratio["supply_pressure"]), "leakage": ratio["bulk_modulus"]}
     for path, (one, value) in own.items():
         _, _, who, *valve, asked = path.split(".")
-        names, valves = actuators if who == "*" else (who,), VALVES if "valve_*" in valve else valve
+        names, valves = LEGS if who == "*" else (who,), VALVES if "valve_*" in valve else valve
         rows = np.reshape(value, (len(names), max(1, len(valves)))) * scale.get(asked, 1.0)
         field = _DERIVED.get(asked, asked)
         for actuator, row in zip(names, rows, strict=True):
@@ -341,7 +318,7 @@ def _hydraulics(
                 index = VALVES.index(which) if which else None
                 before = base.actuator(actuator, index)[field]
                 at = changes.setdefault(which, {}) if which else changes
-                at[field] = before.model_dump() | one.changed(before, float(x))
+                at[field] = one.changed(before, float(x))
     return validated(HydraulicParameters, table | {"name": name}, f"{name} with unknowns")
 
 
@@ -380,21 +357,17 @@ def _replaced(part: Any, path: Sequence[str], one: Unknown, value: Any) -> Any:
         every = list(field) or [exact] * (len(chosen) if rest == ["*"] else len(LEGS))
         for index, x in chosen.items():
             was = every[index]
-            every[index] = Quantity(**was.model_dump() | one.changed(was, float(x)))
+            every[index] = Quantity(**one.changed(was, float(x)))
         return part.model_copy(update={name: every})
     if rest:
         return part.model_copy(update={name: _replaced(field, rest, one, value)})
     if isinstance(field, Quantity):
-        new: Any = Quantity(**field.model_dump() | one.changed(field, float(value)))
+        new: Any = Quantity(**one.changed(field, float(value)))
     elif isinstance(field, float):
         new = one.number(field, value) if one.effect != "value" else float(value)
     else:
         raise InputError(f"{one.path}: is not a number that is given")
     return part.model_copy(update={name: new})
-
-
-class _File(Settings):
-    unknowns: dict[str, Unknown]
 
 
 _SHIPPED = Path(__file__).with_suffix(".toml")
@@ -403,12 +376,11 @@ _SHIPPED = Path(__file__).with_suffix(".toml")
 @cache
 def load_unknowns(source: str | Path) -> Unknowns:
     """Shipped ones by name, `valve_gains` or `other_machines`, or `[unknowns]` of a TOML file."""
-    shipped = read_toml(_SHIPPED)
-    if str(source) in shipped:
-        return Unknowns(validated(_File, {"unknowns": shipped[str(source)]}, str(source)).unknowns)
-    path = user_file("unknowns", tuple(shipped), source)
-    table = {"unknowns": read_toml(path).get("unknowns", {})}
-    return Unknowns(validated(_File, table, path.name).unknowns)
+    shipped, name = read_toml(_SHIPPED), str(source)
+    if name not in shipped:
+        shipped[name] = read_toml(user_file("unknowns", tuple(shipped), source)).get("unknowns", {})
+    tables = shipped[name].items()
+    return Unknowns({key: validated(Unknown, one, f"{name}: {key}") for key, one in tables})
 
 
 def valve_gains(seed: int | None) -> Array:
@@ -423,12 +395,3 @@ def with_valve_gains(parameters: HydraulicParameters, seed: int | None) -> Hydra
     """A hydraulic set whose legs 1 to 6 have the speeds of `valve_gains`; for None itself."""
     name, values = f"{parameters.name}, gains {seed}", {"leg_speed": valve_gains(seed)}
     return load_unknowns("valve_gains").apply(values, parameters, name)
-
-
-def drawn_machine(cab: Cab, hydraulics: HydraulicParameters, seed: int, draw: int) -> Hexapod:
-    """One of `other_machines`, with valve gains of its own; laws take its cab for the nominal."""
-    generator, others = np.random.default_rng([seed, draw]), load_unknowns("other_machines")
-    (values,) = others.draw("random", 1, generator)
-    oil = others.apply(values, hydraulics)
-    gains = int(generator.integers(2**32))
-    return Hexapod(others.apply(values, cab, f"{cab.name}_{draw}"), with_valve_gains(oil, gains))

@@ -19,7 +19,6 @@ from cmf_mj.facility.unknowns import (
     Unknown,
     Unknowns,
     cube,
-    drawn_machine,
     load_unknowns,
 )
 from cmf_mj.plant.parameters.hydraulics import OF_THE_SUPPLY, HydraulicParameters
@@ -198,7 +197,7 @@ def test_numbers_that_a_part_does_not_give_are_refused() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             Unknowns(x=unknown(path)).apply({"x": 1.1}, part)
-    with pytest.raises(ValueError, match="row: has no x"):
+    with pytest.raises(ValueError, match="row: 'x' is not one of y"):
         Unknowns(x=unknown()).of({"y": 1.0})
 
 
@@ -208,15 +207,6 @@ def test_a_file_gives_back_what_was_saved(tmp_path: Path) -> None:
     assert load_unknowns(saved) == mixed
     with pytest.raises(ValueError, match="unknowns: 'none' is not one of valve_gains"):
         load_unknowns("none")
-
-
-def test_other_machines_differ_and_come_again() -> None:
-    one, again, other = (drawn_machine(GFD, HARDWARE, 0, draw) for draw in (1, 1, 2))
-    assert one.parameters == again.parameters and one.cab_parameters == again.cab_parameters
-    assert one.parameters != other.parameters
-    cab = other.cab_parameters
-    assert cab is not None and cab.known_as == GFD
-    assert 0.9 < cab.mass.si / GFD.mass.si < 1.1
 
 
 def sensors_with(errors: np.ndarray) -> Any:
@@ -235,5 +225,5 @@ def test_a_sensor_with_a_gain_error_reads_in_proportion() -> None:
 def test_gains_that_are_not_one_a_leg_are_refused() -> None:
     with pytest.raises(ValueError, match=r"leg_velocity.gain_errors: 5 are given; allowed: 6"):
         sense_history(sensors_with(np.zeros(5)), LegFeedback(*np.zeros((5, 3, 6))))
-    with pytest.raises(ValueError, match=r"gain_errors: 1.0* 1 must be between -1 and 1"):
+    with pytest.raises(ValueError, match=r"gain_errors: 1 1 must be between -1 and 1"):
         sensors_with(np.ones(6))

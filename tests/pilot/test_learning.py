@@ -14,7 +14,6 @@ from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.host.files import read_stream
 from cmf_mj.facility.host.stream import HostStream, from_command
-from cmf_mj.facility.unknowns import drawn_machine
 from cmf_mj.machine.kinematics import pose_to_legs
 from cmf_mj.machine.motion_limits import load_motion_limits
 from cmf_mj.pilot.aircraft.flight import load_flight
@@ -24,6 +23,7 @@ from cmf_mj.pilot.learning import (
     Learner,
     Learning,
     compare,
+    drawn_machine,
     filtered,
     frequencies,
     learn,
@@ -176,6 +176,16 @@ def test_refusals_are_one_line(line: tuple[str, ...], said: str, tmp_path: Path)
     result = CliRunner().invoke(app, ["learn", *line, "--out", str(tmp_path / "out")])
     assert result.exit_code == 2 and said in result.output.replace("\n", " ")
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
+
+
+def test_other_machines_differ_and_come_again() -> None:
+    cab, hydraulics = load_cab("gfd"), load_hydraulics("hardware")
+    one, again, other = (drawn_machine(cab, hydraulics, 0, draw) for draw in (1, 1, 2))
+    assert one.parameters == again.parameters and one.cab_parameters == again.cab_parameters
+    assert one.parameters != other.parameters
+    drawn = other.cab_parameters
+    assert drawn is not None and drawn.known_as == cab
+    assert 0.9 < drawn.mass.si / cab.mass.si < 1.1
 
 
 @pytest.mark.slow
