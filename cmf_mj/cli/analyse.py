@@ -37,10 +37,9 @@ def linearize_command(
     from cmf_mj.analysis.linear.linear import Linear
     from cmf_mj.plant.hexapod import make_plant
     from cmf_mj.show import linearization as report
-    from cmf_mj.studies.linearization import linearization_study
 
     machine = make_plant(plant, cab, hydraulics)
-    study = linearization_study(Linear(machine, pose_option(pose)), law, dofs)
+    study = report.linearization_study(Linear(machine, pose_option(pose)), law, dofs)
     paths = report.save_study(study, out)
     show(report.pole_table(study), report.loop_table(study), written(paths, out))
 

@@ -115,10 +115,10 @@ class Measurement:
                 for driven, row in zip(DOFS, self.crosstalk, strict=True)
             },
         }
-        return cast("dict[str, Any]", plain(results))
+        return cast("dict[str, Any]", json_values(results))
 
 
-def plain(value: Any) -> Any:
+def json_values(value: Any) -> Any:
     """JSON values of nested results: NumPy numbers become Python's, NaN becomes None."""
     return to_jsonable_python(value, inf_nan_mode="null", fallback=lambda number: number.item())
 

@@ -17,9 +17,8 @@ from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.kinematics import leg_jacobian
-from cmf_mj.studies.certificate.box import KINDS, SIZE, load_box, save_case
-from cmf_mj.studies.certificate.family import SIZES, Family
-from cmf_mj.studies.certificate.run import QUICK, _attack, certify
+from cmf_mj.studies.certificate.family import KINDS, SIZE, SIZES, Family, load_box
+from cmf_mj.studies.certificate.run import QUICK, _attack, certify, save_case
 
 POSE = np.array([0.2, 0.05, -0.1, 0.03, 0.05, -0.1])
 BOX = load_box()

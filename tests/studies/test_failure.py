@@ -21,7 +21,7 @@ from cmf_mj.studies.case import make_case
 from cmf_mj.studies.failure import (
     FALL_SPEED,
     FailureResult,
-    manoeuvre,
+    faded_sine,
     run_failure,
     run_failures,
 )
@@ -326,7 +326,7 @@ def test_overload_is_carried_without_sag() -> None:
 def test_crew_acceleration_is_that_of_the_crew_point(dof: str) -> None:
     """Second difference of the point's path, rotation included; f = R'(a - g) at every row."""
     plant = Hexapod("ifd")
-    command = manoeuvre(dof, 0.08, 0.5, at=1.0, after=5.0)
+    command = faded_sine(dof, 0.08, 0.5, at=1.0, after=5.0)
     case = make_case("velocity", dof, cab="ifd")
     result = run_failure(default_event("accumulator_lost", 1.0), case, command=command)
     record = result.record
@@ -372,7 +372,7 @@ def test_a_state_beyond_its_bounds_is_told_not_lost(tmp_path: Path) -> None:
     assert result.state == "out_of_bounds"
     assert "below vacuum" in result.message and "leg_" in result.message
     assert np.isfinite(result.load.after.value)
-    command = manoeuvre("heave", 6 * INCH, 0.5, at=1.0, after=6.0)
+    command = faded_sine("heave", 6 * INCH, 0.5, at=1.0, after=6.0)
     with pytest.raises(OutOfBounds, match="below vacuum") as error:
         simulate(Hexapod("gfd", file), "velocity", command, events=[event], protection="default")
     assert result.record.time[-1] == pytest.approx(error.value.frame * FRAME, abs=9 * FRAME)
