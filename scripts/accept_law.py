@@ -36,7 +36,7 @@ from cmf_mj.machine.kinematics import excursion_envelope, pose_to_legs
 from cmf_mj.machine.machine import load_machine
 from cmf_mj.machine.models import CABS
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.studies.capacity.asymptotes import asymptotes
+from cmf_mj.studies.asymptotes import asymptotes
 from cmf_mj.studies.case import Case, dof_amplitude, make_case
 
 GROUPS = ("nominal", "masses", "poses", "amplitude", "steps")

@@ -36,7 +36,7 @@ from cmf_mj.plant.parameters.loading import hydraulics_of
 from cmf_mj.plant.plant import Plant
 from cmf_mj.record.record import Record
 from cmf_mj.signals.signal import Command, check_positive
-from cmf_mj.studies.capacity.asymptotes import asymptotes
+from cmf_mj.studies.asymptotes import asymptotes
 
 AMPLITUDE = 0.33 * units.INCH
 """Translational amplitude of the report's frequency responses [m]."""

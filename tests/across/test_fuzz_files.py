@@ -31,7 +31,7 @@ from cmf_mj.pilot.motion import PilotMotion
 from cmf_mj.record.reader import read_recording
 from cmf_mj.record.record import Record
 from cmf_mj.report_2014.posterior.settings import load_posterior
-from cmf_mj.studies.capacity.verdict import manoeuvre
+from cmf_mj.studies.capacity import manoeuvre
 from cmf_mj.studies.settings import load_study
 
 Read = Callable[[Path], Any]

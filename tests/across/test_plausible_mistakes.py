@@ -22,7 +22,7 @@ from cmf_mj.record.reader import read_facility_csv
 from cmf_mj.record.record import Record
 from cmf_mj.signals.peaks import check_limits
 from cmf_mj.signals.signal import Command
-from cmf_mj.studies.capacity.verdict import read_poses
+from cmf_mj.studies.capacity import read_poses
 
 Cells = list[list[str]]
 Change = Callable[[str], str | bytes]

@@ -17,7 +17,7 @@ from cmf_mj.electronics.chain import ElectronicsSettings
 from cmf_mj.facility.unknowns import with_valve_gains
 from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
 from cmf_mj.plant.cylinder import stiffness
-from cmf_mj.studies.capacity.asymptotes import asymptotes
+from cmf_mj.studies.asymptotes import asymptotes
 from cmf_mj.studies.case import dof_amplitude, make_case
 
 MACHINE = with_valve_gains(load_hydraulics("hardware"), 1)

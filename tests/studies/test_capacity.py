@@ -23,15 +23,15 @@ from cmf_mj.facility.run import drive
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.machine.kinematics import pose_jacobian, pose_to_legs
 from cmf_mj.plant.parameters.hydraulics import HydraulicParameters
-from cmf_mj.studies.capacity.asymptotes import asymptotes, full_speed
-from cmf_mj.studies.capacity.envelope import largest_sine, performance_envelope
-from cmf_mj.studies.capacity.verdict import (
+from cmf_mj.studies.asymptotes import asymptotes, full_speed
+from cmf_mj.studies.capacity import (
     capacity,
     least_allowed,
     manoeuvre,
     pressure_margin,
     read_poses,
 )
+from cmf_mj.studies.envelope import largest_sine, performance_envelope
 
 INCH = 0.0254
 PSI = 0.45359237 * 9.80665 / INCH**2

@@ -17,8 +17,8 @@ from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.kinematics import leg_jacobian
-from cmf_mj.studies.certificate.family import KINDS, SIZE, SIZES, Family, load_box
-from cmf_mj.studies.certificate.run import QUICK, _attack, certify, save_case
+from cmf_mj.studies.certificate import QUICK, _attack, certify, save_case
+from cmf_mj.studies.certificate_family import KINDS, SIZE, SIZES, Family, load_box
 
 POSE = np.array([0.2, 0.05, -0.1, 0.03, 0.05, -0.1])
 BOX = load_box()
@@ -128,7 +128,7 @@ def test_bound_of_less_is_not_asked_for(plant: cmf_mj.Hexapod) -> None:
 
 def test_refused_boxes(tmp_path: Path) -> None:
     path = tmp_path / "box.toml"
-    text = Path(cmf_mj.__file__).parent.joinpath("studies/certificate/box.toml").read_text()
+    text = Path(cmf_mj.__file__).parent.joinpath("studies/certificate.toml").read_text()
     path.write_text(text.replace("deviation = 15.0", "deviation = -1.0"))
     with pytest.raises(InputError, match="drive_lag"):
         load_box(path)

@@ -115,7 +115,7 @@ class Box(Settings):
 
 def load_box(source: str | Path | None = None) -> Box:
     """The shipped unit box, or one from a TOML file."""
-    path = Path(__file__).with_name("box.toml") if source is None else Path(source)
+    path = Path(__file__).with_name("certificate.toml") if source is None else Path(source)
     return validated(Box, read_toml(path), path.name)
 
 

@@ -32,7 +32,7 @@ from cmf_mj.facility.unknowns import Unknowns, cube
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.plant.hexapod import Hexapod
 from cmf_mj.studies.case import REPORT_AMPLITUDES, SMALL, swings
-from cmf_mj.studies.certificate.family import LARGEST, SIZE, SIZES, Box, Family
+from cmf_mj.studies.certificate_family import LARGEST, SIZE, SIZES, Box, Family
 from cmf_mj.studies.tuning.search import save_law
 
 Array = NDArray[np.float64]
@@ -113,8 +113,8 @@ def certify(
 
     Raises `InputError` as `Family` does.
 
-    >>> from cmf_mj.studies.certificate.family import load_box
-    >>> from cmf_mj.studies.certificate.run import certify
+    >>> from cmf_mj.studies.certificate_family import load_box
+    >>> from cmf_mj.studies.certificate import certify
     >>> plant, law = cmf_mj.Hexapod("ifd"), cmf_mj.load_law("velocity")
     >>> result = certify(plant, law, Path("out/certify"), load_box())
     >>> 0.15 < result.proven < result.broken < 0.25
