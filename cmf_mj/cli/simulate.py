@@ -206,8 +206,8 @@ def capacity_command(
     from cmf_mj.core import units
     from cmf_mj.plant.parameters.loading import load_hydraulics
     from cmf_mj.show import capacity as report
+    from cmf_mj.studies import envelope as envelopes
     from cmf_mj.studies.capacity import capacity, manoeuvre
-    from cmf_mj.studies.capacity import envelope as envelopes
 
     parameters = load_hydraulics(hydraulics)
     least = None if least_pressure is None else least_pressure * units.PSI

@@ -457,22 +457,3 @@ def test_command_draws_a_constant_supply(tmp_path: Path) -> None:
     )
     assert code == 0, output
     assert "yes" in output and (tmp_path / "supply.png").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--signal", "square"), "'square'"),
-        (("--dof", "up"), "'up'"),
-        (("--amplitude", "60 in"), "heave"),
-        (("--least-pressure", "1600"), "least_pressure"),
-        (("--law", "fast"), "'fast'"),
-        (("--hydraulics", "water"), "'water'"),
-    ],
-)
-def test_command_refuses_in_one_line_and_writes_nothing(tmp_path, arguments, message):
-    out = tmp_path / "out"
-    code, output = run(*arguments, "--out", str(out))
-    assert code == 2
-    assert message in output and "Traceback" not in output
-    assert not out.exists()

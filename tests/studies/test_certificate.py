@@ -6,14 +6,12 @@ import control
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
 import cmf_mj
 from cmf_mj.analysis.linear.assembly import linearize
 from cmf_mj.analysis.linear.binding import bound
 from cmf_mj.analysis.linear.loop import closed_loop
 from cmf_mj.analysis.linear.structured import peak_bound
-from cmf_mj.cli.common import app
 from cmf_mj.core.errors import InputError
 from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.kinematics import leg_jacobian
@@ -101,13 +99,6 @@ def test_every_seed_that_the_command_takes_attacks(plant: cmf_mj.Hexapod) -> Non
     family, point = Family(plant, cmf_mj.load_law("velocity"), POSE), np.zeros(SIZE)
     for seed in (0, 2**32 - 2, 2**32 - 1, 2**32 + 19):
         assert np.isfinite(_attack(family, BOX, 0.1, point, 1, seed, -1.0)[0])
-
-
-def test_a_law_given_twice_is_refused_before_the_work(tmp_path: Path) -> None:
-    line = ["certify", "velocity", "velocity", "--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(app, line)
-    assert result.exit_code == 2
-    assert "laws: velocity, velocity must differ in name" in result.output
 
 
 def test_law_that_is_unstable_as_built(tmp_path: Path) -> None:

@@ -410,25 +410,6 @@ def test_command_writes_table_csv_and_figure(tmp_path: Path, drawn: dict[str, se
     assert set(drawn) == {"valve_hard_over-leg_2-valve_1.png"}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["fire"], "event: 'fire' is not one of pump_lost"),
-        (["overload", "--size", "much"], "size: 'much' is not a number and a unit"),
-        (["overload", "--size", "3 in"], "unit 'in' is not one of lbf, N"),
-        (["all", "--size", "1 in^2"], "size, valve: are for one event"),
-        (["pump_lost", "--leg", "2"], "leg: 2 is not allowed"),
-        (["pump_lost", "--jobs", "0"], "jobs: '0' is refused"),
-    ],
-)
-def test_command_refuses(arguments: list[str], message: str, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    result = CliRunner().invoke(app, ["failure", *arguments, "--out", str(out)])
-    assert result.exit_code == 2
-    assert message in " ".join(result.output.split())
-    assert not out.exists()
-
-
 def test_all_is_every_kind_and_every_single_valve() -> None:
     events = events_of(list(KINDS), 0.5, 3, None, None)
     assert {event.kind for event in events} == set(KINDS)
