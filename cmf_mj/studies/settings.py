@@ -258,22 +258,19 @@ def load_study(
     laws, `changes` replace its fields.
     """
     table, where = study_table(source)
+    table |= changes or {}
     with within(where):
-        return _loaded(table | (changes or {}), where, laws)
-
-
-def _loaded(table: dict[str, Any], where: str, laws: Sequence[str | Law] | None) -> Study:
-    loaded = None if laws is None else tuple(load_law(law) for law in laws)
-    if loaded is not None:
-        table["laws"] = [law.name for law in loaded]
-    settings = validated(StudySettings, table, where)
-    _check(settings)
-    chosen = tuple(load_law(law) for law in settings.laws) if loaded is None else loaded
-    machine = load_machine(settings.machine)
-    cabs = tuple(load_cab(cab, machine) for cab in settings.cabs or machine.cab_names[:1])
-    for field, named in (("laws", chosen), ("cabs", cabs)):
-        check_distinct(field, [one.name for one in named])
-    return Study(settings, chosen, cabs, hydraulics_of(machine, settings.hydraulics))
+        loaded = None if laws is None else tuple(load_law(law) for law in laws)
+        if loaded is not None:
+            table["laws"] = [law.name for law in loaded]
+        settings = validated(StudySettings, table, where)
+        _check(settings)
+        chosen = loaded or tuple(load_law(law) for law in settings.laws)
+        machine = load_machine(settings.machine)
+        cabs = tuple(load_cab(cab, machine) for cab in settings.cabs or machine.cab_names[:1])
+        for field, named in (("laws", chosen), ("cabs", cabs)):
+            check_distinct(field, [one.name for one in named])
+        return Study(settings, chosen, cabs, hydraulics_of(machine, settings.hydraulics))
 
 
 def study_table(source: str | Path | dict[str, Any]) -> tuple[dict[str, Any], str]:
