@@ -299,6 +299,9 @@ def _check(settings: StudySettings) -> None:
     for pose in settings.poses:
         if len(pose) != 6:
             raise InputError(f"poses: {pose} must be six numbers, in and deg")
+    for name, one in settings.mismatch.items():
+        if one.path.startswith("machine."):
+            raise InputError(f"mismatch.{name}: {one.path}: a study varies all but the machine")
     if settings.draws and not settings.mismatch:
         raise InputError(f"draws: {settings.draws} machines are alike without [mismatch]")
     if settings.simulate_every and settings.method != "linear":

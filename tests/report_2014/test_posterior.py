@@ -23,6 +23,7 @@ from cmf_mj.report_2014.posterior.tables import TEXTS, best_gain
 from cmf_mj.studies.case import swing_after_step
 from cmf_mj.studies.engine import JOURNAL
 
+LEAKS = "hydraulics.actuators.*.leak_rate"
 ROOT = Path(__file__).resolve().parents[2]
 
 SMALL = {
@@ -307,6 +308,10 @@ def test_bounds_that_cannot_be_are_refused() -> None:
         (
             {"leg_mass": {"low": 0.0, "high": 1.0, "distribution": "loguniform", **one}},
             "leg_mass: 0.0 to 1.0 is refused",
+        ),
+        (
+            {"legs": one | {"path": "hydraulics.actuators.*.leak_rate", "low": 0.5, "high": 1.0}},
+            "one number",
         ),
         ({"cab_height": {"low": -9.0, "high": 0.0, **height}}, "below the floor"),
     ):

@@ -332,6 +332,10 @@ def test_bad_arguments_are_refused_before_a_folder_is_made(
         ({"rungs": ["friction"]}, "rungs: 'friction' has no linearisation"),
         ({"poses": [[0.0]]}, r"poses: \[0.0\] must be six numbers"),
         ({"mismatch": {}}, "draws: 4 machines are alike"),
+        (
+            {"mismatch": {"x": {"path": "machine.floor", "deviation": 1.0, "source": "s"}}},
+            "mismatch.x: machine.floor: a study varies all but the machine",
+        ),
         ({"method": "sweep", "simulate_every": 2}, "simulate_every: needs method linear"),
         ({"method": "guess"}, "method: 'guess' is refused"),
         ({"speed": 1}, "speed: is not a known field"),

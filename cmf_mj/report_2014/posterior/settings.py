@@ -105,6 +105,9 @@ def load_posterior(
 
 
 def _checked(settings: PosteriorSettings, laws: Sequence[str | Law] | None) -> PosteriorStudy:
+    for name, one in settings.unknowns.items():
+        if one.shape or one.low is None:
+            raise InputError(f"unknowns.{name}: allowed: one number between bounds, low and high")
     if settings.draws & (settings.draws - 1):
         raise InputError(f"draws: {settings.draws} must be a power of 2, for Sobol's sequence")
     if settings.simulated > settings.kept:
