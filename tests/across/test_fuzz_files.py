@@ -150,7 +150,7 @@ def tables(folder: Path) -> Iterator[tuple[Read, Path]]:
         ("flight.csv", Flight.load),
         ("flight.parquet", Flight.load),
         ("motion.csv", PilotMotion.load),
-        ("poses.csv", lambda path: manoeuvre(str(path), "heave", None, None)),
+        ("stream.csv", lambda path: manoeuvre(str(path), "heave")),
     ):
         yield read, folder / name
 
