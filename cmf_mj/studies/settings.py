@@ -160,7 +160,7 @@ class StudySettings(Settings):
     dofs: Annotated[list[str], Field(min_length=1)] = list(DOFS)
     """Degrees of freedom, each a case of a `sweep`; the other methods give all at once."""
     rungs: Annotated[list[str], Field(min_length=1)] = ["machine"]
-    """Plants: rungs of the ladder of `variants`, or `machine`."""
+    """Plants: rungs of the ladder, or `machine`."""
     poses: Annotated[list[list[float]], Field(min_length=1)] = [[0.0] * 6]
     """Poses [in, deg], z down, that the motion is about."""
     machine: str = CMF  #: Motion base by name or TOML file.
