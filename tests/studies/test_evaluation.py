@@ -4,8 +4,11 @@ import control
 import numpy as np
 import pytest
 
+from cmf_mj import Hexapod, load_cab, load_law
 from cmf_mj.analysis.linear import linear
+from cmf_mj.analysis.linear.linear import Linear
 from cmf_mj.core.units import FRAME
+from cmf_mj.facility.unknowns import Unknowns
 from cmf_mj.machine.geometry import DOFS
 from cmf_mj.studies.evaluation import StudyRow, evaluate
 from cmf_mj.studies.settings import NOMINAL, load_study
@@ -72,3 +75,24 @@ def test_the_linear_method_agrees_with_the_simulation_on_a_drawn_machine(
         assert one.phase_bandwidth_hz == pytest.approx(other.phase_bandwidth_hz, rel=0.04)
         assert one.damping_ratio == pytest.approx(other.damping_ratio, abs=0.04)
         assert one.peak_gain_db == pytest.approx(other.peak_gain_db, abs=1.5)
+
+
+def test_what_differs_from_draw_to_draw_may_be_the_cab_or_the_law() -> None:
+    """A drawn machine is the one that its numbers make, put together by hand."""
+    known = {"source": "test"}
+    pole = {"low": 75.0, "high": 105.0, "unit": "rad/s", "effect": "value"}
+    unknowns = {
+        "mass": known | {"path": "cab.mass", "deviation": 10.0},
+        "pole": known | {"path": "law.derivative_pole"} | pole,
+    }
+    table = {"title": "test", "method": "linear", "laws": ["position_error_rate"], "draws": 1}
+    study = load_study(table | {"mismatch": unknowns})
+    values, gfd = Unknowns(study.settings.mismatch).streams(0, 0), load_cab("gfd")
+    cab = gfd.changed("mine", mass=values["mass"] * gfd.mass.si, nominal=gfd)
+    law = load_law("position_error_rate").model_copy(update={"derivative_pole": values["pole"]})
+    expected = Linear(Hexapod(cab)).measures(law)
+    (nominal, drawn) = (
+        [row.measures.phase_bandwidth_hz for row in evaluate(c)] for c in study.cases
+    )
+    assert drawn == pytest.approx([one.phase_bandwidth_hz for one in expected], rel=1e-9)
+    assert nominal != pytest.approx(drawn, rel=1e-3)
