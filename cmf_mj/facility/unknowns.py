@@ -80,7 +80,8 @@ _PATH = re.compile(
     r"|legs\.mass|payload\.density"
     rf"|law\.({'|'.join(Law.model_fields)})(\.\w+)*"
     rf"|machine\.({'|'.join(Machine.model_fields)})(\.\w+)*"
-    rf"|electronics\.({'|'.join(CHANNELS)})\.(\w+|gain_errors\.(\*|[1-6]))"
+    rf"|electronics\.({'|'.join(CHANNELS)})\.(\w+|gain_errors\.[1-6])"
+    r"|electronics\.(leg_\w+|cap_pressure|rod_pressure)\.gain_errors\.\*"
 )
 
 

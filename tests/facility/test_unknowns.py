@@ -170,6 +170,7 @@ def test_numbers_of_law_machine_and_sensors_change_by_path() -> None:
         ({"path": "luck"}, "path: 'luck' is refused"),
         ({"path": "hydraulics.actuators.*.pump_flow"}, "path: .*pump_flow' is refused"),
         ({"path": "hydraulics.actuators.*.valve_*.leak_rate"}, "path: .*leak_rate' is refused"),
+        ({"path": "electronics.platform_gyro.gain_errors.*"}, "path: .* is refused"),
         ({"path": "electronics.leg_jerk.bias"}, "path: 'electronics.leg_jerk.bias' is refused"),
         ({"path": "cab.density", "effect": "offset"}, "effect: 'offset' is refused"),
         ({"effect": "value"}, "deviation: goes with"),
