@@ -316,8 +316,7 @@ def _hydraulics(given: _Given, base: HydraulicParameters, name: str) -> Hydrauli
         for actuator, row in zip(names, rows, strict=True):
             changes = table["actuators"].setdefault(actuator, {})
             for which, x in zip(valves or [""], row, strict=True):
-                index = VALVES.index(which) if which else None
-                before = base.actuator(actuator, index)[field]
+                before = base.actuator(actuator, VALVES.index(which) if which else None)[field]
                 at = changes.setdefault(which, {}) if which else changes
                 at[field] = one.changed(before, float(x))
     return validated(HydraulicParameters, table | {"name": name}, f"{name} with unknowns")
@@ -333,11 +332,10 @@ def _cab(given: _Given, base: Cab, name: str) -> Cab:
         table = {"inertia": inertia * part.tensor} if own else {}
         mass, place = dense * part.mass.si, np.array(part.centre_of_mass.si)
         for path, (one, value) in given.items():
-            about, _, axis = path.removeprefix(f"{body}.").partition(".")
             if path == f"{body}.mass":
                 mass = one.number(mass, value)
             elif path.startswith(f"{body}.centre_of_mass"):
-                at = "xyz".index(axis) if axis else slice(None)
+                at = slice(None) if path.endswith("mass") else "xyz".index(path[-1])
                 place[at] = one.number(place[at], value)
                 table["centre_of_mass"] = place
         if mass != part.mass.si:
@@ -352,13 +350,12 @@ def _replaced(part: Any, path: Sequence[str], one: Unknown, value: Any) -> Any:
     """Settings with the number at a path changed."""
     name, *rest = path
     field = getattr(part, name, None)
-    if rest[:1] and isinstance(field, list):
+    if rest and isinstance(field, list):
         chosen = dict(enumerate(value)) if rest == ["*"] else {int(rest[0]) - 1: value}
         exact = Quantity(value=0.0, unit="1", status="assumed", source="ideal")
         every = list(field) or [exact] * (len(chosen) if rest == ["*"] else len(LEGS))
         for index, x in chosen.items():
-            was = every[index]
-            every[index] = Quantity(**one.changed(was, float(x)))
+            every[index] = Quantity(**one.changed(every[index], float(x)))
         return part.model_copy(update={name: every})
     if rest:
         return part.model_copy(update={name: _replaced(field, rest, one, value)})
@@ -371,25 +368,29 @@ def _replaced(part: Any, path: Sequence[str], one: Unknown, value: Any) -> Any:
     return part.model_copy(update={name: new})
 
 
-_SHIPPED = Path(__file__).with_suffix(".toml")
+def _checked(tables: Mapping[str, Any], where: str) -> Unknowns:
+    return Unknowns({key: validated(Unknown, tables[key], f"{where}: {key}") for key in tables})
 
 
 @cache
+def _shipped() -> dict[str, Unknowns]:
+    tables = read_toml(Path(__file__).with_suffix(".toml"))
+    return {name: _checked(table, name) for name, table in tables.items()}
+
+
 def load_unknowns(source: str | Path) -> Unknowns:
     """Shipped ones by name, `valve_gains` or `other_machines`, or `[unknowns]` of a TOML file."""
-    shipped, name = read_toml(_SHIPPED), str(source)
-    if name not in shipped:
-        shipped[name] = read_toml(user_file("unknowns", tuple(shipped), source)).get("unknowns", {})
-    tables = shipped[name].items()
-    return Unknowns({key: validated(Unknown, one, f"{name}: {key}") for key, one in tables})
+    if str(source) in _shipped():
+        return _shipped()[str(source)]
+    path = user_file("unknowns", tuple(_shipped()), source)
+    return _checked(read_toml(path).get("unknowns", {}), path.name)
 
 
 def valve_gains(seed: int | None) -> Array:
     """Valve gains of six actuators over the nominal; 1 for None."""
     if seed is None:
         return np.ones(len(LEGS))
-    gains: Array = load_unknowns("valve_gains").draw("random", 1, seed)[0]["leg_speed"]
-    return gains
+    return np.asarray(load_unknowns("valve_gains").draw("random", 1, seed)[0]["leg_speed"])
 
 
 def with_valve_gains(parameters: HydraulicParameters, seed: int | None) -> HydraulicParameters:
